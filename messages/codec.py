@@ -3,8 +3,6 @@
 msgspec does the MessagePack, the types and the bounds in one pass (0.2 µs); NaN and infinity, too, are out of bounds (`Real`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
@@ -13,13 +11,7 @@ import msgspec
 from messages.errors import HapticError
 from messages.types import Message
 
-__all__ = [
-    "MAX_PAYLOAD",
-    "Decoder",
-    "M",
-    "MessageRefusedError",
-    "encode",
-]
+__all__ = ["MAX_PAYLOAD", "Decoder", "M", "MessageRefusedError", "encode"]
 
 MAX_PAYLOAD = 65536
 """Longest payload that is looked at [bytes]; the longest legitimate one (a receipt) is under 16 KiB."""
@@ -48,12 +40,7 @@ class Decoder(Generic[M]):
         self._decode: Callable[[bytes], M] = msgspec.msgpack.Decoder(message_type).decode
 
     def decode(self, payload: bytes) -> M:
-        """Decode one payload.
-
-        Parameters
-        ----------
-        payload : bytes
-            Second frame of the wire format.
+        """Decode one `payload`: the second frame of the wire format.
 
         Returns
         -------

@@ -24,11 +24,7 @@
 | `NoCompilerError`, `FaultSkippedError` | of those: no C compiler; a fault not to be had |
 """
 
-__all__ = [
-    "HapticError",
-    "RefusedError",
-    "UsageError",
-]
+__all__ = ["HapticError", "RefusedError", "UsageError"]
 
 
 class HapticError(Exception):

@@ -5,18 +5,18 @@ of an array. msgspec's own generator uses all three, so the schema is built here
 meaning and the unit of a field are written once, in messages/types.py, and travel with every file.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from functools import cache
+from inspect import cleandoc
 from typing import Any
 
 import msgspec
 
 from messages.types import Message
 
-_ENTRY = re.compile(r"^(\w+(?:, \w+)*) : .*$")
+_SECTION_ENTRY = re.compile(r"^(\w+(?:, \w+)*) : .*()$")
+_ENTRY = re.compile(r"^(\w+(?:, \w+)*): (.+)$")
 
 _SCALARS: dict[type[msgspec.inspect.Type], str] = {
     msgspec.inspect.IntType: "integer",
@@ -25,30 +25,22 @@ _SCALARS: dict[type[msgspec.inspect.Type], str] = {
     msgspec.inspect.BoolType: "boolean",
 }
 
-_LIMITS = {
-    "ge": "minimum",
-    "le": "maximum",
-    "gt": "exclusiveMinimum",
-    "lt": "exclusiveMaximum",
-    "max_length": "maxLength",
-}
+_LIMITS = {"ge": "minimum", "le": "maximum", "gt": "exclusiveMinimum", "lt": "exclusiveMaximum", "max_length": "maxLength"}
 
 
 def attributes(docstring: str) -> dict[str, str]:
-    """Read the Attributes section of a numpydoc docstring.
-
-    Returns: text of each entry, on one line.
-    """
+    """Read what a docstring says of each field, each on one line: its numpydoc section, else its lines ``name: meaning``."""
     found: dict[str, str] = {}
     names: list[str] = []
-    _, _, section = docstring.partition("Attributes\n")
-    for line in (line.strip() for line in section.splitlines()[1:]):
-        entry = _ENTRY.match(line)
-        if entry:
-            names = entry[1].split(", ")
-        elif line:
-            for name in names:
-                found[name] = f"{found.get(name, '')} {line}".strip()
+    whole, _, section = cleandoc(docstring).partition("Attributes\n")
+    for line in (section or whole).splitlines()[1:]:
+        text = line.strip()
+        if entry := (_SECTION_ENTRY if section else _ENTRY).match(line):
+            names, text = entry[1].split(", "), entry[2]
+        elif not line.startswith(" "):
+            names = []
+        for name in names:
+            found[name] = f"{found.get(name, '')} {text}".strip()
     return found
 
 
@@ -94,18 +86,14 @@ def _schema(message_type: type[Message]) -> dict[str, Any]:
 
 
 def schema(message_type: type[Message]) -> dict[str, Any]:
-    """Build the flat JSON Schema of a message type.
+    """Build the flat JSON Schema (draft 2020-12) of a message type: no ``$ref``, no ``anyOf``, meanings and units inside.
 
-    Returns: JSON Schema (draft 2020-12) of one message as a JSON object: no ``$ref``, no ``anyOf``, vectors as arrays of three
-    numbers, meaning and unit of each field as its description. Fields unknown to this version are allowed, as the evolution
-    rules of messages.types ask. Raises TypeError when a field's type cannot be told flatly; the text names the field.
+    Fields unknown to this version are allowed, as the evolution rules of messages.types ask. Raises TypeError when a field's
+    type cannot be told flatly; the text names the field.
     """
     return _schema(message_type)
 
 
 def schema_json(message_type: type[Message]) -> bytes:
-    """Encode the schema of a message type as JSON.
-
-    Returns: what an MCAP schema record with encoding ``jsonschema`` holds.
-    """
+    """Encode the schema of a message type as JSON: what an MCAP schema record with encoding ``jsonschema`` holds."""
     return msgspec.json.encode(_schema(message_type))

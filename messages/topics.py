@@ -1,7 +1,5 @@
 """The topics and the message type each one carries."""
 
-from __future__ import annotations
-
 from messages.types import DeviceState, Event, Force, Handle, Message, NodeStatus, Proxy, Receipt
 
 __all__ = [
@@ -32,12 +30,7 @@ FIXED: dict[str, type[Message]] = {**LOOP, RECEIPT: Receipt, HANDLE: Handle}
 
 
 def status(node: str) -> str:
-    """Topic of a node's status.
-
-    Parameters
-    ----------
-    node : str
-        Name of the node in its launch.
+    """Topic of the status of a `node`, by its name in its launch.
 
     Returns
     -------
@@ -48,12 +41,7 @@ def status(node: str) -> str:
 
 
 def event(node: str) -> str:
-    """Topic of a node's events.
-
-    Parameters
-    ----------
-    node : str
-        Name of the node in its launch.
+    """Topic of the events of a `node`, by its name in its launch.
 
     Returns
     -------
@@ -64,14 +52,7 @@ def event(node: str) -> str:
 
 
 def within(namespace: str, topic: str) -> str:
-    """Put a topic of a chain into the namespace of the chain, as in ROS.
-
-    Parameters
-    ----------
-    namespace : str
-        Namespace without slashes around it, e.g. ``left``; empty for none.
-    topic : str
-        Topic inside the chain, e.g. ``/device/state``.
+    """Put a `topic` of a chain (``/device/state``) into the `namespace` of the chain (``left``; empty for none), as in ROS.
 
     Returns
     -------
@@ -82,12 +63,7 @@ def within(namespace: str, topic: str) -> str:
 
 
 def split(topic: str) -> tuple[str, str]:
-    """Take a full name apart: the inverse of `within`.
-
-    Parameters
-    ----------
-    topic : str
-        Full topic name.
+    """Take the full name of a `topic` apart: the inverse of `within`.
 
     Returns
     -------
@@ -100,12 +76,7 @@ def split(topic: str) -> tuple[str, str]:
 
 
 def message_type(topic: str) -> type[Message] | None:
-    """Type of the messages on a topic.
-
-    Parameters
-    ----------
-    topic : str
-        Full topic name, with or without a namespace.
+    """Type of the messages on a `topic`: its full name, with or without a namespace.
 
     Returns
     -------
@@ -115,7 +86,5 @@ def message_type(topic: str) -> type[Message] | None:
     topic = split(topic)[1]
     if topic in FIXED:
         return FIXED[topic]
-    if topic.count("/") == 2 and topic.startswith("/"):
-        kinds: dict[str, type[Message]] = {"status": NodeStatus, "event": Event}
-        return kinds.get(topic.rsplit("/", 1)[1])
-    return None
+    kinds: dict[str, type[Message]] = {"status": NodeStatus, "event": Event}
+    return kinds.get(topic.rsplit("/", 1)[1]) if topic.count("/") == 2 and topic.startswith("/") else None

@@ -8,8 +8,6 @@ Evolution: a field keeps its name, type and unit for ever; new fields come last 
 listeners go on working.
 """
 
-from __future__ import annotations
-
 import sys
 from typing import Annotated, TypeAlias
 

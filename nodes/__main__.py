@@ -10,5 +10,6 @@ if __name__ == "__main__":
     # Until all is imported: what imports make stays, and looking through it again and again takes a tenth of the start.
     gc.disable()
     from nodes.base.process import start
+    from nodes.compiled.load import load_kernel
 
-    sys.exit(start(sys.argv[1:]))
+    sys.exit(start(sys.argv[1:], load_kernel))

@@ -5,12 +5,9 @@ fastmath), which gives the same bits. So they use nothing but floats, comparison
 A term that a scene does not have is passed as None: numba compiles a separate version without it.
 """
 
-from __future__ import annotations
-
 from collections.abc import MutableSequence, Sequence
 
-SMOOTHING = 1.0 / 64.0
-"""Part of each tick's delay in the measured one: a mean over some 64 ticks, which one late tick does not throw."""
+SMOOTHING = 1.0 / 64.0  # part of each tick's delay in the measured one: a mean over some 64 ticks, not thrown by a late one
 
 
 def plane_distance(position: float, surface: float, normal: float) -> float:
@@ -79,6 +76,13 @@ def limit(force: float, previous: float, peak: float | None, slew: float | None)
     return force
 
 
+def limit_within_tick(force: float, previous: float, peak: float | None, slew: float | None, slewed: float) -> float:
+    """Limit a force as `limit` does where several in one tick share one slew, of which `slewed` is spent [N]."""
+    if slew is None:
+        return limit(force, previous, peak, None)
+    return limit(force, previous, peak, max(slew - slewed, 0.0))
+
+
 def sections(coefficients: Sequence[float], state: MutableSequence[float], newest: float, previous: float) -> float:
     """Force of parallel second-order recursive sections, y = b0·x + b1·x₋₁ − a1·y₋₁ − a2·y₋₂ each, summed in order [N].
 
@@ -99,11 +103,7 @@ def sections(coefficients: Sequence[float], state: MutableSequence[float], newes
 
 
 def warm_up(
-    coefficients: Sequence[float],
-    state: MutableSequence[float],
-    history: Sequence[float],
-    head: int,
-    length: int,
+    coefficients: Sequence[float], state: MutableSequence[float], history: Sequence[float], head: int, length: int
 ) -> None:
     """Bring recursive sections up to date by replaying the history, so that they swap as smoothly as taps do.
 

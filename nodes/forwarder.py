@@ -5,10 +5,8 @@ does, and publishes the same frames at those ports. Whatever strangers do to it,
 alone, and is started again for as long as the launch lives.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import msgspec
 import zmq
@@ -17,15 +15,10 @@ from messages.transport.context import new_context
 from messages.transport.open_port import OpenPort
 from messages.transport.sockets import Subscription
 from nodes.base.node import IDLE_MS, Node
+from nodes.base.setup import Setup
 
-if TYPE_CHECKING:
-    from nodes.base.setup import Setup
-
-QUEUE = 20_000
-"""Messages that wait while strangers keep this process busy."""
-
-LAST_MS = 50
-"""How long no message may come at the end before all have [ms]."""
+QUEUE = 20_000  # messages that wait while strangers keep this process busy
+LAST_MS = 50  # how long no message may come at the end before all have [ms]
 
 
 class ForwarderParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -1,4 +1,4 @@
-"""What arrays hold here: floats in SI units, unless a line says otherwise."""
+"""What arrays hold here: floats in SI units, or whole numbers."""
 
 from __future__ import annotations
 
@@ -8,3 +8,4 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
+WholeArray: TypeAlias = NDArray[np.int64]

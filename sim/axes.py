@@ -13,16 +13,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.transforms import BboxBase
 
+# Where a name is tried beside its point [points], and how it is aligned there.
 _NEAR = ((6, 4, "left"), (6, -10, "left"), (-6, 4, "right"), (-6, -10, "right"), (0, 8, "center"), (0, -14, "center"))
-"""Where a name is tried beside its point [points], and how it is aligned there."""
-
+# The same further off, with a line to the point.
 _FAR = tuple(
     (distance * x, distance * y, side)
     for distance in (18, 30, 44, 60)
     for x, side in ((1.0, "left"), (-1.0, "right"), (0.0, "center"))
     for y in (1.0, -1.0)
 )
-"""The same further off, with a line to the point."""
 
 
 def name_points(
@@ -59,10 +58,7 @@ def name_points(
 
 
 def plain_log(axis: Axis, low: float, high: float) -> None:
-    """Label a logarithmic axis with plain numbers: 1, 2 and 5 of each decade, over many decades only the 1.
-
-    matplotlib writes the minor ticks of a short span as powers of ten, which run into each other.
-    """
+    """Label a logarithmic axis with plain numbers, 1, 2, 5 of each decade: matplotlib's powers of ten run into each other."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 300.0 * low else (1.0,), numticks=12))
@@ -77,6 +73,4 @@ def legend_below(figure: Figure, panels: Iterable[Axes], columns: int = 5) -> No
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             named.setdefault(label, handle)
     if named:
-        figure.legend(
-            named.values(), named.keys(), loc="outside lower center", ncols=columns, fontsize=8, frameon=False
-        )
+        figure.legend(named.values(), named.keys(), loc="outside lower center", ncols=columns, fontsize=8, frameon=False)

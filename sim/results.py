@@ -6,18 +6,12 @@ import sys
 import time
 from pathlib import Path
 
-EARLIER = "earlier"
-"""Folder beside the results, with one folder per run that set something aside."""
-
-_moved: dict[Path, Path] = {}
-"""By folder of results, where this run sets files aside."""
+EARLIER = "earlier"  # folder beside the results, with one folder per run that set something aside
+_moved: dict[Path, Path] = {}  # by folder of results, where this run sets files aside
 
 
 def fresh(path: Path) -> Path:
-    """Make room for a file that a study writes, its folder included.
-
-    An earlier file of that name goes to ``earlier/DATE-TIME/`` beside it, which is said on standard error once per run.
-    """
+    """Make room for a file of a study: an earlier one goes to ``earlier/DATE-TIME/``, said on standard error once per run."""
     folder = path.parent
     folder.mkdir(parents=True, exist_ok=True)
     if path.exists():

@@ -10,6 +10,9 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+# As ``haptic`` does for its own processes, before numpy is there.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import pytest
 
 from messages.transport import keys
@@ -56,9 +59,7 @@ def pytest_configure() -> None:
     for group, wanted in groups.items():
         found = {point.name: point.value for point in entry_points(group=group)}
         if not wanted.items() <= found.items():
-            raise pytest.UsageError(
-                f"pyproject.toml has other entry points than are installed ({group}): pip install -e ."
-            )
+            raise pytest.UsageError(f"pyproject.toml has other entry points than are installed ({group}): pip install -e .")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -74,9 +75,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return next((i for i, start in enumerate(LONGEST) if item.nodeid.startswith(start)), len(LONGEST))
 
     items.sort(key=length)
-    order = {
-        path: float(i) for i, path in enumerate(dict.fromkeys(item.path for item in items if item.path not in drawn))
-    }
+    order = {path: float(i) for i, path in enumerate(dict.fromkeys(item.path for item in items if item.path not in drawn))}
     for i, path in enumerate(dict.fromkeys(item.path for item in items if item.path in drawn)):
         # So far apart that one is done before the next begins.
         order[path] = 2 * WORKERS * i - 0.5

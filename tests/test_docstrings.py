@@ -69,10 +69,7 @@ def test_every_module_tells_its_reason() -> None:
 def test_everything_public_has_at_least_a_sentence() -> None:
     silent = [name for module in modules() for name, function, _ in functions(module) if not inspect.getdoc(function)]
     silent += [
-        name
-        for module in modules()
-        for name, thing in own(module)
-        if inspect.isclass(thing) and not inspect.getdoc(thing)
+        name for module in modules() for name, thing in own(module) if inspect.isclass(thing) and not inspect.getdoc(thing)
     ]
     assert silent == []
 

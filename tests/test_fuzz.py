@@ -37,6 +37,7 @@ from messages.transport.endpoints import EndpointRefusedError, split
 from messages.transport.keys import KeyRefusedError, parse_key
 from messages.transport.requests import Reply, Request, decode_reply, decode_request
 from messages.types import DeviceState, Event, Force, NodeStatus, Proxy
+from nodes.driver.pointer import PointerReader
 from nodes.launcher import launch_file
 from nodes.launcher.join import Starter
 from nodes.launcher.runs import RunError, RunInfo
@@ -49,7 +50,6 @@ from nodes.recording.recover import recover
 from nodes.recording.writer import RecordError, RecordWriter
 from nodes.view import server
 from nodes.view.commands import Commander, CommandError
-from nodes.view.pointer import PointerReader
 from nodes.view.shared_hand import SharedHand
 from tests.nodes.compiled.test_messages import assert_read_alike
 from tests.support.launching import private_runtime_dir
@@ -160,9 +160,7 @@ def _parts(recording: bytes) -> list[Target]:
         corpus = [bytes(record.content) for record in records if record.opcode == opcode][:20]
         assert corpus, name
 
-        def attempt(
-            content: bytes, opcode: int = opcode, parse: Callable[[Path, mcap_walk.Record], object] = parse
-        ) -> object:
+        def attempt(content: bytes, opcode: int = opcode, parse: Callable[[Path, mcap_walk.Record], object] = parse) -> object:
             return parse(Path("x.mcap"), mcap_walk.Record(0, opcode, content))
 
         targets.append(Target(f"mcap {name}", corpus, attempt, (RecordError,)))
@@ -292,15 +290,8 @@ def targets() -> list[Target]:
         corpus = [payload for name, payload in wire if name == topic]
         found.append(Target(f"wire {topic}", corpus, Decoder(kind).decode, (MessageRefusedError,)))
     found += [
-        Target(
-            "request",
-            list(map(msgspec.msgpack.encode, requests)),
-            lambda b: decode_request([b]),
-            (MessageRefusedError,),
-        ),
-        Target(
-            "reply", list(map(msgspec.msgpack.encode, replies)), lambda b: decode_reply([b]), (MessageRefusedError,)
-        ),
+        Target("request", list(map(msgspec.msgpack.encode, requests)), lambda b: decode_request([b]), (MessageRefusedError,)),
+        Target("reply", list(map(msgspec.msgpack.encode, replies)), lambda b: decode_reply([b]), (MessageRefusedError,)),
         Target(
             "setup from another machine",
             [_setup(starter)],
@@ -312,10 +303,7 @@ def targets() -> list[Target]:
         Target("law", laws, _text(_law), (ParameterError, LawRefusedError)),
         Target("key", [b"ab" * 32, b"0" * 40], _text(parse_key), (KeyRefusedError,)),
         Target(
-            "endpoint",
-            [b"tcp://127.0.0.1:1#" + b"ab" * 32, b"ipc:///x"],
-            _text(split),
-            (EndpointRefusedError, KeyRefusedError),
+            "endpoint", [b"tcp://127.0.0.1:1#" + b"ab" * 32, b"ipc:///x"], _text(split), (EndpointRefusedError, KeyRefusedError)
         ),
         Target("key file", [_identity()], _key_file, (KeyRefusedError,)),
         Target(
@@ -391,9 +379,7 @@ def test_damaged_input_raises_the_documented_error_only(target: Target, luck: ra
     attempt(target, luck)
 
 
-@pytest.mark.skipif(
-    not (SECONDS or INPUTS), reason="a long run is asked for with HAPTIC_FUZZ_SECONDS or HAPTIC_FUZZ_INPUTS"
-)
+@pytest.mark.skipif(not (SECONDS or INPUTS), reason="a long run is asked for with HAPTIC_FUZZ_SECONDS or HAPTIC_FUZZ_INPUTS")
 @pytest.mark.timeout(0)
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
 def test_long_run(target: Target) -> None:

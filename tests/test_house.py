@@ -11,6 +11,7 @@ import itertools
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 
 from nodes.cli.quantities import QUANTITIES
@@ -28,17 +29,27 @@ def name_of(path: Path) -> str:
 MODULES = {name_of(path): path for floor in FLOORS for path in sorted((ROOT / floor).rglob("*.py"))}
 
 
-def imported(module: str) -> Iterator[tuple[str, str]]:
+@cache
+def tree_of(path: Path) -> ast.Module:
+    """Parse a file, once."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@cache
+def imported(module: str) -> tuple[tuple[str, str], ...]:
     """Name each module of ours that this one imports, and the line that does it."""
+    return tuple(_imported(module))
+
+
+def _imported(module: str) -> Iterator[tuple[str, str]]:
     path = MODULES[module]
-    for found in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for found in ast.walk(tree_of(path)):
         if isinstance(found, ast.Import):
             names = [name.name for name in found.names]
         elif isinstance(found, ast.ImportFrom):
             assert found.level == 0, f"{path}:{found.lineno}: relative import"
             names = [
-                inner if (inner := f"{found.module}.{name.name}") in MODULES else str(found.module)
-                for name in found.names
+                inner if (inner := f"{found.module}.{name.name}") in MODULES else str(found.module) for name in found.names
             ]
         else:
             continue
@@ -108,13 +119,44 @@ def test_few_modules_stand_outside_the_rooms() -> None:
     assert len([module for module in outside if not module.startswith("messages.")]) <= 6
 
 
+APART = (
+    ("nodes.driver", "nodes.view"),
+    ("sim.device", "nodes.view"),
+    ("nodes.base", "nodes.driver"),
+    ("nodes.base", "nodes.compiled"),
+)
+"""Rooms of which the first must do without the second, though no circle would come of it."""
+
+
+def test_a_device_does_without_the_page_and_the_foundation_without_the_compiled_tick() -> None:
+    found = [line for module in MODULES for name, line in imported(module) if (room(module), room(name)) in APART]
+    assert found == []
+
+
+def types_of(path: Path) -> Iterator[str]:
+    """Name what a module defines at its top by a capital letter: classes, and names for types; no TypeVars."""
+    for node in tree_of(path).body:
+        if isinstance(node, ast.ClassDef):
+            yield node.name
+        elif (
+            isinstance(node, ast.AnnAssign)
+            and isinstance(node.target, ast.Name)
+            and ast.unparse(node.annotation) == "TypeAlias"
+        ):
+            yield node.target.id
+        elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            made = ast.unparse(node.value).partition("(")[0]
+            if re.fullmatch("[A-Z][a-z][A-Za-z0-9]*", node.targets[0].id) and made != "TypeVar":
+                yield node.targets[0].id
+
+
 def test_one_word_is_one_class() -> None:
-    """No two public classes have one name: a reader who meets it in a message or a page knows which."""
+    """No two public classes or names for types are one: a reader who meets it in a message or a page knows which."""
     found: dict[str, list[str]] = {}
     for module, path in MODULES.items():
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
-            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                found.setdefault(node.name, []).append(module)
+        for name in types_of(path):
+            if not name.startswith("_"):
+                found.setdefault(name, []).append(module)
     assert {name: places for name, places in found.items() if len(places) > 1} == {}
 
 
@@ -142,6 +184,48 @@ def test_the_tables_of_rooms_name_every_room_and_no_other() -> None:
         assert {name for name in told if not (ROOT / floor / name).exists()} == set(), floor
 
 
+PAGES = ("README.md", ".github/*.md", "launch/*.md", "messages/*.md", "nodes/**/*.md", "sim/*.md")
+SOURCES = ("messages/**/*.py", "nodes/**/*.py", "sim/**/*.py", "launch/*.yaml", "nodes/view/web/*.js", "tests/**/*.py")
+NAMED = re.compile(r"(?<![\w./-])((?:messages|nodes|sim|tests|launch)/[\w/.-]*?\.(?:py|md|js|c|yaml|png|css|html))\b")
+EXAMPLES = {"nodes/cli/NAME.py", "sim/cli/NAME.py", "nodes/gone.py"}
+
+
+def test_files_that_are_named_exist() -> None:
+    """A page, docstring or comment that sends its reader to a file names one that is there."""
+    for pattern in (*PAGES, *SOURCES):
+        for path in ROOT.glob(pattern):
+            named = set(NAMED.findall(path.read_text(encoding="utf-8"))) - EXAMPLES
+            assert {name for name in named if not (ROOT / name).exists()} == set(), path
+
+
+DIALECT = re.compile(
+    r"told by a line|own name only|(?:is|are) told as|connected anew|no credit for|\bput out\b|requests without an end|"
+    r"who sends more|the text tells|left behind are|some (?:ten|twenty|thirty) seconds",
+    re.IGNORECASE,
+)
+"""Sentences that had to be read twice. What replaced them: announced, reported, reconnected, disconnected, about."""
+
+
+def test_pages_docstrings_and_messages_are_plain_english() -> None:
+    found = {
+        str(path.relative_to(ROOT)): words
+        for pattern in (*PAGES, *SOURCES[:-1])
+        for path in ROOT.glob(pattern)
+        if (words := DIALECT.findall(path.read_text(encoding="utf-8")))
+    }
+    assert found == {}
+
+
+WORDS = "age apply coupling deflection drill edge guard H(1) H(−1) hold K_max knock landing lockstep needs proxy rest tap tick"
+
+
+def test_the_glossary_explains_the_words_of_the_field() -> None:
+    page = (ROOT / "nodes/GLOSSARY.md").read_text(encoding="utf-8")
+    told = [word.strip("`") for word in re.findall(r"^\| (.+?) \|", page, re.MULTILINE)]
+    assert set(WORDS.split()) - set(told) == set()
+    assert len(set(told)) == len(told)
+
+
 WITH_ARGUMENTS = {"sim.stand_ins.inverse_service": "a process of its own, that stands for a vendor's service"}
 """Modules outside the command line that read a command line all the same."""
 
@@ -152,13 +236,11 @@ def test_verbs_are_in_one_place() -> None:
     verbs = points["haptic.verbs"]
     assert {name: module.split(".cli.")[1] for name, module in verbs.items()} == {name: name for name in verbs}
     for module, path in MODULES.items():
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        tree = tree_of(path)
         if room(module) in ("nodes.cli", "sim.cli"):
             if any(isinstance(node, ast.FunctionDef) and node.name == "add" for node in tree.body):
                 # `topic pub` is long enough for a module of its own.
-                assert module in {*verbs.values(), "nodes.cli.publish"}, (
-                    f"{module}: a verb that pyproject.toml does not name"
-                )
+                assert module in {*verbs.values(), "nodes.cli.publish"}, f"{module}: a verb that pyproject.toml does not name"
             continue
         names = {name for name, _ in imported(module)}
         assert not [name for name in names if name.startswith(("nodes.cli.", "sim.cli."))], module
@@ -179,7 +261,7 @@ def test_a_quantity_is_declared_once() -> None:
         (module, option)
         for module, path in MODULES.items()
         if room(module) in ("nodes.cli", "sim.cli")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(tree_of(path))
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "add_argument"
         for argument in node.args
         if isinstance(argument, ast.Constant) and (option := str(argument.value)).removeprefix("--") in QUANTITIES
@@ -226,9 +308,7 @@ def code_lines(function: ast.FunctionDef, lines: list[str]) -> int:
 
 def attributes(kind: ast.ClassDef) -> set[str]:
     """Name what a class assigns to itself, and the fields that it declares."""
-    names = {
-        node.target.id for node in kind.body if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)
-    }
+    names = {node.target.id for node in kind.body if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)}
     for node in ast.walk(kind):
         if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store) and isinstance(node.value, ast.Name):
             names |= {node.attr} if node.value.id == "self" else set()
@@ -239,7 +319,7 @@ def test_long_functions_and_wide_classes_say_why() -> None:
     long, wide = set(), set()
     for module, path in MODULES.items():
         source = path.read_text(encoding="utf-8")
-        for node in ast.walk(ast.parse(source)):
+        for node in ast.walk(tree_of(path)):
             if isinstance(node, ast.FunctionDef) and code_lines(node, source.splitlines()) > 60:
                 long.add(f"{module}.{node.name}")
             if isinstance(node, ast.ClassDef) and len(attributes(node)) > 20:

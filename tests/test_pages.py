@@ -6,12 +6,15 @@ import json
 import re
 import subprocess
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from nodes.cli.main import VERBS, verbs
 from nodes.parameters.installed import OURS
+from sim.experiments.scene_costs import BODIES
 from tests.support import ROOT
 from tests.support.launching import private_runtime_dir
 from tests.support.pages import Block, anchors, blocks, command, links, promised, shell
@@ -38,7 +41,7 @@ SHORTER = {
     "haptic study proxies": "--finest 3 --ticks 300 --steps 20000",
     "haptic bench listeners": "--rounds 1 --seconds 0.3",
     "haptic bench ros2": "--rounds 1 --seconds 0.4",
-    "haptic bench loop --scenes": "--rounds 1 --seconds 0.5 --finest 3",
+    "haptic bench loop --scenes": "--rounds 1 --seconds 0.5 --finest 3 --json",
     "haptic bench swaps": "--swaps 4 --sets 4 --duration 0.5 --blocks 1",
     "haptic bench simulator": "--rounds 1",
     "haptic bench taps": "--rounds 1 --taps 4,10",
@@ -54,7 +57,7 @@ SHORTER = {
     "haptic study design": "--mass 0.1 --taps 2",
     "haptic study design --compare": "--mass 0.1 --taps 2 --delays 0 --margins 0",
     "haptic study coverage": "--devices 2 --seconds 4 --workers 1",
-    "haptic study fig4": "--gain 2..20 --points 2 --horizon 1500",
+    "haptic study fig4": "--gain 2..20 --points 2 --horizon 1500 --workers 1",
 }
 """What makes a command short enough for a test, by its first words."""
 
@@ -91,8 +94,22 @@ def test_commands_run_as_they_are_written(
             printed = terminal.run(wanted)
             said += printed
             if "--json" in wanted.words:
-                assert isinstance(json.loads(printed.splitlines()[-1]), dict)
+                figures = json.loads(printed.splitlines()[-1])
+                assert isinstance(figures, dict)
+                if "--scenes" in wanted.words:
+                    every_scene_has_its_row(figures["rows"])
     assert promised(block.prints, said) == [], said
+
+
+def every_scene_has_its_row(rows: list[dict[str, Any]]) -> None:
+    """Judge what the page's six launches of ``haptic bench loop --scenes`` say, so that no other test runs them again."""
+    bodies = set(BODIES) if find_spec("mujoco") else set()
+    assert {row["scene"] for row in rows} == {"floor_drop", "sphere_feel", "mesh_pebble", "ball of 1280 triangles"} | bodies
+    for row in rows:
+        assert row["tick"] == ("plain" if row["scene"] in bodies else "compiled")
+        assert 0.0 < row["spent_us"]["p50"] <= row["spent_us"]["p99"]
+        assert 0.0 < row["response_us"]["p50"] <= row["response_us"]["p99"]
+        assert 0 <= row["missed"] <= row["ticks"]
 
 
 def test_the_pasted_lines_install_launch_and_test() -> None:

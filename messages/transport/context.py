@@ -1,32 +1,22 @@
 """The context of a process: its I/O threads, of which the second one serves listeners, off the loop's processor."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import zmq
 
-if TYPE_CHECKING:
-    from messages.transport.endpoints import Context
+from messages.transport.endpoints import Context
 
 
 def new_context(aside: bool = False) -> Context:
-    """Make a context whose sockets never delay its end.
-
-    The I/O threads inherit affinity and priority of the calling thread: set both first.
-    """
+    """Make a context whose sockets never delay its end; its I/O threads inherit affinity and priority of the calling thread."""
     context: Context = zmq.Context(io_threads=2 if aside else 1)
     context.linger = 0
     return context
 
 
 def move_aside() -> None:
-    """Take the second I/O thread off the chain's core and out of its priority.
-
-    It serves the listeners; nothing in the loop waits for it. Call it when the context's first socket exists.
-    """
+    """Take the second I/O thread, which serves listeners, off the chain's core and its priority, when a first socket exists."""
     for path in Path("/proc/self/task").iterdir():
         # libzmq names its threads by their number.
         if (path / "comm").read_text(encoding="ascii", errors="replace").strip().endswith("IO/1"):

@@ -15,12 +15,12 @@ the answer to one that the peer left behind in the buffer. So heartbeats are nev
 the kernel's keep-alives instead; and what others connect to has no limit on its receive queue, so that its input never stops.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ipaddress
 import os
-from typing import TYPE_CHECKING
+import time
+from collections.abc import Iterator
+from typing import TypeAlias
 
 import zmq
 
@@ -28,37 +28,22 @@ from messages.codec import MAX_PAYLOAD
 from messages.errors import HapticError
 from messages.transport.keys import identity, parse_key
 
-if TYPE_CHECKING:
-    Context = zmq.Context[zmq.Socket[bytes]]
-    Socket = zmq.Socket[bytes]
+Socket: TypeAlias = zmq.Socket[bytes]
+Context: TypeAlias = zmq.Context[Socket]
 
 
-DOMAIN = b"haptic"
-"""ZAP domain of the encrypted sockets; with it set and enforced, a process without a gate lets nobody in."""
+DOMAIN = b"haptic"  # ZAP domain of the encrypted sockets; with it set and enforced, a process without a gate lets nobody in
 
 MAX_MESSAGE = 16 * MAX_PAYLOAD
 """Longest frame that is received from a publisher or asked of a node; a longer one ends the connection [bytes]."""
 
-MAX_UPSTREAM = 1024
-"""Longest frame that a listener may send to a publisher: a subscription [bytes]."""
-
-KEEPALIVE_S = 1
-"""How often the kernel asks a silent tcp peer whether it is still there [s]."""
-
-KEEPALIVE_PROBES = 2
-"""After so many of them without an answer it is given up."""
-
-HANDSHAKE_MS = 3000
-"""How long a peer on this machine may take to introduce itself [ms]; ZeroMQ's 30 s would let idle connections pile up."""
-
-TCP_HANDSHAKE_MS = 8000
-"""How long one over tcp may take: two round trips of a second for the greeting, two for the keys, and a lost packet [ms]."""
-
-RECONNECT_MS = 10
-"""How soon a listener tries again to reach a publisher that is not there yet or was respawned [ms]."""
-
-MAX_RECONNECT_MS = 500
-"""Longest pause between two tries to reach another machine [ms]."""
+MAX_UPSTREAM = 1024  # longest frame that a listener may send to a publisher: a subscription [bytes]
+KEEPALIVE_S = 1  # how often the kernel asks a silent tcp peer whether it is still there [s]
+KEEPALIVE_PROBES = 2  # after so many of them without an answer it is given up
+HANDSHAKE_MS = 3000  # how long a local peer may take to introduce itself [ms]; ZeroMQ's 30 s let idle connections pile up
+TCP_HANDSHAKE_MS = 8000  # the same over tcp: two round trips of 1 s for the greeting, two for the keys, a lost packet [ms]
+RECONNECT_MS = 10  # how soon a listener tries again to reach a publisher that is not there yet or was respawned [ms]
+MAX_RECONNECT_MS = 500  # longest pause between two tries to reach another machine [ms]
 
 
 class EndpointRefusedError(HapticError, ValueError):
@@ -66,11 +51,7 @@ class EndpointRefusedError(HapticError, ValueError):
 
 
 def split(endpoint: str) -> tuple[str, str]:
-    """Take an endpoint apart.
-
-    Returns: ZeroMQ's endpoint, and the key; the key is empty for a plain one. Raises EndpointRefusedError when a tcp endpoint
-    has no key, or the transport is neither ipc nor tcp.
-    """
+    """Take an endpoint apart into ZeroMQ's and its key, empty for ipc; tcp without a key and other transports are refused."""
     bare, sign, key = endpoint.partition("#")
     if sign:
         parse_key(key)
@@ -102,10 +83,7 @@ def _is_loopback(bare: str) -> bool:
 
 
 def is_remote(endpoint: str) -> bool:
-    """Whether other machines can reach an endpoint.
-
-    Returns: True for tcp off loopback.
-    """
+    """Whether other machines can reach an endpoint: tcp off loopback."""
     bare = endpoint.partition("#")[0]
     return bare.startswith("tcp://") and not _is_loopback(bare)
 
@@ -124,10 +102,7 @@ def _set_tcp(socket: Socket) -> None:
 
 
 def connect(socket: Socket, endpoint: str) -> None:
-    """Connect a socket; where the endpoint has a key, as this machine and to that machine only.
-
-    Raises EndpointRefusedError, KeyRefusedError when the endpoint or this machine's keys cannot be used.
-    """
+    """Connect a socket; where the endpoint has a key, as this machine and to that machine only."""
     bare, key = split(endpoint)
     socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
     socket.setsockopt(zmq.MAXMSGSIZE, MAX_MESSAGE)
@@ -143,11 +118,25 @@ def connect(socket: Socket, endpoint: str) -> None:
     socket.connect(bare)
 
 
-def is_open_place(endpoint: str) -> bool:
-    """Whether an endpoint may be opened to all users of this machine, unencrypted, for them to listen.
+@contextlib.contextmanager
+def closed_if_refused(*sockets: Socket) -> Iterator[None]:
+    """Close sockets that are new when what is bound or connected in a block is refused."""
+    try:
+        yield
+    except ValueError:
+        for socket in sockets:
+            socket.close(linger=0)
+        raise
 
-    Returns: True for tcp on loopback without a key.
-    """
+
+def await_given_back(endpoint: str, deadline: float) -> None:
+    """Wait, after a close, until ZeroMQ's thread has removed an ipc endpoint's file: it must not remove the next one's."""
+    while os.path.exists(endpoint.partition("#")[0].removeprefix("ipc://")) and time.monotonic() < deadline:
+        time.sleep(0.001)
+
+
+def is_open_place(endpoint: str) -> bool:
+    """Whether all users of this machine may be let listen at an endpoint, unencrypted: tcp on loopback without a key."""
     return endpoint.startswith("tcp://") and "#" not in endpoint and _is_loopback(endpoint)
 
 

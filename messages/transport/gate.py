@@ -6,26 +6,19 @@ read anew for each connection, and twice a second for those that are there. When
 more, the sockets are closed to all tcp peers and opened again (`Reopening`): who is still allowed is back within a second.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import struct
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import zmq
 
-from messages.transport.endpoints import DOMAIN, EndpointRefusedError, bind
+from messages.transport.endpoints import DOMAIN, Context, EndpointRefusedError, Socket, bind
 from messages.transport.keys import identity, key_dir, trusted
 
-if TYPE_CHECKING:
-    from messages.transport.endpoints import Context, Socket
-
-REVIEW = 0.5
-"""How often the keys of those who are connected are looked at [s]."""
+REVIEW = 0.5  # how often the keys of those who are connected are looked at [s]
 
 ZAP = "inproc://zeromq.zap.01"
 FAILURES = zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL | zmq.EVENT_HANDSHAKE_FAILED_AUTH
@@ -35,8 +28,7 @@ _FAILED: dict[int, str] = {
     "took too long or has no keys",
 }
 _STOP = "inproc://haptic.gate.stop"
-_MONITORED = struct.Struct("=Hi")
-"""First frame of a monitor's message: event and value (zmq_socket_monitor)."""
+_MONITORED = struct.Struct("=Hi")  # first frame of a monitor's message: event and value (zmq_socket_monitor)
 
 
 def monitor(context: Context, socket: Socket, events: int) -> Socket:
@@ -51,19 +43,13 @@ def monitor(context: Context, socket: Socket, events: int) -> Socket:
 
 
 def monitored(frames: list[bytes]) -> tuple[int, str]:
-    """Read the event, and the endpoint that it is about, from what a monitor's socket received.
-
-    pyzmq's own parser would bring asyncio into every node: a quarter of what its modules take to load.
-    """
+    """Read event and endpoint from a monitor's message; pyzmq's own parser brings asyncio, a quarter of what a node loads."""
     event, _ = _MONITORED.unpack(frames[0])
     return event, frames[1].decode("utf-8", "replace")
 
 
 class Reopening:
-    """Ends all tcp connections to a socket, and lets come back who may.
-
-    `places`: what it is bound to; only encrypted endpoints are closed.
-    """
+    """Ends all tcp connections to the encrypted ones of the `places` that a socket is bound to, and lets come back who may."""
 
     def __init__(self, socket: Socket, places: Sequence[str]) -> None:
         self._socket = socket
@@ -91,12 +77,10 @@ class Reopening:
 
 
 class Gate(threading.Thread):
-    """Guards the encrypted sockets of one process.
+    """Guards the encrypted sockets of one process; to be started before they are bound, stopped before the context ends.
 
-    `context`: context of the process; start the gate before binding, stop it before terminating. `denied`: called on the
-    gate's thread with one sentence for every peer that was not let in, or was put out. `evict`: called on the gate's thread
-    when all connections must be ended, because a key is not allowed any more. `begin`: called first on the gate's thread, e.g.
-    to take it off the loop's processor. Raises KeyRefusedError when this machine's keys cannot be used.
+    On the gate's thread it calls `begin` first (to leave the loop's processor), `denied` with one sentence for every peer that
+    was not let in or was disconnected, and `evict` when all connections must end, because a key is not allowed any more.
     """
 
     def __init__(
@@ -173,9 +157,7 @@ class Gate(threading.Thread):
         self._zap.send_multipart([version, request, code, text, name.encode(), b""])
         if not name:
             where = address.decode("ascii", "replace").removeprefix("::ffff:")
-            self._denied(
-                f"a connection from {where} with the unknown key {key}; to let it in: haptic keys allow NAME {key}"
-            )
+            self._denied(f"a connection from {where} with the unknown key {key}; to let it in: haptic keys allow NAME {key}")
 
     def _review(self) -> None:
         gone = self._entered - self._trusted().keys() if self._entered else set()

@@ -9,8 +9,6 @@ A key is written as 64 hexadecimal digits, which every shell leaves alone. A mac
 its place and send control requests; there is no half of it.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import stat
@@ -32,13 +30,7 @@ class KeyRefusedError(HapticError, ValueError):
 
 
 class Identity(msgspec.Struct, frozen=True):
-    """Key pair of this machine.
-
-    Attributes
-    ----------
-    public, secret : str
-        Keys, 64 hexadecimal digits each.
-    """
+    """Key pair of this machine: 64 hexadecimal digits each."""
 
     public: str
     secret: str

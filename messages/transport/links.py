@@ -6,43 +6,26 @@ over which nothing comes any more, raises an event with the reason and is reconn
 thread only takes up what was asked for, between two ticks.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING
 
 import zmq
 
-from messages.transport.endpoints import MAX_MESSAGE, TCP_HANDSHAKE_MS, connect
+from messages.transport.endpoints import MAX_MESSAGE, TCP_HANDSHAKE_MS, Context, Socket, connect
 from messages.transport.gate import FAILURES, monitor, monitored
 from messages.transport.keys import trusted
 
-if TYPE_CHECKING:
-    from messages.transport.endpoints import Context, Socket
+GIVEN_UP = 0.3  # so long after the end of a connection without another try ZeroMQ has given it up [s]
+AGAIN = 1.0  # shortest time between two new connections of a link [s]
+PERIOD = 0.5  # how often `Links.keep` looks [s]
+SILENCE = 3.0  # after so long without a message a link counts as silent, and is reconnected when it is not connected [s]
+PATIENCE = 30.0  # so long may a connected one be silent [s]: the other process may live, starved of its processor
 
-GIVEN_UP = 0.3
-"""So long after the end of a connection without another try ZeroMQ has given it up [s]."""
-
-AGAIN = 1.0
-"""Shortest time between two new connections of a link [s]."""
-
-PERIOD = 0.5
-"""How often `Links.keep` looks [s]."""
-
-SILENCE = 3.0
-"""After so long without a message a link counts as silent, and is reconnected when it is not connected [s]."""
-
-PATIENCE = 30.0
-"""So long may one be silent that is connected: the process at the other end lives, and may be starved of its processor [s]."""
-
-_EVENTS = (
-    FAILURES | zmq.EVENT_CONNECTED | zmq.EVENT_DISCONNECTED | zmq.EVENT_CONNECT_RETRIED | zmq.EVENT_HANDSHAKE_SUCCEEDED
-)
+_EVENTS = FAILURES | zmq.EVENT_CONNECTED | zmq.EVENT_DISCONNECTED | zmq.EVENT_CONNECT_RETRIED | zmq.EVENT_HANDSHAKE_SUCCEEDED
 _NOT_LET_IN = "this machine's key is not let in there; there: haptic keys allow NAME KEY"
 _NO_KEY = "what answers there does not have the key that is expected; its messages are ignored"
 _NO_NODE = "what answers there is not a node"
@@ -67,7 +50,7 @@ class _Link:
     def take(self, event: int, now: float) -> str:
         """Take an event; why the other side was not accepted, or did not accept, when it is that."""
         if event == zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL and not self.key:
-            # A node that ends in just this moment: no intruder. ZeroMQ tries again, and what keeps failing is told as a link.
+            # A node that ends at this very moment is no intruder. ZeroMQ tries again; what keeps failing is reported as a link.
             self.failed = _WENT_AWAY
             return ""
         if event & FAILURES:
@@ -96,8 +79,8 @@ class _Link:
 class Links:
     """Looks after the links of one process.
 
-    `tell`: takes one sentence: which link, why, and what is done. `denied`: takes one sentence for every answer that was not
-    accepted. `call`: called when `tend` has something to do.
+    `tell` takes one sentence: which link, why, and what is done; `denied` one for every answer that was not accepted. `call` is
+    called when `tend` has something to do.
     """
 
     def __init__(
@@ -151,9 +134,7 @@ class Links:
         for link in self._links:
             if link.key and link.key not in there and not link.is_revoked:
                 link.is_revoked = True
-                self._tell(
-                    f"{link.bare}: its key {link.key} is not allowed here any more; nothing more is taken from it"
-                )
+                self._tell(f"{link.bare}: its key {link.key} is not allowed here any more; nothing more is taken from it")
                 self._asked.append((link, False))
                 self._call()
             elif link.is_revoked and link.key in there:

@@ -6,42 +6,35 @@ subscriptions and messages that it does not take, is bounded by ending all conne
 back at once.
 """
 
-from __future__ import annotations
-
 import contextlib
-import os
 import resource
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import zmq
 
-from messages.transport.endpoints import EndpointRefusedError, bind, is_open_place, remove_ipc, split
+from messages.transport.endpoints import (
+    Context,
+    EndpointRefusedError,
+    Socket,
+    await_given_back,
+    bind,
+    closed_if_refused,
+    is_open_place,
+    remove_ipc,
+)
 
-if TYPE_CHECKING:
-    from messages.transport.endpoints import Context, Socket
-
-
-MOST_GROWTH = 128 << 20
-"""By so much memory may grow before all listeners are put out [bytes]."""
-
-QUEUE = 4096
-"""Messages queued for one listener before its newest ones are dropped."""
-
-GIVEN_BACK = 10.0
-"""How long ZeroMQ may take to give back a port that was closed, under thousands of connections [s]."""
+MOST_GROWTH = 128 << 20  # by so much memory may grow before all listeners are disconnected [bytes]
+QUEUE = 4096  # messages queued for one listener before its newest ones are dropped
+GIVEN_BACK = 10.0  # how long ZeroMQ may take to give back a port that was closed, under thousands of connections [s]
 
 _PERIOD = 0.5
 _PAGE = resource.getpagesize()
 
 
 class OpenPort:
-    """Publishes to all who listen, and takes no commands.
-
-    `denied`: takes one sentence when the listeners are put out. Raises EndpointRefusedError when others than this machine's
-    users could reach it, or the address is taken.
-    """
+    """Publishes to all who listen, and takes no commands; `denied` takes one sentence when the listeners are disconnected."""
 
     def __init__(self, context: Context, endpoint: str, denied: Callable[[str], None]) -> None:
         self._context, self._endpoint, self._denied = context, endpoint, denied
@@ -53,11 +46,8 @@ class OpenPort:
     def _bound(self) -> Socket:
         socket = self._context.socket(zmq.XPUB)
         socket.sndhwm = QUEUE
-        try:
+        with closed_if_refused(socket):
             bind(socket, self._endpoint, self._is_open)
-        except ValueError:
-            socket.close(linger=0)
-            raise
         return socket
 
     def send(self, topic: bytes, payload: bytes) -> None:
@@ -72,8 +62,7 @@ class OpenPort:
             return
         self._following = now + _PERIOD
         self.listeners()
-        with open("/proc/self/statm", encoding="ascii") as statm:
-            memory = int(statm.read().split()[1]) * _PAGE
+        memory = int(Path("/proc/self/statm").read_text("ascii").split()[1]) * _PAGE
         self._usual = self._usual or memory
         if memory - self._usual > MOST_GROWTH:
             self._denied(
@@ -83,10 +72,7 @@ class OpenPort:
             self._renew()
 
     def listeners(self) -> int:
-        """Take in what listeners have sent, not too much at once, and count the topics that somebody wants.
-
-        Returns: different subscriptions; several listeners may have the same one.
-        """
+        """Take in what listeners have sent, not too much at once, and count the topics that somebody wants."""
         for _ in range(10_000):
             if not int(self._socket.get(zmq.EVENTS)) & zmq.POLLIN:
                 break
@@ -97,11 +83,8 @@ class OpenPort:
     def _renew(self) -> None:
         self._socket.close(linger=0)
         self._wanted = 0
-        place = split(self._endpoint)[0].removeprefix("ipc://") if not self._is_open else ""
         deadline = time.monotonic() + GIVEN_BACK
-        # ZeroMQ's thread gives the port back, or removes the file, in its own time; it must not remove the new one's.
-        while place and os.path.exists(place) and time.monotonic() < deadline:
-            time.sleep(0.001)
+        await_given_back(self._endpoint, deadline)
         while time.monotonic() < deadline:
             with contextlib.suppress(EndpointRefusedError):
                 self._socket = self._bound()
@@ -110,9 +93,6 @@ class OpenPort:
         self._socket = self._bound()
 
     def close(self, linger_ms: int = 500) -> None:
-        """Close it.
-
-        `linger_ms`: how long queued messages may take to leave [ms].
-        """
+        """Close it; queued messages may take so long to leave [ms]."""
         self._socket.close(linger=linger_ms)
         remove_ipc(self._endpoint)

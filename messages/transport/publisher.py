@@ -4,24 +4,16 @@ Default high-water marks on loop sockets, and XPUB, which sees its subscribers c
 after a sleep.
 """
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
 import zmq
 
-from messages.transport.endpoints import bind, remove_ipc
-from messages.transport.gate import Reopening
+from messages.transport.endpoints import Context, Socket, bind, closed_if_refused, remove_ipc
+from messages.transport.gate import Gate, Reopening
 
-if TYPE_CHECKING:
-    from messages.transport.endpoints import Context, Socket
-    from messages.transport.gate import Gate
-
-SEND_QUEUE = 4096
-"""Messages queued for one stalled listener before its newest ones are dropped: 8 s at 500 Hz, about 1 MB."""
+SEND_QUEUE = 4096  # messages queued for one stalled listener before its newest ones are dropped: 8 s at 500 Hz, about 1 MB
 
 # As plain numbers: pyzmq's enums cost more than the calls that take them.
 _EVENTS = int(zmq.EVENTS)
@@ -31,35 +23,24 @@ _POLLIN = int(zmq.POLLIN)
 
 
 class Publisher:
-    """What a node publishes: first to the next hop of the loop, then to listeners.
+    """What a node publishes: first to the next hop of the loop at `endpoint`, then to listeners.
 
     Hop and listeners have a socket and an I/O thread each. So a tick goes on as soon as its message has left, what goes to
-    loggers is carried by another core than the loop's, and no number of them is between a sample and its force.
-
-    `context`: context of the process, made with ``aside`` when there is an endpoint for listeners. `endpoint`: where the next
-    hop connects, see messages/transport/endpoints.py. `more`: further endpoints for hops, encrypted ones last. `listen`:
-    endpoints for listeners; when there are none, they connect where the hops do. `batch`: how many messages for listeners are
-    collected before they are sent: waking another core costs more than a message. Raises EndpointRefusedError, KeyRefusedError
-    when an endpoint or this machine's keys cannot be used.
+    loggers is carried by another core than the loop's, and no number of them is between a sample and its force. `more`: further
+    endpoints for hops, encrypted ones last. `listen`: endpoints for listeners, with a context made ``aside``; without any they
+    connect where the hops do. `batch`: messages for listeners that are collected before they are sent: waking another core
+    costs more than a message.
     """
 
     def __init__(
-        self,
-        context: Context,
-        endpoint: str,
-        more: Iterable[str] = (),
-        listen: Iterable[str] = (),
-        batch: int = 1,
+        self, context: Context, endpoint: str, more: Iterable[str] = (), listen: Iterable[str] = (), batch: int = 1
     ) -> None:
         self._endpoints = ((endpoint, *more), tuple(listen))
         self._sockets: list[Socket] = []
-        try:
-            for thread, places in enumerate(self._endpoints):
-                if places:
+        for thread, places in enumerate(self._endpoints):
+            if places:
+                with closed_if_refused(*self._sockets):
                     self._sockets.append(self._bound(context, thread, places))
-        except ValueError:
-            self._close_sockets(0)
-            raise
         self.apart = len(self._sockets) > 1  # whether listeners have a socket of their own
         # pyzmq's own send, without the layer above it that looks for arguments nobody gives.
         self._hop = super(zmq.Socket, self._sockets[0]).send
@@ -76,19 +57,13 @@ class Publisher:
         socket.sndhwm = SEND_QUEUE
         # Bit 0 is the first I/O thread, bit 1 the second.
         socket.setsockopt(zmq.AFFINITY, 1 << thread)
-        try:
+        with closed_if_refused(socket):
             for place in places:
                 bind(socket, place)
-        except ValueError:
-            socket.close(linger=0)
-            raise
         return socket
 
     def native_handles(self) -> tuple[int, int, int]:
-        """Let compiled code of the same thread do what `send` does.
-
-        Returns: ZeroMQ's addresses of the sockets for hop and listeners (0 for none of their own), and messages in a batch.
-        """
+        """Give compiled code ZeroMQ's addresses of the sockets for hop and listeners (0 for none), and messages in a batch."""
         return self._sockets[0].underlying, self._sockets[1].underlying if self.apart else 0, self._batch
 
     def send(self, topic: bytes, payload: bytes) -> None:
@@ -122,19 +97,12 @@ class Publisher:
         self._held.clear()
 
     def listeners(self) -> int:
-        """Count those whose subscriptions have arrived, hops and listeners together.
-
-        Returns: live subscriptions to this publisher; every listener of a launch makes one.
-        """
+        """Count the live subscriptions that have arrived, of hops and listeners; every listener of a launch makes one."""
         self.tend(1000)
         return self._subscriptions.total()
 
     def tend(self, most: int = 128) -> bool:
-        """Take in what listeners have sent, of which only subscriptions and their ends count, and not too many at once.
-
-        `most`: how many at once; each costs the publishing thread a microsecond, and what is left waits in memory. Returns:
-        whether there is more to take in.
-        """
+        """Take in subscriptions and their ends, `most` at once, as each costs this thread a microsecond; whether more wait."""
         for reopening in self._reopening:
             reopening.tend()
         for socket in self._sockets:
@@ -157,17 +125,11 @@ class Publisher:
             if any("#" in place for place in places):
                 gate.watch(socket)
 
-    def _close_sockets(self, linger_ms: int) -> None:
+    def close(self, linger_ms: int = 500) -> None:
+        """Close the sockets and remove their files; queued messages may take so long to leave [ms]."""
+        self.flush()
         for socket in self._sockets:
             socket.close(linger=linger_ms)
-
-    def close(self, linger_ms: int = 500) -> None:
-        """Close the sockets and remove their files.
-
-        `linger_ms`: how long queued messages may take to leave [ms].
-        """
-        self.flush()
-        self._close_sockets(linger_ms)
         for places in self._endpoints:
             for place in places:
                 remove_ipc(place)

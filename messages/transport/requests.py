@@ -4,8 +4,6 @@ A request is a MessagePack map ``{op, args}``, a reply ``{ok, result, error}``. 
 between sample and force.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, TypeVar
@@ -15,7 +13,7 @@ import zmq
 
 from messages.codec import MAX_PAYLOAD, MessageRefusedError
 from messages.errors import RefusedError
-from messages.transport.endpoints import connect
+from messages.transport.endpoints import Context, Socket, closed_if_refused, connect
 from messages.transport.keys import trusted
 from messages.types import Name, Text
 
@@ -87,12 +85,7 @@ MAX_REQUEST = MAX_REPLY
 
 
 def decode_request(frames: Sequence[bytes]) -> Request:
-    """Decode a request.
-
-    Parameters
-    ----------
-    frames : sequence of bytes
-        As received; a request is one frame.
+    """Decode a request from the `frames` received.
 
     Returns
     -------
@@ -108,12 +101,7 @@ def decode_request(frames: Sequence[bytes]) -> Request:
 
 
 def decode_reply(frames: Sequence[bytes]) -> Reply:
-    """Decode a reply.
-
-    Parameters
-    ----------
-    frames : sequence of bytes
-        As received; a reply is one frame.
+    """Decode a reply from the `frames` received.
 
     Returns
     -------
@@ -151,7 +139,7 @@ class Desk:
         Context of the calling process.
     """
 
-    def __init__(self, context: zmq.Context[zmq.Socket[bytes]]) -> None:
+    def __init__(self, context: Context) -> None:
         self.socket = context.socket(zmq.ROUTER)
         self._envelope: list[bytes] = []
 
@@ -170,13 +158,7 @@ class Desk:
         return frames
 
     def answer(self, reply: bytes) -> None:
-        """Answer the request that was taken; who is gone gets nothing.
-
-        Parameters
-        ----------
-        reply : bytes
-            Encoded reply.
-        """
+        """Answer the request that was taken with an encoded `reply`; who is gone gets nothing."""
         self.socket.send_multipart([*self._envelope, reply])
 
 
@@ -195,13 +177,11 @@ class Connection:
         Called again and again while an answer is waited for; it raises when there is nobody left who could give one.
     """
 
-    def __init__(
-        self, context: zmq.Context[zmq.Socket[bytes]], endpoint: str, watch: Callable[[], None] | None = None
-    ) -> None:
+    def __init__(self, context: Context, endpoint: str, watch: Callable[[], None] | None = None) -> None:
         self._context = context
         self._endpoint = endpoint
         self._watch = watch
-        self._socket: zmq.Socket[bytes] | None = None
+        self._socket: Socket | None = None
 
     def call(self, op: str, timeout: float = 2.0, **args: object) -> Any:
         """Ask the node and wait for its reply.
@@ -239,9 +219,7 @@ class Connection:
         except zmq.Again as error:
             # What comes later must not be taken for the answer to another request.
             self.drop()
-            raise ControlError(
-                f"{self._endpoint}: no answer to {op} within {timeout:g} s; is the node running?"
-            ) from error
+            raise ControlError(f"{self._endpoint}: no answer to {op} within {timeout:g} s; is the node running?") from error
         try:
             reply = decode_reply(frames)
         except MessageRefusedError as error:
@@ -250,7 +228,7 @@ class Connection:
             raise ControlError(reply.error)
         return reply.result
 
-    def _received(self, socket: zmq.Socket[bytes], until: float) -> list[bytes]:
+    def _received(self, socket: Socket, until: float) -> list[bytes]:
         """Wait for the reply; a node that has ended in the meantime gives none, and need not be waited for."""
         while self._watch is not None and not socket.poll(_WATCHED):
             if time.monotonic() >= until:
@@ -269,14 +247,11 @@ class Connection:
             self.drop()
             raise ControlError(f"{bare}: its key {key} is not allowed here; to allow it: haptic keys allow NAME {key}")
 
-    def _connected(self) -> zmq.Socket[bytes]:
+    def _connected(self) -> Socket:
         socket = self._context.socket(zmq.REQ)
         socket.linger = 0
-        try:
+        with closed_if_refused(socket):
             connect(socket, self._endpoint)
-        except ValueError:
-            socket.close()
-            raise
         return socket
 
     def drop(self) -> None:
@@ -286,21 +261,8 @@ class Connection:
             self._socket = None
 
 
-def call(context: zmq.Context[zmq.Socket[bytes]], endpoint: str, op: str, timeout: float = 2.0, **args: object) -> Any:
-    """Ask a node and wait for its reply.
-
-    Parameters
-    ----------
-    context : zmq.Context
-        Context of the calling process.
-    endpoint : str
-        The node's control endpoint.
-    op : str
-        Operation.
-    timeout : float
-        Longest wait [s].
-    **args : object
-        Arguments of the operation.
+def call(context: Context, endpoint: str, op: str, timeout: float = 2.0, **args: object) -> Any:
+    """Ask a node once: `op` with `args`, at its `endpoint`, over a connection in this `context`, for `timeout` at most [s].
 
     Returns
     -------
@@ -309,10 +271,8 @@ def call(context: zmq.Context[zmq.Socket[bytes]], endpoint: str, op: str, timeou
 
     Raises
     ------
-    ControlError
-        When the request is too long, or the node refuses, answers nonsense, or does not answer in time.
-    EndpointRefusedError, KeyRefusedError
-        When the endpoint or this machine's keys cannot be used.
+    ControlError, EndpointRefusedError, KeyRefusedError
+        As `Connection.call`.
     """
     line = Connection(context, endpoint)
     try:

@@ -4,29 +4,19 @@ The choices are measured ones: blocking receive rather than a poller, default hi
 CONFLATE (it corrupts multipart messages).
 """
 
-from __future__ import annotations
-
 import select
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING
 
 import zmq
 
-from messages.transport.endpoints import connect
+from messages.transport.endpoints import Context, closed_if_refused, connect
+from messages.transport.links import Links
 from messages.transport.publisher import Publisher
+from messages.transport.waker import Waker
 
-if TYPE_CHECKING:
-    from messages.transport.endpoints import Context
-    from messages.transport.links import Links
-    from messages.transport.waker import Waker
-
-__all__ = [
-    "Publisher",
-    "Subscription",
-    "TimedOut",
-]
+__all__ = ["Publisher", "Subscription", "TimedOut"]
 
 # As plain numbers: pyzmq's enums cost more than the calls that take them.
 _MORE = int(zmq.RCVMORE)
@@ -69,12 +59,7 @@ class Subscription:
     """
 
     def __init__(
-        self,
-        context: Context,
-        endpoints: Iterable[str],
-        topics: Iterable[str],
-        queue: int = 1000,
-        links: Links | None = None,
+        self, context: Context, endpoints: Iterable[str], topics: Iterable[str], queue: int = 1000, links: Links | None = None
     ) -> None:
         self._socket = context.socket(zmq.SUB)
         endpoints = list(endpoints)
@@ -88,12 +73,9 @@ class Subscription:
         self.fd = self._socket.FD
         if links is not None:
             links.watch(self._socket, endpoints)
-        try:
+        with closed_if_refused(self._socket):
             for endpoint in endpoints:
                 connect(self._socket, endpoint)
-        except ValueError:
-            self._socket.close(linger=0)
-            raise
         for topic in topics:
             self._socket.subscribe(topic)
 
@@ -109,13 +91,7 @@ class Subscription:
         return self._socket.underlying
 
     def register(self, poller: zmq.Poller) -> None:
-        """Let a poller wait for it, where several are listened to; the loop waits with `receive_until`.
-
-        Parameters
-        ----------
-        poller : zmq.Poller
-            Of the thread that receives.
-        """
+        """Let a `poller` of the receiving thread wait for it, among several; the loop waits with `receive_until`."""
         poller.register(self._socket, zmq.POLLIN)
 
     def put_back(self, frames: Iterable[bytes]) -> None:
@@ -126,24 +102,12 @@ class Subscription:
         return self._returned.popleft() if self._returned else self._socket.recv(flags)
 
     def woken_by(self, waker: Waker) -> None:
-        """Let a waker end the waits of `next_frame`, which returns its frame then.
-
-        Parameters
-        ----------
-        waker : Waker
-            For a topic of this subscription; closed with it.
-        """
+        """Let a `waker`, for a topic of this subscription and closed with it, end the waits of `next_frame` by its frame."""
         self._socket.connect(waker.endpoint)
         self._waker = waker
 
     def set_timeout(self, timeout_ms: int) -> None:
-        """Set how long `next_frame` waits.
-
-        Parameters
-        ----------
-        timeout_ms : int
-            Longest wait [ms]; 0 does not wait, -1 waits without end.
-        """
+        """Set how long `next_frame` waits: `timeout_ms` [ms]; 0 does not wait, -1 waits without end."""
         if timeout_ms != self._timeout_ms:
             self._socket.rcvtimeo = timeout_ms
             self._timeout_ms = timeout_ms
@@ -153,12 +117,7 @@ class Subscription:
         return (topic, self.next_frame()) if self._returned or self._get(_MORE) else (b"", b"")
 
     def receive(self, timeout_ms: int) -> tuple[bytes, bytes] | None:
-        """Wait for the next message with blocking receive (one wake-up, no poller).
-
-        Parameters
-        ----------
-        timeout_ms : int
-            Longest wait [ms]; 0 does not wait.
+        """Wait for the next message with blocking receive (one wake-up, no poller), `timeout_ms` at most [ms]; 0 does not wait.
 
         Returns
         -------
@@ -170,9 +129,7 @@ class Subscription:
             topic = self.next_frame()
         except TimedOut:
             return None
-        if self._waker is not None and topic == self._waker.frame:
-            return None
-        return self._rest(topic)
+        return None if self._waker is not None and topic == self._waker.frame else self._rest(topic)
 
     def resynchronise(self) -> None:
         """Drop what is left of the present message, so that the next frame is a topic again.
@@ -184,12 +141,7 @@ class Subscription:
             self.next_frame()
 
     def next_message(self, flags: int = 0) -> tuple[bytes, bytes]:
-        """Take two frames, as `next_frame` does; the caller compares both with the topic that it expects.
-
-        Parameters
-        ----------
-        flags : int
-            ZeroMQ's flags of a receive.
+        """Take two frames, as `next_frame` does with ZeroMQ's `flags`; the caller compares both with the topic that it expects.
 
         Returns
         -------
@@ -203,14 +155,9 @@ class Subscription:
             return topic, b""
 
     def receive_soon(self, deadline: float) -> tuple[bytes, bytes] | None:
-        """Wait for a message that is all but sure to come before a time: cheaper than `receive_until`.
+        """Wait for a message that is all but sure to come before a `deadline` [s]: cheaper than `receive_until`.
 
         The wait is ZeroMQ's own, in whole milliseconds: should the message not come, this may return one after the deadline.
-
-        Parameters
-        ----------
-        deadline : float
-            Time on the monotonic clock [s].
 
         Returns
         -------
@@ -224,15 +171,10 @@ class Subscription:
             return self.receive_until(deadline)
 
     def receive_until(self, deadline: float) -> tuple[bytes, bytes] | None:
-        """Wait for the next message until an absolute time, to the microsecond.
+        """Wait for the next message until a `deadline` on the monotonic clock [s], to the microsecond.
 
         ZeroMQ's own time-outs are whole milliseconds, too coarse above 500 Hz, so the wait is a select on the socket's
         descriptor. That is edge-triggered: the socket must have said that it has nothing before each wait.
-
-        Parameters
-        ----------
-        deadline : float
-            Time on the monotonic clock [s].
 
         Returns
         -------

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-import os
 import threading
 import time
 from collections.abc import Callable
@@ -19,49 +18,31 @@ import zmq
 
 from messages import topics
 from messages.codec import MessageRefusedError
-from messages.transport.endpoints import EndpointRefusedError, bind, remove_ipc, split
-from messages.transport.gate import Reopening
+from messages.transport.endpoints import Context, EndpointRefusedError, await_given_back, bind, closed_if_refused, remove_ipc
+from messages.transport.gate import Gate, Reopening
+from messages.transport.links import Links
 from messages.transport.requests import Desk, Reply, Request, decode_request
 from nodes.base import descriptors, realtime
 from nodes.base.leases import Leases
+from nodes.base.node import Node
 from nodes.base.saved_parameters import keep
-from nodes.base.status_report import tick_of
+from nodes.base.status_report import report_of
 from nodes.parameters.store import ParameterError
 
 if TYPE_CHECKING:
-    from messages.transport.endpoints import Context
-    from messages.transport.gate import Gate
-    from messages.transport.links import Links
-    from nodes.base.node import Node
     from nodes.parameters.yaml_io import WatchedFile
 
 STATUS_PERIOD = 0.5
-MOST_GROWTH = 256 << 20
-"""Memory may grow by so much before those who send requests are disconnected: unbounded requests look like that [bytes]."""
-
-BURST, RATE = 50, 100.0
-"""Requests that are served at once, and how many a second after that: each takes the interpreter from the loop."""
-
-END_TIMEOUT = 10.0
-"""How long a request that is being served may take at the node's end [s]."""
+MOST_GROWTH = 256 << 20  # so much memory grown means unbounded requests: who sends requests is disconnected [bytes]
+BURST, RATE = 50, 100.0  # requests served at once, and how many a second then: each takes the interpreter from the loop
+END_TIMEOUT = 10.0  # how long a request that is being served may take at the node's end [s]
 
 WATCH_PERIOD = 0.1
-MOST, SHOWN = 4, 60
-"""How many changes of a file are told by name, and how many characters of each value."""
-
-
-def _watched(path: str) -> WatchedFile:
-    """Watch a file; few nodes do, and YAML is a tenth of what a node's modules take to load."""
-    from nodes.parameters.yaml_io import WatchedFile
-
-    return WatchedFile(path)
+MOST, SHOWN = 4, 60  # how many changes of a file are told by name, and how many characters of each value
 
 
 class ControlServer(threading.Thread):
-    """Serves one node.
-
-    `links`: the node's connections, to be looked after.
-    """
+    """Serves one node, and looks after its `links`."""
 
     def __init__(self, node: Node, context: Context, links: Links) -> None:
         super().__init__(name=f"{node.setup.name}-control", daemon=True)
@@ -79,28 +60,32 @@ class ControlServer(threading.Thread):
         self._fetched = threading.Event()
         self._next_status = self._next_watch = 0.0
         self._links = links
-        self._watched = _watched(node.setup.watch) if node.setup.watch else None
+        self._watched: WatchedFile | None = None
+        if node.setup.watch:
+            # Few nodes do, and YAML is a tenth of what a node's modules take to load.
+            from nodes.parameters.yaml_io import WatchedFile
+
+            self._watched = WatchedFile(node.setup.watch)
         self._operations: dict[str, Callable[..., Any]] = {
             "status": lambda: msgspec.to_builtins(node.status()),
             "info": self._info,
-            "start": self._start,
+            "start": node.started.set,
             "stop": lambda: node.stop("stop requested"),
             "report": self._report,
             "clock": lambda: {"monotonic_s": time.monotonic()},
             "clock.set": node.set_clock,
             "param.list": node.store.flat,
             "param.get": lambda name: node.store.get(name),
-            "param.set": lambda values, force=False: node.changes.change(
-                lambda: node.store.changed(values), node.prepare_forced if force else node.prepare
-            ),
+            "param.set": lambda values, force=False: self._change(lambda: node.store.changed(values), force),
             "param.dump": node.store.dump,
-            "param.load": lambda values, force=False: node.changes.change(
-                lambda: node.store.merged(values), node.prepare_forced if force else node.prepare
-            ),
+            "param.load": lambda values, force=False: self._change(lambda: node.store.merged(values), force),
             **node.operations(),
         }
         self._leases = Leases(node.setup.name)
         self._operations |= self._leases.operations()
+
+    def _change(self, make: Callable[[], Any], force: bool = False) -> dict[str, Any]:
+        return self._node.changes.change(make, self._node.prepare_forced if force else self._node.prepare)
 
     def _open(self) -> None:
         node = self._node
@@ -109,43 +94,27 @@ class ControlServer(threading.Thread):
         # Requests are carried by the thread that serves listeners, off the loop's processor where there is another.
         self._socket.setsockopt(zmq.AFFINITY, 1 << (int(self._context.get(zmq.IO_THREADS)) - 1))
         self._socket.rcvtimeo = self._patience_ms
-        try:
+        with closed_if_refused(self._socket):
             bind(self._socket, node.setup.control)
-            self._wakes += 1
-            self._wake = f"inproc://control-wake-{id(self)}-{self._wakes}"
-            self._socket.bind(self._wake)
-        except ValueError:
-            self._socket.close(linger=0)
-            raise
+        self._wakes += 1
+        self._wake = f"inproc://control-wake-{id(self)}-{self._wakes}"
+        self._socket.bind(self._wake)
         self._reopening = Reopening(self._socket, [node.setup.control])
 
     def _info(self) -> dict[str, Any]:
-        node = self._node
+        node, name = self._node, self._node.setup.name
         return {
             "status": msgspec.to_builtins(node.status()),
-            "publishes": [
-                *map(node.setup.topic, node.publishes),
-                topics.status(node.setup.name),
-                topics.event(node.setup.name),
-            ],
+            "publishes": [*map(node.setup.topic, node.publishes), topics.status(name), topics.event(name)],
             "listens_to": [topic if topic == "*" else node.setup.topic(topic) for topic in node.listens_to],
             "operations": sorted(self._operations),
             "endpoint": node.setup.publish,
         }
 
-    def _start(self) -> None:
-        self._node.started.set()
-
     def _report(self) -> dict[str, Any]:
         if self._node.state in ("finished", "failed"):
             self._fetched.set()
-        node = self._node
-        return {
-            "status": msgspec.to_builtins(node.status()),
-            "tick": tick_of(node),
-            "ticks_compiled": node.ticks_compiled,
-            **node.report(),
-        }
+        return report_of(self._node, self._node.report())
 
     def watched_by(self, gate: Gate) -> None:
         """Let a gate watch who tries to connect to an encrypted endpoint."""
@@ -166,11 +135,7 @@ class ControlServer(threading.Thread):
             )
             self._usual_memory = now
             self._socket.close(linger=0)
-            place = split(self._node.setup.control)[0].removeprefix("ipc://")
-            # ZeroMQ's thread gives the port back, or removes the file, in its own time; it must not remove the new one's.
-            deadline = time.monotonic() + END_TIMEOUT
-            while os.path.exists(place) and time.monotonic() < deadline:
-                time.sleep(0.001)
+            await_given_back(self._node.setup.control, time.monotonic() + END_TIMEOUT)
             while self._socket.closed:
                 try:
                     self._open()
@@ -305,7 +270,7 @@ class ControlServer(threading.Thread):
         try:
             values = watched.poll()
             if values is not None and node.store.merged(values) != node.store.current:
-                receipt = node.changes.change(lambda: node.store.merged(values), node.prepare)
+                receipt = self._change(lambda: node.store.merged(values))
                 node.events.log(f"applied {watched.path}: {_told(receipt)}")
         except Exception as error:  # noqa: BLE001  # as for requests: refused, told, and served on
             reason = str(error) if isinstance(error, ParameterError) else f"{type(error).__name__}: {error}"

@@ -1,12 +1,9 @@
 """Descriptors: ZeroMQ aborts a process that has none left when somebody connects over ipc; so a node ends in order before."""
 
-from __future__ import annotations
-
 import os
 import resource
 
-SPARE, PART = 32, 4
-"""So many must be left, and at least this part of all: connections come faster than anybody looks."""
+SPARE, PART = 32, 4  # so many must be left, and at least this part of all: connections come faster than anybody looks
 
 
 def take() -> None:

@@ -3,8 +3,6 @@
 Nothing here waits: what is published goes into an outbox, which the loop empties when its tick's own message has left.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 import threading
@@ -37,9 +35,7 @@ class Clock:
     def set(self, offset: float, error: float) -> None:
         """Take over how far this host's clock is from the launcher's, as the launcher has measured it."""
         if not (isinstance(offset, float) and isinstance(error, float) and math.isfinite(offset) and error >= 0.0):
-            raise ParameterError(
-                f"{self._name}: clock.set {offset!r} {error!r}: expected two finite numbers of seconds"
-            )
+            raise ParameterError(f"{self._name}: clock.set {offset!r} {error!r}: expected two finite numbers of seconds")
         self.offset, self.error = offset, error
 
 
@@ -48,17 +44,14 @@ class Events:
 
     def __init__(self, name: str, clock: Clock, seq: Callable[[], int]) -> None:
         self._name, self._clock, self._seq = name, clock, seq
-        # Topics and payloads that wait for the end of the tick.
-        self.outbox: deque[tuple[bytes, bytes]] = deque(maxlen=1024)
+        self.outbox: deque[tuple[bytes, bytes]] = deque(maxlen=1024)  # topics and payloads that wait for the end of the tick
         self.waiting = False  # whether something waits to be done between two ticks: the one thing that a loop looks at
-        # Ends the loop's wait for a message, where it waits without end.
-        self.interrupt: Callable[[], None] = lambda: None
+        self.interrupt: Callable[[], None] = lambda: None  # ends the loop's wait for a message, where it waits without end
         # Has compiled ticks that go on send a message; whether they will.
         self.mail: Callable[[bytes, bytes], bool] | None = None
         # Nodes are made on the thread that runs their loop.
         self.loop_thread = threading.get_ident()  # identifier of the thread that runs the loop
-        # Messages refused; connections not let in.
-        self.refused = self.denied = 0
+        self.refused = self.denied = 0  # messages refused; connections not let in
         self._counts: dict[str, int] = {}
 
     def log(self, text: str) -> None:

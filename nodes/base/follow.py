@@ -1,7 +1,5 @@
 """Answering the ticks of another node: newest message wins, gaps and restarts are counted, never hidden."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import TypeVar
@@ -78,9 +76,7 @@ def _follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) ->
     return take if ticks is None else ticks.in_front_of(take)
 
 
-def answer_ticks(
-    node: Node, message: type[M], topic: str, answers_on: str, respond: Callable[[M], bytes | None]
-) -> None:
+def answer_ticks(node: Node, message: type[M], topic: str, answers_on: str, respond: Callable[[M], bytes | None]) -> None:
     """Answer each tick of a loop topic until stopped: with what `respond` gives, where it gives something."""
     inbox = node.inbox
     assert inbox is not None  # noqa: S101  # every kind that listens has one

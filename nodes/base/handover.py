@@ -1,7 +1,6 @@
 """Handing something prepared to the loop: made on the control thread, applied on the main thread between two ticks."""
 
-from __future__ import annotations
-
+import contextlib
 import threading
 import time
 from collections import deque
@@ -18,8 +17,7 @@ class Stopwatch:
     """How long the control thread has been at work: for so long it may have kept the interpreter from the loop."""
 
     def __init__(self) -> None:
-        # Together: the loop reads them at any moment.
-        self._state: tuple[float, float | None] = (0.0, None)
+        self._state: tuple[float, float | None] = (0.0, None)  # together: the loop reads them at any moment
 
     def start(self) -> None:
         """Begin to count."""
@@ -67,14 +65,9 @@ class Change:
 
 
 class Changes:
-    """How a node's parameters change while it runs, all or nothing: prepared on the control thread, applied by the loop.
+    """How a node's parameters change, all or nothing: prepared on the control thread, applied by a loop that still `lives`."""
 
-    `lives`: whether the loop still takes up what is handed over.
-    """
-
-    def __init__(
-        self, setup: Setup, store: ParameterStore, notify: Callable[[], None], lives: Callable[[], bool]
-    ) -> None:
+    def __init__(self, setup: Setup, store: ParameterStore, notify: Callable[[], None], lives: Callable[[], bool]) -> None:
         self._setup, self._store, self._notify, self._lives = setup, store, notify, lives
         self._waiting: deque[Change] = deque()
         self.serving = Stopwatch()  # how long the control thread was at work
@@ -84,12 +77,9 @@ class Changes:
 
     def apply_next(self, seq: int) -> None:
         """Apply one change (main thread): the loop takes one a tick."""
-        try:
-            change = self._waiting.popleft()
-        except IndexError:
-            # Withdrawn at this very moment.
-            return
-        change.run(seq)
+        # It may be withdrawn at this very moment.
+        with contextlib.suppress(IndexError):
+            self._waiting.popleft().run(seq)
 
     def hand_over(self, apply: Callable[[int], Any], timeout: float = 2.0) -> Any:
         """Hand a prepared change to the loop and wait until it was applied (control thread); one not taken up is withdrawn."""
@@ -117,14 +107,10 @@ class Changes:
             self.serving.start()
 
     def change(self, make: Callable[[], Any], prepare: Callable[[Any], Callable[[int], Any]]) -> dict[str, Any]:
-        """Make, check, prepare and apply new parameters, all or nothing (control thread).
+        """Make new parameters from those in the store, check, prepare and apply them, all or nothing (control thread).
 
-        Should the parameters change in between (a scheduled swap), all is made again from the newer ones.
-
-        `make`: makes the node's parameters after the change from those in the store. `prepare`: prepares the change: from the
-        parameters to what is applied between two ticks. Returns: the receipt of the change; its ``changed`` holds, for each
-        path that changed, the value before and after. Raises ParameterError when they are refused, or the loop does not take
-        them up.
+        Should they change in between (a scheduled swap), all is made again from the newer ones. `prepare` gives what is applied
+        between two ticks. The receipt's ``changed`` holds, for each path that changed, the value before and after.
         """
         while True:
             base = self._store.current

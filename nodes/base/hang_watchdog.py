@@ -4,8 +4,6 @@ Who looks does so about twice a second. Time in which it was stopped or starved 
 Nor does time in which what it looks at was kept from running. The launcher looks at its processes with the same `HangWatchdog`.
 """
 
-from __future__ import annotations
-
 import faulthandler
 import math
 import os
@@ -13,28 +11,19 @@ import sys
 import time
 import traceback
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from messages import topics
+from nodes.base.node import Node
+from nodes.base.setup import Setup
 from nodes.base.status_report import write_report
-from nodes.base.stderr_queue import last_words
+from nodes.base.stderr_queue import drain_stderr
 
-if TYPE_CHECKING:
-    from nodes.base.node import Node
-    from nodes.base.setup import Setup
-
-HUNG = 3
-"""Exit code of a node that has given itself up."""
-
-SENDING = 0.2
-"""How long its last messages may take to leave [s]."""
-
-LOOK = 0.4
-"""Shortest time between two looks [s]."""
+HUNG = 3  # exit code of a node that has given itself up
+SENDING = 0.2  # how long its last messages may take to leave [s]
+LOOK = 0.4  # shortest time between two looks [s]
 
 
-GRACE = 5.0
-"""So much longer than its limit may a call hold the interpreter's lock, in which nobody can look [s]."""
+GRACE = 5.0  # so much longer than its limit may a call hold the interpreter's lock, in which nobody can look [s]
 
 
 class LastResort:
@@ -118,5 +107,5 @@ def give_up(node: Node, reason: str) -> None:
     node.flush_outbox()
     write_report(node)
     time.sleep(SENDING)
-    last_words()
+    drain_stderr()
     os._exit(HUNG)

@@ -1,13 +1,25 @@
 """What a node takes in: messages of the topic that it expects; all others are refused, counted and reported."""
 
-from __future__ import annotations
-
-from typing import Any, TypeVar
+from collections.abc import Callable
+from typing import Any, Protocol, TypeVar
 
 from messages.codec import Decoder, MessageRefusedError
 from messages.types import Message
 
 M = TypeVar("M", bound=Message)
+
+
+class TickTaker(Protocol):
+    """Takes a node's usual ticks itself, compiled; the plain tick takes what it leaves."""
+
+    def in_front_of(self, take: Callable[[], M | None]) -> Callable[[], M | None]:
+        """Stand before the plain way to take a message."""
+
+    def mail(self, topic: bytes, payload: bytes) -> bool:
+        """Send a message that another thread has; whether it will."""
+
+    def take_mail(self) -> None:
+        """Send what was not sent yet."""
 
 
 class Intake:

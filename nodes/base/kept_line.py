@@ -4,13 +4,10 @@ The cursor rests at its beginning. A terminal that is made narrower breaks the l
 piece: what is erased from there on is all of it.
 """
 
-from __future__ import annotations
-
 import os
 from typing import TextIO
 
-ERASE = "\r\x1b[J"
-"""From the beginning of the line to the end of the screen, below which nothing stands."""
+ERASE = "\r\x1b[J"  # from the beginning of the line to the end of the screen, below which nothing stands
 
 
 def is_smart(stream: TextIO) -> bool:

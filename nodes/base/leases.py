@@ -4,19 +4,14 @@ Who takes over a running launch (pushes its device, tries laws) takes a lease at
 his process is gone, however it went, the lease runs out, and the node does what was agreed.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from nodes.parameters.store import ParameterError
 
-LONGEST = 60.0
-"""Longest time without a renewal that may be asked for [s]."""
-
-MOST = 16
-"""Leases of one node at a time."""
+LONGEST = 60.0  # longest time without a renewal that may be asked for [s]
+MOST = 16  # leases of one node at a time
 
 
 class Leases:
@@ -33,9 +28,7 @@ class Leases:
 
     def _take(self, name: str, seconds: float, then: str, args: Mapping[str, Any]) -> dict[str, Any]:
         if not (isinstance(seconds, int | float) and 0.0 < seconds <= LONGEST):
-            raise ParameterError(
-                f"{self._node}: lease {name!r} of {seconds!r} s, expected more than 0, at most {LONGEST:g} s"
-            )
+            raise ParameterError(f"{self._node}: lease {name!r} of {seconds!r} s, expected more than 0, at most {LONGEST:g} s")
         if name not in self._held and len(self._held) >= MOST:
             raise ParameterError(f"{self._node}: {MOST} leases are held already; end one first")
         self._held[name] = (self._clock() + seconds, seconds, then, dict(args))

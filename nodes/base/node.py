@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import msgspec
 
@@ -19,21 +19,12 @@ from messages.transport.waker import Waker
 from messages.types import Message, NodeStatus
 from nodes.base.events import Clock, Events
 from nodes.base.handover import Changes
-from nodes.base.intake import Intake
+from nodes.base.intake import Intake, TickTaker
 from nodes.base.setup import Axis, Setup
-from nodes.base.status_report import status_of
-from nodes.compiled.layout import Counted, Counters
+from nodes.base.status_report import Counted, Counters, status_of
 from nodes.parameters.store import ParameterError, ParameterStore
 
-if TYPE_CHECKING:
-    from nodes.compiled.answering import CompiledTicks
-    from nodes.compiled.library import Kernel
-
-__all__ = [
-    "IDLE_MS",
-    "M",
-    "Node",
-]
+__all__ = ["IDLE_MS", "M", "Node"]
 
 M = TypeVar("M", bound=Message)
 IDLE_MS = 100
@@ -68,7 +59,7 @@ class Node:
         How far it is; of a node with compiled ticks its whole state, which they change where it stands.
     clock, events, changes : Clock, Events, Changes
         The run's time; what it has to say beside its ticks; how its parameters change.
-    compiled : CompiledTicks or None
+    compiled : TickTaker or None
         Its compiled ticks, when the sockets exist.
     intake : Intake
         What it takes in.
@@ -115,8 +106,8 @@ class Node:
         self.answer = b""
         self.kept = self.store.current
         self.resumed_at = -1
-        self.kernel: Kernel | None = None
-        self.compiled: CompiledTicks | None = None
+        self.kernel: Callable[[int], int] | None = None
+        self.compiled: TickTaker | None = None
         self.waker: Waker | None = None
         self.ticks_compiled = 0
 
@@ -215,12 +206,12 @@ class Node:
     def configure(self) -> None:
         """Build what the loop needs from the parameters, before any socket exists."""
 
-    def compiled_ticks(self, kernel: Kernel) -> CompiledTicks:
+    def compiled_ticks(self, kernel: Callable[[int], int]) -> TickTaker:
         """Make the compiled ticks of the kind, which this `kernel` does, when the sockets exist.
 
         Returns
         -------
-        CompiledTicks
+        TickTaker
             Of this node.
         """
         del kernel
@@ -317,23 +308,12 @@ class Node:
         # Compiled ticks go on with the one that they were given.
         self.events.notify()
 
-    def load_kernel(self) -> None:
-        """Load the compiled ticks, where the launch asks for them; without them the plain ones do."""
-        if self.setup.tick == "compiled" and self.kernel_module:
-            from nodes.compiled.library import obtain
-            from nodes.compiled.message_fields import NotCompilableError
-
-            try:
-                self.kernel = obtain(self.kernel_of(self.setup.parameters))
-            except NotCompilableError as error:
-                self.events.emit("tick", f"plain: {error}")
-
-    def make_compiled(self) -> CompiledTicks | None:
+    def make_compiled(self) -> TickTaker | None:
         """Make the compiled ticks, where there are any.
 
         Returns
         -------
-        CompiledTicks or None
+        TickTaker or None
             Of this node, when its sockets exist.
         """
         if self.kernel is not None:

@@ -1,7 +1,5 @@
 """Kinds of node: found through the entry points ``haptic.nodes``, imported only when one is needed."""
 
-from __future__ import annotations
-
 import importlib
 
 from nodes.base.node import Node

@@ -3,20 +3,18 @@
 Whatever ends the loop, an exception included: first the device is made safe, then it is reported, then all is closed.
 """
 
-from __future__ import annotations
-
 import signal
 import sys
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import msgspec
 
 from messages import topics
 from messages.transport.context import move_aside, new_context
+from messages.transport.endpoints import Context
 from messages.transport.gate import Gate
 from messages.transport.links import Links
 from messages.transport.sockets import Publisher, Subscription
@@ -31,17 +29,9 @@ from nodes.base.status_report import write_report
 from nodes.base.stderr_queue import instead_of_stderr
 from nodes.parameters.store import ParameterError
 
-if TYPE_CHECKING:
-    from messages.transport.endpoints import Context
-
-LISTENERS_WAIT = 0.002
-"""How long messages for listeners may be collected in real time, one period or more [s]."""
-
-LOCKSTEP_BATCH = 32
-"""How many are collected in lockstep: each time an idle core is woken for them costs the loop some microseconds."""
-
-REPORT_SHARE = 0.5
-"""For so much of its lease a node that was started by hand waits at its end for the launcher to fetch its report."""
+LISTENERS_WAIT = 0.002  # how long messages for listeners may be collected in real time, one period or more [s]
+LOCKSTEP_BATCH = 32  # how many are collected in lockstep: to wake an idle core for them costs the loop some µs
+REPORT_SHARE = 0.5  # for so much of its lease a node started by hand waits at its end until its report is fetched
 
 
 def _await_listeners(node: Node) -> None:
@@ -49,11 +39,8 @@ def _await_listeners(node: Node) -> None:
     node.state = "waiting"
     while node.publisher.listeners() < node.setup.listeners and not node.stopping:
         if time.monotonic() > deadline:
-            node.events.emit(
-                "listeners",
-                f"{node.publisher.listeners()} of {node.setup.listeners} listeners within "
-                f"{node.setup.patience:g} s; going on without",
-            )
+            there = f"{node.publisher.listeners()} of {node.setup.listeners} listeners"
+            node.events.emit("listeners", f"{there} within {node.setup.patience:g} s; going on without")
             return
         node.tend()
         time.sleep(0.002)
@@ -89,16 +76,10 @@ def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | N
     is_encrypted = any("#" in place for place in bound)
     gate = Gate(context, events.deny, evict, realtime.step_aside) if is_encrypted else None
     try:
-        hops, listeners = [setup.reach], [setup.listen, setup.listen_reach]
+        hops, listeners = filter(None, [setup.reach]), filter(None, [setup.listen, setup.listen_reach])
         batch = LOCKSTEP_BATCH if setup.pace == "lockstep" else max(1, int(LISTENERS_WAIT / setup.period))
-        node.publisher = Publisher(
-            context, setup.publish, list(filter(None, hops)), list(filter(None, listeners)), batch
-        )
-
-        def subscribe(endpoints: Iterable[str], wanted: Iterable[str], queue: int) -> Subscription:
-            return Subscription(context, endpoints, wanted, queue, links)
-
-        node.connect(subscribe)
+        node.publisher = Publisher(context, setup.publish, hops, listeners, batch)
+        node.connect(lambda endpoints, wanted, queue: Subscription(context, endpoints, wanted, queue, links))
         if node.answers and node.inbox is not None:
             node.waker = Waker(context, node.setup.topic(node.listens_to[0]).encode())
             node.events.interrupt = node.waker.wake
@@ -121,13 +102,13 @@ def _fail_to_start(node: Node, error: Exception) -> int:
     return 1
 
 
-def live(node: Node) -> int:
-    """Run a node from start to end."""
+def live(node: Node, load_kernel: Callable[[Node], None]) -> int:
+    """Run a node from start to end; `load_kernel` gives it compiled ticks, of which this room knows nothing."""
     _heed_signals(node)
     descriptors.take()
     refused = realtime.apply(node.setup.scheduling)
     instead_of_stderr(realtime.step_aside, stdout_too=True)
-    node.load_kernel()
+    load_kernel(node)
     resume(node)
     try:
         node.configure()
@@ -183,7 +164,7 @@ def _close(node: Node, context: Context, control: ControlServer, gate: Gate | No
     write_report(node)
 
 
-def start(arguments: list[str]) -> int:
+def start(arguments: list[str], load_kernel: Callable[[Node], None]) -> int:
     """Run one node as this process: ``python -m nodes SETUP_FILE [LAUNCHER]``."""
     realtime.die_with_parent(*map(int, arguments[1:]))
     setup = msgspec.json.decode(Path(arguments[0]).read_bytes(), type=Setup)
@@ -192,4 +173,4 @@ def start(arguments: list[str]) -> int:
     except ParameterError as error:
         print(f"[{setup.name}] cannot start: {error}", file=sys.stderr, flush=True)
         return 1
-    return live(node)
+    return live(node, load_kernel)

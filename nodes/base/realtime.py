@@ -5,8 +5,6 @@ needs no privilege. FIFO brings the tail down from milliseconds to half of one, 
 inherited by threads made later, so they are set before the ZeroMQ context.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import gc
@@ -15,13 +13,13 @@ import signal
 import sys
 import time
 from collections.abc import Collection, Iterator
+from pathlib import Path
 
 from nodes.base.setup import Scheduling
 
 PR_SET_PDEATHSIG = 1
 
-WAKE_LATENCY = "/dev/cpu_dma_latency"
-"""How long waking a processor may take [µs], as long as somebody holds this file open (the kernel's PM QoS interface)."""
+WAKE_LATENCY = "/dev/cpu_dma_latency"  # who holds it open bounds the time to wake a processor [µs] (PM QoS)
 
 
 def apply(scheduling: Scheduling) -> list[str]:
@@ -38,8 +36,7 @@ def apply(scheduling: Scheduling) -> list[str]:
         except OSError as error:
             refused.append(f"SCHED_FIFO {scheduling.fifo}: {error.strerror}; see haptic doctor")
     try:
-        with open("/proc/self/timerslack_ns", "w", encoding="ascii") as slack:
-            slack.write("1")
+        Path("/proc/self/timerslack_ns").write_text("1", encoding="ascii")
     except OSError as error:
         refused.append(f"timer slack 1 ns: {error.strerror}; ticks come about 50 µs later")
     return refused
@@ -83,10 +80,7 @@ def off(processors: Collection[int]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def awake() -> Iterator[str]:
-    """Keep idle processors from going to sleep, which makes each wake-up of a tick 10 µs later; costs their power.
-
-    However the process ends, the kernel takes it back.
-    """
+    """Keep idle processors awake until the process ends, however: sleeping makes each tick 10 µs later, waking costs power."""
     try:
         held = os.open(WAKE_LATENCY, os.O_WRONLY)
     except OSError as error:
@@ -143,5 +137,4 @@ def sleep_until(deadline: float) -> float:
 
 def memory_bytes() -> int:
     """Resident memory of this process."""
-    with open("/proc/self/statm", encoding="ascii") as statm:
-        return int(statm.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    return int(Path("/proc/self/statm").read_text("ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")

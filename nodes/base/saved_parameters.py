@@ -3,29 +3,17 @@
 They are written off the hot path, before a change is answered, into the directory of the run, with which they end.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
+from nodes.base.node import Node
 from nodes.parameters.store import ParameterError, convert
-
-if TYPE_CHECKING:
-    from nodes.base.node import Node
 
 
 class Kept(msgspec.Struct, frozen=True, kw_only=True):
-    """What the file holds.
-
-    Attributes
-    ----------
-    seq : int
-        Tick up to which they are true.
-    parameters : dict
-        All of the node's.
-    """
+    """What the file holds: all of the node's parameters, and the tick up to which they are true."""
 
     seq: int
     parameters: dict[str, Any]
@@ -55,9 +43,7 @@ def resume(node: Node) -> None:
         kept = msgspec.json.decode(path.read_bytes(), type=Kept)
         node.store.accept(convert(kept.parameters, node.Parameters, node.setup.name))
     except (msgspec.DecodeError, ParameterError) as error:
-        node.events.log(
-            f"what it had before it was started again cannot be used: {error}; the launch file's parameters hold"
-        )
+        node.events.log(f"what it had before it was started again cannot be used: {error}; the launch file's parameters hold")
         return
     node.kept, node.resumed_at = node.store.current, kept.seq
     node.events.emit_each("resumed", f"goes on with the parameters that it had at tick {kept.seq}")

@@ -1,7 +1,5 @@
 """What the launcher tells a node: who it is, where its sockets are, how it is paced, and its parameters."""
 
-from __future__ import annotations
-
 import sys
 from typing import Annotated, Any, Literal
 
@@ -10,15 +8,7 @@ import msgspec
 from messages import topics
 from messages.types import Real
 
-__all__ = [
-    "AXIS_INDEX",
-    "Apply",
-    "Axis",
-    "Pace",
-    "Scheduling",
-    "Setup",
-    "Tick",
-]
+__all__ = ["AXIS_INDEX", "Apply", "Axis", "Pace", "Scheduling", "Setup", "Tick"]
 
 Pace = Literal["realtime", "lockstep"]
 Apply = Literal["on_arrival", "next_tick"]

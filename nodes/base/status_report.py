@@ -1,12 +1,10 @@
 """What a node says of itself: its status at any time, and what it leaves behind at its end, where the launcher finds it."""
 
-from __future__ import annotations
-
 import os
 import resource
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -14,9 +12,21 @@ from messages.types import MAX_COUNT, NodeStatus
 from nodes.base import realtime
 
 
-def tick_of(node: Any) -> str:
-    """Say which tick a node takes: ``compiled``, ``plain``, or nothing for one that takes none."""
-    return "compiled" if node.kernel is not None else "plain" if node.publishes else ""
+class Counted(NamedTuple):
+    """How far a node is: its tick, ticks handled, ticks missing in what it follows, messages left out for newer ones."""
+
+    seq: int
+    ticks: int
+    gaps: int
+    skipped: int
+
+
+class Counters:
+    """The same of a node without compiled ticks, and -1 for the tick before the first."""
+
+    def __init__(self) -> None:
+        self.seq = self.answered = -1
+        self.ticks = self.gaps = self.skipped = self.mailed = 0
 
 
 def status_of(node: Any) -> NodeStatus:
@@ -46,15 +56,17 @@ def status_of(node: Any) -> NodeStatus:
     )
 
 
+def report_of(node: Any, figures: Mapping[str, Any]) -> dict[str, Any]:
+    """Put a node's last status before its report."""
+    status = msgspec.to_builtins(node.status())
+    # A node that takes no ticks says nothing.
+    tick = "compiled" if node.kernel is not None else "plain" if node.publishes else ""
+    return {"status": status, "tick": tick, "ticks_compiled": node.ticks_compiled, **figures}
+
+
 def write_report(node: Any, figures: Mapping[str, Any] | None = None) -> None:
     """Write a node's last status and its report."""
     path = Path(node.setup.run_dir) / f"{node.setup.name}.report.json"
     draft = path.with_suffix(".draft")
-    reported = node.report() if figures is None else figures
-    status = msgspec.to_builtins(node.status())
-    draft.write_bytes(
-        msgspec.json.encode(
-            {"status": status, "tick": tick_of(node), "ticks_compiled": node.ticks_compiled, **reported}
-        )
-    )
+    draft.write_bytes(msgspec.json.encode(report_of(node, node.report() if figures is None else figures)))
     draft.replace(path)

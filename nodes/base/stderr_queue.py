@@ -5,8 +5,6 @@ reach a loop that holds a force, nor the launcher that ends it. So lines go into
 them. What finds the queue full is dropped and counted; the events of a node are on its topic all the same.
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import errno
@@ -19,23 +17,15 @@ import time
 from collections.abc import Callable
 from queue import SimpleQueue
 
-LIMIT = 1000
-"""Pieces of text that wait at most."""
-
-LONGEST = 10_000
-"""Longest piece of text [characters]; what is longer is cut."""
-
-PATIENCE = 0.5
-"""How long an end waits for a reader [s]."""
+LIMIT = 1000  # pieces of text that wait at most
+LONGEST = 10_000  # longest piece of text [characters]; what is longer is cut
+PATIENCE = 0.5  # how long an end waits for a reader [s]
 
 STDERR = 2
 
 
 class StderrQueue(io.TextIOBase):
-    """A text stream that never blocks and never fails; it may stand in for ``sys.stderr``.
-
-    `aside`: called once on the writing thread, to take it out of the way of a loop.
-    """
+    """A text stream, as ``sys.stderr``, that never blocks nor fails; `aside` takes its thread out of the way of a loop."""
 
     def __init__(self, descriptor: int = STDERR, aside: Callable[[], None] = lambda: None) -> None:
         self._descriptor = descriptor
@@ -118,7 +108,7 @@ def instead_of_stderr(aside: Callable[[], None] = lambda: None, stdout_too: bool
     return words
 
 
-def last_words(patience: float = PATIENCE) -> None:
+def drain_stderr(patience: float = PATIENCE) -> None:
     """Wait for what was printed, at the end of a process, but not for a reader that does not read."""
     if isinstance(sys.stderr, StderrQueue):
         sys.stderr.drain(patience)

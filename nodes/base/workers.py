@@ -6,8 +6,6 @@ the workers at once or lets them finish. One that dies loses nothing: another do
 is given up whole when one dies, and its workers answer a Ctrl-C in their first seconds with tracebacks.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import pickle
@@ -28,8 +26,7 @@ from messages.errors import RefusedError
 P = ParamSpec("P")
 R = TypeVar("R")
 
-TRIES = 4
-"""To so many workers a job is given, one after another, when they die."""
+TRIES = 4  # to so many workers a job is given, one after another, when they die
 
 
 @contextlib.contextmanager
@@ -85,9 +82,7 @@ class Workers(Executor):
                 threading.Thread(target=worker.process.wait, name="reap", daemon=True).start()
             self._there.clear()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """Wait for them; after an exception, Ctrl-C for one, nobody wants their answers."""
         del error, trace
         if kind is None:

@@ -17,10 +17,7 @@ def add_run(parser: argparse.ArgumentParser) -> None:
 
 
 def sub_verb(
-    sub: argparse._SubParsersAction[argparse.ArgumentParser],
-    name: str,
-    run: Callable[[argparse.Namespace], int],
-    text: str,
+    sub: argparse._SubParsersAction[argparse.ArgumentParser], name: str, run: Callable[[argparse.Namespace], int], text: str
 ) -> argparse.ArgumentParser:
     """Declare a sub-verb that speaks to a running launch; the text is its help."""
     own = sub.add_parser(name, help=text, description=text)
@@ -32,6 +29,12 @@ def sub_verb(
 def chosen_run(arguments: argparse.Namespace) -> RunInfo:
     """Find the run that is meant: by --run, else by the variable HAPTIC_RUN, else the only one."""
     return launches.find(arguments.run_name)
+
+
+def chosen_node(arguments: argparse.Namespace) -> tuple[RunInfo, str]:
+    """Find the run and, by the argument ``node``, the name of the node that are meant."""
+    run = chosen_run(arguments)
+    return run, launches.node_name(run, arguments.node)
 
 
 def chosen_chain(arguments: argparse.Namespace) -> RunInfo:

@@ -1,34 +1,25 @@
 """Record, inspect, play back, cut, repair, export and draw recordings."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import math
+import os
 import re
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterable, Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from messages.errors import UsageError
-from nodes.cli.main import VERBS, add_json, add_run_name, answer, complain, sub_verbs
-from nodes.cli.quantities import not_negative
-
-if TYPE_CHECKING:
-    from nodes.recording.accounts import ClockRecord, Completeness
-    from nodes.recording.reader import Recording
+from nodes.cli.main import VERBS, add_json, add_run_name, answer, complain, heeding, sub_verbs
+from nodes.cli.quantities import above_zero, not_negative
+from nodes.recording.accounts import ClockRecord, Completeness, clocks, completeness
+from nodes.recording.reader import Recording
+from nodes.recording.writer import RecordError
 
 OWN = ("record", "info", "play", "cut", "filter", "recover", "export", "plot")
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not value > 0.0:
-        raise argparse.ArgumentTypeError(f"{text} must be above 0")
-    return value
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -41,34 +32,18 @@ def add(parser: argparse.ArgumentParser) -> None:
         add_json(own)
         return own
 
-    record = declare("record", _record, "Record a running launch into an MCAP file, until it ends or Ctrl-C.")
-    _add_record(record)
-
+    _add_record(declare("record", _record, "Record a running launch into an MCAP file, until it ends or Ctrl-C."))
     info = declare("info", _info, "Tell what a recording holds: topics, messages, gaps in seq, sent against recorded.")
-    info.add_argument("file", type=Path)
-
     play = declare("play", _play, "Publish a recording at its original pace, for PlotJuggler or a node to listen to.")
-    _add_play(play)
-
     cut = declare("cut", _extract, "Copy a part of a recording into a new one.")
     cut.set_defaults(topics=[])
     few = declare("filter", _extract, "Copy some topics of a recording into one of their own.")
     few.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="whole names of topics")
-    for own in (cut, few):
-        own.add_argument("file", type=Path)
-        own.add_argument(
-            "--from", type=not_negative, dest="start", metavar="S", help="from this time of the run on [s]"
-        )
-        own.add_argument("--to", type=not_negative, dest="stop", metavar="S", help="up to this time [s]")
-        _add_patterns(own)
-
     recover = declare("recover", _recover, "Copy all that is sound in a cut or damaged recording into a complete one.")
-    recover.add_argument("file", type=Path)
-
-    export = declare(
-        "export", _export, "Write a recording as tables: one row per tick, and the parameters beside them."
-    )
-    export.add_argument("file", type=Path)
+    export = declare("export", _export, "Write a recording as tables: one row per tick, and the parameters beside them.")
+    for own in (info, play, cut, few, recover, export):
+        own.add_argument("file", type=Path)
+    _add_play(play)
     export.add_argument(
         "--format",
         choices=("csv", "npz", "mat", "parquet", "ros2", "foxglove"),
@@ -76,7 +51,6 @@ def add(parser: argparse.ArgumentParser) -> None:
         "ros2: a directory that ros2 bag play takes; foxglove: the recording with its scene in three dimensions. "
         "Taken from the ending of --out when left out",
     )
-
     for name, full in sub_verbs("bag").items():
         # Another package's sub-verb declares its own arguments and what runs.
         module = VERBS.load(full)
@@ -84,13 +58,14 @@ def add(parser: argparse.ArgumentParser) -> None:
         own = sub.add_parser(name, help=text, description=text)
         add_json(own)
         module.add(own)
-
     plot = declare("plot", _plot, "Draw recordings: position, force, energy, response time; several as an overlay.")
     plot.add_argument("files", type=Path, nargs="+", metavar="file")
-    plot.add_argument("--from", type=not_negative, dest="start", metavar="S", help="from this time of the run on [s]")
-    plot.add_argument("--to", type=not_negative, dest="stop", metavar="S", help="up to this time [s]")
     plot.add_argument("--xy", action="store_true", help="draw force over position instead of both over time")
-
+    for own in (cut, few, plot):
+        own.add_argument("--from", type=not_negative, dest="start", metavar="S", help="from this time of the run on [s]")
+        own.add_argument("--to", type=not_negative, dest="stop", metavar="S", help="up to this time [s]")
+    for own in (cut, few):
+        _add_patterns(own)
     for own, default in (
         (recover, "FILE.recovered.mcap"),
         (cut, "FILE.cut.mcap"),
@@ -98,9 +73,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         (export, "the directory FILE_csv or FILE_ros2, or FILE.npz, .mat, .parquet, .foxglove.mcap"),
         (plot, "FILE.png, FILE_xy.png, FILE_overlay.png; .svg and .pdf are what they are called"),
     ):
-        own.add_argument(
-            "--out", "-o", type=Path, metavar="PATH", help=f"what to write (default: {default}, beside it)"
-        )
+        own.add_argument("--out", "-o", type=Path, metavar="PATH", help=f"what to write (default: {default}, beside it)")
         own.add_argument("--force", action="store_true", help="replace what is there already")
 
 
@@ -114,27 +87,18 @@ def _add_record(own: argparse.ArgumentParser) -> None:
     )
     own.add_argument("--force", action="store_true", help="replace a file that is there already")
     add_run_name(own)
-    own.add_argument("--duration", type=_positive, default=0.0, metavar="S", help="stop after so many seconds")
+    own.add_argument("--duration", type=above_zero, default=0.0, metavar="S", help="stop after so many seconds")
 
 
 def _add_play(own: argparse.ArgumentParser) -> None:
-    own.add_argument("file", type=Path)
     own.add_argument(
-        "--endpoint",
-        default="tcp://127.0.0.1:9872",
-        help="where to publish (default: %(default)s, where PlotJuggler looks)",
+        "--endpoint", default="tcp://127.0.0.1:9872", help="where to publish (default: %(default)s, where PlotJuggler looks)"
     )
-    own.add_argument(
-        "--rate", "-r", type=_positive, default=1.0, help="speed, 1 is the original pace, inf does not wait"
-    )
+    own.add_argument("--rate", "-r", type=above_zero, default=1.0, help="speed, 1 is the original pace, inf does not wait")
     own.add_argument("--loop", "-l", action="store_true", help="begin again at the end, until Ctrl-C")
     own.add_argument("--topics", nargs="+", metavar="TOPIC", help="topics to publish; all when left out")
-    own.add_argument(
-        "--start-offset", type=not_negative, default=0.0, metavar="S", help="begin so many seconds into it"
-    )
-    own.add_argument(
-        "--remap", "-m", nargs="+", default=[], metavar="OLD:=NEW", help="publish a topic under another name"
-    )
+    own.add_argument("--start-offset", type=not_negative, default=0.0, metavar="S", help="begin so many seconds into it")
+    own.add_argument("--remap", "-m", nargs="+", default=[], metavar="OLD:=NEW", help="publish a topic under another name")
     own.add_argument("--wait", action="store_true", help="wait for a listener before the first message")
 
 
@@ -161,8 +125,6 @@ def _chosen(known: Iterable[str], arguments: argparse.Namespace) -> list[str]:
 
 def _checked(run: Callable[[argparse.Namespace], int], arguments: argparse.Namespace) -> int:
     """Run a sub-verb; a bad file gets an error of one line and exit code 1."""
-    from nodes.recording.writer import RecordError
-
     for file in [arguments.file] if "file" in arguments else getattr(arguments, "files", []):
         if not file.is_file():
             raise UsageError(f"{file}: no such file")
@@ -182,18 +144,11 @@ def _free(out: Path, force: bool) -> Path:
 def _record(arguments: argparse.Namespace) -> int:
     # First: who ends it while it starts gets a recording that is complete, too.
     ended: list[int] = []
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, lambda number, _: ended.append(number)) for number in numbers}
-    try:
+    with heeding(ended.append):
         return _record_until(arguments, ended)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _record_until(arguments: argparse.Namespace, ended: list[int]) -> int:
-    import os
-    import time
 
     from nodes.cli.ask import chosen_run
     from nodes.client.launches import known_topic
@@ -204,21 +159,30 @@ def _record_until(arguments: argparse.Namespace, ended: list[int]) -> int:
         raise UsageError(f"bag record: --all and topics ({' '.join(arguments.topics)}) at once; choose one")
     for topic in arguments.topics:
         known_topic(run, topic)
-    topics = arguments.topics
-    if arguments.regex or arguments.exclude_regex:
-        topics = _chosen(run.endpoints(), arguments)
+    patterns = arguments.regex or arguments.exclude_regex
+    topics = _chosen(run.endpoints(), arguments) if patterns else arguments.topics
     # Several recorders beside one launch each get a file of their own.
     out = _free(arguments.out or arguments.out_dir / f"{run.run}-{os.getpid()}.mcap", arguments.force)
     print(f"recording {run.run} into {out}; Ctrl-C ends", file=sys.stderr, flush=True)
     until = time.monotonic() + (arguments.duration or math.inf)
     count = record(run, str(out), topics, lambda: bool(ended) or time.monotonic() > until, arguments.force)
-    answer(arguments.json, {"recording": str(out), "messages": count}, f"{out}: {count} messages")
-    return 0
+    return answer(arguments.json, {"recording": str(out), "messages": count}, f"{out}: {count} messages")
 
 
 def printable(text: str) -> str:
     """Write what a file says without what a terminal would obey: escape sequences, bells, a new title."""
     return "".join(sign if sign.isprintable() or sign == "\n" else "\N{REPLACEMENT CHARACTER}" for sign in text)
+
+
+def _counted(messages: Mapping[str, int]) -> str:
+    return printable("\n".join(f"  {topic}: {count}" for topic, count in messages.items()))
+
+
+def _in_order(start: float | None, stop: float | None) -> tuple[float, float]:
+    begin, end = start or 0.0, math.inf if stop is None else stop
+    if begin >= end:
+        raise UsageError(f"--from {begin:g} --to {end:g}: the end comes after the beginning")
+    return begin, end
 
 
 def _info_text(recording: Recording, verdict: Completeness, remote: Mapping[str, ClockRecord]) -> str:
@@ -239,25 +203,18 @@ def _info_text(recording: Recording, verdict: Completeness, remote: Mapping[str,
     for topic, figures in recording.topics.items():
         lines.append(f"  {topic:{width}} {figures.messages:9} {figures.rate:10.6g} {figures.gaps:6} {figures.back:8}")
     if verdict.left_out:
-        lines.append(
-            f"  ticks left out by the driver, late by a whole period: {verdict.left_out} (gaps everywhere, no losses)"
-        )
+        lines.append(f"  ticks left out by the driver, late by a whole period: {verdict.left_out} (gaps everywhere, no losses)")
     for node, account in verdict.nodes.items():
         lines.append(f"  {node}: {account.text}")
     for node, clock in remote.items():
-        lines.append(
-            f"  {node}: clock {-clock.offset:+.6f} s from the launcher's, known to ±{clock.error * 1e6:.0f} µs"
-        )
+        lines.append(f"  {node}: clock {-clock.offset:+.6f} s from the launcher's, known to ±{clock.error * 1e6:.0f} µs")
     return printable("\n".join(lines))
 
 
 def _info(arguments: argparse.Namespace) -> int:
-    from nodes.recording.accounts import clocks, completeness
-    from nodes.recording.reader import Recording
 
     recording = Recording(arguments.file)
-    verdict = completeness(recording)
-    times = clocks(recording)
+    verdict, times = completeness(recording), clocks(recording)
     remote = {node: clock for node, clock in times.items() if clock.error}
     figures = {
         "file": str(recording.path),
@@ -287,17 +244,14 @@ def _info(arguments: argparse.Namespace) -> int:
         "cut": recording.cut,
         "manifest": recording.manifest,
     }
-    answer(arguments.json, figures, _info_text(recording, verdict, remote))
-    return 0
+    return answer(arguments.json, figures, _info_text(recording, verdict, remote))
 
 
 def _play(arguments: argparse.Namespace) -> int:
-    import time
 
     from messages.transport.context import new_context
     from nodes.cli.relay import local_publisher
     from nodes.recording.play import play
-    from nodes.recording.reader import Recording
 
     recording = Recording(arguments.file)
     names = _remapped(recording, arguments.remap)
@@ -324,12 +278,7 @@ def _play(arguments: argparse.Namespace) -> int:
             time.sleep(0.01)
         while True:
             for entry in play(
-                recording,
-                publisher,
-                rate=arguments.rate,
-                topics=arguments.topics,
-                offset=arguments.start_offset,
-                remap=names,
+                recording, publisher, rate=arguments.rate, topics=arguments.topics, offset=arguments.start_offset, remap=names
             ):
                 name = names.get(entry.topic, entry.topic)
                 counts[name] = counts.get(name, 0) + 1
@@ -344,9 +293,7 @@ def _play(arguments: argparse.Namespace) -> int:
         publisher.close()
         context.term()
     pace = "without a pause" if math.isinf(arguments.rate) else f"at {arguments.rate:g} times the original pace"
-    counted = printable("\n".join(f"  {topic}: {count}" for topic, count in counts.items()))
-    answer(arguments.json, {"published": counts}, f"published {pace}:\n{counted}")
-    return 0
+    return answer(arguments.json, {"published": counts}, f"published {pace}:\n{_counted(counts)}")
 
 
 def _remapped(recording: Recording, words: Iterable[str]) -> dict[str, str]:
@@ -362,22 +309,17 @@ def _remapped(recording: Recording, words: Iterable[str]) -> dict[str, str]:
 
 
 def _extract(arguments: argparse.Namespace) -> int:
-    from nodes.recording.extract import extract
-    from nodes.recording.reader import Recording
+    from nodes.recording.recover import extract
 
     recording = Recording(arguments.file)
-    start, stop = arguments.start or 0.0, math.inf if arguments.stop is None else arguments.stop
-    if start >= stop:
-        raise UsageError(f"--from {start:g} --to {stop:g}: the end comes after the beginning")
+    start, stop = _in_order(arguments.start, arguments.stop)
     for topic in arguments.topics:
         if topic not in recording.topics:
             raise UsageError(f"{arguments.file}: no topic {topic!r}; there are {', '.join(recording.topics)}")
     topics = _chosen(recording.topics, arguments)
     out = _free(arguments.out or arguments.file.with_suffix(f".{arguments.chosen}.mcap"), arguments.force)
     counts = extract(recording, out, topics, start, stop, overwrite=arguments.force)
-    counted = printable("\n".join(f"  {topic}: {count}" for topic, count in counts.items()))
-    answer(arguments.json, {"out": str(out), "messages": counts}, f"{out}:\n{counted}")
-    return 0
+    return answer(arguments.json, {"out": str(out), "messages": counts}, f"{out}:\n{_counted(counts)}")
 
 
 def _recover(arguments: argparse.Namespace) -> int:
@@ -388,50 +330,33 @@ def _recover(arguments: argparse.Namespace) -> int:
     lines = [f"{out}: {sum(saved.messages.values())} messages saved"]
     lines += [f"  {topic}: {count}" for topic, count in saved.messages.items()]
     lines += saved.problems or ["the recording was complete and sound: nothing was lost"]
-    figures = {
-        "out": str(out),
-        "messages": saved.messages,
-        "problems": saved.problems,
-        "recovered": bool(saved.problems),
-    }
-    answer(arguments.json, figures, "\n".join(lines))
-    return 0
+    figures = {"out": str(out), "messages": saved.messages, "problems": saved.problems, "recovered": bool(saved.problems)}
+    return answer(arguments.json, figures, "\n".join(lines))
 
 
 def _export(arguments: argparse.Namespace) -> int:
     from nodes.recording.export import FORMATS as TABLES
     from nodes.recording.export_ros2 import export_ros2
-    from nodes.recording.reader import Recording
     from nodes.view.foxglove_scene import export_foxglove
 
     formats = {**TABLES, "ros2": export_ros2, "foxglove": export_foxglove}
-
     source: Path = arguments.file
     ending = arguments.out.suffix.removeprefix(".") if arguments.out else ""
     form = arguments.format or ending or "csv"
     if form not in formats:
         raise UsageError(f"{arguments.out}: {ending!r} is no format; take one of {', '.join(formats)} with --format")
-    is_folder = form in ("csv", "ros2")
-    beside = (
-        source.with_name(f"{source.stem}_{form}")
-        if is_folder
-        else source.with_suffix(f".{form}.mcap" if form == "foxglove" else f".{form}")
-    )
-    out = _free(arguments.out or beside, arguments.force)
+    ending = {"csv": "_csv", "ros2": "_ros2", "foxglove": ".foxglove.mcap"}.get(form, f".{form}")
+    out = _free(arguments.out or source.with_name(f"{source.stem}{ending}"), arguments.force)
     files = formats[form](Recording(source), out, overwrite=arguments.force)
-    answer(arguments.json, {"files": [str(file) for file in files]}, "\n".join(map(str, files)))
-    return 0
+    return answer(arguments.json, {"files": [str(file) for file in files]}, "\n".join(map(str, files)))
 
 
 def _plot(arguments: argparse.Namespace) -> int:
     from nodes.recording.overlay import plot_several
     from nodes.recording.plot import plot
-    from nodes.recording.reader import Recording
 
     files: list[Path] = arguments.files
-    start, stop = arguments.start, arguments.stop
-    if start is not None and stop is not None and start >= stop:
-        raise UsageError(f"--from {start:g} --to {stop:g}: the end comes after the beginning")
+    _in_order(start := arguments.start, stop := arguments.stop)
     alone = len(files) == 1 and not arguments.xy
     ending = "" if alone else "_xy" if arguments.xy else "_overlay"
     out = _free(arguments.out or files[0].with_name(f"{files[0].stem}{ending}.png"), arguments.force)
@@ -440,5 +365,4 @@ def _plot(arguments: argparse.Namespace) -> int:
         plot(recordings[0], out, start=start, stop=stop, overwrite=arguments.force)
     else:
         plot_several(recordings, out, over_position=arguments.xy, start=start, stop=stop, overwrite=arguments.force)
-    answer(arguments.json, {"plot": str(out)}, str(out))
-    return 0
+    return answer(arguments.json, {"plot": str(out)}, str(out))

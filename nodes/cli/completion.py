@@ -1,7 +1,5 @@
 """Print what makes a shell complete haptic's words on TAB: eval "$(haptic completion bash)"."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 from collections.abc import Callable, Iterable
@@ -49,9 +47,7 @@ complete -c haptic -a '(__haptic)'
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument(
-        "shell", choices=[*SCRIPTS, "words"], help="which shell; words: what may follow (for the scripts)"
-    )
+    parser.add_argument("shell", choices=[*SCRIPTS, "words"], help="which shell; words: what may follow (for the scripts)")
     parser.add_argument("typed", nargs="*", help="with words: what stands on the line, the last one unfinished")
     parser.set_defaults(run=run)
 

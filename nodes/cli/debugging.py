@@ -1,14 +1,10 @@
 """What ``haptic launch --debug`` says: the launch with all arguments filled in, and each process where it runs."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Callable
 
-import msgspec
-
 from nodes.launcher.child import PYTHON
-from nodes.launcher.launch_spec import Launch, NodeSpec, RunSpec
+from nodes.launcher.launch_spec import Launch, unusual
 from nodes.launcher.supervisor import Supervisor
 from nodes.parameters.yaml_io import write_yaml
 
@@ -19,13 +15,8 @@ class Debugging:
     def __init__(self, launch: Launch, say: Callable[[str], None]) -> None:
         self._say = say
         self._pids: dict[str, int] = {}
-        usual, plain = RunSpec(), NodeSpec(kind="")
-        run = {name: value for name, value in msgspec.to_builtins(launch.run).items() if value != getattr(usual, name)}
-        nodes = {
-            node: {name: value for name, value in msgspec.to_builtins(spec).items() if value != getattr(plain, name)}
-            for node, spec in launch.nodes.items()
-        }
-        facts = {"file": launch.path, "arguments": launch.arguments, "run": run, "nodes": nodes}
+        nodes = {node: unusual(spec) for node, spec in launch.nodes.items()}
+        facts = {"file": launch.path, "arguments": launch.arguments, "run": unusual(launch.run), "nodes": nodes}
         for line in write_yaml(facts).splitlines():
             say(line)
 

@@ -3,8 +3,6 @@
 The sub-verb NAME of a verb is registered beside the verbs, as ``"VERB.NAME"``, and is a module of the same shape.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Keys of this machine and of those that may take part in its launches: new, allow, revoke, list."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable
 
@@ -13,64 +11,58 @@ from nodes.cli.main import add_json, answer
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
     sub = parser.add_subparsers(dest="chosen", metavar="new|allow|revoke|list", required=True)
-    text = "Make this machine's key pair and print the public key."
-    new = sub.add_parser("new", help=text, description=text)
+
+    def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+        own = sub.add_parser(name, help=text, description=text)
+        add_json(own)
+        own.set_defaults(run=lambda arguments: _told(run, arguments))
+        return own
+
+    new = declare("new", _new, "Make this machine's key pair and print the public key.")
     new.add_argument("--replace", action="store_true", help="replace the pair that is there")
-    text = "Let another machine in: its public key, under a name (its address, as launch files say host)."
-    allow = sub.add_parser("allow", help=text, description=text)
+    allow = declare(
+        "allow", _allow, "Let another machine in: its public key, under a name (its address, as launch files say host)."
+    )
     allow.add_argument("name")
     allow.add_argument("key", help="64 hexadecimal digits, as its haptic keys list prints them")
     allow.add_argument("--replace", action="store_true", help="replace another key under that name")
-    text = "Let a machine in no more: its open connections to whatever runs here end within a second."
-    revoke = sub.add_parser("revoke", help=text, description=text)
+    revoke = declare(
+        "revoke", _revoke, "Let a machine in no more: its open connections to whatever runs here end within a second."
+    )
     revoke.add_argument("name")
-    text = "Print this machine's public key and the machines that are let in."
-    listing = sub.add_parser("list", help=text, description=text)
-    for verb, function in ((new, _new), (allow, _allow), (revoke, _revoke), (listing, _list)):
-        add_json(verb)
-        verb.set_defaults(run=_telling(function))
+    declare("list", _list, "Print this machine's public key and the machines that are let in.")
 
 
-def _telling(function: Callable[[argparse.Namespace], int]) -> Callable[[argparse.Namespace], int]:
-    def run(arguments: argparse.Namespace) -> int:
-        try:
-            return function(arguments)
-        except keys.KeyRefusedError as error:
-            raise UsageError(str(error)) from error
-
-    return run
+def _told(run: Callable[[argparse.Namespace], int], arguments: argparse.Namespace) -> int:
+    try:
+        return run(arguments)
+    except keys.KeyRefusedError as error:
+        raise UsageError(str(error)) from error
 
 
 def _new(arguments: argparse.Namespace) -> int:
     made = keys.new_identity(arguments.replace)
     text = f"{made.public}\n(on the other machines: haptic keys allow NAME {made.public})"
-    answer(arguments.json, {"public_key": made.public, "directory": str(keys.key_dir())}, text)
-    return 0
+    return answer(arguments.json, {"public_key": made.public, "directory": str(keys.key_dir())}, text)
 
 
 def _allow(arguments: argparse.Namespace) -> int:
     path = keys.allow(arguments.name, arguments.key, arguments.replace)
     figures = {"name": arguments.name, "public_key": keys.key_of(arguments.name), "file": str(path)}
-    answer(arguments.json, figures, f"{arguments.name} is allowed ({path})")
-    return 0
+    return answer(arguments.json, figures, f"{arguments.name} is allowed ({path})")
 
 
 def _revoke(arguments: argparse.Namespace) -> int:
     path = keys.revoke(arguments.name)
-    text = (
-        f"{arguments.name} is no longer allowed ({path} removed); what runs here ends its connections within a second"
-    )
-    answer(arguments.json, {"name": arguments.name, "file": str(path)}, text)
-    return 0
+    text = f"{arguments.name} is no longer allowed ({path} removed); what runs here ends its connections within a second"
+    return answer(arguments.json, {"name": arguments.name, "file": str(path)}, text)
 
 
 def _list(arguments: argparse.Namespace) -> int:
     try:
-        mine = keys.identity().public
-        own = mine
+        own = mine = keys.identity().public
     except keys.KeyRefusedError as error:
         mine, own = "", str(error)
     there = keys.allowed()
     lines = [f"this machine  {own}", *(f"{name:12}  {key}" for name, key in there.items())]
-    answer(arguments.json, {"public_key": mine, "allowed": there, "directory": str(keys.key_dir())}, "\n".join(lines))
-    return 0
+    return answer(arguments.json, {"public_key": mine, "allowed": there, "directory": str(keys.key_dir())}, "\n".join(lines))

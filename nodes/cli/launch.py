@@ -1,16 +1,12 @@
 """Start a scenario: haptic launch floor_drop stiffness:=1500 rate:=1000."""
 
-from __future__ import annotations
-
 import argparse
-import contextlib
 import json
 import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import msgspec
@@ -20,10 +16,10 @@ from messages.transport.endpoints import is_remote
 from messages.transport.requests import ControlError
 from nodes.base import realtime
 from nodes.base.setup import Setup
-from nodes.base.stderr_queue import instead_of_stderr, last_words
+from nodes.base.stderr_queue import drain_stderr, instead_of_stderr
 from nodes.cli.colour import coloured
 from nodes.cli.debugging import Debugging
-from nodes.cli.main import add_json, answer
+from nodes.cli.main import add_json, answer, heeding
 from nodes.cli.page import PageAnnouncer, with_view
 from nodes.cli.places import refuse_unwritable
 from nodes.cli.status_line import StatusLine
@@ -34,8 +30,8 @@ from nodes.launcher.runs import STOPPED, ended_why, runs_dir
 from nodes.launcher.supervisor import LaunchFailedError, Supervisor
 from nodes.launcher.wiring import kernel_modules
 from nodes.parameters.store import ParameterError
-from nodes.recording.ended import Ended, write_ended
 from nodes.recording.logger import LoggerParameters, file_of
+from nodes.recording.writer import Ended, write_ended
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -59,18 +55,13 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="how the loop's nodes take their ticks: compiled, or by the interpreter; tick:= does the same",
     )
     parser.add_argument(
-        "--out-dir",
-        type=Path,
-        metavar="DIR",
-        help="directory of recordings and plot (default: as the launch file says)",
+        "--out-dir", type=Path, metavar="DIR", help="directory of recordings and plot (default: as the launch file says)"
     )
     parser.add_argument(
         "--debug", "-d", action="store_true", help="print what is launched, argument by argument, and each process"
     )
     parser.add_argument("--no-plot", action="store_true", help="do not draw the recording at the end")
-    parser.add_argument(
-        "--view", action="store_true", help="serve a page to see and touch it; its URL is printed first"
-    )
+    parser.add_argument("--view", action="store_true", help="serve a page to see and touch it; its URL is printed first")
     add_json(parser)
     parser.set_defaults(run=run)
 
@@ -97,20 +88,6 @@ def _show_args(scenario: str) -> tuple[dict[str, Any], str]:
         lines.append(f"  {name}:={argument.default}{unit}   {argument.help}{bounds}")
         figures[name] = {"default": argument.default, "unit": argument.unit, "help": argument.help}
     return {"scenario": path.stem, "arguments": figures}, "\n".join(lines)
-
-
-@contextlib.contextmanager
-def _signals(supervisor: Supervisor) -> Iterator[None]:
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        del frame
-        supervisor.stop(ended_why(str(runs_dir() / supervisor.run)) or signal.Signals(number).name)
-
-    before = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _recordings(launch: Launch, supervisor: Supervisor) -> list[tuple[str, str]]:
@@ -172,21 +149,13 @@ def _of_chain(launch: Launch, chain: str, driver: dict[str, Any]) -> dict[str, A
     axes = launch.axes.get(chain) or launch.run.axes
     axis, single = "xyz".index(axes[0]), len(axes) == 1
     final = driver.get("final", {})
-    return {
-        "ticks": driver.get("ticks", 0),
-        "missed": driver.get("missed", 0),
-        "overruns": driver.get("overruns", 0),
-        "rate_hz": driver.get("rate_hz", 0.0),
-        "response_us": driver.get("response_us", {}),
-        "age_ticks_max": driver.get("age_ticks_max", 0),
-        "energy_j": driver.get("energy_j", 0.0),
-        "energy_max_j": driver.get("energy_max_j", 0.0),
-        "guard": driver.get("guard"),
-        "safety": driver.get("safety", {}),
+    nothing = {"ticks": 0, "missed": 0, "overruns": 0, "rate_hz": 0.0, "response_us": {}, "age_ticks_max": 0}
+    nothing |= {"energy_j": 0.0, "energy_max_j": 0.0, "guard": None, "safety": {}}
+    return {key: driver.get(key, none) for key, none in nothing.items()} | {
         "final": {
             key: (final[key][axis] if single else final[key]) if key in final else None
             for key in ("position_m", "force_n", "motion", "swing_m", "frequency_hz", "velocity_m_per_s")
-        },
+        }
     }
 
 
@@ -195,8 +164,7 @@ def _safety_text(safety: dict[str, Any]) -> list[str]:
     counts = [f"{number} refused ({why})" for why, number in safety.get("refused", {}).items() if number]
     counts += [f"{number} lowered ({which})" for which, number in safety.get("limited", {}).items() if number]
     reasons = safety.get("reasons", [])
-    # The first force is no news.
-    changes = [reason for reason in reasons if not reason.startswith("waiting → active")]
+    changes = [reason for reason in reasons if not reason.startswith("waiting → active")]  # the first force is no news
     lines = [f"  safety    forces {', '.join(counts)}"] if counts else []
     lines += [f"  safety    {text}" for text in (*safety.get("told", []), *changes)]
     return lines
@@ -230,18 +198,15 @@ def _text(launch: Launch, figures: dict[str, Any]) -> str:
 
 def _chain_text(figures: dict[str, Any]) -> list[str]:
     """Lines about one chain."""
-    response, lines = figures["response_us"], []
+    response, lines = figures["response_us"], list[str]()
     if response and figures["ticks"]:
-        lines.append(
+        lines = [
             f"  rate      {figures['rate_hz']:.2f} Hz, missed {figures['missed']}, overruns {figures['overruns']}, "
-            f"oldest force {figures['age_ticks_max']} ticks"
-        )
-        lines.append(
+            f"oldest force {figures['age_ticks_max']} ticks",
             f"  response  p50 {response['p50']:.0f} µs, p99 {response['p99']:.0f} µs, "
-            f"p99.9 {response['p999']:.0f} µs, max {response['max']:.0f} µs"
-        )
-    guard = figures["guard"]
-    if guard:
+            f"p99.9 {response['p999']:.0f} µs, max {response['max']:.0f} µs",
+        ]
+    if guard := figures["guard"]:
         lines.append(
             f"  guard     lowered {guard['lowered']} and raised {guard['raised']} forces; given out beyond what was in store: "
             f"at most {guard['highest_j'] * 1e3:.4g} mJ"
@@ -258,15 +223,13 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.list:
         figures = _list()
         lines = [f"{name:18} {entry['summary']}" for name, entry in figures["scenarios"].items()]
-        answer(arguments.json, figures, "\n".join(lines))
-        return 0
+        return answer(arguments.json, figures, "\n".join(lines))
     if arguments.scenario is None:
         raise UsageError("name a scenario; haptic launch --list shows them")
     launch: Launch | None = None
     try:
         if arguments.show_args:
-            answer(arguments.json, *_show_args(arguments.scenario))
-            return 0
+            return answer(arguments.json, *_show_args(arguments.scenario))
         given = launch_file.parse_assignments(arguments.assignments)
         if arguments.tick is not None:
             given["tick"] = arguments.tick
@@ -302,9 +265,8 @@ def _into(launch: Launch, folder: Path) -> Launch:
     """Let all loggers of this machine write into one directory."""
     nodes = dict(launch.nodes)
     for name, path in _places(launch):
-        spec = nodes[name]
-        parameters = {**spec.parameters, "path": str(folder / path.name)}
-        nodes[name] = msgspec.structs.replace(spec, parameters=parameters)
+        parameters = {**nodes[name].parameters, "path": str(folder / path.name)}
+        nodes[name] = msgspec.structs.replace(nodes[name], parameters=parameters)
     return msgspec.structs.replace(launch, nodes=nodes)
 
 
@@ -341,7 +303,6 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
         sys.stderr.write(f"{coloured('[launch]', 'dim', sys.stderr)} {text}\n")
 
     page = PageAnnouncer(arguments.json)
-
     debug = Debugging(launch, say) if arguments.debug else None
 
     def progress(supervisor: Supervisor) -> None:
@@ -351,7 +312,11 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
         status(supervisor)
 
     supervisor = Supervisor(launch, say)
-    with _signals(supervisor):
+
+    def on_signal(number: int) -> None:
+        supervisor.stop(ended_why(str(runs_dir() / supervisor.run)) or signal.Signals(number).name)
+
+    with heeding(on_signal):
         try:
             supervisor.supervise(progress)
         except (LaunchFailedError, ControlError, OSError) as error:
@@ -375,7 +340,7 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
             figures["plot"] = _plot(here[0], say)
         except KeyboardInterrupt:
             say(f"no plot: interrupted; haptic bag plot {here[0]} draws it")
-    last_words()
+    drain_stderr()
     page.drain()
     if arguments.json:
         _print(json.dumps(figures))

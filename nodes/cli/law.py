@@ -1,39 +1,21 @@
 """List, show and switch the coupling's laws: haptic law switch multi_term."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from messages.errors import UsageError
-from nodes.cli.ask import chosen_run, sub_verb
+from nodes.cli.ask import chosen_node, sub_verb
 from nodes.cli.main import answer
 from nodes.cli.param import FORCE, forced, receipt_text
 from nodes.cli.quantities import declare as declare_quantities
 from nodes.cli.quantities import declare_law, positive
-from nodes.client.launches import ask, node_name
+from nodes.client.launches import ask
 from nodes.parameters.store import ParameterError
 
-if TYPE_CHECKING:
-    from nodes.launcher.runs import RunInfo
-
-OFFLINE = (
-    "rate",
-    "mass",
-    "heaviest",
-    "damping",
-    "delay",
-    "hand",
-    "stiffness",
-    "gain",
-    "order",
-    "taps",
-    "gains",
-    "derivative",
-    "launch",
-)
-"""Options of ``law show`` that describe a loop which need not run."""
+OF_LAW = ("stiffness", "gain", "order", "taps", "gains", "derivative")
+OF_LOOP = ("rate", "mass", "heaviest", "damping", "delay", "hand", "launch")
+"""Options of ``law show`` that describe a law, and a loop, which need not run."""
 
 DEFAULTS = {"rate": 500.0, "mass": 0.1, "damping": 1.0, "delay": 0.0, "hand": 0.0}
 """The paper's experiment, as in the studies: [Hz], [kg], [N s/m], [ticks], [N/m]."""
@@ -71,9 +53,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     show.add_argument(
         "law", nargs="?", help="name of a law, kind or preset, or a mapping {kind: ...}; the active one if left out"
     )
-    show.add_argument(
-        "assignments", nargs="*", metavar="name:=value", help="parameters of the law, or of the launch file"
-    )
+    show.add_argument("assignments", nargs="*", metavar="name:=value", help="parameters of the law, or of the launch file")
     show.add_argument("--launch", metavar="SCENARIO", help="law, rate and device of a launch file")
     declare_quantities(show, rate=None, mass=None, damping=None, delay=None, hand=None, gain=None)
     declare_law(show)
@@ -81,8 +61,8 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def _list(arguments: argparse.Namespace) -> int:
-    run = chosen_run(arguments)
-    found = ask(run, node_name(run, arguments.node), "law.list")
+    run, node = chosen_node(arguments)
+    found = ask(run, node, "law.list")
     width = max(map(len, found["laws"]))
     lines = []
     for name, law in found["laws"].items():
@@ -90,8 +70,7 @@ def _list(arguments: argparse.Namespace) -> int:
         lines.append(f"{'*' if name == found['active'] else ' '} {name:{width}}  {law['kind']}: {values}")
     if found["active"] not in found["laws"]:
         lines.append(f"* {found['active']}: a law failed; haptic law switch takes another")
-    answer(arguments.json, {"run": run.run, **found}, "\n".join(lines))
-    return 0
+    return answer(arguments.json, {"run": run.run, **found}, "\n".join(lines))
 
 
 def _short(value: Any) -> str:
@@ -117,15 +96,13 @@ def _table(columns: dict[str, dict[str, Any]]) -> list[str]:
 
 
 def _switch(arguments: argparse.Namespace) -> int:
-    run = chosen_run(arguments)
-    node = node_name(run, arguments.node)
+    run, node = chosen_node(arguments)
     values = {} if arguments.ramp is None else {"ramp": arguments.ramp}
     receipt = ask(run, node, "law.switch", law=arguments.law, **values, **forced(arguments))
     lines = [receipt_text(node, receipt)]
     if "was" in receipt:
         lines += _table({f"was {receipt['from']}": receipt["was"], f"is {receipt['to']}": receipt["is"]})
-    answer(arguments.json, {"run": run.run, "node": node, **receipt}, "\n".join(lines))
-    return 0
+    return answer(arguments.json, {"run": run.run, "node": node, **receipt}, "\n".join(lines))
 
 
 def _show(arguments: argparse.Namespace) -> int:
@@ -139,16 +116,26 @@ def _show(arguments: argparse.Namespace) -> int:
         elif arguments.law is not None and _describes(arguments):
             figures = _described(arguments)
         else:
-            run = chosen_run(arguments)
-            figures = {"run": run.run, **_live(run, arguments)}
+            run, node = chosen_node(arguments)
+            figures = {"run": run.run, "rate_hz": 1.0 / run.nodes[node].period}
+            figures |= ask(run, node, "law.show", law=arguments.law or "")
     except ParameterError as error:
         raise UsageError(str(error)) from error
-    skipped = {"run", "law", "kind", "rate_hz", "taps_n_per_m", "sections", "plant", *(key for key, _, _ in ROWS)}
-    skipped |= {"worst_mass_kg", "masses_kg"}
+    skipped = {
+        "run",
+        "law",
+        "kind",
+        "rate_hz",
+        "taps_n_per_m",
+        "sections",
+        "plant",
+        "worst_mass_kg",
+        "masses_kg",
+        "passive_scale",
+    }
+    skipped |= {key for key, _, _ in ROWS}
     parameters = ", ".join(
-        f"{key} {_short(value)}"
-        for key, value in figures.items()
-        if key not in skipped and not key.startswith("f_") and key not in ("passive_scale",)
+        f"{key} {_short(value)}" for key, value in figures.items() if key not in skipped and not key.startswith("f_")
     )
     taps = figures["taps_n_per_m"]
     lines = [
@@ -157,43 +144,24 @@ def _show(arguments: argparse.Namespace) -> int:
         + (f", {figures['sections']} recursive sections" if figures["sections"] else ""),
         *_table({"": figures}),
     ]
-    lines += _worst_mass(figures)
+    if "masses_kg" in figures:
+        low, high = figures["masses_kg"]
+        worst = f"{figures['worst_mass_kg']:.4g} kg, the worst for this loop"
+        lines.append(f"  with {worst} of the device's {low:g} to {high:g} kg over its workspace")
     if figures["h_nyquist_n_per_m"] is None:
         lines.append("  its own code is left out of H(1), which is that of its taps; the other figures need taps alone")
     if arguments.damping is not None and arguments.gain is None and "damping" in figures:
-        lines.append(
-            f"  --damping {arguments.damping:g} is the device's; the law's own is --gain, {figures['damping']:g} here"
-        )
-    answer(arguments.json, figures, "\n".join(lines))
-    return 0
-
-
-def _worst_mass(figures: dict[str, Any]) -> list[str]:
-    """Say with which mass the figures are, where it depends on the device's position."""
-    if "masses_kg" not in figures:
-        return []
-    low, high = figures["masses_kg"]
-    return [
-        f"  with {figures['worst_mass_kg']:.4g} kg, the worst for this loop of the device's {low:g} to {high:g} kg over its "
-        "workspace"
-    ]
+        lines.append(f"  --damping {arguments.damping:g} is the device's; the law's own is --gain, {figures['damping']:g} here")
+    return answer(arguments.json, figures, "\n".join(lines))
 
 
 def _describes(arguments: argparse.Namespace) -> bool:
     """Whether a loop is described rather than a running one meant."""
     from nodes.launcher.runs import runs
 
-    if arguments.assignments or any(getattr(arguments, name) is not None for name in OFFLINE):
-        return True
-    if arguments.law.lstrip().startswith("{"):
-        return True
-    return arguments.run_name is None and not runs()
-
-
-def _live(run: RunInfo, arguments: argparse.Namespace) -> dict[str, Any]:
-    node = node_name(run, arguments.node)
-    figures: dict[str, Any] = ask(run, node, "law.show", law=arguments.law or "")
-    return {"rate_hz": 1.0 / run.nodes[node].period, **figures}
+    options = any(getattr(arguments, name) is not None for name in (*OF_LAW, *OF_LOOP))
+    described = arguments.assignments or options or arguments.law.lstrip().startswith("{")
+    return bool(described) or (arguments.run_name is None and not runs())
 
 
 def _described(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -204,19 +172,13 @@ def _described(arguments: argparse.Namespace) -> dict[str, Any]:
     from nodes.parameters.yaml_io import parse_yaml
 
     data = parse_yaml(arguments.law, "law") if arguments.law.lstrip().startswith("{") else {"kind": arguments.law}
-    renamed = {"stiffness": "stiffness", "gain": "damping"}
-    for option in ("stiffness", "gain", "order", "taps", "gains", "derivative"):
-        value = getattr(arguments, option)
-        if value is not None:
-            data[renamed.get(option, option)] = value
+    for option in OF_LAW:
+        if (value := getattr(arguments, option)) is not None:
+            data["damping" if option == "gain" else option] = value
     law = parse_law({**data, **parse_assignments(arguments.assignments)})
-    loop = {
-        name: value if (value := getattr(arguments, name)) is not None else usual for name, usual in DEFAULTS.items()
-    }
+    loop = {name: value if (value := getattr(arguments, name)) is not None else usual for name, usual in DEFAULTS.items()}
     period = 1.0 / loop["rate"]
-    plant = PlantParameters(
-        mass=loop["mass"], damping=loop["damping"], stiffness=loop["hand"], heaviest=arguments.heaviest
-    )
+    plant = PlantParameters(mass=loop["mass"], damping=loop["damping"], stiffness=loop["hand"], heaviest=arguments.heaviest)
     figures = worst_figures(compile_law(law, period), plant, period, loop["delay"])
     device = {name: getattr(plant, name) for name in ("mass", "damping", "stiffness")}
     name = arguments.law if not isinstance(data, dict) or "{" not in arguments.law else law.kind
@@ -234,16 +196,9 @@ def _of_launch(arguments: argparse.Namespace) -> dict[str, Any]:
     launch = launch_file.read(arguments.launch, launch_file.parse_assignments(arguments.assignments))
     if arguments.node not in launch.nodes:
         raise UsageError(f"{launch.scenario}: no node is named {arguments.node!r}; there is: {', '.join(launch.nodes)}")
-    parameters: CouplingParameters = convert(
-        launch.nodes[arguments.node].parameters, CouplingParameters, arguments.node
-    )
-    given = {
-        name: getattr(arguments, name)
-        for name in ("mass", "heaviest", "damping", "delay")
-        if getattr(arguments, name) is not None
-    }
-    if arguments.hand is not None:
-        given["stiffness"] = arguments.hand
+    parameters: CouplingParameters = convert(launch.nodes[arguments.node].parameters, CouplingParameters, arguments.node)
+    options = {"mass": "mass", "heaviest": "heaviest", "damping": "damping", "delay": "delay", "hand": "stiffness"}
+    given = {name: value for option, name in options.items() if (value := getattr(arguments, option)) is not None}
     if given:
         plant = msgspec.to_builtins(parameters.plant) if parameters.plant is not None else {"mass": DEFAULTS["mass"]}
         parameters = msgspec.structs.replace(parameters, plant=convert({**plant, **given}, PlantParameters, "plant"))

@@ -4,10 +4,9 @@ A verb is a module whose docstring's first line is its help and which has ``add(
 ``run``, a function of the parsed arguments that returns the exit code. A name with a dot is a sub-verb: ``study.kmax``.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
+import contextlib
 import difflib
 import io
 import json
@@ -15,27 +14,25 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NoReturn
 
 from messages.errors import HapticError, UsageError
-from nodes.base.stderr_queue import last_words
+from nodes.base.stderr_queue import drain_stderr
 from nodes.cli.colour import coloured
 from nodes.parameters.installed import OURS, version
 from nodes.parameters.registry import NotInstalledError, Registry
 
 VERBS = Registry("haptic.verbs", "verb")
+ASKING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # signals that ask for an end
 
 _CHOICE = re.compile(r"invalid choice: '(?P<given>[^']*)' \((?:maybe you meant '[^']*', )?choose from (?P<known>.*)\)")
 
 
 class Parser(argparse.ArgumentParser):
-    """Takes no abbreviations, and says of what it does not know what was probably meant; its own usage goes before that.
-
-    Sub-parsers are of this class too, as argparse makes them.
-    """
+    """Takes no abbreviations, and says what was probably meant; sub-parsers, which argparse makes, are of this class too."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **{**options, "allow_abbrev": False})
@@ -89,16 +86,28 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
 
 
-def answer(as_json: bool, figures: Mapping[str, Any], text: str) -> None:
-    """Print a verb's answer: for people, or with --json one JSON object as the last line."""
+def answer(as_json: bool, figures: Mapping[str, Any], text: str) -> int:
+    """Print a verb's answer, for people, or with --json one JSON object as the last line; its exit code."""
     print(json.dumps(figures) if as_json else text, flush=True)
+    return 0
+
+
+@contextlib.contextmanager
+def heeding(heed: Callable[[int], Any], numbers: Iterable[signal.Signals] = ASKING) -> Iterator[None]:
+    """Let a function take the signals that ask for an end, for the time of a block."""
+    before = {number: signal.signal(number, lambda number, _: heed(number)) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def complain(error: object) -> None:
     """Say on standard error what went wrong."""
     print(coloured("haptic:", "red", sys.stderr), error, file=sys.stderr)
     # A launch in this process has put a queue in place of standard error: who reads the exit code finds the reason there.
-    last_words()
+    drain_stderr()
 
 
 def parser_for(chosen: str | None) -> Parser:
@@ -130,7 +139,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run one verb."""
     argv = sys.argv[1:] if argv is None else argv
     # A node waits for signals in a thread and blocks them everywhere else; a command that it starts inherits that.
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, ASKING)
     # Verbs draw into files: what else matplotlib is told to draw on must not stop them.
     os.environ["MPLBACKEND"] = "agg"
     for stream in (sys.stdout, sys.stderr):

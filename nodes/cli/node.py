@@ -1,13 +1,11 @@
 """List the nodes of a running launch, tell what each one does, start one by hand, and let a driver that has stopped go on."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Any
 
 from messages.errors import RefusedError, UsageError
-from nodes.cli.ask import chosen_run, sub_verb
+from nodes.cli.ask import chosen_node, chosen_run, sub_verb
 from nodes.cli.main import answer
 from nodes.client.launches import ask, node_name
 from nodes.launcher.runs import RunError, RunInfo
@@ -19,13 +17,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     sub_verb(sub, "list", _list, "List the nodes with kind, state and process number.")
     info = sub_verb(sub, "info", _info, "Tell a node's state, counters, topics and operations.")
     info.add_argument("node")
-    start = sub_verb(
-        sub, "start", _start, "Start a node that a launch waits for: one with by_hand or host in its launch file."
-    )
+    start = sub_verb(sub, "start", _start, "Start a node that a launch waits for: one with by_hand or host in its launch file.")
     start.add_argument("node")
-    start.add_argument(
-        "--bind", metavar="HOST:PORT", help="for a launch on another machine: where this node is reached"
-    )
+    start.add_argument("--bind", metavar="HOST:PORT", help="for a launch on another machine: where this node is reached")
     start.add_argument("--kind", default="", help="with --bind: the one kind that it may become (default: its name)")
     start.add_argument(
         "--allow-path",
@@ -35,12 +29,8 @@ def add(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="with --bind: where its parameters may name files and libraries; may be given several times",
     )
-    again = sub_verb(
-        sub,
-        "rearm",
-        _rearm,
-        "Let a driver that has stopped a swinging loop take forces again, by its ramp. Change the law first.",
-    )
+    text = "Let a driver that has stopped a swinging loop take forces again, by its ramp. Change the law first."
+    again = sub_verb(sub, "rearm", _rearm, text)
     again.add_argument("node", nargs="?", help="the driver (default: the run's only one)")
 
 
@@ -57,16 +47,12 @@ def _list(arguments: argparse.Namespace) -> int:
     run = chosen_run(arguments)
     found = {name: _state(run, name) for name in run.nodes}
     width = max(map(len, found))
-    lines = [
-        f"/{name:{width}}  {masses['kind']:12} {masses['state']:12} {masses['pid']}" for name, masses in found.items()
-    ]
-    answer(arguments.json, {"run": run.run, "nodes": found}, "\n".join(lines))
-    return 0
+    lines = [f"/{name:{width}}  {node['kind']:12} {node['state']:12} {node['pid']}" for name, node in found.items()]
+    return answer(arguments.json, {"run": run.run, "nodes": found}, "\n".join(lines))
 
 
 def _info(arguments: argparse.Namespace) -> int:
-    run = chosen_run(arguments)
-    name = node_name(run, arguments.node)
+    run, name = chosen_node(arguments)
     info = ask(run, name, "info")
     status = info["status"]
     setup = run.nodes[name]
@@ -80,10 +66,8 @@ def _info(arguments: argparse.Namespace) -> int:
         "control": setup.control,
         **info,
     }
-    force = ask(run, name, "force") if "force" in info["operations"] else None
-    figures |= {} if force is None else {"force": force}
-    inertia = ask(run, name, "inertia") if "inertia" in info["operations"] else None
-    figures |= {} if inertia is None else {"inertia": inertia}
+    asked = {op: ask(run, name, op) for op in ("force", "inertia") if op in info["operations"]}
+    figures |= (device := {op: told for op, told in asked.items() if told is not None})
     counters = ("ticks", "sent", "received", "refused", "skipped", "gaps", "denied")
     offset, error = status["clock_offset"], status["clock_error"]
     known = f"{-offset:+.6f} s from the launcher's, known to ±{error * 1e6:.0f} µs" if error else "the launcher's own"
@@ -94,8 +78,8 @@ def _info(arguments: argparse.Namespace) -> int:
         "  " + ", ".join(f"{key} {status[key]}" for key in counters),
         f"  memory {status['memory'] / 1e6:.1f} MB, processor time {status['cpu']:.2f} s",
         f"  clock {known}",
-        *([] if force is None else [f"  force: {force['why']}"]),
-        *([] if inertia is None else [f"  mass: {_mass(inertia)}"]),
+        *([f"  force: {device['force']['why']}"] if "force" in device else []),
+        *([f"  mass: {_mass(device['inertia'])}"] if "inertia" in device else []),
         "  publishes:",
         *(f"    {topic}" for topic in info["publishes"]),
         "  listens to:",
@@ -103,8 +87,7 @@ def _info(arguments: argparse.Namespace) -> int:
         "  operations:",
         *(f"    {operation}" for operation in info["operations"]),
     ]
-    answer(arguments.json, figures, "\n".join(lines))
-    return 0
+    return answer(arguments.json, figures, "\n".join(lines))
 
 
 def _mass(masses: dict[str, Any]) -> str:
@@ -123,12 +106,9 @@ def _rearm(arguments: argparse.Namespace) -> int:
         raise UsageError(f"node rearm: {run.run} has the drivers {', '.join(drivers) or 'none'}; name one")
     name = node_name(run, arguments.node or drivers[0])
     receipt = ask(run, name, "rearm", beside=True)
-    answer(
-        arguments.json,
-        {"run": run.run, "node": name, **receipt},
-        f"/{name}: takes forces again, from tick {receipt['seq']}",
+    return answer(
+        arguments.json, {"run": run.run, "node": name, **receipt}, f"/{name}: takes forces again, from tick {receipt['seq']}"
     )
-    return 0
 
 
 def _start(arguments: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""What ``launch --view`` and ``view`` share: a view node in a launch, and telling where the page is."""
+"""What ``launch --view`` and ``view`` share: a view node in a launch, and announcing where the page is."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ import msgspec
 
 from nodes.base.stderr_queue import StderrQueue
 from nodes.launcher.launch_spec import Launch, NodeSpec
-from nodes.launcher.wiring import chains_of
+from nodes.launcher.wiring import chains_of, free_name
 
 if TYPE_CHECKING:
     from nodes.launcher.supervisor import Supervisor
 
-KIND = "view"
-"""The kind of node that serves a page."""
+KIND = "view"  # the kind of node that serves a page
 
 
 def with_view(launch: Launch) -> Launch:
@@ -32,14 +31,9 @@ def with_view(launch: Launch) -> Launch:
         if realtime and (spec.parameters.get("pointer") or {}).get("beyond")
     }
     view = NodeSpec(kind=KIND, required=False, respawn=True, parameters={"again": True} if again else {})
-    # A page shows one chain.
-    chains = chains_of(launch)
-    pages = {_free(launch, f"{chain}/{KIND}" if len(chains) > 1 and chain else KIND): view for chain in chains or [""]}
+    chains = chains_of(launch)  # A page shows one chain
+    pages = {free_name(launch, f"{chain}/{KIND}" if len(chains) > 1 and chain else KIND): view for chain in chains or [""]}
     return msgspec.structs.replace(launch, nodes={**launch.nodes, **again, **pages})
-
-
-def _free(launch: Launch, name: str) -> str:
-    return next(free for free in (name, *(f"{name}_{i}" for i in range(2, 100))) if free not in launch.nodes)
 
 
 def announce(url: str, as_json: bool, out: IO[str] | StderrQueue | None = None) -> None:

@@ -1,10 +1,8 @@
 """List, read, describe, change, save and load parameters of running nodes: haptic param set coupling laws.pd.stiffness 1500."""
 
-from __future__ import annotations
-
 import argparse
 import sys
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +10,7 @@ import msgspec
 
 from messages.errors import RefusedError, UsageError
 from nodes.base.node_kinds import load
-from nodes.cli.ask import chosen_run, sub_verb
+from nodes.cli.ask import chosen_node, chosen_run, sub_verb
 from nodes.cli.main import answer
 from nodes.client.launches import ask, node_name
 from nodes.environment.surfaces import SURFACES
@@ -24,42 +22,33 @@ from nodes.parameters.yaml_io import parse_yaml, read_yaml, write_yaml
 
 FORCE = "take the change even if the loop becomes unstable: for studies of that"
 
-MOST = 8
-"""Changes that are printed one by one."""
-
-SHORT = 60
-"""Longest value that is printed in full [characters]."""
+MOST = 8  # changes that are printed one by one
+SHORT = 60  # longest value that is printed in full [characters]
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
     sub = parser.add_subparsers(dest="chosen", metavar="list|get|set|describe|dump|load", required=True)
-    declare = partial(sub_verb, sub)
-
-    def add_force(own: argparse.ArgumentParser) -> None:
-        own.add_argument("--force", action="store_true", help=FORCE)
-
-    listing = declare("list", _list, "List the parameters of a node, or of all.")
+    listing = sub_verb(sub, "list", _list, "List the parameters of a node, or of all.")
     listing.add_argument("node", nargs="?", help="all nodes when left out")
+
+    def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+        own = sub_verb(sub, name, run, text)
+        own.add_argument("node")
+        return own
+
     get = declare("get", _get, "Read one parameter, or a branch of them.")
-    get.add_argument("node")
     get.add_argument("name", help="e.g. laws.pd.stiffness, or laws.multi_term.terms[0].gain")
-    change = declare(
-        "set", _set, "Change parameters while the loop runs; several at once are one change, all or nothing."
-    )
-    change.add_argument("node")
-    add_force(change)
+    change = declare("set", _set, "Change parameters while the loop runs; several at once are one change, all or nothing.")
     change.add_argument("pairs", nargs="+", metavar="NAME VALUE", help="values as in YAML, e.g. laws.pd.stiffness 1500")
     describe = declare("describe", _describe, "Tell what parameters are: type, unit, limits, default, meaning.")
-    describe.add_argument("node")
     describe.add_argument("names", nargs="*", metavar="NAME", help="e.g. laws.pd.stiffness; all when left out")
     dump = declare("dump", _dump, "Write all parameters of a node as YAML, as load and the launch file read them.")
-    dump.add_argument("node")
     dump.add_argument("--out", "-o", type=Path, metavar="FILE", help="write to a file that does not exist yet")
     load = declare("load", _load, "Lay a YAML file, whole or in part, over a node's parameters; all or nothing.")
-    load.add_argument("node")
-    add_force(load)
     load.add_argument("file", help="written by dump or by a study; - for standard input")
+    for own in (change, load):
+        own.add_argument("--force", action="store_true", help=FORCE)
 
 
 def _flow(value: Any) -> str:
@@ -74,22 +63,17 @@ def _list(arguments: argparse.Namespace) -> int:
     for name, values in found.items():
         lines.append(f"/{name}:")
         lines += [f"  {path}: {_flow(value)}" for path, value in values.items()] or ["  (none)"]
-    answer(arguments.json, {"run": run.run, "nodes": found}, "\n".join(lines))
-    return 0
+    return answer(arguments.json, {"run": run.run, "nodes": found}, "\n".join(lines))
 
 
 def _get(arguments: argparse.Namespace) -> int:
-    run = chosen_run(arguments)
-    node = node_name(run, arguments.node)
+    run, node = chosen_node(arguments)
     value = ask(run, node, "param.get", name=arguments.name)
-    figures = {"run": run.run, "node": node, "name": arguments.name, "value": value}
-    answer(arguments.json, figures, _flow(value))
-    return 0
+    return answer(arguments.json, {"run": run.run, "node": node, "name": arguments.name, "value": value}, _flow(value))
 
 
 def _set(arguments: argparse.Namespace) -> int:
-    run = chosen_run(arguments)
-    node = node_name(run, arguments.node)
+    run, node = chosen_node(arguments)
     words = arguments.pairs
     if len(words) % 2:
         raise UsageError(f"param set {node}: {words[-1]!r} has no value; give NAME VALUE, as often as you like")
@@ -102,12 +86,9 @@ def _set(arguments: argparse.Namespace) -> int:
         except ParameterError as error:
             raise UsageError(str(error)) from error
     receipt = ask(run, node, "param.set", values=values, **forced(arguments))
-    answer(
-        arguments.json,
-        {"run": run.run, "node": node, "values": values, "receipt": receipt},
-        receipt_text(node, receipt),
+    return answer(
+        arguments.json, {"run": run.run, "node": node, "values": values, "receipt": receipt}, receipt_text(node, receipt)
     )
-    return 0
 
 
 def receipt_text(node: str, receipt: dict[str, Any]) -> str:
@@ -147,16 +128,11 @@ def forced(arguments: argparse.Namespace) -> dict[str, bool]:
 def _struct_of(kind: str) -> type[Any] | None:
     """Struct of an installed law or surface, a preset's law included; None for what is neither."""
     kind = str(PRESETS.get(kind, {"kind": kind})["kind"])
-    for registry in (LAWS, SURFACES):
-        if kind in registry.names():
-            found: type[Any] = registry.load(kind)
-            return found
-    return None
+    return next((registry.load(kind) for registry in (LAWS, SURFACES) if kind in registry.names()), None)
 
 
 def _describe(arguments: argparse.Namespace) -> int:
-    run = chosen_run(arguments)
-    node = node_name(run, arguments.node)
+    run, node = chosen_node(arguments)
     values = ask(run, node, "param.dump")
     names = arguments.names or list(ask(run, node, "param.list"))
     parameters = load(run.nodes[node].factory).Parameters
@@ -167,19 +143,17 @@ def _describe(arguments: argparse.Namespace) -> int:
         except ParameterError as error:
             raise UsageError(f"{node}.{error}") from error
     lines = []
-    for name, receipt_text in found.items():
-        default = "required" if receipt_text.required else f"default {_flow(receipt_text.default)}"
-        kind = f"{receipt_text.type} [{receipt_text.unit}]" if receipt_text.unit else receipt_text.type
-        lines.append(f"{name}: {', '.join(filter(None, (kind, receipt_text.limits, default)))}")
-        lines += [f"  {receipt_text.meaning}"] if receipt_text.meaning else []
+    for name, what in found.items():
+        default = "required" if what.required else f"default {_flow(what.default)}"
+        kind = f"{what.type} [{what.unit}]" if what.unit else what.type
+        lines.append(f"{name}: {', '.join(filter(None, (kind, what.limits, default)))}")
+        lines += [f"  {what.meaning}"] if what.meaning else []
     figures = {"run": run.run, "node": node, "parameters": msgspec.to_builtins(found)}
-    answer(arguments.json, figures, "\n".join(lines) or f"{node} has no parameters")
-    return 0
+    return answer(arguments.json, figures, "\n".join(lines) or f"{node} has no parameters")
 
 
 def _dump(arguments: argparse.Namespace) -> int:
-    run = chosen_run(arguments)
-    node = node_name(run, arguments.node)
+    run, node = chosen_node(arguments)
     parameters = ask(run, node, "param.dump")
     text = write_yaml({node: parameters})
     if arguments.out is not None:
@@ -189,21 +163,16 @@ def _dump(arguments: argparse.Namespace) -> int:
         except OSError as error:
             raise RefusedError(f"{arguments.out}: {error.strerror}") from error
         text = f"{arguments.out}\n"
-    answer(arguments.json, {"run": run.run, "node": node, "parameters": parameters}, text.rstrip("\n"))
-    return 0
+    return answer(arguments.json, {"run": run.run, "node": node, "parameters": parameters}, text.rstrip("\n"))
 
 
 def _load(arguments: argparse.Namespace) -> int:
-    run = chosen_run(arguments)
-    node = node_name(run, arguments.node)
+    run, node = chosen_node(arguments)
     try:
         values = parse_yaml(sys.stdin.read(), "-") if arguments.file == "-" else read_yaml(arguments.file)
     except (ParameterError, UnicodeDecodeError) as error:
         raise UsageError(str(error)) from error
     receipt = ask(run, node, "param.load", values=values, **forced(arguments))
-    answer(
-        arguments.json,
-        {"run": run.run, "node": node, "file": arguments.file, "receipt": receipt},
-        receipt_text(node, receipt),
+    return answer(
+        arguments.json, {"run": run.run, "node": node, "file": arguments.file, "receipt": receipt}, receipt_text(node, receipt)
     )
-    return 0

@@ -1,7 +1,5 @@
 """Places to write to: refused before the work is done, not after."""
 
-from __future__ import annotations
-
 import errno
 import os
 import tempfile

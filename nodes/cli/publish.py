@@ -1,7 +1,5 @@
 """What ``haptic topic pub`` may publish: a force and a target from outside; the loop's own topics belong to their nodes."""
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Callable
@@ -13,23 +11,18 @@ from messages.types import Vector
 from nodes.cli.ask import chosen_chain
 from nodes.cli.main import answer
 from nodes.client.launches import ask, roles
+from nodes.driver.pointer import PointerWriter, pointer_file
 from nodes.launcher.runs import RunInfo
 from nodes.parameters.store import ParameterError, convert
 from nodes.parameters.yaml_io import parse_yaml
-from nodes.view.pointer import PointerWriter, pointer_file
 
-WRENCH, TARGET = "/external/wrench", "/external/target"
-"""A force on top of the law's [N], and where the hand of a virtual device is pulled to [m]."""
+WRENCH, TARGET = "/external/wrench", "/external/target"  # a force on top of the law's [N]; where a virtual hand pulls to [m]
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument(
-        "topic", help=f"{WRENCH} (a force on top of the law's) or {TARGET} (of a virtual device's hand)"
-    )
-    parser.add_argument(
-        "values", help="{force: [0, 0, 1]} in N, {position: [0.02, 0, 0]} in m; or the three numbers alone"
-    )
+    parser.add_argument("topic", help=f"{WRENCH} (a force on top of the law's) or {TARGET} (of a virtual device's hand)")
+    parser.add_argument("values", help="{force: [0, 0, 1]} in N, {position: [0.02, 0, 0]} in m; or the three numbers alone")
     parser.add_argument("--rate", "-r", type=float, default=50.0, metavar="HZ", help="how often (default: %(default)g)")
     parser.add_argument("--once", "-1", action="store_true", help="once, and end")
     parser.add_argument("--times", "-t", type=int, default=0, metavar="N", help="so often, and end")
@@ -38,14 +31,12 @@ def add(parser: argparse.ArgumentParser) -> None:
 def _vector(text: str, name: str) -> Vector:
     try:
         given = parse_yaml(text, "values")
-        if isinstance(given, dict):
-            if set(given) != {name}:
-                raise UsageError(f"{text}: expected {{{name}: [x, y, z]}}")
-            given = given[name]
-        found: Vector = convert(given, Vector, name)
+        if isinstance(given, dict) and set(given) != {name}:
+            raise UsageError(f"{text}: expected {{{name}: [x, y, z]}}")
+        found: Vector = convert(given[name] if isinstance(given, dict) else given, Vector, name)
+        return found
     except ParameterError as error:
         raise UsageError(str(error)) from error
-    return found
 
 
 def _sender(run: RunInfo, arguments: argparse.Namespace) -> Callable[[], Any]:
@@ -60,9 +51,7 @@ def _sender(run: RunInfo, arguments: argparse.Namespace) -> Callable[[], Any]:
     try:
         pointer = PointerWriter(pointer_file(setup.run_dir, setup.name))
     except FileNotFoundError as error:
-        raise RefusedError(
-            f"{driver}: no hand can be dragged; give a sim_driver device.hand and pointer: {{}}"
-        ) from error
+        raise RefusedError(f"{driver}: no hand can be dragged; give a sim_driver device.hand and pointer: {{}}") from error
     return lambda: pointer.write(position)
 
 
@@ -86,5 +75,4 @@ def publish(arguments: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         # What is not renewed is gone by itself.
         pass
-    answer(arguments.json, {"topic": arguments.topic, "published": count}, f"{arguments.topic}: published {count}")
-    return 0
+    return answer(arguments.json, {"topic": arguments.topic, "published": count}, f"{arguments.topic}: published {count}")

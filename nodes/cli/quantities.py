@@ -3,8 +3,6 @@
 ``--damping`` is always the device's; the law's own is ``--gain``.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Callable
@@ -31,6 +29,14 @@ def not_negative(text: str) -> float:
     value = _number(text)
     if not value >= 0.0:
         raise argparse.ArgumentTypeError(f"{text}: must be at least 0")
+    return value
+
+
+def above_zero(text: str) -> float:
+    """Read a number above 0, which may be inf."""
+    value = float(text)
+    if not value > 0.0:
+        raise argparse.ArgumentTypeError(f"{text} must be above 0")
     return value
 
 

@@ -4,34 +4,25 @@ A launch's own endpoints are files of its run, one per node. PlotJuggler (from 3
 ``tcp://localhost:9872`` unless told otherwise, and takes what the relay sends as it is: two frames, topic and MessagePack map.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys
 import time
 from collections import Counter
-from typing import TYPE_CHECKING
 
 import zmq
 
 from messages.errors import UsageError
 from messages.transport.context import new_context
-from messages.transport.links import Links
+from messages.transport.endpoints import Context
 from messages.transport.open_port import OpenPort
-from messages.transport.sockets import Subscription
-from nodes.base import realtime
 from nodes.cli.ask import chosen_run
 from nodes.cli.main import add_json, add_run_name, answer
 from nodes.client.launches import known_topic
-from nodes.client.listen import QUEUE, QUIET_MS
+from nodes.client.listen import QUIET_MS, listening
 from nodes.launcher.runs import RunInfo, alive, runs
 
-if TYPE_CHECKING:
-    from messages.transport.endpoints import Context
-
-ENDPOINT = "tcp://127.0.0.1:9872"
-"""Where PlotJuggler's ZeroMQ subscriber looks unless it is told otherwise."""
+ENDPOINT = "tcp://127.0.0.1:9872"  # where PlotJuggler's ZeroMQ subscriber looks unless it is told otherwise
 
 _LOCAL = ("tcp://127.0.0.1:", "tcp://localhost:", "tcp://[::1]:", "ipc://")
 
@@ -69,8 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
                 found = chosen_run(arguments) if arguments.once else _next(arguments, names)
                 names.append(found.run)
                 _say(f"relaying {found.run}")
-                with realtime.off(found.processors):
-                    _relay(context, found, arguments.topics, publisher, relayed)
+                _relay(found, arguments.topics, publisher, relayed)
                 if arguments.once:
                     break
         except KeyboardInterrupt:
@@ -81,8 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
         context.term()
     counted = "".join(f"\n  {topic}: {count}" for topic, count in relayed.items())
     figures = {"endpoint": arguments.endpoint, "runs": names, "relayed": dict(relayed)}
-    answer(arguments.json, figures, f"relayed {', '.join(names) or 'nothing'}{counted}")
-    return 0
+    return answer(arguments.json, figures, f"relayed {', '.join(names) or 'nothing'}{counted}")
 
 
 def _say(text: str) -> None:
@@ -94,9 +83,7 @@ def _next(arguments: argparse.Namespace, before: list[str]) -> RunInfo:
     wanted = arguments.run_name or os.environ.get("HAPTIC_RUN")
     waiting = False
     while True:
-        found = [
-            one for one in runs().values() if one.run not in before and wanted in (None, "", one.run, one.scenario)
-        ]
+        found = [one for one in runs().values() if one.run not in before and wanted in (None, "", one.run, one.scenario)]
         if len(found) > 1:
             raise UsageError(f"several runs: {', '.join(one.run for one in found)}; choose one with --run NAME")
         if found:
@@ -107,12 +94,11 @@ def _next(arguments: argparse.Namespace, before: list[str]) -> RunInfo:
         time.sleep(0.1)
 
 
-def _relay(context: Context, found: RunInfo, topics: list[str], publisher: OpenPort, relayed: Counter[str]) -> None:
+def _relay(found: RunInfo, topics: list[str], publisher: OpenPort, relayed: Counter[str]) -> None:
     known = found.endpoints()
     wanted = {known_topic(found, topic).encode(): topic for topic in topics or known}
-    links = Links(context, _say, _say)
-    inbox = Subscription(context, {known[topic] for topic in wanted.values()}, wanted.values(), QUEUE, links)
-    try:
+    places = {known[topic] for topic in wanted.values()}
+    with listening(found, places, wanted.values(), say=_say) as (inbox, links):
         while True:
             frames = inbox.receive(QUIET_MS)
             links.keep()
@@ -124,6 +110,3 @@ def _relay(context: Context, found: RunInfo, topics: list[str], publisher: OpenP
             elif frames[0] in wanted:
                 publisher.send(*frames)
                 relayed[wanted[frames[0]]] += 1
-    finally:
-        links.close()
-        inbox.close()

@@ -3,8 +3,6 @@
 It never takes more than the terminal's width: what matters least to a hand goes first.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from array import array
@@ -22,11 +20,8 @@ from nodes.launcher.launch_spec import Launch
 from nodes.launcher.supervisor import Supervisor
 from nodes.parameters.store import ParameterError
 
-PATIENCE = 0.2
-"""How long a node may take to answer [s]; what it would have told is left out then."""
-
-SLOW = 3
-"""Law and surface are asked for every so many times only: each question costs a node's loop some microseconds."""
+PATIENCE = 0.2  # how long a node may take to answer [s]; what it would have told is left out then
+SLOW = 3  # law and surface are asked for every so many times only: each question costs a node's loop some microseconds
 
 KEEP = ("safety", "device", "penetration", "force", "law", "missed", "tick", "scenario", "response", "rate")
 """Parts of the line; the first ones are kept longest on a narrow terminal."""
@@ -69,9 +64,7 @@ class StatusLine:
 
     def __call__(self, supervisor: Supervisor) -> None:
         """Show how the launch is doing."""
-        if not self._live or supervisor.context is None:
-            return
-        now = self._ask(supervisor, DEVICE_STATE, "progress")
+        now = self._ask(supervisor, DEVICE_STATE, "progress") if self._live else None
         if now is None:
             return
         if self._asked % SLOW == 0:
@@ -84,7 +77,6 @@ class StatusLine:
 
     def _ask(self, supervisor: Supervisor, topic: str, op: str, **arguments: object) -> Any:
         """Ask the node that publishes a topic; None when it does not answer."""
-        assert supervisor.context is not None  # noqa: S101  # there is one while the loop runs
         for child in supervisor.children.values():
             if child.running and topic in load(child.setup.factory).publishes:
                 try:
@@ -110,16 +102,16 @@ class StatusLine:
         rate = (ticks - self._before[1]) / (clock - self._before[0])
         self._before = (clock, ticks)
         of = f"/{now['ticks']}" if now["ticks"] else ""
-        depth = ""
-        if distance is not None:
-            depth = f"{'penetration' if distance < 0.0 else 'distance'} {abs(distance) * 1e3:.2f} mm"
+        depth = distance or 0.0
         return {
             "scenario": self._launch.scenario,
             "tick": f"tick {ticks}{of}",
             "rate": f"{rate:.0f} Hz",
             "force": f"force {now['force_n'][self._axis]:+.2f} N",
             "law": f"law {self._law}" if self._law else "",
-            "penetration": depth,
+            "penetration": f"{'penetration' if depth < 0.0 else 'distance'} {abs(depth) * 1e3:.2f} mm"
+            if distance is not None
+            else "",
             "missed": f"missed {now['missed']}",
             "response": f"p50 {p50:.0f} p99 {p99:.0f} µs",
             "safety": now["safety"],
@@ -128,12 +120,9 @@ class StatusLine:
         }
 
     def _painted(self, name: str, text: str) -> str:
-        if name == "device":
-            return coloured(text, "red", sys.stderr)
-        if name == "safety":
-            color = {"active": "green", "waiting": "dim", "ramp": "yellow"}.get(text, "red")
-            return coloured(text, color, sys.stderr)
-        return coloured(text, "bold", sys.stderr) if name in ("penetration", "force", "law") else text
+        colours = dict.fromkeys(("penetration", "force", "law"), "bold") | {"device": "red"}
+        colours["safety"] = {"active": "green", "waiting": "dim", "ramp": "yellow"}.get(text, "red")
+        return coloured(text, colours[name], sys.stderr) if name in colours else text
 
     def clear(self) -> None:
         """Leave the line empty for what follows."""

@@ -1,7 +1,5 @@
 """End a running launch as Ctrl-C does: force to zero first, then the nodes in order, recordings complete."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os
@@ -11,17 +9,14 @@ import time
 from messages.errors import RefusedError, UsageError
 from nodes.cli.ask import chosen_run
 from nodes.cli.main import add_json, answer
-from nodes.launcher.runs import STOPPED, RunInfo, alive, runs, runs_dir, write_end
+from nodes.launcher.runs import STOPPED, alive, runs, runs_dir, write_end
 
-TIMEOUT = 60.0
-"""How long a launch may take to end [s]: a driver comes down from its largest force, a recorder writes what it holds."""
+TIMEOUT = 60.0  # longest end of a launch [s]: a driver comes down from its largest force, a recorder writes what it holds
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument(
-        "run_name", nargs="?", metavar="RUN", help="run or scenario (default: $HAPTIC_RUN, or the only one)"
-    )
+    parser.add_argument("run_name", nargs="?", metavar="RUN", help="run or scenario (default: $HAPTIC_RUN, or the only one)")
     parser.add_argument("--all", "-a", action="store_true", help="end all launches of this user")
     add_json(parser)
     parser.set_defaults(run=run)
@@ -39,16 +34,9 @@ def run(arguments: argparse.Namespace) -> int:
             os.kill(one.launcher, signal.SIGINT)
     deadline = time.monotonic() + TIMEOUT
     for one in ending:
-        _wait(one, deadline)
+        while alive(one.launcher):
+            if time.monotonic() > deadline:
+                raise RefusedError(f"{one.run}: its launcher, process {one.launcher}, has not ended within {TIMEOUT:g} s")
+            time.sleep(0.02)
     names = [one.run for one in ending]
-    answer(arguments.json, {"stopped": names}, "\n".join(f"{name}: ended" for name in names) or "nothing is running")
-    return 0
-
-
-def _wait(ending: RunInfo, deadline: float) -> None:
-    while alive(ending.launcher):
-        if time.monotonic() > deadline:
-            raise RefusedError(
-                f"{ending.run}: its launcher, process {ending.launcher}, has not ended within {TIMEOUT:g} s"
-            )
-        time.sleep(0.02)
+    return answer(arguments.json, {"stopped": names}, "\n".join(f"{name}: ended" for name in names) or "nothing is running")

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import signal
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from functools import partial
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -18,17 +18,17 @@ from messages.errors import UsageError
 from messages.schema import schema
 from messages.topics import LOOP, message_type
 from nodes.cli.ask import chosen_run, sub_verb
-from nodes.cli.main import answer
+from nodes.cli.main import answer, heeding
 from nodes.cli.publish import add as add_publish
 from nodes.cli.publish import publish
+from nodes.cli.quantities import above_zero
 from nodes.client.launches import known_topic
 
 if TYPE_CHECKING:
     from nodes.client.listen import Heard
     from nodes.launcher.runs import RunInfo
 
-REPORT_PERIOD = 1.0
-"""How often the measuring sub-verbs tell where they are [s]."""
+REPORT_PERIOD = 1.0  # how often the measuring sub-verbs tell where they are [s]
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -41,9 +41,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     echo = declare("echo", _echo, "Print the messages of a topic (with --json: one JSON object per line).")
     echo.add_argument("--once", action="store_true", help="print one message and end, as -n 1")
     echo.add_argument("--field", metavar="NAME", help="print only this field, e.g. position or position[2]")
-    add_publish(
-        declare("pub", publish, "Give a force or a hand's target from outside, as far as the driver allows it.")
-    )
+    add_publish(declare("pub", publish, "Give a force or a hand's target from outside, as far as the driver allows it."))
     figures = [
         declare("hz", _hz, "Measure rate and intervals of a topic, as received."),
         declare("bw", _bw, "Measure the bandwidth of a topic."),
@@ -53,24 +51,16 @@ def add(parser: argparse.ArgumentParser) -> None:
         own.add_argument(
             "--window", "-w", type=_count, default=0, metavar="N", help="measure the last N messages; all when left out"
         )
-    measuring = [echo, *figures]
-    for own in measuring:
+    for own in (echo, *figures):
         own.add_argument("topic")
         own.add_argument("--count", "-n", type=_count, default=0, metavar="N", help="end after so many messages")
-        own.add_argument("--duration", type=_seconds, default=0.0, metavar="S", help="end after so many seconds")
+        own.add_argument("--duration", type=above_zero, default=0.0, metavar="S", help="end after so many seconds")
 
 
 def _count(text: str) -> int:
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text} must be at least 1")
-    return value
-
-
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not value > 0.0:
-        raise argparse.ArgumentTypeError(f"{text} must be above 0")
     return value
 
 
@@ -93,8 +83,7 @@ def _list(arguments: argparse.Namespace) -> int:
         lines = [f"{topic} [haptic.{shown['type']}]" for topic, shown in found.items()]
     else:
         lines = [f"{topic:{width}}  {shown['type']:12} {shown['node']}" for topic, shown in found.items()]
-    answer(arguments.json, {"run": run.run, "topics": found}, "\n".join(lines))
-    return 0
+    return answer(arguments.json, {"run": run.run, "topics": found}, "\n".join(lines))
 
 
 def _info(arguments: argparse.Namespace) -> int:
@@ -115,37 +104,23 @@ def _info(arguments: argparse.Namespace) -> int:
         f"  published by {figures['node']} on {figures['endpoint']}" + (", once per tick" if topic in LOOP else ""),
     ]
     width = max(map(len, shown["properties"]), default=0)
-    lines += [
-        f"  {name:{width}}  {field['type']:8} {field['description']}" for name, field in shown["properties"].items()
-    ]
-    answer(arguments.json, figures, "\n".join(lines))
-    return 0
-
-
-class _Interrupt:
-    """Lets Ctrl-C and SIGTERM end the listening, so that the figures so far are printed and sockets are closed."""
-
-    def __init__(self) -> None:
-        self.came = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._on_signal)
-
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
-        self.came = True
+    lines += [f"  {name:{width}}  {field['type']:8} {field['description']}" for name, field in shown["properties"].items()]
+    return answer(arguments.json, figures, "\n".join(lines))
 
 
 def _heard(arguments: argparse.Namespace, run: RunInfo) -> Iterator[Heard | None]:
     """Go through the messages of the topic asked for, until count, duration, a signal or the end of the run."""
     from nodes.client.listen import listen
 
-    interrupt = _Interrupt()
+    # The figures so far are printed, and sockets closed.
+    ended: list[int] = []
     left = 1 if getattr(arguments, "once", False) else arguments.count or -1
-    for heard in listen(run, [arguments.topic], arguments.duration):
-        yield heard
-        left -= heard is not None
-        if left == 0 or interrupt.came:
-            return
+    with heeding(ended.append, (signal.SIGINT, signal.SIGTERM)):
+        for heard in listen(run, [arguments.topic], arguments.duration):
+            yield heard
+            left -= heard is not None
+            if left == 0 or ended:
+                return
 
 
 def _field(value: Any, path: str) -> Any:
@@ -179,79 +154,87 @@ def _echo(arguments: argparse.Namespace) -> int:
     return 0 if count else 1
 
 
-class _Measure:
-    """What hz, bw and delay measure: takes what is heard, tells figures and one line."""
+class Spread:
+    """Count, mean and spread of a stream of numbers without keeping them (Welford 1962); all 0 without values."""
 
     def __init__(self) -> None:
-        # Messages taken, and malformed ones.
-        self.count = self.refused = self._gaps = 0
+        self.count = 0
+        self.mean = self.low = self.high = 0.0
+        self._squares = 0.0
+
+    def add(self, value: float) -> None:
+        """Take one value."""
+        self.count += 1
+        first = self.count == 1
+        self.low, self.high = (value, value) if first else (min(self.low, value), max(self.high, value))
+        off = value - self.mean
+        self.mean += off / self.count
+        self._squares += off * (value - self.mean)
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of the values themselves (divided by their count)."""
+        return math.sqrt(self._squares / self.count) if self.count else 0.0
+
+    def figures(self) -> dict[str, float]:
+        """Tell all of them."""
+        return {"mean": self.mean, "min": self.low, "max": self.high, "std": self.deviation}
+
+
+class _Measure:
+    """What hz, bw and delay measure: takes what is heard, tells figures and one line; here hz."""
+
+    def __init__(self) -> None:
+        self.count = self.refused = self._gaps = 0  # messages taken, and malformed ones
         self._first = self._last = 0.0
         self._seq: int | None = None
+        self._spread = Spread()
 
     def take(self, heard: Heard) -> None:
+        if (value := self._value(heard)) is not None:
+            self._spread.add(value)
         if heard.message is None:
             self.refused += 1
             return
-        if not self.count:
-            self._first = heard.time
+        self._first = self._first if self.count else heard.time
         self.count += 1
         self._last = heard.time
         if self._seq is not None and heard.topic in LOOP:
             self._gaps += max(heard.message.seq - self._seq - 1, 0)
         self._seq = heard.message.seq
 
+    def _value(self, heard: Heard) -> float | None:
+        """Give what is measured of a message, where something is."""
+        return heard.time - self._last if self.count and heard.message is not None else None
+
     def figures(self) -> dict[str, Any]:
         span = self._last - self._first
         rate = (self.count - 1) / span if span > 0.0 else 0.0
-        return {"messages": self.count, "refused": self.refused, "gaps": self._gaps, "rate_hz": rate}
+        return {"messages": self.count, "refused": self.refused, "gaps": self._gaps, "rate_hz": rate, **self._own(rate)}
+
+    def _own(self, rate: float) -> dict[str, Any]:
+        del rate
+        return {"interval_s": self._spread.figures()}
 
     def line(self) -> str:
-        raise TypeError(f"{type(self).__name__} does not say what it measures")
-
-
-class _Rate(_Measure):
-    def __init__(self) -> None:
-        from nodes.cli.spread import Spread
-
-        super().__init__()
-        self._interval = Spread()
-
-    def take(self, heard: Heard) -> None:
-        before, had = self._last, self.count
-        super().take(heard)
-        if had and heard.message is not None:
-            self._interval.add(heard.time - before)
-
-    def figures(self) -> dict[str, Any]:
-        return super().figures() | {"interval_s": self._interval.figures()}
-
-    def line(self) -> str:
-        rate, spread = super().figures()["rate_hz"], self._interval
+        spread = self._spread
         return (
-            f"average rate: {rate:.3f} Hz   interval min {spread.low * 1e3:.3f}, max {spread.high * 1e3:.3f},"
-            f" std {spread.deviation * 1e3:.3f} ms   window: {self.count}, gaps: {self._gaps}"
+            f"average rate: {self.figures()['rate_hz']:.3f} Hz   interval min {spread.low * 1e3:.3f}, "
+            f"max {spread.high * 1e3:.3f}, std {spread.deviation * 1e3:.3f} ms   window: {self.count}, gaps: {self._gaps}"
         )
 
 
 class _Bandwidth(_Measure):
-    def __init__(self) -> None:
-        from nodes.cli.spread import Spread
+    def _value(self, heard: Heard) -> float:
+        return heard.size
 
-        super().__init__()
-        self._size = Spread()
-
-    def take(self, heard: Heard) -> None:
-        super().take(heard)
-        self._size.add(heard.size)
-
-    def figures(self) -> dict[str, Any]:
-        common = super().figures()
-        size = self._size
+    def _own(self, rate: float) -> dict[str, Any]:
+        size = self._spread
         shown = {"mean": size.mean, "min": size.low, "max": size.high}
-        return common | {"bandwidth_bytes_per_s": common["rate_hz"] * size.mean, "size_bytes": shown}
+        return {"bandwidth_bytes_per_s": rate * size.mean, "size_bytes": shown}
 
     def line(self) -> str:
-        bandwidth, size = self.figures()["bandwidth_bytes_per_s"], self._size
+        bandwidth, size = self.figures()["bandwidth_bytes_per_s"], self._spread
         return (
             f"{bandwidth / 1e3:.2f} kB/s from {self.count} messages"
             f"   size mean {size.mean:.0f}, min {size.low:.0f}, max {size.high:.0f} B"
@@ -260,23 +243,22 @@ class _Bandwidth(_Measure):
 
 class _Delay(_Measure):
     def __init__(self) -> None:
-        from nodes.cli.spread import Spread
         from nodes.driver.response_times import ResponseTimes
 
         super().__init__()
-        self._delay = Spread()
         self._times = ResponseTimes()
 
-    def take(self, heard: Heard) -> None:
-        super().take(heard)
-        if heard.message is not None:
-            delay = heard.time - heard.message.stamp
-            self._delay.add(delay)
-            self._times.add(max(delay, 0.0))
+    def _value(self, heard: Heard) -> float | None:
+        if heard.message is None:
+            return None
+        delay = heard.time - heard.message.stamp
+        self._times.add(max(delay, 0.0))
+        return delay
 
-    def figures(self) -> dict[str, Any]:
+    def _own(self, rate: float) -> dict[str, Any]:
+        del rate
         shares = dict(zip(("p50", "p99"), self._times.percentiles(0.5, 0.99), strict=True))
-        return super().figures() | {"delay_s": self._delay.figures() | shares}
+        return {"delay_s": self._spread.figures() | shares}
 
     def line(self) -> str:
         shown = {name: f"{value * 1e6:.0f}" for name, value in self.figures()["delay_s"].items()}
@@ -314,7 +296,7 @@ def _measure(arguments: argparse.Namespace, run: RunInfo, kind: Callable[[], _Me
 
 
 def _hz(arguments: argparse.Namespace) -> int:
-    return _measure(arguments, chosen_run(arguments), _Rate)
+    return _measure(arguments, chosen_run(arguments), _Measure)
 
 
 def _bw(arguments: argparse.Namespace) -> int:

@@ -1,20 +1,16 @@
 """See and touch a running launch in a browser, or replay a recording there: haptic view [--replay FILE]."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import json
-import signal
 import sys
 from pathlib import Path
-from types import FrameType
 
 from messages.errors import RefusedError, UsageError
-from nodes.base import realtime
 from nodes.cli.ask import chosen_chain
-from nodes.cli.main import add_run_name, answer
+from nodes.cli.main import add_run_name, answer, heeding
 from nodes.cli.page import announce
+from nodes.client.listen import listening
 from nodes.launcher.runs import RunInfo, alive
 from nodes.parameters.store import ParameterError
 
@@ -25,9 +21,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--replay", type=Path, metavar="FILE", help="a recording instead of a running launch")
     parser.add_argument("--over", type=Path, metavar="FILE", help="with --replay: another recording, drawn over it")
     parser.add_argument("--port", type=int, default=0, help="port of the page (default: a free one)")
-    parser.add_argument(
-        "--address", default="127.0.0.1", help="only 127.0.0.1; others are refused with what to do instead"
-    )
+    parser.add_argument("--address", default="127.0.0.1", help="only 127.0.0.1; others are refused with what to do instead")
     parser.add_argument(
         "--foxglove",
         type=int,
@@ -49,19 +43,11 @@ def run(arguments: argparse.Namespace) -> int:
     except ParameterError as error:
         raise UsageError(str(error)) from error
     ended: list[int] = []
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        del frame
-        ended.append(number)
-
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, on_signal)
     try:
-        if arguments.replay is not None:
-            return _replay(arguments, ended)
-        found = chosen_chain(arguments)
-        # The sockets' and workers' threads inherit it.
-        with realtime.off(found.processors):
+        with heeding(ended.append):
+            if arguments.replay is not None:
+                return _replay(arguments, ended)
+            found = chosen_chain(arguments)
             return _beside(found, arguments, ended)
     except ParameterError as error:
         raise UsageError(str(error)) from error
@@ -70,16 +56,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _beside(found: RunInfo, arguments: argparse.Namespace, ended: list[int]) -> int:
-    from messages.transport.context import new_context
-    from messages.transport.links import Links, say_link
-    from messages.transport.sockets import Subscription
     from nodes.recording.logger import QUEUE
     from nodes.view.run_pages import RunPages
 
-    context = new_context()
-    links = Links(context, say_link, say_link)
-    inbox = Subscription(context, set(found.publishers().values()), [""], QUEUE, links)
-    try:
+    # Its workers' threads are off the loop's processors, too.
+    with listening(found, set(found.publishers().values()), [""], QUEUE) as (inbox, links):
         pages = RunPages(found, inbox)
 
         async def serve() -> None:
@@ -92,12 +73,7 @@ def _beside(found: RunInfo, arguments: argparse.Namespace, ended: list[int]) -> 
             await pages.run(lambda: bool(ended or pages.live.ended or not alive(found.launcher)), links.keep)
 
         asyncio.run(serve())
-    finally:
-        links.close()
-        inbox.close()
-        context.term()
-    answer(arguments.json, {"run": found.run, "ended": pages.live.ended}, f"{found.run}: {pages.live.ended}")
-    return 0
+    return answer(arguments.json, {"run": found.run, "ended": pages.live.ended}, f"{found.run}: {pages.live.ended}")
 
 
 def _replay(arguments: argparse.Namespace, ended: list[int]) -> int:

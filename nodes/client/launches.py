@@ -3,8 +3,6 @@
 The command line, the studies and Python programs all come through here.
 """
 
-from __future__ import annotations
-
 import difflib
 import os
 import time
@@ -16,11 +14,8 @@ from messages.transport.context import new_context
 from messages.transport.requests import Connection, ControlError
 from nodes.launcher.runs import RunError, RunInfo, alive, find_run, runs
 
-TIMEOUT = 10.0
-"""Longest wait for an answer [s]: judging a law of thousands of taps takes seconds."""
-
-PATIENCE = 2.0
-"""How long a launch that was started a moment ago may take to appear [s]."""
+TIMEOUT = 10.0  # longest wait for an answer [s]: judging a law of thousands of taps takes seconds
+PATIENCE = 2.0  # how long a launch that was started a moment ago may take to appear [s]
 
 _PUBLISHES = {"driver": topics.DEVICE_STATE, "environment": topics.PROXY, "coupling": topics.FORCE}
 
@@ -30,12 +25,10 @@ class NoSuchNameError(UsageError):
 
 
 def find(name: str | None = None, patience: float = PATIENCE) -> RunInfo:
-    """Find the launch that is meant.
+    """Find the launch that is meant: by its run or scenario, else by the variable HAPTIC_RUN, else the only one that runs.
 
-    `name`: name of the run or of its scenario; left out, the variable HAPTIC_RUN, else the only launch that runs.
     ``NAME/left`` or ``/left`` means its chain in the namespace ``left`` alone. `patience`: how long to wait while nothing runs
-    [s]: a launch that was started a moment ago has not appeared yet. Returns: its nodes and where they listen. Raises RunError
-    when none is meant, or several are.
+    [s]: a launch that was started a moment ago has not appeared yet.
     """
     wanted = os.environ.get("HAPTIC_RUN") or None
     until = time.monotonic() + patience
@@ -51,10 +44,7 @@ def find(name: str | None = None, patience: float = PATIENCE) -> RunInfo:
 
 
 def node_name(run: RunInfo, name: str) -> str:
-    """Find a node by name, with or without the leading slash.
-
-    Raises NoSuchNameError when there is none; the text has the nearest name.
-    """
+    """Find a node by name, with or without the leading slash; the error has the nearest name."""
     plain = name.removeprefix("/")
     if plain in run.nodes:
         return plain
@@ -70,10 +60,7 @@ def node_name(run: RunInfo, name: str) -> str:
 
 
 def known_topic(run: RunInfo, topic: str) -> str:
-    """Check that a topic is published in a run; names are whole names.
-
-    Raises NoSuchNameError when nobody publishes it; the text has the nearest name.
-    """
+    """Check that a topic, by its whole name, is published in a run; the error has the nearest name."""
     known = list(run.endpoints())
     if topic not in known:
         raise NoSuchNameError(f"{run.run}: no topic {topic!r}; {_hint(topic, known, 'there are')}")
@@ -86,11 +73,7 @@ def _hint(name: str, known: list[str], otherwise: str) -> str:
 
 
 def roles(run: RunInfo) -> dict[str, str]:
-    """Tell which node has which part in the loop, by what it publishes: its name may be any.
-
-    Returns: ``driver``, ``environment`` and ``coupling`` to the node's name; without those that the launch lacks. Raises
-    RunError when the launch has several chains.
-    """
+    """Tell which node is ``driver``, ``environment`` and ``coupling`` of a launch's only chain, by what it publishes."""
     from nodes.base.node_kinds import load
 
     run.only_chain()
@@ -99,12 +82,7 @@ def roles(run: RunInfo) -> dict[str, str]:
 
 
 def ask(run: RunInfo, node: str, op: str, timeout: float = TIMEOUT, **args: Any) -> Any:
-    """Ask one node.
-
-    `op`: what is asked, e.g. ``status`` or ``param.get`` (messages/PROTOCOL.md). Returns: the answer, in plain lists, dicts,
-    strings and numbers. Raises ControlError when the node refuses, does not answer, or cannot be asked that; the text says
-    why.
-    """
+    """Ask one node to do `op` (messages/PROTOCOL.md); ControlError says why it refuses, does not answer, or cannot be asked."""
 
     def watch() -> None:
         if not alive(run.launcher, run.launcher_started):

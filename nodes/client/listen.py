@@ -1,9 +1,8 @@
 """Listen to topics of a running launch from beside it, as any number of listeners may without the loop noticing."""
 
-from __future__ import annotations
-
+import contextlib
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from typing import NamedTuple
 
 from messages.codec import Decoder, MessageRefusedError
@@ -15,11 +14,8 @@ from messages.types import Message
 from nodes.base import realtime
 from nodes.launcher.runs import RunInfo
 
-QUIET_MS = 100
-"""How often a listener that hears nothing looks up [ms]."""
-
-QUEUE = 100_000
-"""Messages that wait while the listener is busy."""
+QUIET_MS = 100  # how often a listener that hears nothing looks up [ms]
+QUEUE = 100_000  # messages that wait while the listener is busy
 
 
 class Heard(NamedTuple):
@@ -31,21 +27,30 @@ class Heard(NamedTuple):
     time: float  # when it was received, on the host's monotonic clock [s]
 
 
+@contextlib.contextmanager
+def listening(
+    run: RunInfo, endpoints: Iterable[str], topics: Iterable[str], queue: int = QUEUE, say: Callable[[str], None] = say_link
+) -> Iterator[tuple[Subscription, Links]]:
+    """Subscribe off the processors of a run; `say` takes what became of a link."""
+    # The socket's threads, and others that are started in the block, inherit it.
+    with realtime.off(run.processors):
+        context = new_context()
+        links = Links(context, say, say)
+        inbox = Subscription(context, endpoints, topics, queue, links)
+        try:
+            yield inbox, links
+        finally:
+            links.close()
+            inbox.close()
+            context.term()
+
+
 def listen(run: RunInfo, topics: Collection[str], duration: float = 0.0) -> Iterator[Heard | None]:
     """Receive messages until the run ends or the time is over."""
-    # The socket's threads inherit it.
-    with realtime.off(run.processors):
-        yield from _listen(run, topics, duration)
-
-
-def _listen(run: RunInfo, topics: Collection[str], duration: float) -> Iterator[Heard | None]:
     endpoints = run.endpoints()
     names = {within(run.namespace, topic).encode(): topic for topic in topics}
     decoders = {topic: Decoder(kind) for topic in topics if (kind := message_type(topic)) is not None}
-    context = new_context()
-    links = Links(context, say_link, say_link)
-    inbox = Subscription(context, {endpoints[topic] for topic in topics}, map(bytes.decode, names), QUEUE, links)
-    try:
+    with listening(run, {endpoints[topic] for topic in topics}, map(bytes.decode, names)) as (inbox, links):
         until = time.monotonic() + duration if duration else float("inf")
         while True:
             frames = inbox.receive(QUIET_MS)
@@ -58,8 +63,7 @@ def _listen(run: RunInfo, topics: Collection[str], duration: float) -> Iterator[
                     return
                 yield None
                 continue
-            # A subscription is a prefix: what merely begins like a topic is not meant.
-            topic = names.get(frames[0])
+            topic = names.get(frames[0])  # A subscription is a prefix: what merely begins like a topic is not meant
             if topic is None:
                 continue
             message: Message | None
@@ -68,7 +72,3 @@ def _listen(run: RunInfo, topics: Collection[str], duration: float) -> Iterator[
             except MessageRefusedError:
                 message = None
             yield Heard(topic, message, len(frames[0]) + len(frames[1]), now)
-    finally:
-        links.close()
-        inbox.close()
-        context.term()

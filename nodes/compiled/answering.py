@@ -12,13 +12,12 @@ import sys
 import threading
 from array import array
 from collections.abc import Callable
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, TypeVar
 
 import msgspec
 
 from messages.codec import MAX_PAYLOAD
 from messages.topics import LOOP
-from messages.transport.sockets import Publisher, Subscription
 from nodes.compiled.layout import LONGEST_IN, LONGEST_MAIL, LONGEST_OUT, LONGEST_TEXT, LONGEST_TOPIC, NEVER
 from nodes.compiled.library import Kernel, functions
 from nodes.compiled.message_fields import key_blocks
@@ -28,30 +27,13 @@ M = TypeVar("M")
 LOCKSTEP_TICKS: Final = 256
 """After how many ticks a kernel stops in lockstep. In real time each stop costs a tick or two at 8 kHz: it does not."""
 
-WAIT_MS: Final = 100
-"""Longest wait for a message before it looks [ms]."""
-
-
-class AnsweringNode(Protocol):
-    """What compiled ticks need of their node."""
-
-    setup: Any
-    inbox: Subscription | None
-    publisher: Publisher
-    clock: Any
-    events: Any
-    counters: Any
-    answer: bytes
-    ticks_compiled: int
+WAIT_MS: Final = 100  # longest wait for a message before it looks [ms]
 
 
 class CompiledTicks:
-    """The compiled ticks of one node.
+    """The compiled ticks of one node, which listens to one topic inside the chain and answers on another."""
 
-    `expected`, `topic`: what it listens to, and what it answers on: topics inside the chain.
-    """
-
-    def __init__(self, node: AnsweringNode, kernel: Kernel, expected: str, topic: str) -> None:
+    def __init__(self, node: Any, kernel: Kernel, expected: str, topic: str) -> None:
         assert node.inbox is not None  # noqa: S101  # every kind that answers has one
         self._node, self._kernel, self._inbox = node, kernel, node.inbox
         self.state = state = node.counters  # the node's state, in which the kernel ticks
@@ -70,17 +52,13 @@ class CompiledTicks:
         expected, topic = node.setup.topic(expected), node.setup.topic(topic)
         self._expected = expected.encode()
         self._frame = self._room("frame", LONGEST_TOPIC)
-        self._room("payload", LONGEST_IN)
-        self._room("spare", LONGEST_IN)
         self._text = self._room("text", LONGEST_TEXT + 16)
-        self._room("time", 16)
-        self._room("events", 8)
         self._room("events_size", 8).raw = (4).to_bytes(8, sys.byteorder)
         self._mail = self._room("mail_topic", LONGEST_TOPIC), self._room("mail_payload", LONGEST_MAIL)
         # An encoder may write 16 bytes beyond its message.
-        self._room("out", LONGEST_OUT + 16)
-        self._room("held", state.batch * LONGEST_OUT + 16)
-        self._room("held_sizes", 8 * state.batch)
+        sizes = {"payload": LONGEST_IN, "spare": LONGEST_IN, "time": 16, "events": 8, "held_sizes": 8 * state.batch}
+        for name, size in {**sizes, "out": LONGEST_OUT + 16, "held": state.batch * LONGEST_OUT + 16}.items():
+            self._room(name, size)
         for name, content in (("expected", expected), ("topic", topic)):
             self._room(name, len(content) + 1).value = content.encode()
             setattr(state, f"{name}_size", len(content.encode()))
@@ -130,8 +108,7 @@ class CompiledTicks:
             for room, content in zip(self._mail, (topic, payload), strict=True):
                 ctypes.memmove(room, content, len(content))
             state.mail_topic_size, state.mail_size = len(topic), len(payload)
-            # Last: the kernel looks at this.
-            state.mail = 1
+            state.mail = 1  # last: the kernel looks at this
         finally:
             self._mailing.release()
         return True
@@ -196,7 +173,6 @@ class CompiledTicks:
         state = self.state
         frames = [self._frame.raw[: state.frame_size]]
         if state.frames == 2:
-            # A payload too long for the buffer is refused for its length alone.
-            size = state.payload_size
+            size = state.payload_size  # A payload too long for the buffer is refused for its length alone
             frames.append(ctypes.string_at(state.payload, size) if size <= MAX_PAYLOAD else bytes(size))
         return frames

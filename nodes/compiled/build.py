@@ -10,12 +10,14 @@ own, which compiles one kernel after the other, with ``--idle`` only what is mis
 from __future__ import annotations
 
 import contextlib
+import gc
 import importlib
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -27,9 +29,10 @@ ENTRY: Final = "haptic_tick"
 """Name of a kernel in its file."""
 
 TIMEOUT: Final = 300.0
-"""How long compiling may take [s]; some ten seconds are usual."""
+"""How long compiling may take [s]; about ten seconds are usual."""
 
 _LINKERS: Final = ("cc", "gcc", "clang")
+_FAILED: Final = "Failed in nopython mode pipeline"
 
 
 def find(module: str) -> cache.CacheEntry | None:
@@ -107,6 +110,8 @@ def _object_file(module: str) -> bytes:
     import numba
 
     loaded: Any = importlib.import_module(module)
+    # What the compiler makes lives until this process ends: looking for garbage in it takes a twelfth of the time.
+    gc.disable()
     # Of numba's options a type checker knows only the common ones.
     compile_: Any = numba.njit
     called = getattr(loaded, "ENTRIES", None)
@@ -133,18 +138,12 @@ def _object_file(module: str) -> bytes:
         else:
             unit.get_function(made_name).linkage = "internal"
     target = llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine(
-        cpu=llvm.get_host_cpu_name(),
-        features=llvm.get_host_cpu_features().flatten(),
-        opt=3,
-        reloc="pic",
-        codemodel="default",
+        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=3, reloc="pic", codemodel="default"
     )
     # Helpers of numba's that the kernel does not use would refer to numba's library.
     llvm.initialize_native_asmprinter()
     options = llvm.create_pipeline_tuning_options(speed_level=3)
-    llvm.create_pass_builder(target, options).getModulePassManager().run(
-        unit, llvm.create_pass_builder(target, options)
-    )
+    llvm.create_pass_builder(target, options).getModulePassManager().run(unit, llvm.create_pass_builder(target, options))
     made: bytes = target.emit_object(unit)
     return made
 
@@ -162,6 +161,19 @@ def _linked(made: bytes) -> cache.CacheEntry:
     return cache.CacheEntry(kind="o", content=made)
 
 
+def _cause(error: Exception) -> str:
+    """Say in a line why a kernel could not be compiled, and where: numba reports it innermost, below all that called it."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
+    failed = [n for n, line in enumerate(lines[:-1]) if _FAILED in line]
+    if not failed:
+        return lines[-1]
+    cause = lines[failed[-1] + 1]
+    where = next((line.removeprefix("File ").rstrip(":") for line in lines[failed[-1] :] if line.startswith("File ")), "")
+    if cause.startswith("Untyped global name"):
+        cause += "; a function that a tick calls must be named in its kernel"
+    return f"{cause} ({where})" if where else cause
+
+
 def _compile(module: str, keep_failure: bool) -> None:
     # Before compiling: what is changed meanwhile was not compiled.
     sources = {**cache.sources_of(module), **cache.sources_of("nodes.compiled.build")}
@@ -169,10 +181,9 @@ def _compile(module: str, keep_failure: bool) -> None:
         entry = _linked(_object_file(module))
     except Exception as error:
         if not keep_failure:
-            raise
+            raise NotCompilableError(_cause(error)) from error
         # It would fail at each launch.
-        lines = str(error).strip().splitlines() or [type(error).__name__]
-        entry = cache.CacheEntry(kind="failed", content=f"{module}: {lines[-1]}".encode())
+        entry = cache.CacheEntry(kind="failed", content=f"{module}: {_cause(error)}".encode())
     cache.write(f"{module}.tick", entry, sources)
 
 
@@ -201,6 +212,10 @@ def _main(words: Sequence[str]) -> None:
                 found = find(module)
                 if found is None or reason(found):
                     _compile(module, keep_failure=False)
+    except NotCompilableError as error:
+        # All that the compiler says, and last what came of it.
+        traceback.print_exc()
+        sys.exit(str(error))
     except cache.CacheRefusedError as error:
         sys.exit(f"not kept: {error}")
 

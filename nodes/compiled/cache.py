@@ -60,12 +60,8 @@ class _About(msgspec.Struct, frozen=True, kw_only=True):
 class CacheEntry(msgspec.Struct, frozen=True, kw_only=True):
     """Compiled code as it was found.
 
-    Attributes
-    ----------
-    kind : str
-        What `content` is: ``so``, ``o``, ``numba``; or ``failed``, and why.
-    content : bytes
-        The code.
+    kind: What `content` is: ``so``, ``o``, ``numba``; or ``failed``, and why.
+    content: The code.
     """
 
     kind: str

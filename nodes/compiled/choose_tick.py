@@ -10,20 +10,19 @@ from nodes.compiled.build import build, build_in_background, find, reason
 from nodes.compiled.cache import CacheRefusedError
 from nodes.compiled.message_fields import NotCompilableError
 
-Wanted: TypeAlias = Literal["auto", "compiled", "plain"]
+WantedTick: TypeAlias = Literal["auto", "compiled", "plain"]
 
 
-SCARCE: Final = 1000.0
-"""From this rate on a tick by the interpreter fills a good part of the period [Hz]."""
+SCARCE: Final = 1000.0  # from this rate on a tick by the interpreter fills a good part of the period [Hz]
 
 
 def choose(
-    wanted: Wanted, modules: Collection[str], say: Callable[[str], None], scarce: bool = True
+    wanted: WantedTick, modules: Collection[str], say: Callable[[str], None], scarce: bool = True
 ) -> Literal["compiled", "plain"]:
     """Settle which tick the nodes of a launch take.
 
-    ``auto`` takes the compiled one wherever it is there already. It does not make a launch wait for the compiler; where time is
-    scarce it says what would. What was missing is compiled after the launch: `compile_later`.
+    ``auto`` takes the compiled one where it is there already, and makes no launch wait for the compiler; where time is scarce
+    it says what would. What was missing is compiled after the launch: `compile_later`.
     """
     if wanted == "plain" or not modules:
         return "plain"
@@ -41,7 +40,7 @@ def choose(
             say("the plain tick runs, for the compiled one is not there yet; --tick compiled has it compiled, once")
         return "plain" if failed or missing else "compiled"
     if missing:
-        say(f"compiling the tick, once for this version: {len(missing)} kernels, some ten seconds")
+        say(f"compiling the tick, once for this version: about ten seconds ({len(missing)} to do)")
         try:
             build(missing)
         except NotCompilableError as error:
@@ -57,8 +56,7 @@ def compile_later(modules: Collection[str], say: Callable[[str], None]) -> None:
     try:
         missing = sorted(module for module in modules if find(module) is None)
     except CacheRefusedError:
-        # The launch has said so.
-        return
+        return  # the launch has said so
     if missing:
         build_in_background(missing)
         say("the plain tick ran; the compiled one is being made in the background, for the next launch")

@@ -13,14 +13,8 @@ import msgspec.inspect as inspect
 from messages.errors import HapticError
 from messages.types import Message
 
-REAL: Final = 0
-VECTOR: Final = 1
-WHOLE: Final = 2
-FLAG: Final = 3
-TEXT: Final = 4
-
-LONGEST_NAME: Final = 15
-"""Longest name of a field [bytes]: with its header one copy of 16 bytes."""
+REAL, VECTOR, WHOLE, FLAG, TEXT = range(5)
+LONGEST_NAME: Final = 15  # longest name of a field [bytes]: with its header one copy of 16 bytes
 
 
 class NotCompilableError(HapticError):
@@ -33,8 +27,7 @@ class Field(NamedTuple):
     name: str  # its key on the wire
     kind: int  # `REAL`, `VECTOR`, `WHOLE`, `FLAG` or `TEXT`
     slot: int  # where its value stands: among the reals (a vector takes three), the wholes (flags too) or the texts
-    # Bounds of a whole number; `high` is the longest length of a text [characters].
-    low: int
+    low: int  # bounds of a whole number; `high` is the longest length of a text [characters]
     high: int
     # Value when it is absent; None when it must be there. Texts are checked only, so theirs is 0.
     default: float | None
@@ -51,9 +44,7 @@ def fields_of(message: type[Message]) -> tuple[Field, ...]:
         low = high = room = 0
         if isinstance(kind_of, inspect.FloatType):
             kind, bank, room = REAL, 0, 1
-        elif isinstance(kind_of, inspect.TupleType) and all(
-            isinstance(t, inspect.FloatType) for t in kind_of.item_types
-        ):
+        elif isinstance(kind_of, inspect.TupleType) and all(isinstance(t, inspect.FloatType) for t in kind_of.item_types):
             kind, bank, room = VECTOR, 0, len(kind_of.item_types)
         elif isinstance(kind_of, inspect.IntType) and kind_of.ge is not None and kind_of.le is not None:
             kind, bank, room, low, high = WHOLE, 1, 1, kind_of.ge, kind_of.le
@@ -79,9 +70,10 @@ def fields_of(message: type[Message]) -> tuple[Field, ...]:
     return tuple(fields)
 
 
-def slot(fields: tuple[Field, ...], name: str) -> int:
-    """Find where a field's value stands."""
-    return next(field.slot for field in fields if field.name == name)
+def slots(fields: tuple[Field, ...], *names: str) -> list[int]:
+    """Find where fields' values stand."""
+    known = {field.name: field.slot for field in fields}
+    return [known[name] for name in names]
 
 
 def key_blocks(message: type[Message]) -> bytes:

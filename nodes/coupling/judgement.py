@@ -19,11 +19,8 @@ from nodes.parameters.store import ParameterError
 if TYPE_CHECKING:
     from nodes.stability.judge import Verdict
 
-_SOFTEST = 1e-12
-"""A stiffness is looked for from this part of what was asked."""
-
-_DIGITS = 3
-"""Significant digits of a value that would be taken: the measured delay moves the fourth."""
+_SOFTEST = 1e-12  # a stiffness is looked for from this part of what was asked
+_DIGITS = 3  # significant digits of a value that would be taken: the measured delay moves the fourth
 
 
 def refuses_start(policy: str, because: str) -> bool:
@@ -35,9 +32,7 @@ class Judgement:
     """Judges the laws of one coupling."""
 
     def __init__(self, node: str, period: float, book: LawBook) -> None:
-        self._node = node
-        self._period = period
-        self._book = book
+        self._node, self._period, self._book = node, period, book
 
     def verdict(self, parameters: CouplingParameters, law: CompiledLaw, measured_delay: float) -> Verdict | None:
         """Judge a compiled law on the declared device, where its mass makes the loop worst."""
@@ -46,7 +41,7 @@ class Judgement:
         from nodes.stability.judge import judge
 
         found = [judge(law, plant) for plant in parameters.plant.over_workspace(self._period, measured_delay)]
-        return max((one for one in found if one is not None), key=lambda one: one.pole_radius, default=None)
+        return max(filter(None, found), key=lambda one: one.pole_radius, default=None)
 
     def why_not(self, parameters: CouplingParameters) -> str:
         """Say why there is no verdict."""
@@ -55,10 +50,7 @@ class Judgement:
         return f"{self._node}.stability is off" if parameters.stability == "off" else "the law has code of its own"
 
     def at_start(self, parameters: CouplingParameters, delay: float, because: str = "") -> list[str]:
-        """Judge the law of tick 0, those that are scheduled, and the fallback.
-
-        `because`: why a start is only warned of where changes are refused.
-        """
+        """Judge the law of tick 0, those that are scheduled, and the fallback; `because`: as of `refuses_start`."""
         if parameters.stability == "refuse" and parameters.plant is None:
             raise ParameterError(
                 f"{self._node}.stability: refuse needs {self._node}.plant, the device that a law is judged with; "
@@ -68,9 +60,7 @@ class Judgement:
         for name in dict.fromkeys([parameters.law, *(swap.law for swap in parameters.schedule)]):
             verdict = self.verdict(parameters, self._book.compile(parameters, name), delay)
             if verdict is not None and not verdict.stable:
-                warnings.append(
-                    f"{self._complaint(f'laws.{name}', verdict)}; {self._remedy(None, parameters, name, verdict)}"
-                )
+                warnings.append(f"{self._complaint(f'laws.{name}', verdict)}; {self._remedy(None, parameters, name, verdict)}")
         warnings += self._of_fallback(parameters, delay)
         policy = parameters.stability
         if warnings and refuses_start(policy, because):
@@ -87,13 +77,7 @@ class Judgement:
         return [f"{self._complaint('fallback', verdict)}; lower {self._node}.fallback.damping"]
 
     def of_change(
-        self,
-        now: CouplingParameters | None,
-        wanted: CouplingParameters,
-        name: str,
-        law: CompiledLaw,
-        delay: float,
-        force: bool,
+        self, now: CouplingParameters | None, wanted: CouplingParameters, name: str, law: CompiledLaw, delay: float, force: bool
     ) -> tuple[Verdict | None, str]:
         """Judge a law that would render after a change."""
         verdict = self.verdict(wanted, law, delay)
@@ -136,21 +120,15 @@ class Judgement:
             part = f"all taps of {where} times {_rounded(share, 0.0):g}" if share else f"no part of {where}"
             return f"{part} would be taken"
 
-        def at(share: float) -> dict[str, Any]:
-            def change(path: str, end: float) -> float:
-                return between(start[path], end, share) if path in start else end
-
-            blended: dict[str, Any] = _mapped(asked, change)
-            return blended
+        def at(share: float) -> Any:
+            return _mapped(asked, lambda path, end: between(start[path], end, share) if path in start else end)
 
         share = furthest_stable(lambda part: self._compiled(at(part)), verdict.plant)
         if share is None:
             return f"no value of {where}.{' or '.join(start)} would be taken on the way there, the rest as asked"
         reached, ends = _numbers(at(share)), _numbers(asked)
         if len(start) > 1:
-            return f"together, {where} would be taken up to " + ", ".join(
-                f"{path} {reached[path]:.4g}" for path in start
-            )
+            return f"together, {where} would be taken up to " + ", ".join(f"{path} {reached[path]:.4g}" for path in start)
         ((path, begin),) = start.items()
         value = _rounded(reached[path], begin)
         rounded = self._compiled(_mapped(asked, lambda at, end: value if at == path else end))
@@ -173,17 +151,14 @@ class Judgement:
         return compile_law(parse_law(description), self._period)
 
 
-def _numbers(tree: Any, path: str = "") -> dict[str, float]:
+def _numbers(tree: Any) -> dict[str, float]:
     """All floats of a law's description by their path."""
-    if isinstance(tree, float):
-        return {path: tree}
     found: dict[str, float] = {}
-    if isinstance(tree, dict):
-        for key, inner in tree.items():
-            found |= _numbers(inner, f"{path}.{key}" if path else key)
-    elif isinstance(tree, list):
-        for i, inner in enumerate(tree):
-            found |= _numbers(inner, f"{path}[{i}]")
+
+    def note(path: str, value: float) -> float:
+        return found.setdefault(path, value)
+
+    _mapped(tree, note)
     return found
 
 

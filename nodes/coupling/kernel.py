@@ -12,7 +12,7 @@ from nodes.compiled.kernels.hop import answer, called, flush, monotonic, out_at,
 from nodes.compiled.kernels.machine import compilable, reals_at, record_at
 from nodes.compiled.kernels.scan import make_scan
 from nodes.compiled.kernels.sources import kernel, record_of
-from nodes.compiled.message_fields import fields_of, slot
+from nodes.compiled.message_fields import fields_of, slots
 from nodes.coupling.render import LawPort, evaluate, make_render
 from nodes.coupling.state import SLOTS, CouplingState
 
@@ -22,12 +22,10 @@ _look = record_at(record_of(CouplingState))
 _scan = make_scan(Proxy)
 _encode = make_encode(Force)
 _IN, _OUT = fields_of(Proxy), fields_of(Force)
-_SEQ, _CONTACT = (slot(_IN, name) for name in ("seq", "contact"))
-_STAMP, _POSITION, _PROXY, _NORMAL, _DISTANCE, _DELAY = (
-    slot(_IN, name) for name in ("stamp", "position", "proxy", "normal", "distance", "delay")
+_SEQ, _CONTACT, _STAMP, _POSITION, _PROXY, _NORMAL, _DISTANCE, _DELAY = slots(
+    _IN, "seq", "contact", "stamp", "position", "proxy", "normal", "distance", "delay"
 )
-_TO_SEQ, _TO_REVISION = (slot(_OUT, name) for name in ("seq", "revision"))
-_TO_STAMP, _TO_FORCE = (slot(_OUT, name) for name in ("stamp", "force"))
+_TO_SEQ, _TO_REVISION, _TO_STAMP, _TO_FORCE = slots(_OUT, "seq", "revision", "stamp", "force")
 _SLOTS = SLOTS
 
 
@@ -40,13 +38,8 @@ def _ring(s: Any, n: int) -> Any:
 def _force_of(s: Any, n: int, m: int, history: Any, head: int) -> float:
     at = _SLOTS * n + m
     count = s.sections_count[at]
-    return evaluate(
-        reals_at(s.taps[at], s.taps_count[at]),
-        reals_at(s.sections[at], 4 * count),
-        reals_at(s.sections_state[at], 2 * count),
-        history,
-        head,
-    )
+    taps, recursive = reals_at(s.taps[at], s.taps_count[at]), reals_at(s.sections[at], 4 * count)
+    return evaluate(taps, recursive, reals_at(s.sections_state[at], 2 * count), history, head)
 
 
 @compilable
@@ -54,12 +47,8 @@ def _see(s: Any, n: int, m: int, history: Any, head: int) -> None:
     at = _SLOTS * n + m
     count = s.sections_count[at]
     if count > 0:
-        sections(
-            reals_at(s.sections[at], 4 * count),
-            reals_at(s.sections_state[at], 2 * count),
-            history[head],
-            history[head + 1],
-        )
+        state = reals_at(s.sections_state[at], 2 * count)
+        sections(reals_at(s.sections[at], 4 * count), state, history[head], history[head + 1])
 
 
 _render, _bridge = make_render(LawPort(_ring, _force_of, _see), compilable)
@@ -105,11 +94,7 @@ def ticks(address: int) -> int:
     """Answer proxies with forces until something is unusual."""
     s = _look(address)
     done = 0
-    position, proxy, normal = (
-        s.reals[_POSITION : _POSITION + 3],
-        s.reals[_PROXY : _PROXY + 3],
-        s.reals[_NORMAL : _NORMAL + 3],
-    )
+    position, proxy, normal = (s.reals[_POSITION : _POSITION + 3], s.reals[_PROXY : _PROXY + 3], s.reals[_NORMAL : _NORMAL + 3])
     force = s.out_reals[_TO_FORCE : _TO_FORCE + 3]
     while done < s.most:
         if not receive(s, 0) or not _scan(s.payload, s.payload + s.payload_size, s.reals, s.wholes):
@@ -123,14 +108,12 @@ def ticks(address: int) -> int:
         if seq > s.seq + 1:
             missing = seq - s.seq - 1
             _bridge(s, position, proxy, normal, distance, contact, missing)
-            # Whoever takes the tick over from here must not do it again.
-            count_gap(s, missing)
+            count_gap(s, missing)  # whoever takes the tick over from here must not do it again
             s.seq += missing
             s.answered = s.seq
         _note(s, True)
         if not _render(s, position, proxy, normal, distance, contact, force, s.pushes[s.axes - 1] + 1):
-            # The plain tick does it, and falls back.
-            _note(s, False)
+            _note(s, False)  # the plain tick does it, and falls back
             break
         s.frames = 0
         s.seq = s.answered = seq
@@ -138,8 +121,7 @@ def ticks(address: int) -> int:
         s.out_wholes[_TO_SEQ] = seq
         s.out_wholes[_TO_REVISION] = s.revision
         s.out_reals[_TO_STAMP] = monotonic(s) + s.clock_offset if s.realtime != 0 else s.reals[_STAMP]
-        # Before it is sent: whoever has the answer and asks for the count finds it there.
-        s.ticks += 1
+        s.ticks += 1  # before it is sent: whoever has the answer and asks for the count finds it there
         at = out_at(s)
         answer(s, at, _encode(at, s.out_keys, s.out_reals, s.out_wholes, s.text, s.text_size) - at)
         done += 1

@@ -11,19 +11,15 @@ from nodes.laws.presets import PRESETS, expand, preset_names
 from nodes.parameters.refusals import choices
 from nodes.parameters.store import ParameterError, describe
 
-FIXED = ("memory", "schedule")
-"""Parameters that cannot change while the node runs."""
-
-MAX_TEXT = 4000
-"""Longest description of a law in a receipt [characters]."""
+FIXED = ("memory", "schedule")  # parameters that cannot change while the node runs
+MAX_TEXT = 4000  # longest description of a law in a receipt [characters]
 
 
 class LawBook:
     """Looks laws up by name."""
 
     def __init__(self, node: str, period: float) -> None:
-        self._node = node
-        self._period = period
+        self._node, self._period = node, period
 
     def names(self, parameters: CouplingParameters) -> list[str]:
         """List what can be switched to."""
@@ -36,13 +32,9 @@ class LawBook:
 
     def text(self, parameters: CouplingParameters, name: str) -> str:
         """Describe a law in one line, for receipts."""
-        described = {"law": name, **self.description(parameters, name)}
-        text = describe(described)
-        if len(text) > MAX_TEXT:
-            short = {
-                key: f"{len(value)} values" if isinstance(value, list) else value for key, value in described.items()
-            }
-            text = describe(short)
+        whole = {"law": name, **self.description(parameters, name)}
+        if len(text := describe(whole)) > MAX_TEXT:
+            text = describe({key: f"{len(value)} values" if isinstance(value, list) else value for key, value in whole.items()})
         return text[:MAX_TEXT]
 
     def _find(self, parameters: CouplingParameters, name: str) -> Any:
@@ -73,20 +65,14 @@ class LawBook:
             )
         return compiled
 
-    def figures(self, parameters: CouplingParameters, name: str, measured_delay: float) -> dict[str, Any]:
-        """Tell what a law really renders."""
-        return self.figures_of(parameters, self.compile(parameters, name), measured_delay)
-
-    def figures_of(
-        self, parameters: CouplingParameters, compiled: CompiledLaw, measured_delay: float
-    ) -> dict[str, Any]:
-        """Tell what a compiled law really renders."""
-        plant = parameters.plant
-        if plant is None:
+    def figures(self, parameters: CouplingParameters, law: CompiledLaw | str, measured_delay: float) -> dict[str, Any]:
+        """Tell what a law, compiled or by its name, really renders."""
+        compiled = self.compile(parameters, law) if isinstance(law, str) else law
+        if parameters.plant is None:
             from nodes.stability.closed_loop import law_figures
 
             return law_figures(compiled, self._period)
-        return worst_figures(compiled, plant, self._period, measured_delay)
+        return worst_figures(compiled, parameters.plant, self._period, measured_delay)
 
     def unfit(self, parameters: CouplingParameters) -> list[str]:
         """List the laws that cannot be rendered as they are: nothing to refuse until one is switched to."""

@@ -21,36 +21,27 @@ UNROLLED_TAPS = 30
 """Up to so many taps a written-out sum is fastest, beyond it numpy's multiply and running sum: ``haptic bench taps``."""
 
 
-class History:
-    """The newest deflections of one axis, each written twice so that they are contiguous (see arithmetic.push).
+def _in_state(name: str) -> Any:
+    """Let a number of a history stand in the coupling's state, by its axis."""
 
-    `state`: where its head stands; a state of its own when left out. `n`: number of its axis among those of the scene.
-    """
+    def store(history: History, value: int) -> None:
+        getattr(history._state, name)[history._n] = value
+
+    return property(lambda history: int(getattr(history._state, name)[history._n]), store)
+
+
+class History:
+    """The newest deflections of the n-th axis, each written twice so that they are contiguous (see arithmetic.push)."""
 
     def __init__(self, length: int, state: Any = None, n: int = 0) -> None:
         state = state_of(CouplingState) if state is None else state
-        self._heads, self._counts, self._n = state.head, state.pushes, n
+        self._state, self._n = state, n
         self.length = self.known = length  # how many of the newest values can be relied on: all, but for a snapshot
         self.values = array("d", [0.0]) * (2 * length)  # the ring [m], shape (2 * length,)
         state.history[n] = self.values.buffer_info()[0]
 
-    @property
-    def head(self) -> int:
-        """Index of the newest value."""
-        return int(self._heads[self._n])
-
-    @head.setter
-    def head(self, value: int) -> None:
-        self._heads[self._n] = value
-
-    @property
-    def pushes(self) -> int:
-        """Values pushed so far."""
-        return int(self._counts[self._n])
-
-    @pushes.setter
-    def pushes(self, value: int) -> None:
-        self._counts[self._n] = value
+    head = _in_state("head")  # index of the newest value
+    pushes = _in_state("pushes")  # values pushed so far
 
     def push(self, value: float) -> None:
         """Put the newest deflection in front."""
@@ -112,17 +103,13 @@ def sum_of_taps(taps: tuple[float, ...], history: History) -> Callable[[int], fl
 
 
 class LawOnAxis:
-    """A compiled law over one history.
-
-    `axis`: which of the axes that the scene computes, from 0. Raises ValueError when the law is longer than the history.
-    """
+    """A compiled law over one history, on one of the axes that the scene computes; ValueError when it is longer than that."""
 
     def __init__(self, law: CompiledLaw, history: History, axis: int = 0) -> None:
         if len(law.taps) > history.length:
             raise ValueError(f"{len(law.taps)} taps, but the history remembers {history.length}: raise memory")
         self._history = history
-        # The taps once more, and the coefficients of its sections (see `nodes.arithmetic.sections`), as compiled ticks take
-        # them.
+        # Taps and coefficients of its sections (see `nodes.arithmetic.sections`) as compiled ticks take them.
         self.numbers = array("d", law.taps)
         self.coefficients = array("d", [c for section in law.sections for c in section])
         self.state = array("d", [0.0]) * (2 * len(law.sections))  # state of the sections [N], shape (2 * s,)
@@ -184,8 +171,7 @@ class LawOnAxis:
         return force + (self.first_force(self._history) if self._own_force is None else self._own_force)
 
 
-Share: TypeAlias = tuple[LawOnAxis, float]
-"""A law and its part in the force."""
+Share: TypeAlias = tuple[LawOnAxis, float]  # a law and its part in the force
 
 
 def _joined(shares: list[Share]) -> list[Share]:

@@ -35,11 +35,8 @@ if TYPE_CHECKING:
     from nodes.compiled.answering import CompiledTicks
     from nodes.compiled.library import Kernel
 
-Scheduled: TypeAlias = tuple[int, ActiveLaw, int]
-"""Tick, law and ramp [ticks] of a swap to come."""
-
-ATTEMPTS = 5
-"""How often a law's own code is tried before it is found too slow."""
+Scheduled: TypeAlias = tuple[int, ActiveLaw, int]  # tick, law and ramp [ticks] of a swap to come
+ATTEMPTS = 5  # how often a law's own code is tried before it is found too slow
 
 VIRTUAL, ASKED_FOR = "the device is virtual, and its driver ends what swings", "somebody took it while it was felt"
 """Why a node may start, or start again, with a law that would be refused as a change."""
@@ -101,17 +98,13 @@ class Coupling(Node):
             self.events.emit_each("stability", text)
         self._settle(parameters, self._make_fallback(parameters))
         self._renderer.law = self._prepare_law(parameters, parameters.law)
-        self._take_schedule(
-            [
-                (round(swap.at / self.setup.period), self._prepare_law(parameters, swap.law), swap.ramp)
-                for swap in sorted(parameters.schedule, key=lambda swap: swap.at)
-                # What a predecessor has done already is in the parameters that it had.
-                if round(swap.at / self.setup.period) > self.resumed_at
-            ]
-        )
+        swaps = [(round(swap.at / self.setup.period), swap) for swap in sorted(parameters.schedule, key=lambda swap: swap.at)]
+        # What a predecessor has done already is in the parameters that it had.
+        due = [(tick, swap) for tick, swap in swaps if tick > self.resumed_at]
+        self._take_schedule([(tick, self._prepare_law(parameters, swap.law), swap.ramp) for tick, swap in due])
         if parameters.figures or parameters.plant is not None:
             # Importing numpy takes tens of milliseconds with the interpreter's lock: now, not while the wall is felt.
-            self._book.figures_of(parameters, self._renderer.law.compiled, self._felt_delay)
+            self._book.figures(parameters, self._renderer.law.compiled, self._felt_delay)
 
     def _take_schedule(self, schedule: list[Scheduled]) -> None:
         self._schedule = schedule
@@ -120,9 +113,7 @@ class Coupling(Node):
             # one-process scene replays it too.
             self._renderer.standby = [law for _, law, _ in schedule if law.compiled.sections]
 
-    def _changed_schedule(
-        self, now: CouplingParameters, parameters: CouplingParameters, force: bool
-    ) -> list[Scheduled]:
+    def _changed_schedule(self, now: CouplingParameters, parameters: CouplingParameters, force: bool) -> list[Scheduled]:
         """Compile anew what is scheduled and was changed."""
         changed = []
         for tick, law, ramp in list(self._schedule):
@@ -154,9 +145,7 @@ class Coupling(Node):
         """Delay of the loop as measured by now [ticks]; from any thread."""
         return float(self.counters.delay)
 
-    def _judge(
-        self, now: CouplingParameters, wanted: CouplingParameters, law: ActiveLaw, force: bool
-    ) -> dict[str, Any]:
+    def _judge(self, now: CouplingParameters, wanted: CouplingParameters, law: ActiveLaw, force: bool) -> dict[str, Any]:
         """Refuse a change that the stability figures call unstable, or tell these figures, before and after it."""
         verdict, warning = self._judgement.of_change(now, wanted, law.name, law.compiled, self._felt_delay, force)
         if warning:
@@ -191,17 +180,12 @@ class Coupling(Node):
                 return
         raise ParameterError(f"law {law.name!r}: {over}; raise {self.setup.name}.budget or choose another law")
 
-    def prepare(self, parameters: Any) -> Callable[[int], Any]:
-        """Prepare changed parameters: compile the active law anew, refuse what must not change while it runs."""
-        return self._prepare(parameters)
-
     def prepare_forced(self, parameters: Any) -> Callable[[int], Any]:
         """Prepare changed parameters even if the loop becomes unstable with them."""
-        return self._prepare(parameters, force=True)
+        return self.prepare(parameters, force=True)
 
-    def _prepare(
-        self, parameters: CouplingParameters, action: str = "", ramp: int | None = None, force: bool = False
-    ) -> Callable[[int], Any]:
+    def prepare(self, parameters: Any, action: str = "", ramp: int | None = None, force: bool = False) -> Callable[[int], Any]:
+        """Prepare changed parameters: compile the active law anew, refuse what must not change while it runs."""
         now: CouplingParameters = self.store.current
         action = action or ("set" if parameters.law == now.law else "switch")
         ramp = parameters.ramp if ramp is None else ramp
@@ -252,7 +236,7 @@ class Coupling(Node):
             return {"law": law, **described, **self._book.figures(parameters, law, self._felt_delay)}
         active = self._renderer.law
         described = msgspec.json.decode(active.text)
-        return {**described, **self._book.figures_of(parameters, active.compiled, self._felt_delay)}
+        return {**described, **self._book.figures(parameters, active.compiled, self._felt_delay)}
 
     def _switch_law(self, law: str, ramp: int | None = None, force: bool = False) -> dict[str, Any]:
         usual = self.store.current.ramp
@@ -265,12 +249,11 @@ class Coupling(Node):
             ramps.append(changed.ramp)
             return msgspec.structs.replace(changed, ramp=usual)
 
-        receipt: dict[str, Any] = self.changes.change(
-            make, lambda parameters: self._prepare(parameters, "switch", ramps[-1], bool(force))
-        )
+        change = self.changes.change
+        receipt: dict[str, Any] = change(make, lambda wanted: self.prepare(wanted, "switch", ramps[-1], bool(force)))
         parameters: CouplingParameters = self.store.current
         if parameters.figures:
-            receipt["was"] = self._book.figures_of(parameters, before.compiled, self._felt_delay)
+            receipt["was"] = self._book.figures(parameters, before.compiled, self._felt_delay)
             receipt["is"] = self._book.figures(parameters, law, self._felt_delay)
         return receipt
 
@@ -281,31 +264,16 @@ class Coupling(Node):
         force_step = self._renderer.swap(law, ramp)
         self._failed_text = self._failed_text if law.name == "fallback" else ""
         self._file_receipt(seq, action, old, law, reason, force_step, ramp)
-        return {
-            "seq": seq,
-            "action": action,
-            "from": old.name,
-            "to": law.name,
-            "force_step_n": force_step,
-            "ramp": ramp,
-            "revision": self.counters.revision,
-        }
+        told = {"from": old.name, "to": law.name, "force_step_n": force_step, "ramp": ramp, "revision": self.counters.revision}
+        return {"seq": seq, "action": action, **told}
 
     def _file_receipt(
         self, seq: int, action: str, old: ActiveLaw, new: ActiveLaw, reason: str, force_step: float = 0.0, ramp: int = 0
     ) -> None:
         self.counters.revision += 1
-        receipt = Receipt(
-            seq=seq,
-            stamp=self.clock.now(),
-            action=action,
-            before=old.text,
-            after=new.text,
-            force_step=force_step,
-            ramp=ramp,
-            reason=reason[:4000],
-            revision=self.counters.revision,
-        )
+        told: dict[str, Any] = {"before": old.text, "after": new.text, "force_step": force_step, "ramp": ramp}
+        stamp, revision = self.clock.now(), self.counters.revision
+        receipt = Receipt(seq=seq, stamp=stamp, action=action, reason=reason[:4000], revision=revision, **told)
         self.events.publish(self.setup.topic(topics.RECEIPT), receipt)
 
     def _follow_schedule(self, seq: int) -> None:
@@ -341,9 +309,7 @@ class Coupling(Node):
         force = self._renderer.fall_back(proxy, due)
         self._failed_text = failed.text
         self._file_receipt(proxy.seq, "fallback", failed, self._renderer.law, reason)
-        self.events.emit_each(
-            "fallback", f"law {failed.name!r} at tick {proxy.seq}: {reason}; the fallback renders now"
-        )
+        self.events.emit_each("fallback", f"law {failed.name!r} at tick {proxy.seq}: {reason}; the fallback renders now")
         return force
 
     def _watched(self, proxy: Proxy) -> Vector:

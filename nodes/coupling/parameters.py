@@ -17,14 +17,9 @@ LawName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
 class Swap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A swap that the launch file schedules.
 
-    Attributes
-    ----------
-    at : float
-        Time since tick 0 [s].
-    law : str
-        Name of the law.
-    ramp : int
-        Cross-fade [ticks], 0 for a hard swap.
+    at: Time since tick 0 [s].
+    law: Name of the law.
+    ramp: Cross-fade [ticks], 0 for a hard swap.
     """
 
     at: NonNegative
@@ -35,10 +30,7 @@ class Swap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 class Fallback(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What renders when a law fails.
 
-    Attributes
-    ----------
-    damping : float
-        Damper on the deflection [N s/m]; 0 renders no force.
+    damping: Damper on the deflection [N s/m]; 0 renders no force.
     """
 
     damping: NonNegative = 0.0
@@ -48,30 +40,20 @@ class Fallback(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         return CompiledLaw((self.damping / period, -self.damping / period))
 
 
-MASSES = 9
-"""With so many masses a law is judged where the mass depends on the position."""
+MASSES = 9  # with so many masses a law is judged where the mass depends on the position
 
 
 class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The device that a law's pole radius is computed for.
 
-    Attributes
-    ----------
-    mass : float
-        m [kg].
-    damping : float
-        b [N s/m].
-    stiffness : float
-        Stiffness of the hand [N/m].
-    delay : float or None
-        Delay of the loop [ticks]; None for the measured one.
-    device_delay : float
-        Delay of the device itself, which the loop cannot measure: comes on top of the measured one [ticks].
-    heaviest : float or None
-        The greatest mass where it depends on where the device is, and ``mass`` is the least: a law is judged with both and
-        with some between [kg].
-    tool_mass : float or None
-        Mass of what the coupling holds the device to, where that moves (kind ``mujoco``) [kg]; None for a wall.
+    mass: m [kg].
+    damping: b [N s/m].
+    stiffness: Stiffness of the hand [N/m].
+    delay: Delay of the loop [ticks]; None for the measured one.
+    device_delay: Delay of the device itself, which the loop cannot measure: comes on top of the measured one [ticks].
+    heaviest: The greatest mass where it depends on where the device is, and ``mass`` is the least: a law is judged with both
+        and with some between [kg].
+    tool_mass: Mass of what the coupling holds the device to, where that moves (kind ``mujoco``) [kg]; None for a wall.
     """
 
     mass: Positive
@@ -90,10 +72,7 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
     @property
     def masses(self) -> list[float]:
-        """The masses that a law is judged with [kg]: one, or several in equal ratios from the least to the greatest.
-
-        Between both a loop may die down more slowly than at either end.
-        """
+        """The masses that a law is judged with [kg], in equal ratios: between both a loop may die down more slowly."""
         if self.heaviest is None:
             return [self.mass]
         between = [self.mass * (self.heaviest / self.mass) ** (k / (MASSES - 1)) for k in range(1, MASSES - 1)]
@@ -107,39 +86,24 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of the coupling.
 
-    Attributes
-    ----------
-    law : str
-        Name of the active law: one of `laws`, a preset, or an installed kind.
-    laws : dict of str to dict
-        Named laws, each with its ``kind`` and parameters (see nodes/laws/), or the bare name of a preset. A name is letters,
+    law: Name of the active law: one of `laws`, a preset, or an installed kind.
+    laws: Named laws, each with its ``kind`` and parameters (see nodes/laws/), or the bare name of a preset. A name is letters,
         digits, _ and -, at most 64.
-    usual : dict
-        What a law that is not among `laws` (a preset, or any installed kind) is made with, where it has such parameters.
-    history : str
-        What feeds the laws outside contact: ``penetration`` (zero) or ``position`` (the raw distance).
-    frame : str
-        Axes in which the history keeps deflections: ``world``; ``surface``, which turn with the normal while it turns steadily,
-        so that a law feels nothing of the way itself (THEORY.md §15); or ``auto``, the latter where all three are computed.
-    clamp : bool
-        Whether a force into the wall is set to zero.
-    memory : int
-        Ticks of deflection that are kept; bounds the longest law.
-    ramp : int
-        Cross-fade of swaps that do not ask for another [ticks].
-    schedule : list of Swap
-        Swaps at given times.
-    fallback : Fallback
-        What renders when a law fails.
-    budget : float
-        Part of the period that a law's own code may take.
-    stability : str
-        What to do about a pole radius ≥ 1 with `plant`: ``refuse`` it; refuse ``changes`` that lead there and a start on a real
-        device, but warn of a start on a virtual one; ``warn``; or ``off``.
-    plant : PlantParameters or None
-        The device; None when it is not known.
-    figures : bool
-        Whether a switch is answered with the figures of both laws.
+    usual: What a law that is not among `laws` (a preset, or any installed kind) is made with, where it has such parameters.
+    history: What feeds the laws outside contact: ``penetration`` (zero) or ``position`` (the raw distance).
+    frame: Axes in which the history keeps deflections: ``world``; ``surface``, which turn with the normal while it turns
+        steadily, so that a law feels nothing of the way itself (THEORY.md §15); or ``auto``, the latter where all three are
+        computed.
+    clamp: Whether a force into the wall is set to zero.
+    memory: Ticks of deflection that are kept; bounds the longest law.
+    ramp: Cross-fade of swaps that do not ask for another [ticks].
+    schedule: Swaps at given times.
+    fallback: What renders when a law fails.
+    budget: Part of the period that a law's own code may take.
+    stability: What to do about a pole radius ≥ 1 with `plant`: ``refuse`` it; refuse ``changes`` that lead there and a start on
+        a real device, but warn of a start on a virtual one; ``warn``; or ``off``.
+    plant: The device; None when it is not known.
+    figures: Whether a switch is answered with the figures of both laws.
     """
 
     law: str

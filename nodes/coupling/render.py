@@ -17,11 +17,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def evaluate(
-    taps: Sequence[float],
-    recursive: Sequence[float] | None,
-    state: MutableSequence[float],
-    history: Sequence[float],
-    head: int,
+    taps: Sequence[float], recursive: Sequence[float] | None, state: MutableSequence[float], history: Sequence[float], head: int
 ) -> float:
     """Force of one law over the history."""
     force = fir(taps, history, head)
@@ -45,8 +41,7 @@ class LawPort(NamedTuple):
 LEAST_COSINE: Final = 0.9
 """Of the angle by which a normal may turn in a tick: beyond some 25° it is an edge, and the history stays as it is."""
 
-_SHORTEST: Final = 0.5
-"""Length below which a normal is none; 1 for all that surfaces give."""
+_SHORTEST: Final = 0.5  # length below which a normal is none; 1 for all that surfaces give
 
 
 def begin_turning(s: Any, frame: str) -> None:
@@ -60,9 +55,7 @@ def begin_turning(s: Any, frame: str) -> None:
     s.turning = 1 if turns else 2
 
 
-def turn(
-    turned: MutableSequence[float], upright: MutableSequence[float], normal: Sequence[float], contact: bool
-) -> None:
+def turn(turned: MutableSequence[float], upright: MutableSequence[float], normal: Sequence[float], contact: bool) -> None:
     """Turn axes (rows of a matrix) as a normal turns, by the shortest way; at an edge, and off the surface, leave them.
 
     A deflection that keeps its angle to the surface keeps its components then: the history has seen nothing change.
@@ -80,11 +73,7 @@ def turn(
         for row in range(0, 9, 3):
             p, q, r = turned[row], turned[row + 1], turned[row + 2]
             d, e, f = v * r - w * q, w * p - u * r, u * q - v * p
-            p, q, r = (
-                p + d + part * (v * f - w * e),
-                q + e + part * (w * d - u * f),
-                r + f + part * (u * e - v * d),
-            )
+            p, q, r = (p + d + part * (v * f - w * e), q + e + part * (w * d - u * f), r + f + part * (u * e - v * d))
             # One step of Newton's towards length 1: rounding does not add up over hours.
             scale = 1.5 - 0.5 * (p * p + q * q + r * r)
             turned[row], turned[row + 1], turned[row + 2] = scale * p, scale * q, scale * r
@@ -95,9 +84,7 @@ def _as_it_stands(function: Function) -> Function:
     return function
 
 
-def make_render(
-    port: LawPort, made: Callable[[Any], Any] = _as_it_stands
-) -> tuple[Callable[..., bool], Callable[..., None]]:
+def make_render(port: LawPort, made: Callable[[Any], Any] = _as_it_stands) -> tuple[Callable[..., bool], Callable[..., None]]:
     """Make the tick of a port, and the bridge over ticks that were left out."""
     ring, force_of, see = port
     slots = SLOTS
@@ -114,9 +101,7 @@ def make_render(
         return value
 
     @made
-    def render(
-        s: Any, position: Any, proxy: Any, normal: Any, distance: float, contact: bool, force: Any, due: int
-    ) -> bool:
+    def render(s: Any, position: Any, proxy: Any, normal: Any, distance: float, contact: bool, force: Any, due: int) -> bool:
         """Render the force of one tick, whose deflection is the one number `due` in each history; whether it is finite."""
         raw, clamp = s.raw != 0, s.clamp != 0
         fading = s.fade_ramp > 0

@@ -24,9 +24,7 @@ class ActiveLaw:
     """A law ready to render on all axes."""
 
     def __init__(self, name: str, text: str, compiled: CompiledLaw, histories: Sequence[History]) -> None:
-        self.name = name
-        self.text = text
-        self.compiled = compiled
+        self.name, self.text, self.compiled = name, text, compiled
         self.axes = [LawOnAxis(compiled, history, n) for n, history in enumerate(histories)]
 
     @property
@@ -57,13 +55,12 @@ class ActiveLaw:
 
 
 class Renderer:
-    """One deflection history per axis, the law that renders them, those that fade out, and the fallback.
+    """One deflection history per axis of the scene (0, 1, 2), the law that renders them, those that fade out, and the fallback.
 
-    `axes`: the axes that the scene computes: 0, 1, 2. `state`: where all of it stands; one of its own when left out. `law`:
-    what renders now; set before the first tick.
+    `law` and `fallback` are set before the first tick. All of it stands in `state`; in one of its own when left out.
     """
 
-    fallback: ActiveLaw  # what renders when that fails; set before the first tick
+    fallback: ActiveLaw  # what renders when the law fails
 
     def __init__(self, axes: Sequence[int], memory: int, state: Any = None) -> None:
         s = self.state = state_of(CouplingState) if state is None else state
@@ -76,20 +73,12 @@ class Renderer:
         self.name = ""  # its name
         rings = [history.values for history in self.histories]
         laws = self._laws = [[] for _ in self.axes]  # type: list[list[LawOnAxis]]
-
-        def ring(s: Any, n: int) -> array[float]:
-            del s
-            return rings[n]
-
-        def force_of(s: Any, n: int, m: int, history: Any, head: int) -> float:
-            del s, history
-            return laws[n][m].force(head)
-
-        def see(s: Any, n: int, m: int, history: Any, head: int) -> None:
-            del s, history
-            laws[n][m].see(head)
-
-        self._render, self._bridge = make_render(LawPort(ring, force_of, see))
+        port = LawPort(
+            ring=lambda _, n: rings[n],
+            force_of=lambda _, n, m, __, head: laws[n][m].force(head),
+            see=lambda _, n, m, __, head: laws[n][m].see(head),
+        )
+        self._render, self._bridge = make_render(port)
 
     @property
     def law(self) -> ActiveLaw:
@@ -98,9 +87,7 @@ class Renderer:
 
     @law.setter
     def law(self, law: ActiveLaw) -> None:
-        self._law = law
-        self.name = law.name
-        self.watched = law.watched
+        self._law, self.name, self.watched = law, law.name, law.watched
         self._store_laws()
 
     def _store_laws(self) -> None:
@@ -126,9 +113,7 @@ class Renderer:
     def render(self, proxy: Proxy) -> Vector:
         """Take one tick's deflection and render the force that answers it."""
         force = [0.0, 0.0, 0.0]
-        self._render(
-            self.state, proxy.position, proxy.proxy, proxy.normal, proxy.distance, proxy.contact, force, self.due()
-        )
+        self._render(self.state, proxy.position, proxy.proxy, proxy.normal, proxy.distance, proxy.contact, force, self.due())
         if self._leaving or self.standby:
             self.went_on()
         return force[0], force[1], force[2]
@@ -146,15 +131,10 @@ class Renderer:
         self._store_laws()
 
     def begin(self, proxy: Proxy) -> None:
-        """Take it that the device was at rest before the first tick that is seen, when the run is under way already.
-
-        Nobody knows better in place of a node that was killed; from a history of zeros the first tick would be a jump.
-        """
+        """Take it that the device was at rest before the first tick seen of a run under way: zeros would be a jump."""
         raw = self.state.raw != 0
         for i, history in zip(self.axes, self.histories, strict=True):
-            history.fill(
-                deflection(proxy.position[i], proxy.proxy[i], proxy.distance, proxy.normal[i], proxy.contact, raw)
-            )
+            history.fill(deflection(proxy.position[i], proxy.proxy[i], proxy.distance, proxy.normal[i], proxy.contact, raw))
         for law in (self.law, *self.standby):
             law.warm_up(self.histories)
 
@@ -184,14 +164,12 @@ class Renderer:
         self._leaving = leaving if ramp > 0 else []
         s.fade_ramp, s.fade_done = ramp, 0
         self.law = law
-        # As long as the laws that leave run their own code.
-        self.watched = self.watched or (watched and ramp > 0)
+        self.watched = self.watched or (watched and ramp > 0)  # as long as the laws that leave run their own code
         return step
 
     def fall_back(self, proxy: Proxy, due: int = 0) -> Vector:
         """Replace a failed law by the fallback within the same tick; its deflection is pushed where it was not."""
-        self._law = self.fallback
-        self.name = self.fallback.name
+        self._law, self.name = self.fallback, self.fallback.name
         self._end_fade()
         force = [0.0, 0.0, 0.0]
         self._render(self.state, proxy.position, proxy.proxy, proxy.normal, proxy.distance, proxy.contact, force, due)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from ctypes import Structure, c_double, c_int64
 from typing import Final
 
-from nodes.compiled.layout import LOOP
+from nodes.compiled.layout import LOOP, named
 
 LEAVING: Final = 8
 """Laws that may fade out together when swaps come faster than their ramps; then some are joined, to bound a tick's work."""
@@ -22,31 +22,20 @@ class CouplingState(Structure):
     _fields_ = [
         *LOOP,
         # contact conventions, receipts given so far, delay of the loop as measured [ticks]
-        ("raw", c_int64),
-        ("clamp", c_int64),
-        ("revision", c_int64),
+        *named(c_int64, "raw", "clamp", "revision"),
         ("delay", c_double),
         # axes of the scene, and per axis the history: where it is, index of the newest value, values pushed so far
         ("axes", c_int64),
         ("axis", c_int64 * 3),
         ("length", c_int64),
-        ("history", c_int64 * 3),
-        ("head", c_int64 * 3),
-        ("pushes", c_int64 * 3),
+        *named(c_int64 * 3, "history", "head", "pushes"),
         # laws, slot by slot: where their numbers are and how many, and the weight of those that leave
-        ("taps", c_int64 * (3 * SLOTS)),
-        ("taps_count", c_int64 * (3 * SLOTS)),
-        ("sections", c_int64 * (3 * SLOTS)),
-        ("sections_count", c_int64 * (3 * SLOTS)),
-        ("sections_state", c_int64 * (3 * SLOTS)),
+        *named(c_int64 * (3 * SLOTS), "taps", "taps_count", "sections", "sections_count", "sections_state"),
         ("weight", c_double * (3 * SLOTS)),
         # the cross-fade under way, 0 ticks for none: its length, how much of it is done, how many laws leave
-        ("fade_ramp", c_int64),
-        ("fade_done", c_int64),
-        ("leaving", c_int64),
+        *named(c_int64, "fade_ramp", "fade_done", "leaving"),
         # what a tick overwrites, for one that must be undone
-        ("undo", c_int64),
-        ("undo_count", c_int64),
+        *named(c_int64, "undo", "undo_count"),
         ("oldest", c_double * 3),
         # axes of the history: 0 the world's, 1 turning with the surface, 2 turned no more; which ones they are (rows), the
         # normal that they turned to last, and both as they were before the tick

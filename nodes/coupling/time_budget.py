@@ -11,10 +11,7 @@ import time
 
 
 class Budget:
-    """Watches one call per tick.
-
-    `seconds`: longest time that a law may take [s]; infinite for no watch.
-    """
+    """Watches one call per tick, which may take so many seconds; infinite for no watch."""
 
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds

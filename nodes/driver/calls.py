@@ -27,8 +27,7 @@ WRITE = ctypes.CFUNCTYPE(c_int, c_int64, POINTER(c_double), c_int64, c_double)
 class Calls(NamedTuple):
     """Two addresses, and what they are called with."""
 
-    # Where the calls are.
-    read: int
+    read: int  # where the calls are: this and the next
     write: int
     context: int  # their first argument
 
@@ -38,18 +37,12 @@ class Compiled(Protocol):
     """A device that can be called without the interpreter."""
 
     def calls(self) -> Calls | None:
-        """Give its calls.
-
-        Returns: valid until it is closed; None where they could not be had.
-        """
+        """Give its calls, valid until it is closed; None where they could not be had."""
         ...
 
 
 def numbers_of(position: Any, what: str) -> Vector:
-    """Make plain numbers of what a device gave.
-
-    `position`, shape (3,): what it gave [m]. Returns, shape (3,): the same. Raises TypeError when it is not three numbers.
-    """
+    """Make plain numbers of the position that a device gave [m]; TypeError when it is not three numbers."""
     try:
         x, y, z = position
         return float(x), float(y), float(z)
@@ -57,24 +50,24 @@ def numbers_of(position: Any, what: str) -> Vector:
         raise TypeError(f"{what}: read_position() gave {position!r}, expected three numbers in metres") from None
 
 
-class _Methods:
-    """The calls of a device that is written in Python; what it raises is kept for the driver."""
+class DeviceCalls:
+    """The calls of a device, its own or made of its methods and of a simulated hand's target, and what one raised."""
 
     def __init__(self, device: Device, target: Callable[[], Vector]) -> None:
         self._device, self._target = device, target
         self._kept = READ(self._read), WRITE(self._write)
         read, write = (ctypes.cast(function, ctypes.c_void_p).value or 0 for function in self._kept)
-        self.calls = Calls(read, write, 0)
-        self.error: BaseException | None = None
+        own = device.calls() if isinstance(device, Compiled) else None
+        self.calls = own or Calls(read, write, 0)  # its two calls
+        self._error: BaseException | None = None
 
     def _read(self, context: int, seq: int, out: Any) -> int:
         del context
         try:
-            position = numbers_of(self._device.read_position(seq), type(self._device).__name__)
-            out[0], out[1], out[2] = position
+            out[0], out[1], out[2] = numbers_of(self._device.read_position(seq), type(self._device).__name__)
             out[3], out[4], out[5] = self._target()
         except BaseException as error:  # noqa: BLE001  # nothing can be raised through compiled code
-            self.error = error
+            self._error = error
             return -1
         return 0
 
@@ -83,24 +76,12 @@ class _Methods:
         try:
             self._device.write_force((force[0], force[1], force[2]), seq, offset)
         except BaseException as error:  # noqa: BLE001  # nothing can be raised through compiled code
-            self.error = error
+            self._error = error
             return -1
         return 0
 
-
-class DeviceCalls:
-    """The calls of a device, and what one of them raised.
-
-    `target`: where a simulated hand pulls to, once its position is read [m].
-    """
-
-    def __init__(self, device: Device, target: Callable[[], Vector]) -> None:
-        own = device.calls() if isinstance(device, Compiled) else None
-        self._methods = _Methods(device, target)
-        self.calls = own or self._methods.calls  # its two calls
-
     def raise_error(self) -> None:
         """Raise what the last call raised, if anything."""
-        if self._methods.error is not None:
-            error, self._methods.error = self._methods.error, None
+        if self._error is not None:
+            error, self._error = self._error, None
             raise error

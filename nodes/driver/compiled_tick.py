@@ -34,15 +34,13 @@ class DriverTicks(CompiledTicks):
         s.texts[:] = [ctypes.addressof(text) for text in self._texts]
         s.text_sizes[:] = [len(msgspec.msgpack.encode(text)) for text in SAFETY]
         self.payload = b""  # the state that was published last
-        # In and out once without a tick: the first time, with cold caches, it takes some ticks of 8 kHz.
-        s.most = 0
+        s.most = 0  # in and out once without a tick: the first time, with cold caches, it takes some ticks of 8 kHz
         self.go()
 
     def run(self, s: Any) -> int:
         """Tick until something waits; why it ended, as of nodes/driver/tick.py."""
         node = self._driver
-        # Before looking: what comes in between stops it.
-        s.attention = 0
+        s.attention = 0  # before looking: what comes in between stops it
         # What waits between two ticks is not left waiting.
         s.most = 1 if node.events.waiting or node.stopping else self._most
         node.publisher.flush()

@@ -13,12 +13,7 @@ import msgspec
 
 from messages.types import Vector
 
-__all__ = [
-    "Bounds",
-    "Device",
-    "DeviceLimits",
-    "Workspace",
-]
+__all__ = ["Bounds", "Device", "DeviceLimits", "Workspace"]
 
 Bounds: TypeAlias = tuple[float, float]
 Workspace: TypeAlias = tuple[Bounds, Bounds, Bounds]
@@ -39,7 +34,7 @@ class DeviceLimits(msgspec.Struct, frozen=True, kw_only=True):
         Longest time without a fresh force, and oldest force: bounds the driver's watchdog [s].
     hold : float
         How long the device itself holds a force when no other comes, before it lets go [s]: its own last line, for a driver
-        that hangs. A driver of hardware without one does not start unless it is told to.
+        that hangs. A driver of hardware without one does not start unless the launch file says so.
     latency : float or None
         From handing a force over until the device applies it [s]: energy and guard account for it. None where it is not known,
         which the driver says; both then take forces to act when they are handed over.
@@ -58,11 +53,7 @@ class DeviceLimits(msgspec.Struct, frozen=True, kw_only=True):
     latency: float | None = None
     opening: float = 20.0
     closing: float = 2.0
-    workspace: Workspace = (
-        (-math.inf, math.inf),
-        (-math.inf, math.inf),
-        (-math.inf, math.inf),
-    )
+    workspace: Workspace = ((-math.inf, math.inf), (-math.inf, math.inf), (-math.inf, math.inf))
 
 
 class Device(Protocol):

@@ -20,12 +20,8 @@ from nodes.parameters.store import ParameterError, convert
 class ExternalParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Which forces from outside a driver takes.
 
-    Attributes
-    ----------
-    peak : float
-        Largest norm of such a force [N]; a larger one is lowered to it.
-    age : float
-        After so long without a new one it counts as gone [s].
+    peak: Largest norm of such a force [N]; a larger one is lowered to it.
+    age: After so long without a new one it counts as gone [s].
     """
 
     peak: Annotated[float, msgspec.Meta(gt=0.0)] = 1.0

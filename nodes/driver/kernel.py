@@ -6,39 +6,19 @@ from typing import Any
 
 from messages.types import DeviceState, Force
 from nodes import arithmetic
+from nodes.compiled.kernels import hop, machine
 from nodes.compiled.kernels.encode import make_encode
-from nodes.compiled.kernels.hop import (
-    CLOCK_MONOTONIC,
-    DONTWAIT,
-    called,
-    flush,
-    has_message,
-    keep,
-    monotonic,
-    out_at,
-    receive,
-    send_hop,
-)
-from nodes.compiled.kernels.machine import (
-    call_poll,
-    call_read,
-    call_sleep,
-    call_write,
-    compilable,
-    copy16,
-    reals_at,
-    record_at,
-    wholes_at,
-)
+from nodes.compiled.kernels.hop import called, flush, has_message, keep, monotonic, out_at, receive, send_hop
+from nodes.compiled.kernels.machine import compilable, copy16, reals_at, record_at, wholes_at
 from nodes.compiled.kernels.scan import make_scan
 from nodes.compiled.kernels.sources import kernel, record_of
-from nodes.compiled.message_fields import fields_of, slot
+from nodes.compiled.message_fields import fields_of, slots
 from nodes.driver import motion, motor_heat, passivity, response_times, safety, state, tick
 from nodes.driver.state import BETWEEN, DriverState
 from nodes.driver.tick import GOT, NONE, UNREAD, Port, make_ticks
 
 for _function in (
-    *(state.note, state.seldom, arithmetic.limit),
+    *(state.note, state.seldom, arithmetic.limit, arithmetic.limit_within_tick),
     *(passivity.observe, passivity.through, passivity.backlog, passivity.forget, passivity.control),
     *(passivity.count_step, passivity.guarded),
     *(motion.sample, motion.act, motion.split, motion.find_velocity),
@@ -52,13 +32,10 @@ _look = record_at(record_of(DriverState))
 _scan = make_scan(Force)
 _encode = make_encode(DeviceState)
 _IN, _OUT = fields_of(Force), fields_of(DeviceState)
-_SEQ, _FORCE = slot(_IN, "seq"), slot(_IN, "force")
-_TO_SEQ, _TO_FORCE_SEQ, _TO_AGE, _TO_MISSED, _TO_OVERRUNS = (
-    slot(_OUT, name) for name in ("seq", "force_seq", "age", "missed", "overruns")
-)
-_TO_STAMP, _TO_POSITION, _TO_FORCE, _TO_RESPONSE, _TO_LATENESS, _TO_ENERGY, _TO_DELAY, _TO_GUARD, _TO_TARGET = (
-    slot(_OUT, name)
-    for name in ("stamp", "position", "force", "response", "lateness", "energy", "delay", "guard", "target")
+_SEQ, _FORCE = slots(_IN, "seq", "force")
+_TO_SEQ, _TO_FORCE_SEQ, _TO_AGE, _TO_MISSED, _TO_OVERRUNS = slots(_OUT, "seq", "force_seq", "age", "missed", "overruns")
+_TO_STAMP, _TO_POSITION, _TO_FORCE, _TO_RESPONSE, _TO_LATENESS, _TO_ENERGY, _TO_DELAY, _TO_GUARD, _TO_TARGET = slots(
+    _OUT, "stamp", "position", "force", "response", "lateness", "energy", "delay", "guard", "target"
 )
 _TIMER_ABSTIME = 1
 # As long as ZeroMQ waits at least in `Subscription.receive_soon` [s].
@@ -72,7 +49,7 @@ def _sleep_until(s: Any, deadline: float) -> float:
         until = wholes_at(s.time, 2)
         seconds = int(deadline)
         until[0], until[1] = seconds, int((deadline - seconds) * 1e9) + 1
-        call_sleep(s.clock_nanosleep, (CLOCK_MONOTONIC, _TIMER_ABSTIME, s.time, 0))
+        machine.call_sleep(s.clock_nanosleep, (hop.CLOCK_MONOTONIC, _TIMER_ABSTIME, s.time, 0))
         now = monotonic(s)
     return now
 
@@ -81,7 +58,7 @@ def _sleep_until(s: Any, deadline: float) -> float:
 def _read(s: Any, seq: int) -> bool:
     room = reals_at(s.device_room, 6)
     room[3] = room[4] = room[5] = 0.0
-    if call_read(s.device_read, (s.device_context, seq, s.device_room)) < 0:
+    if machine.call_read(s.device_read, (s.device_context, seq, s.device_room)) < 0:
         return False
     for i in range(3):
         s.place[i], s.target[i] = room[i], room[3 + i]
@@ -93,7 +70,7 @@ def _write(s: Any, seq: int, offset: float) -> bool:
     room = reals_at(s.device_room, 6)
     for i in range(3):
         room[i] = s.handed[i]
-    return bool(call_write(s.device_write, (s.device_context, s.device_room, seq, offset)) >= 0)
+    return bool(machine.call_write(s.device_write, (s.device_context, s.device_room, seq, offset)) >= 0)
 
 
 @compilable
@@ -110,8 +87,7 @@ def _publish(s: Any, seq: int, stamp: float) -> None:
     size = _encode(at, s.out_keys, out, whole, s.texts[s.safety], s.text_sizes[s.safety]) - at
     s.sent, s.sent_size = at, size
     s.states_sent += 1
-    # Taken before sending: under FIFO the whole chain may run before the call returns.
-    s.sampled = monotonic(s)
+    s.sampled = monotonic(s)  # taken before sending: under FIFO the whole chain may run before the call returns
     send_hop(s, at, size)
 
 
@@ -127,7 +103,7 @@ def _await(s: Any, deadline: float) -> bool:
         left = wholes_at(s.time, 2)
         seconds = int(remaining)
         left[0], left[1] = seconds, int((remaining - seconds) * 1e9)
-        call_poll(s.ppoll, (s.poll, 1, s.time, 0))
+        machine.call_poll(s.ppoll, (s.poll, 1, s.time, 0))
 
 
 @compilable
@@ -137,7 +113,7 @@ def _receive(s: Any, until: float) -> int:
         # An answer that is late is waited for a little, as ZeroMQ's own time-outs do.
         if not _await(s, max(until, monotonic(s) + _SOON) if s.patient != 0 else until):
             return NONE
-        flags = DONTWAIT
+        flags = hop.DONTWAIT
     is_whole = receive(s, flags)
     s.arrival = monotonic(s)
     if s.frames == 0:

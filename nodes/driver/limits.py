@@ -11,45 +11,28 @@ from nodes.driver.device import Bounds, DeviceLimits, Workspace
 from nodes.driver.state import PEAKS
 from nodes.parameters.checked import NonNegative, Positive
 
-STOP_TIME = 1.5
-"""Longest way from the largest force down to zero [s]; a launcher waits twice as long before it presses on."""
+STOP_TIME = 1.5  # longest way from the largest force down to zero [s]; a launcher waits twice as long before it presses on
 
 
 class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Limits of the driver; what is None is left to the device's own limit.
 
-    Attributes
-    ----------
-    watchdog : int
-        Ticks without a fresh force before damping begins; armed by the first force.
-    damping_ticks : int
-        Ticks of damping before the force is zero.
-    damping : float
-        Damper against the device's own velocity meanwhile [N s/m].
-    max_age : int
-        Oldest force that is accepted [ticks].
-    peak_force : float or None
-        Largest magnitude on an axis [N].
-    continuous_force : float or None
-        Largest root-mean-square force over `thermal_time` [N].
-    thermal_time : float
-        Time constant of the motor's heating [s].
-    slew : float or None
-        Fastest change of force [N/s].
-    ramp : float
-        Time in which forces grow to their full size after a start [s].
-    recovery : float
-        The same after damping, zero force, a fault or a driver that was started again [s]; `ramp` where that is longer. A force
-        that was away for less than a fifth of it begins with a part: each tick away costs five ticks of ramp.
-    workspace : tuple of tuple of float, shape (3, 2), or None
-        Smallest and largest coordinate of each axis [m]; a position outside is a fault, not data, and the force is zero.
-    stop_after : int or None
-        How often within 2 s the force may come to `peak_force` while the loop gives out energy; then the loop is unstable, and
-        the driver stops for good: damping, then no force until it is started again. At most 64; None for never.
-    hang : float or None
-        After so long within one tick the device is taken to hang, and the driver ends [s]; None for a debugger.
-    without : list of str
-        What the device need not declare: ``peak_force``, ``workspace``, ``hold``.
+    watchdog: Ticks without a fresh force before damping begins; armed by the first force.
+    damping_ticks: Ticks of damping before the force is zero.
+    damping: Damper against the device's own velocity meanwhile [N s/m].
+    max_age: Oldest force that is accepted [ticks].
+    peak_force: Largest magnitude on an axis [N].
+    continuous_force: Largest root-mean-square force over `thermal_time` [N].
+    thermal_time: Time constant of the motor's heating [s].
+    slew: Fastest change of force [N/s].
+    ramp: Time in which forces grow to their full size after a start [s].
+    recovery: The same after damping, zero force, a fault or a driver that was started again [s]; `ramp` where that is longer. A
+        force that was away for less than a fifth of it begins with a part: each tick away costs five ticks of ramp.
+    workspace: Smallest and largest coordinate of each axis [m]; a position outside is a fault, not data, and the force is zero.
+    stop_after: How often within 2 s the force may come to `peak_force` while the loop gives out energy; then the loop is
+        unstable, and the driver stops for good: damping, then no force until it is started again. At most 64; None for never.
+    hang: After so long within one tick the device is taken to hang, and the driver ends [s]; None for a debugger.
+    without: What the device need not declare: ``peak_force``, ``workspace``, ``hold``.
     """
 
     watchdog: Annotated[int, msgspec.Meta(ge=1)] = 10
@@ -69,46 +52,25 @@ class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
 
 class Limits(msgspec.Struct, frozen=True, kw_only=True):
-    """What holds: of the device's limits and the launch file's, the lower of each.
+    """What holds: of the device's limits and the launch file's, the lower of each."""
 
-    Attributes
-    ----------
-    peak : float or None
-        Largest magnitude on an axis [N].
-    slew : float or None
-        Largest change per tick [N].
-    continuous : float or None
-        Largest root-mean-square force [N].
-    watchdog, damping_ticks, max_age : int
-        As in the parameters [ticks].
-    workspace : tuple of tuple of float, shape (3, 2)
-        Smallest and largest coordinate of each axis [m].
-    told : tuple of str
-        What the launch file asked for in vain: path, value, limit and what holds instead.
-    """
-
-    peak: float | None
-    slew: float | None
-    continuous: float | None
-    watchdog: int
+    peak: float | None  # largest magnitude on an axis [N]
+    slew: float | None  # largest change per tick [N]
+    continuous: float | None  # largest root-mean-square force [N]
+    watchdog: int  # this and the next two as in the parameters [ticks]
     damping_ticks: int
     max_age: int
-    workspace: Workspace
-    overruled: tuple[str, ...]
+    workspace: Workspace  # smallest and largest coordinate of each axis [m]
+    overruled: tuple[str, ...]  # what the launch file asked for in vain: path, value, limit and what holds instead
 
 
 def undeclared(parameters: SafetyParameters, device: DeviceLimits) -> str:
     """Say which limits a real device must declare and does not: largest force, workspace, a deadline of its own."""
+    peak = parameters.peak_force is not None or math.isfinite(device.peak_force)
     bounded = parameters.workspace is not None or all(math.isfinite(low + high) for low, high in device.workspace)
-    declared = {
-        "peak_force": parameters.peak_force is not None or math.isfinite(device.peak_force),
-        "workspace": bounded,
-        "hold": math.isfinite(device.hold),
-    }
+    declared = {"peak_force": peak, "workspace": bounded, "hold": math.isfinite(device.hold)}
     missing = ", ".join(name for name, known in declared.items() if not known and name not in parameters.without)
-    if not missing:
-        return ""
-    return (
+    return missing and (
         f"the device declares no {missing}, which a real device must have (DeviceLimits in nodes/driver/device.py); "
         f"to start it all the same: safety.without: [{missing}]"
     )
@@ -135,7 +97,7 @@ def lower(parameters: SafetyParameters, device: DeviceLimits, period: float, whe
             )
         peak = slew * STOP_TIME
     silence = device.silence / period
-    ticks = {}
+    ticks: dict[str, int] = {}
     for name, least_ticks in (("watchdog", 1), ("damping_ticks", 0), ("max_age", 0)):
         wanted = getattr(parameters, name)
         most = max(least_ticks, int(silence)) if math.isfinite(silence) else wanted
@@ -157,9 +119,7 @@ def lower(parameters: SafetyParameters, device: DeviceLimits, period: float, whe
         peak=peak,
         slew=None if slew is None else slew * period,
         continuous=least("continuous_force", parameters.continuous_force, device.continuous_force, "N"),
-        watchdog=ticks["watchdog"],
-        damping_ticks=ticks["damping_ticks"],
-        max_age=ticks["max_age"],
         workspace=(bounds[0], bounds[1], bounds[2]),
         overruled=tuple(overruled),
+        **ticks,
     )

@@ -1,4 +1,4 @@
-"""How the device moves, and what the forces on it give out: every rate is over the time that really passed.
+"""How the device moves and comes to an end, and what the forces on it give out: rates are over the time that really passed.
 
 A tick can be lost because the driver was held up, or because the position it got is no position. Then the next sample ends a
 longer step: its displacement is divided by all the ticks that it took, and its energy is that of the mean force over them.
@@ -9,23 +9,20 @@ two samples the device is taken to move evenly, and with one force per tick noth
 from __future__ import annotations
 
 from array import array
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
 
 from nodes.compiled.memory import reals_at
-from nodes.driver.ending import Ending, ending
 from nodes.driver.passivity import line_of, observe, through
 
-RECENT: Final = 0.25
-"""Time at the end of a run that tells how it ends [s]; at least `LEAST` ticks."""
-
+RECENT: Final = 0.25  # time at the end of a run that tells how it ends [s]; at least `LEAST` ticks
 LEAST: Final = 64
+REST = 1e-6  # largest swing that counts as rest [m]: about what a fingertip feels at its most sensitive, near 250 Hz
+_FALL = 1.0  # least acceleration without a force that is called falling [m/s²]: a damped device that glides has less
 
 
 def set_motion(s: Any, latency: float) -> list[array[float]]:
-    """Lay down where samples and forces under way are kept; the arrays, which must live as long as the state.
-
-    `latency` is what is between handing a force over and its acting [ticks].
-    """
+    """Lay down samples and forces under way, which act so many ticks late; the arrays must live as long as the state."""
     s.places_count = max(LEAST, round(RECENT / s.period))
     places = array("d", [0.0]) * (3 * s.places_count)
     s.places = places.buffer_info()[0]
@@ -49,8 +46,7 @@ def set_latency(s: Any, latency: float) -> array[float]:
 def sample(s: Any, at: float) -> bool:
     """Take the position that was read as the newest sample; whether ticks have passed since the one before."""
     if s.begun != 0 and s.covered == 0:
-        # At the end of a run.
-        s.at = at
+        s.at = at  # at the end of a run
         for i in range(3):
             s.position[i] = s.place[i]
         return False
@@ -117,3 +113,34 @@ def endings(s: Any) -> list[Ending]:
     places = reals_at(s.places, 3 * s.places_count)
     order = [n % s.places_count for n in range(max(0, s.samples - s.places_count), s.samples)]
     return [ending([places[3 * n + i] for n in order], s.force[i], s.period) for i in range(3)]
+
+
+class Ending(NamedTuple):
+    """The last samples of one axis in words and figures."""
+
+    motion: str  # ``at rest``, ``swinging``, ``falling`` or ``moving``
+    swing_m: float  # largest less smallest sample, in metres
+    frequency_hz: float  # how often it swings to and fro, in Hz; 0 for any other motion
+    velocity_m_per_s: float  # at the end, in m/s
+
+
+def ending(samples: Sequence[float], force: float, period: float) -> Ending:
+    """Describe the last samples of one axis."""
+    if len(samples) < 2:
+        return Ending("at rest", 0.0, 0.0, 0.0)
+    swing = max(samples) - min(samples)
+    velocity = (samples[-1] - samples[-2]) / period
+    if not swing > REST:
+        return Ending("at rest", swing, 0.0, velocity)
+    middle = 0.5 * (max(samples) + min(samples))
+    above = [value > middle for value in samples]
+    crossings = [k for k in range(1, len(above)) if above[k] != above[k - 1]]
+    # Twice through the middle is there and back; a third time makes it a swing.
+    if len(crossings) >= 3:
+        frequency = 0.5 * (len(crossings) - 1) / ((crossings[-1] - crossings[0]) * period)
+        return Ending("swinging", swing, frequency, velocity)
+    half = (len(samples) - 1) // 2
+    bend = samples[-1] - 2.0 * samples[-1 - half] + samples[-1 - 2 * half]
+    acceleration = bend / (half * period) ** 2 if half else 0.0
+    falls = force == 0.0 and abs(acceleration) > _FALL and acceleration * velocity > 0.0
+    return Ending("falling" if falls else "moving", swing, 0.0, velocity)

@@ -16,8 +16,7 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
-HALVINGS: Final = 24
-"""Steps of the bisection between the forces that are safe and wanted: 1e-7 of their difference."""
+HALVINGS: Final = 24  # steps of the bisection between the forces that are safe and wanted: 1e-7 of their difference
 
 
 def set_heat(s: Any, continuous: float | None, thermal_time: float, period: float) -> None:

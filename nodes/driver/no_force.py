@@ -15,10 +15,7 @@ _STATES: Final = {
 
 
 def why_no_force(s: Any, condition: str = "") -> str:
-    """Say what keeps a force from the hand, or how much is handed over.
-
-    `condition`: what the device itself says keeps forces off; empty for nothing.
-    """
+    """Say what keeps a force from the hand (`condition`: what the device itself says), or how much is handed over."""
     if s.ticks == 0:
         return "the driver has not ticked yet"
     if condition:
@@ -31,7 +28,7 @@ def why_no_force(s: Any, condition: str = "") -> str:
         return _STATES[s.safety]
     force = ", ".join(f"{x:.3g}" for x in s.force)
     if not any(s.force):
-        left = [f"{'xyz'[i]}" for i in range(3) if i not in list(s.axis[: s.axes])]
+        left = ["xyz"[i] for i in range(3) if i not in list(s.axis[: s.axes])]
         beside = f"; along {' and '.join(left)} the scene computes nothing" if left else ""
         return (
             f"the law asks for none: nothing is touched at ({place}) m{beside}. A surface out of the device's reach needs a "
@@ -39,6 +36,6 @@ def why_no_force(s: Any, condition: str = "") -> str:
         )
     if s.safety == RAMP:
         return f"({force}) N, growing: a force that was away comes back by a ramp"
-    assert s.safety == ACTIVE, SAFETY[s.safety]  # noqa: S101  # all others are told above
+    assert s.safety == ACTIVE, SAFETY[s.safety]  # noqa: S101  # all others are dealt with above
     held = sum(s.limited_by)
     return f"({force}) N are handed to the device" + (f"; its limits held {held} of them back" if held else "")

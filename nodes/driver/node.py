@@ -21,7 +21,8 @@ from nodes.base import realtime
 from nodes.base.hang_watchdog import LastResort
 from nodes.base.node import IDLE_MS, Node
 from nodes.base.setup import AXIS_INDEX, Setup
-from nodes.compiled.layout import NEVER, Counted, state_of
+from nodes.base.status_report import Counted
+from nodes.compiled.layout import NEVER, state_of
 from nodes.driver.calls import numbers_of
 from nodes.driver.device import Device
 from nodes.driver.external import give
@@ -42,11 +43,7 @@ if TYPE_CHECKING:
     from nodes.compiled.library import Kernel
     from nodes.driver.compiled_tick import DriverTicks
 
-__all__ = [
-    "ASK_AGAIN",
-    "SOFT_STOP",
-    "Driver",
-]
+__all__ = ["ASK_AGAIN", "SOFT_STOP", "Driver"]
 
 ASK_AGAIN = 0.5
 """In lockstep, a tick without an answer for so long is published again: its answer was lost with a node [s]."""
@@ -95,8 +92,7 @@ class Driver(Node):
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        # The tick is every driver's; a kind only makes its device.
-        cls.kernel_module = Driver.kernel_module
+        cls.kernel_module = Driver.kernel_module  # the tick is every driver's; a kind only makes its device
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
@@ -120,18 +116,7 @@ class Driver(Node):
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Check pace and workspace before anything is started.
-
-        Parameters
-        ----------
-        setup : Setup
-            The node as it would be started.
-
-        Raises
-        ------
-        ParameterError
-            With path, value, limit and remedy.
-        """
+        """Check pace and workspace before anything is started (`Node.check`)."""
         check(setup, convert(setup.parameters, cls.Parameters, setup.name), cls.virtual)
 
     @property
@@ -165,8 +150,7 @@ class Driver(Node):
         s.device_hold_ticks = limits.hold / period
         held = lower(parameters.safety, limits, period, f"{self.setup.name}.safety")
         if s.realtime == 0:
-            # Only the tick's own answer counts.
-            held = msgspec.structs.replace(held, max_age=0)
+            held = msgspec.structs.replace(held, max_age=0)  # only the tick's own answer counts
         set_safety(s, parameters.safety, held, period)
         self._kept = set_motion(s, round((limits.latency or 0.0) / period, 9))
         set_guard(s, parameters.passivity)
@@ -174,11 +158,10 @@ class Driver(Node):
         for text in held.overruled:
             self.events.emit("limit", text)
         if limits.latency is None and s.guard_on:
-            self.events.emit(
-                "guard", "the device does not tell its latency: the guard takes forces to act when they are handed over"
-            )
-        debugged = parameters.safety.hang is None
-        self._watch = Watch(self, self._device.limits, None if self.virtual or debugged else LastResort(self.setup))
+            text = "the device does not tell its latency: the guard takes forces to act when they are handed over"
+            self.events.emit("guard", text)
+        waits = self.virtual or parameters.safety.hang is None
+        self._watch = Watch(self, limits, None if waits else LastResort(self.setup))
         self._open = False
 
     # -- the loop ----------------------------------------------------------------------------------------------------
@@ -188,8 +171,7 @@ class Driver(Node):
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
         if self.stopping:
             return
-        # Set first: a device that failed half-way is closed too.
-        self._open = True
+        self._open = True  # set first: a device that failed half-way is closed too
         self._watch.begin("open()", self._device.limits.opening)
         self._device.open()
         self._watch.begin("")
@@ -202,15 +184,13 @@ class Driver(Node):
         s.until, s.most = self.setup.ticks or NEVER, NEVER
         if not self.stopping:
             if s.realtime:
-                # A virtual device waits for a debugger; a real one does not.
-                self._begin_at_epoch()
+                self._begin_at_epoch()  # a virtual device waits for a debugger; a real one does not
                 self._watch.begin("a tick", self.store.current.safety.hang or math.inf)
             else:
                 self.inbox.set_timeout(IDLE_MS)
                 self._report.first = time.monotonic()
             self._tick(ticks)
-            end = realtime.sleep_until(s.epoch + s.seq * s.period) if s.realtime else time.monotonic()
-            self._report.last = end
+            self._report.last = end = realtime.sleep_until(s.epoch + s.seq * s.period) if s.realtime else time.monotonic()
             self._last_sample(end + self.clock.offset if s.realtime else s.seq * s.period)
             self._report.complete = s.seq >= s.until
             if self._report.complete:
@@ -251,9 +231,7 @@ class Driver(Node):
             s.failed = 0
             self._device.write_force(tuple(s.handed), s.seq, 0.0)
         else:
-            s.place[:] = numbers_of(
-                self._device.read_position(s.seq), f"{self.setup.name}: {type(self._device).__name__}"
-            )
+            s.place[:] = numbers_of(self._device.read_position(s.seq), f"{self.setup.name}: {type(self._device).__name__}")
             s.place_given = 1
 
     def _last_sample(self, stamp: float) -> None:
@@ -274,9 +252,7 @@ class Driver(Node):
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
         """Prepare another guard, its account at zero: all of a driver that changes, where the launch file asked for none."""
-        if msgspec.structs.replace(parameters, passivity=None) != msgspec.structs.replace(
-            self.store.current, passivity=None
-        ):
+        if msgspec.structs.replace(parameters, passivity=None) != msgspec.structs.replace(self.store.current, passivity=None):
             raise ParameterError(
                 f"{self.setup.name}: parameters of a {self.setup.kind} are fixed while it runs, all but {self.movable}"
             )
@@ -290,9 +266,8 @@ class Driver(Node):
         return apply
 
     def _tell_notes(self) -> None:
-        for kind, reason, is_change, count in self._report.notes():
-            # Every change of state is published, whatever else happened.
-            self.events.emit(kind, reason, is_change, count)
+        for note in self._report.notes():
+            self.events.emit(*note)  # every change of state is published, whatever else happened
 
     def between_ticks(self, seq: int) -> None:
         """Tell what happened, then do what every node does."""
@@ -306,10 +281,9 @@ class Driver(Node):
     def operations(self) -> dict[str, Callable[..., Any]]:
         """Offer what the launcher's status line asks for, and take forces from outside."""
         limits = self._device.limits
-        times = {"opening_s": limits.opening, "closing_s": limits.closing}
         return {
             "progress": lambda: {**self._report.progress(self.setup.ticks), "condition": self.condition()},
-            "device": lambda: times,
+            "device": lambda: {"opening_s": limits.opening, "closing_s": limits.closing},
             "rearm": self._rearm,
             "stand": self._stand,
             "force": lambda: {"why": why_no_force(self.driving, self.condition())},
@@ -367,8 +341,7 @@ class Driver(Node):
         s = self.driving
         path = Path(self.setup.run_dir) / f"{self.setup.name}.epoch"
         if path.exists():
-            # It was killed with a force on the device: the first force is a recovery.
-            s.ramp_ticks = s.recovery_ticks
+            s.ramp_ticks = s.recovery_ticks  # it was killed with a force on the device: the first force is a recovery
             s.epoch = float(path.read_text(encoding="ascii"))
         else:
             s.epoch = time.monotonic() + 0.002

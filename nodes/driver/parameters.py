@@ -16,14 +16,9 @@ from nodes.parameters.store import ParameterError
 class DriverParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters that every driver has.
 
-    Attributes
-    ----------
-    safety : SafetyParameters
-        Limits; see nodes/driver/limits.py.
-    passivity : PassivityParameters or None
-        Passivity observer and controller after the law; see nodes/driver/passivity.py. None for none.
-    external : ExternalParameters or None
-        Whether forces from outside the loop are taken, and which; see nodes/driver/external.py. None for none.
+    safety: Limits; see nodes/driver/limits.py.
+    passivity: Passivity observer and controller after the law; see nodes/driver/passivity.py. None for none.
+    external: Whether forces from outside the loop are taken, and which; see nodes/driver/external.py. None for none.
     """
 
     safety: SafetyParameters = SafetyParameters()

@@ -41,19 +41,13 @@ from nodes.compiled.memory import reals_at
 class PassivityParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of the guard.
 
-    Attributes
-    ----------
-    guard : str
-        ``on`` or ``off``.
-    stiffness : float or None
-        Stiffness of the spring that the law stands for [N/m]: no more is kept in store than it holds. None forgets credit in
-        free space only.
-    damping : float
-        Largest damper that takes back what was given out too much [N s/m]; keep it well below m/T of the device, or the
+    guard: ``on`` or ``off``.
+    stiffness: Stiffness of the spring that the law stands for [N/m]: no more is kept in store than it holds. None forgets
+        credit in free space only.
+    damping: Largest damper that takes back what was given out too much [N s/m]; keep it well below m/T of the device, or the
         guard itself is what shakes. 0 lets the next contact pay.
-    allowance : float
-        Energy that may be given out beyond what is in store before the guard acts [J]: a last line beside a law that is meant
-        to be felt as it is.
+    allowance: Energy that may be given out beyond what is in store before the guard acts [J]: a last line beside a law that is
+        meant to be felt as it is.
     """
 
     guard: Literal["on", "off"] = "on"
@@ -89,13 +83,9 @@ def backlog(line: Sequence[float], part: float) -> float:
     """Add up what is on its way."""
     last = len(line) - 1
     total = 0.0
-    if part > 0.0:
-        for i in range(last - 1):
-            total += line[i]
-        return total + part * line[last - 1]
-    for i in range(last):
+    for i in range(last - 1 if part > 0.0 else last):
         total += line[i]
-    return total
+    return total + part * line[last - 1] if part > 0.0 else total
 
 
 def forget(energy: float, force: float, stiffness: float | None) -> float:

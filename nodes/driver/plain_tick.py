@@ -64,8 +64,7 @@ class PlainTicks:
             )
         )
         s.states_sent += 1
-        # Taken before sending: under FIFO the whole chain may run before the call returns.
-        s.sampled = self._clock()
+        s.sampled = self._clock()  # taken before sending: under FIFO the whole chain may run before the call returns
         self._publisher.send_hop(self._topic, payload)
         self.payload = payload
 
@@ -79,10 +78,9 @@ class PlainTicks:
                 return NONE
         else:
             wait = inbox.receive_soon if s.patient != 0 else inbox.receive_until
-            received = wait(until)
-            if received is None:
+            frames = wait(until)
+            if frames is None:
                 return NONE
-            frames = received
         s.arrival = self._clock()
         return self._read_force(s, frames)
 

@@ -13,8 +13,7 @@ from nodes.compiled.layout import state_of
 from nodes.compiled.memory import wholes_at
 from nodes.driver.state import BINS, RECENT, DriverState
 
-BLOCK: Final = 64
-"""Responses that are counted together; a divisor of RECENT."""
+BLOCK: Final = 64  # responses that are counted together; a divisor of RECENT
 
 
 def note_response(s: Any, response: float) -> None:
@@ -33,10 +32,7 @@ def note_response(s: Any, response: float) -> None:
 
 
 class ResponseTimes:
-    """A histogram of response times, on a driver's state or one of its own.
-
-    `state`: where the newest responses stand.
-    """
+    """A histogram of response times, on a driver's state or one of its own."""
 
     def __init__(self, state: Any = None) -> None:
         self._state: Any = state_of(DriverState) if state is None else state
@@ -61,8 +57,7 @@ class ResponseTimes:
     @property
     def longest(self) -> float:
         """Longest response [s]."""
-        longest: float = max(self._state.longest, *self._state.recent)
-        return longest
+        return float(max(self._state.longest, *self._state.recent))
 
     def _percentile(self, bins: array[int], share: float) -> float:
         wanted = share * self.count

@@ -6,15 +6,13 @@ from collections import deque
 from typing import Any, Final
 
 from nodes.driver.device import Device, DeviceLimits
-from nodes.driver.ending import Ending
 from nodes.driver.limits import Limits
-from nodes.driver.motion import endings
+from nodes.driver.motion import Ending, endings
+from nodes.driver.notes import Note, take_notes
 from nodes.driver.response_times import ResponseTimes
 from nodes.driver.state import LIMITED, REFUSED, SAFETY
-from nodes.driver.telling import Told, take_notes
 
-REASONS: Final = 8
-"""Changes of state that the summary of a run tells; all of them are on the driver's event topic."""
+REASONS: Final = 8  # changes of state that the summary of a run tells; all of them are on the driver's event topic
 
 
 class DriverReport:
@@ -23,10 +21,8 @@ class DriverReport:
     def __init__(self, state: Any) -> None:
         self._state = state
         self.responses = ResponseTimes(state)  # its response times
-        # When its first and its last tick were [s].
-        self.first = self.last = 0.0
-        # Its first tick, and what it took to bring the force down.
-        self.first_seq = self.soft_stop_ticks = 0
+        self.first = self.last = 0.0  # when its first and its last tick were [s]
+        self.first_seq = self.soft_stop_ticks = 0  # its first tick, and what it took to bring the force down
         self.complete = False  # whether it came to its last tick
         self.own_guard = False
         self._overruled: tuple[str, ...] = ()
@@ -37,7 +33,7 @@ class DriverReport:
         """Note what holds for the run, and whether the launch file itself asks for a guard."""
         self._limits, self._overruled, self.own_guard = device.limits, limits.overruled, own_guard
 
-    def notes(self) -> list[Told]:
+    def notes(self) -> list[Note]:
         """Take what the rules have noted, in words."""
         notes = take_notes(self._state)
         self._reasons.extend(note.reason for note in notes if note.is_change)

@@ -25,52 +25,24 @@ import math
 from typing import Any, Final
 
 from messages.types import ZERO, Vector
-from nodes.arithmetic import limit
+from nodes.arithmetic import limit, limit_within_tick
+from nodes.driver import notes
 from nodes.driver.limits import STOP_TIME, Limits, SafetyParameters
 from nodes.driver.motion import find_velocity
 from nodes.driver.motor_heat import close_tick, lower_heat, note_heat, set_heat
 from nodes.driver.passivity import guarded
-from nodes.driver.state import (
-    ACTIVE,
-    DAMPING,
-    FAULT,
-    IDLE,
-    NOTHING,
-    RAMP,
-    STOPPED,
-    note,
-    seldom,
-)
-from nodes.driver.telling import (
-    BACK_INSIDE,
-    CONTINUOUS,
-    DONE_RAMP,
-    FIRST_FORCE,
-    FRESH_FORCE,
-    LET_GO,
-    NO_POSITION,
-    OUTSIDE,
-    REARMED,
-    REFUSED_FIRST,
-    SILENT,
-    STILL_SILENT,
-    SWINGS,
-)
+from nodes.driver.state import ACTIVE, DAMPING, FAULT, IDLE, NOTHING, RAMP, STOPPED, note, seldom
 
-REACH: Final = 1e6
-"""Farther than this no device is: a position beyond is a fault of whoever measured it [m]."""
+REACH: Final = 1e6  # farther than this no device is: a position beyond is a fault of whoever measured it [m]
 
 STOP_WINDOW: Final = 2.0
 """Within so long a loop that swings brings its force to the largest magnitude `stop_after` times, and gives out energy [s]."""
 
-REGAIN: Final = 5
-"""Ticks of ramp that one tick without a force costs: after a fifth of `recovery` the whole ramp is due."""
+REGAIN: Final = 5  # ticks of ramp that one tick without a force costs: after a fifth of `recovery` the whole ramp is due
+RETURN_SPEED: Final = 0.25  # faster than this a force that comes back must not push [m/s]: the reduced speed of ISO 10218-1
 
-RETURN_SPEED: Final = 0.25
-"""Faster than this a force that comes back must not push [m/s]: the reduced speed of ISO 10218-1."""
-
-FUTURE, REPLAYED, STALE, NOT_FINITE = 0, 1, 2, 3
-PEAK, SLEW, HEAT = 0, 1, 2
+FUTURE, REPLAYED, STALE, NOT_FINITE = range(4)
+PEAK, SLEW, HEAT = range(3)
 
 
 def set_safety(s: Any, parameters: SafetyParameters, limits: Limits, period: float) -> None:
@@ -92,16 +64,14 @@ def set_safety(s: Any, parameters: SafetyParameters, limits: Limits, period: flo
     s.safety, s.force_seq, s.since, s.limited_at = IDLE, -1, 0, -1
 
 
-def enter(
-    s: Any, state: int, seq: int, why: int, a: float = 0.0, b: float = 0.0, c: float = 0.0, d: float = 0.0
-) -> None:
+def enter(s: Any, state: int, seq: int, why: int, a: float = 0.0, b: float = 0.0, c: float = 0.0, d: float = 0.0) -> None:
     """Change what is done with forces."""
     before = s.safety
     if state == before or before == STOPPED:
         return
+    if before == ACTIVE:
+        s.regained = s.recovery_ticks
     if before in (ACTIVE, RAMP):
-        if before == ACTIVE:
-            s.regained = s.recovery_ticks
         s.away_from = float(seq)
     if state == FAULT:
         s.regained = 0
@@ -111,10 +81,7 @@ def enter(
 
 
 def rearm(s: Any, seq: int) -> bool:
-    """Let a driver that has stopped take forces again, from nothing and by the whole ramp; whether it had stopped.
-
-    Only on request. Whoever asks has seen to it that the loop is another one: the same swings again, and is stopped again.
-    """
+    """Let a driver that has stopped take forces again, on request, from nothing, by the whole ramp; whether it had."""
     if s.safety != STOPPED:
         return False
     # Swings are counted anew; what the motor has been heated by, and energy, are not forgotten.
@@ -124,7 +91,7 @@ def rearm(s: Any, seq: int) -> bool:
         s.brake[i], s.sides[i] = 0.0, 0
     s.safety = NOTHING
     s.entered[NOTHING] += 1
-    note(s, REARMED, seq, 8 * STOPPED + NOTHING)
+    note(s, notes.REARMED, seq, 8 * STOPPED + NOTHING)
     return True
 
 
@@ -145,7 +112,7 @@ def admit(s: Any, seq: int) -> bool:
     s.refused_for[why] += 1
     count = s.refused_for[why]
     if seldom(count):
-        note(s, REFUSED_FIRST + why, seq, -1, float(count), a, b, c, d)
+        note(s, notes.REFUSED_FIRST + why, seq, -1, float(count), a, b, c, d)
     return False
 
 
@@ -173,9 +140,9 @@ def _become_active(s: Any, seq: int) -> None:
             s.wanted[i] = 0.0 if s.safety == FAULT else s.brake[i]
         return
     if s.safety != RAMP:
-        why = FIRST_FORCE
+        why = notes.FIRST_FORCE
         if s.safety != IDLE:
-            why = FRESH_FORCE
+            why = notes.FRESH_FORCE
             s.ramp_ticks = s.recovery_ticks
             s.regained = max(s.regained - REGAIN * math.ceil(seq - s.away_from), 0)
         enter(s, RAMP if s.ramp_ticks > 0 else ACTIVE, seq, why)
@@ -194,7 +161,7 @@ def _become_active(s: Any, seq: int) -> None:
         else:
             s.regained += 1
     if s.regained >= s.ramp_ticks:
-        enter(s, ACTIVE, seq, DONE_RAMP, float(s.ramp_ticks))
+        enter(s, ACTIVE, seq, notes.DONE_RAMP, float(s.ramp_ticks))
         return
     share = s.regained / s.ramp_ticks
     for i in range(3):
@@ -215,9 +182,9 @@ def missed(s: Any, seq: int) -> bool:
             x, y, z = s.force[0], s.force[1], s.force[2]
             hand_over(s, seq)
             return bool(s.force[0] != x or s.force[1] != y or s.force[2] != z)
-        enter(s, DAMPING, seq, SILENT, float(silent), float(s.watchdog))
+        enter(s, DAMPING, seq, notes.SILENT, float(silent), float(s.watchdog))
     if s.safety == DAMPING and silent >= s.watchdog + s.damping_ticks:
-        enter(s, NOTHING, seq, STILL_SILENT, float(silent))
+        enter(s, NOTHING, seq, notes.STILL_SILENT, float(silent))
     if s.safety == DAMPING:
         find_velocity(s)
     for i in range(3):
@@ -235,7 +202,7 @@ def let_go(s: Any, seq: int, since: float) -> None:
     for i in range(3):
         s.force[i] = s.handed[i] = 0.0
     if s.safety in (ACTIVE, RAMP):
-        enter(s, NOTHING, seq, LET_GO)
+        enter(s, NOTHING, seq, notes.LET_GO)
         s.away_from = since
 
 
@@ -244,19 +211,19 @@ def watch_position(s: Any, seq: int) -> bool:
     x, y, z = s.place[0], s.place[1], s.place[2]
     reach = s.reach
     if not (-reach <= x <= reach and -reach <= y <= reach and -reach <= z <= reach):
-        enter(s, FAULT, seq, NO_POSITION, x, y, z)
+        enter(s, FAULT, seq, notes.NO_POSITION, x, y, z)
         s.brake[0] = s.brake[1] = s.brake[2] = 0.0
         return False
     if s.bounded != 0:
         for i in range(3):
             low, high = s.workspace[2 * i], s.workspace[2 * i + 1]
             if not low <= s.place[i] <= high:
-                enter(s, FAULT, seq, OUTSIDE, float(i), s.place[i], low, high)
+                enter(s, FAULT, seq, notes.OUTSIDE, float(i), s.place[i], low, high)
                 s.brake[0] = s.brake[1] = s.brake[2] = 0.0
                 return False
     if s.safety == FAULT:
         # Not active yet: a force must come first, which then grows by the ramp.
-        enter(s, NOTHING, seq, BACK_INSIDE)
+        enter(s, NOTHING, seq, notes.BACK_INSIDE)
     return True
 
 
@@ -276,7 +243,7 @@ def watch_swings(s: Any, seq: int) -> None:
         span, gained = (seq - s.peaks[2 * first]) * s.period, s.energy - s.peaks[2 * first + 1]
         if s.peaks_count >= s.stop_after and span <= STOP_WINDOW and gained > 0.0:
             s.stopped_at = seq
-            enter(s, STOPPED, seq, SWINGS, s.peak, float(s.stop_after), span, gained)
+            enter(s, STOPPED, seq, notes.SWINGS, s.peak, float(s.stop_after), span, gained)
     if s.safety == STOPPED:
         find_velocity(s)
         damped = seq - s.stopped_at < s.damping_ticks
@@ -298,7 +265,7 @@ def hand_over(s: Any, seq: int) -> None:
     for n in range(s.axes):
         i = s.axis[n]
         asked = s.wanted[i]
-        s.wanted[i] = limit(asked, s.force[i], s.peak, max(s.slew - s.slewed[i], 0.0))
+        s.wanted[i] = limit_within_tick(asked, s.force[i], s.peak, s.slew, s.slewed[i])
         side = 0
         if abs(asked) > s.peak:
             side = 1 if asked > 0.0 else -1
@@ -311,7 +278,7 @@ def hand_over(s: Any, seq: int) -> None:
         if lower_heat(s):
             s.limited_by[HEAT] += 1
             if seldom(s.limited_by[HEAT]):
-                note(s, CONTINUOUS, seq, -1, float(s.limited_by[HEAT]), s.continuous)
+                note(s, notes.CONTINUOUS, seq, -1, float(s.limited_by[HEAT]), s.continuous)
         note_heat(s)
     for n in range(s.axes):
         i = s.axis[n]
@@ -326,6 +293,4 @@ def soft_stop(start: Vector, slew: float, period: float) -> list[Vector]:
     steps = max(1, min(10, int(STOP_TIME / period)))
     if math.isfinite(slew):
         steps = max(steps, math.ceil(max(map(abs, start)) / slew))
-    return [
-        (start[0] * left / steps, start[1] * left / steps, start[2] * left / steps) for left in range(steps - 1, -1, -1)
-    ]
+    return [(start[0] * left / steps, start[1] * left / steps, start[2] * left / steps) for left in range(steps - 1, -1, -1)]

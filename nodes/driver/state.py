@@ -1,7 +1,7 @@
 """The state of a driver: one struct, which interpreted and compiled ticks read and write where it stands.
 
 A new variable is a line here, and one where it is used. Whatever has no limit holds infinity. Rules are plain functions on the
-struct, each in the module of what it rules; what they have to say is a code with numbers (`note`), which `nodes.driver.telling`
+struct, each in the module of what it rules; what they have to say is a code with numbers (`note`), which `nodes.driver.notes`
 turns into words when the tick is done.
 """
 
@@ -10,19 +10,13 @@ from __future__ import annotations
 from ctypes import Structure, c_double, c_int64
 from typing import Any, Final
 
-from nodes.compiled.layout import LOOP
+from nodes.compiled.layout import LOOP, named
 
 BETWEEN: Final = 0
 WAITING: Final = 1
 """Where in a tick it stands: before its sample, or after it, waiting for the force that answers it."""
 
-IDLE: Final = 0
-RAMP: Final = 1
-ACTIVE: Final = 2
-DAMPING: Final = 3
-NOTHING: Final = 4
-FAULT: Final = 5
-STOPPED: Final = 6
+IDLE, RAMP, ACTIVE, DAMPING, NOTHING, FAULT, STOPPED = range(7)
 SAFETY: Final = ("waiting", "ramp", "active", "damping", "zero", "fault", "stopped")
 """What the safety does with forces: its states, and their names in messages."""
 
@@ -33,8 +27,7 @@ BINS: Final = 50_000
 RECENT: Final = 512
 """Newest response times that are kept as they are, for the status line."""
 
-PEAKS: Final = 64
-"""Room for the moments at which the force came to its limit."""
+PEAKS: Final = 64  # room for the moments at which the force came to its limit
 
 NOTES: Final = 32
 NOTE: Final = 8
@@ -42,139 +35,54 @@ NOTE: Final = 8
 
 _VECTORS = (
     # the position just read, and the message just taken
-    "place",
-    "got",
+    *("place", "got"),
     # what is asked for on its way through ramp, guard and limits; what was decided last, what is on the device, what comes next
-    "wanted",
-    "force",
-    "handed",
-    "following",
+    *("wanted", "force", "handed", "following"),
     # of the newest tick: how far the force has changed on each axis, and its mean up to a place in the tick
-    "slewed",
-    "mean",
+    *("slewed", "mean"),
     # motion: newest sample, the one before, mean force since the newest and between the two, velocity
-    "position",
-    "before",
-    "acting",
-    "acted",
-    "velocity",
+    *("position", "before", "acting", "acted", "velocity"),
     # where a simulated hand pulls to, and the damper of a driver that has stopped
-    "target",
-    "brake",
-    "guard_energy",
-    "guard_step",
+    *("target", "brake"),
+    *("guard_energy", "guard_step"),
 )
 
 _NUMBERS = (
     # the tick: when tick 0 was, when its sample was published, when a message came
-    "epoch",
-    "sampled",
-    "arrival",
-    "late_answer_at",
-    "lateness",
-    "response",
-    "delay",
+    *("epoch", "sampled", "arrival", "late_answer_at", "lateness", "response", "delay"),
     # where in the tick the mean force stands, and after how many ticks the device lets go by itself
-    "split",
-    "device_hold_ticks",
+    *("split", "device_hold_ticks"),
     # safety
-    "peak",
-    "slew",
-    "damping",
-    "away_from",
-    "reach",
+    *("peak", "slew", "damping", "away_from", "reach"),
     # the motor's heat: continuous force, share kept per tick and over a gap, mean square, largest square of this tick
-    "continuous",
-    "heat_keep",
-    "heat_reserve",
-    "heat",
-    "heat_largest",
+    *("continuous", "heat_keep", "heat_reserve", "heat", "heat_largest"),
     # motion
-    "energy",
-    "highest",
-    "at",
-    "at_before",
-    "line_part",
+    *("energy", "highest", "at", "at_before", "line_part"),
     # guard
-    "guard_stiffness",
-    "guard_rate",
-    "guard_allowance",
-    "guard_highest",
-    "longest",
+    *("guard_stiffness", "guard_rate", "guard_allowance", "guard_highest", "longest"),
 )
 
 _COUNTERS = (
     # the device: its two calls, and what they are called with
-    "device_read",
-    "device_write",
-    "device_context",
-    "device_room",
+    *("device_read", "device_write", "device_context", "device_room"),
     # other threads ask compiled ticks to come back
-    "attention",
-    "phase",
-    "next_tick",
-    "virtual",
-    "axes",
-    "fd",
-    "poll",
+    *("attention", "phase", "next_tick", "virtual", "axes", "fd", "poll"),
     # the position was read by somebody else; what somebody else made of a message, plus 1; a call of the device failed
-    "place_given",
-    "given",
-    "failed",
-    "got_seq",
-    "late_answer",
-    "heard",
-    "patient",
-    "has_following",
-    "written",
-    "age",
-    "oldest_age",
-    "missed",
-    "overruns",
-    "taken",
-    "states_sent",
-    "asked",
+    *("place_given", "given", "failed", "got_seq", "late_answer", "heard", "patient", "has_following", "written"),
+    *("age", "oldest_age", "missed", "overruns", "taken", "states_sent", "asked"),
     # safety
-    "safety",
-    "force_seq",
-    "since",
-    "limited_at",
-    "max_age",
-    "watchdog",
-    "damping_ticks",
-    "start_ticks",
-    "recovery_ticks",
-    "ramp_ticks",
-    "regained",
-    "ramp_seq",
-    "unlimited",
-    "bounded",
+    *("safety", "force_seq", "since", "limited_at", "max_age", "watchdog", "damping_ticks", "start_ticks", "recovery_ticks"),
+    *("ramp_ticks", "regained", "ramp_seq", "unlimited", "bounded"),
     # swings
-    "stop_after",
-    "peaked",
-    "peaks_count",
-    "stopped_at",
+    *("stop_after", "peaked", "peaks_count", "stopped_at"),
     # motion: where the newest samples are, and forces under way
-    "begun",
-    "elapsed",
-    "covered",
-    "samples",
-    "places",
-    "places_count",
-    "lines",
-    "line_length",
+    *("begun", "elapsed", "covered", "samples", "places", "places_count", "lines", "line_length"),
     # guard
-    "guard_on",
-    "guard_bounded",
-    "lowered",
-    "raised",
+    *("guard_on", "guard_bounded", "lowered", "raised"),
     # response times
-    "recent_at",
-    "counted",
-    "bins",
+    *("recent_at", "counted", "bins"),
     # what there is to say
-    "notes_count",
-    "notes_lost",
+    *("notes_count", "notes_lost"),
 )
 
 
@@ -183,9 +91,9 @@ class DriverState(Structure):
 
     _fields_ = [
         *LOOP,
-        *((name, c_double * 3) for name in _VECTORS),
-        *((name, c_double) for name in _NUMBERS),
-        *((name, c_int64) for name in _COUNTERS),
+        *named(c_double * 3, *_VECTORS),
+        *named(c_double, *_NUMBERS),
+        *named(c_int64, *_COUNTERS),
         ("axis", c_int64 * 3),
         ("sides", c_int64 * 3),
         ("workspace", c_double * 6),
@@ -205,15 +113,7 @@ class DriverState(Structure):
 
 
 def note(
-    s: Any,
-    code: int,
-    seq: int,
-    change: int = -1,
-    a: float = 0.0,
-    b: float = 0.0,
-    c: float = 0.0,
-    d: float = 0.0,
-    e: float = 0.0,
+    s: Any, code: int, seq: int, change: int, a: float = 0.0, b: float = 0.0, c: float = 0.0, d: float = 0.0, e: float = 0.0
 ) -> None:
     """Take down what is to be said when the tick is done."""
     if s.notes_count >= NOTES:

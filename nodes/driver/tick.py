@@ -8,26 +8,21 @@ with a reason; whoever called it mends that and calls it again, and the tick goe
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from nodes.driver.motion import act, sample, split
+from nodes.driver.notes import HELD_UP
 from nodes.driver.passivity import count_step
 from nodes.driver.response_times import note_response
 from nodes.driver.safety import admit, command, let_go, missed, watch_position, watch_swings
 from nodes.driver.state import BETWEEN, FAULT, WAITING, note
-from nodes.driver.telling import HELD_UP
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-GOT: Final = 0
-NONE: Final = 1
-REFUSED: Final = 2
-UNREAD: Final = 3
+GOT, NONE, REFUSED, UNREAD = range(4)
 """What came of waiting for a message: one, none in time, one that was refused, one that the port cannot judge."""
 
-GO_ON: Final = 0
-SILENT: Final = 1
-BROKEN: Final = 2
+GO_ON, SILENT, BROKEN = range(3)
 """Why `ticks` ended, beside `UNREAD`: nothing unusual; in lockstep no answer for a while; the device did not do as asked."""
 
 
@@ -64,8 +59,7 @@ def lost(s: Any, seq: int, late: float) -> None:
         let_go(s, s.seq, s.written + s.device_hold_ticks)
         note(s, HELD_UP, s.seq, -1, float(s.written))
     elif s.has_following != 0 and s.seq - s.force_seq > s.max_age:
-        # What was still to be handed over is too old by now.
-        s.has_following = 0
+        s.has_following = 0  # what was still to be handed over is too old by now
         for i in range(3):
             s.force[i] = s.handed[i]
 
@@ -101,9 +95,7 @@ def _as_it_stands(function: Function) -> Function:
     return function
 
 
-def make_ticks(
-    port: Port, made: Callable[[Any], Any] = _as_it_stands
-) -> tuple[Callable[[Any], int], Callable[[Any], int]]:
+def make_ticks(port: Port, made: Callable[[Any], Any] = _as_it_stands) -> tuple[Callable[[Any], int], Callable[[Any], int]]:
     """Make the ticks of a port, in lockstep and in real time: they go on until something waits, and tell why they ended."""
     sleep_until, read, write, publish, receive, aside, called = port
 
@@ -161,13 +153,11 @@ def make_ticks(
                 if now < deadline:
                     return GO_ON
                 if now - deadline >= s.period:
-                    # The driver itself was held up.
-                    lost(s, seq, now - deadline)
+                    lost(s, seq, now - deadline)  # the driver itself was held up
                     return GO_ON
                 s.lateness = now - deadline
                 if s.has_following != 0:
-                    # Under ``next_tick`` hardware, too, gets its force at the start of the tick.
-                    s.has_following = 0
+                    s.has_following = 0  # under ``next_tick`` hardware, too, gets its force at the start of the tick
                     hand_over(s, s.following, seq, 0.0)
             if not begin(s, seq, now + s.clock_offset):
                 return BROKEN
@@ -191,7 +181,7 @@ def make_ticks(
                 if got == UNREAD:
                     return UNREAD
                 if got == GOT and s.arrival >= following:
-                    # Nor must whoever floods the topic keep the driver from its next tick.
+                    # A flooded topic must not delay the next tick.
                     s.late_answer, s.late_answer_at = 1, s.arrival
                     break
             if got == REFUSED or not admit(s, seq):
@@ -219,8 +209,7 @@ def make_ticks(
         if s.next_tick == 0:
             split(s, 1.0)
         if s.answered == 0:
-            # In a fault there is no position that could have been answered.
-            s.missed += 1 if s.safety != FAULT else 0
+            s.missed += 1 if s.safety != FAULT else 0  # in a fault there is no position that could have been answered
             s.response = 0.0
             if missed(s, seq):
                 s.has_following = 0

@@ -13,10 +13,7 @@ if TYPE_CHECKING:
 
 
 class Watch:
-    """What the loop's thread is at, and how long it may take.
-
-    `last_resort`: what ends the process when no other thread can run; None for a device that can wait.
-    """
+    """What the loop's thread is at, and how long it may take; what ends the process when no other thread can run, if any."""
 
     def __init__(self, node: Node, limits: DeviceLimits, last_resort: LastResort | None) -> None:
         self._node, self._limits, self._last_resort = node, limits, last_resort

@@ -11,10 +11,7 @@ from nodes.environment.state import SHAPES, UNKNOWN
 
 
 class EnvironmentTicks(CompiledTicks):
-    """The compiled ticks of an environment.
-
-    `kernel`: nodes/environment/kernel.py or nodes/environment/shapes/kernel.py, compiled.
-    """
+    """The compiled ticks of an environment, with a kernel that knows shapes or one that does not."""
 
     def __init__(self, node: Any, kernel: Kernel, shapes: bool) -> None:
         super().__init__(node, kernel, topics.DEVICE_STATE, topics.PROXY)

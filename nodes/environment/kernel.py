@@ -14,15 +14,13 @@ from nodes.compiled.kernels.machine import compilable, reals_at, record_at
 from nodes.compiled.kernels.scan import make_match, make_scan
 from nodes.compiled.kernels.sources import kernel, record_of
 from nodes.compiled.layout import TEXTS
-from nodes.compiled.message_fields import fields_of, slot
+from nodes.compiled.message_fields import fields_of, slots
 from nodes.environment.meet import meet_flat, meet_plane
 from nodes.environment.spent import note_spent
 from nodes.environment.state import EnvironmentState
 
-kernel(plane_distance)
-kernel(meet_plane)
-kernel(meet_flat)
-kernel(note_spent)
+for _function in (plane_distance, meet_plane, meet_flat, note_spent):
+    kernel(_function)
 _look = record_at(record_of(EnvironmentState))
 _scan = make_scan(DeviceState)
 # In a fault the position is no new one. A message without the word is of an active driver.
@@ -30,10 +28,9 @@ _tells_fault = make_match("fault")
 _encode = make_encode(Proxy)
 _TEXTS = TEXTS
 _IN, _OUT = fields_of(DeviceState), fields_of(Proxy)
-_SEQ, _STAMP, _POSITION, _DELAY = (slot(_IN, name) for name in ("seq", "stamp", "position", "delay"))
-_TO_SEQ, _TO_CONTACT = (slot(_OUT, name) for name in ("seq", "contact"))
-_TO_STAMP, _TO_POSITION, _TO_PROXY, _TO_NORMAL, _TO_DISTANCE, _TO_DELAY = (
-    slot(_OUT, name) for name in ("stamp", "position", "proxy", "normal", "distance", "delay")
+_SEQ, _STAMP, _POSITION, _DELAY = slots(_IN, "seq", "stamp", "position", "delay")
+_TO_SEQ, _TO_CONTACT, _TO_STAMP, _TO_POSITION, _TO_PROXY, _TO_NORMAL, _TO_DISTANCE, _TO_DELAY = slots(
+    _OUT, "seq", "contact", "stamp", "position", "proxy", "normal", "distance", "delay"
 )
 
 
@@ -75,8 +72,7 @@ def make_ticks(meet: Callable[[int, Any, Any, float, float, float, Any], bool]) 
                 end = monotonic(s)
                 out[_TO_STAMP] = end + s.clock_offset
                 note_spent(s.spent, end - begin)
-            # Before it is sent: whoever has the answer and asks for the count finds it there.
-            s.ticks += 1
+            s.ticks += 1  # before it is sent: whoever has the answer and asks for the count finds it there
             at = out_at(s)
             answer(s, at, _encode(at, s.out_keys, out, s.out_wholes, s.text, s.text_size) - at)
             done += 1
@@ -85,8 +81,7 @@ def make_ticks(meet: Callable[[int, Any, Any, float, float, float, Any], bool]) 
         flush(s)
         return done
 
-    made: Callable[[int], int] = ticks
-    return made
+    return ticks
 
 
 @compilable
@@ -94,5 +89,4 @@ def _meet(kind: int, table: Any, memory: Any, x: float, y: float, z: float, met:
     return meet_flat(kind, table, x, y, z, met)
 
 
-ticks = make_ticks(_meet)
-"""Answer device states with proxies on a surface without shapes until something is unusual."""
+ticks = make_ticks(_meet)  # answer device states with proxies on a surface without shapes until something is unusual

@@ -17,10 +17,7 @@ from nodes.environment.state import ANCHOR, MET, PLANE, SHAPES
 
 
 class Numbers(NamedTuple):
-    """A surface as `meet` takes it: FREE, PLANE (axis, coordinate, side), ANCHOR (point) or SHAPES (see shapes/tables.py).
-
-    What was repaired of it is said in words.
-    """
+    """A surface as `meet` takes it: FREE, PLANE (axis, coordinate, side), ANCHOR (point) or SHAPES; its repairs in words."""
 
     kind: int
     table: array[float]
@@ -51,13 +48,7 @@ def meet_flat(kind: int, table: Sequence[float], x: float, y: float, z: float, m
 
 
 def meet(
-    kind: int,
-    table: Sequence[float],
-    memory: MutableSequence[float],
-    x: float,
-    y: float,
-    z: float,
-    met: MutableSequence[float],
+    kind: int, table: Sequence[float], memory: MutableSequence[float], x: float, y: float, z: float, met: MutableSequence[float]
 ) -> bool:
     """Let a proxy follow the device to a position [m]: the answer is written into `met`; whether there is contact."""
     if kind != SHAPES:

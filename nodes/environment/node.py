@@ -32,10 +32,7 @@ if TYPE_CHECKING:
 class EnvironmentParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of the environment.
 
-    Attributes
-    ----------
-    surface : dict
-        ``kind`` and parameters of the surface: see nodes/environment/surfaces.py.
+    surface: ``kind`` and parameters of the surface: see nodes/environment/surfaces.py.
     """
 
     surface: dict[str, Any] = msgspec.field(default_factory=lambda: {"kind": "free"})
@@ -104,13 +101,9 @@ class Environment(Node):
 
         def watched(position: Vector) -> Meeting:
             met = meet(position)
-            if met[3]:
-                for i, axis in left_out:
-                    if met[0][i] != position[i]:
-                        computed = ", ".join(self.setup.axes)
-                        self.events.emit(
-                            "axes", f"the surface pushes along {axis}, but run.axes is [{computed}]: no force there"
-                        )
+            for axis in [axis for i, axis in left_out if met[3] and met[0][i] != position[i]]:
+                computed = ", ".join(self.setup.axes)
+                self.events.emit("axes", f"the surface pushes along {axis}, but run.axes is [{computed}]: no force there")
             return met
 
         return watched
@@ -140,18 +133,9 @@ class Environment(Node):
         proxy, normal, distance, contact = self._meet(state.position)
         if not simulated:
             note_spent(self.counters.spent, time.monotonic() - begin)
-        return encode(
-            Proxy(
-                seq=state.seq,
-                stamp=state.stamp if simulated else self.clock.now(),
-                position=state.position,
-                proxy=proxy,
-                normal=normal,
-                distance=distance,
-                contact=contact,
-                delay=state.delay,
-            )
-        )
+        stamp = state.stamp if simulated else self.clock.now()
+        met: dict[str, Any] = {"proxy": proxy, "normal": normal, "distance": distance, "contact": contact}
+        return encode(Proxy(seq=state.seq, stamp=stamp, position=state.position, delay=state.delay, **met))
 
     def report(self) -> dict[str, Any]:
         """Tell how long its ticks took."""

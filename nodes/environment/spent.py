@@ -9,19 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import MutableSequence, Sequence
+from itertools import accumulate
 from typing import Final
 
-from nodes.compiled.layout import Counters
+from nodes.base.status_report import Counters
 
-BINS: Final = 136
-"""Room for counts: from `LEAST` to 13 ms."""
-
-LEAST: Final = 1e-7
-"""Where the first bin begins [s]."""
-
-PER_OCTAVE: Final = 8
-"""Bins for each doubling: a quantile is known to 4.4 %."""
-
+BINS: Final = 136  # room for counts: from `LEAST` to 13 ms
+LEAST: Final = 1e-7  # where the first bin begins [s]
+PER_OCTAVE: Final = 8  # bins for each doubling: a quantile is known to 4.4 %
 _AT = (("p50", 0.5), ("p99", 0.99), ("p999", 0.999))
 
 
@@ -50,12 +45,6 @@ def spent_us(counts: Sequence[int]) -> dict[str, float]:
     def edge(place: float) -> float:
         return float(f"{1e6 * LEAST * 2.0 ** (place / PER_OCTAVE):.3g}")
 
-    found: dict[str, float] = {}
-    for name, part in _AT:
-        below = 0
-        for place, count in enumerate(counts):
-            below += count
-            if below >= part * ticks:
-                found[name] = edge(place + 0.5)
-                break
+    below = list(accumulate(counts))
+    found = {name: edge(next(place for place, sum_ in enumerate(below) if sum_ >= part * ticks) + 0.5) for name, part in _AT}
     return found | {"max": edge(1 + max(place for place, count in enumerate(counts) if count))}

@@ -5,20 +5,14 @@ from __future__ import annotations
 from ctypes import Structure, c_double, c_int64
 from typing import Final
 
-from nodes.compiled.layout import LOOP
+from nodes.compiled.layout import LOOP, named
 from nodes.environment.spent import BINS
 
-FREE: Final = 0
-PLANE: Final = 1
-ANCHOR: Final = 2
-SHAPES: Final = 3
+FREE, PLANE, ANCHOR, SHAPES = range(4)
 """Kinds of surface that are numbers."""
 
-UNKNOWN: Final = -1
-"""A surface that only its own code knows."""
-
-MET: Final = 7
-"""Numbers of an answer: proxy (3) [m], outward normal (3), signed distance [m]."""
+UNKNOWN: Final = -1  # a surface that only its own code knows
+MET: Final = 7  # numbers of an answer: proxy (3) [m], outward normal (3), signed distance [m]
 
 
 class EnvironmentState(Structure):
@@ -27,11 +21,7 @@ class EnvironmentState(Structure):
     _fields_ = [
         *LOOP,
         # the kind of the surface, its numbers, what its proxy remembers, and the answer of the last tick
-        ("kind", c_int64),
-        ("table", c_int64),
-        ("table_count", c_int64),
-        ("memory", c_int64),
-        ("memory_count", c_int64),
+        *named(c_int64, "kind", "table", "table_count", "memory", "memory_count"),
         ("met", c_double * MET),
         # ticks by the time that they took (nodes/environment/spent.py)
         ("spent", c_int64 * BINS),

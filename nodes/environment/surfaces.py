@@ -256,9 +256,7 @@ def parse_surface(data: dict[str, Any], where: str) -> Surface:
     except NotInstalledError as error:
         raise ParameterError(f"{where}.kind: {error}") from error
     if not (isinstance(kind, type) and issubclass(kind, Surface)):
-        raise ParameterError(
-            f"{where}.kind: {kind!r} is registered in {SURFACES.group}, but is not a subclass of Surface"
-        )
+        raise ParameterError(f"{where}.kind: {kind!r} is registered in {SURFACES.group}, but is not a subclass of Surface")
     made: Surface = convert({k: v for k, v in data.items() if k != "kind"}, kind, where)
     return made
 

@@ -1,7 +1,5 @@
 """One node of a launch as the supervisor sees it: a process of its own to start, look after and end."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal
@@ -13,28 +11,65 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import zmq
 
 from messages.topics import DEVICE_STATE
+from messages.transport.endpoints import Context
 from messages.transport.requests import ControlError, call
 from nodes.base.hang_watchdog import held_in
 from nodes.base.node_kinds import load
 from nodes.base.setup import Setup
-from nodes.launcher.processor_wait import ProcessorWait, state_of
 
 PYTHON = (sys.executable, "-P")
 """The interpreter that our processes run in: without the working directory on its path, where a ``sim.py`` may be anybody's."""
 
-START_TIMEOUT = 90.0
-"""How long a node's process may take until it is ready [s]: eight launches at once on two processors take more than 30 s."""
+START_TIMEOUT = 90.0  # until a node is ready [s]: eight launches at once on two processors take more than 30 s
+
+
+class ProcessorWait:
+    """How long a process has been kept from running by others, since the first look: time not to be held against it.
+
+    The kernel counts for each thread how long it was ready to run but did not (``schedstat``), and adds it up when the thread
+    gets its turn. One that has not had its turn since the last look is known by its state: ready to run, and nothing done. A
+    process that is stopped, frozen, or waits for something else than a processor is not kept from running by anybody.
+    """
+
+    def __init__(self) -> None:
+        self._looked = time.monotonic()
+        self._threads: dict[str, tuple[int, int]] = {}
+        self.seconds = 0.0
+
+    def look(self, pid: int) -> float:
+        """Look once more [s]: of its threads the one counts that has waited most since the last look."""
+        now = time.monotonic()
+        passed, self._looked = now - self._looked, now
+        seen: dict[str, tuple[int, int]] = {}
+        most = 0.0
+        for path in Path(f"/proc/{pid}/task").glob("[0-9]*"):
+            # One that has ended meanwhile waits for nothing.
+            with contextlib.suppress(OSError):
+                ran, waited = map(int, (path / "schedstat").read_text(encoding="ascii").split()[:2])
+                seen[path.name] = ran, waited
+                before = self._threads.get(path.name)
+                if before == (ran, waited) and state_of(path) == "R":
+                    most = passed
+                elif before is not None:
+                    most = max(most, (waited - before[1]) * 1e-9)
+        self._threads = seen
+        # What is added up late was counted by the state before.
+        self.seconds += min(most, passed)
+        return self.seconds
+
+
+def state_of(path: Path) -> str:
+    """Give the letter by which the kernel names the state of a process or thread, from its folder in /proc."""
+    return (path / "stat").read_text(encoding="ascii", errors="replace").rsplit(")", 1)[1].split()[0]
 
 
 class Child:
-    """One node's process.
+    """One node's process, which may be started again so often (-1: for ever); the launch ends with one that is `required`.
 
-    `respawns`: how often it may be started again, -1 for ever. `required`: whether the launch ends when it does. `patience`:
-    how long the launcher waits for it to be ready [s]. `distance`: how long the first answer over a new connection takes
-    longer than on this machine [s].
+    `patience`: how long the launcher waits for it to be ready [s]. `distance`: how long the first answer over a new connection
+    takes longer than on this machine [s].
     """
 
     patience = START_TIMEOUT
@@ -51,8 +86,7 @@ class Child:
         self._wait_for_processor = ProcessorWait()
         self.again_at: float | None = None
         self.ready_at = time.monotonic()  # when it was ready; before, when it was made [s]
-        # How long its device may take to open, from then on, and to close [s].
-        self.opening = self.closing = 0.0
+        self.opening = self.closing = 0.0  # how long its device may take to open, from then on, and to close [s]
         self.to_start = False
         self.ready = False
         self.over = False
@@ -67,15 +101,14 @@ class Child:
     def code(self) -> int | None:
         """Exit code of the process; negative for a signal, None while it runs.
 
-        Seen without taking the process from the kernel's table, which a thread does: Linux 6.18 was seen to spend a minute
-        on that, and nobody was looked after meanwhile.
+        A thread takes the process from the kernel's table: Linux 6.18 was seen to spend a minute on it, with nobody looked
+        after.
         """
         if self._exit is None and self.process is not None:
             try:
                 ended = os.waitid(os.P_PID, self.process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)
             except ChildProcessError:
-                # Whoever started the launcher ignores SIGCHLD, and the kernel keeps no exit code.
-                self._exit = 0
+                self._exit = 0  # whoever started the launcher ignores SIGCHLD, and the kernel keeps no exit code
                 return self._exit
             if ended is not None:
                 self._exit = ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status
@@ -87,9 +120,7 @@ class Child:
         """How it ended, in words."""
         code = self.code
         if self.unreported:
-            return (
-                f"exit code {code} in mid-run, without its own word that it is done: something in it has called exit()"
-            )
+            return f"exit code {code} in mid-run, without its own word that it is done: something in it has called exit()"
         if code is not None and code < 0:
             return signal.Signals(-code).name
         place = held_in(self.setup) if code else ""
@@ -116,23 +147,23 @@ class Child:
         """Whether it only listens (a logger)."""
         return bool(self.setup.manifest)
 
-    def start(self, run_dir: Path) -> None:
-        """Start the process."""
+    def _write_setup(self, run_dir: Path) -> Path:
         path = run_dir / f"{self.setup.name}.json"
         path.parent.mkdir(mode=0o700, exist_ok=True, parents=True)
         path.write_bytes(msgspec.json.encode(self.setup))
+        return path
+
+    def start(self, run_dir: Path) -> None:
+        """Start the process."""
+        path = self._write_setup(run_dir)
         # A group of its own, so that Ctrl-C on the terminal reaches the launcher alone, which ends the nodes in order.
         self.process = subprocess.Popen(
-            [*PYTHON, "-m", "nodes", str(path), str(os.getpid())],
-            stdin=subprocess.DEVNULL,
-            stdout=sys.stderr,
-            process_group=0,
+            [*PYTHON, "-m", "nodes", str(path), str(os.getpid())], stdin=subprocess.DEVNULL, stdout=sys.stderr, process_group=0
         )
         self.again_at = self._exit = None
-        # Another process: its interpreter is being set up again.
-        self.ready = self.unreported = False
+        self.ready = self.unreported = False  # another process: its interpreter is being set up again
 
-    def state(self, context: zmq.Context[zmq.Socket[bytes]], timeout: float = 0.25) -> str:
+    def state(self, context: Context, timeout: float = 0.25) -> str:
         """Ask for its state."""
         try:
             return str(call(context, self.setup.control, "status", timeout=timeout)["state"])
@@ -142,9 +173,7 @@ class Child:
     def is_done(self, run_dir: Path) -> bool:
         """Whether it has ended and says itself that it was at its end; whatever else ends it, says nothing."""
         status = self.report(run_dir).get("status", {})
-        finished = (
-            self.process is not None and status.get("pid") == self.process.pid and status.get("state") == "finished"
-        )
+        finished = self.process is not None and status.get("pid") == self.process.pid and status.get("state") == "finished"
         return self.code == 0 and finished
 
     @property

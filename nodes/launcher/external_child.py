@@ -6,54 +6,44 @@ a node has a lease, which every request of the launcher renews. One that is star
 respawn like any other: the launch file says whether it is taken back.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import shlex
 import signal
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import msgspec
-import zmq
 
-from messages.transport.endpoints import split
+from messages.transport.endpoints import Context, split
 from messages.transport.requests import Connection, ControlError
 from nodes.base.node_kinds import load
 from nodes.base.setup import Setup
 from nodes.launcher.child import Child
-from nodes.launcher.clock_offset import ClockOffset
 from nodes.parameters.paths import needed
 from nodes.parameters.store import convert
 
-PATIENCE = 120.0
-"""How long the launcher waits for somebody to start a node [s]."""
-
-LOST = 5.0
-"""After so long without an answer, and its distance, a node that was there is taken as lost [s]."""
-
-UNREPORTED = 2.0
-"""After so long, and its distance, a node that has said it is finished is believed to be gone, report or not [s]."""
-
-LEASE = 6.0
-"""After so long without a request, and its distance, such a node takes its launcher as lost, and stops [s]."""
+PATIENCE = 120.0  # how long the launcher waits for somebody to start a node [s]
+LOST = 5.0  # after so long without an answer, and its distance, a node that was there is taken as lost [s]
+UNREPORTED = 2.0  # after so long, and its distance, a node that said it is finished is believed gone, report or not [s]
+LEASE = 6.0  # after so long without a request, and its distance, such a node takes its launcher as lost, and stops [s]
 
 ROUND_TRIPS = 12
 """What the first answer over a new connection may take: one for tcp, two for the greeting, two for the keys, one for itself,
 and as many again where the first try found nobody there yet, or lost a packet."""
 
-ANSWER, LONGEST_ANSWER = 1.0, 8.0
-"""How long an answer is waited for at first, and at last when none comes: the distance may be that long [s]."""
+ANSWER, LONGEST_ANSWER = 1.0, 8.0  # how long an answer is waited for at first, and at last: the distance may be that long [s]
+DRIFT = 50e-6  # how fast two monotonic clocks may drift apart [s/s]: two ordinary crystals of 25 ppm each
+WINDOW = 16  # measurements of a clock that are kept
 
 PERIOD = 0.5
 _QUICK = 0.05
 
-_ROUNDS = 8
-"""How often the clock is measured at once, before and after the start, or for a second."""
+_ROUNDS = 8  # how often the clock is measured at once, before and after the start, or for a second
 
 
 def command(setup: Setup) -> str:
@@ -71,22 +61,39 @@ def command(setup: Setup) -> str:
     return f"on {host}: {' '.join(words)}"
 
 
-class ByHand(Child):
-    """A node that the launcher waits for instead of starting it.
+class ClockOffset:
+    """Offset of another host's monotonic clock, from repeated questions for its time.
 
-    `respawns`: how often it may be started again, -1 for ever. `required`: whether the launch ends when it does.
+    The time of a run is that of the launcher's host. Of a question asked at t0, answered with the other's time r and received
+    at t3, only so much is known: r was the other's time somewhere between t0 and t3. So the offset is (t0 + t3)/2 − r, off by
+    at most half the round trip; the shortest of the last round trips tells best (NTP's filter), and an old one loses worth at
+    the rate at which two crystals may drift apart.
     """
+
+    def __init__(self) -> None:
+        self._measured: deque[tuple[float, float, float]] = deque(maxlen=WINDOW)
+
+    def add(self, asked: float, remote: float, answered: float) -> None:
+        """Take one measurement."""
+        if answered >= asked:
+            self._measured.append((answered, (asked + answered) / 2.0 - remote, (answered - asked) / 2.0))
+
+    def best(self, now: float) -> tuple[float, float]:
+        """Give the offset that is known best."""
+        if not self._measured:
+            return 0.0, float("inf")
+        bounds = [(half + DRIFT * max(now - when, 0.0), offset) for when, offset, half in self._measured]
+        error, offset = min(bounds)
+        return offset, error
+
+
+class ByHand(Child):
+    """A node that the launcher waits for instead of starting it."""
 
     patience = PATIENCE
 
     def __init__(
-        self,
-        setup: Setup,
-        respawns: int,
-        delay: float,
-        required: bool,
-        context: zmq.Context[zmq.Socket[bytes]],
-        say: Callable[[str], None],
+        self, setup: Setup, respawns: int, delay: float, required: bool, context: Context, say: Callable[[str], None]
     ) -> None:
         super().__init__(setup, respawns, delay, required)
         self._line = Connection(context, setup.control)
@@ -136,11 +143,8 @@ class ByHand(Child):
 
     def start(self, run_dir: Path) -> None:
         """Tell how to start it, and wait for it on a thread."""
-        if self._thread is not None:
-            self.release()
-        path = run_dir / f"{self.setup.name}.json"
-        path.parent.mkdir(mode=0o700, exist_ok=True, parents=True)
-        path.write_bytes(msgspec.json.encode(self.setup))
+        self.release()
+        self._write_setup(run_dir)
         self._reset()
         self.again_at = None
         self._say(f"waiting for {self.setup.name}: {command(self.setup)}")
@@ -148,7 +152,7 @@ class ByHand(Child):
         self._thread = threading.Thread(target=self._watch, name=f"{self.setup.name}-watch", daemon=True)
         self._thread.start()
 
-    def state(self, context: zmq.Context[zmq.Socket[bytes]], timeout: float = 0.25) -> str:
+    def state(self, context: Context, timeout: float = 0.25) -> str:
         """Tell its state as last heard."""
         del context, timeout
         return self._state
@@ -226,7 +230,7 @@ class ByHand(Child):
         self._process = process
         self._received = int(status.get("received", 0))
         if state == "unconfigured":
-            with self._refusal("configure"):
+            with self._optional("configure"):
                 self._ask("configure", setup=msgspec.to_builtins(self._with_clock()))
             # The node makes sockets of its own in place of the one that waited.
             self._line.drop()
@@ -254,22 +258,15 @@ class ByHand(Child):
         return msgspec.structs.replace(self.setup, clock_offset=offset, clock_error=error, lease=lease)
 
     @contextlib.contextmanager
-    def _refusal(self, what: str) -> Iterator[None]:
+    def _optional(self, needed: str = "") -> Iterator[None]:
+        """Let a node refuse what is not needed of it; an answer that was lost on the way is asked for again."""
         try:
             yield
         except ControlError as error:
             if "no answer" in str(error):
                 raise
-            self._code, self._end = 1, f"{what} refused: {error}"
-
-    @contextlib.contextmanager
-    def _optional(self) -> Iterator[None]:
-        """Let a node refuse what it need not know; an answer that was lost on the way is asked for again."""
-        try:
-            yield
-        except ControlError as error:
-            if "no answer" in str(error):
-                raise
+            if needed:
+                self._code, self._end = 1, f"{needed} refused: {error}"
 
     def _arrive(self) -> None:
         clock = ""

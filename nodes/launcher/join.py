@@ -5,8 +5,6 @@ it the setup. What kind of node that is, which code it runs and which files it t
 and by this command line; what in the setup would reach beyond that is refused or replaced.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal
@@ -14,7 +12,6 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import msgspec
@@ -30,6 +27,7 @@ from nodes.base import realtime
 from nodes.base.node_kinds import load, node_kinds
 from nodes.base.process import live
 from nodes.base.setup import Scheduling, Setup
+from nodes.compiled.load import load_kernel
 from nodes.launcher import runs
 from nodes.parameters.paths import check_paths
 from nodes.parameters.store import ParameterError, convert
@@ -39,18 +37,15 @@ def start_here(run: runs.RunInfo, name: str) -> int:
     """Start a node of a launch on this machine that waits for it."""
     setup = run.nodes[name]
     if not setup.by_hand or not split(setup.control)[0].startswith("ipc://"):
-        raise ParameterError(
-            f"{name}: the launch does not wait for it here; its launch file says so with by_hand: true"
-        )
-    return live(load(setup.factory)(setup))
+        raise ParameterError(f"{name}: the launch does not wait for it here; its launch file says so with by_hand: true")
+    return live(load(setup.factory)(setup), load_kernel)
 
 
 class Starter:
-    """Waits for the launcher on another machine and takes a node's setup from it.
+    """Waits for the launcher on another machine and takes the setup of the node `name` from it, and no other's.
 
-    `name`: the node that is to be started; a setup for another one is refused. `port`: port of the node's messages; requests
-    come to the next one. `kind`: the one kind of node that it may become; empty for the name. `allow_paths`: directories in
-    which its parameters may name files; all others are refused. Raises ParameterError when no such kind is installed.
+    Messages go by `port`, requests by the next one. It becomes a node of this `kind` only (the name's, if left out), and its
+    parameters may name files in `allow_paths` only.
     """
 
     def __init__(self, name: str, host: str, port: int, kind: str = "", allow_paths: Sequence[Path] = ()) -> None:
@@ -74,27 +69,22 @@ class Starter:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, self._on_signal)
         context = new_context()
-        gate = Gate(context, self._deny)
+        gate = Gate(context, lambda reason: print(f"[{self._name}] denied: {reason}", file=sys.stderr, flush=True))
         desk = Desk(context)
-        socket = desk.socket
         try:
-            bind(socket, self.control)
-            gate.watch(socket)
+            bind(desk.socket, self.control)
+            gate.watch(desk.socket)
             gate.start()
-            socket.rcvtimeo = 200
+            desk.socket.rcvtimeo = 200
             return self._serve(desk)
         finally:
             gate.stop()
             # Long enough for the last answer to leave.
-            socket.close(linger=1000)
+            desk.socket.close(linger=1000)
             context.term()
 
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
+    def _on_signal(self, *_: object) -> None:
         self._stopping = True
-
-    def _deny(self, reason: str) -> None:
-        print(f"[{self._name}] denied: {reason}", file=sys.stderr, flush=True)
 
     def _serve(self, desk: Desk) -> Setup | None:
         while not self._stopping:
@@ -116,14 +106,9 @@ class Starter:
         return None
 
     def _reply(self, op: str) -> Reply:
-        answers: dict[str, Any] = {
-            "status": {"state": "unconfigured", "node": self._name, "pid": os.getpid()},
-            "clock": {"monotonic_s": time.monotonic()},
-            "configure": None,
-            "stop": None,
-        }
-        if op == "stop":
-            self._stopping = True
+        status = {"state": "unconfigured", "node": self._name, "pid": os.getpid()}
+        answers = {"status": status, "clock": {"monotonic_s": time.monotonic()}, "configure": None, "stop": None}
+        self._stopping = self._stopping or op == "stop"
         if op not in answers:
             return Reply(False, error=f"{self._name}: unconfigured; known: {', '.join(answers)}")
         return Reply(True, answers[op])
@@ -152,9 +137,7 @@ class Starter:
         cpus = [realtime.quietest_processor()] if setup.scheduling.cpus else []
         scheduling = Scheduling(cpus=cpus, fifo=setup.scheduling.fifo)
         allowed = [str(folder) for folder in self._allow_paths]
-        made = msgspec.structs.replace(
-            setup, factory=self._factory, run_dir="", scheduling=scheduling, allow_paths=allowed
-        )
+        made = msgspec.structs.replace(setup, factory=self._factory, run_dir="", scheduling=scheduling, allow_paths=allowed)
         kind = load(made.factory)
         # Before anything of the kind's own looks at them.
         check_paths(convert(setup.parameters, kind.Parameters, self._name), self._allow_paths, self._name)
@@ -184,6 +167,6 @@ def start_for(name: str, host: str, port: int, kind: str = "", allow_paths: Sequ
     try:
         node = load(setup.factory)(setup)
         node.set_clock(setup.clock_offset, setup.clock_error)
-        return live(node)
+        return live(node, load_kernel)
     finally:
         shutil.rmtree(setup.run_dir, ignore_errors=True)

@@ -6,8 +6,6 @@ purpose), ``include`` (other launch files, each in a namespace). ``$(var NAME)``
 the folder of the launch file, as in ROS 2. ``run.NAME:=VALUE`` sets what stands under ``run`` without an argument for it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re
@@ -19,9 +17,9 @@ from typing import Any
 import msgspec
 
 from messages.topics import within
+from nodes.base.node import Node
 from nodes.base.node_kinds import load, node_kinds
 from nodes.base.setup import Axis
-from nodes.launcher import substitute_device
 from nodes.launcher.launch_spec import Argument, Include, Including, Launch, LaunchText, NodeSpec, RunSpec
 from nodes.launcher.origins import Origins
 from nodes.parameters.refusals import choices
@@ -38,15 +36,14 @@ _WITHIN = re.compile(r"\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)")
 _NAME = re.compile(r"^(?=.{1,32}$)[a-z][a-z0-9_]*(/[a-z][a-z0-9_]*)*$")
 _RUN = "run."
 
-MAX_FILLED_IN = 4096
-"""Longest text that is put together from arguments, a path's length: a kilobyte of ``$(var a)`` would make gigabytes."""
+DEVICE = "device"  # argument that puts a real device in the place of a launch file's virtual one
+_DEVICE = Argument(default="none", help="a real device whose known values are taken: haptic device presets")
+
+MAX_FILLED_IN = 4096  # longest text made of arguments, a path's length: a kilobyte of ``$(var a)`` would make gigabytes
 
 
 def launch_dirs() -> list[Path]:
-    """List where launch files are looked up.
-
-    Returns: in the wheel, beside the package, then in each installed package named under the entry points ``haptic.launch``.
-    """
+    """List where launch files are: in the wheel, beside the package, in packages under the entry points ``haptic.launch``."""
     nodes = Path(__file__).resolve().parents[1]
     specs = [find_spec(point.value) for point in COLLECTIONS.points().values()]
     added = [Path(place) for spec in specs if spec for place in spec.submodule_search_locations or ()]
@@ -54,20 +51,13 @@ def launch_dirs() -> list[Path]:
 
 
 def scenarios() -> dict[str, Path]:
-    """List the launch files that are installed.
-
-    Returns: scenario to file, sorted; this project's go before those of other packages.
-    """
+    """List the launch files that are installed, sorted; this project's go before those of other packages."""
     found = {path.stem: path for folder in reversed(launch_dirs()) for path in folder.glob("*.yaml")}
     return dict(sorted(found.items()))
 
 
 def find(name: str) -> Path:
-    """Find a launch file.
-
-    `name`: a scenario of the project, or the path of a YAML file. Raises ParameterError when there is none; the text lists
-    what there is.
-    """
+    """Find a launch file: a scenario, or the path of a YAML file; the error lists what there is."""
     known = scenarios()
     if name in known:
         return known[name]
@@ -80,25 +70,27 @@ def find(name: str) -> Path:
 
 
 def read_arguments(path: Path) -> tuple[str, dict[str, Argument]]:
-    """Read only what a launch file says about itself.
-
-    Returns: summary, and arguments by name.
-    """
+    """Read only what a launch file says about itself: summary, and arguments by name."""
     file = convert(read_yaml(path), LaunchText, path.name)
     return file.summary, {**_offered(path, file, Including()), **file.arguments}
 
 
 def _offered(path: Path, file: LaunchText, including: Including) -> dict[str, Argument]:
-    """Arguments that a launch file has without naming them: those of its nodes, and of the nodes that it includes."""
-    offered = substitute_device.offered(file.nodes)
-    # What cannot be included is refused when the launch is read.
+    """Arguments that a launch file has without naming them: `DEVICE`, where it or one that it includes has a virtual device."""
+    kinds = node_kinds()
+    for node in file.nodes.values():
+        # A kind that is not installed, or does not import, is refused when the launch is read.
+        with contextlib.suppress(ParameterError, AttributeError, KeyError):
+            if load(kinds[node["kind"]]).substitute_device.__func__ is not Node.substitute_device.__func__:  # type: ignore[attr-defined]
+                return {DEVICE: _DEVICE}
+    # So is what cannot be included.
     with contextlib.suppress(ParameterError):
         including = including.another(path, path.name)
-        for entry in () if offered else file.include:
+        for entry in file.include:
             inner = find(_beside(path, str(entry.get("launch"))))
             if offered := _offered(inner, convert(read_yaml(inner), LaunchText, inner.name), including):
-                return {substitute_device.DEVICE: substitute_device.ARGUMENT}
-    return offered
+                return offered
+    return {}
 
 
 def _beside(path: Path, launch: str) -> str:
@@ -108,10 +100,7 @@ def _beside(path: Path, launch: str) -> str:
 
 
 def parse_assignments(words: list[str]) -> dict[str, Any]:
-    """Read ``name:=value`` words.
-
-    Returns: values as YAML reads them. Raises ParameterError when a word is not of that form.
-    """
+    """Read ``name:=value`` words, the values as YAML does."""
     values = {}
     for word in words:
         name, sign, text = word.partition(":=")
@@ -125,9 +114,10 @@ def _fill_in(path: Path, arguments: Mapping[str, Argument], given: Mapping[str, 
     values: dict[str, Any] = {}
     for name in given:
         if name not in arguments:
-            raise ParameterError(
-                f"{path.name}: no argument {name!r}; {choices(name, arguments)} (haptic launch --show-args {path.stem})"
-            )
+            remedy = f"{_RUN}{name}:={given[name]} sets it in any launch file"
+            if name not in RunSpec.__struct_fields__:
+                remedy = f"{choices(name, arguments)} (haptic launch --show-args {path.stem})"
+            raise ParameterError(f"{path.name}: no argument {name!r}; {remedy}")
     for name, argument in arguments.items():
         value = given.get(name, argument.default)
         where = f"{path.name}.arguments.{name}"
@@ -168,22 +158,16 @@ def _substitute(data: Any, values: Mapping[str, Any], where: str, origins: Origi
                 raise ParameterError(f"{where}: $(var {name}) is not an argument; {choices(name, values)}")
             origins.filled_in(where, name)
         whole = _WHOLE.match(data)
-        if whole:
-            return values[whole.group(1)]
-        return _WITHIN.sub(lambda match: str(values[match.group(1)]), data)
+        return values[whole[1]] if whole else _WITHIN.sub(lambda match: str(values[match.group(1)]), data)
     return data
 
 
-def read(
-    name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = (), including: Including | None = None
-) -> Launch:
+def read(name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = (), including: Including | None = None) -> Launch:
     """Read a launch file, fill in its arguments and lay files of parameters over those of its nodes.
 
-    `given`: arguments that differ from their defaults; every launch file has ``tick`` and ``run.NAME`` (see `RunSpec`), and
-    each with a virtual device ``device`` (`nodes.launcher.substitute_device`). `laid_over`: YAML files, each a mapping from
-    node to parameters, whole or in part, as ``haptic param dump`` and ``haptic study design`` write them; a later one goes
-    before an earlier one. `including`: the files that include this one. Raises ParameterError with the path, the value and the
-    limit of whatever is wrong.
+    `given`: arguments that differ from their defaults; every launch file has ``tick`` and ``run.NAME`` (see `RunSpec`), each
+    with a virtual device ``device``. `laid_over`: YAML files from node to parameters, whole or in part, as ``haptic param
+    dump`` and ``haptic study design`` write them; later ones go before. `including`: the files that include this one.
     """
     path = find(name)
     including = (including or Including()).another(path, name)
@@ -202,7 +186,7 @@ def _read(
     # Besides ``run.NAME``: every launch file has ``tick``.
     over = {name for name in given if name.startswith(_RUN) or (name == "tick" and name not in file.arguments)}
     over_run = {name.removeprefix(_RUN): given[name] for name in over}
-    declared = {**(_offered(path, file, Including()) if substitute_device.DEVICE in given else {}), **file.arguments}
+    declared = {**(_offered(path, file, Including()) if DEVICE in given else {}), **file.arguments}
     values = _fill_in(path, declared, {name: value for name, value in given.items() if name not in over})
     included = [
         _include(entry, values, f"{path.name}.include[{i}]", origins, including) for i, entry in enumerate(file.include)
@@ -218,9 +202,8 @@ def _read(
         if spec.watch:
             watched = _watched(node, spec, f"{path.name}.nodes.{node}")
             nodes[node] = msgspec.structs.replace(spec, parameters=watched)
-    device = "none" if substitute_device.DEVICE in file.arguments else values.get(substitute_device.DEVICE, "none")
-    if device not in substitute_device.NONE:
-        nodes = substitute_device.substituted(nodes, device, path.name)
+    if DEVICE not in file.arguments and (device := values.get(DEVICE, "none")) not in ("", "none"):
+        nodes = _with_device(nodes, device, path.name)
     written_run = {**_substitute(file.run, values, f"{path.name}.run", origins), **over_run}
     run = convert({**_common_run(included, written_run, path.name), **written_run}, RunSpec, f"{path.name}.run")
     run, axes = _axes(run, nodes, included, path.name)
@@ -236,6 +219,24 @@ def _read(
         model=file.model,
         origins=origins,
     )
+
+
+def _with_device(nodes: Mapping[str, NodeSpec], device: str, where: str) -> dict[str, NodeSpec]:
+    """Put a real device in the place of every virtual one, and of the plant that a coupling judges its laws by."""
+    kinds, found = node_kinds(), dict(nodes)
+    plants: dict[str, dict[str, Any]] = {}
+    for name, spec in nodes.items():
+        stood = load(kinds[spec.kind]).substitute_device(spec.parameters, name, device)
+        if stood is not None:
+            parameters, plants[name.rpartition("/")[0]] = stood
+            found[name] = msgspec.structs.replace(spec, parameters=parameters)
+    if not plants:
+        raise ParameterError(f"{where}: {DEVICE}:={device}: no node of it has a virtual device; leave it out")
+    for name, spec in found.items():
+        plant = plants.get(name.rpartition("/")[0])
+        if plant is not None and isinstance(spec.parameters.get("plant"), Mapping):
+            found[name] = msgspec.structs.replace(spec, parameters=merge(spec.parameters, {"plant": plant}))
+    return found
 
 
 def _nodes(
@@ -268,15 +269,11 @@ def _nodes(
     return nodes
 
 
-def _include(
-    entry: Any, values: Mapping[str, Any], where: str, origins: Origins, including: Including
-) -> tuple[str, Launch]:
+def _include(entry: Any, values: Mapping[str, Any], where: str, origins: Origins, including: Including) -> tuple[str, Launch]:
     """Read an included launch file; with its namespace."""
     made: Include = convert(_substitute(entry, values, where, origins), Include, where)
     if made.namespace and not _NAME.match(made.namespace):
-        raise ParameterError(
-            f"{where}.namespace: {made.namespace!r}: lower-case letters, digits and _, without a / around"
-        )
+        raise ParameterError(f"{where}.namespace: {made.namespace!r}: lower-case letters, digits and _, without a / around")
     try:
         launch = without(read(_beside(including.files[-1], made.launch), made.arguments, (), including), made.without)
     except ParameterError as error:
@@ -326,16 +323,11 @@ def _axes(
 
 
 def without(launch: Launch, left_out: list[str]) -> Launch:
-    """Leave nodes out of a launch.
-
-    Returns: the same launch without them. Raises ParameterError when a node is not there.
-    """
+    """Leave nodes out of a launch."""
     for name in left_out:
         if name not in launch.nodes:
             raise ParameterError(f"{launch.scenario}.nodes: no node {name!r}; {choices(name, launch.nodes)}")
-    return msgspec.structs.replace(
-        launch, nodes={name: spec for name, spec in launch.nodes.items() if name not in left_out}
-    )
+    return msgspec.structs.replace(launch, nodes={name: spec for name, spec in launch.nodes.items() if name not in left_out})
 
 
 def _by_node(written: Path, nodes: Mapping[str, Any], where: str) -> dict[str, Any]:

@@ -13,48 +13,42 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from nodes.base.setup import Apply, Axis, Pace
-from nodes.compiled.choose_tick import Wanted
+from nodes.compiled.choose_tick import WantedTick
 from nodes.parameters.store import ParameterError
 
-MAX_FILES = 256
-"""Most launch files of one launch, each as often as it is included: thirty that include the next twice are a billion."""
+MAX_FILES = 256  # most launch files of one launch, each as often as included: thirty that include the next twice are a billion
 
 
 class Argument(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One argument of a launch file."""
 
     default: bool | int | float | str | list[Any]  # value when none is given; its type is the argument's type
-    # For people.
-    help: str = ""
+    help: str = ""  # for people, as is the unit
     unit: str = ""
-    # Limits of a number.
-    min: float | None = None
+    min: float | None = None  # limits of a number
     max: float | None = None
     choices: list[str] = []  # what a text may be; empty for anything
 
 
-AWAKE_RATE = 1000.0
-"""From this rate on a tick is too short for processors that sleep between ticks [Hz]."""
+AWAKE_RATE = 1000.0  # from this rate on a tick is too short for processors that sleep between ticks [Hz]
 
 
 class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """How the loop runs."""
 
     rate: Annotated[float, msgspec.Meta(ge=1.0, le=100_000.0)] = 500.0  # sampling rate [Hz]
-    # See nodes/base/setup.py.
-    pace: Pace = "realtime"
+    pace: Pace = "realtime"  # this and the next: see nodes/base/setup.py
     apply: Apply = "on_arrival"
     duration: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0  # how long [s]; 0 runs until stopped
     # Axes that the scene computes; when left out, those along which its surface pushes, or z where that is not known.
     axes: Annotated[list[Axis], msgspec.Meta(max_length=3)] = []
-    # Core of the chain driver-environment-coupling; ``auto`` takes the one that devices interrupt least where there are
-    # several, ``any`` does not pin.
+    # Core of the chain; ``auto`` takes the one that devices interrupt least where there are several, ``any`` does not pin.
     cpu: int | Literal["auto", "any"] = "auto"
     # SCHED_FIFO priority of the chain; ``auto`` takes 50 in real time, 0 none.
     fifo: Annotated[int, msgspec.Meta(ge=0, le=90)] | Literal["auto"] = "auto"
     # How environment, coupling and driver take their ticks (nodes/compiled): ``compiled``, ``plain`` (by the interpreter) or
     # ``auto``: compiled where that is there already, for it was asked for before.
-    tick: Wanted = "auto"
+    tick: WantedTick = "auto"
     # Whether idle processors are kept from going to sleep (`nodes.base.realtime.awake`); ``auto``: in real time from 1 kHz up.
     awake: bool | Literal["auto"] = "auto"
     host: str = ""  # address under which other machines reach this one; needed when nodes run elsewhere
@@ -68,9 +62,7 @@ class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     @property
     def stays_awake(self) -> bool:
         """Whether idle processors are kept from going to sleep."""
-        if self.awake == "auto":
-            return self.pace == "realtime" and self.rate >= AWAKE_RATE
-        return self.awake
+        return (self.pace == "realtime" and self.rate >= AWAKE_RATE) if self.awake == "auto" else self.awake
 
     @property
     def ticks(self) -> int:
@@ -89,14 +81,11 @@ class NodeSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     respawn_max: Annotated[int, msgspec.Meta(ge=-1)] = 5  # how often at most; -1 for ever
     # Topic that the node listens to, as its chain calls it, to the full name of the one that it takes in its place.
     remap: dict[str, str] = {}
-    # YAML file of parameters: read at the start, and again whenever it is saved. Empty for none.
-    watch: str = ""
+    watch: str = ""  # YAML file of parameters: read at the start, and again whenever it is saved. Empty for none.
     # Whether somebody else starts it: ``haptic node start``, a debugger, or a program in another language.
     by_hand: bool = False
-    # Address of the machine that runs it; empty for this one. It is started there by hand.
-    host: str = ""
-    # tcp port that it publishes at, its control requests at the next one; 0 for the run's port and two for every node before
-    # it.
+    host: str = ""  # Address of the machine that runs it; empty for this one. It is started there by hand.
+    # tcp port that it publishes at, its requests at the next one; 0 for the run's port and two for every node before it.
     port: Annotated[int, msgspec.Meta(ge=0, le=65534)] = 0
     # Name under which that machine's key is allowed here; empty for the address, on loopback for this machine's own.
     key: str = ""
@@ -164,9 +153,7 @@ class Including:
         if path.resolve() in self.files:
             raise ParameterError(f"{name}: includes itself")
         if next(self.count) >= MAX_FILES:
-            raise ParameterError(
-                f"{name}: more than {MAX_FILES} launch files are included, each as often as it is named"
-            )
+            raise ParameterError(f"{name}: more than {MAX_FILES} launch files are included, each as often as it is named")
         return Including((*self.files, path.resolve()), self.count)
 
 
@@ -174,8 +161,7 @@ class LaunchText(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """A launch file as it is written, before its arguments are filled in."""
 
     summary: str  # what it shows, in a line
-    # Not yet checked: arguments may stand anywhere in them.
-    nodes: dict[str, Any] = {}
+    nodes: dict[str, Any] = {}  # not yet checked: arguments may stand anywhere in them
     include: list[dict[str, Any]] = []  # other launch files (`Include`), neither checked yet
     arguments: dict[str, Argument] = {}  # by name
     run: dict[str, Any] = {}
@@ -185,9 +171,8 @@ class LaunchText(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 class Launch(msgspec.Struct, frozen=True, kw_only=True):
     """A launch file with its arguments filled in."""
 
-    # Name of the file and what it shows.
-    scenario: str
-    summary: str
+    scenario: str  # name of the file
+    summary: str  # what it shows
     path: str  # where it is
     text: str  # the file as written
     arguments: dict[str, Any]  # values of all arguments
@@ -196,3 +181,9 @@ class Launch(msgspec.Struct, frozen=True, kw_only=True):
     axes: dict[str, list[Axis]] = {}  # axes by namespace, where they are not those of ``run``
     model: Model = Model()  # what the scene is for
     origins: Any = None  # where its values were written; see nodes/launcher/origins.py
+
+
+def unusual(spec: RunSpec | NodeSpec) -> dict[str, Any]:
+    """Give the fields that are not as they are when they are left out."""
+    usual = RunSpec() if isinstance(spec, RunSpec) else NodeSpec(kind="")
+    return {name: value for name, value in msgspec.to_builtins(spec).items() if value != getattr(usual, name)}

@@ -1,7 +1,5 @@
 """Where a parameter of a launch was written: file and line, and the argument that filled it in; so that an error can say so."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from functools import cached_property

@@ -7,8 +7,6 @@ mistaken for another. A node that was just being started notices by itself that 
 but the standard library, so that it is small and cannot fail with the rest. A launcher whose reaper was killed starts another.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import select
@@ -17,16 +15,11 @@ import signal
 import sys
 import time
 
-GRACE = 2.0
-"""How long a node has to stop by itself, beside what it was granted [s]."""
+GRACE = 2.0  # how long a node has to stop by itself, beside what it was granted [s]
 
 
 class Held:
-    """One process, held so that its number cannot become another's.
-
-    `pid`: process number, of a process that nobody has waited for yet. `seconds`: how long it may take to end, beside `GRACE`
-    [s]. Raises ProcessLookupError when it is gone already.
-    """
+    """One process, held so that its number cannot become another's; it may take so long to end, beside `GRACE` [s]."""
 
     def __init__(self, pid: int, seconds: float) -> None:
         self.seconds = seconds

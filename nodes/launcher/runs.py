@@ -22,11 +22,8 @@ from messages import topics
 from messages.errors import UsageError
 from nodes.base.setup import Setup
 
-MAX_IPC_PATH = 107
-"""Longest path of a Unix socket [bytes]."""
-
-LONGEST_NAME = 32
-"""Longest name of a node [letters]."""
+MAX_IPC_PATH = 107  # longest path of a Unix socket [bytes]
+LONGEST_NAME = 32  # longest name of a node [letters]
 
 
 class RunError(UsageError):
@@ -36,13 +33,11 @@ class RunError(UsageError):
 class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
     """What ``run.json`` holds."""
 
-    # Name of the run (unique on the host) and of its launch file.
-    run: str
-    scenario: str
-    # Process number of the launcher, and when it was started (`started_at`).
-    launcher: int
+    run: str  # its name, unique on the host
+    scenario: str  # name of its launch file
+    launcher: int  # process number of the launcher
     nodes: dict[str, Setup]  # all nodes by name
-    launcher_started: int = 0
+    launcher_started: int = 0  # when that was started (`started_at`)
     wall_minus_monotonic: float = 0.0  # what to add to a stamp to get wall time [s]
     manifest: dict[str, str] = {}  # what goes into every recording
     namespace: str = ""  # namespace of the one chain that this is about (`within`); empty for the whole run
@@ -70,9 +65,7 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         """Give one chain of the run as if it were alone: nodes and topics are named as inside it."""
         namespace = namespace.strip("/")
         inside = {
-            name.removeprefix(f"{namespace}/"): setup
-            for name, setup in self.nodes.items()
-            if name.startswith(f"{namespace}/")
+            name.removeprefix(f"{namespace}/"): setup for name, setup in self.nodes.items() if name.startswith(f"{namespace}/")
         }
         if not inside:
             known = ", ".join(filter(None, self.chains())) or "none"
@@ -110,8 +103,7 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         return found
 
 
-MARK = ".haptic-run"
-"""File in the directory of each run, and nowhere else: the sweep removes nothing without it."""
+MARK = ".haptic-run"  # file in the directory of each run, and nowhere else: the sweep removes nothing without it
 
 _MARKED = "Directory of a run of haptic-nodes; the next launch removes it when the run is over.\n"
 
@@ -180,8 +172,7 @@ def new_run_dir(run: str) -> Path:
     return path
 
 
-OWNER = "owner"
-"""File that tells which process keeps a directory here for a run whose launcher is on another machine."""
+OWNER = "owner"  # file that tells which process keeps a directory here for a run whose launcher is on another machine
 
 
 def new_node_dir(run: str) -> Path:
@@ -245,8 +236,7 @@ def read_run(run_dir: str, given_up: Callable[[], bool], patience: float = 10.0)
     return msgspec.json.decode(path.read_bytes(), type=RunInfo)
 
 
-STOPPED = "stopped by haptic stop"
-"""Why a run ends that was not interrupted at its own terminal."""
+STOPPED = "stopped by haptic stop"  # why a run ends that was not interrupted at its own terminal
 
 
 def write_end(path: Path, reason: str) -> None:

@@ -18,8 +18,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
-import zmq
-
 from messages.errors import HapticError
 from messages.transport.context import new_context
 from messages.transport.requests import ControlError, call
@@ -36,8 +34,7 @@ TERM_TIMEOUT = 2.0
 HURRY_TIMEOUT = 0.3
 KILL_TIMEOUT = 2.0
 
-DYING = 20.0
-"""So much longer may one take that is not held by the kernel [s]."""
+DYING = 20.0  # so much longer may one take that is not held by the kernel [s]
 
 _INSISTENCE = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 
@@ -84,12 +81,16 @@ class Supervisor:
         runs.sweep()
         run_dir = runs.new_run_dir(self.run)
         self.run_dir = run_dir
-        self.context: zmq.Context[zmq.Socket[bytes]] | None = None
+        self.context = new_context()
         self.children: dict[str, Child] = {}
         try:
+            offset = time.time() - time.monotonic()
+            if self._launch.run.tick == "compiled":
+                # What is wrong is refused before half a minute of compiling.
+                whole = with_forwarder(self._launch)
+                wire(whole, self.run, run_dir, manifest_of(whole, self.run, offset))
             self._launch = with_forwarder(settle_tick(self._launch, self._say))
             self.tick = self._launch.run.tick
-            offset = time.time() - time.monotonic()
             manifest = manifest_of(self._launch, self.run, offset)
             setups = wire(self._launch, self.run, run_dir, manifest)
             info = runs.RunInfo(
@@ -100,21 +101,16 @@ class Supervisor:
                 nodes=setups,
                 wall_minus_monotonic=offset,
                 manifest=manifest,
-                manifests={
-                    chain: chain_manifest(self._launch, manifest, chain) for chain in chains_of(self._launch) if chain
-                },
+                manifests={chain: chain_manifest(self._launch, manifest, chain) for chain in chains_of(self._launch) if chain},
             )
             self._reaper = self._start_reaper(run_dir)
-            self.context = new_context()
             for name, setup in setups.items():
                 spec = self._launch.nodes[name]
                 respawns = spec.respawn_max if spec.respawn else 0
-                self.children[name] = (
-                    ByHand(setup, respawns, spec.respawn_delay, spec.required, self.context, self._say)
-                    if setup.by_hand
-                    else Child(setup, respawns, spec.respawn_delay, spec.required)
-                )
-                self._start_child(self.children[name])
+                given = setup, respawns, spec.respawn_delay, spec.required
+                child = ByHand(*given, self.context, self._say) if setup.by_hand else Child(*given)
+                self.children[name] = child
+                self._start_child(child)
             runs.write_run(run_dir, info)
             self._await_ready()
             # From here on: nodes that start again are imported elsewhere, too, and then go where they belong.
@@ -125,8 +121,7 @@ class Supervisor:
             self._end_all()
             for child in self.children.values():
                 child.release()
-            if self.context is not None:
-                self.context.term()
+            self.context.term()
             shutil.rmtree(run_dir, ignore_errors=True)
             if hasattr(self, "_reaper"):
                 self._dismiss_reaper()
@@ -184,7 +179,6 @@ class Supervisor:
                     self._write_down(child)
 
     def _await_ready(self) -> None:
-        assert self.context is not None  # noqa: S101
         begun = time.monotonic()
         # All wait for those that somebody has to start by hand.
         patience = max(child.patience for child in self.children.values())
@@ -205,7 +199,6 @@ class Supervisor:
     def _note_ready(self, child: Child) -> None:
         child.ready, child.ready_at = True, time.monotonic()
         if child.drives:
-            assert self.context is not None  # noqa: S101
             # A driver in another language may not know the question.
             with contextlib.suppress(ControlError):
                 times = call(self.context, child.setup.control, "device", timeout=1.0 + child.distance)
@@ -213,7 +206,6 @@ class Supervisor:
             self._write_down(child)
 
     def _start_driver(self) -> None:
-        assert self.context is not None  # noqa: S101
         for child in self.children.values():
             if child.drives and child.running and not self._stop_asked:
                 call(self.context, child.setup.control, "start", timeout=10.0 + child.distance)
@@ -267,7 +259,6 @@ class Supervisor:
             self._say(f"{reason}{'; ending the launch' if child.required else ''}")
 
     def _restart_driver(self, child: Child) -> None:
-        assert self.context is not None  # noqa: S101
         # It is not there yet at the first tries; the other nodes are looked after in between.
         state = child.state(self.context, 0.05)
         with contextlib.suppress(ControlError):
@@ -294,11 +285,7 @@ class Supervisor:
                 self.failures.append(f"{name}: ended with {child.end}")
 
     def _end(self, group: list[Child]) -> None:
-        for number, patience in (
-            (signal.SIGINT, INT_TIMEOUT),
-            (signal.SIGTERM, TERM_TIMEOUT),
-            (signal.SIGKILL, KILL_TIMEOUT),
-        ):
+        for number, patience in ((signal.SIGINT, INT_TIMEOUT), (signal.SIGTERM, TERM_TIMEOUT), (signal.SIGKILL, KILL_TIMEOUT)):
             left = [child for child in group if child.running]
             for child in left:
                 if number != signal.SIGINT:
@@ -309,9 +296,7 @@ class Supervisor:
         for child in group:
             if child.running:
                 # The kernel holds on to it: a frozen control group, a file system that is gone.
-                self.failures.append(
-                    f"{child.setup.name}: process still there {KILL_TIMEOUT:g} s after SIGKILL; left behind"
-                )
+                self.failures.append(f"{child.setup.name}: process still there {KILL_TIMEOUT:g} s after SIGKILL; left behind")
                 self._say(self.failures[-1])
 
     def _await_end(self, left: list[Child], number: signal.Signals, patience: float) -> None:
@@ -332,15 +317,19 @@ class Supervisor:
                 return
             if now >= looked and not killed:
                 looked = now + LOOK
-                stood = [(child, _stood(watched[child.setup.name], child)) for child in left if child.running]
+                stood = [
+                    (child, watched[child.setup.name].look(child.progress() if child.listens else 0, child.waited()))
+                    for child in left
+                    if child.running
+                ]
                 if all(seconds > patience + granted for _, seconds in stood):
                     return
                 half = 0.5 * (now - begun)
                 if not announced and now - begun > 0.5 * patience + granted:
-                    reasons = [_reason(child.setup.name, child.waited() > half) for child, at in stood if at < half]
-                    announced = bool(reasons)
-                    for reason in reasons:
-                        self._say(f"{reason}; waited for (Ctrl-C again: not)")
+                    for child in (child for child, at in stood if at < half):
+                        why = f"does not get its turn{_burdened()}" if child.waited() > half else "still writing"
+                        self._say(f"{child.setup.name}: {why}; waited for (Ctrl-C again: not)")
+                        announced = True
             time.sleep(0.005)
 
     def _read_report(self, name: str) -> dict[str, Any]:
@@ -348,14 +337,6 @@ class Supervisor:
         if report:
             self.reports[name] = report
         return report
-
-
-def _stood(watched: HangWatchdog, child: Child) -> float:
-    return watched.look(child.progress() if child.listens else 0, child.waited())
-
-
-def _reason(name: str, waits: bool) -> str:
-    return f"{name}: does not get its turn{_burdened()}" if waits else f"{name}: still writing"
 
 
 def _burdened() -> str:

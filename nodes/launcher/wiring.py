@@ -1,7 +1,5 @@
 """From a launch to one setup per node: endpoints, who listens to whom, cores and priorities."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -17,23 +15,18 @@ from nodes.base.node_kinds import load, node_kinds
 from nodes.base.setup import Scheduling, Setup
 from nodes.compiled.choose_tick import SCARCE, choose
 from nodes.launcher.external_child import LEASE, PATIENCE
-from nodes.launcher.launch_spec import Launch, NodeSpec, RunSpec
+from nodes.launcher.launch_spec import Launch, NodeSpec, unusual
 from nodes.parameters.refusals import choices
 from nodes.parameters.store import ParameterError, convert
 
-FORWARDER = "forwarder"
-"""The kind of node at which strangers may listen."""
-
-FIFO = 50
-"""Priority of the chain in real time: above what a desktop runs, below the kernel's own threads."""
+FORWARDER = "forwarder"  # the kind of node at which strangers may listen
+FIFO = 50  # priority of the chain in real time: above what a desktop runs, below the kernel's own threads
 
 
 def chains_of(launch: Launch) -> list[str]:
     """List the namespaces of a launch's chains: of the nodes that publish a device's state."""
     factories = node_kinds()
-    drives = [
-        name for name, spec in launch.nodes.items() if topics.DEVICE_STATE in load(factories[spec.kind]).publishes
-    ]
+    drives = [name for name, spec in launch.nodes.items() if topics.DEVICE_STATE in load(factories[spec.kind]).publishes]
     return list(dict.fromkeys(name.rpartition("/")[0] for name in drives))
 
 
@@ -132,9 +125,7 @@ class _Places:
 
     def __init__(self, launch: Launch) -> None:
         self._launch = launch
-        self._ports = {
-            name: spec.port or launch.run.port + 2 * i for i, (name, spec) in enumerate(launch.nodes.items())
-        }
+        self._ports = {name: spec.port or launch.run.port + 2 * i for i, (name, spec) in enumerate(launch.nodes.items())}
         taken: dict[tuple[str, int], str] = {}
         for name, spec in launch.nodes.items():
             ports = [(spec.host, self._ports[name]), (spec.host, self._ports[name] + 1)]
@@ -189,14 +180,18 @@ def settle_tick(launch: Launch, say: Callable[[str], None]) -> Launch:
     return msgspec.structs.replace(launch, run=msgspec.structs.replace(launch.run, tick=tick))
 
 
+def free_name(launch: Launch, name: str) -> str:
+    """Name a node that is added to a launch: as wanted, or with a number behind."""
+    return next(free for free in (name, *(f"{name}_{i}" for i in range(2, 100))) if free not in launch.nodes)
+
+
 def with_forwarder(launch: Launch) -> Launch:
     """Add the process at which strangers may listen, where a node allows it; in the loop's own they have no business."""
     ports = {name: spec.open_port for name, spec in launch.nodes.items() if spec.open_port}
     if not ports:
         return launch
-    name = next(name for name in (FORWARDER, *(f"{FORWARDER}_{i}" for i in range(2, 100))) if name not in launch.nodes)
     spec = NodeSpec(kind=FORWARDER, parameters={"ports": ports}, required=False, respawn=True, respawn_max=-1)
-    return msgspec.structs.replace(launch, nodes={**launch.nodes, name: spec})
+    return msgspec.structs.replace(launch, nodes={**launch.nodes, free_name(launch, FORWARDER): spec})
 
 
 def _audible(launch: Launch, name: str) -> set[str]:
@@ -241,7 +236,8 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
     }
     for name, spec in launch.nodes.items():
         kind = classes[name]
-        if spec.respawn and launch.run.pace == "lockstep" and kind.publishes and not kind.listens_to == ("*",):
+        everything = kind.listens_to == ("*",)
+        if spec.respawn and launch.run.pace == "lockstep" and kind.publishes and not everything:
             raise ParameterError(
                 f"{launch.scenario}.nodes.{name}.respawn: a respawned node has lost its state, so a lockstep run would no "
                 "longer be deterministic; use pace realtime"
@@ -280,9 +276,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
         )
         kind.check(setups[name])
     return {
-        name: msgspec.structs.replace(
-            setup, reach=reached.get((name, False), ""), listen_reach=reached.get((name, True), "")
-        )
+        name: msgspec.structs.replace(setup, reach=reached.get((name, False), ""), listen_reach=reached.get((name, True), ""))
         for name, setup in setups.items()
     }
 
@@ -317,9 +311,7 @@ def chain_manifest(launch: Launch, manifest: dict[str, str], namespace: str) -> 
     if not namespace:
         return manifest
     inside = {
-        name.removeprefix(f"{namespace}/"): spec
-        for name, spec in launch.nodes.items()
-        if name.startswith(f"{namespace}/")
+        name.removeprefix(f"{namespace}/"): spec for name, spec in launch.nodes.items() if name.startswith(f"{namespace}/")
     }
     chain = msgspec.structs.replace(
         launch,
@@ -327,15 +319,7 @@ def chain_manifest(launch: Launch, manifest: dict[str, str], namespace: str) -> 
         nodes=inside,
         arguments={},
     )
-    usual, plain = RunSpec(), NodeSpec(kind="")
-    text = {
-        "summary": launch.summary,
-        "run": {name: value for name, value in msgspec.to_builtins(chain.run).items() if value != getattr(usual, name)},
-        "nodes": {
-            node: {name: value for name, value in msgspec.to_builtins(spec).items() if value != getattr(plain, name)}
-            for node, spec in inside.items()
-        },
-    }
-    # JSON is YAML.
-    chain = msgspec.structs.replace(chain, text=msgspec.json.format(msgspec.json.encode(text)).decode())
+    nodes = {node: unusual(spec) for node, spec in inside.items()}
+    text = {"summary": launch.summary, "run": unusual(chain.run), "nodes": nodes}
+    chain = msgspec.structs.replace(chain, text=msgspec.json.format(msgspec.json.encode(text)).decode())  # JSON is YAML
     return manifest_of(chain, manifest["run"], float(manifest["wall_minus_monotonic_s"]))

@@ -22,14 +22,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = [
-    "LAWS",
-    "CompiledLaw",
-    "Law",
-    "law_kinds",
-    "law_names",
-    "load_law",
-]
+__all__ = ["LAWS", "CompiledLaw", "Law", "law_kinds", "law_names", "load_law"]
 
 LAWS = Registry("haptic.laws", "law")
 
@@ -215,7 +208,5 @@ def load_law(kind: str) -> type[Law]:
     if not (isinstance(found, type) and issubclass(found, Law)):
         raise TypeError(f"{kind}: {found!r} is registered in {LAWS.group}, but is not a subclass of nodes.laws.Law")
     if found.kind != kind:
-        raise TypeError(
-            f"{kind}: {found!r} calls itself {found.kind!r}; its class variable kind must be its registered name"
-        )
+        raise TypeError(f"{kind}: {found!r} calls itself {found.kind!r}; its class variable kind must be its registered name")
     return found

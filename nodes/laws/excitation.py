@@ -17,13 +17,10 @@ import msgspec
 from nodes.laws import CompiledLaw, Law
 from nodes.parameters.checked import NonNegative, Positive
 
-Clock = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
+ClockTicks = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
 
-FADE = 1.0
-"""Time in which the load fades out when the push is over: a force that nobody asks for any more does not stay [s]."""
-
-ASTRAY = 100
-"""Ticks in a row beyond twice the reach after which the push ends for good."""
+FADE = 1.0  # time in which the load fades out when the push is over: a force that nobody asks for any more does not stay [s]
+ASTRAY = 100  # ticks in a row beyond twice the reach after which the push ends for good
 
 
 def held_back(wanted: float, deflection: float, reach: float) -> float:
@@ -49,10 +46,7 @@ def faded(load: float, since: int, fade: int) -> float:
 
 
 class Telegraph:
-    """Pseudo-random telegraph signals, each with its own clock, added in equal shares.
-
-    `clocks`: ticks after which each may change its sign.
-    """
+    """Pseudo-random telegraph signals in equal shares, each of which may change its sign after so many ticks."""
 
     def __init__(self, amplitude: float, clocks: Sequence[int], seed: int) -> None:
         self._signs = random.Random(seed)  # noqa: S311  # a repeatable push, no secret
@@ -73,33 +67,22 @@ class Telegraph:
 class Excitation(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Two-rate pseudo-random push over a centring spring; for an ``anchor`` surface at the place where the device is.
 
-    Attributes
-    ----------
-    amplitude : float
-        Largest pseudo-random force [N].
-    duration : float
-        How long it pushes [s]; then only the spring is left.
-    clocks : list of int
-        Ticks after which each of the forces may change its sign.
-    stiffness : float
-        Centring spring [N/m].
-    damping : float
-        Centring damper [N s/m].
-    reach : float
-        Deflection beyond which it pushes back only [m].
-    start : float
-        Time in which the push grows to its full size [s].
-    seed : int
-        Of the pseudo-random signs; every axis has its own.
-    load : float
-        Constant force on every axis, for a device whose weight nothing else carries [N]; fades out when the push is over.
+    amplitude: Largest pseudo-random force [N].
+    duration: How long it pushes [s]; then only the spring is left.
+    clocks: Ticks after which each of the forces may change its sign.
+    stiffness: Centring spring [N/m].
+    damping: Centring damper [N s/m].
+    reach: Deflection beyond which it pushes back only [m].
+    start: Time in which the push grows to its full size [s].
+    seed: Of the pseudo-random signs; every axis has its own.
+    load: Constant force on every axis, for a device whose weight nothing else carries [N]; fades out when the push is over.
     """
 
     kind: ClassVar[str] = "excitation"
 
     amplitude: Positive = 0.7
     duration: Annotated[float, msgspec.Meta(gt=0.0, le=600.0)] = 8.0
-    clocks: Annotated[tuple[Clock, ...], msgspec.Meta(min_length=1, max_length=4)] = (10, 60)
+    clocks: Annotated[tuple[ClockTicks, ...], msgspec.Meta(min_length=1, max_length=4)] = (10, 60)
     stiffness: Positive = 20.0
     damping: NonNegative = 0.3
     reach: Positive = 0.03

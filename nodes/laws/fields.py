@@ -11,8 +11,7 @@ import msgspec
 
 from nodes.laws.derivatives.gl import coefficients
 
-MAX_TAPS = 8192
-"""Longest tap vector of any law; at 500 Hz that is 16 s of memory."""
+MAX_TAPS = 8192  # longest tap vector of any law; at 500 Hz that is 16 s of memory
 
 Stiffness: TypeAlias = Annotated[float, msgspec.Meta(gt=0.0)]
 Damping: TypeAlias = Annotated[float, msgspec.Meta(ge=0.0)]

@@ -13,12 +13,8 @@ from nodes.laws.fields import MAX_TAPS
 class FIR(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """F[k] = Σ h_m x[k−m] with the taps as they are given.
 
-    Attributes
-    ----------
-    taps : tuple of float, shape (n + 1,)
-        h_0 ... h_n [N/m]. They were made for one sampling period; at another one they are another law.
-    period : float or None
-        Sampling period that the taps were made for [s]. When given, the law refuses to run at any other.
+    taps: h_0 ... h_n [N/m]. They were made for one sampling period; at another one they are another law.
+    period: Sampling period that the taps were made for [s]. When given, the law refuses to run at any other.
     """
 
     kind: ClassVar[str] = "fir"

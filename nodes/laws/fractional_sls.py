@@ -19,18 +19,11 @@ from nodes.laws.fields import Damping, Taps
 class FractionalSLS(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """F = K x + A, A + τ^α D^α A = B_α D^α x, with D^α by Grünwald and Letnikov's sum (THEORY.md §16).
 
-    Attributes
-    ----------
-    stiffness : float
-        K of the spring [N/m]; 0 for a Maxwell element alone.
-    damping : float
-        B_α of the arm [N s^α/m]; at high frequency the arm is a spring of B_α/τ^α.
-    order : float
-        α, 0 < α ≤ 1.
-    relaxation : float
-        τ [s].
-    taps : int
-        Length of the arm's response that is kept, n + 1: a short memory, whose end leaks.
+    stiffness: K of the spring [N/m]; 0 for a Maxwell element alone.
+    damping: B_α of the arm [N s^α/m]; at high frequency the arm is a spring of B_α/τ^α.
+    order: α, 0 < α ≤ 1.
+    relaxation: τ [s].
+    taps: Length of the arm's response that is kept, n + 1: a short memory, whose end leaks.
     """
 
     kind: ClassVar[str] = "fractional_sls"
@@ -44,8 +37,7 @@ class FractionalSLS(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Turn the parameters into taps: the quotient of two power series."""
         share = (self.relaxation / period) ** self.order
         series = coefficients(self.order, self.taps)
-        # With G = (1 − w)^α the arm is (B_α/τ^α) c G/(1 + c G), c = (τ/T)^α.
-        arm: list[float] = []
+        arm: list[float] = []  # with G = (1 − w)^α the arm is (B_α/τ^α) c G/(1 + c G), c = (τ/T)^α
         for m, g in enumerate(series):
             felt = sum(series[j] * arm[m - j] for j in range(1, m + 1))
             arm.append(share * (g - felt) / (1.0 + share))

@@ -22,22 +22,13 @@ Ticks = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
 class Knock(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """F[k] = F₀ + Σ h_m e[k−m] while it is on trial, e the deflection since its start plus a step; a soft spring after that.
 
-    Attributes
-    ----------
-    taps : tuple of float, shape (n + 1,)
-        h_0 ... h_n of the law on trial [N/m].
-    step : float
-        Step of the deflection in its first tick, on the first axis [m].
-    ticks : int
-        How long the trial lasts [ticks].
-    far : float
-        The trial is over when a deflection is more than so many steps.
-    stiffness : float
-        Spring before and after the trial [N/m]. Its force at the start, F₀, goes on meanwhile: it carries a weight.
-    damping : float
-        Damper before and after the trial [N s/m].
-    load : float
-        Constant force on the first axis, for a device whose weight nothing else carries [N].
+    taps: h_0 ... h_n of the law on trial [N/m].
+    step: Step of the deflection in its first tick, on the first axis [m].
+    ticks: How long the trial lasts [ticks].
+    far: The trial is over when a deflection is more than so many steps.
+    stiffness: Spring before and after the trial [N/m]. Its force at the start, F₀, goes on meanwhile: it carries a weight.
+    damping: Damper before and after the trial [N s/m].
+    load: Constant force on the first axis, for a device whose weight nothing else carries [N].
     """
 
     kind: ClassVar[str] = "knock"
@@ -76,8 +67,7 @@ class Trial:
         if self._since > law.ticks:
             return self._load
         if self._last < 0:
-            # It takes over after the deflection of the tick before.
-            self._start, self._since = ring[head + 1], 1
+            self._start, self._since = ring[head + 1], 1  # it takes over after the deflection of the tick before
         else:
             # A ring holds everything twice, and its head goes down by one a tick; lost ticks are filled in.
             self._since += (self._last - head) % (len(ring) // 2)

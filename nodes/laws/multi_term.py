@@ -15,12 +15,8 @@ from nodes.laws.pd_alpha import combine
 class Term(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One fractional term A_i D^{α_i}.
 
-    Attributes
-    ----------
-    gain : float
-        A_i, of either sign: [s^(α−1)] with physical gains, dimensionless with the others.
-    order : float
-        α_i, 0 < α_i < 4.
+    gain: A_i, of either sign: [s^(α−1)] with physical gains, dimensionless with the others.
+    order: α_i, 0 < α_i < 4.
     """
 
     gain: float
@@ -30,21 +26,13 @@ class Term(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 class MultiTerm(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """F = K x + B Σ_i A_i D^{α_i} x.
 
-    Attributes
-    ----------
-    stiffness : float
-        Nominal K [N/m]; what is felt at rest is H(1) (THEORY.md §1).
-    damping : float
-        B, common to all terms [N s/m].
-    terms : tuple of Term
-        Gains and orders, at least one term.
-    taps : int
-        Length of each derivative's tap vector; the paper's FIR order n is ``taps`` − 1.
-    gains : {"physical", "paper", "unlimited"}
-        Unit of the terms' gains, see `nodes.laws.fields.term_gain`; there is no default because with T in seconds
-        they differ by (T/2)^(α−1) per term.
-    derivative : str
-        Registered realisation of D^α (entry points ``haptic.derivatives``).
+    stiffness: Nominal K [N/m]; what is felt at rest is H(1) (THEORY.md §1).
+    damping: B, common to all terms [N s/m].
+    terms: Gains and orders, at least one term.
+    taps: Length of each derivative's tap vector; the paper's FIR order n is ``taps`` − 1.
+    gains: Unit of the terms' gains, see `nodes.laws.fields.term_gain`; there is no default because with T in seconds they
+        differ by (T/2)^(α−1) per term.
+    derivative: Registered realisation of D^α (entry points ``haptic.derivatives``).
     """
 
     kind: ClassVar[str] = "multi_term"
@@ -57,13 +45,6 @@ class MultiTerm(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     def compile(self, period: float) -> CompiledLaw:
         """Turn the parameters into taps."""
-        return combine(
-            self.stiffness,
-            [
-                (
-                    self.damping * term_gain(term.gain, term.order, self.gains, period, self.taps),
-                    realise(self.derivative, term.order, self.taps, period),
-                )
-                for term in self.terms
-            ],
-        )
+        gains = (self.damping * term_gain(term.gain, term.order, self.gains, period, self.taps) for term in self.terms)
+        units = (realise(self.derivative, term.order, self.taps, period) for term in self.terms)
+        return combine(self.stiffness, list(zip(gains, units, strict=True)))

@@ -21,16 +21,14 @@ from nodes.parameters.store import ParameterError, convert
 
 
 class LawRefusedError(ParameterError):
-    """A law that is not rendered; the text tells path, value, limit and remedy."""
+    """A law that is not rendered; the text says path, value, limit and remedy."""
 
 
 def parse_law(data: object, path: str = "law") -> Law:
-    """Read a law's description.
+    """Read a law's description: ``{kind: ..., <parameter>: ...}``, a registered kind or a preset, or a preset's bare name.
 
-    `data`: a mapping ``{kind: ..., <parameter>: ...}`` as YAML or JSON gives it; ``kind`` is a registered kind or a preset.
-    The bare name of a preset stands for the preset with all its values. `path`: where the description stands, for the errors.
-    Returns: the law; its parameters are valid one by one (`compile_law` judges them together). Raises LawRefusedError when the
-    kind or a parameter is unknown, missing, of the wrong type, out of its limits or not finite.
+    Its parameters are valid one by one then (`compile_law` judges them together). Raises LawRefusedError when the kind or a
+    parameter is unknown, missing, of the wrong type, out of its limits or not finite, with its path.
     """
     if isinstance(data, str) and data in PRESETS:
         data = {"kind": data}
@@ -49,9 +47,7 @@ def parse_law(data: object, path: str = "law") -> Law:
     parameters = law.__struct_fields__
     unknown = [key for key in whole if key not in parameters]
     if unknown:
-        raise LawRefusedError(
-            f"{path}.{unknown[0]}: law kind {kind} has no such parameter; it takes {', '.join(parameters)}"
-        )
+        raise LawRefusedError(f"{path}.{unknown[0]}: law kind {kind} has no such parameter; it takes {', '.join(parameters)}")
     try:
         made: Law = convert(whole, law, path)
         return made
@@ -60,21 +56,14 @@ def parse_law(data: object, path: str = "law") -> Law:
 
 
 def law_to_dict(law: Law) -> dict[str, Any]:
-    """Describe a law so that `parse_law` reads the same law back.
-
-    Returns: ``kind`` and every parameter, in plain lists, strings and numbers; parameters that are not set are left out.
-    """
+    """Describe a law so that `parse_law` reads the same law back; parameters that are not set are left out."""
     # Through JSON: tuples become lists, and floats come back with the same bits.
     values: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(law))
     return {"kind": law.kind, **{key: value for key, value in values.items() if value is not None}}
 
 
 def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
-    """Compile a law and refuse what must not be rendered.
-
-    `path`: where its description stands, for the errors. Returns: finite taps, decaying sections, H(1) > 0. Raises
-    LawRefusedError when the law cannot be realised, is not finite, has a section that does not decay or renders H(1) ≤ 0.
-    """
+    """Compile a law; LawRefusedError when it cannot be realised, is not finite, has a section that grows or H(1) ≤ 0."""
     if not (math.isfinite(period) and period > 0.0):
         raise LawRefusedError(f"{path}: sampling period {period!r} s is not a positive number")
     try:
@@ -87,9 +76,7 @@ def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
     except Exception as error:  # a law of another package may raise anything
         raise LawRefusedError(f"{path}: cannot be compiled: {type(error).__name__}: {error}") from error
     if not isinstance(compiled, CompiledLaw):
-        raise LawRefusedError(
-            f"{path}: compiles to {type(compiled).__name__}, expected CompiledLaw (law kind {law.kind})"
-        )
+        raise LawRefusedError(f"{path}: compiles to {type(compiled).__name__}, expected CompiledLaw (law kind {law.kind})")
     if not compiled.finite:
         raise LawRefusedError(
             f"{path}: taps are not finite at T = {period:g} s (limit: below 1.8e308); lower the gains or the order"
@@ -106,8 +93,7 @@ def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
             raise LawRefusedError(
                 f"{path}: its own code cannot be made for an axis: {type(error).__name__}: {error}"
             ) from error
-        # It adds a force that no transfer function tells; the coupling watches it at run time.
-        return compiled
+        return compiled  # it adds a force that no transfer function tells; the coupling watches it at run time
     h1 = compiled.h1
     # The sum of the taps is only known to rounding: what is below it has no sign.
     rounding = 2.0**-52 * sum(map(abs, compiled.taps))

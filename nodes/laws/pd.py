@@ -11,12 +11,8 @@ from nodes.parameters.checked import NonNegative, Positive
 class PD(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """F = K x + B dx/dt with the backward difference, taps [K + B/T, −B/T].
 
-    Attributes
-    ----------
-    stiffness : float
-        K [N/m].
-    damping : float
-        B [N s/m].
+    stiffness: K [N/m].
+    damping: B [N s/m].
     """
 
     kind: ClassVar[str] = "pd"

@@ -14,14 +14,9 @@ from nodes.laws.fields import Damping, Stiffness
 class PDFiltered(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """F = K x + B v, v[k] = a v[k−1] + (1−a)(x[k] − x[k−1])/T with a = exp(−2π·cutoff·T) (THEORY.md §14).
 
-    Attributes
-    ----------
-    stiffness : float
-        K, felt at rest as it is [N/m].
-    damping : float
-        B [N s/m].
-    cutoff : float
-        Of the low-pass [Hz]; far above the loop's rate it is plain PD.
+    stiffness: K, felt at rest as it is [N/m].
+    damping: B [N s/m].
+    cutoff: Of the low-pass [Hz]; far above the loop's rate it is plain PD.
     """
 
     kind: ClassVar[str] = "pd_filtered"

@@ -20,16 +20,10 @@ from nodes.laws.fields import Damping, Stiffness
 class PDWindowed(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """F = K x + B v, v the slope of the longest straight window.
 
-    Attributes
-    ----------
-    stiffness : float
-        K [N/m].
-    damping : float
-        B [N s/m].
-    resolution : float
-        Step of the encoder: samples within it of the line count as on it [m].
-    window : int
-        Longest window [ticks].
+    stiffness: K [N/m].
+    damping: B [N s/m].
+    resolution: Step of the encoder: samples within it of the line count as on it [m].
+    window: Longest window [ticks].
     """
 
     kind: ClassVar[str] = "pd_windowed"
@@ -47,8 +41,7 @@ class PDWindowed(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
 def windowed_slope(ring: Sequence[float], head: int, error: float, window: int) -> float:
     """Slope of the longest line from the newest sample back that passes within the error of all samples between."""
     newest = ring[head]
-    # A shade over the error: samples of an encoder lie exactly on it.
-    error *= 1.0 + 1e-9
+    error *= 1.0 + 1e-9  # A shade over the error: samples of an encoder lie exactly on it
     slope = newest - ring[head + 1]
     for n in range(2, window + 1):
         wider = (newest - ring[head + n]) / n

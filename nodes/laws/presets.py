@@ -24,18 +24,10 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         },
         # haptic study design --delay 0..0.5: 50 to 200 g, b = 1 N s/m, 500 Hz, pole radius <= 0.99, |H(-1)| <= 1e4 N/m.
         # For apply: on_arrival, where a force arrives within half a tick. H(1) is 3736 N/m; the best PD there has 2813 N/m.
-        "designed_d0": {
-            "kind": "fir",
-            "taps": [10007.78, -6048.18, -3158.42, 2934.69],
-            "period": 0.002,
-        },
+        "designed_d0": {"kind": "fir", "taps": [10007.78, -6048.18, -3158.42, 2934.69], "period": 0.002},
         # haptic study design --delay 1: the same for apply: next_tick. H(1) is 2396 N/m; the best PD there has 1836 N/m. The
         # search ends within 1 % of that (sim/README.md).
-        "designed_d1": {
-            "kind": "fir",
-            "taps": [9329.46, -7062.28, -3142.96, 3271.69],
-            "period": 0.002,
-        },
+        "designed_d1": {"kind": "fir", "taps": [9329.46, -7062.28, -3142.96, 3271.69], "period": 0.002},
     }
 )
 """Preset name to parameters, the law's kind among them."""

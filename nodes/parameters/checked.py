@@ -1,7 +1,5 @@
 """Structs that Python code makes are checked as those that YAML makes: types, limits, numbers of numpy; common limits."""
 
-from __future__ import annotations
-
 import functools
 from typing import Annotated, Any, TypeAlias, get_type_hints
 
@@ -28,10 +26,7 @@ def _plain(value: Any) -> Any:
 
 
 def check_fields(made: msgspec.Struct, name: str = "") -> None:
-    """Check all fields of a struct that was just made, as `convert` checks a mapping; for ``__post_init__``.
-
-    Raises ParameterError with path, value and limit.
-    """
+    """Check all fields of a struct that was just made, as `convert` checks a mapping; for ``__post_init__``."""
     kind = type(made)
     values = {field: getattr(made, field) for field in kind.__struct_fields__}
     whole = convert({field: _plain(value) for field, value in values.items()}, _unchecked(kind), name or kind.__name__)

@@ -1,7 +1,5 @@
 """What a parameter is: type, unit, limits, default and meaning, from the struct that types it."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Callable
@@ -55,9 +53,7 @@ def described(target: type[Any], values: Any, path: str, struct_of: Callable[[st
         if name and isinstance(info, inspect.StructType):
             fields = {field.encode_name: field for field in info.fields}
             if name == "kind" and name not in fields and _kind(values):
-                return Description(
-                    type="text", required=True, meaning="What it is: one of the kinds that are installed."
-                )
+                return Description(type="text", required=True, meaning="What it is: one of the kinds that are installed.")
             if name not in fields:
                 raise ParameterError(f"{done}{step}: no such parameter; {choices(name, fields)}")
             found = _field(info.cls, fields[name])

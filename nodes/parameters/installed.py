@@ -4,8 +4,6 @@
 from `haptic launch` to the first tick. Here the path is read once for all groups.
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 import sys
@@ -13,8 +11,7 @@ from functools import cache, reduce
 from pathlib import Path
 from typing import Any, NamedTuple
 
-OURS = "haptic-nodes"
-"""The name of this project's package."""
+OURS = "haptic-nodes"  # the name of this project's package
 
 
 class EntryPoint(NamedTuple):

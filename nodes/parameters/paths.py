@@ -4,8 +4,6 @@ A launcher on this machine runs as the same user and may name any file. One else
 directories that the node's own command line allows (``--allow-path``): a path can be a library to load or a file to replace.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -18,11 +16,9 @@ from nodes.parameters.store import ParameterError
 
 _LOCAL = "decided where the node runs"
 
-LocalPath: TypeAlias = Annotated[str, msgspec.Meta(extra={_LOCAL: True})]
-"""Type of a parameter that names a file or a library."""
+LocalPath: TypeAlias = Annotated[str, msgspec.Meta(extra={_LOCAL: True})]  # type of a parameter that names a file or a library
 
-LocalChoice: TypeAlias = Annotated[bool, msgspec.Meta(extra={_LOCAL: True})]
-"""Type of a switch that decides what happens to a file."""
+LocalChoice: TypeAlias = Annotated[bool, msgspec.Meta(extra={_LOCAL: True})]  # switch that decides what happens to a file
 
 
 def check_paths(parameters: msgspec.Struct, allowed: Sequence[Path], where: str) -> None:

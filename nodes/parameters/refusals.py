@@ -3,8 +3,6 @@
 Of msgspec's own text only the path and the names of fields are read; the rest is said by the type and the value found there.
 """
 
-from __future__ import annotations
-
 import difflib
 import operator
 import re
@@ -89,12 +87,8 @@ def worded(refusal: str, data: Any, target: Any) -> tuple[str, str]:
             return path, f"expected {words}{shown}{length}"
     if choice := [str(one) for info in types for one in getattr(info, "values", ())]:
         close = difflib.get_close_matches(str(value), choice, 1)
-        return path, f"expected one of {', '.join(choice)}{shown}" + "".join(
-            f"; did you mean {name}?" for name in close
-        )
-    if words := " or ".join(
-        dict.fromkeys(name for kind, name in _NAMES.items() for info in types if type(info) is kind)
-    ):
+        return path, f"expected one of {', '.join(choice)}{shown}" + "".join(f"; did you mean {name}?" for name in close)
+    if words := " or ".join(dict.fromkeys(name for kind, name in _NAMES.items() for info in types if type(info) is kind)):
         return path, f"expected {words}{shown}"
     scalar = isinstance(value, str | int | float)
     return path, f"{reason.replace('`', '')}{shown if scalar else ''}"
@@ -111,9 +105,7 @@ def _broken(info: inspect.Type, value: Any) -> str:
         if limit is not None and not kept(value, limit):
             return f"{_NAMES[type(info)]} {words} {limit:.12g}"
     pattern = info.pattern if isinstance(info, inspect.StrType) else None
-    if pattern is not None and not re.search(pattern, str(value)):
-        return f"a name that matches {pattern!r}"
-    return ""
+    return "" if pattern is None or re.search(pattern, str(value)) else f"a name that matches {pattern!r}"
 
 
 def _called(value: Any) -> str:

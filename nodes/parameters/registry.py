@@ -3,8 +3,6 @@
 Nothing is imported until it is asked for by name, and of what cannot be imported only the name becomes unavailable.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import msgspec
@@ -34,11 +32,7 @@ class Registry:
         return installed.points(self.group)
 
     def load(self, name: str) -> Any:
-        """Import one.
-
-        Returns: what is registered under that name. Raises NotInstalledError when there is none of that name, or it cannot be
-        imported.
-        """
+        """Import one, or say in NotInstalledError why not."""
         point = self.points().get(name)
         if point is None:
             raise NotInstalledError(f"{name!r} is not an installed {self._noun}; {choices(name, self.names())}")
@@ -55,10 +49,7 @@ class Registry:
             ) from error
 
     def all(self) -> tuple[dict[str, Any], dict[str, str]]:
-        """Import all.
-
-        Returns: what could be imported, by name and sorted; and why the rest could not.
-        """
+        """Import all: those that could be, by name and sorted, and why the rest could not."""
         found: dict[str, Any] = {}
         broken: dict[str, str] = {}
         for name in self.names():

@@ -4,11 +4,9 @@ The struct that types the tree is the only place where names, types, limits and 
 command line and the control requests all go through it, so an error always carries the path, the value and the limit.
 """
 
-from __future__ import annotations
-
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -16,16 +14,7 @@ import msgspec
 from messages.errors import HapticError
 from nodes.parameters.refusals import choices, worded
 
-__all__ = [
-    "ParameterError",
-    "ParameterStore",
-    "convert",
-    "describe",
-    "differences",
-    "flattened",
-    "merge",
-    "of_node",
-]
+__all__ = ["ParameterError", "ParameterStore", "convert", "describe", "differences", "flattened", "merge", "of_node"]
 
 _PATH = re.compile(r"[^.\[\]]+(?:\.[^.\[\]]+|\[\d+\])*")
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
@@ -98,14 +87,7 @@ def merge(base: Any, over: Any) -> Any:
 
 
 def of_node(tree: Any, node: str) -> Any:
-    """Take a top level of just the node's name off a tree, as files have it.
-
-    Parameters
-    ----------
-    tree : object
-        What a file holds.
-    node : str
-        Name of the node.
+    """Take a top level of just the `node`'s name off the `tree` that a file holds.
 
     Returns
     -------
@@ -125,14 +107,7 @@ def of_node(tree: Any, node: str) -> Any:
 
 
 def flattened(tree: Any, path: str = "") -> dict[str, Any]:
-    """Lay out a tree of parameters by path.
-
-    Parameters
-    ----------
-    tree : object
-        Builtins.
-    path : str
-        Where the tree stands.
+    """Lay out a `tree` of parameters, builtins, by path; it stands at `path` itself.
 
     Returns
     -------
@@ -148,12 +123,7 @@ def flattened(tree: Any, path: str = "") -> dict[str, Any]:
 
 
 def differences(before: msgspec.Struct, after: msgspec.Struct) -> dict[str, list[Any]]:
-    """Tell what a change of parameters changed.
-
-    Parameters
-    ----------
-    before, after : msgspec.Struct
-        Parameters of one type.
+    """Tell what a change of parameters changed: two structs of one type, from `before` and `after` it.
 
     Returns
     -------
@@ -161,18 +131,11 @@ def differences(before: msgspec.Struct, after: msgspec.Struct) -> dict[str, list
         Path to the values before and after; None where there was or is none.
     """
     old, new = flattened(msgspec.to_builtins(before)), flattened(msgspec.to_builtins(after))
-    return {
-        path: [old.get(path), new.get(path)] for path in dict.fromkeys([*old, *new]) if old.get(path) != new.get(path)
-    }
+    return {path: [old.get(path), new.get(path)] for path in dict.fromkeys([*old, *new]) if old.get(path) != new.get(path)}
 
 
 def describe(parameters: Mapping[str, Any]) -> str:
-    """Write parameters in one line.
-
-    Parameters
-    ----------
-    parameters : mapping
-        Builtins.
+    """Write `parameters`, builtins, in one line.
 
     Returns
     -------
@@ -206,13 +169,7 @@ class ParameterStore:
         self.current: Any = convert(data, target, node)
 
     def accept(self, parameters: Any) -> None:
-        """Take changed parameters as the current ones.
-
-        Parameters
-        ----------
-        parameters : msgspec.Struct
-            What the loop applied.
-        """
+        """Take changed `parameters`, which the loop applied, as the current ones."""
         self.current = parameters
 
     def dump(self) -> dict[str, Any]:
@@ -238,12 +195,7 @@ class ParameterStore:
         return flattened(built) if built else {}
 
     def get(self, name: str) -> Any:
-        """Read one parameter or one branch.
-
-        Parameters
-        ----------
-        name : str
-            Path.
+        """Read one parameter or one branch by its `name`, a path.
 
         Returns
         -------
@@ -255,25 +207,20 @@ class ParameterStore:
         ParameterError
             When there is none of that name; the text lists what is there.
         """
-        value: Any = self.dump()
-        done = ""
-        for step in self._steps(name):
-            value = self._down(value, step, done)
-            done += self._shown(step, done)
-        return value
+        return self._walk(self.dump(), self._steps(name))
 
     def _steps(self, name: str) -> list[str | int]:
         if not (isinstance(name, str) and _PATH.fullmatch(name)):
             raise ParameterError(f"{self._node}: {name!r} is not a parameter's name, e.g. laws.pd.stiffness or axes[0]")
         return [key if key else int(index) for key, index in _STEP.findall(name)]
 
-    @staticmethod
-    def _shown(step: str | int, done: str) -> str:
-        if isinstance(step, int):
-            return f"[{step}]"
-        return f".{step}" if done else step
+    def _walk(self, value: Any, steps: Sequence[str | int]) -> Any:
+        """Go down a tree."""
+        for depth, step in enumerate(steps):
+            value = self._down(value, step, steps[:depth])
+        return value
 
-    def _down(self, value: Any, step: str | int, done: str) -> Any:
+    def _down(self, value: Any, step: str | int, done: Sequence[str | int]) -> Any:
         if isinstance(step, str) and isinstance(value, dict) and step in value:
             return value[step]
         if isinstance(step, int) and isinstance(value, list) and step < len(value):
@@ -283,18 +230,14 @@ class ParameterStore:
             there = choices(step, value)
         elif isinstance(value, list):
             there = f"there is: {len(value)} entries from [0]"
-        raise ParameterError(f"{self._node}.{done}{self._shown(step, done)}: no such parameter; {there}")
+        path = "".join(f"[{one}]" if isinstance(one, int) else f".{one}" for one in (*done, step))
+        raise ParameterError(f"{self._node}.{path.removeprefix('.')}: no such parameter; {there}")
 
     def changed(self, values: Mapping[str, Any]) -> Any:
-        """Make the parameters that result from setting some of them.
+        """Make the parameters that result from setting some of them: `values`, from path to new value.
 
         A name that is not there yet is taken where names are free (a new law, a parameter that a law did not state); what
         reads that mapping refuses those it does not know.
-
-        Parameters
-        ----------
-        values : mapping of str to object
-            Path to new value.
 
         Returns
         -------
@@ -311,13 +254,9 @@ class ParameterStore:
         data = self.dump()
         for name, new in values.items():
             *upper, last = self._steps(name)
-            branch: Any = data
-            done = ""
-            for step in upper:
-                branch = self._down(branch, step, done)
-                done += self._shown(step, done)
+            branch = self._walk(data, upper)
             if not (isinstance(branch, dict) and isinstance(last, str) and self._free(upper)):
-                self._down(branch, last, done)
+                self._down(branch, last, upper)
             branch[last] = new
         return convert(data, self._target, self._node)
 
@@ -331,12 +270,9 @@ class ParameterStore:
         return isinstance(info, msgspec.inspect.DictType | msgspec.inspect.AnyType)
 
     def merged(self, values: Any) -> Any:
-        """Make the parameters that result from loading a tree, whole or in part, over the current ones.
+        """Make the parameters that result from loading a tree of `values`, whole or in part, over the current ones.
 
-        Parameters
-        ----------
-        values : mapping
-            The tree; a top level of just the node's name is taken off.
+        A top level of just the node's name is taken off.
 
         Returns
         -------

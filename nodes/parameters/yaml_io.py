@@ -4,8 +4,6 @@ Numbers are what they look like (``1e3`` is a number, ``010`` is ten, ``1:30`` a
 aliases are refused because a kilobyte of them expands to gigabytes. What `write_yaml` writes reads back to the same bits.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os
@@ -16,12 +14,10 @@ import yaml
 
 from nodes.parameters.store import ParameterError
 
-MAX_CHARACTERS = 1_000_000
-"""Longest document: several laws of the greatest length."""
+MAX_CHARACTERS = 1_000_000  # longest document: several laws of the greatest length
 
 MAX_DEPTH = 32
-MAX_INT = 2**63 - 1
-"""Integers travel between the processes as 64 bits."""
+MAX_INT = 2**63 - 1  # integers travel between the processes as 64 bits
 
 _BREAKS = re.compile("[\x85\u2028\u2029]")
 
@@ -113,8 +109,7 @@ _Loader.yaml_constructors[None] = yaml.SafeLoader.construct_undefined
 
 _TAB = r"found character '\t' that cannot start any token"
 
-_NAMELESS = ' in "<unicode string>"'
-"""What PyYAML calls a file of which it was given the text; its name stands before that."""
+_NAMELESS = ' in "<unicode string>"'  # what PyYAML calls a file of which it was given the text; its name stands before that
 
 
 def parse_yaml(text: str, source: str) -> Any:
@@ -152,9 +147,7 @@ def lines_of(path: str | os.PathLike[str]) -> dict[str, int]:
 def write_yaml(data: Any, width: int = 120) -> str:
     """Write builtins as YAML that `parse_yaml` reads back unchanged."""
     for plain in (True, False):
-        text: str = yaml.dump(
-            data, Dumper=_Dumper, sort_keys=False, allow_unicode=plain, default_flow_style=None, width=width
-        )
+        text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=plain, default_flow_style=None, width=width)
         # PyYAML writes Unicode's own line breaks as they are and then reads them as blanks; escaped they are safe.
         if not _BREAKS.search(text):
             break

@@ -8,9 +8,9 @@ import msgspec
 
 from messages.topics import DEVICE_STATE, LOOP, message_type, split
 from messages.types import DeviceState, NodeStatus
-from nodes.recording.ended import read_ended
 from nodes.recording.mcap_walk import RawMessage
 from nodes.recording.reader import Recording
+from nodes.recording.writer import read_ended
 
 
 class Account(msgspec.Struct):
@@ -87,9 +87,7 @@ def clocks(recording: Recording) -> dict[str, ClockRecord]:
         status = entry.message
         if isinstance(status, NodeStatus):
             before = found.get(status.node)
-            found[status.node] = ClockRecord(
-                status.clock_offset, max(status.clock_error, before.error if before else 0.0)
-            )
+            found[status.node] = ClockRecord(status.clock_offset, max(status.clock_error, before.error if before else 0.0))
     return found
 
 

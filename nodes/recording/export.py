@@ -150,20 +150,23 @@ def _beside(out: Path) -> Path:
     return out.with_name(f"{out.stem}.parameters.json")
 
 
+def _refuse_existing(*paths: Path) -> None:
+    for path in paths:
+        if path.exists():
+            raise RecordError(f"{path}: exists already; give another name or ask for it to be overwritten")
+
+
 def _tables(recording: Recording) -> dict[str, Arrays]:
     """All tables as arrays, by name; time of each from the first tick on."""
-    found: dict[str, Arrays] = {}
-    if DEVICE_STATE in recording.topics:
-        found[TICKS] = read(recording.path)
+    found: dict[str, Arrays] = {TICKS: read(recording.path)} if DEVICE_STATE in recording.topics else {}
     for topic, name in plain_names(recording.topics).items():
         arrays = recording.arrays(topic)
         found[name] = {"time": arrays["stamp"] - begin_of(recording), **arrays}
     for table, arrays in found.items():
         for field, array in arrays.items():
             if array.dtype.hasobject:
-                raise RecordError(
-                    f"{recording.path}: {table}.{field} holds numbers beyond 64 bits, which arrays cannot; export CSV"
-                )
+                what = f"{table}.{field} holds numbers beyond 64 bits, which arrays cannot; export CSV"
+                raise RecordError(f"{recording.path}: {what}")
     return found
 
 
@@ -178,8 +181,8 @@ def export_npz(recording: Recording, out: str | Path, *, overwrite: bool = False
 
 
 def _save_with_parameters(recording: Recording, out: Path, data: bytes, overwrite: bool) -> list[Path]:
-    if not overwrite and _beside(out).exists():
-        raise RecordError(f"{_beside(out)}: exists already; give another name or ask for it to be overwritten")
+    if not overwrite:
+        _refuse_existing(_beside(out))
     save(out, data, overwrite)
     return [out, _save_parameters(recording, _beside(out), overwrite)]
 
@@ -194,11 +197,10 @@ def export_mat(recording: Recording, out: str | Path, *, overwrite: bool = False
         for name, table in _tables(recording).items()
     }
     tables["parameters"] = json.dumps(parameters(recording), ensure_ascii=False)
-    buffer = BytesIO()
     # The stub knows paths only.
-    stream: Any = buffer
+    buffer: Any = BytesIO()
     try:
-        savemat(stream, tables, oned_as="column", long_field_names=True, do_compression=True)
+        savemat(buffer, tables, oned_as="column", long_field_names=True, do_compression=True)
     except (MatWriteError, ValueError) as error:
         raise RecordError(f"{out}: cannot be written as MAT: {error}") from error
     return _save_with_parameters(recording, Path(out), buffer.getvalue(), overwrite)
@@ -212,9 +214,8 @@ def export_parquet(recording: Recording, out: str | Path, *, overwrite: bool = F
     except ImportError as error:
         raise RecordError("Parquet needs pyarrow: pip install 'haptic-nodes[parquet]', or export CSV") from error
     out = Path(out)
-    for path in (out, _beside(out)):
-        if path.exists() and not overwrite:
-            raise RecordError(f"{path}: exists already; give another name or ask for it to be overwritten")
+    if not overwrite:
+        _refuse_existing(out, _beside(out))
     begin = begin_of(recording)
     types = {"law": pa.string(), "safety": pa.string(), "contact": pa.int8()}
     types |= dict.fromkeys(("seq", "revision", "age", "missed", "overruns"), pa.int64())

@@ -32,6 +32,8 @@ BAD, GREY, INK = "#B22222", "#8A8F98", "#1D252C"
 OMEGA = r"$\omega/\omega_\mathrm{N}$  [1]"
 """Label of an axis of frequency in units of the Nyquist frequency."""
 
+_RAISED = str.maketrans("0123456789-−", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁻")
+
 _SYMBOLS = ((re.compile(r"\bD\^([\d.]+)"), r"$D^{\1}$"), (re.compile(r"\bK_max\b"), r"$K_\\mathrm{max}$"))
 
 _P = ParamSpec("_P")
@@ -52,7 +54,6 @@ def _rc() -> Any:
         "axes.axisbelow": True,
         "axes.spines.top": False,
         "axes.spines.right": False,
-        "axes.formatter.use_mathtext": True,
         "grid.color": "#E3E5E8",
         "grid.linewidth": 0.7,
         "lines.linewidth": 1.4,
@@ -73,10 +74,7 @@ def _rc() -> Any:
 
 
 def styled(draw: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Let a function draw in the project's style.
-
-    Returns: the same; no setting of matplotlib's is changed for anybody else.
-    """
+    """Let a function draw in the project's style; no setting of matplotlib's is changed for anybody else."""
 
     @functools.wraps(draw)
     def drawn(*words: _P.args, **named: _P.kwargs) -> _T:
@@ -90,13 +88,18 @@ def styled(draw: Callable[_P, _T]) -> Callable[_P, _T]:
     return drawn
 
 
+def new_figure(width: float, height: float) -> Figure:
+    """Make an empty figure of so many inches, without a window."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
 @styled
 def save_figure(figure: Figure, path: Path, room: Callable[[Path], Path] = lambda path: path) -> Path:
-    """Write a picture as PNG, and beside it as PDF and SVG.
-
-    `room`: makes room for a file of that name; see `sim.results.fresh`.
-    """
+    """Write a picture as PNG, and beside it as PDF and SVG; `room` makes room for a file, see `sim.results.fresh`."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    _write_numbers_plainly(figure)
     engine = figure.get_layout_engine()
     if engine is not None:
         # Once for all formats: each would lay out the panels anew, which took the half of what a picture costs.
@@ -106,6 +109,45 @@ def save_figure(figure: Figure, path: Path, room: Callable[[Path], Path] = lambd
     for suffix in (".pdf", ".svg", path.suffix):
         figure.savefig(room(path.with_suffix(suffix)), dpi=150)
     return path
+
+
+def plain_power(text: str) -> str:
+    r"""Write what matplotlib gives as mathematics, ``$\mathdefault{2\times10^{-3}}$``, as 2×10⁻³; any other text as it is."""
+    found = re.fullmatch(r"\$\\mathdefault\{(.*?)(?:\^\{(.*)\})?\}\$", text)
+    if found is None:
+        return text
+    return found[1].replace(r"\times", "×").replace("-", "−") + (found[2] or "").translate(_RAISED)
+
+
+def plain_factor(text: str) -> str:
+    """Write what the numbers of an axis are multiplied with, and what is added to them, ``1e−3+2e7``, as ×10⁻³+2×10⁷."""
+    text = re.sub(r"e\+?([−-]?\d+)", lambda power: "×10" + power[1].translate(_RAISED), text)
+    return re.sub(r"^1×", "×", text)
+
+
+def _write_numbers_plainly(figure: Figure) -> None:
+    """Let axes have their numbers as plain text: to set them as mathematics took the half of what a picture costs."""
+    from matplotlib.ticker import Formatter, LogFormatter, ScalarFormatter
+
+    class Plain(Formatter):
+        def __init__(self, of: Formatter) -> None:
+            self._of = of
+
+        def set_locs(self, locs: Any) -> None:
+            self._of.set_locs(locs)
+
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            return plain_power(self._of(x, pos))
+
+        def get_offset(self) -> str:
+            return plain_factor(self._of.get_offset())
+
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            if isinstance(of := axis.get_major_formatter(), LogFormatter | ScalarFormatter):
+                axis.set_major_formatter(Plain(of))
+            if isinstance(of := axis.get_minor_formatter(), LogFormatter | ScalarFormatter):
+                axis.set_minor_formatter(Plain(of))
 
 
 def typeset(text: str) -> str:
@@ -128,10 +170,7 @@ def legend_above(axes: Axes, columns: int = 2) -> None:
 
 
 def label_ends(axes: Axes, size: float = 8.0) -> None:
-    """Write the label of each curve at its right end, in its colour, in place of a legend.
-
-    `axes`: with its limits set and its curves labelled. `size`: of the letters [points].
-    """
+    """Write the label of each curve at its right end, in its colour, in place of a legend; limits are set before."""
     import numpy as np
 
     low, high = axes.get_xlim()
@@ -142,21 +181,12 @@ def label_ends(axes: Axes, size: float = 8.0) -> None:
         seen = np.flatnonzero((x >= low) & (x <= high) & np.isfinite(y))
         if name.startswith("_") or not seen.size:
             continue
-        place = axes.transAxes.inverted().transform(axes.transData.transform((x[seen[-1]], y[seen[-1]])))
-        ends.append((float(np.clip(place[1], 0.0, 1.0)), float(place[0]), name, line.get_color()))
+        end = axes.transAxes.inverted().transform(axes.transData.transform((x[seen[-1]], y[seen[-1]])))
+        ends.append((float(np.clip(end[1], 0.0, 1.0)), float(end[0]), name, line.get_color()))
     ends.sort(key=lambda end: end[0])
     for (_, at, name, colour), height in zip(ends, _apart([end[0] for end in ends], _height(axes, size)), strict=True):
-        axes.annotate(
-            name,
-            (min(at, 1.0), height),
-            xycoords="axes fraction",
-            xytext=(5, 0),
-            textcoords="offset points",
-            color=colour,
-            fontsize=size,
-            va="center",
-            annotation_clip=False,
-        )
+        place: Any = {"xycoords": "axes fraction", "xytext": (5, 0), "textcoords": "offset points", "va": "center"}
+        axes.annotate(name, (min(at, 1.0), height), **place, color=colour, fontsize=size, annotation_clip=False)
 
 
 def _height(axes: Axes, size: float) -> float:
@@ -177,18 +207,12 @@ def _apart(heights: Sequence[float], least: float) -> list[float]:
 
 
 def threshold(axes: Axes, value: float, name: str, vertical: bool = False) -> None:
-    """Draw a line that decides something, and name it.
-
-    `name`: what it is, value and unit included.
-    """
+    """Draw a line that decides something, and name it, value and unit included."""
     draw = axes.axvline if vertical else axes.axhline
     draw(value, color=INK, lw=0.9, ls=(0, (1, 1.5)))
     place: tuple[float, float] = (value, 0.99) if vertical else (0.01, value)
     # Near the top the name would lie over the title.
-    high = (
-        not vertical
-        and axes.transAxes.inverted().transform(axes.transData.transform((axes.get_xlim()[1], value)))[1] > 0.9
-    )
+    high = not vertical and axes.transAxes.inverted().transform(axes.transData.transform((axes.get_xlim()[1], value)))[1] > 0.9
     axes.annotate(
         name,
         place,

@@ -64,10 +64,7 @@ def file_of(path: str, run: str, node: str) -> str:
 
 
 class Recorder:
-    """Writes what a subscription receives.
-
-    `topics`: whole names of the topics to record; empty for all.
-    """
+    """Writes what a subscription receives: the topics of these whole names, or all."""
 
     def __init__(self, inbox: Subscription, writer: RecordWriter, topics: Collection[str] = ()) -> None:
         self._inbox = inbox

@@ -58,34 +58,29 @@ class Record(NamedTuple):
 class Channel(NamedTuple):
     """A channel: one topic with its encoding."""
 
-    # Its own number and its schema's.
-    number: int
-    schema: int
-    # Topic name and message encoding.
+    number: int  # its own
+    schema: int  # its schema's number
     topic: str
-    encoding: str
+    encoding: str  # of its messages
 
 
 class Schema(NamedTuple):
     """A message schema."""
 
-    number: int  # its number
-    # Name of the type and encoding of the schema.
-    name: str
-    encoding: str
+    number: int
+    name: str  # of the type
+    encoding: str  # of the schema
     data: bytes  # the schema itself
 
 
 class RawMessage(NamedTuple):
     """A message, still encoded."""
 
-    # Number of its channel; its seq modulo 2³².
-    channel: int
-    sequence: int
-    # Receipt and source stamp [ns].
-    log_time: int
-    publish_time: int
-    data: bytes  # the encoded message
+    channel: int  # number of its channel
+    sequence: int  # its seq modulo 2³²
+    log_time: int  # receipt [ns]
+    publish_time: int  # source stamp [ns]
+    data: bytes
 
 
 def _string(content: bytes, at: int) -> tuple[str, int]:
@@ -190,9 +185,7 @@ def _split(path: Path, offset: int, data: bytes) -> Iterator[Record]:
         opcode, length = FRAME.unpack_from(data, at)
         at += FRAME.size
         if at + length > len(data):
-            raise RecordError(
-                f"{path}: damaged chunk at byte {offset}: a record of {length} bytes does not fit into the chunk"
-            )
+            raise RecordError(f"{path}: damaged chunk at byte {offset}: a record of {length} bytes does not fit into the chunk")
         yield Record(offset, opcode, data[at : at + length])
         at += length
 

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from messages.topics import DEVICE_STATE
 from messages.types import DeviceState
 from nodes.recording.figure_style import COLOURS, LINES
@@ -37,26 +39,17 @@ def _labels(recordings: Sequence[Recording], lines: Sequence[Lines]) -> list[str
     return [f"{text}  ({recording.path.stem[-40:]})" for text, recording in zip(facts, recordings, strict=True)]
 
 
-def _colors(count: int) -> list[Any]:
-    return [COLOURS[number % len(COLOURS)] for number in range(count)]
-
-
-def _line_style(number: int) -> Any:
-    """Line style: after all colours the same ones come with other lines."""
-    return LINES[(number + number // len(COLOURS)) % len(LINES)]
-
-
-def _width(number: int, count: int) -> float:
-    """Line width: the first run the widest, so that one that is the same as a later one is still seen."""
-    return 1.0 + 2.5 * (count - 1 - number) / RUNS
+def _look(number: int, count: int) -> dict[str, Any]:
+    """Look of a line: after all colours the same ones come with other lines; the first is the widest, and so always seen."""
+    style = LINES[(number + number // len(COLOURS)) % len(LINES)]
+    return {"color": COLOURS[number % len(COLOURS)], "ls": style, "lw": 1.0 + 2.5 * (count - 1 - number) / RUNS}
 
 
 def _legend(figure: Figure, axes: Axes, labels: Sequence[str]) -> None:
     handles = axes.get_legend_handles_labels()[0][: len(labels)]
     columns = 2 if len(labels) > 1 and max(map(len, labels)) <= 60 else 1
-    figure.legend(
-        handles, list(labels), loc="outside lower left", ncols=columns, fontsize=9, frameon=False, borderaxespad=0.5
-    ).set_in_layout(True)
+    place: Any = {"loc": "outside lower left", "ncols": columns, "borderaxespad": 0.5}
+    figure.legend(handles, list(labels), fontsize=9, frameon=False, **place).set_in_layout(True)
 
 
 def _checked(recordings: Sequence[Recording]) -> None:
@@ -75,18 +68,11 @@ def overlay(recordings: Sequence[Recording], start: float | None = None, stop: f
     axis = lines[0].axis
     figure = new_figure(6.6 + 0.12 * len(recordings))
     panels = list(figure.subplots(2, 1, sharex=True))
-    labels, colors = _labels(recordings, lines), _colors(len(recordings))
-    for number, (one, label, color) in enumerate(zip(lines, labels, colors, strict=True)):
+    labels = _labels(recordings, lines)
+    for number, (one, label) in enumerate(zip(lines, labels, strict=True)):
         for axes, line, scale in ((panels[0], one.position, 1e3), (panels[1], one.force, 1.0)):
             time, values = line.arrays()
-            axes.plot(
-                time - one.begin,
-                values[:, axis] * scale,
-                color=color,
-                lw=_width(number, len(lines)),
-                ls=_line_style(number),
-                label=label,
-            )
+            axes.plot(time - one.begin, values[:, axis] * scale, label=label, **_look(number, len(lines)))
     level = _surface(lines[0], axis)
     if level is not None:
         panels[0].axhline(level, color=COLORS["surface"], lw=1.2, ls="--", zorder=1)
@@ -102,8 +88,6 @@ def overlay(recordings: Sequence[Recording], start: float | None = None, stop: f
 
 def _surface(lines: Lines, axis: int) -> float | None:
     """Where the surface is first [mm]."""
-    import numpy as np
-
     values = lines.proxy.arrays()[1][:, 3 + axis]
     seen = values[~np.isnan(values)]
     return float(seen[0]) * 1e3 if len(seen) else None
@@ -152,15 +136,11 @@ def _trace(recording: Recording, lines: Lines, axis: int, start: float, stop: fl
 
 
 def _extent(line: Line, axis: int) -> float:
-    import numpy as np
-
     values = line.arrays()[1][:, axis]
     return float(np.ptp(values)) if len(values) else 0.0
 
 
-def force_over_position(
-    recordings: Sequence[Recording], start: float | None = None, stop: float | None = None
-) -> Figure:
+def force_over_position(recordings: Sequence[Recording], start: float | None = None, stop: float | None = None) -> Figure:
     """Draw the force handed to the device over the position at the same tick: what a wall feels like."""
     _checked(recordings)
     ends = start or 0.0, math.inf if stop is None else stop
@@ -169,11 +149,8 @@ def force_over_position(
     figure = new_figure(6.6 + 0.12 * len(recordings))
     axes = figure.subplots()
     labels = _labels(recordings, lines)
-    runs = zip(recordings, lines, labels, _colors(len(recordings)), strict=True)
-    for number, (recording, one, label, color) in enumerate(runs):
-        width = _width(number, len(lines))
-        look = {"color": color, "lw": width, "ls": _line_style(number)}
-        axes.plot(*_trace(recording, one, axis, *ends), label=label, **look)
+    for number, (recording, one, label) in enumerate(zip(recordings, lines, labels, strict=True)):
+        axes.plot(*_trace(recording, one, axis, *ends), label=label, **_look(number, len(lines)))
     level = _surface(lines[0], axis)
     if level is not None:
         axes.axvline(level, color=COLORS["surface"], lw=1.2, ls="--", zorder=1)
@@ -181,10 +158,10 @@ def force_over_position(
     axes.set_ylabel(f"force {'xyz'[axis]} [N]")
     style(axes)
     _legend(figure, axes, labels)
-    ended = [summarise(recording) for recording in recordings[:1]]
     facts = [_facts(level)] if level is not None else []
     if len(recordings) == 1:
-        facts.append(f"ends at {ended[0].position_m[axis] * 1e3:.3f} mm, {ended[0].force_n[axis]:.3f} N")
+        end = summarise(recordings[0])
+        facts.append(f"ends at {end.position_m[axis] * 1e3:.3f} mm, {end.force_n[axis]:.3f} N")
     head(axes, "Force over position", "  ·  ".join(facts).replace("-", "−"), 7)
     return figure
 

@@ -21,13 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLORS = {
-    "device": "#0072B2",
-    "asked": "#D55E00",
-    "surface": "#8a8f98",
-    "late": "#c0262d",
-    "switch": "#009E73",
-}
+COLORS = {"device": "#0072B2", "asked": "#D55E00", "surface": "#8a8f98", "late": "#c0262d", "switch": "#009E73"}
 """What each colour of a plot stands for."""
 
 FORMATS = ("png", "svg", "pdf")
@@ -39,9 +33,7 @@ _SAFETY = {"ramp": "#e8d9a0", "damping": "#f2b48a", "zero": "#e58c8c", "fault": 
 _ROWS = 3
 
 
-def _line(
-    axes: Axes, line: Line, column: int, begin: float, scale: float, color: str, label: str, **style: Any
-) -> None:
+def _line(axes: Axes, line: Line, column: int, begin: float, scale: float, color: str, label: str, **style: Any) -> None:
     time, values = line.arrays()
     if len(time):
         axes.plot(time - begin, values[:, column] * scale, color=color, label=label, **{"lw": 1.2, **style})
@@ -93,11 +85,7 @@ def _draw_response(axes: Axes, lines: Lines, summary: Summary, realtime: bool) -
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     quantiles = summary.response_us
-    label = (
-        f"p50 {quantiles['p50']:.0f}, p99 {quantiles['p99']:.0f}, max {quantiles['max']:.0f} µs"
-        if quantiles
-        else "no tick answered"
-    )
+    label = "p50 {p50:.0f}, p99 {p99:.0f}, max {max:.0f} µs".format(**quantiles) if quantiles else "no tick answered"
     time, extremes = lines.response.arrays()
     dots = [(at - lines.begin, value * 1e6) for at, value in lines.sampled]
     dots += zip((time - lines.begin).tolist(), (extremes[:, 0] * 1e6).tolist(), strict=True)
@@ -137,18 +125,9 @@ def _draw_receipts(panels: list[Axes], lines: Lines) -> None:
         if row is None or at + width > high:
             continue
         taken[row] = at + width
-        panels[0].annotate(
-            name,
-            (at, 0.97 - 0.1 * row),
-            xycoords=("data", "axes fraction"),
-            xytext=(3, 0),
-            textcoords="offset points",
-            va="top",
-            fontsize=8,
-            color=color,
-            parse_math=False,
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8},
-        )
+        place: Any = {"xycoords": ("data", "axes fraction"), "xytext": (3, 0), "textcoords": "offset points", "va": "top"}
+        box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8}
+        panels[0].annotate(name, (at, 0.97 - 0.1 * row), fontsize=8, color=color, parse_math=False, bbox=box, **place)
 
 
 def _subtitle(recording: Recording, summary: Summary, lines: Lines, axis: int, shown: str) -> str:
@@ -180,17 +159,8 @@ def head(axes: Axes, title: str, text: str, room: int = 21) -> None:
     """Write title and facts above the topmost panel."""
     pad = room + 14 * len(text.splitlines()) + 5
     axes.set_title(title[:70], fontsize=14, fontweight="bold", loc="left", pad=pad, parse_math=False)
-    axes.annotate(
-        text,
-        (0.0, 1.0),
-        xycoords="axes fraction",
-        xytext=(0, room),
-        textcoords="offset points",
-        fontsize=9,
-        linespacing=1.35,
-        color="#444a52",
-        parse_math=False,
-    )
+    place: Any = {"xycoords": "axes fraction", "xytext": (0, room), "textcoords": "offset points", "color": "#444a52"}
+    axes.annotate(text, (0.0, 1.0), fontsize=9, linespacing=1.35, parse_math=False, **place)
 
 
 def new_figure(height: float) -> Figure:
@@ -231,9 +201,7 @@ def figure_of(recording: Recording, start: float | None = None, stop: float | No
     _draw_response(panels[-1], whole, summary, realtime)
     for axes in panels:
         style(axes)
-        axes.legend(
-            loc="lower right", bbox_to_anchor=(1.0, 0.99), borderaxespad=0.0, fontsize=8, frameon=False, ncols=6
-        )
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), borderaxespad=0.0, fontsize=8, frameon=False, ncols=6)
     _draw_receipts(shared, lines)
     for axes in {shared[-1], panels[-1]}:
         axes.set_xlabel("time [s]" if realtime else "simulated time [s]")
@@ -259,12 +227,7 @@ def form_of(out: Path) -> str:
 
 
 def plot(
-    recording: Recording,
-    out: str | Path,
-    *,
-    start: float | None = None,
-    stop: float | None = None,
-    overwrite: bool = False,
+    recording: Recording, out: str | Path, *, start: float | None = None, stop: float | None = None, overwrite: bool = False
 ) -> Path:
     """Draw a run into a file."""
     form = form_of(Path(out))

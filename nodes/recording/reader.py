@@ -24,13 +24,7 @@ from nodes.recording.writer import MANIFEST, RecordError
 if TYPE_CHECKING:
     import numpy as np
 
-__all__ = [
-    "RECOVERY",
-    "Entry",
-    "M",
-    "Recording",
-    "TopicFigures",
-]
+__all__ = ["RECOVERY", "Entry", "M", "Recording", "TopicFigures"]
 
 RECOVERY = "recovery"
 """Name of the metadata record that `nodes.recording.recover.recover` leaves in the file it writes."""
@@ -180,9 +174,7 @@ class Recording:
     def _channel(self, channel: Channel, offset: int) -> Channel:
         """Check a channel: JSON, and one number for one topic throughout."""
         if channel.encoding != "json":
-            raise RecordError(
-                f"{self.path}: {channel.topic} is encoded as {channel.encoding!r}; only json is read here"
-            )
+            raise RecordError(f"{self.path}: {channel.topic} is encoded as {channel.encoding!r}; only json is read here")
         if self._channels.setdefault(channel.number, channel) != channel:
             raise RecordError(f"{self.path}: damaged at byte {offset}: channel {channel.number} changes its topic")
         return channel
@@ -254,9 +246,7 @@ class Recording:
     def _count(self, raw: RawMessage, offset: int) -> None:
         channel = self._channels.get(raw.channel)
         if channel is None:
-            raise RecordError(
-                f"{self.path}: damaged at byte {offset}: a message on channel {raw.channel}, which is unknown"
-            )
+            raise RecordError(f"{self.path}: damaged at byte {offset}: a message on channel {raw.channel}, which is unknown")
         stamp = (raw.publish_time - self._publish_offset) / _NANO
         figures = self.topics.get(channel.topic)
         if figures is None:

@@ -1,4 +1,4 @@
-"""Rewrite the file of a killed logger into a complete one, and tell what was saved and what was lost.
+"""Copy recordings: the file of a killed logger into a complete one, telling what was saved and lost; or a part of one.
 
 Messages are copied as they stand, byte for byte. Chunks whose checksum does not match are left out and told; whatever is
 damaged around them, all chunks that are sound are found.
@@ -7,23 +7,28 @@ damaged around them, all chunks that are sound are found.
 from __future__ import annotations
 
 import contextlib
+import math
 import mmap
 import struct
 import zlib
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
 
 from nodes.recording import mcap_walk
+from nodes.recording.export import begin_of
 from nodes.recording.mcap_walk import FRAME, Channel, RawMessage, Record, Schema
-from nodes.recording.reader import RECOVERY
+from nodes.recording.reader import RECOVERY, Recording
 from nodes.recording.wall_clock import CLOCK, read_offsets
-from nodes.recording.writer import Output, RecordError, discard, mcap_writer, versions
+from nodes.recording.writer import RecordError, mcap_writer, written
 
 T = TypeVar("T")
+
+EXTRACT = "extract"
+"""Name of the metadata record that tells which part of which file a part is."""
 
 _U64 = struct.Struct("<Q")
 
@@ -130,9 +135,7 @@ class Copy:
         schema = self.schemas.get(channel.schema)
         if schema is not None and channel.schema not in self._new_schemas:
             self._new_schemas[channel.schema] = self.writer.register_schema(schema.name, schema.encoding, schema.data)
-        number: int = self.writer.register_channel(
-            channel.topic, channel.encoding, self._new_schemas.get(channel.schema, 0)
-        )
+        number: int = self.writer.register_channel(channel.topic, channel.encoding, self._new_schemas.get(channel.schema, 0))
         return number
 
     def message(self, raw: RawMessage) -> None:
@@ -171,34 +174,51 @@ def recover(path: str | Path, out: str | Path, *, overwrite: bool = False) -> Re
     for record in _salvage(path, sound):
         if record.opcode == mcap_walk.SCHEMA and (schema := _sound(mcap_walk.parse_schema, path, record, problems)):
             schemas.setdefault(schema.number, schema)
-        elif record.opcode == mcap_walk.CHANNEL and (
-            channel := _sound(mcap_walk.parse_channel, path, record, problems)
-        ):
+        elif record.opcode == mcap_walk.CHANNEL and (channel := _sound(mcap_walk.parse_channel, path, record, problems)):
             channels.setdefault(channel.number, channel)
         messages += record.opcode == mcap_walk.MESSAGE
     if not messages:
         raise RecordError("; ".join([f"{path}: holds no message that could be saved", *problems]))
     if out.exists() and out.samefile(path):
         raise RecordError(f"{out}: is the recording itself; give another name")
-    output = Output(out, overwrite)
-    try:
-        copy = Copy(mcap_writer(output, f"haptic-nodes {versions()['haptic-nodes']}"), schemas, channels)
+    with written(out, overwrite) as output:
+        copy = Copy(mcap_writer(output), schemas, channels)
         for record in _salvage(path, sound):
             if record.opcode == mcap_walk.MESSAGE and (raw := _sound(mcap_walk.parse_message, path, record, problems)):
                 copy.message(raw)
-            elif record.opcode == mcap_walk.METADATA and (
-                metadata := _sound(mcap_walk.parse_metadata, path, record, problems)
-            ):
+            elif record.opcode == mcap_walk.METADATA and (metadata := _sound(mcap_walk.parse_metadata, path, record, problems)):
                 copy.metadata(*metadata, problems)
         if copy.orphans:
             problems.append(f"{path}: {copy.orphans} messages on channels whose topic is not known any more")
         if problems:
             copy.writer.add_metadata(RECOVERY, {"source": str(path), "problems": "\n".join(problems)})
         copy.writer.finish()
-    except RecordError:
-        # A copy that does not hold everything must not be taken for the whole.
-        discard(out)
-        raise
-    finally:
-        output.close()
     return Recovered(copy.counts, problems)
+
+
+def extract(
+    recording: Recording,
+    out: Path,
+    topics: Collection[str],
+    start: float = 0.0,
+    stop: float = math.inf,
+    *,
+    overwrite: bool = False,
+) -> dict[str, int]:
+    """Copy the messages of some topics whose stamps lie in a while, in seconds from the first tick on; how many of each."""
+    if out.exists() and out.samefile(recording.path):
+        raise RecordError(f"{out}: is the recording itself; give another name")
+    zero = round(begin_of(recording) * 1e9)
+    low, high = zero + round(start * 1e9), math.inf if math.isinf(stop) else zero + round(stop * 1e9)
+    with written(out, overwrite) as output:
+        copy = Copy(mcap_writer(output), recording.schemas, recording.channels)
+        part = {"source": str(recording.path), "from_s": repr(start), "to_s": repr(stop)}
+        for name, values in [*recording.metadata.items(), (EXTRACT, part)]:
+            copy.writer.add_metadata(name, values)
+        for topic, raw, _ in recording.raw():
+            if topic in topics and low <= raw.publish_time - recording.publish_offset <= high:
+                copy.message(raw)
+        if not copy.counts:
+            raise RecordError(f"{recording.path}: no message of these topics from {start:g} s to {stop:g} s")
+        copy.writer.finish()
+    return copy.counts

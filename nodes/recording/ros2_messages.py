@@ -18,10 +18,7 @@ CUBE, SPHERE = 1, 2
 
 
 class RosMessages:
-    """Builds messages.
-
-    `look_up`: gives the class of a type by its name, e.g. ``geometry_msgs/msg/PoseStamped``.
-    """
+    """Builds messages; `look_up` gives the class of a type by its name, e.g. ``geometry_msgs/msg/PoseStamped``."""
 
     def __init__(self, look_up: Callable[[str], Any], frame: str = FRAME) -> None:
         self._type = look_up
@@ -59,13 +56,8 @@ class RosMessages:
         """Build the state of the axes."""
         import numpy as np
 
-        return self._type("sensor_msgs/msg/JointState")(
-            header=self.header(at),
-            name=["x", "y", "z"],
-            position=np.array(state.position),
-            velocity=np.zeros(0),
-            effort=np.array(state.force),
-        )
+        values = {"position": np.array(state.position), "velocity": np.zeros(0), "effort": np.array(state.force)}
+        return self._type("sensor_msgs/msg/JointState")(header=self.header(at), name=["x", "y", "z"], **values)
 
     def diagnostics(self, at: int, status: NodeStatus) -> Any:
         """Build a node's status."""
@@ -89,14 +81,6 @@ class RosMessages:
 
     def marker(self, at: int, shape: int, position: Vector, size: Vector) -> Any:
         """Build a shape for RViz, half transparent."""
-        made = self._type("visualization_msgs/msg/Marker")
         color = self._type("std_msgs/msg/ColorRGBA")(r=0.3, g=0.5, b=0.8, a=0.5)
-        fields: dict[str, Any] = {
-            "header": self.header(at),
-            "ns": self._frame,
-            "type": shape,
-            "pose": self.place(position),
-            "scale": self.vector(*size),
-            "color": color,
-        }
-        return made(**fields)
+        seen: dict[str, Any] = {"type": shape, "pose": self.place(position), "scale": self.vector(*size), "color": color}
+        return self._type("visualization_msgs/msg/Marker")(header=self.header(at), ns=self._frame, **seen)

@@ -8,17 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY, RECEIPT
 from messages.types import DeviceState, Force, Proxy, Receipt
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
 
-if TYPE_CHECKING:
-    import numpy as np
-
-    Array = np.ndarray[Any, Any]
+AnyArray = np.ndarray[Any, Any]
 
 POINTS = 4000
 """Longest line that is kept as it was recorded."""
@@ -37,7 +36,7 @@ class Line:
         self._width = (stop - start) / BINS or 1.0
         self._columns = columns
         self._rows: list[tuple[float, ...]] = []
-        self._folded: tuple[Array, Array] | None = None
+        self._folded: tuple[AnyArray, AnyArray] | None = None
 
     def add(self, time: float, *values: float) -> None:
         """Take one value of each line."""
@@ -46,8 +45,6 @@ class Line:
             self._fold()
 
     def _fold(self) -> None:
-        import numpy as np
-
         if self._folded is None:
             empty = np.full((BINS, self._columns), np.nan)
             self._folded = empty, empty.copy()
@@ -60,10 +57,8 @@ class Line:
         for held, smaller in zip(self._folded, (np.fmin, np.fmax), strict=True):
             held[bins] = smaller(held[bins], smaller.reduceat(rows[order, 1:], first, axis=0))
 
-    def arrays(self) -> tuple[Array, Array]:
+    def arrays(self) -> tuple[AnyArray, AnyArray]:
         """Give the lines."""
-        import numpy as np
-
         if self._folded is None and len(self._rows) <= POINTS:
             rows = np.array(self._rows, dtype=np.float64).reshape(-1, 1 + self._columns)
             return rows[:, 0], rows[:, 1:]
@@ -102,13 +97,7 @@ class Spans:
 
 
 class Lines:
-    """What a picture of a run is drawn from.
-
-    `recording`: a recording with at least two messages on ``/device/state``. `start`, `stop`: from and up to which time after
-    the first state [s]. `force`: force handed to the device, at the tick at which it was [N], 3 lines. `response`: response
-    time of the ticks answered in time [s]. `proxy`: proxy, and surface where there is one that faces this axis [m]: 6 lines.
-    `asked`: force by the law, before limits [N], 3 lines.
-    """
+    """What a picture of a run is drawn from; `start`, `stop`: from and up to which time after the first state [s]."""
 
     def __init__(self, recording: Recording, start: float = 0.0, stop: float = math.inf) -> None:
         figures = recording.topics.get(DEVICE_STATE)
@@ -119,13 +108,13 @@ class Lines:
         self.start = max(self.begin + start, self.begin)
         self.stop = min(self.begin + stop, figures.last_stamp)
         if not self.start < self.stop and figures.first_stamp < figures.last_stamp:
-            raise RecordError(
-                f"{recording.path}: nothing between {start:g} and {stop:g} s; it lasts {recording.duration:.6g} s"
-            )
+            lasts = f"it lasts {recording.duration:.6g} s"
+            raise RecordError(f"{recording.path}: nothing between {start:g} and {stop:g} s; {lasts}")
         ends = self.start, self.stop
-        # Device position by axis [m], 3 lines.
+        # By axis: position [m], force handed to the device at the tick at which it was [N], force by the law before limits [N].
         self.position, self.force, self.asked = Line(*ends, 3), Line(*ends, 3), Line(*ends, 3)
-        # Energy given out, and the passivity guard's account [J], 2 lines.
+        # Energy given out, and the passivity guard's account [J]; response time of the ticks answered in time [s]; proxy, and
+        # surface where there is one that faces this axis [m].
         self.energy, self.response, self.proxy = Line(*ends, 2), Line(*ends, 1), Line(*ends, 6)
         # Safety states other than active, and ticks that were not answered in time (named ``missed``).
         self.safety, self.missed = Spans(*ends), Spans(*ends)
@@ -203,8 +192,6 @@ class Lines:
     @property
     def axis(self) -> int:
         """The axis to draw: the one that the surface faces, or else the one with the largest motion."""
-        import numpy as np
-
         if any(self.normal):
             return int(np.argmax(np.abs(self.normal)))
         motion = np.ptp(self.position.arrays()[1], axis=0)
@@ -212,8 +199,6 @@ class Lines:
 
     def rest(self) -> float:
         """Tell when the device has come to rest for good: position within 1 %, force within 2 % of their ranges."""
-        import numpy as np
-
         last = self.begin
         for line, share in ((self.position, 0.01), (self.force, 0.02)):
             time, values = line.arrays()

@@ -15,12 +15,7 @@ from nodes.recording.writer import RecordError
 if TYPE_CHECKING:
     import numpy as np
 
-__all__ = [
-    "COLUMNS",
-    "Row",
-    "read",
-    "rows",
-]
+__all__ = ["COLUMNS", "Row", "read", "rows"]
 
 _GONE = (math.nan, math.nan, math.nan)
 
@@ -29,17 +24,9 @@ Row = tuple[DeviceState, DeviceState | None, Proxy | None, Force | None]
 COLUMNS: dict[str, tuple[str, str, Callable[[Row], Any]]] = {
     "time": ("s", "time after the first tick", lambda r: r[0].stamp),
     "seq": ("", "number of the tick", lambda r: r[0].seq),
-    "stamp": (
-        "s",
-        "time on the clock of the run: the host's monotonic clock, or seq·T in lockstep",
-        lambda r: r[0].stamp,
-    ),
+    "stamp": ("s", "time on the clock of the run: the host's monotonic clock, or seq·T in lockstep", lambda r: r[0].stamp),
     "position": ("m", "position of the device", lambda r: r[0].position),
-    "force": (
-        "N",
-        "force handed to the device at this tick, after all limits",
-        lambda r: r[1].force if r[1] else _GONE,
-    ),
+    "force": ("N", "force handed to the device at this tick, after all limits", lambda r: r[1].force if r[1] else _GONE),
     "force_asked": ("N", "force that the law asked for at this tick", lambda r: r[3].force if r[3] else _GONE),
     "proxy": ("m", "proxy: on the surface in contact, else at the device", lambda r: r[2].proxy if r[2] else _GONE),
     "normal": ("", "outward normal of the surface; zero without one", lambda r: r[2].normal if r[2] else ZERO),
@@ -47,11 +34,7 @@ COLUMNS: dict[str, tuple[str, str, Callable[[Row], Any]]] = {
     "contact": ("", "whether the surface is touched", lambda r: bool(r[2] and r[2].contact)),
     "law": ("", "law that computed the force", lambda r: r[3].law if r[3] else ""),
     "revision": ("", "changes of law or parameters so far", lambda r: r[3].revision if r[3] else -1),
-    "response": (
-        "s",
-        "time until the force was there; 0 when it came too late",
-        lambda r: r[1].response if r[1] else 0.0,
-    ),
+    "response": ("s", "time until the force was there; 0 when it came too late", lambda r: r[1].response if r[1] else 0.0),
     "age": ("ticks", "age of the force that was used", lambda r: r[1].age if r[1] else -1),
     "delay": ("ticks", "measured delay from sample to force", lambda r: r[1].delay if r[1] else math.nan),
     "lateness": ("s", "how long after its deadline the tick was sampled", lambda r: r[0].lateness),

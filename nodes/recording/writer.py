@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, cast
@@ -47,8 +47,6 @@ class Output:
     """The file under the MCAP writer: each write goes whole to the operating system, or leaves no trace.
 
     The MCAP writer hands over whole records only, so the file ends between two records whenever no write is under way.
-
-    Raises RecordError when the file cannot be created, or exists and must not be replaced.
     """
 
     def __init__(self, path: Path, overwrite: bool) -> None:
@@ -102,11 +100,12 @@ def discard(path: Path) -> None:
         path.unlink()
 
 
-def save(path: Path, data: bytes, overwrite: bool) -> None:
-    """Write a file whole, or leave none."""
+@contextlib.contextmanager
+def written(path: Path, overwrite: bool) -> Iterator[Output]:
+    """Open a file that is written whole, or not left there: what does not hold everything must not be taken for it."""
     output = Output(path, overwrite)
     try:
-        output.write(data)
+        yield output
     except RecordError:
         discard(path)
         raise
@@ -114,7 +113,13 @@ def save(path: Path, data: bytes, overwrite: bool) -> None:
         output.close()
 
 
-def mcap_writer(output: Output, library: str) -> Any:
+def save(path: Path, data: bytes, overwrite: bool) -> None:
+    """Write a file whole, or leave none."""
+    with written(path, overwrite) as output:
+        output.write(data)
+
+
+def mcap_writer(output: Output, library: str = "") -> Any:
     """Start an MCAP writer the way this project writes: zstd, 64 KiB chunks, checksums over everything."""
     # A launcher, which only checks a logger's parameters, does without it.
     from mcap.writer import CompressionType, Writer
@@ -122,16 +127,38 @@ def mcap_writer(output: Output, library: str) -> Any:
     writer: Any = Writer(
         cast("IO[Any]", output), chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD, enable_data_crcs=True
     )
-    writer.start(profile="haptic-nodes", library=library)
+    writer.start(profile="haptic-nodes", library=library or f"haptic-nodes {versions()['haptic-nodes']}")
     return writer
 
 
-class RecordWriter:
-    """Write messages to one MCAP file.
+class Ended(msgspec.Struct, frozen=True):
+    """What a launch knows of a recording that its logger did not finish, beside the file: a part is not taken for the whole."""
 
-    `manifest`: what identifies the run: scenario, arguments, rate, pace, wall-clock offset and so on. `parameters`: parameters
-    of each node (name to YAML text). Raises RecordError when the file cannot be created, exists already, or the disk is full.
-    """
+    ticks: int  # ticks of the whole run
+    why: str  # how the logger ended
+
+
+def ended_beside(path: Path) -> Path:
+    """Name the file that tells it."""
+    return path.with_name(f"{path.name}.ended.json")
+
+
+def write_ended(path: Path, ended: Ended) -> None:
+    """Write it beside the recording; on a disk that is full too, nothing is lost but this."""
+    with contextlib.suppress(OSError):
+        ended_beside(path).write_bytes(msgspec.json.encode(ended))
+
+
+def read_ended(path: Path) -> Ended | None:
+    """Read it; None without such a file."""
+    try:
+        return msgspec.json.decode(ended_beside(path).read_bytes(), type=Ended)
+    except (OSError, msgspec.DecodeError):
+        return None
+
+
+class RecordWriter:
+    """Write messages to one MCAP file; `manifest` identifies the run, `parameters` are those of each node, as text."""
 
     def __init__(
         self,
@@ -151,7 +178,7 @@ class RecordWriter:
         self._log_offset, self._publish_offset = wall_clock.offsets_of(manifest)
         self._output = Output(self.path, overwrite)
         try:
-            self._writer = mcap_writer(self._output, f"haptic-nodes {versions()['haptic-nodes']}")
+            self._writer = mcap_writer(self._output)
             self.add_metadata(MANIFEST, manifest)
             self.add_metadata(wall_clock.CLOCK, wall_clock.record(self._log_offset, self._publish_offset))
             if launch_file is not None:
@@ -176,9 +203,7 @@ class RecordWriter:
 
     def _failure(self, error: RecordError) -> RecordError:
         self._failed = True
-        return RecordError(
-            f"{error}; what was recorded before is kept, and completed by: haptic bag recover {self.path}"
-        )
+        return RecordError(f"{error}; what was recorded before is kept, and completed by: haptic bag recover {self.path}")
 
     def _usable(self) -> None:
         if self._failed:
@@ -239,7 +264,5 @@ class RecordWriter:
     def __enter__(self) -> RecordWriter:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()

@@ -32,19 +32,14 @@ class DdsGraph:
     """A participant of the domain ROS_DOMAIN_ID."""
 
     def __init__(self) -> None:
-        local = (
-            os.environ.get("ROS_LOCALHOST_ONLY") == "1"
-            or os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST"
-        )
+        local = os.environ.get("ROS_LOCALHOST_ONLY") == "1" or os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST"
         own = os.environ.get("CYCLONEDDS_URI", "")
         # What the user says comes last, and counts.
         os.environ["CYCLONEDDS_URI"] = ",".join(filter(None, [_LENIENT, _ON_THIS_MACHINE if local else "", own]))
         typesys = import_module("rosbags.typesys")
         self._store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
         self._core = import_module("cyclonedds.core")
-        self._participant = import_module("cyclonedds.domain").DomainParticipant(
-            int(os.environ.get("ROS_DOMAIN_ID", "0"))
-        )
+        self._participant = import_module("cyclonedds.domain").DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0")))
         self._classes: dict[str, Any] = {}
         self._readers: list[tuple[Any, Callable[[Any], None]]] = []
 
@@ -58,20 +53,16 @@ class DdsGraph:
             return self._class(inner)
         if kind.name == "BASE":
             name = {"octet": "uint8", "byte": "uint8", "char": "uint8"}.get(inner[0], inner[0])
-            plain = {"string": str, "bool": bool}
-            return plain.get(name) or getattr(types, name)
+            return {"string": str, "bool": bool}.get(name) or getattr(types, name)
         of, length = inner
         return types.array[self._field(of), length] if kind.name == "ARRAY" else types.sequence[self._field(of)]
 
     def _class(self, name: str) -> Any:
         if name not in self._classes:
             _, fields = self._store.fielddefs[name]
-            made = import_module("cyclonedds.idl").make_idl_struct(
-                name.replace("/", "_"),
-                f"{name.replace('/msg/', '::msg::dds_::')}_",
-                {field: self._field(description) for field, description in fields},
-            )
-            self._classes[name] = made
+            in_dds = f"{name.replace('/msg/', '::msg::dds_::')}_"
+            described = {field: self._field(description) for field, description in fields}
+            self._classes[name] = import_module("cyclonedds.idl").make_idl_struct(name.replace("/", "_"), in_dds, described)
         return self._classes[name]
 
     def _empty(self, description: Any) -> Any:

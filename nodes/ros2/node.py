@@ -25,11 +25,11 @@ from messages.types import DeviceState, Force, Proxy
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.client.launches import roles
+from nodes.driver.pointer import PointerWriter, pointer_file
 from nodes.launcher.runs import RunError, RunInfo, read_run
 from nodes.parameters.store import ParameterError, convert
 from nodes.recording.ros2_messages import CUBE, FRAME, SPHERE, RosMessages
 from nodes.ros2.graph import Backend, Graph, choose, join
-from nodes.view.pointer import PointerWriter, pointer_file
 
 QUEUE = 10_000
 """Messages that wait while the graph is busy."""
@@ -112,6 +112,7 @@ class Ros2(Node):
         self._lines: dict[str, Connection] = {}
         self._roles: dict[str, str] = {}
         self._hand: PointerWriter | None = None
+        self._wrench: Any = None  # the newest force from the graph that was not handed on yet
 
     def connect(self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]) -> None:
         """Listen to the nodes of the chain."""
@@ -206,15 +207,19 @@ class Ros2(Node):
         age = time.time() - (stamp.sec + stamp.nanosec * 1e-9) if stamp.sec or stamp.nanosec else 0.0
         if abs(age) <= self.store.current.age_limit:
             return True
-        self.events.emit(
-            "stale", f"{name}: stamped {age:.3f} s before it came, limit {self.store.current.age_limit:g} s; refused"
-        )
+        limit = self.store.current.age_limit
+        self.events.emit("stale", f"{name}: stamped {age:.3f} s before it came, limit {limit:g} s; refused")
         return False
 
     def _take_wrench(self, message: Any) -> None:
-        force = message.wrench.force
         self.received += 1
-        if self._fresh("wrench", message.header.stamp):
+        self._wrench = message
+
+    def _push(self) -> None:
+        """Ask for the newest force that came: a request takes some ms, and one for each would hold up the graph."""
+        message, self._wrench = self._wrench, None
+        if message is not None and self._fresh("wrench", message.header.stamp):
+            force = message.wrench.force
             try:
                 self._ask("driver", "external", force=[force.x, force.y, force.z])
             except HapticError as error:
@@ -250,9 +255,7 @@ class Ros2(Node):
             self._graph.listen(self._namespace + parameters.wrench, WRENCH, self._take_wrench)
         if parameters.target:
             try:
-                self._hand = PointerWriter(
-                    pointer_file(self.setup.run_dir, self._run.nodes[driver].name if driver else "")
-                )
+                self._hand = PointerWriter(pointer_file(self.setup.run_dir, self._run.nodes[driver].name if driver else ""))
             except (FileNotFoundError, IsADirectoryError) as error:
                 raise ParameterError(
                     f"{self.setup.name}.target: no hand can be dragged; a sim_driver has one with device.hand and pointer: {{}}"
@@ -318,6 +321,7 @@ class Ros2(Node):
                 self._newest(newest)
                 newest.clear()
                 self._graph.take()
+                self._push()
                 self.counters.ticks += 1
                 self.between_ticks(0)
 

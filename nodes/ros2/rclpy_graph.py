@@ -10,10 +10,7 @@ QUEUE = 10
 
 
 class RclpyGraph:
-    """A node of rclpy.
-
-    `name`, `namespace`: of the node, as ``ros2 node list`` shows it.
-    """
+    """A node of rclpy, called as ``ros2 node list`` shows it."""
 
     def __init__(self, name: str, namespace: str) -> None:
         rclpy = self._rclpy = import_module("rclpy")

@@ -2,21 +2,21 @@
 
 Between two ticks the force is held, so device, delay and taps close to a polynomial in z without any approximation
 (THEORY.md §3): stable iff its largest root lies inside the unit circle. Nothing here is on the hot path: a law is
-judged when it is parsed, shown, switched or designed. numpy is imported inside.
+judged when it is parsed, shown, switched or designed.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
 from nodes.stability.effective_damping import damping_needed, least
 from nodes.stability.plant import Plant, held_plant, held_step
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+from nodes.stability.roots import largest_root
 
 
 @dataclass(frozen=True)
@@ -39,14 +39,7 @@ class Rendered:
 
 
 def closed_loop(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
-    """Characteristic polynomial of taps, delay and device.
-
-    Returns, shape (n + i + 3,) or, with a fractional delay, (n + i + 4,): real coefficients, highest power of z first, the
-    first one 1. Raises ValueError for a law with sections: their poles cluster at z = 1, and an expanded polynomial would lose
-    them (`pole_radius` uses the state matrix instead).
-    """
-    import numpy as np
-
+    """Characteristic polynomial of taps, delay and device, highest power first; not for sections, whose poles it would lose."""
     if law.sections:
         raise ValueError("law: recursive sections have no well-conditioned polynomial; use pole_radius")
     held = held_plant(plant)
@@ -60,55 +53,32 @@ def closed_loop(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
 
 
 def pole_radius(law: CompiledLaw, plant: Plant) -> float:
-    """Largest pole of the closed loop: stable iff below 1.
-
-    Returns: pole radius. A loop decays by this factor per tick.
-    """
-    from nodes.stability.roots import largest_root
-
+    """Largest pole of the closed loop, by which it decays per tick: stable iff below 1."""
     if not law.sections:
         return largest_root(closed_loop(law, plant))
-    import numpy as np
-
     return float(np.abs(np.linalg.eigvals(state_matrix(law, plant))).max())
 
 
 def state_matrix(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
     """One tick of the closed loop as a matrix: device, deflection history, sections and forces on their way.
 
-    Returns, shape (2 + n + 2 s + i + 1,) squared: state [x, v·T, x₋₁ … x₋ₙ, (y₋₁, y₋₂) per section, u₋₁ … u₋ᵢ₋₁] times this
-    matrix is the next state; forces are scaled by T²/m to lengths, so that the matrix is balanced.
+    Of the state [x, v·T, x₋₁ … x₋ₙ, (y₋₁, y₋₂) per section, u₋₁ … u₋ᵢ₋₁]; forces are scaled by T²/m to lengths: balanced.
     """
-    import numpy as np
-
     whole, (a11, a12, a21, a22), new, old = held_step(plant)
     period = plant.period
-    return tick_matrix(
-        law,
-        period * period / plant.mass,
-        whole,
-        np.array([[a11, a12 / period], [a21 * period, a22]]),
-        np.array([new[0], new[1] * period]),
-        np.array([old[0], old[1] * period]),
-    )
+    device = np.array([[a11, a12 / period], [a21 * period, a22]])
+    pushes = (np.array([of[0], of[1] * period]) for of in (new, old))
+    return tick_matrix(law, period * period / plant.mass, whole, device, *pushes)
 
 
 def tick_matrix(
-    law: CompiledLaw,
-    unit: float,
-    whole: int,
-    device: NDArray[np.float64],
-    new: NDArray[np.float64],
-    old: NDArray[np.float64],
+    law: CompiledLaw, unit: float, whole: int, device: NDArray[np.float64], new: NDArray[np.float64], old: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """One tick of the closed loop of a law and any linear device whose first state is the position.
 
-    `unit`: T²/m, which scales forces to lengths so that the matrix is balanced [m/N]. `device`, shape (s, s): the device's own
-    matrix. `new`, `old`, shape (s,): what the force of i ticks ago adds, and the one before. Returns, shape (s + n + 2 r + i +
-    1,) squared: of the device's state, x₋₁ … x₋ₙ, (y₋₁, y₋₂) per section, u₋₁ … u₋ᵢ₋₁.
+    `unit`: T²/m, which scales forces to lengths [m/N]. `device`, shape (s, s): its own matrix. `new`, `old`, shape (s,): what
+    the force of i = `whole` ticks ago adds, and the one before. Of [its state, x₋₁ … x₋ₙ, (y₋₁, y₋₂) per section, u₋₁ … u₋ᵢ₋₁].
     """
-    import numpy as np
-
     states = len(new)
     history = max(len(law.taps) - 1, 1 if law.sections else 0)
     first_section, first_force = states + history, states + history + 2 * len(law.sections)
@@ -137,11 +107,10 @@ def tick_matrix(
 
 
 def rendered(law: CompiledLaw, loop: Plant | float, nominal: float | None = None) -> Rendered:
-    """Tell what a law really renders.
+    """Tell what a law really renders, in a loop with a device or, by its sampling period [s], without one.
 
-    `loop`: the device and its loop; a sampling period alone [s] leaves out what needs a device. `nominal`: K that f(ω) takes
-    as the spring [N/m]. The default is H(1), the spring that is really there; with the law's nominal K, f is the paper's and
-    its mean tells the leak. Raises ValueError when a parameter of the device is out of its limits.
+    `nominal`: K that f(ω) takes as the spring [N/m]: H(1), the one that is really there, when left out; with the law's nominal
+    K, f is the paper's and its mean tells the leak.
     """
     plant = loop if isinstance(loop, Plant) else None
     period, delay = (loop.period, loop.delay) if isinstance(loop, Plant) else (loop, 0.0)
@@ -163,12 +132,7 @@ def rendered(law: CompiledLaw, loop: Plant | float, nominal: float | None = None
 
 
 def law_figures(law: CompiledLaw, loop: Plant | float) -> dict[str, Any]:
-    """Tell what a law really renders, for an answer in JSON or on the control socket.
-
-    `loop`: the device and its loop; a sampling period alone [s] leaves out what needs a device. Returns: ``taps_n_per_m``,
-    ``sections`` (count), ``delay_ticks`` and the fields of `Rendered`; of a law with code of its own all of these but H(1) are
-    None.
-    """
+    """Tell what `rendered` does as JSON has it, with taps and delay; of a law with code of its own only H(1) is known."""
     delay = loop.delay if isinstance(loop, Plant) else 0.0
     figures: dict[str, Any] = {"taps_n_per_m": list(law.taps), "sections": len(law.sections), "delay_ticks": delay}
     linear = asdict(rendered(law, loop))

@@ -1,49 +1,37 @@
 """f(ω), what a law takes from or adds to the damping of the device, and the damping with which it is passive (Colgate).
 
 H(z) − H(1) is divisible by 1 − z; what is left of f(ω) = T·Re{D(z)/(1−z)} (paper, eq. 9) is then a cosine sum without a
-singularity at ω = 0, T·Σ t_j cos((j+1)ωT) with t_j = Σ_{m>j} h_m, whose mean is zero by construction: the waterbed
-(THEORY.md §2) cannot get lost in rounding. Delay is whole zeros in front of the taps; a fraction of a tick is
-exact too.
+singularity at ω = 0, T·Σ t_j cos((j+1)ωT) with t_j = Σ_{m>j} h_m, whose mean is zero by construction: the waterbed (THEORY.md
+§2) cannot get lost in rounding. Delay is whole zeros in front of the taps; a fraction of a tick is exact too.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    PowerSum = Callable[[NDArray[np.float64], NDArray[np.complex128]], NDArray[np.complex128]]
-
+PowerSum = Callable[[NDArray[np.float64], NDArray[np.complex128]], NDArray[np.complex128]]
 
 _ZOOMS = 6
 
 
-def effective_damping(
-    law: CompiledLaw, period: float, omega: NDArray[np.float64], delay: int = 0
-) -> NDArray[np.float64]:
+def effective_damping(law: CompiledLaw, period: float, omega: NDArray[np.float64], delay: int = 0) -> NDArray[np.float64]:
     """f(ω) = T·Re{(z^{−d} H(z) − H(1))/(1 − z)}: negative where the law damps.
 
-    The strict passivity condition is b > H(1)·T/2 + f(ω) for all 0 < ω ≤ ω_N (THEORY.md §2).
-
-    `omega`: frequencies, 0 ≤ ω ≤ π/T [rad/s]; the value at 0 is the limit. `delay`: whole delay [ticks]. Returns, shape of
-    omega: f [N s/m], with the spring taken as H(1).
+    Strictly passive iff b > H(1)·T/2 + f(ω) for all 0 < ω ≤ ω_N (THEORY.md §2). `omega`: 0 ≤ ω ≤ π/T [rad/s], at 0 the limit.
+    `delay`: whole [ticks]. f in N s/m.
     """
-    import numpy as np
-
     return _effective(law, period, np.asarray(omega, dtype=np.float64) * period, delay, _power_sum)
 
 
 def _effective(
     law: CompiledLaw, period: float, theta: NDArray[np.float64], delay: int, power_sum: PowerSum
 ) -> NDArray[np.float64]:
-    import numpy as np
-
     w = np.exp(-1j * theta)
     total = (power_sum(_tails(law), w) + _section_tails(law, w)) * w ** (delay + 1)
     # (w^d − 1)/(1 − z) = w + … + w^d is what the delay does to the spring.
@@ -58,17 +46,12 @@ def damping_needed(law: CompiledLaw, period: float, delay: float = 0.0) -> float
     For a whole delay this is Colgate's limit, max over ω of T·Re{z^{−d}H/(1−z)}. With a fraction φ of a tick, held
     force and sampled position no longer see the same aliases; with s the interpolation (1−φ)s_d + φ s_{d+1} of the two
     whole delays it becomes ½(Re s + √((Re s)² + φ(1−φ)T²|H|²)), from the eigenvalue of the lifted loop at each ω.
-
-    `delay`: whole or fractional delay [ticks].
     """
     return -_lowest(law, lambda theta, power_sum: -_needed_at(law, period, delay, theta, power_sum))[1]
 
 
 def least(law: CompiledLaw, period: float) -> tuple[float, float]:
-    """Where f(ω) is least, and how much it is there.
-
-    Returns `omega` (frequency [rad/s]), `value` (f, with the spring taken as H(1) [N s/m]).
-    """
+    """Where f(ω) is least [rad/s], and how much it is there, with the spring taken as H(1) [N s/m]."""
     theta, value = _lowest(law, lambda theta, power_sum: _effective(law, period, theta, 0, power_sum))
     return theta / period, value
 
@@ -76,8 +59,6 @@ def least(law: CompiledLaw, period: float) -> tuple[float, float]:
 def _needed_at(
     law: CompiledLaw, period: float, delay: float, theta: NDArray[np.float64], power_sum: PowerSum
 ) -> NDArray[np.float64]:
-    import numpy as np
-
     whole = math.floor(delay)
     fraction = delay - whole
     half_spring = 0.5 * period * law.h1
@@ -95,15 +76,11 @@ def _needed_at(
 
 def _tails(law: CompiledLaw) -> NDArray[np.float64]:
     """t_j = Σ_{m>j} h_m, the quotient of the taps by w − 1."""
-    import numpy as np
-
     return np.cumsum(np.array(law.taps[::-1]))[::-1][1:]
 
 
 def _section_tails(law: CompiledLaw, w: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Take the same quotient of the sections, (R(w) − R(1))/(w − 1), exact at w = 1 too."""
-    import numpy as np
-
     total = np.zeros_like(w)
     for b0, b1, a1, a2 in law.sections:
         gain = (b0 + b1) / (1.0 + a1 + a2)
@@ -113,8 +90,6 @@ def _section_tails(law: CompiledLaw, w: NDArray[np.complex128]) -> NDArray[np.co
 
 def _power_sum(c: NDArray[np.float64], w: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Σ c_j w^j, Horner over blocks of 64 powers: thousands of taps at tens of thousands of frequencies in one go."""
-    import numpy as np
-
     block = min(64, max(1, len(c)))
     blocks = max(1, -(-len(c) // block))
     padded = np.zeros(blocks * block)
@@ -133,21 +108,14 @@ def _power_sum(c: NDArray[np.float64], w: NDArray[np.complex128]) -> NDArray[np.
 
 def _on_the_half_circle(c: NDArray[np.float64], w: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Σ c_j w^j where w goes from 1 to −1 in equal angles: a Fourier transform."""
-    import numpy as np
-
     return np.fft.rfft(c, 2 * (w.size - 1))
 
 
-def _lowest(
-    law: CompiledLaw, function: Callable[[NDArray[np.float64], PowerSum], NDArray[np.float64]]
-) -> tuple[float, float]:
+def _lowest(law: CompiledLaw, function: Callable[[NDArray[np.float64], PowerSum], NDArray[np.float64]]) -> tuple[float, float]:
     """Least value over 0 ≤ θ ≤ π: a grid finer than the fastest cosine, then zooms into the lowest cells."""
-    import numpy as np
-
     theta = np.linspace(0.0, np.pi, max(256, 8 * len(law.taps)) + 1)
     if law.sections:
-        # Slow sections live in the lowest decades.
-        theta = np.union1d(theta, np.geomspace(1e-6, np.pi, 2001)[:-1])
+        theta = np.union1d(theta, np.geomspace(1e-6, np.pi, 2001)[:-1])  # slow sections live in the lowest decades
     value = function(theta, _power_sum if law.sections else _on_the_half_circle)
     padded = np.concatenate([[np.inf], value, [np.inf]])
     dips = np.flatnonzero((value <= padded[:-2]) & (value <= padded[2:]))

@@ -13,22 +13,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
-from nodes.stability.flexible import FlexiblePlant, loop_matrix
+import numpy as np
+
+from nodes.laws import CompiledLaw
+from nodes.stability.flexible import FlexiblePlant, Matrix, loop_matrix
 from nodes.stability.plant import Plant
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from nodes.laws import CompiledLaw
-
-    Matrix = NDArray[np.float64]
-
-
-MAX_STATES = 40
-"""Longest state that a norm is sought for; a law of n + 1 taps has n + 3 and the delay's ticks."""
+MAX_STATES = 40  # longest state that a norm is sought for; a law of n + 1 taps has n + 3 and the delay's ticks
 
 _SEGMENTS = 2
 _WORDS = 60_000
@@ -51,22 +43,15 @@ class EveryDelay:
 
 
 def every_delay(
-    law: CompiledLaw,
-    plant: Plant | FlexiblePlant,
-    delay: tuple[float, float],
-    rate: float = 1.0,
-    period: float | None = None,
+    law: CompiledLaw, plant: Plant | FlexiblePlant, delay: tuple[float, float], rate: float = 1.0, period: float | None = None
 ) -> EveryDelay:
     """Certify a loop for every sequence of delays of a range, or find one that it does not survive.
 
-    `plant`: the device, with a joint and a lag where it has them; the range takes the place of its delay. `delay`, shape (2,):
-    shortest and longest delay, at most one tick apart: then no force overtakes another [ticks]. `rate`: factor per tick that
-    every motion must shrink by; 1 asks for stability alone. `period`: sampling period of a flexible device [s]; a `Plant` has
-    its own. Returns: certificate or counterexample. Raises ValueError when the range is out of order or wider than a tick, the
-    law is too long for a norm to be sought, or the period of a flexible device is missing.
+    `delay`: shortest and longest, in place of the plant's, at most one tick apart: then no force overtakes another [ticks].
+    `rate`: factor per tick that every motion must shrink by; 1 asks for stability alone. `period`: sampling period of a
+    flexible device [s]; a `Plant` has its own. Raises ValueError for another range, for a law too long for a norm to be sought,
+    and for a flexible device without a period.
     """
-    import numpy as np
-
     low, high = delay
     if not 0.0 <= low <= high <= low + 1.0:
         raise ValueError(f"delay {low:g}..{high:g} ticks: expected low to high, at most one tick apart")
@@ -98,13 +83,12 @@ class _Ticks:
     """Matrices of one tick: by the delays of two forces that follow each other, and a hull of those of all delays."""
 
     def __init__(self, law: CompiledLaw, plant: FlexiblePlant, period: float, delay: tuple[float, float]) -> None:
-        import numpy as np
-
         self._low, self._high = delay
         self._first = math.floor(delay[0])
         # Of the forces on their way, that of age `depth` arrives in each tick, or may; where the range crosses a whole tick
         # the one after it may arrive late in the same tick.
         self._depth = self._first + 1 if delay[1] > self._first + 1 else self._first
+        self._crosses = self._depth > self._first
         # Lengths, lengths per tick, and forces by what they move within one: so that the matrix is balanced.
         self._matrix_of_motion, self._push = plant.continuous()
         self.states = len(self._push)
@@ -117,8 +101,7 @@ class _Ticks:
         every = np.append(units, np.ones(self.size - self.states))
         base = base * every[:, None] / every
         newest = self.size - 1 - self._depth
-        rows = [base[newest].copy(), *np.eye(self.size)[newest:]]
-        self._forces = rows
+        self._forces = rows = [base[newest].copy(), *np.eye(self.size)[newest:]]
         base[: self.states] = 0.0
         base[: self.states, : self.states] = self._held(1.0)[0]
         base[: self.states] += np.outer(self._share(0.0), rows[self._depth + 1])
@@ -126,7 +109,6 @@ class _Ticks:
 
     def _held(self, ticks: float) -> tuple[Matrix, Matrix]:
         """Motion over a part of a tick, free and per force."""
-        import numpy as np
         from scipy.linalg import expm
 
         whole = np.zeros((self.states + 1, self.states + 1))
@@ -140,8 +122,6 @@ class _Ticks:
 
     def _polygon(self, low: float, high: float) -> list[Matrix]:
         """Corners whose hull holds that curve, but for `_remainder`: of each piece its ends and what bends it between them."""
-        import numpy as np
-
         if high <= low:
             return [self._share(low)]
         knots = np.linspace(low, high, 2 * _SEGMENTS + 1).tolist()
@@ -153,7 +133,7 @@ class _Ticks:
 
     def _remainder(self, low: float, high: float) -> Matrix:
         """Bound, state by state, how far the curve is from the parabolas that the corners hold."""
-        import numpy as np
+        from scipy.linalg import expm
 
         if high <= low:
             return np.zeros(self.states)
@@ -163,7 +143,7 @@ class _Ticks:
         moved = np.array([self._held(t)[0] for t in times])
         half = 0.5 * (times[1] - times[0])
         powers = [np.linalg.matrix_power(motion, n) for n in (2, 3, 4)]
-        steepest = np.abs(powers[2]) @ _grown(np.abs(motion), times[-1]) @ np.abs(push)
+        steepest = np.abs(powers[2]) @ expm(np.abs(motion) * times[-1]) @ np.abs(push)
         for power in (powers[1], powers[0]):
             steepest = np.abs(moved @ push @ power.T).max(axis=0) + half * steepest
         # A parabola through both ends and the middle is off by at most h³/(72√3) of it.
@@ -171,18 +151,12 @@ class _Ticks:
         return np.asarray(width**3 / (72.0 * math.sqrt(3.0)) * steepest, dtype=np.float64)
 
     def _matrix(self, early: Matrix, late: Matrix | None) -> Matrix:
-        import numpy as np
-
         forces, depth = self._forces, self._depth
         step: Matrix = self._base.copy()
         step[: self.states] += np.outer(early, forces[depth] - forces[depth + 1])
         if late is not None:
             step[: self.states] += np.outer(late, forces[depth - 1] - forces[depth])
         return step
-
-    @property
-    def _crosses(self) -> bool:
-        return self._depth > self._first
 
     def _parts(self) -> list[tuple[float, float]]:
         """Where in a tick forces may arrive: one part of it, or the one that comes early and the one that comes late."""
@@ -191,8 +165,6 @@ class _Ticks:
 
     def hull(self) -> Matrix:
         """Matrices whose hull holds those of every two delays, but for `off`."""
-        import numpy as np
-
         polygons = [self._polygon(*part) for part in self._parts()]
         if not self._crosses:
             return np.array([self._matrix(corner, None) for corner in polygons[0]])
@@ -200,14 +172,11 @@ class _Ticks:
 
     def off(self, norm: Matrix) -> float:
         """Bound in a norm how far the matrix of any two delays is from that hull."""
-        import numpy as np
-
         inverse, largest = np.linalg.inv(norm), 0.0
         for part, newer in zip(self._parts(), (self._depth, self._depth - 1), strict=False):
             change = (self._forces[newer] - self._forces[newer + 1]) @ inverse
-            largest += float(np.linalg.norm(np.abs(norm[:, : self.states]) @ self._remainder(*part))) * float(
-                np.linalg.norm(change)
-            )
+            remainder = np.abs(norm[:, : self.states]) @ self._remainder(*part)
+            largest += float(np.linalg.norm(remainder)) * float(np.linalg.norm(change))
         return largest
 
     def matrix(self, older: float, newer: float) -> Matrix:
@@ -218,20 +187,9 @@ class _Ticks:
         return self._matrix(self._share(max(older - self._depth, 0.0)), late)
 
 
-def _grown(matrix: Matrix, time: float) -> Matrix:
-    import numpy as np
-    from scipy.linalg import expm
-
-    return np.asarray(expm(matrix * time), dtype=np.float64)
-
-
 def _worst_word(ticks: _Ticks, delay: tuple[float, float], longest: int = 8) -> tuple[float, tuple[float, ...]]:
     """Largest growth per tick of a repeated sequence of delays: of each length only the most promising words go on."""
-    import numpy as np
-
-    values = sorted(
-        {*np.linspace(*delay, 3).tolist(), *([v] if delay[0] < (v := math.ceil(delay[0])) < delay[1] else [])}
-    )
+    values = sorted({*np.linspace(*delay, 3).tolist(), *([v] if delay[0] < (v := math.ceil(delay[0])) < delay[1] else [])})
     pairs = np.array([[ticks.matrix(a, b) for b in values] for a in values])
     best, sequence = 0.0, (0,)
     words = [((i,), np.eye(ticks.size)) for i in range(len(values))]
@@ -242,15 +200,12 @@ def _worst_word(ticks: _Ticks, delay: tuple[float, float], longest: int = 8) -> 
         if radii[top] > best * (1.0 + 1e-12):
             best, sequence = float(radii[top]), words[top][0]
         ranked = np.argsort(-radii)[:60]
-        words = [
-            ((*words[i][0], j), pairs[words[i][0][-1], j] @ words[i][1]) for i in ranked for j in range(len(values))
-        ]
+        words = [((*words[i][0], j), pairs[words[i][0][-1], j] @ words[i][1]) for i in ranked for j in range(len(values))]
     return best, tuple(values[i] for i in sequence)
 
 
 def _norm(hull: Matrix) -> Matrix:
     """Seek L with the least largest ‖L M L⁻¹‖: gradients of a soft maximum, from the Lyapunov norm of the mean matrix."""
-    import numpy as np
     from scipy.linalg import matrix_balance, solve_discrete_lyapunov
     from scipy.optimize import minimize
 
@@ -273,23 +228,17 @@ def _norm(hull: Matrix) -> Matrix:
         weights = np.exp(sharp * (s - s.max()))
         total = weights.sum()
         value = float(s.max() + np.log(total) / sharp)
-        share = weights / total
-        inner = np.einsum("nik,nk,nkj->nij", u, share, vt)
+        inner = np.einsum("nik,nk,nkj->nij", u, weights / total, vt)
         # d‖·‖ = tr(W' d(L M L⁻¹)), W the weighted sum of u v'.
-        gradient = np.einsum("nij,njk->ik", inner, np.transpose(images, (0, 2, 1))) - np.einsum(
-            "nji,njk->ik", images, inner
-        )
-        slope = gradient @ inverse.T
-        return value, np.asarray(slope[lower], dtype=np.float64)
+        gradient = np.einsum("nij,njk->ik", inner, np.transpose(images, (0, 2, 1))) - np.einsum("nji,njk->ik", images, inner)
+        return value, np.asarray((gradient @ inverse.T)[lower], dtype=np.float64)
 
     for sharp in (30.0, 100.0, 300.0, 1000.0, 1000.0, 3000.0, 3000.0):
         # In the coordinates of the best norm so far, where all directions weigh the same.
         white = norm @ hull @ np.linalg.inv(norm)
         if np.linalg.norm(white, ord=2, axis=(1, 2)).max() < 1.0 - _ENOUGH:
             break
-        found = minimize(
-            soft, np.eye(size)[lower], args=(sharp, white), jac=True, method="L-BFGS-B", options={"maxiter": 100}
-        )
+        found = minimize(soft, np.eye(size)[lower], args=(sharp, white), jac=True, method="L-BFGS-B", options={"maxiter": 100})
         change = np.zeros((size, size))
         change[lower] = found.x
         norm = change @ norm
@@ -302,8 +251,6 @@ def _close(family: Matrix, off: float) -> tuple[int, int, float] | None:
 
     Each matrix may be off by so much in norm, and a product by what that adds up to.
     """
-    import numpy as np
-
     words, slowest = 0, 0.0
     single = np.linalg.norm(family, ord=2, axis=(1, 2))
     front, doubt = family, np.full(len(family), off)

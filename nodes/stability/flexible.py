@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import tick_matrix
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    Matrix = NDArray[np.float64]
+Matrix = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -37,13 +35,9 @@ class FlexiblePlant:
         for name in ("mass", "damping", "delay", "stiffness", "lag", "share", "loss"):
             value = getattr(self, name)
             if not math.isfinite(value) or value < 0.0 or (name == "mass" and value == 0.0):
-                raise ValueError(
-                    f"{name} = {value!r}: must be finite and {'positive' if name == 'mass' else 'at least 0'}"
-                )
+                raise ValueError(f"{name} = {value!r}: must be finite and {'positive' if name == 'mass' else 'at least 0'}")
         if self.share >= 1.0 or not self.frequency > 0.0:
-            raise ValueError(
-                f"share = {self.share!r}, frequency = {self.frequency!r}: expected share < 1, frequency > 0"
-            )
+            raise ValueError(f"share = {self.share!r}, frequency = {self.frequency!r}: expected share < 1, frequency > 0")
 
     @property
     def rigid(self) -> bool:
@@ -58,13 +52,10 @@ class FlexiblePlant:
         return reduced * pulse * pulse, 2.0 * self.loss * reduced * pulse
 
     def continuous(self) -> tuple[Matrix, Matrix]:
-        """Equations of motion.
+        """Give A and B of the state: position and velocity on the motor's side, beyond the joint, and the actuator's force.
 
-        Returns: a and B of the state: position [m] and velocity [m/s] on the motor's side, the same beyond the joint, and the
-        force that the actuator gives [N]; the last three only where the device has them.
+        In m, m/s and N; the last three only where the device has them.
         """
-        import numpy as np
-
         own, states = self.mass, 2
         matrix = np.zeros((5, 5))
         matrix[0, 1] = 1.0
@@ -88,11 +79,7 @@ class FlexiblePlant:
         return full, push
 
     def held(self, period: float) -> tuple[int, Matrix, Matrix, Matrix]:
-        """One tick with the force held.
-
-        Returns: whole ticks of the delay; the state's own matrix; what the force of that many ticks ago adds, and the one
-        before.
-        """
+        """One tick, force held: whole ticks of delay, own matrix, what the force so many ticks ago adds and the one before."""
         whole = math.floor(self.delay)
         fraction = self.delay - whole
         late, new = self._over((1.0 - fraction) * period)
@@ -100,19 +87,13 @@ class FlexiblePlant:
         return whole, late @ early, new, late @ old
 
     def pulled(self, period: float, gravity: float) -> Matrix:
-        """Motion that gravity adds within one tick.
-
-        `gravity`: acceleration, against the coordinate [m/s²]. Returns, shape (s,): added to the state.
-        """
-        import numpy as np
-
+        """Motion that gravity, against the coordinate [m/s²], adds within one tick, shape (s,)."""
         matrix, _ = self.continuous()
         pull = np.zeros(len(matrix))
         pull[1 : 2 if self.rigid else 4 : 2] = -gravity
         return self._over(period, pull)[1]
 
     def _over(self, duration: float, push: Matrix | None = None) -> tuple[Matrix, Matrix]:
-        import numpy as np
         from scipy.linalg import expm
 
         matrix, own = self.continuous()
@@ -124,12 +105,7 @@ class FlexiblePlant:
         return moved[:size, :size], moved[:size, size]
 
     def rational(self, period: float) -> tuple[int, Matrix, Matrix]:
-        """Position over force as a rational function of z.
-
-        Returns: whole ticks of the delay; numerator [m/N] over z^(whole + 1) times the denominator, highest power first.
-        """
-        import numpy as np
-
+        """Position over force: whole ticks of delay, numerator [m/N] over z^(whole + 1) denominator, highest power first."""
         whole, step, new, old = self.held(period)
         size = len(new)
         # det(zI − A + b c) − det(zI − A) is the numerator; in units in which the force's effect is about 1.
@@ -140,21 +116,15 @@ class FlexiblePlant:
             closed = step.copy()
             closed[:, 0] -= vector / unit
             parts[shift : shift + size + 1] += (np.real(np.poly(closed)) - denominator) * unit
-        # The first is 1 − 1: position follows force one tick later.
-        return whole, parts[1:], denominator
+        return whole, parts[1:], denominator  # the first is 1 − 1: position follows force one tick later
 
 
 def flexible_radius(law: CompiledLaw, period: float, plant: FlexiblePlant) -> float:
     """Largest pole of the loop of a law and a flexible device, as `nodes.stability.closed_loop.pole_radius` of a rigid one."""
-    import numpy as np
-
     return float(np.abs(np.linalg.eigvals(loop_matrix(law, period, plant))).max())
 
 
 def loop_matrix(law: CompiledLaw, period: float, plant: FlexiblePlant) -> Matrix:
-    """One tick of the loop of a law and a flexible device (`nodes.stability.closed_loop.tick_matrix`).
-
-    Returns, shape (s + n + 2 r + i + 1,) squared: the state of the device first.
-    """
+    """One tick of the loop of a law and a flexible device (`nodes.stability.closed_loop.tick_matrix`)."""
     whole, step, new, old = plant.held(period)
     return tick_matrix(law, period * period / plant.mass, whole, step, new, old)

@@ -14,8 +14,7 @@ from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.plant import Plant
 
-MARGINAL = 1e-6
-"""How far outside the unit circle rounding may put the pole that a loop without any spring has at z = 1."""
+MARGINAL = 1e-6  # how far outside the unit circle rounding may put the pole that a loop without any spring has at z = 1
 
 _POINTS = 64
 _POINTS_OF_LONG = 12
@@ -35,28 +34,21 @@ class Verdict:
 
 
 def judge(law: CompiledLaw, plant: Plant) -> Verdict | None:
-    """Judge a law on a device.
-
-    `plant`: the device and its loop, all in their limits. Returns: None for a law with code of its own: what that adds is not
-    linear, no pole tells whether it is stable.
-    """
+    """Judge a law on a device; None for one with code of its own, which is not linear: no pole tells whether it is stable."""
     if law.evaluate is not None:
         return None
     try:
         radius = pole_radius(law, plant)
     except ValueError:
-        # Taps so large that the loop's coefficients overflow.
-        radius = math.inf
+        radius = math.inf  # taps so large that the loop's coefficients overflow
     free = law.h1 + plant.stiffness == 0.0
     return Verdict(radius, plant, radius < 1.0 or (free and radius < 1.0 + MARGINAL))
 
 
 def furthest_stable(way: Callable[[float], CompiledLaw], plant: Plant) -> float | None:
-    """Find how far one can go on a way that ends in an unstable law.
+    """Find the largest share of a way to an unstable law at which the loop is stable; None where none that is looked at is.
 
-    `way`: from a share of the way, 0 to 1, to the law there; a `ValueError` says that there is no law at this point. Returns:
-    the largest share at which the loop is stable, to 2⁻²⁴ of the distance between the points that are looked at; None when
-    none of them is stable.
+    `way`: from a share, 0 to 1, to the law there; a `ValueError` says that there is none. To 2⁻²⁴ of the distance of points.
     """
 
     def stable(share: float) -> bool:
@@ -84,10 +76,7 @@ def furthest_stable(way: Callable[[float], CompiledLaw], plant: Plant) -> float 
 
 
 def between(start: float, end: float, share: float) -> float:
-    """Take a point between two values: by equal ratios where both are of one sign, else by equal steps.
-
-    `share`: 0 to 1. Returns: the point, exactly `start` and `end` at both ends.
-    """
+    """Take a point between two values, exact at both ends: by equal ratios where both are of one sign, else by equal steps."""
     if share in (0.0, 1.0):
         return end if share else start
     if start * end > 0.0:

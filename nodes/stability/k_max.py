@@ -9,7 +9,6 @@ conditions are linear in K and give the same in closed form.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,11 +33,7 @@ class KMax:
 
 
 def without_spring(law: Law, period: float) -> CompiledLaw:
-    """Take the nominal stiffness out of a law.
-
-    `law`: any law. One without a parameter ``stiffness`` (raw taps) has H(1) as its nominal stiffness. Returns: the derivative
-    part D: the law's taps with K taken from the newest.
-    """
+    """Take K from a law's newest tap, which leaves the derivative part D; without a parameter ``stiffness`` K is H(1)."""
     compiled = law.compile(period)
     spring = getattr(law, "stiffness", None)
     return with_spring(compiled, -(compiled.h1 if spring is None else spring))
@@ -50,12 +45,10 @@ def with_spring(derivative: CompiledLaw, stiffness: float) -> CompiledLaw:
 
 
 def k_max(derivative: CompiledLaw, plant: Plant, method: str | None = None) -> KMax:
-    """Find the largest stable nominal stiffness, everything else fixed.
+    """Find the largest stable nominal stiffness of a derivative part (`without_spring`), where K > 0 and H(1) > 0.
 
-    `derivative`: derivative part of the law, e.g. from `without_spring`. `method`: None takes the closed form where there is
-    one. Returns: boundary and stable intervals. K is looked for where the law is a spring at all: K > 0 and H(1) > 0. Raises
-    ValueError when the closed form is asked for and there is none: more than two taps, sections, or a delay; and for a law
-    with code of its own, which has no poles.
+    `method`: None takes the closed form where there is one. Raises ValueError when it is asked for and there is none: more than
+    two taps, sections, or a delay; and for a law with code of its own, which has no poles.
     """
     if derivative.evaluate is not None:
         raise ValueError("law: has code of its own and no poles; use --method simulation or lockstep")
@@ -123,10 +116,7 @@ def boundaries(derivative: CompiledLaw, plant: Plant) -> list[float]:
 
 
 def edge_of(derivative: CompiledLaw, plant: Plant) -> Edge | None:
-    """Tell which frequency occurs at K_max, and what Colgate's condition says there (THEORY.md §9).
-
-    Returns: None when there is no K_max, or when it is at ω = 0 or ω_N, where the loop drifts or alternates.
-    """
+    """Tell which frequency occurs at K_max (THEORY.md §9); None without one, or at ω = 0 or ω_N: it drifts or alternates."""
     limit = k_max(derivative, plant).k_max_n_per_m
     if limit is None or not math.isfinite(limit):
         return None
@@ -137,10 +127,7 @@ def edge_of(derivative: CompiledLaw, plant: Plant) -> Edge | None:
 
 
 def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]]:
-    """All nominal stiffnesses at which a pole is on the unit circle, and where on it.
-
-    Returns: K [N/m] and ωT, by increasing K.
-    """
+    """All nominal stiffnesses [N/m] at which a pole is on the unit circle, and the ωT where, by increasing stiffness."""
     from scipy.optimize import brentq
 
     held = held_plant(plant)
@@ -174,8 +161,7 @@ def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]
 class Tolerance:
     """How far one property of the loop may change, the others fixed, until it is unstable. None: no limit was found."""
 
-    # Limits of the moving mass; searched from 1e-4 to 1e4 of the declared one.
-    mass_min_kg: float | None
+    mass_min_kg: float | None  # limits of the moving mass; searched from 1e-4 to 1e4 of the declared one
     mass_max_kg: float | None
     damping_min_n_s_per_m: float | None  # least damping of the device; None when it is stable without any
     hand_stiffness_max_n_per_m: float | None  # largest stiffness of a hand; searched up to 1e6 N/m
@@ -183,10 +169,7 @@ class Tolerance:
 
 
 def tolerance(law: CompiledLaw, plant: Plant, radius: float = 1.0) -> Tolerance | None:
-    """Tell how far mass, damping, a hand and delay may be from what is declared.
-
-    Returns: None when the loop is beyond the limit as declared.
-    """
+    """Tell how far mass, damping, a hand and delay may be from what is declared; None when that is beyond the limit itself."""
 
     def within(other: Plant) -> bool:
         return pole_radius(law, other) < radius
@@ -194,31 +177,29 @@ def tolerance(law: CompiledLaw, plant: Plant, radius: float = 1.0) -> Tolerance 
     if not within(plant):
         return None
     decades = np.geomspace(1.0, 1e4, 81)[1:]
-    hands = plant.stiffness + np.concatenate([np.geomspace(1.0, 1e6, 61)])
+    hands = plant.stiffness + np.geomspace(1.0, 1e6, 61)
     delays = plant.delay + np.concatenate([np.arange(1, 81) / 20.0, np.arange(5, 101)])
+
+    def edge(field: str, steps: NDArray[np.float64]) -> float | None:
+        """First limit along the steps, by bisection between the last one inside and the first outside."""
+        inside: float = getattr(plant, field)
+        for step in steps.tolist():
+            if within(replace(plant, **{field: step})):
+                inside = step
+                continue
+            outside = step
+            for _ in range(40):
+                middle = 0.5 * (inside + outside)
+                if middle in (inside, outside):
+                    break
+                inside, outside = (middle, outside) if within(replace(plant, **{field: middle})) else (inside, middle)
+            return inside
+        return None
+
     return Tolerance(
-        mass_min_kg=_edge(lambda m: within(replace(plant, mass=m)), plant.mass, plant.mass / decades),
-        mass_max_kg=_edge(lambda m: within(replace(plant, mass=m)), plant.mass, plant.mass * decades),
-        damping_min_n_s_per_m=_edge(
-            lambda b: within(replace(plant, damping=b)), plant.damping, plant.damping * np.linspace(1.0, 0.0, 41)[1:]
-        ),
-        hand_stiffness_max_n_per_m=_edge(lambda k: within(replace(plant, stiffness=k)), plant.stiffness, hands),
-        delay_max_ticks=_edge(lambda d: within(replace(plant, delay=d)), plant.delay, delays),
+        mass_min_kg=edge("mass", plant.mass / decades),
+        mass_max_kg=edge("mass", plant.mass * decades),
+        damping_min_n_s_per_m=edge("damping", plant.damping * np.linspace(1.0, 0.0, 41)[1:]),
+        hand_stiffness_max_n_per_m=edge("stiffness", hands),
+        delay_max_ticks=edge("delay", delays),
     )
-
-
-def _edge(within: Callable[[float], bool], start: float, steps: NDArray[np.float64]) -> float | None:
-    """First limit on the way from `start` along `steps`, by bisection between the last step inside and the first outside."""
-    inside = start
-    for step in steps.tolist():
-        if within(step):
-            inside = step
-            continue
-        outside = step
-        for _ in range(40):
-            middle = 0.5 * (inside + outside)
-            if middle in (inside, outside):
-                break
-            inside, outside = (middle, outside) if within(middle) else (inside, middle)
-        return inside
-    return None

@@ -30,26 +30,20 @@ class Edge:
 
 
 def damping_shown(plant: Plant, theta: float) -> float:
-    """Damping that a held device shows at one frequency: T Re{−1/((1 − z) P(z))}.
-
-    `theta`: ωT, 0 < ωT < π. Returns: b R [N s/m]; for k = 0 and light damping b (1 + tan²(ωT/2)/3).
-    """
+    """Damping b R that a held device shows at one ωT [N s/m], T Re{−1/((1 − z) P(z))}; light: b (1 + tan²(ωT/2)/3)."""
     z = cmath.exp(1j * theta)
     return plant.period * (-1.0 / ((1.0 - z) * position_over_force(z, replace(plant, delay=0.0)))).real
 
 
 def edge_at(derivative: CompiledLaw, plant: Plant, omega: float, light: bool = False) -> Edge:
-    """Tell the stiffness that Colgate's condition allows at one frequency.
+    """Tell the stiffness that Colgate's condition allows at one frequency at which the device swings, 0 < ω < π/T [rad/s].
 
-    `omega`: frequency at which the device swings, 0 < ω < π/T [rad/s]. `light`: take the damping as light, b ≪ m/T: the mass
-    then plays no part, and R = 1 + tan²(ωT/2)/3. Raises ValueError when the frequency is not between 0 and Nyquist.
+    `light`: take the damping as light, b ≪ m/T: the mass then plays no part, and R = 1 + tan²(ωT/2)/3.
     """
     period, damping = plant.period, plant.damping
     theta = omega * period
     if not 0.0 < theta < math.pi:
-        raise ValueError(
-            f"omega = {omega:g} rad/s: must be between 0 and {math.pi / period:g} rad/s, the Nyquist frequency"
-        )
+        raise ValueError(f"omega = {omega:g} rad/s: must be between 0 and {math.pi / period:g} rad/s, the Nyquist frequency")
     z = cmath.exp(1j * theta)
     whole = math.floor(plant.delay)
     late = z**-whole
@@ -71,10 +65,7 @@ def edge_at(derivative: CompiledLaw, plant: Plant, omega: float, light: bool = F
 
 
 def position_over_force(z: complex, plant: Plant) -> complex:
-    """Give P(z), what the held device answers to a force, its delay included.
-
-    Returns: P [m/N].
-    """
+    """Give P(z), what the held device answers to a force, its delay included [m/N]."""
     held = held_plant(plant)
     n2, n1, n0 = held.numerator
     _, d1, d0 = held.denominator

@@ -106,35 +106,15 @@ class HeldPlant:
 
     x/u = (numerator[0] z² + numerator[1] z + numerator[2]) / (z^{whole+1} (z² + denominator[1] z + denominator[2])),
     u the force on the device. A device with stiffness (a hand's) is the same with other numbers.
-
-    Attributes
-    ----------
-    whole : int
-        Whole ticks of the delay, i of d = i + φ.
-    numerator : tuple of float, shape (3,)
-        Coefficients of z², z, 1 [m/N].
-    denominator : tuple of float, shape (3,)
-        Coefficients of z², z, 1; the first is 1.
     """
 
-    whole: int
-    numerator: tuple[float, float, float]
+    whole: int  # whole ticks of the delay, i of d = i + φ
+    numerator: tuple[float, float, float]  # [m/N]
     denominator: tuple[float, float, float]
 
 
 def held_plant(plant: Plant) -> HeldPlant:
-    """Discretise m x'' + b x' + k x = u exactly for a held force that arrives `delay` ticks after its sample.
-
-    Parameters
-    ----------
-    plant : Plant
-        The device and its loop.
-
-    Returns
-    -------
-    HeldPlant
-        Its response to the force.
-    """
+    """Discretise m x'' + b x' + k x = u exactly for a held force that arrives `delay` ticks after its sample."""
     whole, transition, new, old = held_step(plant)
     a11, a12, _, a22 = transition
     # First row of adj(zI − A) times each input vector: (z − a22) g1 + a12 g2.
@@ -146,24 +126,11 @@ def held_plant(plant: Plant) -> HeldPlant:
     return HeldPlant(whole, (new_1, new_0 + old_1, old_0), (1.0, -trace, determinant))
 
 
-def held_step(
-    plant: Plant,
-) -> tuple[int, tuple[float, float, float, float], tuple[float, float], tuple[float, float]]:
+def held_step(plant: Plant) -> tuple[int, tuple[float, float, float, float], tuple[float, float], tuple[float, float]]:
     """Give one tick of m x'' + b x' + k x = u in position and velocity.
 
-    Parameters
-    ----------
-    plant : Plant
-        The device and its loop.
-
-    Returns
-    -------
-    whole : int
-        Whole ticks of the delay.
-    transition : tuple of float, shape (4,)
-        a11, a12, a21, a22 of the free motion [1], [s], [1/s], [1].
-    new, old : tuple of float, shape (2,)
-        Position and velocity per force: of the force that arrives within this tick, and of the one before it [m/N], [m/(N s)].
+    Whole ticks of the delay; a11, a12, a21, a22 of the free motion [1], [s], [1/s], [1]; position and velocity per force
+    [m/N], [m/(N s)], of the force that arrives within this tick, and of the one before it.
     """
     mass, damping, stiffness, period = plant.mass, plant.damping, plant.stiffness, plant.period
     whole = math.floor(plant.delay)
@@ -181,9 +148,7 @@ def _transition(
     mass: float, damping: float, stiffness: float, duration: float
 ) -> tuple[float, float, float, float, float, float]:
     """Exact map of position and velocity under a held force: matrix exponential by its series, halved and squared."""
-    halvings = max(
-        0, math.ceil(math.log2(max(damping / mass * duration, math.sqrt(stiffness / mass) * duration, 0.25))) + 2
-    )
+    halvings = max(0, math.ceil(math.log2(max(damping / mass * duration, math.sqrt(stiffness / mass) * duration, 0.25))) + 2)
     h = duration / 2.0**halvings
     # Series of φ(t) = response of the velocity-free device to a unit force: x = Σ c_j t^j/j!, from the equation itself.
     older, newer = 0.0, h * h / (2.0 * mass)
@@ -200,10 +165,5 @@ def _transition(
     a22 = a11 - damping * g2
     for _ in range(halvings):
         g1, g2 = a11 * g1 + a12 * g2 + g1, a21 * g1 + a22 * g2 + g2
-        a11, a12, a21, a22 = (
-            a11 * a11 + a12 * a21,
-            a11 * a12 + a12 * a22,
-            a21 * a11 + a22 * a21,
-            a21 * a12 + a22 * a22,
-        )
+        a11, a12, a21, a22 = (a11 * a11 + a12 * a21, a11 * a12 + a12 * a22, a21 * a11 + a22 * a21, a21 * a12 + a22 * a22)
     return a11, a12, a21, a22, g1, g2

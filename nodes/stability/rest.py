@@ -22,7 +22,6 @@ from nodes.stability.plant import Plant
 if TYPE_CHECKING:
     from nodes.laws import CompiledLaw
 
-
 _POINTS = 2000
 
 
@@ -39,10 +38,9 @@ class Rest:
     buzz_hz: float | None  # frequency of that swing [Hz]; None where there is none
 
     def free(self, friction: float) -> Literal[True, False, "estimated"]:
-        """Tell whether the device is free of limit cycles.
+        """Tell whether Coulomb friction [N], of a measured device the low end of its interval, keeps it free of limit cycles.
 
-        `friction`: Coulomb friction of the device; of a measured one the low end of its interval [N]. Returns: True from the
-        bound on where that is a proof, ``"estimated"`` where it is none and from the estimate on; False where neither says so.
+        True from the bound on where that is a proof, ``"estimated"`` where it is none and from the estimate on.
         """
         if friction >= self.friction_bound_n:
             return True if self.certain else "estimated"
@@ -56,10 +54,7 @@ class Rest:
 
 
 def rest(law: CompiledLaw, loop: Plant | float, resolution: float) -> Rest:
-    """Tell the friction that a law asks for to come to rest.
-
-    `loop`: the device and its loop; a sampling period alone [s] leaves out the estimate, which needs a device.
-    """
+    """Tell the friction that a law asks for to come to rest; a sampling period alone [s] leaves out the estimate."""
     plant = loop if isinstance(loop, Plant) else None
     period, damping, delay = (loop.period, loop.damping, loop.delay) if isinstance(loop, Plant) else (loop, 0.0, 0.0)
     estimated, buzz = (None, None) if plant is None else _describing(law, plant, resolution)
@@ -73,20 +68,13 @@ def rest(law: CompiledLaw, loop: Plant | float, resolution: float) -> Rest:
 
 
 def stiffest_at_rest(derivative: CompiledLaw, resolution: float, friction: float) -> float:
-    """Largest nominal stiffness that friction brings to rest, whatever the motion: Σ|h_m| ≤ 2 f_c/Δ.
-
-    Returns: K [N/m]; for a spring 2 f_c/Δ, for PD 2 f_c/Δ − 2B/T. Not above 0 when the derivative part alone asks for more.
-    """
+    """Largest nominal stiffness with Σ|h_m| ≤ 2 f_c/Δ [N/m], for PD 2 f_c/Δ − 2B/T; may be negative: D alone asks for more."""
     newest = derivative.taps[0]
-    others = absolute_sum(derivative) - abs(newest)
-    return 2.0 * friction / resolution - others - newest
+    return 2.0 * friction / resolution - (absolute_sum(derivative) - abs(newest)) - newest
 
 
 def absolute_sum(law: CompiledLaw) -> float:
-    """Σ|h_m|, the largest force per deflection of at most 1 in size.
-
-    Returns: [N/m]; for PD it is H(−1). Sections are summed until what is left is below rounding.
-    """
+    """Σ|h_m|, the largest force per deflection [N/m], for PD H(−1); sections are summed until the rest is below rounding."""
     if not law.sections:
         return sum(map(abs, law.taps))
     total, settled = 0.0, 0

@@ -8,14 +8,10 @@ away from zero by its slope and a bound on its curvature, or the arc is divided 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-COMPANION_LIMIT = 100
-"""Highest degree that goes to the companion matrix."""
+COMPANION_LIMIT = 100  # highest degree that goes to the companion matrix
 
 _BLOCK = 64
 _DEPTH = 30
@@ -23,8 +19,6 @@ _DEPTH = 30
 
 def largest_root(coefficients: NDArray[np.float64]) -> float:
     """Modulus of the largest root."""
-    import numpy as np
-
     c = np.asarray(coefficients, dtype=np.float64)
     if c.size == 0 or c[0] == 0.0 or not np.isfinite(c).all():
         raise ValueError("coefficients: the leading one must not be zero and all must be finite")
@@ -36,8 +30,6 @@ def largest_root(coefficients: NDArray[np.float64]) -> float:
 
 def largest_roots(coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
     """Modulus of the largest root of many polynomials of the same, low degree at once (companion matrices)."""
-    import numpy as np
-
     c = np.asarray(coefficients, dtype=np.float64)
     degree = c.shape[-1] - 1
     if degree == 0:
@@ -50,8 +42,6 @@ def largest_roots(coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def roots_outside(coefficients: NDArray[np.float64], radius: float) -> int | None:
     """Count the roots outside a circle, by a certified winding number."""
-    import numpy as np
-
     # In w = radius/z the roots outside become zeros inside the unit circle. In logarithms: radius**-2000 overflows.
     j = np.arange(len(coefficients), dtype=np.float64)
     size = np.abs(coefficients)
@@ -87,12 +77,8 @@ def roots_outside(coefficients: NDArray[np.float64], radius: float) -> int | Non
     return None
 
 
-def _evaluate(
-    c: NDArray[np.float64], w: NDArray[np.complex128]
-) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+def _evaluate(c: NDArray[np.float64], w: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Σ c_j w^j and Σ j c_j w^j at a few points, in blocks of powers so that it is two small matrix products."""
-    import numpy as np
-
     blocks = -(-len(c) // _BLOCK)
     padded = np.zeros(blocks * _BLOCK)
     padded[: len(c)] = c
@@ -107,8 +93,6 @@ def _evaluate(
 
 def _narrow(c: NDArray[np.float64]) -> float:
     """Bracket the largest modulus by counting, polish the root with Newton, and certify what came out by counting."""
-    import numpy as np
-
     j = np.arange(1, len(c))
     nonzero = c[1:] != 0.0
     # Fujiwara's bound above; the geometric mean of all roots below.
@@ -139,8 +123,6 @@ def _narrow(c: NDArray[np.float64]) -> float:
 
 def _newton(c: NDArray[np.float64], low: float, high: float) -> float | None:
     """Largest modulus in [low, high) that Newton's iteration reaches from the circle between them."""
-    import numpy as np
-
     middle = float(np.sqrt(low * high))
     j = np.arange(len(c), dtype=np.float64)
     scaled = c * np.exp(-j * np.log(middle))

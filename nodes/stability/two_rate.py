@@ -11,24 +11,20 @@ servo's damper counts in full, and H(1) ≤ (b + B_s)/(T (½ + d)). THEORY.md §
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
+from nodes.laws import CompiledLaw
 from nodes.stability.plant import Plant, held_step
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from nodes.laws import CompiledLaw
 
 
 @dataclass(frozen=True)
 class TwoRate:
     """A device with a servo."""
 
-    # Of the device [kg], [N s/m].
-    mass: float
+    mass: float  # of the device [kg], [N s/m]
     damping: float
     servo_damping: float  # B_s of the servo's damper [N s/m]
     ratio: int  # N, servo ticks per tick of the loop
@@ -36,20 +32,13 @@ class TwoRate:
 
     def __post_init__(self) -> None:
         if not (self.mass > 0.0 and self.damping >= 0.0 and self.servo_damping >= 0.0):
-            raise ValueError(
-                f"mass {self.mass} kg, damping {self.damping}, servo {self.servo_damping} N s/m: no device"
-            )
+            raise ValueError(f"mass {self.mass} kg, damping {self.damping}, servo {self.servo_damping} N s/m: no device")
         if self.ratio < 1 or self.delay < 0:
-            raise ValueError(
-                f"ratio {self.ratio}, expected at least 1; delay {self.delay} servo ticks, expected 0 or more"
-            )
+            raise ValueError(f"ratio {self.ratio}, expected at least 1; delay {self.delay} servo ticks, expected 0 or more")
 
 
 def heavy_limit(device: TwoRate, period: float) -> float:
-    """Largest stiffness of a spring for a heavy device, in closed form.
-
-    Returns: (b + B_s)/(T (½ + d)), d in ticks of the loop [N/m].
-    """
+    """Largest stiffness of a spring for a heavy device, (b + B_s)/(T (½ + d)), d in ticks of the loop [N/m]."""
     return (device.damping + device.servo_damping) / (period * (0.5 + device.delay / device.ratio))
 
 
@@ -57,13 +46,8 @@ def lifted(law: CompiledLaw, period: float, device: TwoRate) -> NDArray[np.float
     """Write one period of the loop as one matrix.
 
     The state at a tick of the loop is position, velocity, position one servo tick ago, the n older samples of the loop, and the
-    forces that have not taken effect, oldest first.
-
-    `law`: taps only [N/m]. Returns, shape (s, s): from the state at one tick to that at the next. Raises ValueError when the
-    law has sections.
+    forces that have not taken effect, oldest first. Raises ValueError when the law has sections.
     """
-    import numpy as np
-
     if law.sections:
         raise ValueError("law: only taps can be lifted over the servo's ticks")
     short = period / device.ratio
@@ -88,26 +72,15 @@ def lifted(law: CompiledLaw, period: float, device: TwoRate) -> NDArray[np.float
 
 
 def two_rate_radius(law: CompiledLaw, period: float, device: TwoRate) -> float:
-    """Pole radius of the loop.
-
-    `law`: taps only. Returns: below 1 for a stable loop.
-    """
-    import numpy as np
-
+    """Pole radius of the loop of a law of taps only."""
     return float(np.max(np.abs(np.linalg.eigvals(lifted(law, period, device)))))
 
 
 def two_rate_k_max(derivative: CompiledLaw, period: float, device: TwoRate, steps: int = 400) -> float | None:
-    """Find the stiffness up to which the loop is stable.
-
-    `steps`: stiffnesses tried on the way up, evenly in the logarithm over six decades. Returns: upper end of the lowest stable
-    interval of K [N/m]; None when none is stable.
-    """
-    from dataclasses import replace
+    """Find the upper end of the lowest stable interval of K [N/m], in steps over six decades; None when none is stable."""
 
     def stable(k: float) -> bool:
-        taps = (derivative.taps[0] + k, *derivative.taps[1:])
-        return two_rate_radius(replace(derivative, taps=taps), period, device) < 1.0
+        return two_rate_radius(replace(derivative, taps=(derivative.taps[0] + k, *derivative.taps[1:])), period, device) < 1.0
 
     base: float = heavy_limit(device, period) or 1.0
     inside: float | None = None
@@ -118,8 +91,7 @@ def two_rate_k_max(derivative: CompiledLaw, period: float, device: TwoRate, step
             continue
         if inside is None:
             continue
-        low: float = inside
-        high: float = k
+        low, high = inside, k
         while high - low > 1e-12 * high:
             middle = math.sqrt(low * high)
             if middle in (low, high):

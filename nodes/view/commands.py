@@ -191,9 +191,7 @@ class Commander:
     def _set_delay(self, ticks: float, beyond: bool = False) -> dict[str, Any]:
         before = self.device_delay()
         if before is None:
-            raise CommandError(
-                f"view: delay: {self.driver} is no virtual device in real time, so its delay is what it is"
-            )
+            raise CommandError(f"view: delay: {self.driver} is no virtual device in real time, so its delay is what it is")
         receipt = self._answer_later(ticks, before, self._forced(beyond))
         self._remember(self.driver, {"delay": before}, {"delay": ticks})
         return {"node": self.driver, "values": {"delay": ticks}, "receipt": receipt}

@@ -115,8 +115,9 @@ class Comparison:
     async def _play_on(self, late: float) -> None:
         law, begun = self.law, self._from
         work = partial(_play, self._kind, self._setups, self._described, list(self._targets), self._begin, late)
+        self._pool = self._pool or Workers(1)
         try:
-            position, force = await asyncio.get_running_loop().run_in_executor(self._workers(), work)
+            position, force = await asyncio.get_running_loop().run_in_executor(self._pool, work)
         except (HapticError, ValueError) as error:
             if law == self.law:
                 self.law = ""
@@ -136,10 +137,6 @@ class Comparison:
             "force": [round(float(f), 5) for f in force[first:]],
         }
         self._put("beside", document)
-
-    def _workers(self) -> Workers:
-        self._pool = self._pool or Workers(1)
-        return self._pool
 
     async def close(self) -> None:
         """End the process that plays."""

@@ -8,20 +8,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from messages.topics import PROXY
 from messages.types import DeviceState
 from nodes.base.setup import Setup
 from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoParameters, load_world
 from nodes.environment.bodies.poses import Poses, poses_file
 from nodes.parameters.store import convert
+from nodes.recording.reader import Recording
 from nodes.view.shape import bodies_of
 
 
 class RunningBodies:
-    """The bodies of a running environment on this machine.
-
-    Raises OSError when they are on another machine.
-    """
+    """The bodies of a running environment; OSError when they are on another machine."""
 
     def __init__(self, setup: Setup) -> None:
         parameters: MujocoParameters = convert(setup.parameters, MujocoParameters, setup.name)
@@ -35,26 +34,31 @@ class RunningBodies:
         return None if found is None else {"poses": np.round(found, 6).tolist()}
 
 
+def met_ticks(recording: Recording, topic: str = PROXY) -> Container[int] | None:
+    """Tell the ticks whose position reached the environment, by what it answered; None where no answer was recorded."""
+    return {message.seq for message in recording.messages(topic)} if topic in recording.topics else None
+
+
 class RecordedBodies:
     """The bodies of a recording: its scene stepped again by what was recorded, as the node stepped it.
 
-    `met`: the ticks whose position reached the environment, where that is known; it stepped over the others at once.
-    Raises ParameterError when MuJoCo or the scene's file is not there.
+    `met`: see `met_ticks`; the node stepped over the other ticks at once. Raises ParameterError when MuJoCo or the scene's file
+    is not there.
     """
 
     def __init__(self, parameters: dict[str, Any], period: float, name: str, met: Container[int] | None = None) -> None:
         self._met = met
         self.world: MovingScene = load_world(convert(parameters, MujocoParameters, name), period, name)  # the scene
-        self.begun = False  # whether it has followed a first tick
+        # Whether it has been given a tick, and followed one.
+        self.asked = self._begun = False
 
     def follow(self, state: DeviceState) -> None:
         """Step the scene to a tick."""
+        self.asked = True
         if state.safety == "fault" or (self._met is not None and state.seq not in self._met):
             return
-        self.world.follow(
-            state.seq, state.position, state.force, state.seq - 1 - state.age, state.delay, not self.begun
-        )
-        self.begun = True
+        self.world.follow(state.seq, state.position, state.force, state.seq - 1 - state.age, state.delay, not self._begun)
+        self._begun = True
 
     def poses(self) -> NDArray[np.float64]:
         """Tell where they are."""

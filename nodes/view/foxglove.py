@@ -32,9 +32,7 @@ def load() -> Any:
     try:
         import foxglove
     except ImportError as error:
-        raise ParameterError(
-            f"view.foxglove: {error}; install it with: pip install 'haptic-nodes[foxglove]'"
-        ) from error
+        raise ParameterError(f"view.foxglove: {error}; install it with: pip install 'haptic-nodes[foxglove]'") from error
     return foxglove
 
 
@@ -46,18 +44,13 @@ class Bridge:
     """
 
     def __init__(self, run: RunInfo, do: Callable[..., Any], port: int) -> None:
-        library = load()
-        self._library = library
-        self._do = do
-        self._run = run
-        self._context = library.Context()
+        self._library = library = load()
+        self._do, self._run, self._context = do, run, library.Context()
         self._channels: dict[str, Any] = {}
         self._next: dict[str, float] = {}
         self.sent = 0  # messages passed on
-        setups = run.nodes.values()
-        self._scene = DrawnScene(
-            {name: setup.parameters for name, setup in run.nodes.items()}, next(setup.period for setup in setups)
-        )
+        period = next(setup.period for setup in run.nodes.values())
+        self._scene = DrawnScene({name: setup.parameters for name, setup in run.nodes.items()}, period)
         schema = library.Schema(name=SCHEMA["title"], encoding="jsonschema", data=msgspec.json.encode(SCHEMA))
         # Advertised from the beginning: who subscribes is told the shape, which is not sent again.
         self._drawn = library.Channel(SCENE, schema=schema, message_encoding="json", context=self._context)
@@ -71,9 +64,7 @@ class Bridge:
                 del client
                 bridge.subscribed(channel.topic)
 
-            def on_get_parameters(
-                self, client: Any, param_names: list[str], request_id: str | None = None
-            ) -> list[Any]:
+            def on_get_parameters(self, client: Any, param_names: list[str], request_id: str | None = None) -> list[Any]:
                 del client, request_id
                 return bridge.parameters(param_names)
 

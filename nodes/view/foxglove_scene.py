@@ -19,8 +19,8 @@ from messages.types import DeviceState, Proxy, Vector
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
 from nodes.recording.recover import Copy
-from nodes.recording.writer import MANIFEST, PARAMETERS, Output, RecordError, discard, mcap_writer, versions
-from nodes.view.drawn_bodies import RecordedBodies
+from nodes.recording.writer import MANIFEST, PARAMETERS, RecordError, mcap_writer, written
+from nodes.view.drawn_bodies import RecordedBodies, met_ticks
 from nodes.view.shape import shape_of
 
 SCENE, FRAME = "/scene", "haptic"
@@ -90,13 +90,7 @@ def _entity(at: int, name: str, **primitives: list[dict[str, Any]]) -> dict[str,
     stamp = {"sec": at // 10**9, "nsec": at % 10**9}
     none: dict[str, list[dict[str, Any]]] = {kind: [] for kind in _LISTS}
     # A lifetime of nothing: until another entity of this name comes.
-    whole = {
-        "timestamp": stamp,
-        "frame_id": FRAME,
-        "id": name,
-        "lifetime": {"sec": 0, "nsec": 0},
-        "frame_locked": False,
-    }
+    whole = {"timestamp": stamp, "frame_id": FRAME, "id": name, "lifetime": {"sec": 0, "nsec": 0}, "frame_locked": False}
     return {**whole, **none, **primitives}
 
 
@@ -137,9 +131,9 @@ class _Bodies(RecordedBodies):
 
 
 class DrawnScene:
-    """What is drawn of the chains of a run, recorded or live."""
+    """What is drawn of the chains of a run, recorded or live; of a recording it is known which positions moved its bodies."""
 
-    def __init__(self, nodes: Mapping[str, Mapping[str, Any]], period: float) -> None:
+    def __init__(self, nodes: Mapping[str, Mapping[str, Any]], period: float, recording: Recording | None = None) -> None:
         self.left_out: list[str] = []  # what cannot be drawn, and why
         self._surfaces: dict[str, list[float]] = {}
         self._radius: dict[str, float] = {}
@@ -153,7 +147,9 @@ class DrawnScene:
                     self._surfaces[node] = shape.get("triangles", [])
                     self._radius[chain] = shape.get("tool_radius", 0.0)
                 elif "scene" in parameters:
-                    self._bodies[chain] = _Bodies(dict(parameters), period, node)
+                    topic = f"/{chain}{PROXY}" if chain else PROXY
+                    met = None if recording is None else met_ticks(recording, topic)
+                    self._bodies[chain] = _Bodies(dict(parameters), period, node, met)
             except (ParameterError, OSError) as error:
                 self.left_out.append(f"{node}: {error}")
 
@@ -188,7 +184,7 @@ class DrawnScene:
         bodies = self._bodies.get(chain)
         if bodies is None:
             return None
-        if not bodies.begun and state.seq > LATE:
+        if not bodies.asked and state.seq > LATE:
             del self._bodies[chain]
             self.left_out.append(
                 f"{chain or 'bodies'}: only a page that was launched with the run knows where they are: launch it with --view"
@@ -235,11 +231,10 @@ def export_foxglove(recording: Recording, out: str | Path, *, overwrite: bool = 
         raise RecordError(f"{out}: is the recording itself; give another name")
     period = 1.0 / float(recording.metadata.get(MANIFEST, {}).get("rate_hz", 500.0))
     parameters = recording.metadata.get(PARAMETERS, {})
-    scene = DrawnScene({node: msgspec.json.decode(text) for node, text in parameters.items()}, period)
+    scene = DrawnScene({node: msgspec.json.decode(text) for node, text in parameters.items()}, period, recording)
     begun = False
-    output = Output(out, overwrite)
-    try:
-        writer = mcap_writer(output, f"haptic-nodes {versions()['haptic-nodes']}")
+    with written(out, overwrite) as output:
+        writer = mcap_writer(output)
         copy = Copy(writer, recording.schemas, recording.channels)
         for name, values in recording.metadata.items():
             writer.add_metadata(name, values)
@@ -258,9 +253,4 @@ def export_foxglove(recording: Recording, out: str | Path, *, overwrite: bool = 
                 update = msgspec.json.encode({"deletions": [], "entities": entities})
                 writer.add_message(channel, raw.log_time, update, raw.publish_time)
         writer.finish()
-    except RecordError:
-        discard(out)
-        raise
-    finally:
-        output.close()
     return [out]

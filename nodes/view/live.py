@@ -15,10 +15,8 @@ from nodes.base.setup import AXIS_INDEX
 from nodes.launcher.runs import RunInfo, ended_why
 from nodes.parameters.store import convert
 from nodes.recording.summary import quantile
-from nodes.view.board import Board
 from nodes.view.feed import BINS_PER_SECOND, Feed
-from nodes.view.ringing import Ringing
-from nodes.view.why_force import explain, stop_in_words
+from nodes.view.why_force import Ringing, explain, stop_in_words
 
 STATUS_PERIOD = 0.2
 """How often pages get the status [s]."""
@@ -37,6 +35,38 @@ HISTORY = 30.0
 
 KEPT = 60.0
 """How much is kept for pages that are slow [s]."""
+
+LOGGED = 500
+"""Entries of the log that a page which opens later still sees."""
+
+
+class Board:
+    """What pages get beside the bins: documents by name, of which only the newest counts, and the log. One thread uses it."""
+
+    def __init__(self) -> None:
+        self._documents: dict[str, tuple[int, str]] = {}
+        self._version = 0
+        self._log: deque[str] = deque(maxlen=LOGGED)
+        self.logged = 0  # entries of the log so far
+
+    def put(self, kind: str, content: dict[str, Any]) -> None:
+        """Replace a document; one that has not changed is not sent again."""
+        text = msgspec.json.encode({"type": kind, **content}).decode()
+        if kind not in self._documents or self._documents[kind][1] != text:
+            self._version += 1
+            self._documents[kind] = (self._version, text)
+
+    def log(self, content: dict[str, Any]) -> None:
+        """Add to the log."""
+        self._log.append(msgspec.json.encode({"type": "log", **content}).decode())
+        self.logged += 1
+
+    def since(self, version: int, logged: int) -> tuple[list[str], int, int]:
+        """List what is new."""
+        new = sorted(entry for entry in self._documents.values() if entry[0] > version)
+        count = min(self.logged - logged, len(self._log))
+        entries = list(self._log)[len(self._log) - count :] if count else []
+        return [text for _, text in new] + entries, self._version, self.logged
 
 
 def quantiles_us(responses: deque[float]) -> dict[str, float]:
@@ -86,9 +116,7 @@ def facts_of(run: RunInfo, driver: str) -> Facts:
     if driver:
         parameters = convert(run.nodes[driver].parameters, load(run.nodes[driver].factory).Parameters, driver)
         peak = parameters.safety.peak_force
-    return Facts(
-        run.run, run.scenario, summary, setup.period, setup.pace, setup.apply, axes, driver, setup.run_dir, peak
-    )
+    return Facts(run.run, run.scenario, summary, setup.period, setup.pace, setup.apply, axes, driver, setup.run_dir, peak)
 
 
 class LiveRun:
@@ -162,15 +190,8 @@ class LiveRun:
             if message.kind in ("safety", "stopped"):
                 self._why, span = stop_in_words(message.reason.partition(": ")[2] or message.reason)
                 self._stop = {"t": message.seq * self._period, "span_s": span}
-            self.board.log(
-                {
-                    "kind": "event",
-                    "t": message.seq * self._period,
-                    "node": message.node,
-                    "event": message.kind,
-                    "text": message.reason,
-                }
-            )
+            told = {"node": message.node, "event": message.kind, "text": message.reason}
+            self.board.log({"kind": "event", "t": message.seq * self._period, **told})
             return
         self.feed.take(topic, message)
 
@@ -247,25 +268,17 @@ class LiveRun:
 def _receipt_facts(receipt: Receipt) -> dict[str, Any]:
     """Tell a receipt by what changed."""
     before, after = _law(receipt.before), _law(receipt.after)
+    law, switched = after.get("law", ""), before.get("law") != after.get("law")
     changed = [
         f"{name} {_short(before.get(name))} → {_short(value)}"
         for name, value in after.items()
-        if name not in ("law", "kind") and before.get("law") == after.get("law") and before.get(name) != value
+        if name not in ("law", "kind") and before.get(name) != value
     ]
-    names = f"{before.get('law', '?')} → {after.get('law', '?')}"
-    return {
-        "action": receipt.action,
-        "law": after.get("law", ""),
-        "after": after,
-        "switched": before.get("law") != after.get("law"),
-        "text": names
-        if before.get("law") != after.get("law")
-        else f"{after.get('law', '')}: {', '.join(changed) or 'as it was; another parameter was set'}",
-        "force_step_n": receipt.force_step,
-        "ramp": receipt.ramp,
-        "reason": receipt.reason,
-        "revision": receipt.revision,
-    }
+    text = f"{law}: {', '.join(changed) or 'as it was; another parameter was set'}"
+    told = {"action": receipt.action, "ramp": receipt.ramp, "reason": receipt.reason, "revision": receipt.revision}
+    if switched:
+        text = f"{before.get('law', '?')} → {after.get('law', '?')}"
+    return {**told, "law": law, "after": after, "switched": switched, "text": text, "force_step_n": receipt.force_step}
 
 
 def _law(text: str) -> dict[str, Any]:

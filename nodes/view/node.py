@@ -43,21 +43,11 @@ class ViewParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
 
 class Place(msgspec.Struct, frozen=True, kw_only=True):
-    """Where a run's page is: ``NAME.page.json`` in the run's private directory.
+    """Where a run's page is: ``NAME.page.json`` in the run's private directory."""
 
-    Attributes
-    ----------
-    url : str
-        What to open, token included.
-    port : int
-        Port.
-    token : str
-        What the URL must hold: kept when the node is started again, so that an open page finds it.
-    """
-
-    url: str
-    port: int
-    token: str
+    url: str  # what to open, token included
+    port: int  # port
+    token: str  # what the URL must hold: kept when the node is started again, so that an open page finds it
 
 
 def place_file(run_dir: str | Path, name: str) -> Path:
@@ -125,9 +115,7 @@ class View(Node):
         await pages.server.start(parameters.port or (before.port if before else 0))
         server = pages.server
         if parameters.foxglove is not None:
-            self.events.log(
-                f"Foxglove and Lichtblick find the run at ws://{ADDRESS}:{pages.bridge(parameters.foxglove)}"
-            )
+            self.events.log(f"Foxglove and Lichtblick find the run at ws://{ADDRESS}:{pages.bridge(parameters.foxglove)}")
         place = Place(url=server.url, port=server.port, token=server.token)
         path = place_file(self.setup.run_dir, self.setup.name)
         draft = path.with_suffix(".draft")

@@ -123,9 +123,7 @@ class ReplayPages:
             "has_hand": any(scene[16:19] != (0.0, 0.0, 0.0) for scene, _ in self.scenes.items),
             "begin_s": self.begin,
             "end_s": self.begin + self.duration,
-            "notice": ""
-            if recording.complete
-            else f"The recording is cut: it ends at {self.begin + self.duration:.1f} s.",
+            "notice": "" if recording.complete else f"The recording is cut: it ends at {self.begin + self.duration:.1f} s.",
             "shape": self._shape,
             "fields": all_law_fields(),
         }
@@ -140,11 +138,7 @@ class ReplayPages:
     def _read(self, recording: Recording) -> None:
         self._read_parameters(recording)
         live, period = self.live, self._facts.period
-        known = [
-            topic
-            for topic in recording.topics
-            if topic in (DEVICE_STATE, PROXY, FORCE, RECEIPT) or topic.count("/") == 2
-        ]
+        known = [topic for topic in recording.topics if topic in (DEVICE_STATE, PROXY, FORCE, RECEIPT) or topic.count("/") == 2]
         delays = states = 0.0
         next_scene = next_status = self.begin
         for topic, log_time, message in recording.entries(known):
@@ -204,14 +198,13 @@ class ReplayPages:
             self.laws.items[0]["device_delay"] = self._driver["device"]["delay"]
 
     def _read_shape(self, name: str, parameters: dict[str, Any], recording: Recording) -> None:
-        from nodes.view.drawn_bodies import RecordedBodies
+        from nodes.view.drawn_bodies import RecordedBodies, met_ticks
         from nodes.view.shape import bodies_of, shape_of
 
         # A shape that is not installed here, or a file that has gone: the flat views remain.
         with contextlib.suppress(ParameterError, OSError):
             if "scene" in parameters:
-                met = {message.seq for message in recording.messages(PROXY)} if PROXY in recording.topics else None
-                self._bodies = RecordedBodies(parameters, self._facts.period, name, met)
+                self._bodies = RecordedBodies(parameters, self._facts.period, name, met_ticks(recording))
                 self._shape = bodies_of(self._bodies.world)
             else:
                 self._shape = shape_of(parameters)
@@ -225,13 +218,7 @@ class ReplayPages:
             # Recorded with a law that is not installed here: it is shown by what its receipts tell.
             return
         self._plant = parameters.get("plant")
-        document = {
-            "node": name,
-            "active": coupling.law,
-            "laws": laws,
-            "named": list(coupling.laws),
-            "ramp": coupling.ramp,
-        }
+        document = {"node": name, "active": coupling.law, "laws": laws, "named": list(coupling.laws), "ramp": coupling.ramp}
         self.laws.add(self.begin, document)
 
     def _read_receipt(self, receipt: Receipt) -> None:
@@ -246,10 +233,8 @@ class ReplayPages:
 
     def _read_delay(self, event: Event) -> None:
         """Take how late the virtual device answers from an event on: the map of stability is another one."""
-        ticks = delay_in(event.reason)
-        if ticks is None or not self.laws.items:
-            return
-        self.laws.add(event.seq * self._facts.period, {**self.laws.items[-1], "device_delay": ticks})
+        if (ticks := delay_in(event.reason)) is not None and self.laws.items:
+            self.laws.add(event.seq * self._facts.period, {**self.laws.items[-1], "device_delay": ticks})
 
     # -- serving -----------------------------------------------------------------------------------------------------
 
@@ -287,8 +272,7 @@ class ReplayPages:
             return plant, driver
         before = float(driver["device"].get("delay", 0.0))
         if plant is not None:
-            own = float(plant.get("device_delay", 0.0))
-            plant = {**plant, "device_delay": max(0.0, own + later - before)}
+            plant = {**plant, "device_delay": max(0.0, float(plant.get("device_delay", 0.0)) + later - before)}
         return plant, {**driver, "device": {**driver["device"], "delay": later}}
 
 
@@ -378,9 +362,7 @@ class ReplayPage:
         elif op == "speed" and isinstance(request.get("factor"), int | float) and 0.0 < request["factor"] <= 100.0:
             self._speed = float(request["factor"])
         else:
-            raise CommandError(
-                f"view: {op!r} is refused: this is a recording; it can play, pause, seek and change speed"
-            )
+            raise CommandError(f"view: {op!r} is refused: this is a recording; it can play, pause, seek and change speed")
         return {"t": self._at, "playing": self._playing}
 
     def close(self) -> None:

@@ -14,13 +14,13 @@ from messages.topics import PROXY
 from messages.transport.sockets import Subscription
 from messages.types import Message
 from nodes.base.setup import AXIS_INDEX
+from nodes.driver.pointer import pointer_file
 from nodes.launcher.runs import RunInfo
 from nodes.parameters.store import ParameterError
 from nodes.view.commands import Commander, CommandError, publisher
 from nodes.view.comparison import Comparison
 from nodes.view.law_fields import all_law_fields
 from nodes.view.live import HISTORY, LiveRun, facts_of
-from nodes.view.pointer import pointer_file
 from nodes.view.server import PageServer
 from nodes.view.shared_hand import SharedHand
 from nodes.view.stability_map import drawn_map
@@ -83,11 +83,7 @@ class RunPage:
 
 
 class RunPages:
-    """Everything behind the pages of one run.
-
-    `token`: what the URL must hold; empty for a new one. `again`: whether the launcher starts a virtual driver again that has
-    stopped the loop.
-    """
+    """Everything behind the pages of one run; `again`: the launcher starts a virtual driver again that stopped the loop."""
 
     def __init__(self, run: RunInfo, inbox: Subscription, token: str = "", again: bool = False) -> None:
         self._run = run
@@ -167,9 +163,7 @@ class RunPages:
         """Choose the law that is played beside the launch; an empty name for none."""
         laws = self._laws.get("laws", {})
         if not self._comparison.there:
-            raise CommandError(
-                "view: compare: only a launch of a virtual device on one axis can be played beside itself"
-            )
+            raise CommandError("view: compare: only a launch of a virtual device on one axis can be played beside itself")
         if law != "" and (not isinstance(law, str) or law not in laws):
             raise CommandError(f"view: compare: no law is named {str(law)[:100]!r}; there is: {', '.join(laws)}")
         self._comparison.choose(law, laws.get(law, {}))

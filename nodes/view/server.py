@@ -55,19 +55,15 @@ class Page(Protocol):
 
     def news(self) -> list[str | bytes]:
         """List what it has not been sent yet."""
-        ...
 
     def hand(self, target: list[float] | None) -> str:
         """Move the hand's target."""
-        ...
 
     async def ask(self, request: dict[str, Any]) -> Any:
         """Do what it asks."""
-        ...
 
     def close(self) -> None:
         """Forget it."""
-        ...
 
 
 def _one(request: Request, name: str) -> str | None:
@@ -113,10 +109,7 @@ def _response(status: HTTPStatus, kind: str, body: bytes) -> Response:
 
 
 class PageServer:
-    """Serves pages.
-
-    `token`: what the URL must hold; empty for a new one.
-    """
+    """Serves pages; `token`: what the URL must hold, empty for a new one."""
 
     def __init__(self, open_page: Callable[[], Page], token: str = "") -> None:
         self.token = token or secrets.token_urlsafe(12)  # what the URL must hold
@@ -255,13 +248,7 @@ async def _do(connection: ServerConnection, page: Page, request: dict[str, Any])
 
 
 async def _answer(connection: ServerConnection, request: dict[str, Any], result: Any = None, error: str = "") -> None:
-    answer = {
-        "type": "answer",
-        "id": request.get("id"),
-        "op": request.get("op"),
-        "ok": not error,
-        "result": result,
-        "error": error,
-    }
+    known = {"id": request.get("id"), "op": request.get("op")}
+    answer = {"type": "answer", **known, "ok": not error, "result": result, "error": error}
     with contextlib.suppress(ConnectionClosed):
         await connection.send(msgspec.json.encode(answer).decode())

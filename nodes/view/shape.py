@@ -51,11 +51,7 @@ def _frame(axis: Points) -> tuple[Points, Points]:
 
 
 def _round(
-    profile: Callable[[float], tuple[float, float]],
-    centre: Points,
-    axis: Points,
-    around: int = AROUND,
-    across: int = ACROSS,
+    profile: Callable[[float], tuple[float, float]], centre: Points, axis: Points, around: int = AROUND, across: int = ACROSS
 ) -> Points:
     """Triangles of what is round about an axis: from 0 to 1, how far along it and how far from it [m]."""
     first, second = _frame(axis)

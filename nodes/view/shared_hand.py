@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from messages.types import ZERO, Vector
-from nodes.view.pointer import PointerWriter
+from nodes.driver.pointer import PointerWriter
 
 PATIENCE = 2.0
 """How long the target stays where a page that has fallen silent held it [s]."""

@@ -48,11 +48,7 @@ def plant_of(declared: Any, driver: Mapping[str, Any]) -> PlantParameters | None
     least, most = (end + float(hand.get("mass", 0.0)) for end in (min(masses), max(masses)))
     stiffness, delay = float(hand.get("stiffness", 0.0)), float(device.get("delay", 0.0))
     return PlantParameters(
-        mass=least,
-        heaviest=most if most > least else None,
-        damping=damping,
-        stiffness=stiffness,
-        device_delay=delay,
+        mass=least, heaviest=most if most > least else None, damping=damping, stiffness=stiffness, device_delay=delay
     )
 
 
@@ -138,9 +134,7 @@ def with_inertia(declared: PlantParameters | None, seen: Mapping[str, Any] | Non
     if declared is None:
         return PlantParameters(mass=least, heaviest=greatest)
     return msgspec.structs.replace(
-        declared,
-        mass=min(declared.mass, least),
-        heaviest=max(declared.heaviest or declared.mass, greatest),
+        declared, mass=min(declared.mass, least), heaviest=max(declared.heaviest or declared.mass, greatest)
     )
 
 

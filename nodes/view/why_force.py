@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+from collections import deque
+from typing import NamedTuple
 
 from messages.types import DeviceState, Force, Proxy
-from nodes.view.ringing import Ring
 
 SILENT = 0.5
 """Without a state for so long the driver counts as silent [s]."""
@@ -20,6 +21,62 @@ _STATES = {
     "zero": "the coupling is silent; the watchdog has let go until a fresh force comes",
     "fault": "the device is outside its workspace; bring it back inside",
 }
+
+WINDOW = 0.3
+"""Of a force that may ring so much is looked at [s]."""
+
+TURNS = 10
+"""A hand, and a contact that settles, turn the force back less often than so in the window."""
+
+LEAST, SHARE = 0.1, 0.25
+"""What counts as turning back: by so much [N], and by such a part of the strongest force of late."""
+
+
+class Ring(NamedTuple):
+    """How a loop rings."""
+
+    frequency: float  # how often the force goes to and fro [Hz]
+    force: float  # its largest magnitude [N]
+
+
+class Ringing:
+    """Watches the force of a run, tick by tick."""
+
+    def __init__(self) -> None:
+        self._turns: deque[float] = deque()
+        # Falling in force, so that the first one is the largest of the window.
+        self._peaks: deque[tuple[float, float]] = deque()
+        self._extreme = 0.0
+        self._rising = True
+
+    def take(self, time: float, force: float) -> None:
+        """Take the force of one tick."""
+        turns, peaks = self._turns, self._peaks
+        if peaks and time < peaks[-1][0]:
+            # The past again, in a recording.
+            turns.clear()
+            peaks.clear()
+        while peaks and peaks[-1][1] <= abs(force):
+            peaks.pop()
+        peaks.append((time, abs(force)))
+        while time - peaks[0][0] > WINDOW:
+            peaks.popleft()
+        back = max(LEAST, SHARE * peaks[0][1])
+        change = force - self._extreme if self._rising else self._extreme - force
+        if change >= 0.0:
+            self._extreme = force
+        elif -change > back:
+            turns.append(time)
+            self._extreme, self._rising = force, not self._rising
+        while turns and time - turns[0] > WINDOW:
+            turns.popleft()
+
+    def ring(self) -> Ring | None:
+        """Tell how it rings; None when it does not."""
+        if len(self._turns) < TURNS:
+            return None
+        span = self._turns[-1] - self._turns[0]
+        return Ring((len(self._turns) - 1) / (2.0 * span), self._peaks[0][1]) if span > 0.0 else None
 
 
 _STROKES = re.compile(r"limit of (\S+) N (\d+) times within (\S+) s and gave out (\S+) mJ")
@@ -92,10 +149,7 @@ def explain(
     # Another tick's force says nothing about limits.
     same = force is not None and force.seq == state.force_seq
     if same and asked > given + 0.02 * asked + LITTLE and state.age == 0 and asked > 0.05:
-        return (
-            "warn",
-            f"{given:.2f} N of the {asked:.2f} N that the law asks for: the driver's limits hold the rest back.",
-        )
+        return ("warn", f"{given:.2f} N of the {asked:.2f} N that the law asks for: the driver's limits hold the rest back.")
     if given <= LITTLE:
         return "rest", f"No force: {law or 'the law'} renders none at this deflection."
     depth = f", {abs(proxy.distance) * 1e3:.2f} mm deep" if any(proxy.normal) else ""

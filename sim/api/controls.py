@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from sim.api.values import plain
+from sim.api.laws import plain
 
 
 class _Asked(Protocol):
@@ -23,13 +23,7 @@ class _Asked(Protocol):
 
 
 class Parameters:
-    """Parameters of a running launch: ``run.param["coupling.laws.pd.stiffness"] = 1500``.
-
-    Parameters
-    ----------
-    run : sim.api.python_runs.Run
-        The launch.
-    """
+    """Parameters of a running launch: ``run.param["coupling.laws.pd.stiffness"] = 1500``."""
 
     def __init__(self, run: _Asked) -> None:
         self._run = run
@@ -48,71 +42,31 @@ class Parameters:
         self.set(node, {path: value})
 
     def set(self, node: str, values: dict[str, Any], force: bool = False) -> dict[str, Any]:
-        """Change several parameters of a node between two ticks, all or nothing.
+        """Change several parameters of a node between two ticks, all or nothing; gives the receipt.
 
-        Parameters
-        ----------
-        node : str
-            Name of the node.
-        values : dict of str to object
-            Path of the parameter to its value.
-        force : bool
-            Take a change with which the loop becomes unstable.
-
-        Returns
-        -------
-        dict
-            The receipt: tick, old and new values, force step.
+        The receipt has the tick, old and new values by their path, and the force step. `force` takes a change with which the
+        loop becomes unstable.
         """
-        wanted = {"force": True} if force else {}
-        receipt: dict[str, Any] = self._run.ask(node, "param.set", values=plain(values), **wanted)
+        receipt: dict[str, Any] = self._run.ask(node, "param.set", values=plain(values), **({"force": True} if force else {}))
         return receipt
 
     def list(self, node: str) -> dict[str, Any]:
-        """List a node's parameters.
-
-        Parameters
-        ----------
-        node : str
-            Name of the node.
-
-        Returns
-        -------
-        dict of str to object
-            Path to value.
-        """
+        """List a node's parameters: path to value."""
         found: dict[str, Any] = self._run.ask(node, "param.list")
         return found
 
 
 class Laws:
-    """Laws of a running launch.
-
-    Parameters
-    ----------
-    run : sim.api.python_runs.Run
-        The launch.
-    """
+    """Laws of a running launch."""
 
     def __init__(self, run: _Asked) -> None:
         self._run = run
 
     def switch(self, law: str, ramp: int | None = None, force: bool = False) -> dict[str, Any]:
-        """Switch the law between two ticks.
+        """Switch the law between two ticks; gives the receipt: tick, force step, what was and what is rendered.
 
-        Parameters
-        ----------
-        law : str
-            One of `list`.
-        ramp : int, optional
-            Cross-fade [ticks]; the coupling's own when left out.
-        force : bool
-            Take a law with which the loop becomes unstable.
-
-        Returns
-        -------
-        dict
-            The receipt: tick, force step, what was and what is rendered.
+        `law`: one of `list`. `ramp`: cross-fade [ticks]; the coupling's own when left out. `force` takes a law with which the
+        loop becomes unstable.
         """
         wanted: dict[str, Any] = {"force": True} if force else {}
         if ramp is not None:
@@ -121,13 +75,7 @@ class Laws:
         return receipt
 
     def list(self) -> dict[str, dict[str, Any]]:
-        """List the laws that the coupling can switch to.
-
-        Returns
-        -------
-        dict of str to dict
-            Name to kind and parameters.
-        """
+        """List the laws that the coupling can switch to: name to kind and parameters."""
         found: dict[str, dict[str, Any]] = self._run.ask(self._run.role("coupling"), "law.list")["laws"]
         return found
 

@@ -1,4 +1,4 @@
-"""Laws by name, and wherever a law is meant: an object, a name, a mapping as in YAML, or taps."""
+"""Laws by name, and wherever a law is meant: an object, a name, a mapping as in YAML, or taps; and what is installed."""
 
 from __future__ import annotations
 
@@ -8,12 +8,60 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from nodes.laws import CompiledLaw, Law
-from nodes.laws.parse import compile_law, parse_law
-from sim.api.values import plain
+from nodes.launcher import launch_file
+from nodes.laws import CompiledLaw, Law, law_names
+from nodes.laws.parse import compile_law, law_to_dict, parse_law
+from nodes.laws.presets import preset_names
 
 LawLike: TypeAlias = "Law | CompiledLaw | Mapping[str, Any] | str | Sequence[float] | NDArray[Any]"
 """What is taken for a law: `law`'s result, a mapping ``{"kind": ...}``, the name of a preset, or taps [N/m]."""
+
+
+def plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Turn what a notebook holds into what YAML holds: numbers and arrays of numpy, and laws."""
+    return {name: _plain(value) for name, value in values.items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return law_to_dict(value) if isinstance(value, Law) else value
+
+
+def scenarios() -> dict[str, dict[str, Any]]:
+    """List the scenarios that can be launched.
+
+    Returns
+    -------
+    dict of str to dict
+        Name to ``summary`` and ``arguments`` with their defaults.
+
+    Examples
+    --------
+    >>> scenarios()["floor_drop"]["arguments"]["stiffness"]
+    1000.0
+    """
+    found = {}
+    for name, path in launch_file.scenarios().items():
+        summary, arguments = launch_file.read_arguments(path)
+        found[name] = {"summary": summary, "arguments": {key: value.default for key, value in arguments.items()}}
+    return found
+
+
+def laws() -> list[str]:
+    """List the kinds of law and the presets that `law` takes.
+
+    Returns
+    -------
+    list of str
+        Names.
+
+    Examples
+    --------
+    >>> "pd_alpha" in laws()
+    True
+    """
+    return [*law_names(), *preset_names()]
 
 
 def law(kind: LawLike, **parameters: Any) -> Law:
@@ -45,7 +93,7 @@ def law(kind: LawLike, **parameters: Any) -> Law:
     if isinstance(kind, CompiledLaw):
         raise TypeError("a compiled law has no parameters any more; pass the law that it was compiled from")
     if isinstance(kind, Law):
-        return parse_law({"kind": kind.kind, **_values(kind), **parameters}) if parameters else kind
+        return parse_law({**law_to_dict(kind), **parameters}) if parameters else kind
     if isinstance(kind, str):
         return parse_law({"kind": kind, **parameters}, kind)
     if isinstance(kind, Mapping):
@@ -55,28 +103,6 @@ def law(kind: LawLike, **parameters: Any) -> Law:
     return parse_law({"kind": "fir", "taps": [float(tap) for tap in kind], **parameters})
 
 
-def _values(made: Law) -> dict[str, Any]:
-    return {name: getattr(made, name) for name in made.__struct_fields__}
-
-
 def compiled(kind: LawLike, period: float) -> CompiledLaw:
-    """Compile whatever is taken for a law.
-
-    Parameters
-    ----------
-    kind : str, mapping, sequence of float, Law or CompiledLaw
-        As for `law`.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    CompiledLaw
-        Taps and sections.
-
-    Raises
-    ------
-    nodes.laws.parse.LawRefusedError
-        When it must not be rendered.
-    """
+    """Compile whatever is taken for a law, with the sampling period T [s]; raises LawRefusedError as `law` does."""
     return kind if isinstance(kind, CompiledLaw) else compile_law(law(kind), period)

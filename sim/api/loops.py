@@ -10,10 +10,9 @@ import numpy as np
 from nodes.stability import k_max as stability
 from nodes.stability.closed_loop import pole_radius, state_matrix
 from nodes.stability.plant import Plant
-from sim.api.laws import LawLike, compiled
+from sim.api.laws import LawLike, compiled, plain
 from sim.api.laws import law as made
 from sim.api.notebook_results import Result, new_figure
-from sim.api.values import plain
 from sim.arrays import Array
 
 if TYPE_CHECKING:
@@ -27,45 +26,23 @@ _SHOWN = 41
 
 @dataclass(frozen=True, repr=False)
 class KMaxResult(Result):
-    """How stiff a law may get on a device.
+    """How stiff a law may get on a device."""
 
-    Attributes
-    ----------
-    k_max_n_per_m : float or None
-        Largest stable nominal stiffness [N/m]; None when none is stable.
-    h1_max_n_per_m : float or None
-        Stiffness that is felt there, H(1) [N/m].
-    method : str
-        ``closed_form`` or ``pole_radius``.
-    stable : tuple of (float, float)
-        Stable intervals of the nominal stiffness [N/m].
-    plant : Plant
-        The device and the loop's period.
-    """
-
-    k_max_n_per_m: float | None
-    h1_max_n_per_m: float | None
-    method: str
-    stable: tuple[tuple[float, float], ...]
-    plant: Plant
+    k_max_n_per_m: float | None  # largest stable nominal stiffness [N/m]; None when none is stable
+    h1_max_n_per_m: float | None  # stiffness that is felt there, H(1) [N/m]
+    method: str  # ``closed_form`` or ``pole_radius``
+    stable: tuple[tuple[float, float], ...]  # stable intervals of the nominal stiffness [N/m]
+    plant: Plant  # the device and the loop's period
     _derivative: Any
 
     def plot(self) -> Figure:
-        """Draw the pole radius over the nominal stiffness.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            Stable where the line is below 1.
-        """
+        """Draw the pole radius over the nominal stiffness: stable where the line is below 1."""
         figure, (axes,) = new_figure()
         top = 1.3 * (self.k_max_n_per_m or 1000.0)
         if not np.isfinite(top):
             top = 1e5
         stiffness = np.linspace(top / _SHOWN, top, _SHOWN)
-        radius = [
-            pole_radius(stability.with_spring(self._derivative, value), self.plant) for value in stiffness.tolist()
-        ]
+        radius = [pole_radius(stability.with_spring(self._derivative, value), self.plant) for value in stiffness.tolist()]
         axes.plot(stiffness, radius, label="pole radius")
         axes.axhline(1.0, color="0.5", lw=0.8, label="edge of stability")
         if self.k_max_n_per_m is not None and np.isfinite(self.k_max_n_per_m):
@@ -77,31 +54,15 @@ class KMaxResult(Result):
 
 @dataclass(frozen=True, repr=False)
 class Poles(Result):
-    """Poles of a law on a device.
+    """Poles of a law on a device."""
 
-    Attributes
-    ----------
-    radius : float
-        The largest; the loop decays by this factor per tick.
-    stable : bool
-        Whether it is below 1.
-    real, imaginary : ndarray, shape (n,)
-        All poles, the largest first.
-    """
-
-    radius: float
-    stable: bool
-    real: Array
+    radius: float  # the largest; the loop decays by this factor per tick
+    stable: bool  # whether it is below 1
+    real: Array  # of all poles, the largest first
     imaginary: Array
 
     def plot(self) -> Figure:
-        """Draw the poles in the z plane.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            With the unit circle.
-        """
+        """Draw the poles in the z plane, with the unit circle."""
         figure, (axes,) = new_figure(width=4.2, height=4.2)
         angle = np.linspace(0.0, 2.0 * np.pi, 361)
         axes.plot(np.cos(angle), np.sin(angle), color="0.6", lw=0.8)
@@ -112,42 +73,23 @@ class Poles(Result):
 
 @dataclass(frozen=True, repr=False)
 class Played(Result):
-    """A run in one process, one value per tick.
+    """A run in one process, one value per tick."""
 
-    Attributes
-    ----------
-    name : str
-        What was played.
-    rate_hz : float
-        Of the loop [Hz].
-    settled : bool or None
-        Whether a drop came to rest in the wall (sim.experiments.drop.Criterion); None where nothing was dropped.
-    peak_force_n, final_position_m : float
-        Largest force [N], and where the device ended [m].
-    time_s, position_m, velocity_m_per_s, measured_m, deflection_m, force_n : ndarray, shape (ticks,)
-        What happened; ``measured_m`` is what the encoder read.
-    """
-
-    name: str
-    rate_hz: float
+    name: str  # what was played
+    rate_hz: float  # of the loop [Hz]
+    # Whether a drop came to rest in the wall (sim.experiments.drop.Criterion); None where nothing was dropped.
     settled: bool | None
-    peak_force_n: float
-    final_position_m: float
+    peak_force_n: float  # largest force [N]
+    final_position_m: float  # where the device ended [m]
     time_s: Array
     position_m: Array
     velocity_m_per_s: Array
-    measured_m: Array
+    measured_m: Array  # what the encoder read
     deflection_m: Array
     force_n: Array
 
     def plot(self) -> Figure:
-        """Draw position and force over time.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            Two panels.
-        """
+        """Draw position and force over time."""
         figure, (top, below) = new_figure(2, height=2.2)
         top.plot(self.time_s, self.position_m * 1e3)
         top.set(ylabel="position [mm]", title=self.name)
@@ -272,19 +214,8 @@ def drop(law: LawLike, plant: Plant, height: float = 0.01, ticks: int = 1500) ->
 
 
 def _played(name: str, rate: float, trace: Trace, rested: bool | None) -> Played:
-    return Played(
-        name,
-        rate,
-        rested,
-        float(np.max(np.abs(trace.force))),
-        trace.final[0],
-        trace.time,
-        trace.position,
-        trace.velocity,
-        trace.measured,
-        trace.deflection,
-        trace.force,
-    )
+    peak, columns = float(np.max(np.abs(trace.force))), (trace.time, trace.position, trace.velocity, trace.measured)
+    return Played(name, rate, rested, peak, trace.final[0], *columns, trace.deflection, trace.force)
 
 
 def play(scenario: str, **arguments: Any) -> Played:
@@ -316,5 +247,4 @@ def play(scenario: str, **arguments: Any) -> Played:
     from sim.scene.from_launch import from_launch
 
     launch = launch_file.read(scenario, plain(arguments))
-    scene = from_launch(launch)
-    return _played(launch.scenario, launch.run.rate, scene.play(), None)
+    return _played(launch.scenario, launch.run.rate, from_launch(launch).play(), None)

@@ -26,23 +26,11 @@ class Result:
     """
 
     def figures(self) -> dict[str, Any]:
-        """List what is no column.
-
-        Returns
-        -------
-        dict of str to object
-            Figure by name; the unit is the end of the name.
-        """
+        """List what is no column: figure by name, with the unit at its end."""
         return {name: value for name, value in self._fields().items() if not isinstance(value, np.ndarray)}
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """List what has one value per tick or per point.
-
-        Returns
-        -------
-        dict of str to ndarray
-            Column by name; empty where a result has only figures.
-        """
+        """List what has one value per tick or per point, by name; nothing where a result has only figures."""
         return {name: value for name, value in self._fields().items() if isinstance(value, np.ndarray)}
 
     def _fields(self) -> dict[str, Any]:
@@ -51,34 +39,14 @@ class Result:
         return {field.name: getattr(self, field.name) for field in fields if not field.name.startswith("_")}
 
     def plot(self) -> Figure:
-        """Draw it: the figures beside each other, where a result has no picture of its own.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            A notebook shows it; ``.savefig("name.pdf")`` keeps it.
-        """
+        """Draw it: the figures beside each other, where a result has no picture of its own."""
         return bars(self.figures(), "", type(self).__name__)
 
     def to_pandas(self) -> Any:
-        """Turn it into a table.
-
-        Returns
-        -------
-        pandas.DataFrame
-            One row per tick or point; for a result of figures alone, one row.
-
-        Raises
-        ------
-        ModuleNotFoundError
-            When pandas is not installed.
-        """
-        columns = self.columns()
-        flat = {
-            name if values.ndim == 1 else f"{name}_{'xyz'[i]}": values if values.ndim == 1 else values[:, i]
-            for name, values in columns.items()
-            for i in range(1 if values.ndim == 1 else values.shape[1])
-        }
+        """Turn it into a table: one row per tick or point; for a result of figures alone, one row. Needs pandas."""
+        flat: dict[str, NDArray[Any]] = {}
+        for name, values in self.columns().items():
+            flat |= {name: values} if values.ndim == 1 else {f"{name}_{'xyz'[i]}": column for i, column in enumerate(values.T)}
         return pandas().DataFrame(flat or [self.figures()])
 
     def __str__(self) -> str:
@@ -100,18 +68,7 @@ class Result:
 
 
 def pandas() -> Any:
-    """Load pandas, which is no dependency.
-
-    Returns
-    -------
-    module
-        Pandas.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        With the remedy.
-    """
+    """Load pandas, which is no dependency."""
     try:
         return importlib.import_module("pandas")
     except ModuleNotFoundError as error:
@@ -132,22 +89,7 @@ def _short(value: Any) -> str:
 
 
 def bars(values: Mapping[str, Any], label: str, title: str) -> Figure:
-    """Draw figures beside each other.
-
-    Parameters
-    ----------
-    values : mapping of str to float
-        Figure by name; what is no number is left out.
-    label : str
-        What they are, with the unit.
-    title : str
-        Of the picture.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        One bar each.
-    """
+    """Draw figures beside each other, by name, labelled with what they are and their unit; what is no number is left out."""
     known = {
         name: float(value)
         for name, value in values.items()
@@ -163,19 +105,9 @@ def bars(values: Mapping[str, Any], label: str, title: str) -> Figure:
 
 
 def new_figure(rows: int = 1, width: float = 7.0, height: float = 3.2) -> tuple[Figure, list[Any]]:
-    """Make a figure that shows itself in a notebook, whatever matplotlib's backend is, and that no global state keeps.
+    """Make a figure of panels, one under the other, each of so many inches.
 
-    Parameters
-    ----------
-    rows : int
-        Panels, one under the other.
-    width, height : float
-        Of the figure, and of each panel [inches].
-
-    Returns
-    -------
-    matplotlib.figure.Figure, list of matplotlib.axes.Axes
-        The figure and its panels.
+    It shows itself in a notebook, whatever matplotlib's backend is, and no global state keeps it.
     """
     from matplotlib.figure import Figure
 

@@ -8,51 +8,26 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import shutil
-import signal
 import subprocess
 import tempfile
 import time
 import weakref
-from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from messages.errors import HapticError
-from nodes.base.realtime import die_with_parent
 from nodes.client import launches
-from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunInfo, alive, runs
 from sim.api.controls import Laws, Parameters
-from sim.api.interrupts import whole
+from sim.api.laws import plain
+from sim.api.processes import HAPTIC, end, started, whole
 from sim.api.progress import progress
-from sim.api.recordings import Recorded, read
-from sim.api.run_summary import RunSummary
-from sim.api.values import plain
-
-HAPTIC = (*PYTHON, "-m", "nodes.cli.command")
+from sim.api.recordings import Recorded, RunSummary, read
 
 STARTS_WITHIN = 60.0
 """When a launch that has not ticked is given up [s]."""
-
-ENDS_WITHIN = 60.0
-"""How long a launch may take to end [s]."""
-
-
-def end(process: subprocess.Popen[Any]) -> None:
-    """End a command that was started in a process group of its own as Ctrl-C does; what does not end is killed."""
-    process.send_signal(signal.SIGINT)
-    try:
-        process.wait(ENDS_WITHIN)
-    except BaseException as error:
-        # A cell that was interrupted leaves nothing behind, even one that is interrupted twice.
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-        if not isinstance(error, subprocess.TimeoutExpired):
-            raise
 
 
 class LaunchError(HapticError):
@@ -88,12 +63,7 @@ class Run:
     'pd'
     """
 
-    def __init__(
-        self,
-        info: RunInfo,
-        process: subprocess.Popen[bytes] | None = None,
-        folder: Path | None = None,
-    ) -> None:
+    def __init__(self, info: RunInfo, process: subprocess.Popen[bytes] | None = None, folder: Path | None = None) -> None:
         self.info = info
         self.param = Parameters(self)
         self.law = Laws(self)
@@ -107,9 +77,7 @@ class Run:
         """Go on with it."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
         """End a launch that this program started; leave any other alone."""
         if self._process is not None:
             self.stop()
@@ -198,15 +166,7 @@ class Run:
         """
         path = Path(out) if out is not None else Path(f"recording-{time.strftime('%Y%m%dT%H%M%S')}.mcap")
         words = ["bag", "record", "--run", self.info.run, "--duration", str(duration), "--out", str(path), "--json"]
-        process = subprocess.Popen(
-            [*HAPTIC, *words],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-            process_group=0,
-            preexec_fn=die_with_parent,
-        )
+        process = started(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         try:
             printed = process.communicate()[1]
         except BaseException:
@@ -257,13 +217,13 @@ class Run:
     def stop(self) -> None:
         """End it as Ctrl-C does: force to zero first, recordings complete."""
         process = self._process
-        if process is None:
-            done = subprocess.run([*HAPTIC, "stop", self.info.run], capture_output=True, text=True, check=False)
-            if done.returncode:
-                raise LaunchError(done.stderr.strip())
+        if process is not None:
+            if process.poll() is None:
+                end(process)
             return
-        if process.poll() is None:
-            end(process)
+        done = subprocess.run([*HAPTIC, "stop", self.info.run], capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise LaunchError(done.stderr.strip())
 
     def _started_here(self, what: str) -> subprocess.Popen[bytes]:
         if self._process is None:
@@ -373,24 +333,14 @@ def launch(scenario: str, *, view: bool = False, out_dir: str | Path | None = No
     ...     run.wait().ticks
     1500
     """
-    words = [
-        f"{name}:={value if isinstance(value, str) else json.dumps(value)}" for name, value in plain(arguments).items()
-    ]
+    words = [f"{name}:={value if isinstance(value, str) else json.dumps(value)}" for name, value in plain(arguments).items()]
     if view:
         words.append("--view")
     if out_dir is not None:
         words += ["--out-dir", str(out_dir)]
     folder = Path(tempfile.mkdtemp(prefix="haptic-"))
     with open(folder / "stdout.txt", "wb") as out, open(folder / "stderr.txt", "wb") as errors:
-        process = subprocess.Popen(
-            [*HAPTIC, "launch", scenario, *words, "--json", "--no-plot"],
-            stdin=subprocess.DEVNULL,
-            stdout=out,
-            stderr=errors,
-            # An interrupt of the notebook's cell is not one of the launch: run.wait() ends it in order.
-            process_group=0,
-            preexec_fn=die_with_parent,
-        )
+        process = started(["launch", scenario, *words, "--json", "--no-plot"], stdout=out, stderr=errors)
     try:
         return Run(_appeared(process, folder), process, folder)
     except BaseException:
@@ -401,7 +351,7 @@ def launch(scenario: str, *, view: bool = False, out_dir: str | Path | None = No
 
 def _appeared(process: subprocess.Popen[bytes], folder: Path) -> RunInfo:
     until = time.monotonic() + STARTS_WITHIN
-    for _ in _polls(until):
+    while time.monotonic() < until:
         info = next((info for info in runs().values() if info.launcher == process.pid), None)
         ended = process.poll() is not None
         if info is not None and (ended or _ticks(info)):
@@ -414,13 +364,8 @@ def _appeared(process: subprocess.Popen[bytes], folder: Path) -> RunInfo:
             refused = process.returncode == 2
             said = _errors(folder)
             raise LaunchError(said.removeprefix("haptic: ") if refused else f"exit code {process.returncode}: {said}")
-    raise LaunchError(f"haptic launch: no tick within {STARTS_WITHIN:g} s: {_errors(folder)}")
-
-
-def _polls(until: float) -> Iterator[None]:
-    while time.monotonic() < until:
-        yield
         time.sleep(0.01)
+    raise LaunchError(f"haptic launch: no tick within {STARTS_WITHIN:g} s: {_errors(folder)}")
 
 
 def _ticks(info: RunInfo) -> bool:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from sim.api.notebook_results import Result, new_figure
+from sim.api.notebook_results import Result, bars, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -16,27 +16,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Recorded(Result):
-    """A recording: one row per tick, as ``haptic bag export`` writes them.
+    """A recording: one row per tick, as ``haptic bag export`` writes them."""
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    scenario : str
-        What was launched.
-    duration_s : float
-        From the first to the last stamp [s].
-    messages : dict of str to int
-        How many of each topic.
-    complete : bool
-        Whether its writer finished it.
-    """
-
-    path: Path
-    scenario: str
-    duration_s: float
-    messages: dict[str, int]
-    complete: bool
+    path: Path  # the file
+    scenario: str  # what was launched
+    duration_s: float  # from the first to the last stamp [s]
+    messages: dict[str, int]  # how many of each topic
+    complete: bool  # whether its writer finished it
     _table: dict[str, NDArray[Any]]
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -53,13 +39,7 @@ class Recorded(Result):
         return list(self._table)
 
     def plot(self) -> Figure:
-        """Draw position, proxy and force of the axis that moves most.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            Two panels; ``haptic bag plot`` draws more.
-        """
+        """Draw position, proxy and force of the axis that moves most; ``haptic bag plot`` draws more."""
         time, position, proxy, force = (self._table[name] for name in ("time", "position", "proxy", "force"))
         axis = int((position.max(axis=0) - position.min(axis=0)).argmax()) if len(position) else 0
         figure, (top, below) = new_figure(2, height=2.2)
@@ -110,6 +90,31 @@ def read(recording: str | Path) -> Recorded:
         found.complete,
         table.read(recording),
     )
+
+
+@dataclass(frozen=True, repr=False)
+class RunSummary(Result):
+    """What a launch reported at its end: the figures of ``haptic launch --json``."""
+
+    scenario: str  # what was launched
+    exit_reason: str  # why it ended
+    ticks: int  # ticks done
+    missed: int  # those whose force was late
+    rate_hz: float  # measured [Hz]
+    response_us: dict[str, float]  # percentiles of the response time [µs]
+    final: dict[str, Any]  # position [m], force [N] and motion at the end
+    recording: str | None  # path of the recording
+    all: dict[str, Any]  # everything
+
+    def figures(self) -> dict[str, Any]:
+        """List the figures that fit on a screen."""
+        return {name: value for name, value in super().figures().items() if name != "all"}
+
+    def plot(self) -> Figure:
+        """Draw its recording: position and force; without one, the response times."""
+        if self.recording is not None and Path(self.recording).exists():
+            return read(self.recording).plot()
+        return bars(self.response_us, "response time [µs]", self.scenario)
 
 
 def plot(what: Result | str | Path) -> Figure:

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from nodes.base.realtime import die_with_parent
+from sim.api.laws import plain
 from sim.api.notebook_results import Result, bars, new_figure, pandas
+from sim.api.processes import end, started
 from sim.api.progress import progress
-from sim.api.python_runs import HAPTIC, LaunchError, end
-from sim.api.values import plain
+from sim.api.python_runs import LaunchError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,45 +39,23 @@ _SHARE = re.compile(r"^(\d+) % ")
 
 @dataclass(frozen=True, repr=False)
 class Answer(Result):
-    """The figures of a verb: what ``--json`` prints, by name.
+    """The figures of a verb: what ``--json`` prints, by name."""
 
-    Attributes
-    ----------
-    command : str
-        What was run.
-    answer : dict of str to object
-        Its figures; ``result["name"]`` reads one.
-    held : bool
-        Whether its verdict is yes: its exit code is 0.
-    """
-
-    command: str
-    answer: dict[str, Any]
-    held: bool = True
+    command: str  # what was run
+    answer: dict[str, Any]  # its figures; ``result["name"]`` reads one
+    held: bool = True  # whether its verdict is yes: its exit code is 0
 
     def figures(self) -> dict[str, Any]:
         """List the figures."""
         return self.answer
 
     def to_pandas(self) -> Any:
-        """Turn it into a table: the rows of a study that has some, else its figures.
-
-        Returns
-        -------
-        pandas.DataFrame
-            One row per row of the study, or one row.
-        """
+        """Turn it into a table: the rows of a study that has some, else its figures in one row."""
         rows = next((value for name, value in self.answer.items() if name in _TABLES and value), None)
         return pandas().DataFrame([self.answer] if rows is None else rows)
 
     def plot(self) -> Figure:
-        """Draw it: the picture that the verb drew, or its figures beside each other.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            The picture.
-        """
+        """Draw it: the picture that the verb drew, or its figures beside each other."""
         picture = self.answer.get("plot")
         if not isinstance(picture, str) or not Path(picture).exists():
             return bars(_flat(self.answer), "as their names say", self.command)
@@ -124,15 +102,7 @@ def _words(options: dict[str, Any]) -> list[str]:
 
 def _run(*words: str) -> Answer:
     command = " ".join(("haptic", *words))
-    process = subprocess.Popen(
-        [*HAPTIC, *words, "--json"],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        process_group=0,
-        preexec_fn=die_with_parent,
-    )
+    process = started([*words, "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     out_pipe, error_pipe = process.stdout, process.stderr
     assert out_pipe is not None  # noqa: S101  # it is a pipe
     assert error_pipe is not None  # noqa: S101
@@ -206,16 +176,10 @@ def _cluster(client: Any) -> dict[str, Any]:
         return {}
     address, security = client.scheduler.address, client.security
     if not address.startswith(("tcp://", "tls://")):
-        raise LaunchError(
-            f"client: {address} is inside this process; make it of processes: LocalCluster(processes=True)"
-        )
+        raise LaunchError(f"client: {address} is inside this process; make it of processes: LocalCluster(processes=True)")
     if address.startswith("tcp://"):
         return {"cluster": address}
-    files = {
-        "tls_ca_file": security.tls_ca_file,
-        "tls_cert": security.tls_client_cert,
-        "tls_key": security.tls_client_key,
-    }
+    files = {"tls_ca_file": security.tls_ca_file, "tls_cert": security.tls_client_cert, "tls_key": security.tls_client_key}
     if any(not isinstance(file, str) or "\n" in file for file in files.values()):
         raise LaunchError("client: its certificates are in memory; give distributed.Security their files")
     return {"cluster": address, **files}
@@ -274,9 +238,7 @@ def identify(recording: str | Path, **options: Any) -> Answer:
     return _run("study", "identify", str(recording), *_words(options))
 
 
-def tune(
-    scenario: str, out: str | Path = "tuning", *, arguments: dict[str, Any] | None = None, **options: Any
-) -> Answer:
+def tune(scenario: str, out: str | Path = "tuning", *, arguments: dict[str, Any] | None = None, **options: Any) -> Answer:
     """From a device to its law: identify, design, predict, apply, verify: ``haptic tune``.
 
     Parameters

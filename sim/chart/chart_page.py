@@ -46,34 +46,20 @@ def draw(group: Group, folder: Path) -> Path:
     kinds = ((False, _REST, 18, "beaten"), (True, _FRONT, 36, "Pareto front"))
     for front, colour, size, label in () if group.families else kinds:
         points = [p for p in shown if p.on_front is front and p.family != "gl"]
-        axes.scatter(
-            [p.cost for p in points], [max(p.error, floor) for p in points], s=size, c=colour, label=label, zorder=3
-        )
+        axes.scatter([p.cost for p in points], [max(p.error, floor) for p in points], s=size, c=colour, label=label, zorder=3)
     classic = [p for p in shown if p.family == "gl"]
     if classic:
-        axes.plot(
-            [p.cost for p in classic],
-            [max(p.error, floor) for p in classic],
-            "s--",
-            color=_SEED,
-            ms=5,
-            lw=1,
-            label="GL (paper)",
-            zorder=4,
-        )
+        look: dict[str, Any] = {"color": _SEED, "ms": 5, "lw": 1, "label": "GL (paper)", "zorder": 4}
+        axes.plot([p.cost for p in classic], [max(p.error, floor) for p in classic], "s--", **look)
     best = [p for p in shown if p.on_front]
     if not group.families:
-        axes.step(
-            [p.cost for p in best], [max(p.error, floor) for p in best], where="post", color=_FRONT, lw=1, alpha=0.6
-        )
+        axes.step([p.cost for p in best], [max(p.error, floor) for p in best], where="post", color=_FRONT, lw=1, alpha=0.6)
     _ticks(axes, max(p.cost for p in shown) / min(p.cost for p in shown))
     legend = axes.legend()
     figure.draw_without_rendering()
     taken: list[BboxBase] = [legend.get_window_extent(), *_dots(axes, shown, floor)]
     named_ones = (
-        ((shown, False, 7.0, INK),)
-        if group.families
-        else ((best, True, 7.0, _FRONT), (_beaten(shown), False, 6.0, GREY))
+        ((shown, False, 7.0, INK),) if group.families else ((best, True, 7.0, _FRONT), (_beaten(shown), False, 6.0, GREY))
     )
     for some, must, letters, ink in named_ones:
         named = [(p.name if p.error > 0.0 else f"{p.name} (0)", p.cost, max(p.error, floor)) for p in some]
@@ -85,17 +71,8 @@ def _by_family(axes: Axes, points: Sequence[Point], floor: float) -> None:
     """Draw each family as a line with a colour, a style and a mark of its own."""
     for i, family in enumerate(dict.fromkeys(p.family for p in points)):
         mine = [p for p in points if p.family == family]
-        axes.plot(
-            [p.cost for p in mine],
-            [max(p.error, floor) for p in mine],
-            color=COLOURS[i],
-            marker=MARKERS[i],
-            linestyle=LINES[i],
-            ms=5,
-            lw=1,
-            label=family,
-            zorder=3,
-        )
+        look: dict[str, Any] = {"color": COLOURS[i], "marker": MARKERS[i], "ls": LINES[i], "ms": 5, "lw": 1, "zorder": 3}
+        axes.plot([p.cost for p in mine], [max(p.error, floor) for p in mine], label=family, **look)
 
 
 def _ticks(axes: Axes, span: float) -> None:
@@ -125,20 +102,25 @@ def _dots(axes: Axes, points: Sequence[Point], floor: float) -> list[BboxBase]:
 def _beaten(points: Sequence[Point]) -> list[Point]:
     """Best member of every family that has none on the front."""
     ahead = {p.family for p in points if p.on_front}
+    return [point for family, point in _best_members(points).items() if family not in ahead]
+
+
+def _best_members(points: Sequence[Point]) -> dict[str, Point]:
     best: dict[str, Point] = {}
     for point in points:
-        if point.family not in ahead and (point.family not in best or point.error < best[point.family].error):
+        if point.family not in best or point.error < best[point.family].error:
             best[point.family] = point
-    return list(best.values())
+    return best
 
 
 def conclusions(groups: Sequence[Group]) -> list[str]:
     """Say in a few lines what the points show."""
     named = {group.name: group for group in groups}
-    lines = []
-    for name, group in named.items():
-        if name.startswith("derivative_time_"):
-            lines.append(_derivatives(group, named.get(name.replace("time", "stiffness")), name.rpartition("_")[2]))
+    lines = [
+        _derivatives(group, named.get(name.replace("time", "stiffness")), name.rpartition("_")[2])
+        for name, group in named.items()
+        if name.startswith("derivative_time_")
+    ]
     demands = [group for name, group in named.items() if name.startswith("equal_demand_")]
     if demands:
         lines.append(_equal_demand(demands))
@@ -192,14 +174,16 @@ def _derivatives(time: Group, stiffness: Group | None, order: str) -> str:
 
 
 def _equal_demand(groups: Sequence[Group]) -> str:
-    """Say what accuracy is worth in stiffness, when all keep one demand."""
+    """Say what accuracy is worth in stiffness, when all keep one demand: by Spearman's rank correlation."""
+    from scipy.stats import spearmanr
+
     parts = []
     for group in groups:
         kept = [p for p in group.points if _number(p, "h1_tuned_n_per_m") > 0.0]
         if len(kept) < 3:
             continue
         stiff, exact = min(kept, key=lambda p: p.error), min(kept, key=lambda p: (p.cost, p.error))
-        ranks = _rank_correlation([p.cost for p in kept], [_number(p, "h1_tuned_n_per_m") for p in kept])
+        ranks = float(spearmanr([p.cost for p in kept], [_number(p, "h1_tuned_n_per_m") for p in kept]).statistic)
         word = "costs stiffness" if ranks > 0.3 else "brings stiffness" if ranks < -0.3 else "is not stiffness"
         parts.append(
             f"{group.title.partition(':')[0]}{group.title.rpartition(',')[2]}: accuracy {word} (rank correlation of error and "
@@ -208,13 +192,6 @@ def _equal_demand(groups: Sequence[Group]) -> str:
             f"{exact.name}, {_number(exact, 'h1_tuned_n_per_m'):.0f} N/m and {_figure(100 * exact.cost)} %"
         )
     return "At equal demand, each at its own best gain. " + "; ".join(parts) + "."
-
-
-def _rank_correlation(first: Sequence[float], second: Sequence[float]) -> float:
-    """Spearman's, ties sharing their mean rank."""
-    from scipy.stats import spearmanr
-
-    return float(spearmanr(first, second).statistic)
 
 
 def _integrators(path: Group, limit: Group) -> str:
@@ -257,9 +234,7 @@ def _rates(force: Group, stiffness: Group) -> str:
         f"{_number(stiffest, 'k_settled_n_per_m'):.0f} N/m at {stiffest.name}"
     )
     if lost:
-        text += (
-            f"; more than 2 % of the ticks were missed at {', '.join(f'{rate:g}' for rate in lost)} Hz on this machine"
-        )
+        text += f"; more than 2 % of the ticks were missed at {', '.join(f'{rate:g}' for rate in lost)} Hz on this machine"
     return text + "."
 
 
@@ -286,10 +261,6 @@ def _realisations(groups: Sequence[Group]) -> list[str]:
         if not group.name.startswith("derivative_time_"):
             continue
         order = float(group.name.rpartition("_")[2])
-        best: dict[str, Point] = {}
-        for point in group.points:
-            if point.family not in best or point.error < best[point.family].error:
-                best[point.family] = point
         text += [
             "",
             f"## Every realisation of D^{order:g}, at its best",
@@ -298,23 +269,16 @@ def _realisations(groups: Sequence[Group]) -> list[str]:
             "gain at Nyquist (GL: 1) | largest pole | H(1) max [N/m] | gain max [N s/m] | lengths taken |",
             "| --- " * 12 + "|",
         ]
-        for family, p in sorted(best.items()):
+        for family, p in sorted(_best_members(group.points).items()):
             lengths = lengths_taken(family, order, PERIOD)
-            span = (
-                "none"
-                if lengths is None
-                else f"{lengths[0]} to {lengths[1]}{' and more' if lengths[1] == 2000 else ''}"
-            )
+            span = "none" if lengths is None else f"{lengths[0]} to {lengths[1]}{' and more' if lengths[1] == 2000 else ''}"
             d = {key: _number(p, key) for key in p.detail}
             text.append(
                 f"| {p.name} | {d['multiplies']:.0f} | {d['states']:.0f} | {d['error_raw']:.2g} | {p.error:.2g} | "
                 f"{d['delay_ticks']:.3f} | {d['leak']:.2g} | {d['nyquist_gain']:.3g} | {d['largest_pole']:.6g} | "
                 f"{d['h1_max_n_per_m']:.0f} | {d['gain_max_n_s_per_m']:.3g} | {span} |"
             )
-        text += [
-            "",
-            f"The last columns: stiffness left at the common gain {GAIN:g} N s/m, gain left at {STIFFNESS:g} N/m.",
-        ]
+        text += ["", f"The last columns: stiffness left at the common gain {GAIN:g} N s/m, gain left at {STIFFNESS:g} N/m."]
     return text
 
 

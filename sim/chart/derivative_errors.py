@@ -1,9 +1,8 @@
 """What a realisation of D^α costs and what it gets wrong, measured on its taps and sections alone.
 
-The reference is (jω)^α itself. Part of every causal realisation's error is a pure delay: that of (1 − z⁻¹)^α is
-exactly αT/2. So errors are given raw and with the best pure delay removed, band by band, because what a hand does (a
-few hertz), what a contact does (tens of hertz) and what an encoder's noise does (Nyquist) are three different
-questions.
+The reference is (jω)^α itself. Part of every causal realisation's error is a pure delay, that of (1 − z⁻¹)^α exactly αT/2. So
+errors are given raw and with the best pure delay removed, in the bands of a hand (a few hertz), a contact (tens of hertz) and
+an encoder's noise (Nyquist).
 """
 
 from __future__ import annotations
@@ -20,12 +19,7 @@ from sim.arrays import Array
 
 ComplexArray = NDArray[np.complex128]
 
-BANDS: dict[str, tuple[float, float]] = {
-    "slow": (0.001, 0.01),
-    "hand": (0.01, 0.1),
-    "contact": (0.1, 0.5),
-    "high": (0.5, 0.9),
-}
+BANDS: dict[str, tuple[float, float]] = {"slow": (0.001, 0.01), "hand": (0.01, 0.1), "contact": (0.1, 0.5), "high": (0.5, 0.9)}
 _PER_BAND = 60
 
 
@@ -87,13 +81,8 @@ def multiplies(law: CompiledLaw) -> int:
 
 
 def best_delay(relative: ComplexArray, angles: Array) -> float:
-    """Pure delay that brings a relative response closest to 1.
-
-    The first guess is the phase's slope through the origin; then Gauss-Newton on |G e^{jθτ} − g| with the gain g free,
-    so that a wrong gain does not pass for a delay.
-    """
-    phase = np.unwrap(np.angle(relative))
-    delay = -float(np.sum(phase * angles) / np.sum(angles * angles))
+    """Pure delay that brings a relative response closest to 1: Gauss-Newton on |G e^{jθτ} − g|, its gain g free."""
+    delay = -float(np.sum(np.unwrap(np.angle(relative)) * angles) / np.sum(angles * angles))
     for _ in range(20):
         turned = relative * np.exp(1j * angles * delay)
         gain = float(np.mean(turned.real))
@@ -130,30 +119,16 @@ def lengths_taken(kind: str, order: float, period: float, upto: int = 2000) -> t
 def analyse(kind: str, order: float, taps: int, period: float, law: CompiledLaw | None = None) -> Analysis:
     """Measure one realisation, or a law that stands for one."""
     law = realise(kind, order, taps, period) if law is None else law
-    angles = {
-        name: math.pi * np.geomspace(low, high, _PER_BAND, dtype=np.float64) for name, (low, high) in BANDS.items()
-    }
+    angles = {name: math.pi * np.geomspace(low, high, _PER_BAND, dtype=np.float64) for name, (low, high) in BANDS.items()}
     relative = {name: response(law, a) / (1j * a / period) ** order for name, a in angles.items()}
     fitted = ("slow", "hand", "contact")
     delay = best_delay(np.concatenate([relative[n] for n in fitted]), np.concatenate([angles[n] for n in fitted]))
     bands = {}
     for name, a in angles.items():
-        aligned = relative[name] * np.exp(1j * a * delay)
-        bands[name] = BandError(
-            raw=float(np.sqrt(np.mean(np.abs(relative[name] - 1.0) ** 2))),
-            aligned=float(np.sqrt(np.mean(np.abs(aligned - 1.0) ** 2))),
-            phase=float(np.max(np.abs(np.angle(relative[name])))),
+        raw, aligned = (
+            np.sqrt(np.mean(np.abs(r - 1.0) ** 2)) for r in (relative[name], relative[name] * np.exp(1j * a * delay))
         )
-    return Analysis(
-        kind=kind,
-        order=order,
-        taps=taps,
-        period=period,
-        multiplies=multiplies(law),
-        states=max(0, len(law.taps) - 1) + 2 * len(law.sections),
-        delay=delay,
-        leak=law.h1 * period**order,
-        nyquist=law.h_nyquist * (0.5 * period) ** order,
-        pole=largest_pole(law),
-        bands=bands,
-    )
+        bands[name] = BandError(float(raw), float(aligned), float(np.max(np.abs(np.angle(relative[name])))))
+    states = max(0, len(law.taps) - 1) + 2 * len(law.sections)
+    leak, nyquist = law.h1 * period**order, law.h_nyquist * (0.5 * period) ** order
+    return Analysis(kind, order, taps, period, multiplies(law), states, delay, leak, nyquist, largest_pole(law), bands)

@@ -22,9 +22,9 @@ from nodes.laws.pd_alpha import combine
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.plant import Plant
 from sim.chart.derivative_errors import analyse
-from sim.chart.points import Detail, Group, Point
-from sim.measure.jobs import Spread, here
-from sim.measure.stopwatch import Timing, interleaved
+from sim.chart.points import Extra, Group, Point
+from sim.measure.jobs import Runner, here
+from sim.measure.stopwatch import interleaved
 from sim.scene.compiled import compiled
 
 ORDERS = (0.5, 1.5)
@@ -36,9 +36,7 @@ _ROUNDS, _QUICK_ROUNDS, _QUICK_TAPS = 15, 3, 64
 _FINITE = (4, 16, 64, 256, 1000)
 _RECURSIVE = (4, 6, 9, 13)
 _LENGTHS: dict[str, tuple[int, ...]] = {
-    **dict.fromkeys(
-        ("al_alaoui_cfe", "tustin_cfe", "least_squares", "oustaloup_matched", "oustaloup_tustin"), _RECURSIVE
-    ),
+    **dict.fromkeys(("al_alaoui_cfe", "tustin_cfe", "least_squares", "oustaloup_matched", "oustaloup_tustin"), _RECURSIVE),
     "exponentials": (32, 256, 2000, 20000),
     "log_binned": (64, 256, 1000),
 }
@@ -100,7 +98,7 @@ def largest_stable(radius: Callable[[float], float], low: float, high: float, pr
     return before
 
 
-def derivative_groups(step: Callable[[str], None], quick: bool = False, spread: Spread = here) -> list[Group]:
+def derivative_groups(step: Callable[[str], None], quick: bool = False, spread: Runner = here) -> list[Group]:
     """Measure all realisations: times on this machine, all else where the study runs."""
     groups = []
     rounds = _QUICK_ROUNDS if quick else _ROUNDS
@@ -111,27 +109,19 @@ def derivative_groups(step: Callable[[str], None], quick: bool = False, spread: 
             jobs[f"{kind} {taps}|node"] = (_in_node(law), _TICKS)
             jobs[f"{kind} {taps}|compiled"] = (_when_compiled(law), 20 * _TICKS)
         timings = interleaved(jobs, rounds, step)
-        details: dict[str, tuple[str, dict[str, Detail]]] = {}
+        details: dict[str, tuple[str, dict[str, Extra]]] = {}
         jobs_beside: list[Callable[[], Any]] = [partial(_figures, kind, taps, order) for kind, taps, _ in found]
         figures = spread(jobs_beside, lambda done, _, order=order: step(f"D^{order:g} {done}"))  # type: ignore[misc]
         for (kind, taps, _), measured in zip(found, figures, strict=True):
             name = f"{kind} {taps}"
             node, fast = timings[f"{name}|node"], timings[f"{name}|compiled"]
-            details[name] = kind, measured | _times(node, fast)
+            times = {"node_us": 1e6 * node.median, "node_us_low": 1e6 * node.low, "node_us_high": 1e6 * node.high}
+            details[name] = kind, measured | times | {"compiled_ns": 1e9 * fast.median}
         groups += _groups(order, details, rounds)
     return groups
 
 
-def _times(node: Timing, fast: Timing) -> dict[str, Detail]:
-    return {
-        "node_us": 1e6 * node.median,
-        "node_us_low": 1e6 * node.low,
-        "node_us_high": 1e6 * node.high,
-        "compiled_ns": 1e9 * fast.median,
-    }
-
-
-def _figures(kind: str, taps: int, order: float) -> dict[str, Detail]:
+def _figures(kind: str, taps: int, order: float) -> dict[str, Extra]:
     """Tell everything about one realisation but its times."""
     figures = analyse(kind, order, taps, PERIOD)
     stiffness, gain = _limits(realise(kind, order, taps, PERIOD), order)
@@ -152,7 +142,7 @@ def _figures(kind: str, taps: int, order: float) -> dict[str, Detail]:
     }
 
 
-def _groups(order: float, details: dict[str, tuple[str, dict[str, Detail]]], rounds: int) -> list[Group]:
+def _groups(order: float, details: dict[str, tuple[str, dict[str, Extra]]], rounds: int) -> list[Group]:
     """Put the realisations of one order side by side: time, multiplies, stiffness."""
 
     def points(cost: str, error: Callable[[dict[str, Any]], float]) -> tuple[Point, ...]:
@@ -168,21 +158,14 @@ def _groups(order: float, details: dict[str, tuple[str, dict[str, Detail]]], rou
         return 1.0 - float(measured["h1_max_n_per_m"]) / best
 
     best = max(float(measured["h1_max_n_per_m"] or 0.0) for _, measured in details.values())
-    error, time = "relative error, best delay removed (rms) [1]", "time per tick in the node [µs]"
+    error, time, each = "relative error, best delay removed (rms) [1]", "time per tick in the node [µs]", "multiplies per tick"
     note = (
         f"Error against (jω)^α, 0.001 to 0.5 of Nyquist. T = {1e3 * PERIOD:g} ms; times by the "
         f"coupling's own rendering, median of {rounds} interleaved rounds."
     )
     return [
         Group(f"derivative_time_{order:g}", f"D^{order:g}: time", time, error, points("node_us", aligned), note),
-        Group(
-            f"derivative_multiplies_{order:g}",
-            f"D^{order:g}: multiplies",
-            "multiplies per tick",
-            error,
-            points("multiplies", aligned),
-            note,
-        ),
+        Group(f"derivative_multiplies_{order:g}", f"D^{order:g}: multiplies", each, error, points("multiplies", aligned), note),
         Group(
             f"derivative_stiffness_{order:g}",
             f"D^{order:g}: stiffness left",

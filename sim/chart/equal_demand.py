@@ -1,10 +1,9 @@
 """Accuracy against stiffness at equal demand: whether the better derivative makes the stiffer wall.
 
-At one common gain it says little: each realisation has its own best gain. So the gain of every law is tuned, and all keep the
-same demand: pole radius over a range of mass at one tick of delay, and a bound on |H(−1)|. At a radius of 0.99 a derivative
-that remembers for longer is out by its own memory, so mere stability is asked for too. The error is that of the derivative,
-the best pure delay removed. D^1 has the baselines: PD, and PD with a filtered velocity; a windowed velocity has no poles, and
-is dropped instead (`sim.paper.fig4`).
+Each realisation has its own best gain: so the gain of every law is tuned, and all keep the same demand: pole radius over a
+range of mass at one tick of delay, and a bound on |H(−1)|. At a radius of 0.99 a derivative that remembers for longer is out by
+its own memory, so mere stability is asked for too. D^1 has the baselines PD and PD with a filtered velocity; a windowed one has
+no poles (`sim.paper.fig4`).
 """
 
 from __future__ import annotations
@@ -23,24 +22,19 @@ from nodes.stability.k_max import without_spring
 from nodes.stability.plant import Plant
 from sim.chart.derivative_errors import Analysis, analyse
 from sim.chart.derivatives import DAMPING, DELAY, PERIOD, candidates, with_stiffness
-from sim.chart.points import Detail, Group, Point
-from sim.measure.jobs import Spread, here
+from sim.chart.points import Extra, Group, Point
+from sim.measure.jobs import Runner, here
 
 ORDERS = (0.5, 1.0, 1.5)
 MASSES, NYQUIST = (0.05, 0.1, 0.2), 1e4
 RADII = {"calm": 0.99, "stable": 1.0 - 1e-9}
-CUTOFFS = (50.0, 100.0, 200.0)
-"""Of the filtered velocity [Hz]."""
-
+CUTOFFS = (50.0, 100.0, 200.0)  # of the filtered velocity [Hz]
 _LONGEST, _QUICK_LONGEST = 64, 8
 _GAINS, _STIFFNESSES = np.geomspace(0.5, 40.0, 14), np.geomspace(6000.0, 200.0, 26)
+# Factors about the best gain so far that are searched next, nine gains each; and how well the stiffness is told.
 _NEARER, _PRECISION = (1.4, 1.1, 1.03, 1.008), 1e-4
-"""Factors about the best gain so far that are searched next, nine gains each; and how well the stiffness is told."""
-
-_FIRST = {("gl", 4), ("bdf2", 4), ("bdf3", 4)}
-"""Realisations of D^1 that differ; all others are PD's difference."""
-
-Way = Callable[[float, float], CompiledLaw]
+_FIRST = {("gl", 4), ("bdf2", 4), ("bdf3", 4)}  # realisations of D^1 that differ; all others are PD's difference
+MakeLaw = Callable[[float, float], CompiledLaw]
 
 
 def keeps(law: CompiledLaw, radius: float) -> bool:
@@ -50,7 +44,7 @@ def keeps(law: CompiledLaw, radius: float) -> bool:
     )
 
 
-def tuned(way: Way, radius: float) -> tuple[float, float]:
+def tuned(way: MakeLaw, radius: float) -> tuple[float, float]:
     """Find the largest stiffness that keeps the demand at any gain, and that gain; both 0 when none does."""
     best, at, gains = 0.0, 0.0, _GAINS
     # The edge of the demand has kinks: the best gain is where two masses bind, so a coarse grid of gains loses stiffness.
@@ -68,7 +62,7 @@ def tuned(way: Way, radius: float) -> tuple[float, float]:
     return best, at
 
 
-def laws(order: float, quick: bool) -> Iterator[tuple[str, str, Way, Analysis]]:
+def laws(order: float, quick: bool) -> Iterator[tuple[str, str, MakeLaw, Analysis]]:
     """Go through what is compared: name, family, the law at a stiffness and a gain, and the errors of its derivative."""
     for kind, taps, unit in candidates(order, quick):
         if len(unit.taps) <= (_QUICK_LONGEST if quick else _LONGEST) and (order != 1.0 or (kind, taps) in _FIRST):
@@ -90,7 +84,7 @@ def laws(order: float, quick: bool) -> Iterator[tuple[str, str, Way, Analysis]]:
 
 
 @functools.cache
-def _listed(order: float, quick: bool) -> list[tuple[str, str, Way, Analysis]]:
+def _listed(order: float, quick: bool) -> list[tuple[str, str, MakeLaw, Analysis]]:
     return list(laws(order, quick))
 
 
@@ -100,7 +94,7 @@ def _row(order: float, quick: bool, number: int, radius: float) -> tuple[str, st
     return name, family, errors.error(), *tuned(way, radius)
 
 
-def demand_groups(step: Callable[[str], None], quick: bool = False, spread: Spread = here) -> list[Group]:
+def demand_groups(step: Callable[[str], None], quick: bool = False, spread: Runner = here) -> list[Group]:
     """Tune every realisation to the same demand."""
     groups = [(order, demand) for order in ORDERS for demand in RADII]
     jobs: list[Callable[[], Any]] = [
@@ -109,16 +103,14 @@ def demand_groups(step: Callable[[str], None], quick: bool = False, spread: Spre
         for number in range(len(_listed(order, quick)))
     ]
     rows = iter(spread(jobs, lambda done, _: step(f"equal demand: {done}")))
-    return [
-        _group(order, demand, RADII[demand], [next(rows) for _ in _listed(order, quick)]) for order, demand in groups
-    ]
+    return [_group(order, demand, RADII[demand], [next(rows) for _ in _listed(order, quick)]) for order, demand in groups]
 
 
 def _group(order: float, demand: str, radius: float, rows: list[tuple[str, str, float, float, float]]) -> Group:
     best = max(stiffness for *_, stiffness, _ in rows)
     points = []
     for name, family, error, stiffness, gain in rows:
-        detail: dict[str, Detail] = {"order": order, "h1_tuned_n_per_m": stiffness, "gain_tuned_n_s_per_m": gain}
+        detail: dict[str, Extra] = {"order": order, "h1_tuned_n_per_m": stiffness, "gain_tuned_n_s_per_m": gain}
         points.append(Point(name, error, 1.0 - stiffness / best, family, detail))
     return Group(
         f"equal_demand_{order:g}_{demand}",

@@ -1,8 +1,7 @@
 """Ways to find K_max on the chart: formulas, the pole radius, and simulations of various horizons.
 
-K_max is where the closed loop's largest pole reaches the unit circle; the reference solves for that to twelve digits.
-A formula is instant and right where it applies; a simulation must run for as long as a loop near its limit takes to
-show what it does, and so reads low or high by its horizon.
+The reference solves for the pole on the unit circle to twelve digits. A formula is instant and right where it applies; a
+simulation must run for as long as a loop near its limit takes to show what it does, and so reads low or high by its horizon.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from nodes.stability.effective_damping import damping_needed
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.chart.derivatives import largest_stable
-from sim.chart.points import Group, Point
+from sim.chart.points import Extra, Group, Point
 from sim.device.model import DeviceModel
 from sim.measure.stopwatch import interleaved
 from sim.scene.loop import Scene, SceneSurface, run
@@ -29,7 +28,7 @@ _HEIGHT = 0.005
 _GRAVITY = 9.81
 _PRECISION = 1e-3
 
-Way = Callable[[], float]
+FindKMax = Callable[[], float]
 
 
 def poles(delay: float, precision: float) -> float:
@@ -73,31 +72,24 @@ def passive(delay: float) -> float:
 
 
 def simulated(delay: float, horizon: float, dropped: bool) -> float:
-    """Find K_max by playing the scene at each K and looking whether it calms down.
-
-    Calm means: in the last fifth of the run, the swing is less than a tenth of what it was after the start. That tells the edge
-    of stability from short runs too, which the drop's own verdict (at rest within 0.1 mm) does not.
-    """
+    """Search K_max by simulation: at each K, whether the last fifth swings by less than a tenth of the start."""
     ticks = math.ceil(horizon / PERIOD)
-    device = DeviceModel(
-        mass=MASS, damping=DAMPING, position=_HEIGHT, delay=delay, gravity=_GRAVITY if dropped else None
-    )
+    device = DeviceModel(mass=MASS, damping=DAMPING, position=_HEIGHT, delay=delay, gravity=_GRAVITY if dropped else None)
     surface = SceneSurface("plane") if dropped else SceneSurface("anchor")
     scene = Scene(device=device, surface=surface, period=PERIOD, raw=False, clamp=dropped)
     tail = max(2, ticks // 5)
 
     def radius(stiffness: float) -> float:
-        trace = run(scene, PD(stiffness=stiffness, damping=GAIN).compile(PERIOD), ticks)
-        end = trace.position[-tail:]
+        end = run(scene, PD(stiffness=stiffness, damping=GAIN).compile(PERIOD), ticks).position[-tail:]
         swing = float(np.max(end) - np.min(end))
         return 0.0 if math.isfinite(swing) and swing < 0.1 * _HEIGHT else 2.0
 
     return largest_stable(radius, 50.0, 1e5, _PRECISION)
 
 
-def ways(delay: float) -> dict[str, Way]:
+def ways(delay: float) -> dict[str, FindKMax]:
     """Collect the ways that make sense at a delay."""
-    found: dict[str, Way] = {"closed form, heavy device": lambda: heavy(delay), "passivity": lambda: passive(delay)}
+    found: dict[str, FindKMax] = {"closed form, heavy device": lambda: heavy(delay), "passivity": lambda: passive(delay)}
     if delay == 0.0:
         found["closed form, undamped device"] = lambda: light(delay)
         found["Jury conditions"] = lambda: solved(0.0, "closed_form")
@@ -122,13 +114,8 @@ def kmax_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
         points = []
         for name, way in found.items():
             value, timing = way(), timings[name]
-            detail: dict[str, float | int | str | None] = {
-                "k_max_n_per_m": value,
-                "k_max_exact_n_per_m": exact,
-                "time_s": timing.median,
-                "time_s_low": timing.low,
-                "time_s_high": timing.high,
-            }
+            detail: dict[str, Extra] = {"k_max_n_per_m": value, "k_max_exact_n_per_m": exact}
+            detail |= {"time_s": timing.median, "time_s_low": timing.low, "time_s_high": timing.high}
             family = name.split(" ")[0] if name[-1] == "s" else name.rstrip("0123456789.e- ")
             points.append(Point(name, 1e3 * timing.median, abs(value / exact - 1.0), family, detail))
             step(f"K_max by {name}")

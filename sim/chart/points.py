@@ -15,7 +15,7 @@ from typing import Any
 
 from sim.results import fresh
 
-Detail = float | int | str | None
+Extra = float | int | str | None
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Point:
     error: float  # its error, in the unit of its group
     # What it is a member of, e.g. ``gl``: members are drawn as one line.
     family: str = ""
-    detail: dict[str, Detail] = field(default_factory=dict)  # other figures, units in the keys
+    detail: dict[str, Extra] = field(default_factory=dict)  # other figures, units in the keys
     on_front: bool = False  # whether nothing in its group is both cheaper and better; set by `with_front`
 
 
@@ -57,9 +57,7 @@ def on_front(costs: Sequence[float], errors: Sequence[float]) -> list[bool]:
         if errors[i] < best:
             best = errors[i]
             marks[i] = True
-        elif errors[i] == best and any(
-            marks[j] and costs[j] == costs[i] and errors[j] == errors[i] for j in range(len(costs))
-        ):
+        elif errors[i] == best and any(marks[j] and costs[j] == costs[i] and errors[j] == errors[i] for j in range(len(costs))):
             # An exact double of a point on the front is not beaten by it.
             marks[i] = best < float("inf")
     return marks
@@ -94,19 +92,7 @@ def keep(path: Path, part: str, groups: Sequence[Group]) -> None:
 def as_json(groups: Sequence[Group], machine: dict[str, Any], seconds: float) -> dict[str, Any]:
     """Put all groups into one JSON object."""
     return {
-        "points": [
-            {
-                "group": group.name,
-                "name": point.name,
-                "cost": point.cost,
-                "error": point.error,
-                "on_front": point.on_front,
-                "family": point.family,
-                "detail": point.detail,
-            }
-            for group in groups
-            for point in group.points
-        ],
+        "points": [{"group": group.name, **asdict(point)} for group in groups for point in group.points],
         "groups": {
             group.name: {"title": group.title, "cost": group.cost_label, "error": group.error_label, "note": group.note}
             for group in groups

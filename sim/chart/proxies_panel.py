@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 from nodes.parameters.store import ParameterError
 from sim.chart.points import Group, Point
-from sim.experiments.bodies import STEPS, body_error
-from sim.experiments.proxies import RADIUS, ProxyError, compare_proxies
+from sim.experiments.proxies import RADIUS, STEPS, ProxyError, body_error, compare_proxies
 
 _FINEST, _QUICK_FINEST, _TICKS, _QUICK_TICKS = 6, 3, 4000, 800
 _STIFFNESS, _DEPTH, _SPEED, _PERIOD = 500.0, 4e-3, 0.2, 1e-3
@@ -27,7 +26,7 @@ def proxy_groups(step: Callable[[str], None], quick: bool = False) -> list[Group
     """Lead a tool along surfaces whose proxy is a closed form."""
     found = compare_proxies(_QUICK_FINEST if quick else _FINEST, _QUICK_TICKS if quick else _TICKS)
     step("proxies on closed forms and meshes")
-    points = [_point(row, f"mesh {row.triangles}" if row.triangles else row.name, bool(row.triangles)) for row in found]
+    points = [_point(row) for row in found]
     note = ""
     for size, stiff in _ways(quick):
         try:
@@ -35,7 +34,7 @@ def proxy_groups(step: Callable[[str], None], quick: bool = False) -> list[Group
         except ParameterError as error:
             note = f" Bodies are left out: {error}."
             break
-        points.append(Point(row.name, row.call_us, row.proxy_um, "body", _detail(row)))
+        points.append(_point(row, is_body=True))
         step(row.name)
     return [
         Group(
@@ -53,16 +52,8 @@ def proxy_groups(step: Callable[[str], None], quick: bool = False) -> list[Group
     ]
 
 
-def _point(row: ProxyError, name: str, is_mesh: bool) -> Point:
-    return Point(name, row.call_us, row.proxy_um, "mesh" if is_mesh else "closed form", _detail(row))
-
-
-def _detail(row: ProxyError) -> dict[str, float | int | str | None]:
-    return {
-        "triangles": row.triangles,
-        "rms_n": row.rms_n,
-        "noise_n": row.noise_n,
-        "drag": row.drag,
-        "call_p99_us": row.call_p99_us,
-        "rounds": row.rounds,
-    }
+def _point(row: ProxyError, is_body: bool = False) -> Point:
+    detail = {key: getattr(row, key) for key in ("triangles", "rms_n", "noise_n", "drag", "call_p99_us", "rounds")}
+    name = f"mesh {row.triangles}" if row.triangles else row.name
+    family = "body" if is_body else "mesh" if row.triangles else "closed form"
+    return Point(name, row.call_us, row.proxy_um, family, detail)

@@ -1,9 +1,8 @@
 """Loop rate and delay on the chart, through the real processes: error of the force, and the stiffest floor that is calm.
 
-Each point is a launch of its own: four processes, real time, the force measured from the recording. The reference is
-the same drop on a continuous spring and damper (the one-process loop at 200 kHz, without delay). A stiffness counts
-as stable when the dropped device calms down; it is looked for downwards from what the pole radius at the
-*measured* delay says.
+Each point is a launch of its own: four processes, real time, the force measured from the recording. The reference is the same
+drop on a continuous spring and damper (200 kHz, one process, no delay). The stiffest that calms down is looked for downwards
+from what the pole radius at the *measured* delay says.
 """
 
 from __future__ import annotations
@@ -26,15 +25,15 @@ from nodes.laws.pd import PD
 from nodes.recording.reader import Recording
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
-from sim.chart.points import Detail, Group, Point
+from sim.chart.points import Extra, Group, Point
 from sim.device.model import DeviceModel
 from sim.measure import measured_launch
 from sim.scene.loop import Scene, SceneSurface, run
 
 RATES = (250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0, 16000.0)
 _QUICK_RATES = (500.0, 1000.0)
+# How ticks are taken, and when a force takes effect; the first look leaves the plain tick out.
 CHOICES = (("compiled", "on_arrival"), ("plain", "on_arrival"), ("compiled", "next_tick"))
-"""How ticks are taken, and when a force takes effect; the first look leaves the plain tick out."""
 MASS, DAMPING, HEIGHT, GRAVITY = 0.1, 1.0, 0.01, 9.81
 STIFFNESS, GAIN = 400.0, 3.0
 _SECONDS = 1.0
@@ -59,17 +58,8 @@ class Launched:
 
 def launch(rate: float, apply: str, stiffness: float, pace: str = "realtime", tick: str = "auto") -> Launched:
     """Drop the device through the real processes."""
-    values = {
-        "rate": rate,
-        "apply": apply,
-        "pace": pace,
-        "duration": _SECONDS,
-        "stiffness": stiffness,
-        "damping": GAIN,
-        "mass": MASS,
-        "height": HEIGHT,
-        "tick": tick,
-    }
+    values = {"rate": rate, "apply": apply, "pace": pace, "duration": _SECONDS, "tick": tick}
+    values |= {"stiffness": stiffness, "damping": GAIN, "mass": MASS, "height": HEIGHT}
     with tempfile.TemporaryDirectory(prefix="haptic-chart-") as folder:
         scenario = Path(folder) / "floor_drop.yaml"
         scenario.write_text(yaml.safe_dump(_with_one_law(), sort_keys=False))
@@ -81,13 +71,9 @@ def launch(rate: float, apply: str, stiffness: float, pace: str = "realtime", ti
     seq, answered = states["seq"], states["force_seq"]
     fresh = np.flatnonzero((answered >= 0) & np.append(True, np.diff(answered) > 0))
     late = states["delay"][fresh]
-    return Launched(
-        figures=figures,
-        onset=np.asarray((answered[fresh] + late) * period, dtype=np.float64),
-        force=np.asarray(states["force"][fresh, 2], dtype=np.float64),
-        height=np.asarray(states["position"][np.argsort(seq), 2], dtype=np.float64),
-        delay=float(np.median(late)) if len(late) else math.inf,
-    )
+    rows = (answered[fresh] + late) * period, states["force"][fresh, 2], states["position"][np.argsort(seq), 2]
+    onset, force, height = (np.asarray(row, dtype=np.float64) for row in rows)
+    return Launched(figures, onset, force, height, float(np.median(late)) if len(late) else math.inf)
 
 
 def _with_one_law() -> dict[str, Any]:
@@ -140,7 +126,7 @@ def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
                 launched[tick, apply, rate].append(launch(rate, apply, STIFFNESS, tick=tick))
                 done = k + 1
             step(f"launch at {rate:g} Hz {tick} {apply}, round {k + 1} of {rounds}")
-    points: list[tuple[str, float, float, str, dict[str, Detail]]] = []
+    points: list[tuple[str, float, float, str, dict[str, Extra]]] = []
     for (tick, apply, rate), runs in launched.items():
         family = f"{tick} {apply}"
         name = f"{rate:g} Hz {family}"
@@ -174,9 +160,7 @@ def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
     ]
 
 
-def _at_rate(
-    tick: str, apply: str, rate: float, runs: list[Launched], errors: list[float]
-) -> tuple[float, dict[str, Detail]]:
+def _at_rate(tick: str, apply: str, rate: float, runs: list[Launched], errors: list[float]) -> tuple[float, dict[str, Extra]]:
     """Find the stiffest floor that calms down in launches at one rate, and tell everything about them."""
     errors = sorted(errors)
     delay = statistics.median(one.delay for one in runs)
@@ -195,8 +179,7 @@ def _at_rate(
         "ticks": statistics.median(one.figures["ticks"] + one.figures["overruns"] for one in runs),
         "response_us_p99": statistics.median(float(one.figures["response_us"]["p99"]) for one in runs),
         "cpu_s": statistics.median(
-            sum(float(one.figures["nodes"][node]["cpu"]) for node in ("driver", "environment", "coupling"))
-            for one in runs
+            sum(float(one.figures["nodes"][node]["cpu"]) for node in ("driver", "environment", "coupling")) for one in runs
         ),
         "force_error": statistics.median(errors),
         "force_error_low": errors[0],

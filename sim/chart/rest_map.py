@@ -13,9 +13,7 @@ from nodes.stability.plant import Plant
 from nodes.stability.rest import rest, stiffest_at_rest
 from sim.results import fresh
 
-DECADES = 1.5
-"""How far the map reaches to either side of the device, in powers of ten."""
-
+DECADES = 1.5  # how far the map reaches to either side of the device, in powers of ten
 _SHOWN, _TOLD = 121, 13
 
 
@@ -24,9 +22,8 @@ def rest_map(
 ) -> dict[str, Any]:
     """Work out the largest K without a limit cycle over friction and encoder step, and draw it.
 
-    Up to ``K_rest`` friction outweighs the encoder's error whatever the motion; beyond ``K_max`` the loop is unstable without
-    any encoder, so the map is the lesser of the two. Two lines belong to the law at its own K: on their right every motion
-    stops, by the bound and by the describing function's estimate.
+    It is the lesser of ``K_rest``, up to which friction outweighs the encoder's error, and ``K_max``. Two lines belong to the
+    law at its own K: on their right every motion stops, by the bound and by the describing function's estimate.
     """
     import numpy as np
 
@@ -54,11 +51,7 @@ def rest_map(
 
 @styled
 def _draw(
-    path: Path,
-    grid: tuple[Any, Any, Any],
-    here: tuple[float, float],
-    needed: tuple[float, float | None],
-    stiffness: float,
+    path: Path, grid: tuple[Any, Any, Any], here: tuple[float, float], needed: tuple[float, float | None], stiffness: float
 ) -> None:
     import numpy as np
     from matplotlib.colors import LogNorm
@@ -76,15 +69,11 @@ def _draw(
     if shown.count():
         norm = LogNorm(max(float(shown.min()), 1e-2 * float(shown.max())), float(shown.max()) * (1.0 + 1e-9))
         # As pixels: thousands of cells would show their seams in SVG.
-        image = axes.pcolormesh(
-            frictions, 1e6 * steps, shown, norm=norm, cmap="cividis", shading="nearest", rasterized=True
-        )
+        image = axes.pcolormesh(frictions, 1e6 * steps, shown, norm=norm, cmap="cividis", shading="nearest", rasterized=True)
         figure.colorbar(image, ax=axes, label="K [N/m]; blank: none")
     for force, style, label in zip(needed, ("-", "--"), ("bound", "estimate"), strict=True):
         if force:
-            axes.plot(
-                force / resolution * steps, 1e6 * steps, "k" + style, lw=1.2, label=f"K = {stiffness:.4g} N/m, {label}"
-            )
+            axes.plot(force / resolution * steps, 1e6 * steps, "k" + style, lw=1.2, label=f"K = {stiffness:.4g} N/m, {label}")
     axes.plot(friction, 1e6 * resolution, "o", color=COLOURS[1], mec="white", ms=7, label="this device")
     axes.set(xlim=(frictions[0], frictions[-1]), ylim=(1e6 * steps[0], 1e6 * steps[-1]))
     plain_log(axes.xaxis, float(frictions[0]), float(frictions[-1]))

@@ -1,4 +1,4 @@
-"""Arguments that the stability and design studies share: the device, the loop, the law, and where results go."""
+"""Arguments that the stability and design studies share: the device, the loop, the law."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from messages.errors import UsageError
-from nodes.cli.main import add_json
 from nodes.cli.quantities import declare, interval
 from nodes.laws import Law, law_names, load_law
 from nodes.laws.parse import law_to_dict, parse_law
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import parse_yaml
 from nodes.stability.plant import Plant
+from sim.cli.answers import given
 from sim.device.real_devices import HANDS
 
 if TYPE_CHECKING:
@@ -46,19 +46,6 @@ def recorded(path: Path) -> Measured:
         raise UsageError(str(error)) from error
 
 
-def add_answer(parser: argparse.ArgumentParser) -> None:
-    """Declare --json and --out."""
-    add_json(parser)
-    parser.add_argument(
-        "--out-dir",
-        "--out",
-        type=Path,
-        default=Path("studies"),
-        dest="out",
-        help="directory of files (default: %(default)s)",
-    )
-
-
 def device(arguments: argparse.Namespace) -> Plant:
     """Collect the device from parsed arguments."""
     return Plant(1.0 / arguments.rate, arguments.mass, arguments.damping, arguments.delay, arguments.hand)
@@ -83,16 +70,9 @@ def law(arguments: argparse.Namespace, name: str, gain: float | None = None, nom
             data = parse_yaml(name, "law")
         except ParameterError as error:
             raise UsageError(str(error)) from error
-    given = {
-        "stiffness": arguments.stiffness,
-        "damping": gain,
-        "order": arguments.order,
-        "taps": arguments.taps,
-        "gains": arguments.gains,
-        "derivative": arguments.derivative,
-    }
+    asked = given(arguments, "stiffness", "order", "taps", "gains", "derivative") | {"damping": gain}
     if isinstance(data, dict):
-        data |= {key: value for key, value in given.items() if value is not None}
+        data |= {key: value for key, value in asked.items() if value is not None}
     try:
         kind = data.get("kind") if isinstance(data, dict) else None
         fields = load_law(kind).__struct_fields__ if kind in law_names() else ()

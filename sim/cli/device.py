@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
+import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from messages.errors import RefusedError, UsageError
-from nodes.cli.ask import add_run, sub_verb
-from nodes.cli.main import add_json, answer
+from nodes.cli.ask import add_run, chosen_run, sub_verb
+from nodes.cli.main import add_json
 from nodes.cli.quantities import declare
-from sim.identify.progress_line import say
+from nodes.laws.parse import LawRefusedError, parse_law
+from sim.cli.answers import given, report
+from sim.measure.stopwatch import say
 
 if TYPE_CHECKING:
     from sim.identify.borrowed import PushedLaunch
@@ -32,26 +36,17 @@ def add(parser: argparse.ArgumentParser) -> None:
             _check,
             "Check a device by hand: noise, rate, axes without a force, then a first force in steps, each asked for.",
         ),
-        (
-            "free",
-            _free,
-            "Name the process that holds a device; where there is none, switch its forces off and release it.",
-        ),
+        ("free", _free, "Name the process that holds a device; where there is none, switch its forces off and release it."),
     ):
         one = sub.add_parser(name, help=text, description=text)
         one.add_argument("kind", help="kind of node that drives it: haptic device list")
-        one.add_argument(
-            "parameters", nargs="*", metavar="name:=value", help="of its driver: touch.library:=/opt/libHD.so"
-        )
+        one.add_argument("parameters", nargs="*", metavar="name:=value", help="of its driver: touch.library:=/opt/libHD.so")
         add_json(one)
         one.set_defaults(run=run)
         if name == "info":
             declare(one, rate=500.0, delay=1.0, gain=3.0)
     centred = sub_verb(
-        sub,
-        "recentre",
-        _recentre,
-        "Put the device of a running launch into the middle of its scene, wherever its handle is.",
+        sub, "recentre", _recentre, "Put the device of a running launch into the middle of its scene, wherever its handle is."
     )
     centred.add_argument("driver", nargs="?", default="driver", help="node that drives it (default: %(default)s)")
     known = sub.add_parser("presets", help="known values of real devices, with their sources: device:=touch_x")
@@ -71,34 +66,23 @@ def add_push(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--duration", type=float, default=8.0, help="of one push [s] (default: %(default)s)")
     parser.add_argument("--amplitude", type=float, default=0.7, help="largest push [N] (default: %(default)s)")
     parser.add_argument("--reach", type=float, default=0.03, help="how far it is pushed [m] (default: %(default)s)")
-    parser.add_argument(
-        "--places",
-        type=float,
-        nargs="+",
-        metavar="OFFSET",
-        help="push at each of these distances from here, along every axis [m] "
-        "(default: -0.02 0 0.02 where the device has three axes, else 0)",
+    text = "push at each of these distances from here, along every axis [m] (default: -0.02 0 0.02 of three axes, else 0)"
+    parser.add_argument("--places", type=float, nargs="+", metavar="OFFSET", help=text)
+    text = (
+        "the force that carries the device's weight [N] (default: what acts on it at rest, refused above --amplitude: it may "
+        "be a hand's)"
     )
-    parser.add_argument(
-        "--load",
-        type=float,
-        metavar="FORCE",
-        help="the force that carries the device's weight [N] (default: what acts on it at rest, refused above --amplitude: "
-        "it may be a hand's)",
-    )
+    parser.add_argument("--load", type=float, metavar="FORCE", help=text)
     hand = parser.add_mutually_exclusive_group()
     hand.add_argument("--held", dest="held", action="store_true", default=None, help="a hand holds the device")
     hand.add_argument("--free", dest="held", action="store_false", help="no hand does (default: finds out)")
-    parser.add_argument(
-        "--out", type=Path, default=Path("recordings"), help="directory of files (default: %(default)s)"
-    )
+    parser.add_argument("--out", type=Path, default=Path("recordings"), help="directory of files (default: %(default)s)")
 
 
 def _list(arguments: argparse.Namespace) -> int:
     from sim.hands_on.found import figures, text
 
-    answer(arguments.json, {"devices": figures()}, text())
-    return 0
+    return report(arguments, {"devices": figures()}, text())
 
 
 def _info(arguments: argparse.Namespace) -> int:
@@ -106,18 +90,16 @@ def _info(arguments: argparse.Namespace) -> int:
     from sim.hands_on.info import info, text
 
     device = device_of(arguments.kind, arguments.parameters)
-    report = info(device, arguments.rate, arguments.delay, arguments.gain)
-    answer(arguments.json, report, f"{arguments.kind}: {device.TITLE}\n{text(report)}")
-    return 0
+    found = info(device, arguments.rate, arguments.delay, arguments.gain)
+    return report(arguments, found, f"{arguments.kind}: {device.TITLE}\n{text(found)}")
 
 
 def _check(arguments: argparse.Namespace) -> int:
     from sim.hands_on.check import check
     from sim.hands_on.found import device_of
 
-    report = check(device_of(arguments.kind, arguments.parameters), arguments.kind)
-    answer(arguments.json, report, report["line"])
-    return 0 if report["passed"] else 1
+    found = check(device_of(arguments.kind, arguments.parameters), arguments.kind)
+    return report(arguments, found, found["line"], held=found["passed"])
 
 
 def _free(arguments: argparse.Namespace) -> int:
@@ -125,26 +107,22 @@ def _free(arguments: argparse.Namespace) -> int:
     from sim.hands_on.free import free
 
     device = device_of(arguments.kind, arguments.parameters)
-    answer(arguments.json, free(device), f"{arguments.kind}: forces are off, and no process holds it")
-    return 0
+    return report(arguments, free(device), f"{arguments.kind}: forces are off, and no process holds it")
 
 
 def _recentre(arguments: argparse.Namespace) -> int:
-    from nodes.cli.ask import chosen_run
     from nodes.client.launches import ask, node_name
 
     run = chosen_run(arguments)
     found = ask(run, node_name(run, arguments.driver), "recentre")
     x, y, z = (f"{1e3 * value:+.1f}" for value in found["moved_m"])
-    answer(arguments.json, found, f"the device is in the middle of the scene: moved by {x}, {y}, {z} mm")
-    return 0
+    return report(arguments, found, f"the device is in the middle of the scene: moved by {x}, {y}, {z} mm")
 
 
 def _presets(arguments: argparse.Namespace) -> int:
     from sim.device.real_devices import figures, text
 
-    answer(arguments.json, {"presets": figures()}, text())
-    return 0
+    return report(arguments, {"presets": figures()}, text())
 
 
 def _identify(arguments: argparse.Namespace) -> int:
@@ -165,30 +143,22 @@ def _identify(arguments: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             say("nothing was recorded: interrupted before the push began; law and surface are back")
             return 128 + (signalled() or 2)
-    report = []
-    for pushed, one in found:
-        report.append(
-            {
-                "recording": str(pushed.recording),
-                "place_m": list(pushed.place),
-                "stopped": pushed.reason,
-                **figures(one),
-            }
-        )
+    places = [
+        {"recording": str(pushed.recording), "place_m": list(pushed.place), "stopped": pushed.reason, **figures(one)}
+        for pushed, one in found
+    ]
     lines = [
         f"at {', '.join(f'{x:.3g}' for x in pushed.place)} m, {pushed.recording} ({pushed.reason})\n{text(one)}"
         for pushed, one in found
     ]
+    held = all(one.mass.value is not None and not one.refuted for _, one in found)
     # The first push's figures at the top: one device, one place is the usual case.
-    answer(arguments.json, {**report[0], "places": report}, "\n".join(lines))
-    return 0 if all(one.mass.value is not None and not one.refuted for _, one in found) else 1
+    return report(arguments, {**places[0], "places": places}, lines, held=held)
 
 
 def excitation(arguments: argparse.Namespace) -> dict[str, Any]:
     """Describe the excitation that was asked for."""
-    from nodes.laws.parse import LawRefusedError, parse_law
-
-    law = {name: getattr(arguments, name) for name in ("duration", "amplitude", "reach")}
+    law = given(arguments, "duration", "amplitude", "reach")
     try:
         parse_law({"kind": "excitation", **law}, "excitation")
     except LawRefusedError as error:
@@ -198,7 +168,6 @@ def excitation(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def identify_running(arguments: argparse.Namespace, tell: Any) -> list[tuple[Pushed, Identified]]:
     """Push the device of a running launch at each place, and identify it there on each axis."""
-    from nodes.cli.ask import chosen_run
     from sim.identify.borrowed import PushedLaunch
 
     loop = PushedLaunch(chosen_run(arguments))
@@ -249,13 +218,8 @@ def _axes(loop: PushedLaunch, pushed: Pushed, held: bool | None) -> list[Identif
         raise RefusedError(f"{pushed.recording}: {error} (the push ended: {pushed.reason})") from error
 
 
-def identify_scenario(
-    arguments: argparse.Namespace, scenario: str, assignments: list[str]
-) -> list[tuple[Pushed, Identified]]:
+def identify_scenario(arguments: argparse.Namespace, scenario: str, assignments: list[str]) -> list[tuple[Pushed, Identified]]:
     """Start a scenario that pushes by itself, and identify its recording."""
-    import json
-    import subprocess
-
     from nodes.launcher import launch_file
     from nodes.parameters.store import ParameterError
     from sim.identify.experiment import read
@@ -267,11 +231,11 @@ def identify_scenario(
         launch = launch_file.read(scenario, launch_file.parse_assignments(assignments))
     except ParameterError as error:
         raise UsageError(str(error)) from error
-    named = {word.partition(":=")[0] for word in assignments}
     words = list(assignments)
     if scenario == "identify":
-        given = {"duration": arguments.duration, "amplitude": arguments.amplitude, "reach": arguments.reach}
-        words += [f"{name}:={value}" for name, value in given.items() if name not in named]
+        named = {word.partition(":=")[0] for word in assignments}
+        law = given(arguments, "duration", "amplitude", "reach")
+        words += [f"{name}:={value}" for name, value in law.items() if name not in named]
     process = beside("launch", scenario, *words, "--json", "--no-plot", stdout=subprocess.PIPE, text=True)
     try:
         out, _ = process.communicate()

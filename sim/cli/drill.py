@@ -10,7 +10,8 @@ import msgspec
 
 from messages.errors import UsageError
 from nodes.cli.colour import coloured
-from nodes.cli.main import add_json, answer
+from nodes.cli.main import add_json
+from sim.cli.answers import report
 from sim.drill.drill import HOLD, LIMIT, RATE, DrillOutcome, drill
 from sim.drill.faults import faults
 from sim.drill.soak import MISS_LIMIT, soak, text
@@ -19,16 +20,11 @@ from sim.drill.soak import MISS_LIMIT, soak, text
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "faults",
-        nargs="*",
-        help='faults by name, e.g. "kill coupling"; all when left out; or soak: a long run under use',
+        "faults", nargs="*", help='faults by name, e.g. "kill coupling"; all when left out; or soak: a long run under use'
     )
     parser.add_argument("--minutes", type=float, default=10.0, help="length of a soak [min] (default: %(default)s)")
     parser.add_argument(
-        "--miss-limit",
-        type=float,
-        default=MISS_LIMIT,
-        help="share of ticks that a soak may miss (default: %(default)s)",
+        "--miss-limit", type=float, default=MISS_LIMIT, help="share of ticks that a soak may miss (default: %(default)s)"
     )
     parser.add_argument("--list", action="store_true", help="list the faults")
     parser.add_argument("--markdown", action="store_true", help="write the table as Markdown, for a page")
@@ -45,8 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     known = {fault.name: fault for fault in faults()}
     if arguments.list:
         figures = {name: fault.what for name, fault in known.items()}
-        answer(arguments.json, {"faults": figures}, "\n".join(f"{name:18} {what}" for name, what in figures.items()))
-        return 0
+        return report(arguments, {"faults": figures}, [f"{name:18} {what}" for name, what in figures.items()])
     unknown = [name for name in arguments.faults if name not in known]
     if unknown:
         raise UsageError(f"no fault is named {unknown[0]!r}; there is: {', '.join(known)}")
@@ -54,15 +49,9 @@ def run(arguments: argparse.Namespace) -> int:
     for name in arguments.faults or known:
         print(f"[drill] {name}", file=sys.stderr, flush=True)
         outcomes.append(drill(known[name]))
-    failed = [outcome for outcome in outcomes if not outcome.passed and not outcome.skipped]
-    figures_all = {
-        "limit_ticks": LIMIT,
-        "rate_hz": RATE,
-        "passed": not failed,
-        "drills": msgspec.to_builtins(outcomes),
-    }
-    answer(arguments.json, figures_all, table(outcomes, arguments.markdown))
-    return 1 if failed else 0
+    passed = all(outcome.passed or outcome.skipped for outcome in outcomes)
+    figures_all = {"limit_ticks": LIMIT, "rate_hz": RATE, "passed": passed, "drills": msgspec.to_builtins(outcomes)}
+    return report(arguments, figures_all, table(outcomes, arguments.markdown), held=passed)
 
 
 def _soak(arguments: argparse.Namespace) -> int:
@@ -70,8 +59,7 @@ def _soak(arguments: argparse.Namespace) -> int:
     if not seconds >= 10.0:
         raise UsageError(f"--minutes {arguments.minutes:g}: a soak takes at least 10 s, --minutes 0.17")
     found = soak(seconds, min(60.0, seconds / 3.0), arguments.miss_limit)
-    answer(arguments.json, msgspec.to_builtins(found), text(found))
-    return 0 if found.passed else 1
+    return report(arguments, msgspec.to_builtins(found), text(found), held=found.passed)
 
 
 HEADS = ("fault", "what was done", "safe after [ticks]", "ticks lost", "given out [mJ]", "recovered", "result")
@@ -100,23 +88,14 @@ def table(outcomes: list[DrillOutcome], markdown: bool = False) -> str:
 def _row(one: DrillOutcome) -> tuple[str, ...]:
     if one.skipped:
         return (one.fault, one.what, "", "", "", "", "skipped")
-    return (
-        one.fault,
-        one.what,
-        str(one.safe_ticks),
-        f"{one.lost_ticks} of {one.window_ticks}",
-        f"{one.energy_j * 1e3:.2f}",
-        "yes" if one.recovered else "no",
-        "passed" if one.passed else "FAILED",
-    )
+    lost, given_out = f"{one.lost_ticks} of {one.window_ticks}", f"{one.energy_j * 1e3:.2f}"
+    came_back, result = "yes" if one.recovered else "no", "passed" if one.passed else "FAILED"
+    return (one.fault, one.what, str(one.safe_ticks), lost, given_out, came_back, result)
 
 
 def _laid_out(row: tuple[str, ...], widths: list[int]) -> str:
-    cells = [
-        cell.rjust(width) if 2 <= i <= 4 else cell.ljust(width)
-        for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-    ]
-    color = {"passed": "green", "FAILED": "red"}.get(row[-1])
-    if color:
+    sides = [str.rjust if 2 <= i <= 4 else str.ljust for i in range(len(row))]
+    cells = [side(cell, width) for side, cell, width in zip(sides, row, widths, strict=True)]
+    if color := {"passed": "green", "FAILED": "red"}.get(row[-1]):
         cells[-1] = coloured(cells[-1], color, sys.stdout)
     return "  ".join(cells).rstrip()

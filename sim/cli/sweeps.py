@@ -15,9 +15,8 @@ from urllib.parse import urlsplit
 
 from messages.errors import RefusedError, UsageError
 from nodes.base.workers import Workers
-from sim.measure.jobs import RETRIES, done_by
+from sim.measure.jobs import RETRIES, Job, SweepRow, done_by, sweep
 from sim.measure.stopwatch import Progress
-from sim.measure.sweep import Job, Row, sweep
 
 TLS = ("tls-ca-file", "tls-cert", "tls-key")
 """Options that hold the certificates of a cluster off this machine."""
@@ -31,7 +30,7 @@ R = TypeVar("R")
 class Study(NamedTuple):
     """Rows of a study in the order of its jobs, and the ledger that holds them."""
 
-    rows: list[Row]
+    rows: list[SweepRow]
     ledger: Path
 
 
@@ -44,9 +43,7 @@ def add_sweep(parser: argparse.ArgumentParser) -> None:
 def add_spread(parser: argparse.ArgumentParser, alone: str = "none: one job after another, here") -> None:
     """Declare where the jobs of a study run."""
     parser.add_argument("--workers", type=int, default=0, help=f"processes on this machine (default: {alone})")
-    parser.add_argument(
-        "--cluster", metavar="ADDRESS", help="Dask scheduler instead, tcp://127.0.0.1:8786 or tls://HOST:8786"
-    )
+    parser.add_argument("--cluster", metavar="ADDRESS", help="Dask scheduler instead, tcp://127.0.0.1:8786 or tls://HOST:8786")
     for option in TLS:
         parser.add_argument(f"--{option}", type=Path, help="of a scheduler on another machine")
 
@@ -112,17 +109,12 @@ def check_cluster(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _loopback(host: str) -> bool:
-    if host == "localhost":
-        return True
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return False
+    with contextlib.suppress(ValueError):
+        return host == "localhost" or ip_address(host).is_loopback
+    return False
 
 
-def swept(
-    arguments: argparse.Namespace, job: Job, jobs: Sequence[Mapping[str, Any]], name: str, chunk: int = 1
-) -> Study:
+def swept(arguments: argparse.Namespace, job: Job, jobs: Sequence[Mapping[str, Any]], name: str, chunk: int = 1) -> Study:
     """Do the jobs of a study as its arguments say, with progress on stderr; what was done before is in its ledger."""
     ledger = begun(arguments, name)
     try:

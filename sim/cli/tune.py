@@ -13,8 +13,9 @@ from messages.errors import RefusedError, UsageError
 from nodes.cli.ask import add_run, chosen_run
 from nodes.cli.main import answer
 from nodes.cli.quantities import declare
+from sim.cli.answers import given
 from sim.cli.device import add_push, excitation, identify_running
-from sim.identify.progress_line import say
+from sim.measure.stopwatch import say
 from sim.tune.session import STEPS, Options, Tuning
 
 if TYPE_CHECKING:
@@ -26,16 +27,10 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scenario", nargs="?", help="start this launch file for it; left out: the running launch")
     parser.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
     parser.add_argument(
-        "--steps",
-        nargs="+",
-        choices=STEPS,
-        default=list(STEPS),
-        help="only these; what comes before is read from --out",
+        "--steps", nargs="+", choices=STEPS, default=list(STEPS), help="only these; what comes before is read from --out"
     )
     declare(parser, taps=4)
-    parser.add_argument(
-        "--spread", type=float, default=1.25, help="factor the mass may be off by (default: %(default)s)"
-    )
+    parser.add_argument("--spread", type=float, default=1.25, help="factor the mass may be off by (default: %(default)s)")
     parser.add_argument("--radius", type=float, default=0.99, help="pole radius allowed (default: %(default)s)")
     parser.add_argument(
         "--nyquist", type=float, help="|H(-1)| allowed [N/m] (default: what friction quiets, 2 f_c/Δ, 1000 to 10000)"
@@ -46,9 +41,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         default=True,
         help="demand that every drop on a floor settles too; without it a law is stiffer, and may not survive a landing",
     )
-    parser.add_argument(
-        "--refuted", action="store_true", help="design even if the recording refutes the model of the device"
-    )
+    parser.add_argument("--refuted", action="store_true", help="design even if the recording refutes the model of the device")
     parser.add_argument(
         "--rearm",
         action="store_true",
@@ -75,19 +68,8 @@ def run(arguments: argparse.Namespace) -> int:
         ((pushed, found), *_) = identify_running(arguments, say)
         return pushed.recording, pushed.reason, found
 
-    options = Options(
-        out=arguments.out,
-        taps=arguments.taps,
-        spread=arguments.spread,
-        radius=arguments.radius,
-        nyquist=arguments.nyquist,
-        land=arguments.land,
-        refuted=arguments.refuted,
-        amplitude=arguments.amplitude,
-        load=arguments.load,
-        rearm=arguments.rearm,
-        command=shlex.join(["haptic", *sys.argv[1:]]),
-    )
+    names = ("out", "taps", "spread", "radius", "nyquist", "land", "refuted", "amplitude", "load", "rearm")
+    options = Options(**given(arguments, *names), command=shlex.join(["haptic", *sys.argv[1:]]))
     steps = [name for name in STEPS if name in arguments.steps]
     tuning = Tuning(options, lambda: PushedLaunch(chosen_run(arguments)), identified, say, "identify" in steps)
     live = {"identify", "apply", "verify"} & set(steps)

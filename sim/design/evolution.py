@@ -18,15 +18,13 @@ import numpy as np
 
 from nodes.compiled.kernels.sources import kernel
 from sim.arrays import Array
-from sim.design.cases import LoopCase, alternating
-from sim.design.demand import Demand
+from sim.design.demand import Demand, LoopCase, alternating
 from sim.design.fall import settles_one
 from sim.scene.compiled import compiled
 
 _uniform, _integer = np.random.uniform, np.random.randint
 
-_BOXES = (0.3, 0.1, 0.03, 0.01, 0.003)
-"""Half widths of the boxes about the best."""
+_BOXES = (0.3, 0.1, 0.03, 0.01, 0.003)  # half widths of the boxes about the best
 
 
 @kernel
@@ -76,10 +74,7 @@ def _excess(fixed: Any, by_tap: Any, taps: Any, radius: float, enough: float, wo
 
 @kernel
 def _lands(drops: Any, taps: Any, pole: float, ticks: int, tolerance: float, first: int) -> tuple[float, int]:
-    """Share of the drops before the one that does not settle, and that one; 1 for a law that lands, or need not.
-
-    The drop `first` is tried first.
-    """
+    """Share of the drops, `first` first, before the one that does not settle, and that one; 1 for a law that lands."""
     if drops is None:
         return 1.0, 0
     spring, recursive = taps, np.empty(0)
@@ -166,19 +161,11 @@ def _evolve(
     return members[best], scores[best]
 
 
-evolve: Any = compiled()(_evolve)
-"""Evolve, compiled: the best member, and its score; below 0 it keeps the demand."""
+evolve: Any = compiled()(_evolve)  # evolve, compiled: the best member, and its score; below 0 it keeps the demand
 
 
 def evolved(
-    demand: Demand,
-    basis: Array,
-    loops: Sequence[LoopCase],
-    free: bool,
-    seed: int,
-    effort: int,
-    span: float,
-    radius: float,
+    demand: Demand, basis: Array, loops: Sequence[LoopCase], free: bool, seed: int, effort: int, span: float, radius: float
 ) -> Array | None:
     """Evolve in a wide box at the first cases; many parameters then in boxes that shrink about the best, at more and at all."""
     unit, p = demand.mass[0] / demand.period**2, len(basis)

@@ -21,10 +21,8 @@ from sim.design.demand import RIGID, Demand
 from sim.experiments.drop import Criterion
 from sim.scene.compiled import compiled
 
-GRAVITY = 9.81
-"""[m/s²]."""
-CLOSE = 0.01
-"""A drop that stays so close to its rest, as a part of the tolerance, settles."""
+GRAVITY = 9.81  # [m/s²]
+CLOSE = 0.01  # a drop that stays so close to its rest, as a part of the tolerance, settles
 
 
 class Falls(NamedTuple):
@@ -41,16 +39,8 @@ class Falls(NamedTuple):
     clamp: Any
 
 
-def falls(
-    demand: Demand,
-    masses: Sequence[float],
-    conventions: Sequence[tuple[bool, bool]],
-    heights: Sequence[float],
-) -> Falls:
-    """Prepare drops of every device of a demand, its damping the least and its delay the longest.
-
-    Returns: mass by mass, joint and lag by joint and lag, convention by convention, height by height.
-    """
+def falls(demand: Demand, masses: Sequence[float], conventions: Sequence[tuple[bool, bool]], heights: Sequence[float]) -> Falls:
+    """Prepare drops of all masses, joints and lags, conventions, heights, in this order; damping least, delay longest."""
     rows: list[tuple[Any, ...]] = []
     most = 2
     for mass, beyond in itertools.product(masses, demand.beyond or (RIGID,)):
@@ -64,11 +54,7 @@ def falls(
     def padded(i: int) -> Any:
         return np.array([np.pad(row[i], (0, most - len(row[i]))) for row in rows])
 
-    return Falls(
-        padded(0), padded(1), padded(2), padded(3),
-        np.array([row[4] for row in rows]),
-        *(np.array([row[i] for row in rows]) for i in (5, 6, 7, 8)),
-    )  # fmt: skip
+    return Falls(*(padded(i) for i in range(4)), *(np.array([row[i] for row in rows]) for i in range(4, 9)))
 
 
 @kernel
@@ -131,26 +117,7 @@ def settles_one(i: int, drops: Any, taps: Any, recursive: Any, ticks: int, toler
 
 
 def fallen(plant: FlexiblePlant, period: float, taps: Sequence[float], height: float, ticks: int) -> tuple[Any, Any]:
-    """Let a device with all that it has fall on the wall of a law, and watch it.
-
-    Parameters
-    ----------
-    plant : FlexiblePlant
-        The device; its joint and lag included.
-    period : float
-        Sampling period T [s].
-    taps : sequence of float
-        The law [N/m].
-    height : float
-        From which it falls [m].
-    ticks : int
-        How long.
-
-    Returns
-    -------
-    ndarray, ndarray
-        Position [m] and force [N] of each tick; the penetration is the history, and no force pulls into the floor.
-    """
+    """Let a device, joint and lag included, fall on the wall of a law: its position [m] and the force [N] at each tick."""
     whole, step, new, old = plant.held(period)
     pull = plant.pulled(period, GRAVITY)
     history, head, forces = [0.0] * (2 * max(len(taps), 2)), 0, [0.0] * (whole + 2)
@@ -178,12 +145,8 @@ _settled_compiled = compiled()(_settled)
 
 
 def settled(law: CompiledLaw, drops: Falls, criterion: Criterion | None = None) -> list[bool]:
-    """Drop with a law, to the end.
-
-    `criterion`: what counts as settled; None for the usual one.
-    """
-    criterion = criterion or Criterion()
-    verdicts = np.zeros(len(drops.whole), dtype=np.bool_)
+    """Drop with a law, to the end."""
+    criterion, verdicts = criterion or Criterion(), np.zeros(len(drops.whole), dtype=np.bool_)
     recursive = np.array([number for section in law.sections for number in section])
     _settled_compiled(drops, np.array(law.taps), recursive, criterion.ticks, criterion.tolerance, verdicts)
     return [bool(one) for one in verdicts]

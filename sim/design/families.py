@@ -25,15 +25,12 @@ from sim.arrays import Array
 from sim.design.demand import RIGID, Demand, Robust
 from sim.design.robust import stiffest
 
-ORDERS = tuple(round(0.1 * i, 1) for i in range(1, 40, 2))
-"""Orders at which PDα is tuned before the best is refined."""
-
-REFINED = 0.0125
-"""Spacing of the orders at which refining stops."""
+ORDERS = tuple(round(0.1 * i, 1) for i in range(1, 40, 2))  # orders at which PDα is tuned before the best is refined
+REFINED = 0.0125  # spacing of the orders at which refining stops
 
 
+# Cutoffs of the filtered velocity that are tried first, as shares of the loop's rate: above 0.8 it is plain PD.
 CUTOFFS = (0.05, 0.1, 0.2, 0.4, 0.8)
-"""Cutoffs of the filtered velocity that are tried first, as shares of the loop's rate: above 0.8 it is plain PD."""
 
 
 @dataclass(frozen=True)
@@ -47,24 +44,17 @@ class Tuned:
 
 
 def designed(demand: Demand, taps: int, effort: int = 1) -> Tuned:
-    """Design the taps themselves.
-
-    `taps`: n + 1. Returns: with a law of kind ``fir``, tied to its sampling period.
-    """
+    """Design the taps themselves: a law of kind ``fir`` of so many, tied to its sampling period."""
     # A shorter law with zeros behind it is a longer one: more taps are never worse.
     found: Robust | None = None
     for length in range(min(taps, 2), taps + 1):
         shorter: list[Array] = [] if found is None else [np.append(found.taps, 0.0)]
         found = stiffest(demand, np.eye(length), effort=effort, known=shorter)
-    law = None if found is None else fir(found.taps, demand.period)
-    return Tuned("designed", law, found)
+    return Tuned("designed", None if found is None else fir(found.taps, demand.period), found)
 
 
 def fir(taps: Array, period: float) -> dict[str, Any]:
-    """Describe raw taps as a law.
-
-    `taps`, shape (n + 1,): h_0 ... h_n [N/m].
-    """
+    """Describe raw taps h_0 ... h_n [N/m] as a law."""
     return {"kind": "fir", "taps": [float(tap) for tap in taps], "period": period}
 
 
@@ -73,17 +63,13 @@ def best_pd(demand: Demand) -> Tuned:
     return best_linear("pd", {"kind": "pd"}, demand)
 
 
-def best_pd_filtered(demand: Demand, cutoffs: Sequence[float] | None = None) -> Tuned:
-    """Tune stiffness and damping of PD with a filtered velocity at every cutoff, then refine the best cutoff.
-
-    `cutoffs`: cutoffs to begin with [Hz]; None for `CUTOFFS` of the loop's rate. Returns: the stiffest of all cutoffs.
-    """
+def best_pd_filtered(demand: Demand) -> Tuned:
+    """Tune PD with a filtered velocity at `CUTOFFS` of the loop's rate, then refine the best cutoff [Hz]."""
 
     def at(cutoff: float, wanted: Demand) -> Tuned:
         return best_linear("pd_filtered", {"kind": "pd_filtered", "cutoff": cutoff}, wanted)
 
-    tried = [share / demand.period for share in CUTOFFS] if cutoffs is None else cutoffs
-    best = _stiffest_of(at, tried, demand)
+    best = _stiffest_of(at, [share / demand.period for share in CUTOFFS], demand)
     for step in (1.3, 1.1):
         if best.law is not None:
             cutoff = float(best.law["cutoff"])
@@ -92,14 +78,10 @@ def best_pd_filtered(demand: Demand, cutoffs: Sequence[float] | None = None) -> 
 
 
 def best_pd_alpha(demand: Demand, taps: int, orders: tuple[float, ...] | None = None) -> Tuned:
-    """Tune stiffness and damping of PDα at every order, then refine the best order.
-
-    `taps`: n + 1 of the derivative. `orders`: orders to begin with; None for `ORDERS`. Returns: the stiffest of all orders.
-    """
+    """Tune stiffness and damping of PDα of so many taps at every order, by default `ORDERS`; refine the best."""
 
     def at(order: float, wanted: Demand) -> Tuned:
-        shape = {"kind": "pd_alpha", "order": order, "taps": taps, "gains": "paper"}
-        return best_linear("pd_alpha", shape, wanted)
+        return best_linear("pd_alpha", {"kind": "pd_alpha", "order": order, "taps": taps, "gains": "paper"}, wanted)
 
     best = _stiffest_of(at, ORDERS if orders is None else orders, demand)
     step = 0.1
@@ -116,11 +98,7 @@ def best_paper_optimum(demand: Demand) -> Tuned:
 
 
 def compare(demand: Demand, taps: int, say: Callable[[str], None]) -> Iterator[Tuned]:
-    """Tune every family to the same demand.
-
-    `taps`: n + 1 of PDα and of the designed law. `say`: told what is being tuned, for a progress line. Yields: PD, PD with a
-    filtered velocity, PDα, the paper's optimum, and the designed law.
-    """
+    """Tune PD, with a filtered velocity too, PDα, the paper's optimum and a designed law of so many taps to one demand."""
     families: dict[str, Callable[[Demand], Tuned]] = {
         "PD": best_pd,
         "PD with a filtered velocity": best_pd_filtered,
@@ -144,8 +122,8 @@ def best_linear(family: str, shape: dict[str, Any], demand: Demand) -> Tuned:
     found = stiffest(demand, np.array([spring, both - spring]), free=False, pole=pole)
     if found is None or not found.parameters[0] > 0.0:
         return Tuned(family, None, None)
-    law = {**shape, "stiffness": float(found.parameters[0]), "damping": float(found.parameters[1])}
-    return Tuned(family, law, found)
+    stiffness, damping = found.parameters.tolist()
+    return Tuned(family, {**shape, "stiffness": stiffness, "damping": damping}, found)
 
 
 def _stiffest_of(
@@ -176,27 +154,15 @@ def _numerator(law: CompiledLaw) -> tuple[Array, float]:
 
 
 def latest_delay(law: CompiledLaw, demand: Demand) -> float | None:
-    """Find the delay up to which a law stays stable at every mass of the range: what the demand did not ask for.
-
-    Returns: delay [ticks], at five masses of the range and every joint and lag of the demand; None when there is no limit.
-    """
-    known = []
+    """Find the delay [ticks] up to which a law stays stable at five masses, every joint and lag; None without a limit."""
+    masses = np.geomspace(*demand.mass, 5).tolist()
     if demand.beyond:
-        masses = np.geomspace(*demand.mass, 5).tolist()
-        return min(
-            (
-                edge
-                for mass, beyond in itertools.product(masses, demand.beyond)
-                if (edge := _latest(law, demand, mass, beyond)) is not None
-            ),
-            default=None,
-        )
-    for mass in np.geomspace(*demand.mass, 5).tolist():
-        device = Plant(demand.period, mass, demand.damping, demand.delay[1], demand.stiffness[0])
-        limits = tolerance(law, device)
-        if limits is not None and limits.delay_max_ticks is not None:
-            known.append(limits.delay_max_ticks)
-    return min(known) if known else None
+        edges = [_latest(law, demand, mass, beyond) for mass, beyond in itertools.product(masses, demand.beyond)]
+    else:
+        devices = (Plant(demand.period, mass, demand.damping, demand.delay[1], demand.stiffness[0]) for mass in masses)
+        limits = (tolerance(law, device) for device in devices)
+        edges = [None if limit is None else limit.delay_max_ticks for limit in limits]
+    return min((edge for edge in edges if edge is not None), default=None)
 
 
 def _latest(law: CompiledLaw, demand: Demand, mass: float, beyond: tuple[float, float, float, float]) -> float | None:
@@ -220,10 +186,7 @@ def _latest(law: CompiledLaw, demand: Demand, mass: float, beyond: tuple[float, 
 def certificate(law: CompiledLaw, demand: Demand) -> bool | str | None:
     """Certify a law for every sequence of the demanded delays: five masses, ends of hand and damping, joints and lags.
 
-    THEORY.md §10.
-
-    Returns: True with a certificate everywhere; False where a sequence grows; None where it is not decided; ``too wide`` for a
-    range above a tick.
+    THEORY.md §10. True with a certificate everywhere, False where a sequence grows, None where it is not decided.
     """
     if demand.delay[1] > demand.delay[0] + 1.0:
         return "too wide"
@@ -240,11 +203,7 @@ def certificate(law: CompiledLaw, demand: Demand) -> bool | str | None:
 
 
 def certified(tune: Callable[[Demand], Tuned], demand: Demand) -> Tuned:
-    """Tune to smaller pole radii until every sequence of the demanded delays is certified.
-
-    Returns: the first with a certificate: at the demanded radius, then 10 % further from 1 each; without a law after ten.
-    Raises ValueError when the range of delay is wider than a tick.
-    """
+    """Tune to smaller pole radii, 10 % further from 1 each, until every sequence of delays is certified; ten times at most."""
     margin = 1.0 - demand.radius
     if demand.delay[1] > demand.delay[0] + 1.0:
         raise ValueError(f"delay {demand.delay[0]:g}..{demand.delay[1]:g} ticks: a certificate takes at most one tick")

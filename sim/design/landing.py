@@ -1,10 +1,9 @@
 """Landing as a constraint of the search: laws that keep a demand and settle when dropped, with a margin.
 
-The demand is about the loop in contact, which is linear. Landing is not: contact comes and goes, the history outside it and
-the clamping of forces into the floor are conventions (THEORY.md §4), and no pole radius covers them. Where drops settle has a
-ragged edge, so a law must settle a little beyond the demand too: from half to twice the height, with masses 3 % outside the
-range. The edge then runs through that margin, not through what is demanded. The search is differential evolution in boxes that
-shrink about the best so far, every candidate dropped (`sim.design.fall`: with joint and lag where the device has them).
+The loop in contact is linear. Landing is not: contact comes and goes, and history and clamping are conventions (THEORY.md §4)
+that no pole radius covers. Where drops settle has a ragged edge, so a law must settle a little beyond the demand too: from half
+to twice the height, with masses 3 % outside the range. The search is differential evolution in boxes that shrink about the best
+so far, every candidate dropped.
 """
 
 from __future__ import annotations
@@ -19,22 +18,16 @@ import numpy as np
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from sim.arrays import Array
-from sim.design.cases import LoopCase, alternating, cases_of, keeps
-from sim.design.demand import CONVENTIONS, Demand, filtered
+from sim.design.demand import CONVENTIONS, Demand, LoopCase, alternating, cases_of, filtered, keeps
 from sim.design.evolution import evolve
 from sim.design.fall import Falls, falls, settled
 from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene, settles
 from sim.scene.loop import Scene
 
-MARGIN = 0.03
-"""How far the masses that must land lie outside the demanded range."""
-
-HEIGHTS = (0.01, 0.005, 0.02)
-"""From which they must land [m]; the first is the drop's own."""
-
-_BOXES = (1.5, 0.3, 0.03)
-"""Half widths of the boxes, in forces that move the lightest device by the deflection within one tick."""
+MARGIN = 0.03  # how far the masses that must land lie outside the demanded range
+HEIGHTS = (0.01, 0.005, 0.02)  # from which they must land [m]; the first is the drop's own
+_BOXES = (1.5, 0.3, 0.03)  # half widths of the boxes, in forces that move the lightest device by the deflection within one tick
 
 
 def dropped(demand: Demand, mass: float, raw: bool, clamp: bool, height: float) -> Scene:
@@ -44,11 +37,7 @@ def dropped(demand: Demand, mass: float, raw: bool, clamp: bool, height: float) 
 
 
 def drops(law: CompiledLaw, demand: Demand) -> dict[str, bool]:
-    """Drop the lightest, the middle and the heaviest device of a demand on a floor, under every contact convention.
-
-    `demand`: what it was designed for; the longest delay and the least damping are used. Returns: whether the run settled, by
-    convention and mass, e.g. ``penetration clamped 0.05 kg``; with every joint and lag that the demand has.
-    """
+    """Drop the lightest, middle and heaviest device under every contact convention: what settled, by name."""
     given = {}
     for mass in np.unique(np.geomspace(*demand.mass, 3)).tolist():
         for raw, clamp in CONVENTIONS:
@@ -62,30 +51,17 @@ def drops(law: CompiledLaw, demand: Demand) -> dict[str, bool]:
 
 def _margin(demand: Demand) -> list[float]:
     low, high = demand.mass
-    masses: list[float] = np.geomspace(low / (1.0 + MARGIN), high * (1.0 + MARGIN), 3).tolist()
-    return masses
-
-
-def _falls(demand: Demand) -> Falls:
-    """Give every drop that a landing law settles in: of `landings`, with every joint and lag of the demand."""
-    return falls(demand, _margin(demand), demand.lands, HEIGHTS)
+    return list(np.geomspace(low / (1.0 + MARGIN), high * (1.0 + MARGIN), 3).tolist())
 
 
 def landings(demand: Demand) -> list[Scene]:
-    """Give every drop that a landing law settles in, those that fail first in front.
-
-    Returns: three masses, 3 % beyond the range at either end, the demanded conventions, three heights.
-    """
+    """Give every drop that a landing law settles in: masses up to 3 % beyond the range, demanded conventions, three heights."""
     cases = itertools.product(_margin(demand), demand.lands, HEIGHTS)
     return [dropped(demand, mass, *convention, height) for mass, convention, height in cases]
 
 
 def best_pd_windowed(demand: Demand, resolution: float) -> dict[str, Any] | None:
-    """Tune PD with a windowed velocity by its drops: it has no poles that could keep a radius.
-
-    `demand`: masses, damping and the longest delay of the drops; |H(−1)| is kept as that of its shortest window, which is
-    PD's. Returns: the stiffest law of which every drop of `landings` settles, under all conventions; None where none does.
-    """
+    """Tune PD with a windowed velocity, which has no poles, by its drops: all of `landings`, under every convention."""
     scenes = [
         replace(scene, device=msgspec.structs.replace(scene.device, resolution=resolution))
         for scene in landings(replace(demand, lands=CONVENTIONS))
@@ -129,12 +105,12 @@ def _settled(laws: list[CompiledLaw], scenes: list[Scene]) -> Array:
 def landed(
     demand: Demand, basis: Array, fine: LoopCase, starts: list[Array], free: bool, seed: int, effort: int
 ) -> Array | None:
-    """Search a family for the stiffest law that keeps a demand and lands.
+    """Search a family for the parameters (p,) of the stiffest law that keeps a demand and lands; None where none does.
 
-    `basis`, shape (p, n + 1): taps per unit of each parameter [N/m]. `fine`: the loop at all cases that a law is verified on.
-    `starts`, shape (p,): members to begin with. Returns, shape (p,) or None: parameters; None when no member was found.
+    `basis`, shape (p, n + 1): taps per unit of each parameter [N/m]; `fine`: the loop at all verified cases; `starts`: members
+    to begin with.
     """
-    drops = _falls(demand)
+    drops = falls(demand, _margin(demand), demand.lands, HEIGHTS)
     best, most = None, 0.0
     for start in [*starts, None]:
         found = _shrunk(demand, basis, fine, drops, start, free, seed, effort)
@@ -148,14 +124,7 @@ def landed(
 
 
 def _shrunk(
-    demand: Demand,
-    basis: Array,
-    fine: LoopCase,
-    drops: Falls,
-    start: Array | None,
-    free: bool,
-    seed: int,
-    effort: int,
+    demand: Demand, basis: Array, fine: LoopCase, drops: Falls, start: Array | None, free: bool, seed: int, effort: int
 ) -> Array | None:
     """Search in boxes that shrink about the best so far; without a start the first is wide."""
     parameters = len(basis)

@@ -1,10 +1,9 @@
 """The stiffest passive law for the delay one really has: passive whatever mass, hand or grip, and by a verified margin.
 
-Colgate's condition at a whole delay is linear in the taps at each frequency, and at a fractional one it is the eigenvalue
-of a matrix that is linear in them: convex and homogeneous either way. So the stiffest law is found by cutting planes: a
-linear programme over the cuts so far, new cuts at the frequencies where its solution needs most damping. What comes out is
-scaled by the damping that it really needs, bounded between the sampled frequencies too, so that it is passive for
-certain and not only at sampled frequencies. For d = 1 it must find 2/(1 + 1/cos(π/(n+3))) (THEORY.md §2).
+Colgate's condition is linear in the taps at each frequency, at a fractional delay the eigenvalue of a matrix that is linear in
+them: convex and homogeneous. So the stiffest law is found by cutting planes: a linear programme over the cuts so far, new cuts
+where its solution needs most damping. What comes out is scaled by the damping that it really needs, bounded between the sampled
+frequencies too: passive for certain. For d = 1 it must find 2/(1 + 1/cos(π/(n+3))) (THEORY.md §2).
 """
 
 from __future__ import annotations
@@ -37,19 +36,12 @@ class Passive:
 
 
 def stiffest_passive(
-    taps: int,
-    period: float,
-    damping: float,
-    delay: tuple[float, float],
-    nyquist: float = math.inf,
-    tolerance: float = 1e-7,
+    taps: int, period: float, damping: float, delay: tuple[float, float], nyquist: float = math.inf, tolerance: float = 1e-7
 ) -> Passive:
     """Find the taps with the largest H(1) that are passive on a device with this damping at any delay of a range.
 
-    `taps`: n + 1. `damping`: viscous damping b > 0 of the device [N s/m]. `delay`, shape (2,): shortest and longest delay
-    [ticks]. Within a range, the certain bound holds at 33 delays. `nyquist`: largest |H(−1)| allowed [N/m]. `tolerance`: stop
-    when the law is within this of the bound, relative. Returns: the law, its certain margin, and the bound. Raises ValueError
-    when there is no damping to be passive with, or the programme fails.
+    The certain bound holds at 33 delays [ticks] of a range; `nyquist` is the largest |H(−1)| allowed [N/m]; `tolerance` is
+    relative to the bound.
     """
     from scipy.optimize import linprog
 
@@ -87,24 +79,16 @@ def stiffest_passive(
     certain = max(certain_damping(best * damping / period, period, at) for at in checked)
     final = best * damping / period * min(1.0, damping / certain)
     law = CompiledLaw(tuple(final.tolist()))
-    return Passive(
-        taps=final,
-        h1_n_per_m=law.h1,
-        h_nyquist_n_per_m=law.h_nyquist,
-        damping_needed_n_s_per_m=min(certain, damping),
-        ratio=law.h1 * period / damping,
-        bound_n_per_m=bound * damping / period,
-    )
+    ratio = law.h1 * period / damping
+    return Passive(final, law.h1, law.h_nyquist, min(certain, damping), ratio, bound * damping / period)
 
 
 def certain_damping(h: Array, period: float, delay: float) -> float:
-    """Bound the damping a law needs from above, for certain: the largest of many samples plus what may hide between them.
+    """Bound the damping a law needs [N s/m] from above, for certain: the largest of many samples plus what may hide between.
 
     A trigonometric polynomial of degree N with M > 2N equidistant samples exceeds its largest sample in modulus by at most
-    1/cos(πN/M) (Ehlich and Zeller 1964). The damping needed at a fractional delay is a maximum of such polynomials.
-
-    `h`, shape (n + 1,): taps [N/m]. `delay`: whole or fractional delay [ticks]. Returns: damping [N s/m]; above the true one
-    by at most 3e-7 of the largest |Re T z^−d H/(1−z)|.
+    1/cos(πN/M) (Ehlich and Zeller 1964). The damping needed at a fractional delay is a maximum of such polynomials, so the
+    bound is too high by at most 3e-7 of the largest |Re T z^−d H/(1−z)|.
     """
     degree = len(h) + math.ceil(delay) + 1
     largest, modulus = 0.0, 0.0

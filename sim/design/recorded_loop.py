@@ -1,16 +1,27 @@
-"""What a recorded run tells about its loop: period, delay and jitter, tick by tick, for a design made for that loop."""
+"""What a recorded run tells about its loop: period, delay and jitter, tick by tick, for a design made for that loop.
+
+Poles are those of a constant delay. A delay that changes from tick to tick can be worse than each of its values; so a design
+for a recorded loop is replayed on that loop's own delays, with the exact device in between.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from messages.topics import DEVICE_STATE
+from nodes.laws import CompiledLaw
 from nodes.parameters.yaml_io import parse_yaml
 from nodes.recording.reader import Recording
 from nodes.recording.summary import quantile
+from nodes.stability.plant import Plant
+from sim.device.model import DeviceModel, Hand
+from sim.scene.loop import Given, Scene, SceneSurface, run
 
 
 @dataclass(frozen=True)
@@ -48,20 +59,10 @@ def measure(path: Path) -> Measured:
     if len(answered) < 100:
         raise ValueError(f"{path}: {len(answered)} ticks were answered by a force in time, at least 100 are needed")
     if recording.manifest.get("pace") == "realtime" and not any(state.delay for state in with_answer):
-        raise ValueError(
-            f"{path}: a real-time run without any delay: it was recorded before delays were; record it again"
-        )
+        raise ValueError(f"{path}: a real-time run without any delay: it was recorded before delays were; record it again")
     low, middle, high = (quantile(answered, fraction) for fraction in (0.001, 0.5, 0.999))
-    return Measured(
-        period=1.0 / rate,
-        delay=(low, high),
-        median=middle,
-        jitter=high - low,
-        delays=delays,
-        unanswered=len(delays) - len(answered),
-        mass=device.get("mass"),
-        damping=device.get("damping"),
-    )
+    told = (low, high), middle, high - low, delays, len(delays) - len(answered)
+    return Measured(1.0 / rate, *told, device.get("mass"), device.get("damping"))
 
 
 def _virtual_device(recording: Recording) -> dict[str, Any]:
@@ -70,3 +71,31 @@ def _virtual_device(recording: Recording) -> dict[str, Any]:
         if isinstance(node, dict) and isinstance(node.get("device"), dict):
             return dict(node["device"])
     return {}
+
+
+GIVEN_UP = 1e200  # deflection from which on a loop is called unstable whatever comes [m]
+
+
+def replayed_radius(law: CompiledLaw, plant: Plant, delays: Sequence[float]) -> float:
+    """Measure by how much a released deflection grows or decays per tick, the delay of each force as given."""
+    if law.sections:
+        raise ValueError("law: only taps can be replayed")
+    if len(delays) < 40:
+        raise ValueError(f"delays: {len(delays)} ticks, at least 40 are needed for a first and a last quarter")
+    hand = Hand(stiffness=plant.stiffness, path=[(0.0, 0.0)]) if plant.stiffness else None
+    device = DeviceModel(mass=plant.mass, damping=plant.damping, position=1.0, hand=hand)
+    scene = Scene(device=device, surface=SceneSurface("anchor"), period=plant.period, raw=False, clamp=False)
+    arrivals: list[tuple[float, int]] = []
+    for at, seq in sorted((k + delay, k) for k, delay in enumerate(delays)):
+        # A force that a younger one has overtaken never acts.
+        if not arrivals or seq > arrivals[-1][1]:
+            arrivals.append((at, seq))
+    when, answers = np.array([at for at, _ in arrivals]), np.array([seq for _, seq in arrivals], dtype=np.int64)
+    with np.errstate(all="ignore"):
+        trace = run(scene, law, len(delays), interpreted=True, given=Given(arrivals=(when, answers, np.zeros(len(when)))))
+        size = np.abs(trace.position) + np.abs(trace.velocity) * plant.period
+    if not np.all(size < GIVEN_UP):
+        return math.inf
+    quarter = len(size) // 4
+    first, last = float(np.max(size[:quarter])), float(np.max(size[-quarter:]))
+    return math.exp((math.log(last) - math.log(first)) / (len(size) - quarter)) if last > 0.0 else 0.0

@@ -1,10 +1,9 @@
 """The stiffest law of a family whose pole radius stays below a bound over ranges of mass, delay and hand.
 
-A family is linear in its parameters: all taps free, or spring and one derivative part (PD, one PDα, the paper's optimum at
-free gain). So all of them go through the same search and can be compared. The search is global first (differential
-evolution with fixed seeds, `sim.design.evolution`), then a sequence of linear programmes: every pole near the bound is
-linearised in the taps, the programme raises H(1) within a trust region, and what came out is accepted only if its true poles
-keep the bound. Cases between those of the search are checked afterwards, and the worst one joins it until none is worse.
+A family is linear in its parameters: all taps free, or spring and one derivative part (PD, one PDα, the paper's optimum). So
+all of them go through the same search: differential evolution with fixed seeds (`sim.design.evolution`), then linear
+programmes: every pole near the bound is linearised in the taps, H(1) is raised within a trust region, and what came out is
+accepted only if its true poles keep the bound. The worst case between those of the search joins it until none is worse.
 """
 
 from __future__ import annotations
@@ -15,14 +14,13 @@ from dataclasses import replace
 import numpy as np
 
 from sim.arrays import Array
-from sim.design.cases import LoopCase, alternating, cases_of, keeps, quiet, verified_cases
-from sim.design.demand import Demand, Robust, filtered
+from sim.design.demand import Demand, LoopCase, Robust, alternating, cases_of, filtered, keeps, quiet, verified_cases
 from sim.design.evolution import evolved
 from sim.design.landing import landed
 
 _MASSES = 5
+# Half widths of the boxes that are searched from nothing: too narrow a one shuts the stiffest long laws out.
 _SPANS = (0.3, 10.0)
-"""Half widths of the boxes that are searched from nothing: too narrow a one shuts the stiffest long laws out."""
 
 
 def stiffest(
@@ -34,12 +32,10 @@ def stiffest(
     known: Sequence[Array] = (),
     pole: float = 0.0,
 ) -> Robust | None:
-    """Find the law of a family with the largest H(1) that keeps the demand.
+    """Find the law of a family with the largest H(1) that keeps the demand; None when no member does.
 
-    `demand`: mass range, delay, pole radius and bound on H(−1). `basis`, shape (p, n + 1): taps per unit of each parameter
-    [N/m]; any scaling. `free`: whether parameters may be negative, as taps may; a named law's stiffness and damping may not.
-    `effort`: multiplies the generations of the global search. `known`, shape (p,): parameters of members that keep the demand,
-    e.g. of a shorter law: the search climbs from them too. Returns: None when no member of the family keeps the demand.
+    `basis`, shape (p, n + 1): taps per unit of each parameter [N/m], which may be negative where it is `free`; `effort`
+    multiplies the generations of the global search; `known`, shape (p,): members to climb from too, e.g. a shorter law.
     """
     basis = np.asarray(basis, dtype=np.float64)
     # One unit of each parameter: a force that moves the lightest device by the deflection within one tick.
@@ -58,15 +54,8 @@ def stiffest(
     radii = fine.radii(taps)
     worst = int(np.argmax(radii))
     law = filtered(taps, pole)
-    return Robust(
-        taps=taps,
-        parameters=best * scale,
-        h1_n_per_m=law.h1,
-        h_nyquist_n_per_m=law.h_nyquist,
-        radius=float(radii[worst]),
-        worst=tuple(everywhere[worst].tolist()),
-        pole=pole,
-    )
+    case = tuple(everywhere[worst].tolist())
+    return Robust(taps, best * scale, law.h1, law.h_nyquist, float(radii[worst]), case, pole)
 
 
 def _climbed(
@@ -90,13 +79,7 @@ def _climbed(
 
 
 def _settle(
-    demand: Demand,
-    basis: Array,
-    fine: LoopCase,
-    cases: Array,
-    start: Array,
-    target: float,
-    free: bool,
+    demand: Demand, basis: Array, fine: LoopCase, cases: Array, start: Array, target: float, free: bool
 ) -> Array | None:
     """Climb, verify everywhere, take the worst case in and come back inside, until there is none."""
     here, everywhere = start, verified_cases(demand)
@@ -111,9 +94,7 @@ def _settle(
     return None
 
 
-def _global(
-    demand: Demand, basis: Array, fine: LoopCase, free: bool, seed: int, effort: int, target: float
-) -> list[Array]:
+def _global(demand: Demand, basis: Array, fine: LoopCase, free: bool, seed: int, effort: int, target: float) -> list[Array]:
     """Feasible starts, the stiffest first, each with its own seed."""
     p = len(basis)
     few, many = (LoopCase(demand, cases_of(demand, masses, 3), fine.taps, fine.pole) for masses in (15, 101))

@@ -17,32 +17,25 @@ from nodes.driver.device import Device, DeviceLimits
 from nodes.driver.motion import set_latency
 from nodes.driver.node import Driver
 from nodes.driver.parameters import DriverParameters
+from nodes.driver.pointer import PointerParameters, PointerReader, pointer_file
 from nodes.parameters.store import ParameterError, convert
-from nodes.view.pointer import PointerParameters, PointerReader, pointer_file
 from sim.device.model import DeviceModel
 from sim.device.real_devices import preset, provenance
 from sim.device.state import PENDING, VirtualDevice, read_axis, write_axis
 
-NO_END: Final = DeviceLimits().workspace
-"""The workspace of a device that declares none [m]."""
+NO_END: Final = DeviceLimits().workspace  # the workspace of a device that declares none [m]
 
 
 class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of the sim driver.
 
-    Attributes
-    ----------
-    device : DeviceModel
-        The virtual device; see sim/device/model.py.
-    hold : float or None
-        The device's own deadline, as a servo thread has one: without a new force for so long it lets go [s]. Real time
+    device: The virtual device; see sim/device/model.py.
+    hold: The device's own deadline, as a servo thread has one: without a new force for so long it lets go [s]. Real time
         only; None holds for ever.
-    pointer : PointerParameters or None
-        Lets a page drag the target of the device's hand (nodes/view/pointer.py). Real time only: in lockstep the hand keeps to
-        its path. None for a hand that nobody drags.
-    preset : str
-        A real device whose published values go before those of `device`, e.g. ``touch_x``; empty or ``none`` for none. Its
-        largest force is a limit of the driver too.
+    pointer: Lets a page drag the target of the device's hand (nodes/driver/pointer.py). Real time only: in lockstep the hand
+        keeps to its path. None for a hand that nobody drags.
+    preset: A real device whose published values go before those of `device`, e.g. ``touch_x``; empty or ``none`` for none.
+        Its largest force is a limit of the driver too.
     """
 
     device: DeviceModel
@@ -57,8 +50,7 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
 
     def __post_init__(self) -> None:
         if self.preset not in ("", "none"):
-            values = msgspec.to_builtins(self.device) | preset(self.preset)
-            device = msgspec.convert(values, DeviceModel)
+            device = msgspec.convert(msgspec.to_builtins(self.device) | preset(self.preset), DeviceModel)
             # Frozen for everybody else: this is a part of its making.
             msgspec.structs.force_setattr(self, "device", device)
             if device.peak_force is not None:
@@ -67,10 +59,7 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
 
 
 def along(model: DeviceModel, axes: Sequence[str]) -> list[DeviceModel]:
-    """Give each axis its own device: the first has the beginning and the hand's path, z has the weight, or the first.
-
-    What the model says of an axis by itself goes before that.
-    """
+    """Give each axis its device: the first begins and has the hand's path, z weighs, or the first; its own words go before."""
     down = "z" if "z" in axes else axes[0]
     hand = model.hand
     still = None if hand is None else msgspec.structs.replace(hand, path=[(0.0, 0.0)], repeat=None)
@@ -103,11 +92,7 @@ def parts_of(
 
 
 class SimDevice:
-    """The virtual device in the driver's time: one of one axis along each axis of the scene, independent of each other.
-
-    `pointer`: how a page may drag its hand, in real time. `workspace`, shape (3, 2): where it stops [m]: as a real device
-    does, it has a mechanical stop where its workspace ends.
-    """
+    """The virtual device in the driver's time: one along each axis, independent, a stop where its workspace ends."""
 
     def __init__(
         self,
@@ -255,9 +240,7 @@ class SimDriver(Driver):
         if parameters.device == now.device or parameters != later:
             return super().prepare(parameters)
         if self.setup.pace == "lockstep":
-            raise ParameterError(
-                f"{self.setup.name}.device.delay: is fixed in lockstep; launch again, or use pace: realtime"
-            )
+            raise ParameterError(f"{self.setup.name}.device.delay: is fixed in lockstep; launch again, or use pace: realtime")
 
         def apply(seq: int) -> dict[str, Any]:
             self._sim.delay_by(delay)

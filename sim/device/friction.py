@@ -14,8 +14,8 @@ from sim.device.model import Coefficients, advance, coefficients
 def halt_time(x: float, v: float, u: float, direction: float, mass: float, damping: float, stiffness: float) -> float:
     """When the velocity first returns to zero, with the force held: closed form.
 
-    With a the acceleration now, s = b/2m and w = a + s v, the velocity is e^{−st}(v cos ωt + w sin(ωt)/ω) (hyperbolic
-    when overdamped): its first zero is one arctangent away.
+    With a the acceleration now, s = b/2m and w = a + s v, the velocity is e^{−st}(v cos ωt + w sin(ωt)/ω) (hyperbolic when
+    overdamped): its first zero is one arctangent away.
     """
     s = damping / (2.0 * mass)
     speed = v * direction

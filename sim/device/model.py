@@ -37,10 +37,9 @@ def decay_mean(y: float) -> float:
 def coefficients(mass: float, damping: float, stiffness: float, duration: float) -> Coefficients:
     """Exact map of m x'' + b x' + k x = u over a time [s] in which u is held, for m > 0 [kg], b ≥ 0 [N s/m], k ≥ 0 [N/m].
 
-    The six numbers a11, a12 [s], a21 [1/s], a22, b1 [m/N], b2 [m/(s N)] are those of x⁺ = a11 x + a12 v + b1 u,
-    v⁺ = a21 x + a22 v + b2 u. Accurate to rounding for b → 0 and k → 0 (a Taylor series where the closed forms would cancel),
-    and for under-, over- and critically damped devices. The case k = 0 is the plant of the stability theory,
-    q = (1 − e^{−bT/m}) m/b.
+    Of x⁺ = a11 x + a12 v + b1 u, v⁺ = a21 x + a22 v + b2 u: a11, a12 [s], a21 [1/s], a22, b1 [m/N], b2 [m/(s N)], accurate to
+    rounding for any damping, and for b → 0 and k → 0. With k = 0 it is the plant of the stability theory, q = (1 − e^{−bT/m})
+    m/b.
     """
     alpha = damping * duration / mass
     kappa = stiffness * duration * duration / mass
@@ -131,10 +130,7 @@ def saturate(force: float, peak: float | None) -> float:
 
 
 def split_delay(delay: float) -> tuple[int, float]:
-    """Split a delay of d ≥ 0 ticks into whole ticks and a fraction, d = i + φ; ``apply: next_tick`` counts as one.
-
-    During tick k the force of tick k−i−1 acts for φT, then that of k−i.
-    """
+    """Split a delay d = i + φ [ticks]: during tick k the force of tick k−i−1 acts for φT, then that of k−i."""
     whole = math.floor(delay)
     return whole, delay - whole
 
@@ -142,19 +138,12 @@ def split_delay(delay: float) -> tuple[int, float]:
 class Hand(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A hand that holds the device: mass and damper on the device, spring to a point that moves along a path.
 
-    Attributes
-    ----------
-    mass : float
-        Mass that moves with the device [kg].
-    damping : float
-        Viscous damping against the ground [N s/m].
-    stiffness : float
-        Spring between the device and the path [N/m].
-    path : list of tuple of float, shape (p, 2)
-        Time [s] and position [m] of the corners of a piecewise linear path, times increasing; held before the first and
+    mass: Mass that moves with the device [kg].
+    damping: Viscous damping against the ground [N s/m].
+    stiffness: Spring between the device and the path [N/m].
+    path: Time [s] and position [m] of the corners of a piecewise linear path, times increasing; held before the first and
         after the last. It is sampled at ticks and held between them.
-    repeat : float or None
-        After so long the path begins anew [s], at least the time of its last corner; None for once.
+    repeat: After so long the path begins anew [s], at least the time of its last corner; None for once.
     """
 
     stiffness: Positive
@@ -179,31 +168,19 @@ class Hand(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of the virtual device; what is None or left out does not exist in the scene.
 
-    Attributes
-    ----------
-    mass : float
-        m [kg].
-    damping : float
-        Viscous damping b [N s/m].
-    gravity : float or None
-        Acceleration g towards negative positions [m/s²], acting on ``mass`` (the hand carries its own).
-    position, velocity : float
-        State before the first tick [m], [m/s].
-    resolution : float or None
-        Position resolution of the encoder [m].
-    friction : float or None
-        Coulomb friction [N].
-    peak_force : float or None
-        Largest force of the motor [N].
-    delay : float
-        Delay from sample to applied force [ticks], beside the one of ``apply: next_tick``.
-    hand : Hand or None
-        A hand that holds the device.
-    mass_by_position : list of tuple of float, shape (p, 2)
-        Position [m] and mass [kg] of the corners of a piecewise linear mass, positions increasing; held before the first and
-        after the last. In place of ``mass``, which then only weighs: an arm is heavier the further it reaches. Empty for none.
-    axes : dict of str to dict
-        What is different along an axis of the scene: the other fields, by name of the axis; of a hand, only what differs.
+    mass: m [kg].
+    damping: Viscous damping b [N s/m].
+    gravity: Acceleration g towards negative positions [m/s²], acting on ``mass`` (the hand carries its own).
+    position, velocity: State before the first tick [m], [m/s].
+    resolution: Position resolution of the encoder [m].
+    friction: Coulomb friction [N].
+    peak_force: Largest force of the motor [N].
+    delay: Delay from sample to applied force [ticks], beside the one of ``apply: next_tick``.
+    hand: A hand that holds the device.
+    mass_by_position: Position [m] and mass [kg] of the corners of a piecewise linear mass, positions increasing; held before
+        the first and after the last. In place of ``mass``, which then only weighs: an arm is heavier the further it reaches.
+        Empty for none.
+    axes: What is different along an axis of the scene: the other fields, by name of the axis; of a hand, only what differs.
     """
 
     mass: Positive
@@ -270,11 +247,7 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return 0.0 if self.hand is None else self.hand.stiffness
 
     def load(self, tick: int, period: float, target: float | None = None) -> float:
-        """Force on the device that is not the motor's [N], held during a tick: gravity, and the pull of the hand's path.
-
-        `target` is where the hand pulls to instead of along its path [m]. Its part is k·(point of the path): −k x belongs to
-        the map itself.
-        """
+        """Force besides the motor's during a tick [N]: gravity, and k·(point of the hand's path, or its `target` [m])."""
         load = 0.0
         if self.gravity is not None:
             load -= self.mass * self.gravity
@@ -294,10 +267,7 @@ def move_towards(wanted: float, before: float, farthest: float) -> float:
 
 
 def path_position(path: Sequence[tuple[float, float]], time: float) -> float:
-    """Find the point of a piecewise linear path of times [s], increasing, and positions [m], at a time.
-
-    That of the first corner before it, that of the last after it.
-    """
+    """Find the point of a piecewise linear path of times [s] and positions [m] at a time; held before it and after it."""
     # The first corner after that time.
     i, end = 0, len(path)
     while i < end:

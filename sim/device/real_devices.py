@@ -7,7 +7,7 @@ the scenario's. A value that is only remembered is a starting point: `haptic dev
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 CHAI3D = "CHAI3D 3.2, device specifications in its sources"
@@ -42,6 +42,7 @@ class Preset:
     limits: Mapping[str, Fact]
 
 
+# By name; a value that is not here stays the scenario's.
 PRESETS: dict[str, Preset] = {
     "touch_x": Preset(
         "3D Systems Touch X (PHANTOM Desktop)",
@@ -76,15 +77,12 @@ PRESETS: dict[str, Preset] = {
     "falcon": Preset("Novint Falcon", {"resolution": Fact(6.35e-5, H3D), "peak_force": Fact(8.9, H3D)}, {}),
     "delta_3": Preset("Force Dimension delta.3", {"peak_force": Fact(20.0, CHAI3D)}, {}),
 }
-"""By name; a value that is not here stays the scenario's."""
-
+_ARM = (("mass", 2.0), ("damping", 2.0), ("stiffness", 10.0))
+# Published hands and arms: fields of `sim.device.model.Hand`. Arm and grasp are in series: above some 10 Hz, where loops ring,
+# the arm's mass hardly moves and the grasp is felt.
 HANDS: dict[str, Preset] = {
-    "stylus_soft": Preset(
-        "grasp of a stylus, low end", {"damping": Fact(0.8, STYLUS), "stiffness": Fact(380.0, STYLUS)}, {}
-    ),
-    "stylus_firm": Preset(
-        "grasp of a stylus, high end", {"damping": Fact(1.8, STYLUS), "stiffness": Fact(770.0, STYLUS)}, {}
-    ),
+    "stylus_soft": Preset("grasp of a stylus, low end", {"damping": Fact(0.8, STYLUS), "stiffness": Fact(380.0, STYLUS)}, {}),
+    "stylus_firm": Preset("grasp of a stylus, high end", {"damping": Fact(1.8, STYLUS), "stiffness": Fact(770.0, STYLUS)}, {}),
     "arm_soft": Preset(
         "hand and arm behind that grasp, low end",
         {"mass": Fact(0.2, STYLUS), "damping": Fact(4.6, STYLUS), "stiffness": Fact(79.0, STYLUS)},
@@ -95,17 +93,8 @@ HANDS: dict[str, Preset] = {
         {"mass": Fact(0.22, STYLUS), "damping": Fact(18.0, STYLUS), "stiffness": Fact(272.0, STYLUS)},
         {},
     ),
-    "operator": Preset(
-        "arm of an operator",
-        {
-            field: Fact(value, YOKOKOHJI, remembered=True)
-            for field, value in (("mass", 2.0), ("damping", 2.0), ("stiffness", 10.0))
-        },
-        {},
-    ),
+    "operator": Preset("arm of an operator", {field: Fact(value, YOKOKOHJI, remembered=True) for field, value in _ARM}, {}),
 }
-"""Published hands and arms: fields of `sim.device.model.Hand`. Arm and grasp are in series: above some 10 Hz, where loops
-ring, the arm's mass hardly moves and the grasp is felt."""
 
 
 def preset(name: str) -> dict[str, float]:
@@ -127,10 +116,7 @@ def figures() -> list[dict[str, Any]]:
     """Tell all devices and hands with their sources."""
 
     def facts(given: Mapping[str, Fact]) -> dict[str, Any]:
-        return {
-            field: {"value": fact.value, "source": fact.source, "remembered": fact.remembered}
-            for field, fact in given.items()
-        }
+        return {field: asdict(fact) for field, fact in given.items()}
 
     return [
         {"name": name, "title": one.title, "model": facts(one.model), "limits": facts(one.limits)}

@@ -29,11 +29,8 @@ from sim.device.model import (
     split_delay,
 )
 
-PENDING: Final = 2048
-"""Room for forces on their way to the device; a delay is at most 1000 ticks."""
-
-_LONGEST: Final = 1004
-"""Room for the forces under way in lockstep: a delay of 1000 ticks, one of ``next_tick``, and two."""
+PENDING: Final = 2048  # room for forces on their way to the device; a delay is at most 1000 ticks
+_LONGEST: Final = 1004  # room for the forces under way in lockstep: a delay of 1000 ticks, one of ``next_tick``, and two
 
 
 class AxisState(Structure):
@@ -44,19 +41,7 @@ class AxisState(Structure):
         *(
             (name, c_double)
             for name in (
-                *(
-                    "mass",
-                    "damping",
-                    "grip",
-                    "friction",
-                    "resolution",
-                    "motor",
-                    "low",
-                    "high",
-                    "weight",
-                    "period",
-                    "carried",
-                ),
+                *("mass", "damping", "grip", "friction", "resolution", "motor", "low", "high", "weight", "period", "carried"),
                 # true position and velocity
                 *("x", "v"),
                 # the hand: after how long its path repeats, and where it pulls to when it is dragged
@@ -110,7 +95,7 @@ def target(d: Any, seq: int) -> float:
     rest = point(d, seq)
     if d.pointer == 0:
         return rest
-    # As nodes/view/pointer.py writes it; while it is being written, the value before is at most a frame of the page old.
+    # As nodes/driver/pointer.py writes it; while it is being written, the value before is at most a frame of the page old.
     after = shared_whole(d.pointer)
     value, when = shared_real(d.pointer + 8 + 8 * d.axis), shared_real(d.pointer + 32)
     if shared_whole(d.pointer + 40) == after:
@@ -227,11 +212,7 @@ def write_axis(d: Any, force: float, seq: int, offset: float) -> bool:
 
 
 class VirtualDevice:
-    """A virtual device of one axis.
-
-    `next_tick`: whether a force takes effect one tick later (``apply: next_tick``) in lockstep. `workspace`, shape (2,): where
-    it stops [m]. `lockstep`: whether a whole tick passes with each force.
-    """
+    """A virtual device of one axis; in lockstep a whole tick passes with each force."""
 
     def __init__(
         self,
@@ -247,11 +228,7 @@ class VirtualDevice:
         self.state = state_of(AxisState, compiled)  # all of it
         d = self.state
         d.mass, d.damping, d.grip = model.moving_mass, model.moving_damping, model.grip
-        for name, value in (
-            ("friction", model.friction),
-            ("resolution", model.resolution),
-            ("motor", model.peak_force),
-        ):
+        for name, value in (("friction", model.friction), ("resolution", model.resolution), ("motor", model.peak_force)):
             setattr(d, f"has_{name}", value is not None)
             setattr(d, name, 0.0 if value is None else value)
         self._masses = array("d", [number for corner in model.mass_by_position for number in corner])
@@ -302,11 +279,3 @@ class VirtualDevice:
     def tick(self, force: float) -> None:
         """Go through one whole tick."""
         device_tick(self.state, force)
-
-    def pass_time(self, force: float, duration: float) -> None:
-        """Hold one force for part of a tick; call `end_tick` when the parts add up to the period."""
-        device_part(self.state, force, duration)
-
-    def end_tick(self) -> None:
-        """Count a tick that went by in parts."""
-        self.state.ticks += 1

@@ -1,8 +1,7 @@
 """Faults of real devices, on the stand-in of each kind: what is judged is the arm itself, beside what the driver tells.
 
-A hand holds the arm in a wall, so a force acts on it; at the fault it must be gone within the drill's limit, whatever ends it:
-driver, servo loop, device or service. Then the fault is mended, as by somebody who plugs a cable in again, and the loop must
-go on by itself.
+A hand holds the arm in a wall; at the fault its force must be gone within the drill's limit, whatever ends it: driver, servo
+loop, device or service. Then the fault is mended, as by who plugs a cable in again, and the loop must go on by itself.
 """
 
 from __future__ import annotations
@@ -15,20 +14,15 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from messages.types import DeviceState
-from sim.drill.drill import LIMIT, RATE, Fault, FaultSkippedError, another
+from sim.drill.drill import LIMIT, RATE, Fault, FaultSkippedError, another, fault_of
 from sim.measure.measured_launch import MeasurementError, wait_for, within
 from sim.measure.rig import Rig
 from sim.stand_ins import inverse_service
 from sim.stand_ins.world import World, library
 
-DEEP: Final = 0.002
-"""How deep the arm is held in the wall [m]."""
-
-PATIENCE = 5.0
-"""How long a force is waited for that stays on the arm [s]."""
-
-BAD: Final = 0.3
-"""How long a fault lasts that nobody must mend [s]."""
+DEEP: Final = 0.002  # how deep the arm is held in the wall [m]
+PATIENCE = 5.0  # how long a force is waited for that stays on the arm [s]
+BAD: Final = 0.3  # how long a fault lasts that nobody must mend [s]
 
 
 class DrilledKind(NamedTuple):
@@ -42,19 +36,15 @@ class DrilledKind(NamedTuple):
     parameters: dict[str, Any]  # of the device
 
 
+# Every kind of real device.
 KINDS: Final = (
     DrilledKind("Touch", "touch_driver", "touch", "hd", "hdGetDoublev", {"serial": "1234"}),
     DrilledKind(
-        "Force Dimension",
-        "force_dimension_driver",
-        "force_dimension",
-        "dhd",
-        "dhdGetPosition",
-        {"serial": 1234, "ready_time": 1.0},
+        *("Force Dimension", "force_dimension_driver", "force_dimension"),
+        *("dhd", "dhdGetPosition", {"serial": 1234, "ready_time": 1.0}),
     ),
     DrilledKind("Inverse3", "inverse3_driver", "inverse3", "", "state", {"start_time": 5.0}),
 )
-"""Every kind of real device."""
 
 
 class StandIn:
@@ -96,10 +86,9 @@ class StandIn:
 
     def change(self, content: dict[str, Any]) -> None:
         """Put it in the place of the virtual device."""
-        driver = content["nodes"]["driver"]
-        safety = driver["parameters"]["safety"]
-        driver["kind"] = self.kind.kind
-        driver["parameters"] = {"safety": safety, self.kind.section: self._parameters}
+        safety = content["nodes"]["driver"]["parameters"]["safety"]
+        parameters = {"safety": safety, self.kind.section: self._parameters}
+        content["nodes"]["driver"] |= {"kind": self.kind.kind, "parameters": parameters}
 
     def tidy(self) -> None:
         """Remove it."""
@@ -122,26 +111,15 @@ class StandIn:
         if (took := time.monotonic() - begun) > LIMIT / RATE:
             self._wrong.append(f"the arm had a force for {1e3 * took:.0f} ms, limit {1e3 * LIMIT / RATE:.0f} ms")
 
-    def fault(self, name: str, what: str, strike: Callable[[Rig], None]) -> Fault:
-        """Make a row of the drill."""
-        return Fault(
-            name=f"{self.kind.title} {name}",
-            what=what,
-            strike=strike,
-            change=self.change,
-            prepare=self.prepare,
-            tidy=self.tidy,
-            judge=self.judge,
-        )
-
-    # -- the faults --------------------------------------------------------------------------------------------------
+    def _ends(self, rig: Rig) -> None:
+        self.force_ends()
+        wait_for(lambda: "[driver] ended: " in rig.errors, "the driver says that it is gone")
 
     def unplug(self, rig: Rig) -> None:
         """Pull the cable until the driver has ended, and plug it in again."""
         before = rig.pid("driver")
         self.arm.state.unplugged = 1
-        self.force_ends()
-        wait_for(lambda: "[driver] ended: " in rig.errors, "the driver says that it is gone")
+        self._ends(rig)
         self.arm.state.unplugged = 0
         within(lambda: another(rig, "driver", before), 15.0)
 
@@ -150,8 +128,7 @@ class StandIn:
         before = rig.pid("driver")
         serial, arm = self.arm.state.serial, self.arm.state
         arm.unplugged = 1
-        self.force_ends()
-        wait_for(lambda: "[driver] ended: " in rig.errors, "the driver says that it is gone")
+        self._ends(rig)
         arm.serial, arm.largest, arm.unplugged = serial + 1, 0.0, 0
         wait_for(lambda: f"serial number {serial + 1}" in rig.errors, "the wrong device is named")
         if arm.largest:
@@ -191,8 +168,7 @@ class StandIn:
         before, ports = rig.pid("driver"), (self._service.port, self._service.events_port)
         self._service.process.kill()
         self._service.process.communicate()
-        self.force_ends()
-        wait_for(lambda: "[driver] ended: " in rig.errors, "the driver says that it is gone")
+        self._ends(rig)
         self._serve("--ports", *map(str, ports))
         within(lambda: another(rig, "driver", before), 15.0)
 
@@ -202,16 +178,15 @@ def faults() -> list[Fault]:
     found = []
     for kind in KINDS:
         stand = StandIn(kind)
-        found += [
-            stand.fault("unplugged", "its cable pulled in mid-run, then plugged in", stand.unplug),
-            stand.fault("read blocks", "one read of its position takes 100 ms", stand.block),
-            stand.fault("read fails", f"for {BAD:g} s, out-parameters untouched", stand.fail),
+        rows: list[tuple[str, str, Callable[[Rig], None]]] = [
+            ("unplugged", "its cable pulled in mid-run, then plugged in", stand.unplug),
+            ("read blocks", "one read of its position takes 100 ms", stand.block),
+            ("read fails", f"for {BAD:g} s, out-parameters untouched", stand.fail),
         ]
         if kind.stand_in:
-            found.append(stand.fault("swapped", "another serial number plugged in, then the right one", stand.swap))
+            rows.append(("swapped", "another serial number plugged in, then the right one", stand.swap))
         else:
-            found += [
-                stand.fault("service dies", "SIGKILL, started again", stand.kill_service),
-                stand.fault("service slow", f"each answer 80 ms late for {BAD:g} s", stand.slow),
-            ]
+            rows.append(("service dies", "SIGKILL, started again", stand.kill_service))
+            rows.append(("service slow", f"each answer 80 ms late for {BAD:g} s", stand.slow))
+        found += [fault_of(stand, f"{kind.title} {name}", what, strike) for name, what, strike in rows]
     return found

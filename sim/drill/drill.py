@@ -25,16 +25,12 @@ RATE = 500.0
 WATCHDOG, DAMPING_TICKS = 10, 10
 PEAK, SLEW = 5.0, 1000.0
 DAMPING = 0.5
-HOLD = 0.05
-"""The virtual device's own deadline, as a servo thread has one [s]."""
-
+HOLD = 0.05  # the virtual device's own deadline, as a servo thread has one [s]
+# Longest time to safe [ticks]: watchdog, damping and the way down, or the device's own deadline; two for the tick in which the
+# fault strikes and for the message that tells it. A driver that has no processor while it damps leaves that force to the
+# device's deadline: such ticks come on top (`driven_to_safe`).
 LIMIT = max(WATCHDOG + DAMPING_TICKS + math.ceil(PEAK * RATE / SLEW), math.ceil(HOLD * RATE)) + 2
-"""Longest time to safe [ticks]: watchdog, damping and the way down, or the device's own deadline; two for the tick in which
-the fault strikes and for the message that tells it. A driver that has no processor while it damps leaves that force to the
-device's deadline: such ticks come on top (`driven_to_safe`)."""
-
-CALM = 25
-"""So many ticks in order, one after the other, are a recovery."""
+CALM = 25  # so many ticks in order, one after the other, are a recovery
 
 
 class DrillOutcome(msgspec.Struct, kw_only=True):
@@ -59,7 +55,7 @@ class FaultSkippedError(MeasurementError):
     """The machine does not allow this fault; the text says what is missing."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Fault:
     """One fault."""
 
@@ -75,6 +71,12 @@ class Fault:
     exit_code: int = 0  # what the launch must end with: not 0 where a node does not come back
     # What else the driver's messages since the strike must not show: tells what they do.
     judge: Callable[[Sequence[DeviceState]], list[str]] = lambda _: []
+
+
+def fault_of(made: Any, name: str, what: str, strike: Callable[[Rig], None] | None = None, **more: Any) -> Fault:
+    """Make a fault whose parts are methods of an object."""
+    parts = {part: getattr(made, part) for part in ("change", "prepare", "tidy", "judge") if hasattr(made, part)}
+    return Fault(name, what, strike or made.strike, **parts, **more)
 
 
 def scene() -> dict[str, Any]:
@@ -111,12 +113,7 @@ def scene() -> dict[str, Any]:
                 **again,
                 "parameters": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}}},
             },
-            "logger": {
-                "kind": "logger",
-                "required": False,
-                **again,
-                "parameters": {"overwrite": True, "path": "run.mcap"},
-            },
+            "logger": {"kind": "logger", "required": False, **again, "parameters": {"overwrite": True, "path": "run.mcap"}},
         },
     }
 

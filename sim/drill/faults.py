@@ -18,12 +18,11 @@ from pathlib import Path
 from typing import Any
 
 from sim.drill import devices, intruders, last_line, people
-from sim.drill.drill import Fault, FaultSkippedError, kill
+from sim.drill.drill import Fault, FaultSkippedError, fault_of, kill
 from sim.measure.measured_launch import within
 from sim.measure.rig import Rig
 
-STOPPED = 0.3
-"""How long a node is stopped, a link is bad, a processor is taken away [s]."""
+STOPPED = 0.3  # how long a node is stopped, a link is bad, a processor is taken away [s]
 
 
 def _stop(node: str) -> Callable[[Rig], None]:
@@ -161,10 +160,7 @@ class SteppedClock:
         source.write_text(CLOCK, encoding="ascii")
         self._offset.write_bytes(bytes(mmap.PAGESIZE))
         done = subprocess.run(
-            [compiler, "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"],
-            capture_output=True,
-            text=True,
-            check=False,
+            [compiler, "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], capture_output=True, text=True, check=False
         )
         if done.returncode:
             raise FaultSkippedError(f"{compiler} cannot compile the clock: {done.stderr[-300:]}")
@@ -193,30 +189,20 @@ def faults() -> list[Fault]:
     disk, clock = _SmallDisk(), SteppedClock()
 
     def link(name: str, what: str, **values: float) -> Fault:
-        return Fault(name=name, what=what, strike=_bad_link(**values), change=_with_link)
+        return Fault(name, what, _bad_link(**values), change=_with_link)
 
     return [
-        *(Fault(name=f"kill {node}", what="SIGKILL, respawned", strike=kill(node)) for node in chain),
-        *(Fault(name=f"stop {node}", what=f"SIGSTOP for {STOPPED:g} s", strike=_stop(node)) for node in chain),
+        *(Fault(f"kill {node}", "SIGKILL, respawned", kill(node)) for node in chain),
+        *(Fault(f"stop {node}", f"SIGSTOP for {STOPPED:g} s", _stop(node)) for node in chain),
         link("flood", "300 old forces after each force", flood=300),
         link("dead link", "every force lost", drop=1.0),
         link("lossy link", "every third force lost", drop=0.33),
         link("slow link", "20 ms late, limit 10 ms", delay=0.02),
         link("reordering link", "up to 12 ms late, overtaking", jitter=0.012),
         link("garbage", "every second force with a bit flipped", corrupt=0.5),
-        Fault(
-            name="full disk",
-            what="no room under the logger",
-            strike=disk.strike,
-            change=disk.change,
-            exit_code=1,
-            prepare=disk.prepare,
-            tidy=disk.tidy,
-        ),
-        Fault(
-            name="clock step", what="wall clock −1 h, +2 h", strike=clock.strike, prepare=clock.prepare, tidy=clock.tidy
-        ),
-        Fault(name="starvation", what="4 busy processes per core, no FIFO", strike=_starve, change=last_line.no_fifo),
+        fault_of(disk, "full disk", "no room under the logger", exit_code=1),
+        fault_of(clock, "clock step", "wall clock −1 h, +2 h"),
+        Fault("starvation", "4 busy processes per core, no FIFO", _starve, change=last_line.no_fifo),
         *last_line.faults(),
         *intruders.faults(),
         *people.faults(),

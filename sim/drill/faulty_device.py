@@ -13,29 +13,20 @@ from messages.types import ZERO, Vector
 from nodes.driver.device import Device, DeviceLimits
 from sim.device.driver import SimDriver, SimDriverParameters
 
+# What the order says for a force that is never taken, and for a vendor's library that ends the process as if all were well.
 HANG, EXIT = "hang", "exit"
-"""What the order says for a force that is never taken, and for a vendor's library that ends the process as if all were well."""
-
+# What it begins with for an encoder that lies: its positions times a factor, or those of so many samples before. Else a number
+# is the position [m].
 SCALE, LATE = "scale ", "late "
-"""What it begins with for an encoder that lies: its positions times a factor, or those of so many samples before. Else a number
-is the position [m]."""
-
+# What it begins with for a call that raises, which is named, and for a read that takes so long [s].
 FAILS, BLOCKS = "fails in ", "blocks "
-"""What it begins with for a call that raises, which is named, and for a read that takes so long [s]."""
-
 _LATEST = 100
 
 
 class FaultyDriverParameters(SimDriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Parameters of the driver.
+    """Parameters of the driver."""
 
-    Attributes
-    ----------
-    order : str
-        A file: as long as it exists, the device does what it says.
-    """
-
-    order: str
+    order: str  # a file: as long as it exists, the device does what it says
 
 
 class FaultyDevice:

@@ -1,4 +1,9 @@
-"""Faults that come from somebody else: on a node's port, with a key that was taken away, with too many connections."""
+"""Faults that come from somebody else: on a node's port, with a key that was taken away, with too many connections.
+
+An unruly listener speaks ZMTP 3.0 (RFC 23) on a bare socket, so that it can leave in the middle of anything: thousands of
+subscriptions, heartbeats behind them, frames far too long, and gone. What libzmq makes of it depends on where it is cut; a few
+hundred connections meet every case.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +13,7 @@ import random
 import resource
 import shutil
 import socket
+import struct
 import subprocess
 import sys
 import tempfile
@@ -19,19 +25,14 @@ from typing import Any
 
 from messages.transport import keys
 from messages.transport.endpoints import MAX_MESSAGE
-from sim.drill import unruly
-from sim.drill.drill import Fault
+from sim.drill.drill import Fault, fault_of
 from sim.measure.measured_launch import MeasurementError, within
 from sim.measure.rig import Rig
 
-HELD = 1.0
-"""How long an intruder stays [s]."""
-
-FEW = 256
-"""Descriptors with which a launch that is flooded starts."""
-
+HELD = 1.0  # how long an intruder stays [s]
+FEW = 256  # descriptors with which a launch that is flooded starts
+# How often an unruly listener comes to the open ports, and to the private sockets, and its pause at these [s].
 VISITS, PAUSE = 200, 0.02
-"""How often an unruly listener comes to the open ports, and to the private sockets, and its pause at these [s]."""
 
 
 @contextlib.contextmanager
@@ -74,16 +75,7 @@ class _Elsewhere:
     def start(self) -> None:
         (self.folder / "r").mkdir(mode=0o700, exist_ok=True)
         self._node = subprocess.Popen(
-            [
-                sys.executable,
-                "-m",
-                "nodes.cli.command",
-                "node",
-                "start",
-                "coupling",
-                "--bind",
-                f"127.0.0.1:{self.port}",
-            ],
+            [sys.executable, "-m", "nodes.cli.command", "node", "start", "coupling", "--bind", f"127.0.0.1:{self.port}"],
             env={**os.environ, "HAPTIC_KEYS": str(self.folder / "far"), "HAPTIC_RUNTIME_DIR": str(self.folder / "r")},
             cwd=self.folder,
             stdin=subprocess.DEVNULL,
@@ -162,7 +154,7 @@ class _FewDescriptors:
             for place in (setup.control, setup.publish, setup.listen):
                 # Where the queue is full the kernel refuses, and where the process is gone the drill sees it.
                 with contextlib.suppress(OSError):
-                    clients.append(unruly.connect(place))
+                    clients.append(connect(place))
         for client in clients:
             client.close()
         _expect_the_same(rig, {"driver": driver})
@@ -192,10 +184,10 @@ def _visit_all(rig: Rig) -> None:
     for number in range(VISITS):
         node = list(before)[number % len(before)]
         setup = rig.run.nodes[node]
-        unruly.visit(f"tcp://127.0.0.1:{ports[node]}", chance)
+        visit(f"tcp://127.0.0.1:{ports[node]}", chance)
         # Only the same user gets there, and every subscription costs the loop a microsecond: one at a time.
         place = (setup.publish, setup.listen, setup.control)[number // len(before) % 3]
-        unruly.visit(place, chance, requests=place == setup.control)
+        visit(place, chance, requests=place == setup.control)
         rig.let_pass(PAUSE)
     _expect_the_same(rig, before)
 
@@ -203,44 +195,67 @@ def _visit_all(rig: Rig) -> None:
 def faults() -> list[Fault]:
     """List the faults that come from somebody else."""
     impostor, revoked, few = _Elsewhere(), _Elsewhere(), _FewDescriptors()
+    size, visits = MAX_MESSAGE >> 20, 2 * VISITS
 
     def with_link(content: dict[str, Any]) -> None:
         content["nodes"]["link"] = {"kind": "link"}
 
     return [
-        Fault(
-            name="oversize message",
-            what=f"one force of more than {MAX_MESSAGE >> 20} MiB",
-            strike=_send_oversize,
-            change=with_link,
-        ),
-        Fault(
-            name="impostor",
-            what="coupling over tcp killed, a web server on its port",
-            strike=impostor.replace,
-            change=impostor.change,
-            prepare=impostor.prepare,
-            tidy=impostor.tidy,
-        ),
-        Fault(
-            name="revoked key",
-            what="of a coupling over tcp, allowed again later",
-            strike=revoked.revoke,
-            change=revoked.change,
-            prepare=revoked.prepare,
-            tidy=revoked.tidy,
-        ),
-        Fault(
-            name="fd exhaustion",
-            what=f"{4 * FEW} connections, {FEW} descriptors",
-            strike=few.strike,
-            prepare=few.prepare,
-            tidy=few.tidy,
-        ),
-        Fault(
-            name="unruly listeners",
-            what=f"{2 * VISITS} that subscribe 3000 times and leave",
-            strike=_visit_all,
-            change=_let_listen,
-        ),
+        Fault("oversize message", f"one force of more than {size} MiB", _send_oversize, change=with_link),
+        fault_of(impostor, "impostor", "coupling over tcp killed, a web server on its port", impostor.replace),
+        fault_of(revoked, "revoked key", "of a coupling over tcp, allowed again later", revoked.revoke),
+        fault_of(few, "fd exhaustion", f"{4 * FEW} connections, {FEW} descriptors"),
+        Fault("unruly listeners", f"{visits} that subscribe 3000 times and leave", _visit_all, change=_let_listen),
     ]
+
+
+GREETING = b"\xff" + bytes(8) + b"\x7f\x03\x01NULL" + bytes(16) + b"\0" + bytes(31)
+
+
+def _command(name: bytes, body: bytes) -> bytes:
+    content = bytes([len(name)]) + name + body
+    return bytes([4, len(content)]) + content
+
+
+PING = _command(b"PING", b"\0\x01abc")
+# As many in a row as fill a queue of a few dozen, then a heartbeat: what is read at once, 8 KiB, holds both.
+SUBSCRIPTIONS = b"".join(b"\0\x05\x01%04d" % i + PING * (i % 50 == 49) for i in range(3000))
+REQUESTS = ((b"\x01\0" + b"\0\x05hello") * 20 + PING) * 50
+LONG_FRAME = b"\x02" + struct.pack(">Q", 100_000) + bytes(100_000)
+
+
+def connect(place: str) -> socket.socket:
+    """Connect a bare socket to ZeroMQ's endpoint."""
+    bare = place.partition("#")[0]
+    if bare.startswith("ipc://"):
+        made = socket.socket(socket.AF_UNIX)
+        made.settimeout(1.0)
+        try:
+            made.connect(bare.removeprefix("ipc://"))
+        except OSError:
+            made.close()
+            raise
+        return made
+    host, _, port = bare.removeprefix("tcp://").rpartition(":")
+    return socket.create_connection((host.strip("[]"), int(port)), 1.0)
+
+
+def visit(place: str, chance: random.Random, requests: bool = False) -> bool:
+    """Come, misbehave and leave; whether it was let in."""
+    try:
+        found = connect(place)
+    except OSError:
+        return False
+    kind = b"DEALER" if requests else b"SUB"
+    content = REQUESTS if requests else SUBSCRIPTIONS
+    found.settimeout(0.5)
+    # Whoever disconnects it does not wait until it has said all.
+    with contextlib.suppress(OSError), found:
+        found.sendall(GREETING + _command(b"READY", b"\x0bSocket-Type" + struct.pack(">I", len(kind)) + kind))
+        found.sendall(content[: chance.randrange(1, len(content))] + LONG_FRAME * chance.randrange(2))
+        # Until what it sent was read, or not.
+        time.sleep(0.01 * chance.randrange(2))
+        if chance.randrange(2):
+            # A reset in place of an end.
+            found.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    return True

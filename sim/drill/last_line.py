@@ -10,61 +10,44 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from sim.drill.drill import Fault, another, kill
+from sim.drill.drill import Fault, another, fault_of, kill
 from sim.drill.faulty_device import EXIT, HANG
 from sim.measure.measured_launch import processes_of, within
 from sim.measure.rig import Rig
 
 ORDER = "order"
-HANG_LIMIT = 0.5
-"""After so long within one tick the drill's device is taken to hang [s]."""
-
-BEHIND = 4.0
-"""How long the logger's disk is slow before the end [s]; it is during the end too."""
-
-ON, OFF, ROUNDS = 0.008, 0.092, 8
-"""A quota of 8 % in periods of 0.1 s [s]: less than what a plain 500 Hz loop needs."""
-
+HANG_LIMIT = 0.5  # after so long within one tick the drill's device is taken to hang [s]
+BEHIND = 2.0  # how long the logger's disk is slow before the end [s]; it is during the end too
+ON, OFF, ROUNDS = 0.008, 0.092, 8  # a quota of 8 % in periods of 0.1 s [s]: less than what a plain 500 Hz loop needs
 GROUPS = Path("/sys/fs/cgroup")
+# Where the kernel keeps processor quotas [µs], what sets one and what ends it: of control groups version 1 and 2.
 LIMITS = (
     (GROUPS / "cpu", {"cpu.cfs_period_us": "{period}", "cpu.cfs_quota_us": "{quota}"}, {"cpu.cfs_quota_us": "-1"}),
     (GROUPS, {"cpu.max": "{quota} {period}"}, {"cpu.max": "max"}),
 )
-"""Where the kernel keeps processor quotas [µs], what sets one and what ends it: of control groups version 1 and 2."""
-
-ATTEMPTS = 5
-"""Launches killed while they start, each a little later."""
+ATTEMPTS = 5  # launches killed while they start, each a little later
 
 
 def _faulty(content: dict[str, Any]) -> None:
     driver = content["nodes"]["driver"]
-    driver["kind"] = "faulty_driver"
-    driver["parameters"]["order"] = ORDER
+    driver["kind"], driver["parameters"]["order"] = "faulty_driver", ORDER
     driver["parameters"]["safety"]["hang"] = HANG_LIMIT
 
 
-def _hang(rig: Rig) -> None:
-    before = rig.pid("driver")
-    order = rig.folder / ORDER
-    order.write_text(HANG, encoding="ascii")
-    within(lambda: "[driver] hung: " in rig.errors, 15.0)
-    order.unlink()
-    within(lambda: another(rig, "driver", before), 15.0)
+def _break_down(what: str, said: str) -> Callable[[Rig], None]:
+    def strike(rig: Rig) -> None:
+        before, order = rig.pid("driver"), rig.folder / ORDER
+        order.write_text(what, encoding="ascii")
+        within(lambda: said in rig.errors, 15.0)
+        order.unlink()
+        within(lambda: another(rig, "driver", before), 15.0)
 
-
-def _exit(rig: Rig) -> None:
-    before = rig.pid("driver")
-    order = rig.folder / ORDER
-    order.write_text(EXIT, encoding="ascii")
-    within(lambda: "in mid-run" in rig.errors, 15.0)
-    order.unlink()
-    within(lambda: another(rig, "driver", before), 15.0)
+    return strike
 
 
 def _slow_disk(content: dict[str, Any]) -> None:
     logger = content["nodes"]["logger"]
-    logger["kind"] = "slow_logger"
-    logger["parameters"]["order"] = ORDER
+    logger["kind"], logger["parameters"]["order"] = "slow_logger", ORDER
 
 
 def _fall_behind(rig: Rig) -> None:
@@ -182,29 +165,12 @@ def faults() -> list[Fault]:
     """List them."""
     quota = _Quota()
     return [
-        Fault(
-            name="blocked stderr",
-            what="coupling killed, output unread",
-            strike=kill("coupling"),
-            unread=True,
-        ),
-        Fault(name="hung device", what="a force that is never taken", strike=_hang, change=_faulty),
-        Fault(name="driver exits", what="exit(0) within a device's call", strike=_exit, change=_faulty),
-        Fault(
-            name="slow logger",
-            what=f"{BEHIND:g} s of a slow disk, then the end",
-            strike=_fall_behind,
-            change=_slow_disk,
-        ),
-        Fault(name="stopped reaper", what="SIGSTOP, then the end", strike=_stop_reaper),
-        Fault(name="huge position", what="the device gives 1.7e308 m", strike=_misplace("1.7e308"), change=_faulty),
-        Fault(
-            name="ticks lost by quota",
-            what=quota.what,
-            strike=quota.strike,
-            change=_plain,
-            prepare=quota.prepare,
-            tidy=quota.tidy,
-        ),
-        Fault(name="killed in start-up", what="launcher and reaper of 5 launches", strike=_kill_at_start),
+        Fault("blocked stderr", "coupling killed, output unread", kill("coupling"), unread=True),
+        Fault("hung device", "a force that is never taken", _break_down(HANG, "[driver] hung: "), change=_faulty),
+        Fault("driver exits", "exit(0) within a device's call", _break_down(EXIT, "in mid-run"), change=_faulty),
+        Fault("slow logger", f"{BEHIND:g} s of a slow disk, then the end", _fall_behind, change=_slow_disk),
+        Fault("stopped reaper", "SIGSTOP, then the end", _stop_reaper),
+        Fault("huge position", "the device gives 1.7e308 m", _misplace("1.7e308"), change=_faulty),
+        fault_of(quota, "ticks lost by quota", quota.what, change=_plain),
+        Fault("killed in start-up", "launcher and reaper of 5 launches", _kill_at_start),
     ]

@@ -17,35 +17,26 @@ import msgspec
 from messages import topics
 from nodes.base.node import IDLE_MS, Node
 
-Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+Portion = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 Time = Annotated[float, msgspec.Meta(ge=0.0, le=10.0)]
 
 
 class LinkParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of the link; by default it passes everything on at once.
 
-    Attributes
-    ----------
-    drop : float
-        Share of the messages that are lost.
-    delay : float
-        What each message takes [s].
-    jitter : float
-        Up to how much more, evenly distributed; later messages overtake earlier ones [s].
-    corrupt : float
-        Share of the messages of which one byte is changed.
-    flood : int
-        Copies of old messages sent after each message.
-    oversize : int
-        Length of one more message that is sent after the next one, once for each change [bytes]; 0 for none.
-    seed : int
-        Of the random numbers.
+    drop: Share of the messages that are lost.
+    delay: What each message takes [s].
+    jitter: Up to how much more, evenly distributed; later messages overtake earlier ones [s].
+    corrupt: Share of the messages of which one byte is changed.
+    flood: Copies of old messages sent after each message.
+    oversize: Length of one more message that is sent after the next one, once for each change [bytes]; 0 for none.
+    seed: Of the random numbers.
     """
 
-    drop: Share = 0.0
+    drop: Portion = 0.0
     delay: Time = 0.0
     jitter: Time = 0.0
-    corrupt: Share = 0.0
+    corrupt: Portion = 0.0
     flood: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 0
     oversize: Annotated[int, msgspec.Meta(ge=0, le=1 << 24)] = 0
     seed: int = 1

@@ -18,30 +18,17 @@ from sim.measure.measured_launch import MeasurementError, wait_for
 from sim.measure.rig import Rig
 from sim.tune.live_trial import TRIAL
 
-PEAK = 40.0
-"""Largest force that a hand which has sunk in may meet [N]."""
-
-STIFFNESS, PATH = 150.0, -0.06
-"""Of a hand that goes on pushing [N/m], and where it pulls to [m]: 9 N at the surface."""
-
-MASS, DAMPING = 0.1, 2.0
-"""The same of its own mass [kg], as much as the device's, and of its damping [N s/m]."""
-
-SUNK = 0.01
-"""So deep a hand sinks at least while nobody answers [m]."""
-
+PEAK = 40.0  # largest force that a hand which has sunk in may meet [N]
+STIFFNESS, PATH = 150.0, -0.06  # of a hand that goes on pushing [N/m], and where it pulls to [m]: 9 N at the surface
+MASS, DAMPING = 0.1, 2.0  # the same of its own mass [kg], as much as the device's, and of its damping [N s/m]
+SUNK = 0.01  # so deep a hand sinks at least while nobody answers [m]
+# What ends a tuning: a polite kill, a closed terminal, and one that asks nobody.
 SIGNALS = (signal.SIGTERM, signal.SIGHUP, signal.SIGKILL)
-"""What ends a tuning: a polite kill, a closed terminal, and one that asks nobody."""
-
-TAPS = [500.0, -400.0]
-"""A law on trial [N/m], and the steps of 2 % above it that are tried: it comes to rest at all of them."""
+TAPS = [500.0, -400.0]  # a law on trial [N/m], and the steps of 2 % above it that are tried: it comes to rest at all of them
 FIRST, LAST = 3, 40
 
-SETTLED = 150
-"""So long after a gap the hand stands where it stood [ticks]."""
-
-BACK = 20.0
-"""A launch has taken back what was borrowed after so long [s]: four times its leases."""
+SETTLED = 150  # so long after a gap the hand stands where it stood [ticks]
+BACK = 20.0  # a launch has taken back what was borrowed after so long [s]: four times its leases
 
 
 def _pushed(content: dict[str, Any]) -> None:
@@ -74,10 +61,8 @@ def thrown(states: Sequence[DeviceState]) -> list[str]:
         for state in after:
             allowed = PEAK * min(state.seq - last, recovery) / recovery
             # Two roundings.
-            if abs(state.force[2]) > allowed * (1.0 + 1e-15):
-                wrong.append(
-                    f"{abs(state.force[2]):.3g} N, {state.seq - last} ticks after none; the ramp allows {allowed:.3g} N"
-                )
+            if (force := abs(state.force[2])) > allowed * (1.0 + 1e-15):
+                wrong.append(f"{force:.3g} N, {state.seq - last} ticks after none; the ramp allows {allowed:.3g} N")
                 break
         # The way out takes what the hand pushes with, and the speed of that way: half as fast again, for ticks of acceleration.
         speed = 1.5 * RETURN_SPEED
@@ -99,26 +84,12 @@ def _held(content: dict[str, Any]) -> None:
 def _designed(rig: Rig) -> None:
     """Leave what a design and a prediction leave: a law to be tried from above itself."""
     h1 = sum(TAPS)
-    edges = {
-        "edge_h1_n_per_m": None,
-        "edge_factor": None,
-        "edge_linear_h1_n_per_m": 10.0 * h1,
-        "edge_linear_factor": 10.0,
-    }
+    edges = {"edge_linear_h1_n_per_m": 10.0 * h1, "edge_linear_factor": 10.0, "drops_settled": 0, "drops": 0}
+    unknown = ("edge_h1_n_per_m", "edge_factor", "stable_up_to_delay_ticks", "every_delay_stable", "limit_cycle_free")
     asked = {"mass": [MASS, MASS], "delay": [0.0, 1.0], "radius": 1.0}
     said = {
         "designed": {"taps_n_per_m": TAPS, "h1_n_per_m": h1, "gain_over_pd": None, "lands": False, "demand": asked},
-        "predicted": {
-            **edges,
-            "h1_n_per_m": h1,
-            "knock_m": 1e-3,
-            "pole_radius": 1.0,
-            "drops_settled": 0,
-            "drops": 0,
-            "stable_up_to_delay_ticks": None,
-            "every_delay_stable": None,
-            "limit_cycle_free": None,
-        },
+        "predicted": {**dict.fromkeys(unknown), **edges, "h1_n_per_m": h1, "knock_m": 1e-3, "pole_radius": 1.0},
         "predicted_steps": {"steps": [], "ended": "", "plan": {"first": FIRST, "near": FIRST, "last": LAST}},
     }
     folder = rig.folder / "tuning"
@@ -179,28 +150,17 @@ def unasked(states: Sequence[DeviceState]) -> list[str]:
     for state in states:
         calm = calm + 1 if state.safety == "active" else 0
         # After a gap the hand comes out of the wall first. A push begins with tenths of a newton.
-        if (calm == state.seq - states[0].seq + 1 or calm > SETTLED) and abs(state.force[2] - pressed) > 0.1 * abs(
-            pressed
-        ):
+        if (calm == state.seq - states[0].seq + 1 or calm > SETTLED) and abs(state.force[2] - pressed) > 0.1 * abs(pressed):
             return [f"{state.force[2]:.3g} N at tick {state.seq}, where a hand presses with {pressed:.3g} N"]
     return []
 
 
 def faults() -> list[Fault]:
     """List them."""
+    sinks = f"coupling, then environment killed while a hand pushes with {-STIFFNESS * PATH:g} N"
+    signals = ", ".join(number.name for number in SIGNALS)
     return [
-        Fault(
-            name="hand sinks in",
-            what=f"coupling, then environment killed while a hand pushes with {-STIFFNESS * PATH:g} N",
-            strike=_let_sink,
-            change=_pushed,
-            judge=thrown,
-        ),
-        Fault(
-            name="tune ended",
-            what=f"{', '.join(number.name for number in SIGNALS)} with a law on trial",
-            strike=_end_tuning,
-            change=_held,
-        ),
-        Fault(name="pressed device", what="identify and tune while a hand presses", strike=_press, judge=unasked),
+        Fault("hand sinks in", sinks, _let_sink, change=_pushed, judge=thrown),
+        Fault("tune ended", f"{signals} with a law on trial", _end_tuning, change=_held),
+        Fault("pressed device", "identify and tune while a hand presses", _press, judge=unasked),
     ]

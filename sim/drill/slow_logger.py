@@ -11,20 +11,13 @@ import msgspec
 from nodes.recording.logger import Logger, LoggerParameters
 from nodes.recording.writer import RecordWriter
 
-PER_MESSAGE = 0.002
-"""What a slow disk takes for each message [s]: less often than messages come."""
+PER_MESSAGE = 0.002  # what a slow disk takes for each message [s]: less often than messages come
 
 
 class SlowLoggerParameters(LoggerParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Parameters of the logger.
+    """Parameters of the logger."""
 
-    Attributes
-    ----------
-    order : str
-        A file: as long as it exists, the disk is slow.
-    """
-
-    order: str
+    order: str  # a file: as long as it exists, the disk is slow
 
 
 class _SlowWriter:

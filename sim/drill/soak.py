@@ -3,14 +3,23 @@
 What it looks for is what short runs do not show: memory that grows, messages that nobody accounts for, ticks missed without
 a reason. Each round attaches loggers, changes parameters, and kills one node of the chain at its end; ticks are only excused
 from that kill until forces flow again.
+
+What a missed tick came from is measured. The kernel counts for each thread how long it ran and how long it was ready to run but
+did not (``schedstat``), and what the machine below took from the processors (``steal``). A witness beside the launch reads both
+a hundred times a second; a stall is compared with what was counted while it lasted.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 import signal
+import threading
 import time
+from bisect import bisect_left, bisect_right
+from collections.abc import Mapping
 from itertools import cycle
+from pathlib import Path
 
 import msgspec
 
@@ -20,75 +29,51 @@ from nodes.recording.accounts import accounts
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
 from sim.drill.drill import RATE, in_order, scene
-from sim.drill.witness import UNEXPLAINED, Witness
 from sim.measure.measured_launch import within
 from sim.measure.rig import Rig
 
+# Growth of a node's memory after its first tenth that is still called flat [bytes]: allocators round by the megabyte.
 GROWTH = 4e6
-"""Growth of a node's memory after its first tenth that is still called flat [bytes]: allocators round by the megabyte."""
-
+# From when on a process is held to its memory [s]: after a tenth of the run, but not before its first chunks are written.
+SETTLED = (4.0, 20.0)
+# What a logger may grow by beside that, per message [bytes]: MCAP's index of chunks is kept until the file is closed.
 INDEX = 5.0
-"""What a logger may grow by beside that, per message [bytes]: MCAP's index of chunks is kept until the file is closed."""
-
-MISS_LIMIT = 1e-3
-"""Largest share of missed ticks outside respawns."""
+MISS_LIMIT = 1e-3  # largest share of missed ticks outside respawns
 
 
 CHAIN = ("driver", "environment", "coupling")
 
-LATE = 0.25
-"""From this share of a period on a driver that is woken late was held up by the machine."""
-
-BLAME = 1.0
-"""How long after something was done to the launch a missed tick may be its fault [s]."""
+LATE = 0.25  # from this share of a period on a driver that is woken late was held up by the machine
+BLAME = 1.0  # how long after something was done to the launch a missed tick may be its fault [s]
 
 
 class Soak(msgspec.Struct, kw_only=True):
-    """What came of a long run.
+    """What came of a long run."""
 
-    Attributes
-    ----------
-    duration_s : float
-        How long it ran [s].
-    rounds, changes, loggers, respawns : int
-        Rounds done; parameter changes and law switches; loggers attached; nodes killed.
-    ticks, missed, excused : int
-        Ticks; those without a timely answer outside respawns; those of the respawns, which are left out.
-    held_up : int
-        The missed ones with which even the driver, the most urgent of all, was woken late or not at all: the machine stood.
-    missed_after : dict of str to int
-        The missed ones, by what was last done to the launch within `BLAME` before; ``nothing`` for those left to the machine.
-    causes : dict of str to int
-        The missed ones, by the cause that was measured (sim/drill/witness.py): the driver itself woken late, a node that waited
-        for its processor or computed, stolen time; ``unexplained`` for the rest.
-    growth_bytes : dict of str to float
-        Growth of each node's memory within one process of it, the largest [bytes].
-    accounts : dict of str to dict of str to int
-        By node: ``sent`` by its own count, ``recorded`` by the launch's logger, and ``lost``, the difference.
-    shared : int
-        Messages of the other loggers that ended orderly; what they have is compared with what the launch's logger has.
-    passed : bool
-        Memory flat, every message accounted for, recovered after each respawn, nothing left, few misses.
-    reasons : list of str
-        Why not.
-    """
-
-    duration_s: float = 0.0
+    duration_s: float = 0.0  # how long it ran [s]
+    # Rounds done; parameter changes and law switches; loggers attached; nodes killed.
     rounds: int = 0
     changes: int = 0
     loggers: int = 0
     respawns: int = 0
+    # Ticks; those without a timely answer outside respawns; those of the respawns, which are left out.
     ticks: int = 0
     missed: int = 0
     excused: int = 0
+    # The missed ones with which even the driver, the most urgent of all, was woken late or not at all: the machine stood.
     held_up: int = 0
+    # The missed ones, by what was last done to the launch within `BLAME` before; ``nothing`` for those left to the machine.
     missed_after: dict[str, int] = {}
+    # The missed ones, by the cause that was measured (sim/drill/soak.py): the driver itself woken late, a node that waited
+    # for its processor or computed, stolen time; ``unexplained`` for the rest.
     causes: dict[str, int] = {}
-    growth_bytes: dict[str, float] = {}
+    growth_bytes: dict[str, float] = {}  # growth of each node's memory within one process of it, the largest [bytes]
+    # By node: ``sent`` by its own count, ``recorded`` by the launch's logger, and ``lost``, the difference.
     accounts: dict[str, dict[str, int]] = {}
+    # Messages of the other loggers that ended orderly; what they have is compared with what the launch's logger has.
     shared: int = 0
-    passed: bool = False
-    reasons: list[str] = []
+    passed: bool = False  # memory flat, every message accounted for, recovered after each respawn, nothing left, few misses
+    reasons: list[str] = []  # why not
 
 
 class _Memory:
@@ -131,7 +116,7 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
     content["nodes"]["coupling"]["parameters"]["laws"]["soft"] = {"kind": "pd", "stiffness": 500.0, "damping": 2.0}
     found = Soak()
     witness = Witness(1.0 / RATE)
-    memory = _Memory(min(seconds / 10.0, 20.0), witness)
+    memory = _Memory(min(max(seconds / 10.0, SETTLED[0]), SETTLED[1]), witness)
     stiffness = cycle((800.0, 1200.0, 1000.0))
     law = cycle(("soft", "pd"))
     victims = cycle(("coupling", "environment", "driver"))
@@ -156,6 +141,8 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
                 found.changes += 2
             done.append((rig.states[-1].seq, "loggers killed and stopped"))
             killed.kill()
+            # On a busy machine it is only starting yet; what it never began cannot be compared.
+            within((rig.folder / f"round{number}.mcap").exists, 20.0)
             staying.send_signal(signal.SIGINT)
             killed.wait()
             staying.wait()
@@ -166,9 +153,7 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
             seen = len(rig.states)
             rig.kill(victim)
             if not within(lambda seen=seen: len(rig.states) > seen + 50 and in_order(rig.states), 20.0):  # type: ignore[misc]
-                found.reasons.append(
-                    f"round {number}: not recovered within 20 s after {victim} was killed: {rig.errors}"
-                )
+                found.reasons.append(f"round {number}: not recovered within 20 s after {victim} was killed: {rig.errors}")
                 break
             excused.append((struck, rig.states[-1].seq))
             done.append((rig.states[-1].seq, f"{victim} respawned"))
@@ -177,8 +162,7 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
         rig.end()
         _account(rig, found, complete)
     witness.close()
-    _count(rig, found, excused, done)
-    _explain(rig, found, excused, witness)
+    _explain(rig, found, _count(rig, found, excused, done), witness)
     found.growth_bytes = memory.growth
     index = INDEX * sum(account["recorded"] for account in found.accounts.values())
     limits = {node: GROWTH + (index if node == "logger" else 0.0) for node in memory.growth}
@@ -188,9 +172,7 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
         if growth > limits[node]
     ]
     if found.missed > miss_limit * found.ticks:
-        found.reasons.append(
-            f"missed {found.missed} of {found.ticks} ticks outside respawns, limit {miss_limit:g} of them"
-        )
+        found.reasons.append(f"missed {found.missed} of {found.ticks} ticks outside respawns, limit {miss_limit:g} of them")
     if miss_limit < 1.0 and found.causes.get(UNEXPLAINED):
         found.reasons.append(f"{found.causes[UNEXPLAINED]} missed ticks have no cause that was measured")
     if rig.exit_code != 0:
@@ -208,13 +190,9 @@ def _account(rig: Rig, found: Soak, names: list[str]) -> None:
     except RecordError as error:
         found.reasons.append(str(error))
         return
-    found.accounts = {
-        node: {"sent": one.sent, "recorded": one.recorded, "lost": one.lost} for node, one in verdict.items()
-    }
+    found.accounts = {node: {"sent": one.sent, "recorded": one.recorded, "lost": one.lost} for node, one in verdict.items()}
     found.reasons += [
-        f"{one.lost} of {node}'s messages are neither recorded nor declared lost"
-        for node, one in verdict.items()
-        if one.lost
+        f"{one.lost} of {node}'s messages are neither recorded nor declared lost" for node, one in verdict.items() if one.lost
     ]
     for name in names:
         try:
@@ -237,35 +215,32 @@ def _ticks(recording: Recording, topic: str) -> set[int]:
     return {message.seq for message in recording.messages(topic)}
 
 
-def _count(rig: Rig, found: Soak, excused: list[tuple[int, int]], done: list[tuple[int, str]]) -> None:
-    states = rig.states
+def _count(rig: Rig, found: Soak, excused: list[tuple[int, int]], done: list[tuple[int, str]]) -> list[int]:
+    """Count the ticks without a timely answer; which of them nothing excuses."""
+    states, missed = rig.states, []
     found.ticks = states[-1].seq - states[0].seq
     # A state tells of the tick before it.
     answered = {state.seq - 1 for state in states if state.response > 0.0}
     punctual = {state.seq for state in states if state.lateness < LATE / RATE}
     for seq in range(states[0].seq, states[-1].seq):
-        if seq not in answered:
-            if any(low <= seq <= high for low, high in excused):
-                found.excused += 1
-            else:
-                found.missed += 1
-                found.held_up += not {seq, seq + 1} <= punctual
-                last, what = max((event for event in done if event[0] <= seq), default=(-math.inf, ""))
-                blamed = what if seq - last <= BLAME * RATE else "nothing"
-                found.missed_after[blamed] = found.missed_after.get(blamed, 0) + 1
+        if seq in answered:
+            continue
+        if any(low <= seq <= high for low, high in excused):
+            found.excused += 1
+            continue
+        missed.append(seq)
+        found.held_up += not {seq, seq + 1} <= punctual
+        last, what = max((event for event in done if event[0] <= seq), default=(-math.inf, ""))
+        blamed = what if seq - last <= BLAME * RATE else "nothing"
+        found.missed_after[blamed] = found.missed_after.get(blamed, 0) + 1
+    found.missed = len(missed)
+    return missed
 
 
-def _explain(rig: Rig, found: Soak, excused: list[tuple[int, int]], witness: Witness) -> None:
+def _explain(rig: Rig, found: Soak, missed: list[int], witness: Witness) -> None:
     """Find the cause of each missed tick: those in a row are one stall."""
-    states = rig.states
-    stamps = {state.seq: state.stamp for state in states}
-    answered = {state.seq - 1 for state in states if state.response > 0.0}
-    late = {state.seq for state in states if state.lateness >= LATE / RATE}
-    missed = [
-        seq
-        for seq in range(states[0].seq, states[-1].seq)
-        if seq not in answered and not any(low <= seq <= high for low, high in excused)
-    ]
+    stamps = {state.seq: state.stamp for state in rig.states}
+    late = {state.seq for state in rig.states if state.lateness >= LATE / RATE}
     while missed:
         stall = [missed.pop(0)]
         while missed and missed[0] == stall[-1] + 1:
@@ -288,11 +263,85 @@ def text(found: Soak) -> str:
         f"  missed {found.missed} ticks outside the respawns ({found.held_up} while even the driver was held up), "
         f"{found.excused} within them"
         + "".join(f"; {count} within {BLAME:g} s of: {what}" for what, count in found.missed_after.items()),
-        "  causes measured: "
-        + (", ".join(f"{count} {cause}" for cause, count in found.causes.items()) or "none needed"),
+        "  causes measured: " + (", ".join(f"{count} {cause}" for cause, count in found.causes.items()) or "none needed"),
         f"  memory growth [MB]: {growth}",
         f"  {sent} messages sent by the nodes' own count, "
         f"{sum(one['lost'] for one in found.accounts.values())} of them not in the launch's recording; "
         f"{found.shared} in those of loggers that came and went",
     ]
     return "\n".join([*lines, *(f"  {reason}" for reason in found.reasons)])
+
+
+PERIOD = 0.01  # time between two looks [s]
+SHARE = 0.25  # from this share of a tick's period on, waiting or stolen time explains why an answer came late
+UNEXPLAINED = "unexplained"
+
+
+class Witness:
+    """Reads the kernel's counts until it is closed."""
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        # Process number of each node of the chain; a fault that starts a new one changes it.
+        self.pids: dict[str, int] = {}
+        self._found: dict[int, dict[int, str]] = {}
+        self._times: list[float] = []
+        self._looks: list[dict[tuple[str, int, str], float]] = []
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="witness", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._ending.wait(PERIOD):
+            look: dict[tuple[str, int, str], float] = {}
+            for name, pid in list(self.pids.items()):
+                for thread, whose in self._threads(pid).items():
+                    try:
+                        ran, waited = Path(f"/proc/{pid}/task/{thread}/schedstat").read_text(encoding="ascii").split()[:2]
+                    except OSError:
+                        continue
+                    look[name, thread, f"{whose}waited for its processor"] = int(waited) * 1e-9
+                    look[name, thread, f"{whose}computed"] = int(ran) * 1e-9
+            with open("/proc/stat", encoding="ascii") as stat:
+                steal = float(stat.readline().split()[8])
+            look["the machine", 0, "was stolen time"] = steal * 0.01
+            self._times.append(time.monotonic())
+            self._looks.append(look)
+
+    def _threads(self, pid: int) -> dict[int, str]:
+        """Find the threads that a message of the loop passes through: the loop's own, and ZeroMQ's first."""
+        if pid not in self._found:
+            found = {pid: ""}
+            for path in Path(f"/proc/{pid}/task").glob("*/comm"):
+                # One that has ended meanwhile carries nothing.
+                with contextlib.suppress(OSError):
+                    if path.read_text(encoding="ascii").strip() == "ZMQbg/IO/0":
+                        found[int(path.parent.name)] = "'s sockets "
+            self._found[pid] = found
+        return self._found[pid]
+
+    def close(self) -> None:
+        """Stop looking."""
+        self._ending.set()
+        self._thread.join()
+
+    def cause(self, begun: float, ended: float) -> str:
+        """Find what was counted during a stall."""
+        first = max(bisect_left(self._times, begun) - 1, 0)
+        last = min(bisect_right(self._times, ended), len(self._times) - 1)
+        if not 0 <= first < last:
+            return UNEXPLAINED
+        return largest(self._looks[first], self._looks[last], self._times[last] - self._times[first], self._period)
+
+
+def largest(
+    before: Mapping[tuple[str, int, str], float], after: Mapping[tuple[str, int, str], float], seconds: float, period: float
+) -> str:
+    """Find what explains a stall best."""
+    found: list[tuple[float, str]] = []
+    for key, value in after.items():
+        if key in before:
+            grown = value - before[key] - (0.5 * seconds if key[2].endswith("computed") else 0.0)
+            found.append((grown, f"{key[0]} {key[2]}".replace(" '", "'")))
+    most, what = max(found, default=(0.0, ""))
+    return what if most >= SHARE * period else UNEXPLAINED

@@ -38,14 +38,10 @@ from sim.scene.touch import touch
 FRAMES = ("world", "surface")
 
 _RADIUS, _THIN = 0.035, 0.006
+# Device and hand together [kg], [N s/m], [N/m], and the damper of the law [N s/m].
 _MASS, _DAMPING, _GRIP, _GAIN = 0.15, 3.0, 150.0, 2.0
-"""Device and hand together [kg], [N s/m], [N/m], and the damper of the law [N s/m]."""
-
-_PRESS, _SLIDES = 0.01, 0.5
-"""How deep below the top the hand pulls [m], and how long a slide takes [s]."""
-
-_ENTER = 40
-"""Ticks in which the depth is reached."""
+_PRESS, _SLIDES = 0.01, 0.5  # how deep below the top the hand pulls [m], and how long a slide takes [s]
+_ENTER = 40  # ticks in which the depth is reached
 
 
 @dataclass(frozen=True)
@@ -95,9 +91,7 @@ def ways(ticks: int, speed: float, period: float, depth: float) -> list[tuple[st
     return [(name, solids, back(path)) for name, solids, path in found]
 
 
-def forces(
-    law: CompiledLaw, frame: str, positions: Array, proxies: Array, normals: Array, contact: NDArray[np.bool_]
-) -> Array:
+def forces(law: CompiledLaw, frame: str, positions: Array, proxies: Array, normals: Array, contact: NDArray[np.bool_]) -> Array:
     """Render a law over a way that is given [N]."""
     renderer = Renderer([0, 1, 2], max(2, len(law.taps)))
     begin_turning(renderer.state, frame)
@@ -120,11 +114,7 @@ def forces(
 
 
 def along_ways(
-    laws: Sequence[tuple[str, CompiledLaw]],
-    period: float = 0.002,
-    speed: float = 0.2,
-    depth: float = 2e-3,
-    ticks: int = 400,
+    laws: Sequence[tuple[str, CompiledLaw]], period: float = 0.002, speed: float = 0.2, depth: float = 2e-3, ticks: int = 400
 ) -> list[AlongTheWay]:
     """Lead a device along each surface and back, with each law in both frames."""
     found = []
@@ -141,26 +131,16 @@ def along_ways(
                 mean, way = 0.5 * (force[1:] + force[:-1])[steady], moved[steady]
                 work = float(np.einsum("ij,ij->", mean, way))
                 scale = float(np.linalg.norm(mean, axis=1) @ np.linalg.norm(way, axis=1))
-                kicks = np.sum(np.diff(beyond[steady], axis=0) ** 2, axis=1)
-                found.append(
-                    AlongTheWay(
-                        surface,
-                        name,
-                        frame,
-                        work / scale,
-                        float(np.sqrt(np.mean(kicks))),
-                        float(np.linalg.norm(beyond[steady], axis=1).max()),
-                    )
-                )
+                kicks = float(np.sqrt(np.mean(np.sum(np.diff(beyond[steady], axis=0) ** 2, axis=1))))
+                most = float(np.linalg.norm(beyond[steady], axis=1).max())
+                found.append(AlongTheWay(surface, name, frame, work / scale, kicks, most))
     return found
 
 
 def sliding(launch: Launch, stiffness: float, speed: float, frame: str, radius: float = _RADIUS) -> Launch:
-    """Make a launch in which a hand draws the device over a sphere, pressed into it from the beginning.
+    """Make a launch in which a hand draws the device over a sphere, with the chain's law at H(1) = `stiffness` [N/m].
 
-    `launch`: of a chain with a virtual device in three axes; its law is taken, with this stiffness, everything else is set
-    here. `stiffness`: H(1) of the law [N/m]. Returns: the device begins on the top, where hand and contact balance, deeper by
-    a fifth.
+    It begins on the top, pressed in deeper by a fifth than where hand and contact balance.
     """
     deep = _GRIP * _PRESS / (_GRIP + stiffness)
     hand = {"mass": _MASS / 3.0, "damping": 2.0 * _DAMPING / 3.0, "stiffness": _GRIP}
@@ -187,12 +167,8 @@ def sliding(launch: Launch, stiffness: float, speed: float, frame: str, radius: 
 
 
 def growth(position: Array, proxy: Array, contact: NDArray[np.bool_]) -> float:
-    """Tell how the ripple of the depth changes over a slide: its root mean square late, over that early.
-
-    The ripple is the depth's second difference: what the way itself does to it is smaller by (v T)²/r over the depth.
-    """
-    depth = np.where(contact, np.linalg.norm(proxy - position, axis=1), 0.0)
-    ripple = np.diff(depth, n=2)
+    """Tell how the ripple of the depth, its second difference, changes over a slide: late over early, root mean squares."""
+    ripple = np.diff(np.where(contact, np.linalg.norm(proxy - position, axis=1), 0.0), n=2)
     tenth = len(ripple) // 10
     early, late = ripple[tenth : 4 * tenth], ripple[6 * tenth : 9 * tenth]
     return float(np.sqrt(np.mean(late**2) / max(np.mean(early**2), 1e-300)))
@@ -215,9 +191,7 @@ def growth_launched(launch: Launch, stiffness: float, speed: float, frame: str) 
     run = {"rate": made.run.rate, "duration": made.run.duration, "axes": list(made.run.axes), "pace": "lockstep"}
     with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
         file = Path(folder) / "sliding.yaml"
-        file.write_text(
-            yaml.safe_dump({"summary": "A contact that slides.", "run": run, "nodes": nodes}), encoding="utf-8"
-        )
+        file.write_text(yaml.safe_dump({"summary": "A contact that slides.", "run": run, "nodes": nodes}), encoding="utf-8")
         figures = run_launch(str(file), folder=Path(folder))
         found = Recording(Path(folder) / figures["recording"]).messages(PROXY)
     position, proxy = (np.array([getattr(message, name) for message in found]) for name in ("position", "proxy"))

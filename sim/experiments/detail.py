@@ -2,34 +2,37 @@
 
 A mesh is decimated, cut into convex pieces, replaced by a primitive, and in the end by a plane; friction is left out. Each
 level meets the device on the path of a real run; what it renders is compared with the finest. The coarsest whose force differs
-by no more than the device can tell, or than a stated part of the largest force, is enough.
+by no more than the device can tell, or than a stated part of the largest force, is enough. Bodies that move are dynamic, led as
+they went (kinematic), held (fixed), or not touched at all.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from messages.types import Vector
+from nodes.environment.bodies.moving_scene import MovingScene
+from nodes.environment.bodies.node import MujocoParameters
 from nodes.environment.shapes.mesh import PreparedMesh, prepare_mesh
 from nodes.environment.shapes.scene import SLIPPERY, Solid, capsule, mesh, plane, sphere
 from nodes.environment.shapes.tables import BOX, MESH, PLANE
+from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError
 from sim.arrays import Array
+from sim.scene.from_launch import parameters_of
+from sim.scene.spatial import SpatialTrace, play
 from sim.scene.touch import call_times, touch
 
-_GRIDS = (24, 16, 12, 8)
-"""Cells along the longest side to which a mesh's corners are drawn together."""
-
+_GRIDS = (24, 16, 12, 8)  # cells along the longest side to which a mesh's corners are drawn together
 _PIECES = (8, 4, 2, 1)
-_FEWEST = 8
-"""Points that a primitive is fitted to, at least."""
-
-_PLACE = 10
-"""Ticks in a row without a difference that end a place."""
-
+_FEWEST = 8  # points that a primitive is fitted to, at least
+_PLACE = 10  # ticks in a row without a difference that end a place
 _TIMED = 2000
 
 
@@ -51,29 +54,12 @@ class Level:
 
     @classmethod
     def measured(
-        cls,
-        name: str,
-        solids: int,
-        triangles: int,
-        difference: Array,
-        counted: Array,
-        away: Array,
-        times: Array,
-        limit: float,
+        cls, name: str, solids: int, triangles: int, difference: Array, counted: Array, away: Array, times: Array, limit: float
     ) -> Level:
         """Sum a path up: forces that differ [N], over all ticks and those that count, proxies [m], times of calls [µs]."""
-        return cls(
-            name,
-            solids,
-            triangles,
-            float(difference.max()),
-            float(np.sqrt(np.mean(counted**2))),
-            float(1e6 * away.max()),
-            places(difference > limit),
-            float(np.median(times)),
-            float(np.percentile(times, 99)),
-            bool(difference.max() <= limit),
-        )
+        largest, rms, proxy = float(difference.max()), float(np.sqrt(np.mean(counted**2))), float(1e6 * away.max())
+        calls = float(np.median(times)), float(np.percentile(times, 99))
+        return cls(name, solids, triangles, largest, rms, proxy, places(difference > limit), *calls, largest <= limit)
 
 
 @dataclass(frozen=True)
@@ -102,11 +88,7 @@ def detail(
     fraction: float,
     step: Callable[[str], None] = lambda _: None,
 ) -> Detail:
-    """Play one path through all levels of detail of a scene.
-
-    `path`, shape (ticks, 3): device positions [m]. `fraction`: part of the largest force that counts as no difference. Raises
-    ValueError when the path never touches anything.
-    """
+    """Play a path (ticks, 3) [m] through all levels of detail; `fraction` of the largest force counts as no difference."""
     finest = touch(solids, path, tool_radius, period)
     if not finest.contact.any():
         raise ValueError("the path touches nothing: let it run longer, or lead the hand further")
@@ -123,8 +105,7 @@ def detail(
         found = touch(made, path, tool_radius, period)
         either = finest.contact | found.contact
         away = np.linalg.norm(
-            np.where(found.contact[:, None], found.proxy, path) - np.where(finest.contact[:, None], finest.proxy, path),
-            axis=1,
+            np.where(found.contact[:, None], found.proxy, path) - np.where(finest.contact[:, None], finest.proxy, path), axis=1
         )
         difference = stiffness * away
         times = 1e6 * call_times(made, path, tool_radius, period, _TIMED)
@@ -144,7 +125,7 @@ def _levels(solids: Sequence[Solid], touched: Array, normals: Array) -> Iterator
     rough = any(solid.friction != SLIPPERY for solid in solids)
     yield "as it is", list(solids)
     if rough:
-        yield "without friction", [_slippery(solid) for solid in solids]
+        yield "without friction", [solid._replace(friction=SLIPPERY) for solid in solids]
     meshes = [solid for solid in solids if solid.kind == MESH]
     if len(solids) == 1 and meshes:
         found = meshes[0].mesh
@@ -153,9 +134,7 @@ def _levels(solids: Sequence[Solid], touched: Array, normals: Array) -> Iterator
             yield from decimated(meshes[0], cells)
         for pieces in _PIECES:
             yield f"{pieces} convex piece{'s' if pieces > 1 else ''}", _pieces(found, pieces, meshes[0])
-    points = np.concatenate(
-        [solid.mesh.corners.reshape(-1, 3) for solid in meshes if solid.mesh is not None] or [touched]
-    )
+    points = np.concatenate([solid.mesh.corners.reshape(-1, 3) for solid in meshes if solid.mesh is not None] or [touched])
     friction = solids[0].friction
     # Each once: how many triangles meet in a corner says nothing about where the shape is.
     points = np.unique(points, axis=0)
@@ -170,15 +149,8 @@ def _levels(solids: Sequence[Solid], touched: Array, normals: Array) -> Iterator
         yield "plane", [plane(tuple(touched.mean(axis=0).tolist()), tuple(normal.tolist()), friction)]
 
 
-def _slippery(solid: Solid) -> Solid:
-    return solid._replace(friction=SLIPPERY)
-
-
 def decimated(whole: Solid, cells: int) -> Iterator[tuple[str, list[Solid] | str]]:
-    """Draw corners in one cell of a grid together, and leave out the triangles that this flattens; what is none then says why.
-
-    Nothing for what is no mesh, or has no triangles to spare.
-    """
+    """Draw corners in one cell of a grid together, and leave out triangles that this flattens; nothing when none is spared."""
     found = whole.mesh
     if found is None:
         return
@@ -230,9 +202,7 @@ def _pieces(found: PreparedMesh, count: int, whole: Solid) -> list[Solid] | str:
     made = []
     for part in parts:
         try:
-            made.append(
-                mesh(prepare_mesh(_hull(np.unique(part.reshape(-1, 3), axis=0)), False, "detail"), whole.friction)
-            )
+            made.append(mesh(prepare_mesh(_hull(np.unique(part.reshape(-1, 3), axis=0)), False, "detail"), whole.friction))
         except (ParameterError, ValueError, RuntimeError) as error:
             return f"a piece is flat: {' '.join(str(error).split())[:120]}"
     return made
@@ -240,9 +210,7 @@ def _pieces(found: PreparedMesh, count: int, whole: Solid) -> list[Solid] | str:
 
 def _sphere(points: Array) -> Solid:
     """Fit by linear least squares to |x|² = 2 x·c + (r² − c²)."""
-    solution = np.linalg.lstsq(
-        np.column_stack([2.0 * points, np.ones(len(points))]), np.sum(points**2, axis=1), rcond=None
-    )[0]
+    solution = np.linalg.lstsq(np.column_stack([2.0 * points, np.ones(len(points))]), np.sum(points**2, axis=1), rcond=None)[0]
     centre = solution[:3]
     return sphere(tuple(centre.tolist()), float(np.sqrt(max(solution[3] + centre @ centre, 1e-12))))
 
@@ -265,3 +233,97 @@ def _capsule(points: Array) -> Solid:
     radius = float(0.5 * (half[1] + half[2]))
     end = max(float(half[0]) - radius, 1e-6) * axes[0]
     return capsule(tuple((middle - end).tolist()), tuple((middle + end).tolist()), radius)
+
+
+_HEAVY = 1e6  # mass of a body that is led, over what it has: nothing that touches it moves it
+
+
+class _Watched(MovingScene):
+    """A scene whose ticks are timed, and whose bodies are noted at every step."""
+
+    def __init__(self, launch: Launch, held: bool = False) -> None:
+        name, given = parameters_of(launch, "mujoco", MujocoParameters)
+        super().__init__(Path(given.scene).expanduser(), given.tool, launch.run.period, name, held)
+        self.times: list[int] = []
+        self.went: list[tuple[Array, Array]] = []
+
+    def follow(self, tick: int, position: Vector, force: Vector, since: int, delay: float, first: bool) -> bool:
+        """Take the scene to a tick."""
+        begin = time.perf_counter_ns()
+        diverged = super().follow(tick, position, force, since, delay, first)
+        self.times.append(time.perf_counter_ns() - begin)
+        return diverged
+
+    def step(self) -> None:
+        """Go one step further."""
+        self.went.append((self.data.qpos.copy(), self.data.qvel.copy()))
+        super().step()
+
+
+class _Led(_Watched):
+    """A scene whose bodies go where they went in another, whatever pushes them."""
+
+    def __init__(self, launch: Launch, went: list[tuple[Array, Array]]) -> None:
+        super().__init__(launch)
+        self._led = iter(went)
+        others = self.model.body_rootid != self.tool
+        self.model.body_mass[others] *= _HEAVY
+        self.model.body_inertia[others] *= _HEAVY
+        # What contacts are regularised by follows from the masses.
+        self._mujoco.mj_setConst(self.model, self.data)
+        places, speeds = np.ones(self.model.nq, dtype=bool), np.ones(self.model.nv, dtype=bool)
+        places[self._slides] = False
+        speeds[[int(self.model.jnt_dofadr[j]) for j in range(self.model.njnt) if self.model.jnt_qposadr[j] in self._slides]] = (
+            False
+        )
+        self._places, self._speeds = places, speeds
+
+    def step(self) -> None:
+        """Go one step further."""
+        places, speeds = next(self._led)
+        self.data.qpos[self._places], self.data.qvel[self._speeds] = places[self._places], speeds[self._speeds]
+        super().step()
+
+
+def body_detail(
+    launch: Launch, stiffness: float, resolution: float, fraction: float, step: Callable[[str], None] = lambda _: None
+) -> Detail:
+    """Play the path of a run through all levels of detail of a scene in which things move, from dynamic bodies to none."""
+    finest = _Watched(launch)
+    path = play(launch, world=finest).position
+    # Once more, with the path given as to all others.
+    finest = _Watched(launch)
+    ideal = play(launch, world=finest, path=path)
+    largest = float(np.linalg.norm(ideal.force, axis=1).max())
+    limit = max(stiffness * resolution, fraction * largest)
+    levels = [_level("dynamic", finest, ideal, ideal, limit)]
+    step("dynamic")
+    coarser: list[tuple[str, Callable[[], _Watched]]] = [
+        ("dynamic, without friction", lambda: _frictionless(_Watched(launch))),
+        ("kinematic: led as they went", lambda: _Led(launch, finest.went)),
+        ("fixed", lambda: _Watched(launch, held=True)),
+        ("a tool alone", lambda: _untouched(_Watched(launch, held=True))),
+    ]
+    for name, made in coarser:
+        world = made()
+        levels.append(_level(name, world, play(launch, world=world, path=path), ideal, limit))
+        step(name)
+    return Detail(tuple(levels), limit, stiffness * resolution, largest, ())
+
+
+def _frictionless(world: _Watched) -> _Watched:
+    world.model.geom_friction[:] = 0.0
+    world.model.dof_frictionloss[:] = 0.0
+    return world
+
+
+def _untouched(world: _Watched) -> _Watched:
+    world.model.geom_contype[:] = world.model.geom_conaffinity[:] = 0
+    return world
+
+
+def _level(name: str, world: _Watched, found: SpatialTrace, ideal: SpatialTrace, limit: float) -> Level:
+    difference = np.linalg.norm(found.force - ideal.force, axis=1)
+    away = np.linalg.norm(found.proxy - ideal.proxy, axis=1)
+    times = np.array(world.times, dtype=np.float64) / 1e3
+    return Level.measured(name, int(world.model.ngeom), 0, difference, difference, away, times, limit)

@@ -1,11 +1,10 @@
 """The drop test, the paper's experiment, and two others: what is played, and when it counts as settled.
 
-Three experiments: *drop* (a mass falls on a virtual floor, the paper's), *press* (a hand pushes the device into a wall) and
-*free* (the device swings about a two-sided anchor, which is the linear loop itself). A run settles when, over the last
-quarter of a stated horizon, it moves less than a stated tolerance about the point where the forces balance, without
-leaving the wall or touching a limit of the force; and when it has at no time risen above where it started. So
-runs that diverged until something saturated are refused. Near the limit the decay is slow: the same horizon for every law,
-or the figures do not compare (drop and press read 70–99 % of the linear limit).
+*Drop*: a mass falls on a virtual floor, the paper's; *press*: a hand pushes the device into a wall; *free*: it swings about a
+two-sided anchor, the linear loop itself. A run settles when, over the last quarter of a stated horizon, it moves less than a
+tolerance about the point where the forces balance, without leaving the wall or touching a limit of the force, and has never
+risen above where it started. Near the limit the decay is slow: one horizon for every law, or the figures do not compare (drop
+and press read 70–99 % of the linear limit).
 """
 
 from __future__ import annotations
@@ -45,12 +44,7 @@ class Criterion:
 
 
 def drop_scene(device: DeviceModel, period: float, raw: bool, clamp: bool, height: float = 0.01) -> Scene:
-    """Let the device fall on a floor at 0.
-
-    `device`: its position, velocity and gravity are set here, to `height`, 0 and, where it has none, 9.81 m/s². `raw`: whether
-    the history holds the raw distance outside contact. `clamp`: whether forces into the floor are set to zero. `height`: of
-    the fall [m]; the project's floor drop has 10 mm.
-    """
+    """Let the device fall on a floor at 0 from a height [m]; it weighs 9.81 m/s² where it has no gravity of its own."""
     gravity = 9.81 if device.gravity is None else device.gravity
     dropped = _changed(device, position=height, velocity=0.0, gravity=gravity)
     return Scene(device=dropped, surface=SceneSurface("plane"), period=period, raw=raw, clamp=clamp)
@@ -59,11 +53,7 @@ def drop_scene(device: DeviceModel, period: float, raw: bool, clamp: bool, heigh
 def press_scene(
     device: DeviceModel, period: float, raw: bool, clamp: bool, hand: Hand | None = None, depth: float = 0.01
 ) -> Scene:
-    """Let a hand press the device into a wall at 0.
-
-    `device`: it starts at rest, `depth` before the wall. `hand`: held still at its own path; left out, a light grip of 100 N/m
-    that wants to be `depth` behind the wall. `depth`: of start and aim, before and behind the wall [m].
-    """
+    """Let a hand, by default of 100 N/m, press the device from so far before a wall at 0 to as far behind it [m]."""
     hand = Hand(stiffness=100.0, path=[(0.0, -depth)]) if hand is None else hand
     pressed = _changed(device, position=depth, velocity=0.0, hand=hand)
     return Scene(device=pressed, surface=SceneSurface("plane"), period=period, raw=raw, clamp=clamp)
@@ -113,15 +103,7 @@ def _judge(positions: Any, forces: Any, surface: float, normal: float) -> Any:
 
 
 def _trials(
-    first: int,
-    last: int,
-    ticks: int,
-    motion: Motion,
-    contact: Contact,
-    taps: Any,
-    recursive: Any,
-    windows: Any,
-    results: Any,
+    first: int, last: int, ticks: int, motion: Motion, contact: Contact, taps: Any, recursive: Any, windows: Any, results: Any
 ) -> None:
     length = taps.shape[1]
     width = 0 if recursive is None else recursive.shape[1]
@@ -131,18 +113,9 @@ def _trials(
         forces = np.empty(ticks)
         none = np.empty(0, dtype=np.int64)
         laws = LawTables(taps[p], np.array([0, length]), own, np.array([0, width // 2]), none, none)
-        play_compiled(
-            ticks,
-            motion,
-            contact,
-            laws,
-            np.zeros(width // 2),
-            np.zeros(2 * max(length, 2)),
-            np.zeros(motion.waiting),
-            Records(positions, None, None, None, forces, None),
-            None,
-            _row(windows, p),
-        )
+        states, history, commands = np.zeros(width // 2), np.zeros(2 * max(length, 2)), np.zeros(motion.waiting)
+        records = Records(positions, None, None, None, forces, None)
+        play_compiled(ticks, motion, contact, laws, states, history, commands, records, None, _row(windows, p))
         verdict = _judge(positions, forces, contact.surface, contact.normal)
         for i in range(5):
             results[p, i] = verdict[i]
@@ -152,11 +125,7 @@ _trials_compiled = compiled()(_trials)
 
 
 def rest_position(scene: Scene, law: CompiledLaw, ticks: int) -> float | None:
-    """Where the forces balance at the end of a run.
-
-    `ticks`: when: a hand's path may go on until then [ticks]. Returns: position [m]; None when H(1) ≤ 0 or nothing holds the
-    device.
-    """
+    """Where the forces balance at the end of a run [m]; None when H(1) ≤ 0 or nothing holds the device."""
     load, grip = scene.device.load(ticks - 1, scene.period), scene.device.grip
     if law.h1 <= 0.0:
         return None
@@ -175,10 +144,7 @@ def _threads(process: int) -> ThreadPoolExecutor:
 
 
 def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> list[bool]:
-    """Play one experiment with each of several laws, spread over the cores.
-
-    Raises ValueError when the scene has a passivity guard: `sim.scene.loop.run` and the nodes play those.
-    """
+    """Play one experiment with each of several laws, spread over the cores; refused with a guard, which `run` plays."""
     if scene.passivity is not None and scene.passivity.guard == "on":
         raise ValueError("scene.passivity.guard is on: K_max is searched for the law alone; leave the guard out")
     own = [law.evaluate for law in laws]
@@ -227,11 +193,7 @@ def _played(scene: Scene, law: CompiledLaw, criterion: Criterion) -> bool:
 
 
 def settled(scene: Scene, law: CompiledLaw, position: Array, force: Array, criterion: Criterion) -> bool:
-    """Judge one run that was played elsewhere, by the very rules of `settles`.
-
-    `position`, shape (ticks,): position at each tick [m]. `force`, shape (ticks,): force handed to the device at each tick
-    [N]. Raises ValueError when the run is not as long as the horizon.
-    """
+    """Judge a run that was played elsewhere, positions [m] and forces [N] of each tick, by the very rules of `settles`."""
     if not len(position) == len(force) == criterion.ticks:
         raise ValueError(f"{len(position)} positions and {len(force)} forces, the horizon is {criterion.ticks} ticks")
     normal = scene.surface.normal if scene.surface.kind == "plane" else 0.0

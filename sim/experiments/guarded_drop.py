@@ -1,8 +1,7 @@
 """What the passivity guard makes safe, and what that costs in rendered stiffness: the drop, with and without it.
 
-A mass is dropped on walls from soft to far too stiff. Without the guard, a wall beyond K_max gives out energy at every bounce;
-with it, the mass comes to lie. The price is stiffness: forces are lowered on the way out, so the wall felt at rest (mean force
-over mean penetration) is softer than the nominal one.
+Without the guard, a wall beyond K_max gives out energy at every bounce; with it, the mass comes to lie. The price is stiffness:
+forces are lowered on the way out, so the wall felt at rest (mean force over mean penetration) is softer than nominal.
 """
 
 from __future__ import annotations
@@ -16,8 +15,7 @@ from nodes.laws import CompiledLaw
 from sim.device.model import DeviceModel
 from sim.scene.loop import Scene, SceneSurface, Trace, run
 
-SHARE = 0.25
-"""Part of a run, its last, that is looked at as rest."""
+SHARE = 0.25  # part of a run, its last, that is looked at as rest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,12 +53,7 @@ def measure(trace: Trace, stiffness: float, guarded: bool, delay: float) -> Drop
 
 
 def compare(
-    device: DeviceModel,
-    laws: dict[float, CompiledLaw],
-    period: float,
-    guard: PassivityParameters,
-    next_tick: bool,
-    ticks: int,
+    device: DeviceModel, laws: dict[float, CompiledLaw], period: float, guard: PassivityParameters, next_tick: bool, ticks: int
 ) -> list[Drop]:
     """Drop a mass on walls of several stiffnesses, with and without the guard."""
     found = []

@@ -1,8 +1,7 @@
 """K_max found by the distributed loop itself: every drop is a ``haptic launch`` in lockstep, judged from its recording.
 
-The study in one process is only worth something if the loop renders the same. So the same experiment is written as
-parameters for the processes, each stiffness is dropped through all of them, and what the logger recorded is judged by
-the very criterion of the study (sim/experiments/drop.py). Both must end at the same stiffness of a common grid.
+The study in one process is only worth something if the loop renders the same. So each stiffness is dropped through all
+processes too, and judged by the very criterion of the study. Both must end at the same stiffness of a common grid.
 """
 
 from __future__ import annotations
@@ -29,9 +28,7 @@ from sim.measure.measured_launch import MeasurementError
 from sim.scene.from_launch import LaunchedScene, from_launch
 from sim.scene.loop import Scene
 
-SCENARIO = "floor_drop"
-"""Launch file whose nodes get the experiment's parameters."""
-
+SCENARIO = "floor_drop"  # launch file whose nodes get the experiment's parameters
 NO_LIMITS = {"peak_force": None, "slew": None, "workspace": None}
 
 
@@ -47,10 +44,7 @@ class SameKMax:
 
 
 def with_stiffness(law: Law, stiffness: float) -> dict[str, Any]:
-    """Describe a law at another nominal stiffness.
-
-    Returns: as a launch file has it. Raises ValueError when the law has no such parameter.
-    """
+    """Describe a law at another nominal stiffness, as a launch file has it; one without any is refused."""
     described = law_to_dict(law)
     if "stiffness" not in described:
         raise ValueError(f"law kind {law.kind} has no nominal stiffness that could be raised")
@@ -58,11 +52,7 @@ def with_stiffness(law: Law, stiffness: float) -> dict[str, Any]:
 
 
 def parameters(scene: Scene, law: dict[str, Any]) -> dict[str, Any]:
-    """Write an experiment as parameters of the nodes of `SCENARIO`: the inverse of `sim.scene.from_launch.from_launch`.
-
-    `scene`: the experiment: a plane or an anchor, no limits by the driver, no guard. Returns: node to parameters, as ``haptic
-    launch --params`` reads them. Raises ValueError when the scene has something that is not written here.
-    """
+    """Write an experiment as parameters of the nodes of `SCENARIO`: the inverse of `sim.scene.from_launch.from_launch`."""
     limited = (scene.peak, scene.slew, scene.workspace) != (None, None, None)
     if limited or scene.passivity is not None or scene.surface.kind == "free":
         raise ValueError("a drop has a plane or an anchor, no limits by the driver and no guard")
@@ -98,12 +88,7 @@ def _written(scene: Scene, law: dict[str, Any], ticks: int, folder: Path) -> tup
 
 
 def launched(scene: Scene, law: dict[str, Any], ticks: int) -> tuple[Array, Array]:
-    """Play an experiment through the processes, in lockstep.
-
-    Returns, shape (ticks,): position at each tick as the encoder gave it [m], and force that was handed to the device at each
-    [N]. Raises ValueError when the processes would play another scene than this one. Raises MeasurementError when the launch
-    fails, or its recording is not complete.
-    """
+    """Play an experiment through the processes, in lockstep: position read [m] and force handed over [N] at each tick."""
     with tempfile.TemporaryDirectory(prefix="haptic-drop-") as folder:
         path, read_back = _written(scene, law, ticks, Path(folder))
         # The driver's own rules are the launch's; a drop that keeps its ticks never comes to them.
@@ -135,12 +120,7 @@ def compiled(scene: Scene, law: dict[str, Any]) -> CompiledLaw:
 
 
 def last_settling(verdict: Callable[[float], bool], grid: Sequence[float]) -> float | None:
-    """Bisect a grid of stiffnesses.
-
-    `verdict`: from K [N/m] to whether it settles; asked about once per halving. `grid`: rising K [N/m]. The boundary is looked
-    for between its ends. Returns: A K that settles and whose neighbour above does not; the last K when that settles, None when
-    the first does not.
-    """
+    """Bisect a rising grid of K [N/m]: one that settles and whose neighbour above does not; None when the first does not."""
     if not verdict(grid[0]):
         return None
     if verdict(grid[-1]):
@@ -148,20 +128,14 @@ def last_settling(verdict: Callable[[float], bool], grid: Sequence[float]) -> fl
     low, high = 0, len(grid) - 1
     while high - low > 1:
         middle = (low + high) // 2
-        if verdict(grid[middle]):
-            low = middle
-        else:
-            high = middle
+        low, high = (middle, high) if verdict(grid[middle]) else (low, middle)
     return grid[low]
 
 
 def same_k_max(
     law: Law, scene: Scene, criterion: Criterion, grid: Sequence[float], step: Callable[[str, int], None] | None = None
 ) -> SameKMax:
-    """Find K_max of a law by the processes and in one process.
-
-    `step`: told after each launch: `sim.measure.stopwatch.Progress.step`. Returns: both, found independently of each other.
-    """
+    """Find K_max of a law by the processes and in one process, independently."""
     launches = 0
 
     def by_launch(stiffness: float) -> bool:

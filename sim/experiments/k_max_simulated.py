@@ -34,10 +34,7 @@ class SimulatedKMax:
 
 
 class SearchInterrupted(KeyboardInterrupt):
-    """Ctrl-C during a search.
-
-    `found`: what was done until then, in the order of the laws.
-    """
+    """Ctrl-C during a search: what was found until then, in the order of the laws."""
 
     def __init__(self, found: list[SimulatedKMax]) -> None:
         super().__init__()
@@ -45,18 +42,12 @@ class SearchInterrupted(KeyboardInterrupt):
 
 
 def swing_frequency(position: Array, period: float, rest: float, smallest: float = 1e-7) -> float | None:
-    """Frequency of the last swings about a point, by interpolated upward crossings.
-
-    `position`, shape (ticks,): positions at the ticks [m]. Returns: inverse of the median of the last 20 times between
-    crossings [Hz]; None with less than three crossings.
-    """
+    """Frequency of the last 20 swings about a point [Hz], by interpolated upward crossings; None with less than three."""
     y = position - rest
     up = np.flatnonzero((y[:-1] < 0.0) & (y[1:] >= 0.0))
     instants = [k + y[k] / (y[k] - y[k + 1]) for k in up.tolist()]
-    gaps = []
-    for i in range(len(up) - 1):
-        if np.ptp(y[up[i] : up[i + 1] + 1]) > smallest:
-            gaps.append(instants[i + 1] - instants[i])
+    swings = [i for i in range(len(up) - 1) if np.ptp(y[up[i] : up[i + 1] + 1]) > smallest]
+    gaps = [instants[i + 1] - instants[i] for i in swings]
     if len(gaps) < 2:
         return None
     return float(1.0 / (np.median(gaps[-20:]) * period))
@@ -70,11 +61,7 @@ def simulated_k_max(
     high: float | None = None,
     precision: float = 1e-3,
 ) -> SimulatedKMax:
-    """Raise K until the run no longer settles, then bisect.
-
-    `criterion`: what counts as settled; 2500 ticks and 0.1 mm when left out. `low`, `high`: range of K, raised in steps of 10
-    % [N/m]; from 10⁻³ to 4 times m/T² when left out. PD without delay ends at 0.686 m/T², but long filters go beyond.
-    """
+    """Raise K in steps of 10 % until the run no longer settles, then bisect; by default from 10⁻³ to 4 times m/T²."""
     return simulated_boundary([law_of_stiffness], scene, criterion, low, high, precision)[0]
 
 
@@ -87,12 +74,7 @@ def simulated_boundary(
     precision: float = 1e-3,
     step: Callable[[str, int], None] | None = None,
 ) -> list[SimulatedKMax]:
-    """Find K_max of many laws, spread over the cores.
-
-    `laws_of_stiffness`: from nominal K [N/m] to a law, e.g. one for each gain B. `step`: told what has been done, and how many
-    of the laws that was: `sim.measure.stopwatch.Progress.step`. Returns: in the order of the laws. Raises SearchInterrupted on
-    Ctrl-C; it carries what was done.
-    """
+    """Find K_max of many laws, each a function of its nominal K, spread over the cores; Ctrl-C raises SearchInterrupted."""
     criterion = Criterion() if criterion is None else criterion
     unit = scene.device.moving_mass / scene.period**2
     low = 1e-3 * unit if low is None else low
@@ -130,10 +112,11 @@ def _search(
             elif bad[i] is None and good[i] is not None:
                 bad[i] = k
     while True:
-        tried = []
-        for i, (below, above) in enumerate(zip(good, bad, strict=True)):
-            if below is not None and above is not None and above - below > precision * below:
-                tried.append((i, 0.5 * (below + above)))
+        tried = [
+            (i, 0.5 * (below + above))
+            for i, (below, above) in enumerate(zip(good, bad, strict=True))
+            if below is not None and above is not None and above - below > precision * below
+        ]
         if not tried:
             break
         for (i, k), settled in zip(tried, settles(scene, [laws[i](k) for i, k in tried], criterion), strict=True):
@@ -151,7 +134,5 @@ def _result(
         return SimulatedKMax(math.inf, math.inf, None, None, ticks)
     best = law(good)
     rest = rest_position(scene, best, criterion.ticks)
-    frequency = None
-    if rest is not None:
-        frequency = swing_frequency(run(scene, best, criterion.ticks).position, scene.period, rest)
-    return SimulatedKMax(good, best.h1, bad, frequency, ticks)
+    swing = None if rest is None else swing_frequency(run(scene, best, criterion.ticks).position, scene.period, rest)
+    return SimulatedKMax(good, best.h1, bad, swing, ticks)

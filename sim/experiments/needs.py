@@ -1,8 +1,9 @@
 """No more model than a scene needs, and no less: switch every term and look whether the outcome moves.
 
-The outcome is what a scene is for (``model.outcome`` of its launch file): when it settles, how hard it pushes, how
-stiff it may get, whether it buzzes at rest. A declared term without which nothing moves by more than the tolerance is
-superfluous; a term that is neither there nor left out on purpose, and moves something, is missing.
+The outcome is what a scene is for (``model.outcome`` of its launch file): when it settles, how hard it pushes, how stiff it may
+get, whether it buzzes at rest; in several axes what is felt along a way, force and proxy at every tick, too. A declared term
+without which nothing moves by more than the tolerance is superfluous; a term that is neither there nor left out on purpose, and
+moves something, is missing.
 """
 
 from __future__ import annotations
@@ -15,24 +16,25 @@ from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from nodes.launcher.launch_spec import Model
+from nodes.launcher.launch_spec import Launch, Model
 from nodes.stability.k_max import k_max, with_spring
+from sim.arrays import Array
+from sim.experiments.spatial_terms import SPATIAL_CONVENTIONS, SPATIAL_TERMS, SpatialScene, spatial_scene
 from sim.experiments.terms import BROUGHT, CONVENTIONS, PROTECTS, TERMS, TOGETHER, NeedTerm
 from sim.measure.stopwatch import Timing, interleaved
 from sim.scene.from_launch import LaunchedScene
 from sim.scene.loop import Trace
+from sim.scene.spatial import SpatialTrace
 
-BUZZ = 1e-6
-"""Motion at rest that does not count [m]: about what a fingertip feels at its most sensitive, near 250 Hz."""
-
+BUZZ = 1e-6  # motion at rest that does not count [m]: about what a fingertip feels at its most sensitive, near 250 Hz
 _FORCE = 0.01
 _TAIL = 5
 
 S = TypeVar("S")
 R = TypeVar("R")
 
+# How variants are played: one after another here, or side by side (`sim.cli.sweeps.spread`).
 Play = Callable[[Callable[[S], R], Sequence[S]], list[R]]
-"""How variants are played: one after another here, or side by side (`sim.cli.sweeps.spread`)."""
 
 
 @dataclass(frozen=True)
@@ -95,22 +97,16 @@ def outcome(scene: LaunchedScene, trace: Trace) -> Outcome:
     end = position[-tail:]
     travel = float(np.ptp(position))
     away = np.flatnonzero(~(np.abs(position - np.mean(end)) <= 0.01 * travel))
-    last = int(away[-1]) + 1 if len(away) else 0
+    law = scene.last_law
+    poleless = scene.scene.surface.kind == "free" or law.evaluate is not None
     return Outcome(
-        settling_s=last * trace.period,
+        settling_s=(int(away[-1]) + 1 if len(away) else 0) * trace.period,
         peak_force_n=float(np.max(np.abs(force))),
         rest_force_n=float(np.mean(force[-tail:])),
         travel_m=travel,
         limit_cycle_m=float(np.ptp(end)),
-        h1_max_n_per_m=_stiffest(scene),
+        h1_max_n_per_m=None if poleless else k_max(with_spring(law, -law.h1), scene.plant).h1_max_n_per_m,
     )
-
-
-def _stiffest(scene: LaunchedScene) -> float | None:
-    law = scene.last_law
-    if scene.scene.surface.kind == "free" or law.evaluate is not None:
-        return None
-    return k_max(with_spring(law, -law.h1), scene.plant).h1_max_n_per_m
 
 
 def movement(before: Outcome, after: Outcome, period: float) -> dict[str, float]:
@@ -121,13 +117,11 @@ def movement(before: Outcome, after: Outcome, period: float) -> dict[str, float]
             return 0.0 if a == b or (math.isnan(a) and math.isnan(b)) else math.inf
         return abs(b - a) / max(abs(a), least)
 
-    swing = max(before.limit_cycle_m, after.limit_cycle_m)
+    cycles = before.limit_cycle_m, after.limit_cycle_m
+    swing = max(cycles)
+    buzz = 0.0 if swing <= BUZZ else abs(cycles[1] - cycles[0]) / swing
     if not math.isfinite(swing):
-        buzz = relative(before.limit_cycle_m, after.limit_cycle_m, BUZZ)
-    elif swing <= BUZZ:
-        buzz = 0.0
-    else:
-        buzz = abs(after.limit_cycle_m - before.limit_cycle_m) / swing
+        buzz = relative(*cycles, BUZZ)
     figures = {
         "settling": relative(before.settling_s, after.settling_s, 50.0 * period),
         "peak_force": relative(before.peak_force_n, after.peak_force_n, _FORCE),
@@ -136,10 +130,8 @@ def movement(before: Outcome, after: Outcome, period: float) -> dict[str, float]
         "limit_cycle": buzz,
     }
     a, b = before.h1_max_n_per_m, after.h1_max_n_per_m
-    if a is not None and b is not None:
-        figures["k_max"] = relative(a, b, 1e-3)
-    elif (a is None) != (b is None):
-        figures["k_max"] = math.inf
+    if a is not None or b is not None:
+        figures["k_max"] = math.inf if a is None or b is None else relative(a, b, 1e-3)
     return figures
 
 
@@ -192,10 +184,7 @@ def judge(
     step: Callable[[str], None] | None,
     players: Play[S, R] = here,
 ) -> tuple[tuple[Finding, ...], float | None]:
-    """Play a scene and its variants: what each moves; in turns, what each costs and the time per tick of the scene [µs].
-
-    Without rounds nothing is timed. Times are of this machine, whichever process plays the variants.
-    """
+    """Play a scene and its variants: what each moves and, in turns, what it costs on this machine; time per tick [µs]."""
     played = players(play, [variant.scene for variant in variants])
     jobs: dict[str, tuple[Callable[[], object], int]] = {
         str(i): (partial(play, changed), ticks) for i, changed in enumerate([scene, *(v.scene for v in variants)])
@@ -215,10 +204,7 @@ def judge(
 
 
 def variants_of(
-    scene: S,
-    terms: Sequence[NeedTerm[S]],
-    conventions: Mapping[str, Callable[[S], S]],
-    together: Sequence[tuple[str, str]],
+    scene: S, terms: Sequence[NeedTerm[S]], conventions: Mapping[str, Callable[[S], S]], together: Sequence[tuple[str, str]]
 ) -> list[Variant[S]]:
     """Switch each term off where the scene has it and on where it has not, some together, and the conventions."""
     found: list[Variant[S]] = []
@@ -262,3 +248,60 @@ def _finding(variant: Variant[S], moved_by: dict[str, float], model: Model) -> F
     else:
         verdict = "missing"
     return Finding(" and ".join(terms), switched, verdict, moved, most, changes, None)
+
+
+def spatial_outcome(trace: SpatialTrace, period: float) -> Outcome:
+    """Work out what came of a run; lengths and forces in space."""
+    tail = max(2, len(trace.position) // _TAIL)
+    force, end = trace.force, trace.position[-tail:]
+    travel = float(np.ptp(trace.position, axis=0).max())
+    away = np.flatnonzero(~(np.linalg.norm(trace.position - end.mean(axis=0), axis=1) <= 0.01 * travel))
+    return Outcome(
+        settling_s=(int(away[-1]) + 1 if len(away) else 0) * period,
+        peak_force_n=float(np.linalg.norm(force, axis=1).max()),
+        rest_force_n=float(np.linalg.norm(force[-tail:].mean(axis=0))),
+        travel_m=travel,
+        limit_cycle_m=float(np.ptp(end, axis=0).max()),
+        h1_max_n_per_m=None,
+    )
+
+
+def apart(before: Array, after: Array, scale: Array) -> float:
+    """Root mean square of a difference over that of what it is measured by."""
+    size = float(np.sqrt(np.mean(np.sum(scale**2, axis=1))))
+    difference = float(np.sqrt(np.mean(np.sum((after - before) ** 2, axis=1))))
+    if not np.isfinite(difference):
+        return float("inf")
+    return difference / size if size > 0.0 else 0.0 if difference == 0.0 else float("inf")
+
+
+def _play_spatial(scene: SpatialScene) -> SpatialTrace:
+    with np.errstate(all="ignore"):
+        return scene.play()
+
+
+def spatial_needs(
+    launch: Launch, rounds: int = 5, step: Callable[[str], None] | None = None, players: Play[SpatialScene, SpatialTrace] = here
+) -> Needs:
+    """Switch every term of a scene with several axes; without rounds nothing is timed.
+
+    ``force`` is the root mean square of its difference over that of the force, ``proxy`` that of the proxy's difference over
+    that of the deflection. Raises ParameterError when one process cannot play it, or it touches nothing.
+    """
+    scene, period = spatial_scene(launch), launch.run.period
+    with np.errstate(all="ignore"):
+        first = scene.play()
+        before = spatial_outcome(first, period)
+        variants = variants_of(scene, SPATIAL_TERMS, SPATIAL_CONVENTIONS, (("friction", "resolution"),))
+
+        def changes(changed: SpatialScene, trace: SpatialTrace) -> dict[str, float]:
+            del changed
+            return movement(before, spatial_outcome(trace, period), period) | {
+                "force": apart(first.force, trace.force, first.force),
+                "proxy": apart(first.proxy, trace.proxy, first.proxy - first.position),
+            }
+
+        findings, tick = judge(
+            scene, variants, _play_spatial, changes, len(first.position), launch.model, rounds, step, players
+        )
+    return Needs(before, findings, tick)

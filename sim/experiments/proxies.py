@@ -3,32 +3,33 @@
 A tool is led along a surface that a formula describes, a known depth below it, so that the ideal force is known at every tick:
 stiffness times depth, along the normal (Standardized Evaluation of Haptic Rendering Systems, 2006; theirs were scanned paths,
 these are generated). Then the same closed way there and back: whatever the force costs there it must give back, or it is
-friction that nobody asked for. A plate thinner than a step says whether a proxy changes sides.
+friction that nobody asked for. A plate thinner than a step says whether a proxy changes sides. A mesh is compared with its
+polyhedron too, by brute force over all its triangles: nothing of the geometry under test is used.
 """
 
 from __future__ import annotations
 
 import math
+import tempfile
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from nodes.coupling.render import turn
+from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.scene import Solid, box, capsule, mesh, plane, sphere
+from nodes.environment.shapes.tables import SKIN
 from sim.arrays import Array
-from sim.experiments.polyhedron import off_polyhedron
 from sim.scene.touch import Touched, call_times, touch
 
-RADIUS = 0.05
-"""Of the sphere that is felt [m]."""
-
-PLATE = (0.2, 0.2, 2e-4)
-"""Size of the plate [m]."""
-
-_TIMED = 4000
-"""Single calls that are timed."""
+RADIUS = 0.05  # of the sphere that is felt [m]
+PLATE = (0.2, 0.2, 2e-4)  # size of the plate [m]
+_TIMED = 4000  # single calls that are timed
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,18 @@ class ProxyError:
     call_us: float
     call_p99_us: float
     rounds: int  # most rounds that a call took
+
+    @classmethod
+    def of(cls, error: Array, stiffness: float, **others: Any) -> ProxyError:
+        """Sum up how far the force is off along a way [N]."""
+        size = np.linalg.norm(error, axis=1)
+        return cls(
+            rms_n=float(np.sqrt(np.mean(size**2))),
+            max_n=float(size.max()),
+            noise_n=float(np.sqrt(np.mean(np.sum(np.diff(error, axis=0) ** 2, axis=1)) / 2.0)),
+            proxy_um=float(1e6 * size.max() / stiffness),
+            **others,
+        )
 
 
 def icosphere(halvings: int, radius: float) -> Array:
@@ -77,11 +90,8 @@ def ring(ticks: int, speed: float, period: float, radius: float) -> tuple[Array,
     return radius * normal, normal
 
 
-Case = tuple[str, int, list[Solid], Array, Array]
-"""Name, triangles, solids, points on the surface [m], normals."""
-
-CLOSED_FORMS = 3
-"""Cases before the first mesh."""
+Case = tuple[str, int, list[Solid], Array, Array]  # name, triangles, solids, points on the surface [m], normals
+CLOSED_FORMS = 3  # cases before the first mesh
 
 
 def case(number: int, ticks: int, speed: float, period: float) -> Case:
@@ -105,22 +115,10 @@ def case(number: int, ticks: int, speed: float, period: float) -> Case:
     return found[number]
 
 
-def compare_proxies(
-    finest: int = 5,
-    ticks: int = 5000,
-    stiffness: float = 500.0,
-    depth: float = 4e-3,
-    speed: float = 0.2,
-    period: float = 1e-3,
-    tool_radius: float = 0.0,
-) -> list[ProxyError]:
-    """Lead the tool along each surface and compare.
-
-    `finest`: the sphere's finest mesh has 20·4ⁿ triangles. `depth`: how deep below the surface the tool is led [m]; it swells
-    from nothing, so that the tool enters from outside.
-    """
-    ways = [Way(number, ticks, depth, speed, period, tool_radius) for number in range(count(finest))]
-    return [timed(compared(way, stiffness), way) for way in ways]
+def compare_proxies(finest: int, ticks: int) -> list[ProxyError]:
+    """Lead a point 4 mm deep at 0.2 m/s and 1 kHz along each surface, the finest of 20·4ⁿ triangles, felt with 500 N/m."""
+    ways = [Way(number, ticks, 4e-3, 0.2, 1e-3, 0.0) for number in range(count(finest))]
+    return [timed(compared(way, 500.0), way) for way in ways]
 
 
 def count(finest: int) -> int:
@@ -156,23 +154,12 @@ def compared(way: Way, stiffness: float) -> ProxyError:
     ideal = surface + tool_radius * normal
     found = touch(solids, path, tool_radius, period)
     inside = found.contact & (below > 0.1 * depth)
-    error = stiffness * (found.proxy - ideal)[inside]
-    size = np.linalg.norm(error, axis=1)
-    return ProxyError(
-        name=name,
-        triangles=triangles,
-        rms_n=float(np.sqrt(np.mean(size**2))),
-        max_n=float(size.max()),
-        noise_n=float(np.sqrt(np.mean(np.sum(np.diff(error, axis=0) ** 2, axis=1)) / 2.0)),
-        proxy_um=float(1e6 * size.max() / stiffness),
-        polyhedron_um=None
-        if solids[0].mesh is None
-        else 1e6 * off_polyhedron(solids[0].mesh.corners, path[inside], found.proxy[inside], tool_radius),
-        drag=drag(solids, path[ticks // 10 :], tool_radius, period, found),
-        call_us=math.nan,
-        call_p99_us=math.nan,
-        rounds=int(found.rounds.max()),
-    )
+    off = None
+    if solids[0].mesh is not None:
+        off = 1e6 * off_polyhedron(solids[0].mesh.corners, path[inside], found.proxy[inside], tool_radius)
+    lost, error = drag(solids, path[ticks // 10 :], tool_radius, period, found), stiffness * (found.proxy - ideal)[inside]
+    told = {"name": name, "triangles": triangles, "polyhedron_um": off, "drag": lost, "rounds": int(found.rounds.max())}
+    return ProxyError.of(error, stiffness, **told, call_us=math.nan, call_p99_us=math.nan)
 
 
 def timed(row: ProxyError, way: Way) -> ProxyError:
@@ -182,14 +169,16 @@ def timed(row: ProxyError, way: Way) -> ProxyError:
     return replace(row, call_us=float(1e6 * np.median(single)), call_p99_us=float(1e6 * np.percentile(single, 99)))
 
 
-def drag(
-    solids: Sequence[Solid], path: Array, tool_radius: float, period: float, before: Touched | None = None
-) -> float:
+def drag(solids: Sequence[Solid], path: Array, tool_radius: float, period: float, before: Touched | None = None) -> float:
     """Find the apparent friction of a way there and back that stays in contact: work lost over force times way."""
     there = path if before is None else np.concatenate([before.path[: len(before.path) - len(path)], path])
     found = touch(solids, np.concatenate([there, path[::-1]]), tool_radius, period)
     lead = len(there) - len(path)
-    force, way = (found.proxy - found.path)[lead:], np.diff(found.path[lead:], axis=0)
+    return lost((found.proxy - found.path)[lead:], np.diff(found.path[lead:], axis=0))
+
+
+def lost(force: Array, way: Array) -> float:
+    """Give the work that is lost on a closed way, over force times way."""
     work = np.einsum("ij,ij->", 0.5 * (force[1:] + force[:-1]), way)
     return float(abs(work) / (np.linalg.norm(force[1:], axis=1) @ np.linalg.norm(way, axis=1)))
 
@@ -206,3 +195,107 @@ def wrong_sides(steps: int, step: float, seed: int, tool_radius: float = 0.0) ->
     top = 0.5 * PLATE[2] + tool_radius
     aside = np.linalg.norm(found.proxy[:, :2] - path[:, :2], axis=1)
     return int((found.proxy[:, 2] < top).sum()), float(aside.max())
+
+
+_MOST = 4_000_000  # triangles that are looked at, over all places
+
+
+def nearest_on(corners: Array, point: Array) -> Array:
+    """Nearest point of each triangle, by the corners, the edges and the face, whichever is nearest; shape (n, 3)."""
+    best = corners[:, 0].copy()
+    least = np.linalg.norm(best - point, axis=1)
+
+    def take(candidates: Array, valid: Any = True) -> None:
+        away = np.where(valid, np.linalg.norm(candidates - point, axis=1), np.inf)
+        nearer = away < least
+        best[nearer], least[nearer] = candidates[nearer], away[nearer]
+
+    for k in range(3):
+        a, b = corners[:, k], corners[:, (k + 1) % 3]
+        along = np.einsum("ij,ij->i", point - a, b - a) / np.einsum("ij,ij->i", b - a, b - a)
+        take(a + np.clip(along, 0.0, 1.0)[:, None] * (b - a))
+    u, v, w = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], point - corners[:, 0]
+    normal = np.cross(u, v)
+    area = np.einsum("ij,ij->i", normal, normal)
+    beta = np.einsum("ij,ij->i", np.cross(w, v), normal) / area
+    gamma = np.einsum("ij,ij->i", np.cross(u, w), normal) / area
+    take(corners[:, 0] + beta[:, None] * u + gamma[:, None] * v, (beta >= 0.0) & (gamma >= 0.0) & (beta + gamma <= 1.0))
+    return best
+
+
+def ideal_proxy(corners: Array, device: Array, tool: float, inside: bool) -> Array:
+    """Give the place nearest to a device on the polyhedron, or on what a ball keeps its centre on, with the skin [m]."""
+    nearest = nearest_on(corners, device)
+    at: Array = nearest[np.linalg.norm(nearest - device, axis=1).argmin()]
+    outward = at - device if inside else device - at
+    return np.asarray(at + (tool + SKIN) * outward / np.linalg.norm(outward))
+
+
+def off_polyhedron(corners: Array, path: Array, proxy: Array, tool: float) -> float:
+    """Give the largest distance of proxies on a convex polyhedron about the origin from where they should be [m], sampled."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    places = np.unique(np.linspace(0, len(path) - 1, max(2, min(200, _MOST // len(corners)))).astype(int))
+    worst = 0.0
+    for k in places:
+        inside = bool((np.einsum("ij,ij->i", path[k] - corners[:, 0], normals) < 0.0).all())
+        worst = max(worst, float(np.linalg.norm(proxy[k] - ideal_proxy(corners, path[k], tool, inside))))
+    return worst
+
+
+STEPS = (1e-3, 5e-4, 1e-4)  # steps of the scene that are compared [s]
+_TIP, _MASS = 0.005, 0.05
+_SCENE = """<mujoco><option timestep="{step!r}" integrator="implicitfast" cone="elliptic" gravity="0 0 0"/><worldbody>
+<geom type="sphere" size="{radius!r}" friction="0 0 0" {contact}/>
+<body name="tool" pos="{begin}"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>
+<joint type="slide" axis="0 0 1"/><geom type="sphere" size="{tip!r}" mass="{mass!r}" friction="0 0 0" {contact}/></body>
+</worldbody></mujoco>"""
+
+
+def body_error(
+    step: float, ticks: int, stiffness: float, depth: float, speed: float, period: float, stiff: bool = False
+) -> ProxyError:
+    """Lead a tool that is a body along the sphere, so deep below it [m]; a call is a tick of the scene.
+
+    The coupling of K = `stiffness` [N/m] has a damper that makes it critical with the tool; `stiff` contacts are as stiff as
+    the step lets them be, else as MuJoCo makes them. Raises ParameterError without MuJoCo.
+    """
+    surface, normal = ring(ticks, speed, period, RADIUS)
+    ideal = surface + _TIP * normal
+    below = depth * np.minimum(np.arange(ticks) / (0.05 * ticks), 1.0)
+    path = ideal - below[:, None] * normal
+    contact = f'solref="{2.0 * step!r} 1" solimp="0.99 0.9999 0.0001"' if stiff else ""
+    begin = " ".join(repr(x) for x in path[0].tolist())
+    text = _SCENE.format(step=step, radius=RADIUS, tip=_TIP, mass=_MASS, contact=contact, begin=begin)
+    with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
+        file = Path(folder) / "sphere.xml"
+        file.write_text(text, encoding="utf-8")
+        world = MovingScene(file, "tool", period, "sphere")
+    damping = 2.0 * np.sqrt(stiffness * _MASS)
+    tools, times, force, before = np.empty((ticks, 3)), np.empty(ticks), np.zeros(3), np.zeros(3)
+    turned, upright = np.eye(3).ravel().tolist(), [0.0, 0.0, 0.0]
+    for k, (x, y, z) in enumerate(path.tolist()):
+        handed = (float(force[0]), float(force[1]), float(force[2]))
+        start = time.perf_counter_ns()
+        world.follow(k, (x, y, z), handed, k - 1, 0.0, k == 0)
+        times[k] = time.perf_counter_ns() - start
+        tools[k] = world.tool_position
+        stretch = tools[k] - path[k]
+        # In axes that turn with the surface: in the world's a damper would push the tool on along the way (THEORY.md §15).
+        turn(turned, upright, normal[k].tolist(), True)
+        axes = np.reshape(turned, (3, 3))
+        stretch = axes @ stretch
+        force = axes.T @ (stiffness * stretch + damping * (stretch - before) / period)
+        before = stretch
+    # From when the depth is steady and the tool has come to rest on it.
+    steady = slice(ticks // 5, None)
+    return ProxyError.of(
+        stiffness * (tools - ideal)[steady],
+        stiffness,
+        name=f"body, {1e3 * step:g} ms steps{', stiff' if stiff else ''}",
+        triangles=0,
+        polyhedron_um=None,
+        drag=lost(stiffness * (tools - path)[steady], np.diff(path[steady], axis=0)),
+        call_us=float(np.median(times) / 1e3),
+        call_p99_us=float(np.percentile(times, 99) / 1e3),
+        rounds=world.steps,
+    )

@@ -18,18 +18,10 @@ from sim.experiments.proxies import icosphere
 from sim.measure.measured_launch import launch, machine
 from sim.measure.stopwatch import Progress
 
-FLOOR = "floor_drop"
-"""What all others are compared with."""
-
-BODIES = ("puck_push", "stack_boxes")
-"""Scenes in which things move; their environment is MuJoCo's, called from Python."""
-
-FINEST = 7
-"""Most halvings of the ball: 327 680 triangles."""
-
-_BALL = {"radius": 0.035, "position": [0.05, 0.01, -0.03]}
-"""The sphere of ``sphere_feel`` [m]."""
-
+FLOOR = "floor_drop"  # what all others are compared with
+BODIES = ("puck_push", "stack_boxes")  # scenes in which things move; their environment is MuJoCo's, called from Python
+FINEST = 7  # most halvings of the ball: 327 680 triangles
+_BALL = {"radius": 0.035, "position": [0.05, 0.01, -0.03]}  # the sphere of ``sphere_feel`` [m]
 _SURFACE = """environment: {{surface: {{kind: mesh, file: {file}, position: {position}, tool_radius: 0.001}}}}
 """
 
@@ -52,9 +44,7 @@ def scenes(folder: Path, halvings: int) -> dict[str, list[str]]:
     return found | ({name: [name] for name in BODIES} if find_spec("mujoco") else {})
 
 
-def measure(
-    found: dict[str, list[str]], rounds: int, seconds: float, tick: Tick, progress: Progress
-) -> list[dict[str, Any]]:
+def measure(found: dict[str, list[str]], rounds: int, seconds: float, tick: Tick, progress: Progress) -> list[dict[str, Any]]:
     """Launch all scenes in turns, in an order that rotates; one row for each, medians over its launches."""
     runs: dict[str, list[dict[str, Any]]] = {name: [] for name in found}
     names = list(found)
@@ -74,10 +64,7 @@ def _row(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
         "missed": lost,
         "missed_share": lost / max(1, sum(run["ticks"] + run["overruns"] for run in runs)),
     }
-    found = {
-        "response_us": [run["response_us"] for run in runs],
-        "spent_us": [run["spent_us"]["environment"] for run in runs],
-    }
+    found = {"response_us": [run["response_us"] for run in runs], "spent_us": [run["spent_us"]["environment"] for run in runs]}
     for key, quantiles in found.items():
         row[key] = {part: statistics.median(each[part] for each in quantiles) for part in ("p50", "p99")}
     return row
@@ -97,10 +84,7 @@ def text(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def compare_scenes(rounds: int, seconds: float, halvings: int, tick: Tick) -> dict[str, Any]:
-    """Launch the floor and the scenes in turns; rows of figures.
-
-    `halvings`: the ball has 20·4ⁿ triangles. Returns: ``rows``, and the machine.
-    """
+    """Launch the floor and the scenes in turns, with a ball of 20·4ⁿ triangles: rows of figures, and the machine."""
     with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
         found = scenes(Path(folder), halvings)
         rows = measure(found, rounds, seconds, tick, Progress(rounds * len(found)))

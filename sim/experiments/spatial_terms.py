@@ -22,12 +22,10 @@ from sim.experiments.terms import FRICTION, GRAVITY, PEAK_FORCE, RESOLUTION, RES
 from sim.scene.from_launch import parameters_of
 from sim.scene.spatial import SpatialTrace, play
 
-ROUGH = Friction(0.3, 0.3)
-"""Of a smooth hard surface under a hard tip, about."""
-
+ROUGH = Friction(0.3, 0.3)  # of a smooth hard surface under a hard tip, about
 _GRIDS = (48, 24, 16, 12, 8, 6, 4)
+# Mass along the other axes over that along the first: about what an arm with its motors on the base has.
 _UNEVEN = {"y": 1.5, "z": 2.0}
-"""Mass along the other axes over that along the first: about what an arm with its motors on the base has."""
 
 
 class SpatialScene(NamedTuple):
@@ -116,9 +114,7 @@ def _unlimited(name: str) -> Edit:
 
 def _uneven(scene: SpatialScene) -> SpatialScene:
     device, axes = device_of(scene), scene.launch.run.axes
-    return with_device(
-        scene, axes={axis: {"mass": part * device.mass} for axis, part in _UNEVEN.items() if axis in axes[1:]}
-    )
+    return with_device(scene, axes={axis: {"mass": part * device.mass} for axis, part in _UNEVEN.items() if axis in axes[1:]})
 
 
 def _without_delay(scene: SpatialScene) -> SpatialScene:
@@ -140,9 +136,7 @@ def _one_face(scene: SpatialScene) -> SpatialScene:
     depth = np.where(found.contact, np.linalg.norm(found.proxy - found.position, axis=1), -1.0)
     deepest = int(np.argmax(depth))
     if depth[deepest] < 0.0:
-        raise ParameterError(
-            f"{scene.launch.scenario}: the device touches nothing, so nothing can be said of what it needs"
-        )
+        raise ParameterError(f"{scene.launch.scenario}: the device touches nothing, so nothing can be said of what it needs")
     normal = found.normal[deepest]
     point = found.proxy[deepest] - _tool_radius(scene) * normal
     return scene._replace(solids=(plane(tuple(point.tolist()), tuple(normal.tolist()), scene.shapes[0].friction),))
@@ -155,13 +149,10 @@ def _coarser(scene: SpatialScene) -> SpatialScene:
 def _half(solid: Solid) -> Solid:
     """Draw a mesh's corners together until at most half of its triangles are left."""
     if solid.mesh is not None:
-        for cells in _GRIDS:
-            for _, made in decimated(solid, cells):
-                if isinstance(made, str):
-                    continue
-                coarse = made[0].mesh
-                if coarse is not None and 2 * len(coarse.corners) <= len(solid.mesh.corners):
-                    return made[0]
+        found = (made for cells in _GRIDS for _, made in decimated(solid, cells) if not isinstance(made, str))
+        for (made,) in found:
+            if made.mesh is not None and 2 * len(made.mesh.corners) <= len(solid.mesh.corners):
+                return made
     return solid
 
 
@@ -180,14 +171,13 @@ def _tool_radius(scene: SpatialScene) -> float:
     return 0.0
 
 
+# All terms of a scene with several axes.
 SPATIAL_TERMS: tuple[NeedTerm[SpatialScene], ...] = (
     NeedTerm("gravity", _has("gravity"), _set(gravity=None), _set(gravity=GRAVITY), f"{GRAVITY} m/s²"),
     NeedTerm("damping", _has("damping"), _set(damping=0.0)),
     NeedTerm("friction", _has("friction"), _set(friction=None), _set(friction=FRICTION), f"{FRICTION} N an axis"),
     NeedTerm("resolution", _has("resolution"), _set(resolution=None), _set(resolution=RESOLUTION), f"{RESOLUTION:g} m"),
-    NeedTerm(
-        "peak_force", _has("peak_force"), _set(peak_force=None), _set(peak_force=PEAK_FORCE), f"{PEAK_FORCE} N an axis"
-    ),
+    NeedTerm("peak_force", _has("peak_force"), _set(peak_force=None), _set(peak_force=PEAK_FORCE), f"{PEAK_FORCE} N an axis"),
     NeedTerm(
         "delay",
         lambda scene: device_of(scene).delay > 0.0 or scene.launch.run.apply == "next_tick",
@@ -204,11 +194,7 @@ SPATIAL_TERMS: tuple[NeedTerm[SpatialScene], ...] = (
         ", ".join(f"{axis} {part:g} times as heavy" for axis, part in _UNEVEN.items()),
         "alike along all axes",
     ),
-    NeedTerm(
-        "guard",
-        lambda scene: _driver(scene).passivity is not None,
-        _node("sim_driver", lambda _: {"passivity": None}),
-    ),
+    NeedTerm("guard", lambda scene: _driver(scene).passivity is not None, _node("sim_driver", lambda _: {"passivity": None})),
     NeedTerm("limit", _limited("peak_force"), _unlimited("peak_force")),
     NeedTerm("slew", _limited("slew"), _unlimited("slew")),
     NeedTerm("workspace", _limited("workspace"), _unlimited("workspace")),
@@ -224,10 +210,7 @@ SPATIAL_TERMS: tuple[NeedTerm[SpatialScene], ...] = (
         simpler="the plane that touches it",
     ),
     NeedTerm(
-        "triangles",
-        lambda scene: any(solid.kind == MESH for solid in scene.shapes),
-        _coarser,
-        simpler="half as many at most",
+        "triangles", lambda scene: any(solid.kind == MESH for solid in scene.shapes), _coarser, simpler="half as many at most"
     ),
     NeedTerm(
         "surface_friction",
@@ -249,15 +232,14 @@ SPATIAL_TERMS: tuple[NeedTerm[SpatialScene], ...] = (
         simpler="held where they are",
     ),
 )
-"""All terms of a scene with several axes."""
 
 
 def _flip(name: str, usual: Any, other: Any) -> Edit:
     return _node("coupling", lambda given: {name: other if given.get(name, usual) == usual else usual})
 
 
+# What must be one way or the other, for scenes with several axes.
 SPATIAL_CONVENTIONS: dict[str, Edit] = {
     "clamp": _flip("clamp", True, False),
     "history rule": _flip("history", "penetration", "position"),
 }
-"""What must be one way or the other, for scenes with several axes."""

@@ -1,8 +1,7 @@
 """The terms a scene's model is made of, and how to switch each one off or on.
 
-Off means that the term does not exist (None, not a small number), on means what a Touch X or a usual loop would
-bring. A term can be declared by the scene, left out on purpose (``model.leaves_out`` in its launch file), or simply
-not be there.
+Off means that the term does not exist (None, not a small number), on means what a Touch X or a usual loop would bring. A term
+is declared, left out on purpose (``model.leaves_out`` of the launch file), or simply not there.
 """
 
 from __future__ import annotations
@@ -74,6 +73,7 @@ def _longest(scene: LaunchedScene) -> int:
     return max(len(law.taps) for law in (scene.law, *(swap.law for swap in scene.swaps)))
 
 
+# All terms; ``memory`` stands for the older half of the longest law's taps.
 TERMS: tuple[NeedTerm[LaunchedScene], ...] = (
     NeedTerm(
         "gravity",
@@ -84,12 +84,8 @@ TERMS: tuple[NeedTerm[LaunchedScene], ...] = (
     ),
     NeedTerm("damping", lambda scene: scene.scene.device.damping > 0.0, _set("damping", 0.0)),
     NeedTerm("friction", _has("friction"), _set("friction", None), _set("friction", FRICTION), f"{FRICTION} N"),
-    NeedTerm(
-        "resolution", _has("resolution"), _set("resolution", None), _set("resolution", RESOLUTION), f"{RESOLUTION:g} m"
-    ),
-    NeedTerm(
-        "peak_force", _has("peak_force"), _set("peak_force", None), _set("peak_force", PEAK_FORCE), f"{PEAK_FORCE} N"
-    ),
+    NeedTerm("resolution", _has("resolution"), _set("resolution", None), _set("resolution", RESOLUTION), f"{RESOLUTION:g} m"),
+    NeedTerm("peak_force", _has("peak_force"), _set("peak_force", None), _set("peak_force", PEAK_FORCE), f"{PEAK_FORCE} N"),
     NeedTerm(
         "delay",
         lambda scene: scene.scene.device.delay > 0.0 or scene.scene.next_tick,
@@ -99,9 +95,7 @@ TERMS: tuple[NeedTerm[LaunchedScene], ...] = (
     ),
     NeedTerm("hand", _has("hand"), _set("hand", None)),
     NeedTerm(
-        "contact",
-        lambda scene: scene.scene.surface.kind != "free",
-        lambda scene: _driver(surface=SceneSurface("free"))(scene),
+        "contact", lambda scene: scene.scene.surface.kind != "free", lambda scene: _driver(surface=SceneSurface("free"))(scene)
     ),
     NeedTerm("limit", lambda scene: scene.scene.peak is not None, _driver(peak=None)),
     NeedTerm("slew", lambda scene: scene.scene.slew is not None, _driver(slew=None)),
@@ -113,19 +107,13 @@ TERMS: tuple[NeedTerm[LaunchedScene], ...] = (
     ),
     NeedTerm("memory", lambda scene: _longest(scene) > _SHORTEST, _shortened),
 )
-"""All terms; ``memory`` stands for the older half of the longest law's taps."""
-
+# What must be one way or the other: never superfluous and never missing, but worth knowing.
 CONVENTIONS: dict[str, Switch] = {
     "clamp": lambda scene: replace(scene, scene=replace(scene.scene, clamp=not scene.scene.clamp)),
     "history rule": lambda scene: replace(scene, scene=replace(scene.scene, raw=not scene.scene.raw)),
 }
-"""What must be one way or the other: never superfluous and never missing, but worth knowing."""
-
+# Terms that may only matter together (buzz at rest, THEORY.md §5).
 TOGETHER: tuple[tuple[str, str], ...] = (("friction", "resolution"),)
-"""Terms that may only matter together (buzz at rest, THEORY.md §5)."""
-
+# Limits that a device would have: never superfluous because a stable loop does not meet them.
 PROTECTS = frozenset({"limit", "slew", "workspace"})
-"""Limits that a device would have: never superfluous because a stable loop does not meet them."""
-
-BROUGHT = frozenset({"delay"})
-"""What the running processes bring by themselves, whether or not the scene has it."""
+BROUGHT = frozenset({"delay"})  # what the running processes bring by themselves, whether or not the scene has it

@@ -36,62 +36,29 @@ STEP: Final = 0.001
 FRESH: Final = 5
 """After so many samples a position is one of after the question."""
 
-WAYS: Final = (
-    ("forward", "away from you"),
-    ("left", "to the left"),
-    ("up", "upwards"),
-)
+WAYS: Final = (("forward", "away from you"), ("left", "to the left"), ("up", "upwards"))
 
 
 class SamplesAtRest(msgspec.Struct, frozen=True, kw_only=True):
-    """A device at rest.
+    """A device at rest."""
 
-    Attributes
-    ----------
-    noise : tuple of float, shape (3,)
-        Standard deviation of its position [m].
-    step : float or None
-        Smallest change of a position that was seen [m]: the encoder's step, or finer; None when nothing changed.
-    rate : float
-        Samples of its servo loop [Hz].
-    asked : float
-        Those that it is asked for [Hz].
-    missed : int
-        By how many there were too few while it was looked at.
-    longest : float
-        Longest time without one [s].
-    """
-
-    noise: Vector
+    noise: Vector  # standard deviation of its position [m]
+    # Smallest change of a position that was seen [m]: the encoder's step, or finer; None when nothing changed.
     step: float | None
-    rate: float
-    asked: float
-    missed: int
-    longest: float
+    rate: float  # samples of its servo loop [Hz]
+    asked: float  # those that it is asked for [Hz]
+    missed: int  # by how many there were too few while it was looked at
+    longest: float  # longest time without one [s]
 
 
 class TriedForce(msgspec.Struct, frozen=True, kw_only=True):
-    """One push upwards.
+    """One push upwards."""
 
-    Attributes
-    ----------
-    force : float
-        Its size [N].
-    moved : float
-        How far the handle went up meanwhile [m].
-    felt : bool
-        What the user said.
-    why : str
-        What the device says keeps it from giving a force.
-    ended : str
-        Why it ended early; empty when it did not.
-    """
-
-    force: float
-    moved: float
-    felt: bool
-    why: str
-    ended: str
+    force: float  # its size [N]
+    moved: float  # how far the handle went up meanwhile [m]
+    felt: bool  # what the user said
+    why: str  # what the device says keeps it from giving a force
+    ended: str  # why it ended early; empty when it did not
 
 
 def ask(question: str) -> str:
@@ -118,9 +85,7 @@ def at_rest(device: MailboxDevice) -> SamplesAtRest:
                 places.append(place)
         time.sleep(0.0002)
     if len(places) < 2:
-        raise RefusedError(
-            f"{device.TITLE}: {len(places)} positions in {REST:g} s: {device.condition() or 'it gives none'}"
-        )
+        raise RefusedError(f"{device.TITLE}: {len(places)} positions in {REST:g} s: {device.condition() or 'it gives none'}")
     columns = list(zip(*places, strict=True))
     means = [sum(column) / len(column) for column in columns]
     x, y, z = (
@@ -167,8 +132,7 @@ def axes(device: MailboxDevice) -> tuple[bool, list[str]]:
                 "than half of it along the others: try again, or give mapping.rotation for a mount that is askew"
             )
         found.append(_theirs(device, largest, moved[largest]))
-        if largest != number or moved[largest] < 0.0:
-            right = False
+        right = right and largest == number and moved[largest] >= 0.0
     return right, found
 
 
@@ -215,10 +179,7 @@ def push(device: MailboxDevice, force: float) -> TriedForce:
 
 
 def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
-    """Go through all of it; the device is closed at the end, on every way out.
-
-    Raises RefusedError when something is not as it should be.
-    """
+    """Go through all of it, and refuse what is not as it should be; the device is closed on every way out."""
     try:
         device.connect()
         device.open()
@@ -234,14 +195,6 @@ def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
             file=sys.stderr,
         )
         right, found = axes(device)
-        result: dict[str, Any] = {
-            "kind": kind,
-            "facts": device.facts,
-            "rest": msgspec.to_builtins(rest),
-            "axes_right": right,
-            "axes": found,
-            "pushes": [],
-        }
         if not right:
             written = ", ".join(f'"{name}"' for name in found)
             raise RefusedError(
@@ -249,22 +202,22 @@ def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
                 "check again"
             )
         pushes = _pushes(device)
-        result["pushes"] = [msgspec.to_builtins(one) for one in pushes]
-        measured = _delay(device) if len(pushes) > 1 and all(one.felt and not one.ended for one in pushes) else None
-        result["delay"] = measured and msgspec.to_builtins(measured)
+        passed = all(one.felt and not one.ended for one in pushes)
+        measured = _delay(device) if len(pushes) > 1 and passed else None
     except OSError as error:
         raise RefusedError(str(error)) from error
     finally:
         device.close()
     felt = ", ".join(f"{one.force:g} N {'felt' if one.felt else 'NOT felt'}" for one in pushes) or "no force tried"
     facts = ", ".join(str(device.facts[name]) for name in ("model", "serial") if device.facts.get(name))
-    result["line"] = (
+    line = (
         f"haptic device check {kind}: {facts}; axes {' '.join(found)} right; noise {noise} µm, step {step}; "
         f"{rest.rate:.0f} samples/s of {rest.asked:.0f}, {rest.missed} missed, longest gap {1e3 * rest.longest:.3g} ms; "
         f"upwards: {felt}; {delay_in_words(measured)}"
     )
-    result["passed"] = all(one.felt and not one.ended for one in pushes)
-    return result
+    told = {"rest": rest, "pushes": pushes, "delay": measured}
+    found_out = {"axes_right": right, "axes": found, **msgspec.to_builtins(told)}
+    return {"kind": kind, "facts": device.facts, **found_out, "line": line, "passed": passed}
 
 
 def _pushes(device: MailboxDevice) -> list[TriedForce]:
@@ -274,8 +227,8 @@ def _pushes(device: MailboxDevice) -> list[TriedForce]:
         largest = " (the largest that the device allows)" if force == device.limits.peak_force else ""
         if not ask(f"Hold the handle loosely. Push upwards with {force:g} N{largest}? [y/n]").startswith("y"):
             break
-        pushes.append(push(device, force))
-        one = pushes[-1]
+        one = push(device, force)
+        pushes.append(one)
         if one.ended:
             print(f"  let go: {one.ended}", file=sys.stderr)
         if not one.felt:
@@ -287,9 +240,7 @@ def _pushes(device: MailboxDevice) -> list[TriedForce]:
 
 def _delay(device: MailboxDevice) -> MeasuredDelay | None:
     """Measure the delay from force to effect, when the user allows it."""
-    question = (
-        f"Hold the handle loosely. Push up and down {PULSES} times with {min(FORCE, device.limits.peak_force):g} N"
-    )
+    question = f"Hold the handle loosely. Push up and down {PULSES} times with {min(FORCE, device.limits.peak_force):g} N"
     if not ask(f"{question}, 60 ms each, to measure the delay? [y/n]").startswith("y"):
         return None
     measured = measure(device)
@@ -315,6 +266,4 @@ def no_force(device: MailboxDevice, one: TriedForce) -> str:
         return f"the handle moved up by {1e3 * one.moved:.1f} mm: the force acts, but is small for this hand"
     if device.let_go:
         return f"the servo loop let go {device.let_go} times because no force came in time: the machine is busy"
-    return (
-        "the device says that nothing keeps forces off: is a switch on its housing off, or an emergency stop pressed?"
-    )
+    return "the device says that nothing keeps forces off: is a switch on its housing off, or an emergency stop pressed?"

@@ -38,24 +38,12 @@ TIMES: Final = (0.002, 0.005, 0.01, 0.02, 0.05, 0.2)
 
 
 class MeasuredDelay(msgspec.Struct, frozen=True, kw_only=True):
-    """A delay from force to effect.
+    """A delay from force to effect."""
 
-    Attributes
-    ----------
-    delay : float or None
-        From handing a force over until a sample shows its effect begin [s]; None where it could not be told.
-    uncertainty : float
-        Of it, at 95 % [s].
-    pulses : int
-        Pulses that tell it.
-    why : str
-        Why it could not be told; empty when it could.
-    """
-
-    delay: float | None
-    uncertainty: float
-    pulses: int
-    why: str = ""
+    delay: float | None  # from handing a force over until a sample shows its effect begin [s]; None where it could not be told
+    uncertainty: float  # of it, at 95 % [s]
+    pulses: int  # pulses that tell it
+    why: str = ""  # why it could not be told; empty when it could
 
 
 def _pulse(device: MailboxDevice, force: float) -> tuple[Array, Array]:
@@ -87,10 +75,7 @@ def _pulse(device: MailboxDevice, force: float) -> tuple[Array, Array]:
 
 
 def begins(times: Array, places: Array) -> float | None:
-    """Find when a handle begins to follow a force that was handed over at time 0.
-
-    Returns: the delay [s]; None where it hardly moved.
-    """
+    """Find when a handle begins to follow a force that was handed over at time 0 [s]; None where it hardly moved."""
     before = places[times < 0.0]
     if before.size < 3 or times.size - before.size < 5 or abs(places[-1] - before[-1]) < LEAST:
         return None
@@ -118,19 +103,13 @@ def measure(device: MailboxDevice) -> MeasuredDelay:
             time.sleep(0.002)
     if len(found) < PULSES // 2:
         reason = device.condition() or "hold it more loosely"
-        return MeasuredDelay(
-            delay=None,
-            uncertainty=math.inf,
-            pulses=len(found),
-            why=f"only {len(found)} of {PULSES} pulses moved the handle by {1e3 * LEAST:g} mm: {reason}",
-        )
+        why = f"only {len(found)} of {PULSES} pulses moved the handle by {1e3 * LEAST:g} mm: {reason}"
+        return MeasuredDelay(delay=None, uncertainty=math.inf, pulses=len(found), why=why)
     ordered = sorted(found)
     # A pulse in which the machine stalled says nothing: the median, and the spread of the middle half of them.
     spread = ordered[(3 * len(ordered)) // 4] - ordered[len(ordered) // 4]
     error = 1.57 * spread / math.sqrt(len(ordered))
     # A sample may be as old as the time from one to the next, which is not seen.
     return MeasuredDelay(
-        delay=float(np.median(ordered)),
-        uncertainty=math.hypot(error, 1.0 / device.servo_rate),
-        pulses=len(ordered),
+        delay=float(np.median(ordered)), uncertainty=math.hypot(error, 1.0 / device.servo_rate), pulses=len(ordered)
     )

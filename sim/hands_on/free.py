@@ -28,10 +28,7 @@ def holders(library: str | None) -> list[tuple[int, str]]:
 
 
 def free(device: MailboxDevice) -> dict[str, Any]:
-    """Set a device free.
-
-    Raises RefusedError when another process holds it, which is named, or it cannot be reached.
-    """
+    """Set a device free; refuses when another process holds it, which is named, or it cannot be reached."""
     others = holders(type(device).find(device.parameters).library)
     if others:
         named = "; ".join(f"process {number}: {command[:120]}" for number, command in others)

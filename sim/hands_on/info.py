@@ -61,9 +61,7 @@ def text(report: dict[str, Any]) -> str:
         f"  peak force {limits['peak_force']} N, {limits['continuous_force']} N continuous; "
         f"holds a force for {limits['hold']} s"
     )
-    lines += [
-        f"  {axis}: {low:.3g} to {high:.3g} m" for axis, (low, high) in zip("xyz", limits["workspace"], strict=True)
-    ]
+    lines += [f"  {axis}: {low:.3g} to {high:.3g} m" for axis, (low, high) in zip("xyz", limits["workspace"], strict=True)]
     if (edge := report["edge"]) is not None:
         lines.append(
             f"  inertia where it stands, and the largest stable stiffness of PD, B = {edge['damping_n_s_per_m']:g} N s/m, at "
@@ -74,9 +72,7 @@ def text(report: dict[str, Any]) -> str:
             + ("no stable one" if one["k_max_n_per_m"] is None else f"{one['k_max_n_per_m']:.4g} N/m")
             for axis, one in zip("xyz", edge["axes"], strict=True)
         ]
-        lines.append(
-            f"    any direction: {edge['least_kg']:.4g} to {edge['greatest_kg']:.4g} kg here; other poses have others"
-        )
+        lines.append(f"    any direction: {edge['least_kg']:.4g} to {edge['greatest_kg']:.4g} kg here; other poses have others")
         heaviest = f", heaviest: {edge['greatest_kg']:.4g}" if edge["greatest_kg"] > edge["least_kg"] else ""
         lines.append(f"  for a launch file: plant: {{mass: {edge['least_kg']:.4g}{heaviest}, damping: 0.0}}")
     return "\n".join(lines)

@@ -1,8 +1,7 @@
 """A running launch whose law and surface are borrowed for a while, and put back whatever happens to who borrowed them.
 
 The surface goes back first and the law after it: at no time does a stiff law meet a point that has jumped. What is borrowed
-stands under leases of the nodes themselves. They are renewed from here several times a second; when this process is gone,
-killed or stopped, environment and coupling put surface and law back on their own.
+stands under leases, renewed from here several times a second; when this process is gone, the nodes put surface and law back.
 """
 
 from __future__ import annotations
@@ -24,26 +23,18 @@ from nodes.driver.node import STAND_STILL
 from nodes.launcher.runs import RunInfo
 from sim.identify.signals_once import undisturbed, whole
 
-RAMP = 100
-"""Cross-fade from and to the law that was there [ticks]."""
+RAMP = 100  # cross-fade from and to the law that was there [ticks]
+# So long after the last renewal surface and law are put back; the law later, as it is the stiffer one [s].
 SURFACE_LEASE, LAW_LEASE = 4.0, 5.0
-"""So long after the last renewal surface and law are put back; the law later, as it is the stiffer one [s]."""
-PATIENT = 6.0
-"""Leases are so many times longer in lockstep: a loop that takes the whole machine pushes nobody."""
-RENEWED = 0.4
-"""How often leases are renewed [s]."""
+PATIENT = 6.0  # leases are so many times longer in lockstep: a loop that takes the whole machine pushes nobody
+RENEWED = 0.4  # how often leases are renewed [s]
+# What holds the device between pushes and knocks: its name, and a trial that is over at once, which leaves the spring.
 SOFT_LAW, SOFT = "soft", {"kind": "knock", "taps": [0.0], "step": 1e-9, "ticks": 1}
-"""What holds the device between pushes and knocks: its name, and a trial that is over at once, which leaves the spring."""
-SOFT_RAMP = 250
-"""Cross-fade to it [ticks]."""
-REST = 0.2
-"""The force of a device at rest is averaged over so long [s]."""
-STILL = 1e-4
-"""A device that moves less than this is at rest [m]."""
-SETTLING = 3.0
-"""A device that does not come to rest within so long goes on moving [s]."""
-LEASE = "borrowed"
-"""Name of the leases."""
+SOFT_RAMP = 250  # cross-fade to it [ticks]
+REST = 0.2  # the force of a device at rest is averaged over so long [s]
+STILL = 1e-4  # a device that moves less than this is at rest [m]
+SETTLING = 3.0  # a device that does not come to rest within so long goes on moving [s]
+LEASE = "borrowed"  # name of the leases
 
 
 @dataclass
@@ -75,10 +66,7 @@ class PushedLaunch:
             raise UsageError(f"{self.run.run}: has no driver, environment and coupling that could push a device")
 
     def poses(self) -> tuple[float, float] | None:
-        """Ask a device that knows its inertia by how much it is lighter and heavier elsewhere than here, along its first axis.
-
-        In kilograms; None for any other device.
-        """
+        """Ask a device that knows its inertia by how much it is lighter and heavier elsewhere, along its first axis [kg]."""
         if not hasattr(load(self.run.nodes[self.driver].factory), "hardware"):
             return None
         answer = ask(self.run, self.driver, "inertia")
@@ -93,10 +81,9 @@ class PushedLaunch:
         self.peak = safety["peak_force"]
         self.slew = None if safety["slew"] is None else safety["slew"] * self.period
 
-    def progress(self) -> dict[str, Any]:
+    def progress(self) -> Any:
         """Ask the driver how it goes."""
-        answer: dict[str, Any] = ask(self.run, self.driver, "progress")
-        return answer
+        return ask(self.run, self.driver, "progress")
 
     def ready(self) -> None:
         """Refuse a driver that gives no force."""
@@ -123,11 +110,7 @@ class PushedLaunch:
 
     @contextlib.contextmanager
     def standing(self) -> Iterator[None]:
-        """Let a loop in lockstep stand still for the length of a with block, in which something is calculated.
-
-        It would go on as fast as it can, on all processors, with nobody who looks. Should this process be killed, or take
-        longer than the driver grants, the loop goes on by itself.
-        """
+        """Let a loop in lockstep, which takes all processors, stand still in a with block, or while the driver grants it."""
         if self.run.nodes[self.driver].pace != "lockstep":
             yield
             return
@@ -161,8 +144,7 @@ class PushedLaunch:
 
     def soften(self, load: float) -> None:
         """Let a soft spring hold the device, whatever the surface is."""
-        law = {**SOFT, "load": load}
-        self.change(self.coupling, "param.set", values={f"laws.{SOFT_LAW}": law})
+        self.change(self.coupling, "param.set", values={f"laws.{SOFT_LAW}": {**SOFT, "load": load}})
         self.change(self.coupling, "law.switch", law=SOFT_LAW, ramp=SOFT_RAMP)
         self.wait(SOFT_RAMP)
 
@@ -173,14 +155,9 @@ class PushedLaunch:
 
 
 def carried(loop: PushedLaunch, amplitude: float, given: float | None) -> float:
-    """Find the force that carries the device's weight [N]: what is given, else what acts on it at rest.
-
-    A force above the amplitude of the push is refused: it may as well be a hand that presses, and would go on without it.
-    """
+    """Find the force that carries the device's weight [N]: the given one, or that at rest, if no hand can be meant by it."""
     strongest = loop.peak if loop.peak is not None else 20.0
-    weight = given
-    if weight is None:
-        weight = _at_rest(loop, amplitude)
+    weight = _at_rest(loop, amplitude) if given is None else given
     if abs(weight) + amplitude > strongest:
         raise RefusedError(
             f"{loop.driver}: a load of {weight:.3g} N and a push of {amplitude:g} N are more than {strongest:g} N, the largest "
@@ -229,12 +206,10 @@ class Borrowed:
         """Take the leases."""
         loop = self._loop
         longer = PATIENT if loop.run.nodes[loop.driver].pace == "lockstep" else 1.0
-        back = {"law": self.law, "ramp": RAMP, "force": True}
-        surface = {"values": {"surface": self._surface}}
-        take = {"name": LEASE, "seconds": longer * LAW_LEASE, "then": "law.switch", "args": back}
-        loop.change(loop.coupling, "lease.take", **take)
-        take = {"name": LEASE, "seconds": longer * SURFACE_LEASE, "then": "param.set", "args": surface}
-        loop.change(loop.environment, "lease.take", **take)
+        law, surface = {"law": self.law, "ramp": RAMP, "force": True}, {"values": {"surface": self._surface}}
+        rows = ((loop.coupling, LAW_LEASE, "law.switch", law), (loop.environment, SURFACE_LEASE, "param.set", surface))
+        for node, seconds, then, args in rows:
+            loop.change(node, "lease.take", name=LEASE, seconds=longer * seconds, then=then, args=args)
         self._renewing.start()
 
     def _renew(self) -> None:
@@ -242,8 +217,7 @@ class Borrowed:
             try:
                 for node in (self._loop.environment, self._loop.coupling):
                     if ask(self._loop.run, node, "lease.renew", names=[LEASE])["run_out"]:
-                        held_up = "this process was held up for too long"
-                        self._lost = f"{node}: {held_up}, and the launch took law and surface back"
+                        self._lost = f"{node}: this process was held up for too long, and the launch took law and surface back"
             except RefusedError as error:
                 self._lost = self._lost or str(error)
 

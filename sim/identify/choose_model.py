@@ -13,24 +13,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import WholeArray
 from sim.identify.experiment import Experiment
 from sim.identify.identified_motion import FREQUENCY, LAG, LOSS, QUADRATIC, SHARE
 from sim.identify.judge_fit import IMPROBABLE, SURE, Evidence, left, scan, unsteady, whiteness
 from sim.identify.output_error import Fit, fit
 from sim.identify.suspects import describe
 
-Whole = NDArray[np.int64]
-
+# Terms that the model can have, and their unknowns.
 TERMS = {"quadratic damping": (QUADRATIC,), "actuator lag": (LAG,), "flexible mode": (SHARE, FREQUENCY, LOSS)}
-"""Terms that the model can have, and their unknowns."""
-QUARTER = 1.0 / 3.0
-"""A quarter of the mass beyond a joint, as a ratio of the two: what a bound on joints is told for."""
-EXPLAINS = 0.27
-"""Part of what is left that a suspect must take up to be named."""
-FLEXIBLE = 0.6
-"""A suspect of several shapes fits anything a little: so much of its part counts when one is named."""
-PROMISES = 0.15
-"""Part that a term must take up by the scan to be fitted in full."""
+QUARTER = 1.0 / 3.0  # a quarter of the mass beyond a joint, as a ratio of the two: what a bound on joints is told for
+EXPLAINS = 0.27  # part of what is left that a suspect must take up to be named
+FLEXIBLE = 0.6  # a suspect of several shapes fits anything a little: so much of its part counts when one is named
+PROMISES = 0.15  # part that a term must take up by the scan to be fitted in full
 
 
 @dataclass(frozen=True)
@@ -54,11 +49,11 @@ class Choice:
 class Windows:
     """Windows of a run: first ticks of those that the search sees and of those that judge it, and the ticks of each."""
 
-    seen: Whole
-    unseen: Whole
+    seen: WholeArray
+    unseen: WholeArray
     length: int
 
-    def kept(self, kept: Whole) -> Windows:
+    def kept(self, kept: WholeArray) -> Windows:
         """Leave out what is spoilt."""
         return Windows(np.intersect1d(self.seen, kept), np.intersect1d(self.unseen, kept), self.length)
 
@@ -85,15 +80,12 @@ def _judged(
     experiment: Experiment, found: Fit, windows: Windows, terms: tuple[str, ...], scale: float, step: float | None
 ) -> tuple[Choice, list[Evidence], Windows]:
     """Fit all windows, judge by those that the search has not seen, and scan what is left."""
-    free = tuple(found.free.tolist())
-    length = windows.length
+    free, length = tuple(found.free.tolist()), windows.length
     test = fit(experiment, windows.unseen, length, found.theta, (), scale)
     starts = np.concatenate([windows.seen, windows.unseen])
     order = np.argsort(starts)
     # All windows together for what is reported: the held-out ones have judged.
-    model = fit(
-        experiment, starts[order], length, found.theta, free, scale, np.concatenate([found.states, test.states])[order]
-    )
+    model = fit(experiment, starts[order], length, found.theta, free, scale, np.concatenate([found.states, test.states])[order])
     undisturbed = _undisturbed(model, scale)
     if not undisturbed.all():
         model = fit(experiment, model.starts[undisturbed], length, model.theta, free, scale, model.states[undisturbed])
@@ -109,19 +101,9 @@ def _judged(
     lags = [one for one in evidence if one.suspect.term == "actuator lag" and one.visible <= 1.0]
     lag_bound = min((one.suspect.start[0] * math.sqrt(one.visible) for one in lags), default=math.inf)
     quadratic = min((one.visible for one in evidence if one.suspect.term == "quadratic damping"), default=math.inf)
-    choice = Choice(
-        model=model,
-        test=test,
-        whiteness=whiteness(left(experiment, test, step)),
-        terms=terms,
-        why="",
-        unsteady=spread if sure > SURE else 0.0,
-        mode_bound=_mode_bound(evidence),
-        lag_bound=lag_bound * experiment.period,
-        quadratic_bound=quadratic,
-        dropped=int(np.sum(~undisturbed)),
-    )
-    return choice, evidence, windows
+    white, dropped = whiteness(left(experiment, test, step)), int(np.sum(~undisturbed))
+    bounds = _mode_bound(evidence), lag_bound * experiment.period, quadratic
+    return Choice(model, test, white, terms, "", spread if sure > SURE else 0.0, *bounds, dropped), evidence, windows
 
 
 def _mode_bound(evidence: list[Evidence]) -> float:
@@ -136,11 +118,7 @@ def _mode_bound(evidence: list[Evidence]) -> float:
 
 
 def _undisturbed(found: Fit, scale: float) -> NDArray[np.bool_]:
-    """Tell which windows to keep: a stall of the machine or a knock spoils some of them altogether.
-
-    Rounding alone never makes a window four times as bad as the middle one, or as rounding itself where most of them are at
-    rest. When more than a third are, it is the model that does not fit, and all of them stay.
-    """
+    """Tell which windows to keep: none with four times the error of the middle one, or of rounding; all if a third has it."""
     errors = np.sqrt(found.errors)
     kept = np.asarray(errors <= 4.0 * max(float(np.median(errors)), scale * math.sqrt(found.length / 12.0)))
     return kept if np.mean(kept) > 2.0 / 3.0 else np.ones_like(kept)

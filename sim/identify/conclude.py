@@ -3,27 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from sim.arrays import Array
+from sim.identify import identified_motion as motion
 from sim.identify.choose_model import Choice
-from sim.identify.encoder import Encoder, encoder
-from sim.identify.experiment import Experiment
+from sim.identify.experiment import Encoder, Experiment, encoder
 from sim.identify.identified import Estimate, HeldOut, Identified
-from sim.identify.identified_motion import (
-    DAMPING,
-    DELAY,
-    FREQUENCY,
-    FRICTION,
-    LAG,
-    LOAD,
-    LOSS,
-    MOBILITY,
-    QUADRATIC,
-    SHARE,
-    STIFFNESS,
-)
+from sim.identify.identified_text import ROWS
 from sim.identify.output_error import Fit, own_states
 
 CONFIDENCE = 0.95
@@ -31,33 +20,12 @@ CONFIDENCE = 0.95
 
 def nothing(experiment: Experiment, length: int, why: str) -> Identified:
     """Tell what a run without a changing force tells: its delays and its encoder."""
-    unknown = Estimate(None, why=why)
-    _, shortest, longest, jitter = _delays(experiment)
-    return Identified(
-        mass=unknown,
-        damping=unknown,
-        friction=unknown,
-        delay=unknown,
-        device_delay=unknown,
-        encoder=_step(encoder(experiment.position[~experiment.missing])),
-        stiffness=unknown,
-        load=unknown,
-        quadratic=unknown,
-        lag=unknown,
-        frequency=unknown,
-        share=unknown,
-        loss=unknown,
-        jitter=jitter,
-        delay_range=(shortest, longest),
-        held=False,
-        residual=math.nan,
-        held_out=HeldOut(),
-        dropped=0,
-        windows=0,
-        ticks=length,
-        axis=experiment.axis,
-        period=experiment.period,
-    )
+    _, *delays, jitter = _delays(experiment)
+    estimates: dict[str, Any] = dict.fromkeys((name for _, name, _, _ in ROWS), Estimate(None, why=why))
+    estimates |= {"encoder": _step(encoder(experiment.position[~experiment.missing])), "jitter": jitter}
+    figures: dict[str, Any] = {"delay_range": tuple(delays), "held": False, "residual": math.nan, "held_out": HeldOut()}
+    figures |= {"dropped": 0, "windows": 0, "ticks": length, "axis": experiment.axis, "period": experiment.period}
+    return Identified(**estimates, **figures)
 
 
 def _step(grid: Encoder) -> Estimate:
@@ -78,8 +46,7 @@ def covariance_of(found: Fit) -> Array:
     scores = np.empty((windows, p))
     identity = np.eye(p)
     for w in range(windows):
-        leverage = found.matrices[w] @ inverse
-        scores[w] = np.linalg.lstsq(identity - leverage, found.sides[w], rcond=None)[0]
+        scores[w] = np.linalg.lstsq(identity - (found.matrices[w] @ inverse), found.sides[w], rcond=None)[0]
     between = inverse @ (scores.T @ scores) @ inverse * (windows - 1) / windows
     white = inverse * max(found.rms, 1e-12) ** 2
     # Neither may promise more than the other: take the larger variance of each unknown.
@@ -96,7 +63,7 @@ class _Widths:
         self._found, self._covariance = found, covariance_of(found)
         self._quantile = float(t.ppf(0.5 + 0.5 * CONFIDENCE, max(1, len(found.starts) - len(found.free))))
         self._index = {int(which): i for i, which in enumerate(found.free)}
-        self.mobility = float(found.theta[MOBILITY])
+        self.mobility = float(found.theta[motion.MOBILITY])
         self.mass_off = self._quantile * math.sqrt(self._covariance[0, 0]) / self.mobility
 
     def __contains__(self, which: int) -> bool:
@@ -108,7 +75,7 @@ class _Widths:
         value = float(self._found.theta[which]) / g
         slope = np.zeros(len(self._found.free))
         slope[index[which]] = 1.0 / g
-        slope[index[MOBILITY]] -= value / g
+        slope[index[motion.MOBILITY]] -= value / g
         return value, self._quantile * math.sqrt(max(float(slope @ self._covariance @ slope), 0.0))
 
     def direct(self, which: int, unit: float = 1.0) -> tuple[float, float]:
@@ -128,28 +95,21 @@ def conclude(experiment: Experiment, choice: Choice, grid: Encoder) -> Identifie
         _, low, high = own.known()
         total = Estimate(own.value + median, low + median, high + median)
         shortest, longest = shortest + low, longest + high
-    estimates = {
-        **_mechanics(experiment, widths, float(found.theta[DAMPING])),
-        **_terms(experiment.period, choice, widths),
-        "delay": total,
-        "device_delay": own,
-    }
+    estimates = _mechanics(experiment, widths, float(found.theta[motion.DAMPING]))
+    estimates |= _terms(experiment.period, choice, widths) | {"delay": total, "device_delay": own}
     unbelieved = {}
     if choice.why:
         unbelieved, unknown = estimates, Estimate(None, why=f"the model is refuted: {choice.why}")
         estimates = dict.fromkeys(estimates, unknown)
+    # The middle one: a window that a stall spoilt says nothing about the model.
+    residual = math.sqrt(float(np.median(test.errors)) / (test.length - own_states(test.theta)))
+    estimates |= {"encoder": _step(grid), "jitter": jitter}
     return Identified(
         **estimates,
-        encoder=_step(grid),
-        jitter=jitter,
         delay_range=(shortest, longest),
-        held=STIFFNESS in widths and float(found.theta[STIFFNESS]) > 0.0,
+        held=motion.STIFFNESS in widths and float(found.theta[motion.STIFFNESS]) > 0.0,
         residual=found.rms,
-        held_out=HeldOut(
-            # The middle one: a window that a stall spoilt says nothing about the model.
-            math.sqrt(float(np.median(test.errors)) / (test.length - own_states(test.theta))),
-            choice.whiteness,
-        ),
+        held_out=HeldOut(residual, choice.whiteness),
         dropped=choice.dropped,
         windows=len(found.starts),
         ticks=found.length,
@@ -162,41 +122,32 @@ def conclude(experiment: Experiment, choice: Choice, grid: Encoder) -> Identifie
     )
 
 
-def _pushing(experiment: Experiment) -> float:
-    """Tell how much the force changed, root mean square [N]."""
-    return float(np.std(experiment.force)) if len(experiment.force) else 0.0
-
-
 def _mechanics(experiment: Experiment, widths: _Widths, damping_per_mass: float) -> dict[str, Estimate]:
     """Estimate mass, damping, friction, stiffness and load: none of them where nothing tells the mass."""
-    g, relative, force = widths.mobility, widths.mass_off, _pushing(experiment)
-    if relative > 0.5 or force == 0.0:
-        why = "no force was given: nothing tells the mass" if force == 0.0 else (
-            f"its error would be {100 * relative:.0f} %: push with forces that change more, or record longer"
-        )  # fmt: skip
+    g, relative = widths.mobility, widths.mass_off
+    force = float(np.std(experiment.force))  # how much it changed, root mean square [N]
+    if relative > 0.5:
+        why = f"its error would be {100 * relative:.0f} %: push with forces that change more, or record longer"
         unknown = Estimate(None, why=f"the mass is not known ({why})")
         return {"mass": Estimate(None, why=why), **dict.fromkeys(("damping", "friction", "stiffness", "load"), unknown)}
-    speeds = np.diff(experiment.position) / experiment.period
-    speed = float(np.sqrt(np.mean(speeds**2)))
-    load, load_width = widths.per_mass(LOAD)
-    held = STIFFNESS in widths
+    speed = float(np.sqrt(np.mean((np.diff(experiment.position) / experiment.period) ** 2)))
+    load, load_width = widths.per_mass(motion.LOAD)
+    held = motion.STIFFNESS in widths
     return {
         # An interval of 1/m is one of m, and not symmetric.
         "mass": Estimate(1.0 / g, 1.0 / (g * (1.0 + relative)), 1.0 / (g * (1.0 - relative))),
-        "damping": _bounded(*widths.per_mass(DAMPING), max(damping_per_mass / g, force / speed if speed else 0.0)),
-        "friction": _bounded(*widths.per_mass(FRICTION), 0.5 * force),
+        "damping": _bounded(*widths.per_mass(motion.DAMPING), max(damping_per_mass / g, force / speed if speed else 0.0)),
+        "friction": _bounded(*widths.per_mass(motion.FRICTION), 0.5 * force),
         "load": Estimate(load, load - load_width, load + load_width),
-        "stiffness": _bounded(*widths.per_mass(STIFFNESS), math.inf) if held else Estimate(0.0, 0.0, 0.0),
+        "stiffness": _bounded(*widths.per_mass(motion.STIFFNESS), math.inf) if held else Estimate(0.0, 0.0, 0.0),
     }
 
 
 def _own_delay(experiment: Experiment, choice: Choice, widths: _Widths) -> Estimate:
     """Estimate the device's own delay [ticks]."""
-    late, width = widths.direct(DELAY)
+    late, width = widths.direct(motion.DELAY)
     # Nobody knows how late an unsteady sample is on average; evenly spread from 0 on it is 1.7 of its standard deviations.
     width += 2.0 * choice.unsteady / experiment.period
-    if _pushing(experiment) == 0.0:
-        return Estimate(None, why="no force was given")
     if width > 0.5:
         why = f"its error would be {width:.2g} ticks: the force must change often, by much more than friction"
         return Estimate(None, why=why)
@@ -214,18 +165,14 @@ def _terms(period: float, choice: Choice, widths: _Widths) -> dict[str, Estimate
         if choice.mode_bound > 0.0
         else "none seen, and none with a quarter of the mass would show: push longer, or faster"
     )
-    terms = {
-        "quadratic": Estimate(0.0, 0.0, choice.quadratic_bound / widths.mobility),
-        "lag": Estimate(0.0, 0.0, choice.lag_bound),
-        "frequency": Estimate(None, choice.mode_bound, why=seen),
-        "share": Estimate(None, why=seen),
-        "loss": Estimate(None, why=seen),
-    }
-    if QUADRATIC in widths:
-        terms["quadratic"] = positive(*widths.per_mass(QUADRATIC))
-    if LAG in widths:
-        terms["lag"] = positive(*widths.direct(LAG, period))
-    for name, which in (("frequency", FREQUENCY), ("share", SHARE), ("loss", LOSS)):
+    bound, unseen = choice.quadratic_bound / widths.mobility, Estimate(None, why=seen)
+    terms = {"quadratic": Estimate(0.0, 0.0, bound), "lag": Estimate(0.0, 0.0, choice.lag_bound)}
+    terms |= {"frequency": Estimate(None, choice.mode_bound, why=seen), "share": unseen, "loss": unseen}
+    if motion.QUADRATIC in widths:
+        terms["quadratic"] = positive(*widths.per_mass(motion.QUADRATIC))
+    if motion.LAG in widths:
+        terms["lag"] = positive(*widths.direct(motion.LAG, period))
+    for name, which in (("frequency", motion.FREQUENCY), ("share", motion.SHARE), ("loss", motion.LOSS)):
         if which in widths:
             terms[name] = positive(*widths.direct(which))
     return terms
@@ -234,9 +181,7 @@ def _terms(period: float, choice: Choice, widths: _Widths) -> dict[str, Estimate
 def _bounded(value: float, width: float, too_wide: float) -> Estimate:
     """Estimate what cannot be negative; None when its error is as large as what it is estimated from."""
     if width > too_wide:
-        return Estimate(
-            None, why=f"its error would be {width:.2g}, as large as what it is estimated from ({too_wide:.2g})"
-        )
+        return Estimate(None, why=f"its error would be {width:.2g}, as large as what it is estimated from ({too_wide:.2g})")
     return Estimate(value, max(value - width, 0.0), value + width)
 
 
@@ -249,11 +194,8 @@ def _delays(experiment: Experiment) -> tuple[float, float, float, Estimate]:
     shortest, longest = (float(q) for q in np.quantile(delay, (0.001, 0.999)))
     blocks = np.array_split(delay, 10)
     rng = np.random.default_rng(1)
-    spreads = []
-    for _ in range(200):
-        again = np.concatenate([blocks[i] for i in rng.integers(0, len(blocks), len(blocks))])
-        low, high = np.quantile(again, (0.001, 0.999))
-        spreads.append(high - low)
+    drawn = (np.concatenate([blocks[i] for i in rng.integers(0, len(blocks), len(blocks))]) for _ in range(200))
+    spreads = [np.ptp(np.quantile(again, (0.001, 0.999))) for again in drawn]
     low, high = (float(q) for q in np.quantile(spreads, (0.025, 0.975)))
     value = longest - shortest
     return median, shortest, longest, Estimate(value, min(low, value), max(high, value))

@@ -19,8 +19,7 @@ from sim.experiments.drop import Criterion, settled
 from sim.identify.recorded_scene import RecordedScene
 from sim.scene.loop import Given, run
 
-STILL = Criterion().tolerance
-"""Largest motion over the last quarter of a run that counts as settled: that of the drop test [m]."""
+STILL = Criterion().tolerance  # largest motion over the last quarter of a run that counts as settled: that of the drop test [m]
 
 
 @dataclass(frozen=True)
@@ -36,15 +35,11 @@ class Felt:
 
 
 def replay(
-    recorded: RecordedScene,
-    law: CompiledLaw | None = None,
-    external: Array | None = None,
-    nudged: Array | None = None,
+    recorded: RecordedScene, law: CompiledLaw | None = None, external: Array | None = None, nudged: Array | None = None
 ) -> Felt:
     """Play a recorded scene again, with another law from the first tick on; None for what did render, its swaps included.
 
-    `external`, shape (N,), is the force on the device besides the law's [N], from `missing_force`; `nudged`, shape (N, 3), are
-    the jumps of position [m], velocity [m/s] and reading [m], from `nudges`.
+    `external` is the force besides the law's [N], from `missing_force`; `nudged`, shape (N, 3), are the jumps from `nudges`.
     """
     played, ticks = recorded.scene, len(recorded.position)
     first = played.law if law is None else law
@@ -60,18 +55,14 @@ def replay(
 def nudges(recorded: RecordedScene, external: Array | None = None) -> Array:
     """Find what keeps the model, under the recorded forces, in the encoder step that was read: shape (N, 3).
 
-    Jumps of position [m] and velocity [m/s] at each tick, zero wherever the model reads what was read; and how far the recorded
-    reading lies off the model's grid [m]. `external` is as for `replay`.
+    Jumps of position [m] and velocity [m/s], zero wherever the model reads what was read; and how far the recorded reading lies
+    off its grid [m].
     """
     ticks = len(recorded.position)
     jumps = np.zeros((ticks, 3))
     arrivals = recorded.came, np.full(len(recorded.came), -1, dtype=np.int64), recorded.given
     given = Given(
-        force=external,
-        target=recorded.target,
-        arrivals=arrivals,
-        nudged=jumps,
-        read=recorded.position.astype(np.float64),
+        force=external, target=recorded.target, arrivals=arrivals, nudged=jumps, read=recorded.position.astype(np.float64)
     )
     run(replace(recorded.scene.scene, passivity=None), CompiledLaw((0.0,)), ticks, interpreted=True, given=given)
     return jumps
@@ -91,15 +82,11 @@ def missing_force(recorded: RecordedScene, noise: float) -> Array:
     """Estimate what moved the device besides the forces handed to it and the model's own load, tick by tick [N].
 
     A random walk of an unknown force is smoothed over the whole recording (Kalman filter and Rauch–Tung–Striebel smoother), its
-    size chosen by the likelihood of the recording. `noise` is the standard deviation of a measured position: of an encoder, its
-    step over √12 [m].
+    size chosen by likelihood. `noise` is the standard deviation of a measured position: an encoder step over √12 [m].
     """
-    scene = recorded.scene.scene
-    device, period = scene.device, scene.period
-    mass, damping, grip = device.moving_mass, device.moving_damping, device.grip
-    step = coefficients(mass, damping, grip, period)
+    device, y = recorded.scene.scene.device, recorded.position
+    step = coefficients(device.moving_mass, device.moving_damping, device.grip, recorded.scene.scene.period)
     known = _known(recorded)
-    y = recorded.position
     best, chosen = -np.inf, np.zeros(len(y))
     for walk in np.geomspace(1e-5, 1.0, 11).tolist():
         likelihood, force = _smooth(y, known, step, noise, walk)
@@ -113,8 +100,7 @@ def _known(recorded: RecordedScene) -> Array:
     scene = recorded.scene.scene
     device, period, ticks = scene.device, scene.period, len(recorded.position)
     mass, damping, grip = device.moving_mass, device.moving_damping, device.grip
-    smooth = np.convolve(recorded.position, np.ones(9) / 9.0, "same")
-    speed = np.gradient(smooth) / period
+    speed = np.gradient(np.convolve(recorded.position, np.ones(9) / 9.0, "same")) / period
     slow = (device.resolution or 1e-7) / (9.0 * period)
     rubbing = -(device.friction or 0.0) * np.clip(speed / slow, -1.0, 1.0)
     arrivals = list(zip((recorded.took + device.delay).tolist(), recorded.given.tolist(), strict=True))

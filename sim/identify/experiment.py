@@ -1,4 +1,4 @@
-"""What a recording holds for identification: positions at ticks, and the forces with the instant each one was handed over."""
+"""What a recording holds for identification: positions at ticks, the forces with the instant of each, the encoder's grid."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ from nodes.base.setup import AXIS_INDEX
 from nodes.recording.reader import Recording
 from sim.arrays import Array
 
+# So many ticks that the driver slept through do not end a stretch: forces held meanwhile, and the motion is known [ticks].
 BRIDGED = 50
-"""So many ticks that the driver slept through do not end a stretch: forces held meanwhile, and the motion is known [ticks]."""
-SHORTEST = 400
-"""Fewer ticks in a row tell no device [ticks]."""
+SHORTEST = 400  # fewer ticks in a row tell no device [ticks]
 
 
 @dataclass(frozen=True)
@@ -51,15 +50,8 @@ class Experiment:
 def lockstep(period: float, position: Array, force: Array, delay: float = 0.0, axis: str = "x") -> Experiment:
     """Make an experiment of a run in which every tick was answered."""
     ticks = len(position)
-    return Experiment(
-        period,
-        np.asarray(position, dtype=np.float64),
-        ((0, ticks),),
-        np.arange(ticks, dtype=np.float64) + delay,
-        np.asarray(force, dtype=np.float64),
-        np.full(ticks, delay),
-        axis,
-    )
+    where, given = np.asarray(position, dtype=np.float64), np.asarray(force, dtype=np.float64)
+    return Experiment(period, where, ((0, ticks),), np.arange(float(ticks)) + delay, given, np.full(ticks, delay), axis)
 
 
 def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**53)) -> Experiment:
@@ -98,9 +90,42 @@ def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**5
         if last - first >= SHORTEST // 4
     )
     if sum(last - first for first, last in segments) < SHORTEST:
-        raise ValueError(
-            f"{path}: no {SHORTEST} ticks without gaps between them; record by a faster disk or a shorter run"
-        )
+        raise ValueError(f"{path}: no {SHORTEST} ticks without gaps between them; record by a faster disk or a shorter run")
     delays = measured[fresh & (age == 0)]
     missing = ~np.isin(ticks, seq - seq[0])
     return Experiment(1.0 / rate, whole, segments, at, forces[used, column], delays, axis, missing)
+
+
+LEAST_VALUES = 8  # fewer different positions could lie on many grids
+STRAY = 0.02  # how far from the grid a position may be, as a part of the step: rounding, not motion
+
+
+@dataclass(frozen=True)
+class Encoder:
+    """What positions tell of the encoder."""
+
+    step: float | None  # distance of neighbouring readings [m]; None when it cannot be told
+    error: float = 0.0  # half width of the interval that holds it [m]
+    why: str = ""  # why it cannot be told; empty when it can
+
+
+def encoder(position: Array) -> Encoder:
+    """Find the grid that all positions lie on."""
+    values = np.unique(position)
+    if len(values) < LEAST_VALUES:
+        return Encoder(None, why=f"only {len(values)} different positions, at least {LEAST_VALUES} are needed: move it more")
+    gaps = np.diff(values)
+    # Values closer than a millionth of the usual distance are one, rounded differently.
+    gaps = gaps[gaps > 1e-6 * float(np.median(gaps))]
+    counts = np.round(gaps / gaps.min())
+    step = float(np.sum(gaps) / np.sum(counts))
+    counts = np.round((values - values[0]) / step)
+    slope, offset = np.polyfit(counts, values, 1)
+    stray = float(np.max(np.abs(values - offset - slope * counts)))
+    if not stray < STRAY * slope:
+        return Encoder(
+            None, why="the positions lie on no even grid: the encoder is fine, or its axes are not those of the message"
+        )
+    # Rounding moves each reading by at most `stray`, so the two ends of the grid leave this much room.
+    span = float(counts[-1] - counts[0])
+    return Encoder(float(slope), 2.0 * (stray + float(np.spacing(np.abs(values).max()))) / span)

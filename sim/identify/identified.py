@@ -20,10 +20,7 @@ class Estimate:
     why: str = ""  # why not; empty when it can
 
     def known(self) -> tuple[float, float, float]:
-        """Give value, low and high of a parameter that has them.
-
-        Returns, shape (3,): value, low, high. Raises ValueError when it could not be told; the text says why.
-        """
+        """Give value, low and high of a parameter; ValueError says why it could not be told."""
         if self.value is None or self.low is None or self.high is None:
             raise ValueError(self.why)
         return self.value, self.low, self.high
@@ -84,19 +81,12 @@ class Identified:
     unbelieved: Mapping[str, Estimate] = field(default_factory=dict)
 
     def anyway(self) -> Identified:
-        """Believe a refuted model: give its parameters the values that the best fit of it has.
-
-        Returns: still refuted, with values. A model that holds comes back as it is.
-        """
+        """Believe a refuted model: give its parameters the values that the best fit of it has."""
         believed: dict[str, Any] = dict(self.unbelieved)
         return replace(self, **believed)
 
     def plant(self) -> FlexiblePlant:
-        """Give the linear device that a law is coupled to, joint and lag included.
-
-        Returns: at the estimates, quadratic damping left out: it only calms. Raises ValueError when mass, damping or delay
-        could not be told; the text says why.
-        """
+        """Give the linear device that a law is coupled to, joint and lag included; quadratic damping only calms."""
         mass, damping, delay = (one.known()[0] for one in (self.mass, self.damping, self.delay))
         joint = {}
         if self.frequency.value is not None:
@@ -117,10 +107,7 @@ class Identified:
 
 
 def refusal(found: Identified) -> str | None:
-    """Say why nothing may be designed on an identified device.
-
-    Returns: what refutes its model; None for a model that holds.
-    """
+    """Say what refutes an identified device, on which nothing may be designed then; None for a model that holds."""
     if not found.refuted:
         return None
     return f"the recording refutes the model of the device: {found.why}"

@@ -14,25 +14,20 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.arrays import Array
+from sim.arrays import Array, WholeArray
 from sim.device.friction import slide
 from sim.device.model import Coefficients, coefficients
 from sim.scene.compiled import compiled
 
-Whole = NDArray[np.int64]
-
 MOBILITY, DAMPING, FRICTION, STIFFNESS, LOAD, DELAY, QUADRATIC, LAG, SHARE, FREQUENCY, LOSS = range(11)
+# The unknowns: 1/m [1/kg]; b/m [1/s]; c/m [m/s²]; k/m of a hand [1/s²]; load/m [m/s²]; delay [ticks]; quadratic damping per
+# mass [1/m]; lag [ticks]; part of the mass beyond a joint; frequency [Hz] and damping ratio of the joint.
 NAMES = (
     "mobility", "damping", "friction", "stiffness", "load", "delay", "quadratic", "lag", "share", "frequency", "loss",
 )  # fmt: skip
-"""The unknowns: 1/m [1/kg]; b/m [1/s]; c/m [m/s²]; k/m of a hand [1/s²]; load/m [m/s²]; delay [ticks]; quadratic damping per
-mass [1/m]; lag [ticks]; part of the mass beyond a joint; frequency [Hz] and damping ratio of the joint."""
-STATES = 4
-"""Position [m] and velocity [m/s] of the motor's side, then what the joint is stretched by and how fast."""
-_PARTS = 4
-"""Steps of a tick in a richer model."""
-_ORDER = 10
-"""Of the series of the joint's map: 1e-9 at a quarter of a tick and the highest frequency that is looked for."""
+STATES = 4  # position [m] and velocity [m/s] of the motor's side, then what the joint is stretched by and how fast
+_PARTS = 4  # steps of a tick in a richer model
+_ORDER = 10  # of the series of the joint's map: 1e-9 at a quarter of a tick and the highest frequency that is looked for
 
 
 @compiled()
@@ -115,23 +110,14 @@ def _slide_joint(
 
 @compiled()
 def _slide(
-    x: float,
-    v: float,
-    u: float,
-    duration: float,
-    coefs: Coefficients,
-    damping: float,
-    stiffness: float,
-    friction: float,
+    x: float, v: float, u: float, duration: float, coefs: Coefficients, damping: float, stiffness: float, friction: float
 ) -> tuple[float, float]:
     """One step of a unit mass: compiled once, for all who call it."""
     return slide(x, v, u, duration, coefs, 1.0, damping, stiffness, friction)
 
 
 @compiled()
-def _rigid(
-    theta: Array, state: Array, start: int, length: int, period: float, at: Array, force: Array, out: Array
-) -> None:
+def _rigid(theta: Array, state: Array, start: int, length: int, period: float, at: Array, force: Array, out: Array) -> None:
     """Positions of one window of a rigid device from its initial state."""
     mobility, damping, friction, stiffness, load, delay = theta[0], theta[1], theta[2], theta[3], theta[4], theta[5]
     x, v = state[0], state[1]
@@ -163,9 +149,7 @@ def _rigid(
 
 
 @compiled()
-def _richer(
-    theta: Array, initial: Array, start: int, length: int, period: float, at: Array, force: Array, out: Array
-) -> None:
+def _richer(theta: Array, initial: Array, start: int, length: int, period: float, at: Array, force: Array, out: Array) -> None:
     """Positions of one window of a device with a lag, quadratic damping or a joint."""
     mobility, damping, friction, stiffness, load, delay = theta[0], theta[1], theta[2], theta[3], theta[4], theta[5]
     quadratic, lag, share, pulse, loss = theta[6], theta[7], theta[8], 2.0 * math.pi * theta[9], theta[10]
@@ -181,9 +165,7 @@ def _richer(
         given = force[i] if j >= 0 else 0.0
         while i <= j:
             end = at[i + 1] + delay if i < j else float(start)
-            given = force[i] + (given - force[i]) * math.exp(
-                -max(end - max(at[i] + delay, start - 12.0 * lag), 0.0) / lag
-            )
+            given = force[i] + (given - force[i]) * math.exp(-max(end - max(at[i] + delay, start - 12.0 * lag), 0.0) / lag)
             i += 1
     known = -1.0
     coefs = coefficients(1.0, damping, stiffness, period)
@@ -228,9 +210,7 @@ def _richer(
 
 
 @compiled()
-def window(
-    theta: Array, state: Array, start: int, length: int, period: float, at: Array, force: Array, out: Array
-) -> None:
+def window(theta: Array, state: Array, start: int, length: int, period: float, at: Array, force: Array, out: Array) -> None:
     """Positions of one window from its initial state."""
     if theta[6] == 0.0 and theta[7] == 0.0 and theta[8] == 0.0:
         _rigid(theta, state, start, length, period, at, force, out)
@@ -241,7 +221,7 @@ def window(
 @compiled()
 def slopes(
     theta: Array,
-    free: Whole,
+    free: WholeArray,
     steps: Array,
     own: int,
     state: Array,
@@ -280,11 +260,11 @@ def slopes(
 @compiled()
 def normal(
     theta: Array,
-    free: Whole,
+    free: WholeArray,
     steps: Array,
     own: int,
     states: Array,
-    starts: Whole,
+    starts: WholeArray,
     length: int,
     period: float,
     position: Array,
@@ -293,10 +273,7 @@ def normal(
     force: Array,
     scale: float,
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Squared error of each window, and its normal equations with the initial state eliminated.
-
-    Returns errors (W,), matrices (W, p, p), right sides (W, p), and what moves each state: (W, s) and (W, s, p).
-    """  # fmt: skip
+    """Errors (W,), normal equations (W, p, p), (W, p) freed of initial states, and what moves those: (W, s), (W, s, p)."""
     windows, p = len(starts), len(free)
     errors = np.zeros(windows)
     matrices = np.zeros((windows, p, p))

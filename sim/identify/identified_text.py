@@ -8,6 +8,7 @@ from typing import Any
 
 from sim.identify.identified import Estimate, HeldOut, Identified
 
+# Key, attribute, name and unit of each parameter.
 ROWS = (
     ("mass_kg", "mass", "moving mass", "kg"),
     ("damping_n_s_per_m", "damping", "viscous damping", "N s/m"),
@@ -24,7 +25,6 @@ ROWS = (
     ("mode_mass_share", "share", "  mass beyond its joint, part", "1"),
     ("mode_damping_ratio", "loss", "  its damping ratio", "1"),
 )
-"""Key, attribute, name and unit of each parameter."""
 
 
 def _estimate(estimate: Estimate) -> dict[str, Any]:
@@ -39,11 +39,8 @@ def figures(found: Identified) -> dict[str, Any]:
         "rate_hz": 1.0 / found.period,
         **{key: _estimate(getattr(found, name)) for key, name, _, _ in ROWS},
         "delay_range_ticks": list(found.delay_range),
-        "held": found.held,
-        "residual_steps": found.residual_steps,
+        **{name: getattr(found, name) for name in ("held", "residual_steps", "refuted", "why", "windows")},
         "residual_m": None if math.isnan(found.residual) else found.residual,
-        "refuted": found.refuted,
-        "why": found.why,
         "terms": list(found.terms),
         "unbelieved": {key: _estimate(found.unbelieved[name]) for key, name, _, _ in ROWS if name in found.unbelieved},
         "held_out": {
@@ -51,7 +48,6 @@ def figures(found: Identified) -> dict[str, Any]:
             "residual_m": found.held_out.residual,
             "whiteness": found.held_out.whiteness,
         },
-        "windows": found.windows,
         "windows_dropped": found.dropped,
         "window_ticks": found.ticks,
     }
@@ -63,22 +59,18 @@ def _read(record: Mapping[str, Any]) -> Estimate:
 
 def from_figures(record: Mapping[str, Any]) -> Identified:
     """Read back what `figures` gave: the inverse, for a step that is run alone."""
-    estimates = {name: _read(record[key]) for key, name, _, _ in ROWS}
+    estimates: dict[str, Any] = {name: _read(record[key]) for key, name, _, _ in ROWS}
     low, high = record["delay_range_ticks"]
     return Identified(
         **estimates,
+        **{name: record[name] for name in ("held", "windows", "axis", "refuted", "why")},
         delay_range=(low, high),
-        held=record["held"],
         residual=math.nan if record["residual_m"] is None else record["residual_m"],
         held_out=HeldOut(record["held_out"]["residual_m"], record["held_out"]["whiteness"]),
         dropped=record["windows_dropped"],
-        windows=record["windows"],
         ticks=record["window_ticks"],
-        axis=record["axis"],
         period=1.0 / record["rate_hz"],
         terms=tuple(record["terms"]),
-        refuted=record["refuted"],
-        why=record["why"],
         unbelieved={name: _read(record["unbelieved"][key]) for key, name, _, _ in ROWS if key in record["unbelieved"]},
     )
 
@@ -93,10 +85,6 @@ def verdict(found: Identified) -> str:
     return f"holds: {model} leaves no more than noise in windows that it was not fitted to"
 
 
-def _fitted(estimate: Estimate) -> str:
-    return "" if estimate.value is None else f" ({estimate.value:.5g} by the refuted model)"
-
-
 def text(found: Identified) -> str:
     """Give an identified device as a table, the verdict first."""
     lines = [verdict(found), f"axis {found.axis}, {'held by a hand' if found.held else 'free'}; 95 % intervals"]
@@ -105,7 +93,9 @@ def text(found: Identified) -> str:
         if name in ("share", "loss", *(("frequency",) if found.refuted else ())) and estimate.value is None:
             continue
         if name in found.unbelieved:
-            lines.append(f"  {label:30} not believed{_fitted(found.unbelieved[name])}")
+            fitted = found.unbelieved[name].value
+            by = "" if fitted is None else f" ({fitted:.5g} by the refuted model)"
+            lines.append(f"  {label:30} not believed{by}")
         elif estimate.value is None:
             lines.append(f"  {label:30} cannot tell: {estimate.why}")
         elif name in ("quadratic", "lag") and estimate.value == 0.0:
@@ -113,23 +103,14 @@ def text(found: Identified) -> str:
         else:
             lines.append(f"  {label:30} {estimate.value:10.5g}  ({estimate.low:.5g} to {estimate.high:.5g}) {unit}")
     steps, unseen = found.residual_steps, found.held_out.residual
-    residual = f"{found.residual * 1e6:.3g} µm" + (
-        "" if steps is None else f" = {steps:.3g} encoder steps (rounding: 0.29)"
-    )
+    residual = f"{found.residual * 1e6:.3g} µm" + ("" if steps is None else f" = {steps:.3g} encoder steps (rounding: 0.29)")
     held_out = "none" if unseen is None else f"{unseen * 1e6:.3g} µm"
-    lines.append(
-        f"  residual {residual}; in held-out windows {held_out}; {found.windows} windows of {found.ticks} ticks"
-    )
+    lines.append(f"  residual {residual}; in held-out windows {held_out}; {found.windows} windows of {found.ticks} ticks")
     return "\n".join(lines)
 
 
 def device_parameters(found: Identified) -> dict[str, Any]:
     """Describe an identified device as the sim driver's parameter ``device``."""
     mass, _, _ = found.mass.known()
-    optional = {
-        "damping": found.damping.value,
-        "friction": found.friction.value,
-        "resolution": found.encoder.value,
-        "delay": found.device_delay.value,
-    }
-    return {"mass": mass, **{name: value for name, value in optional.items() if value is not None}}
+    optional = {"damping": found.damping, "friction": found.friction, "resolution": found.encoder, "delay": found.device_delay}
+    return {"mass": mass, **{name: one.value for name, one in optional.items() if one.value is not None}}

@@ -1,4 +1,9 @@
-"""Identify a device from an experiment: each parameter with a 95 % interval, or with the reason why it cannot be told."""
+"""Identify a device from an experiment: each parameter with a 95 % interval, or with the reason why it cannot be told.
+
+The first guess comes from linear equations: there is no wrong valley to begin in. Multiply the equation of motion by a bump φ
+that vanishes with its slope at both ends, and integrate by parts: only φ is differentiated. What is left is linear in all
+unknowns but the delay, which is tried out. Encoder rounding biases it by some percent.
+"""
 
 from __future__ import annotations
 
@@ -10,39 +15,17 @@ from numpy.typing import NDArray
 from sim.arrays import Array
 from sim.identify.choose_model import Windows, choose
 from sim.identify.conclude import conclude, covariance_of, nothing
-from sim.identify.encoder import encoder
-from sim.identify.experiment import Experiment
-from sim.identify.first_guess import first_guess
+from sim.identify.experiment import Experiment, encoder
 from sim.identify.identified import Identified
-from sim.identify.identified_motion import (
-    DAMPING,
-    DELAY,
-    FREQUENCY,
-    FRICTION,
-    LAG,
-    LOAD,
-    LOSS,
-    MOBILITY,
-    NAMES,
-    QUADRATIC,
-    SHARE,
-    STIFFNESS,
-    window,
-)
+from sim.identify.identified_motion import DAMPING, DELAY, FRICTION, LAG, LOAD, MOBILITY, NAMES, STIFFNESS, window
 from sim.identify.output_error import Fit, fit, windows
 
-WINDOW = 100
-"""Ticks of a window."""
-HELD_OUT = 4
-"""Every so many windows one is held out, to judge the fit by what it has not seen."""
+WINDOW = 100  # ticks of a window
+HELD_OUT = 4  # every so many windows one is held out, to judge the fit by what it has not seen
 
 
 def identify(experiment: Experiment, held: bool | None = None, length: int = WINDOW) -> Identified:
-    """Identify a device.
-
-    `experiment`: the run: at least 12 windows. `held`: whether a hand holds the device; None finds out. Raises ValueError when
-    the run is too short.
-    """
+    """Identify a device from at least 12 windows; `held` by a hand or not, None finds out."""
     starts = windows(experiment, length)
     if len(starts) < 12:
         raise ValueError(
@@ -64,20 +47,13 @@ def identify(experiment: Experiment, held: bool | None = None, length: int = WIN
 
 
 def initial_state(experiment: Experiment, found: Identified) -> tuple[float, float]:
-    """Find where an identified device begins, from its first window.
-
-    `experiment`: a run from its first tick on. Returns, shape (2,): position [m] and velocity [m/s] at the first tick.
-    """
+    """Find where an identified device begins, from its first window: position [m] and velocity [m/s]."""
     first = _begun(experiment, found, np.zeros(1, dtype=np.int64))
     return float(first.states[0, 0]), float(first.states[0, 1])
 
 
 def followed(experiment: Experiment, found: Identified, count: int) -> tuple[NDArray[np.int64], Array]:
-    """Let an identified device move through the first windows of a run, each from where the run has it at its beginning.
-
-    `found`: the device, its mass known; with its joint, lag and quadratic damping, where it has any. Returns `starts` (first
-    tick of each window), `positions` (of the model [m]).
-    """
+    """Let a device move through the first windows of a run, each from where the run has it: first ticks, positions [m]."""
     starts = windows(experiment, found.ticks)[:count]
     begun = _begun(experiment, found, starts)
     positions = np.empty((len(starts), found.ticks))
@@ -89,15 +65,13 @@ def followed(experiment: Experiment, found: Identified, count: int) -> tuple[NDA
 def _begun(experiment: Experiment, found: Identified, starts: NDArray[np.int64]) -> Fit:
     """Find where a device that is known begins each window, with all that was found of it."""
     mass, _, _ = found.mass.known()
-    per_mass = {DAMPING: found.damping, FRICTION: found.friction, STIFFNESS: found.stiffness, LOAD: found.load}
-    per_mass[QUADRATIC] = found.quadratic
-    direct = {DELAY: found.device_delay, SHARE: found.share, FREQUENCY: found.frequency, LOSS: found.loss}
     theta = np.zeros(len(NAMES))
     theta[MOBILITY] = 1.0 / mass
-    for which, part in per_mass.items():
-        theta[which] = (part.value or 0.0) / mass
-    for which, part in direct.items():
-        theta[which] = part.value or 0.0
+    for name in ("damping", "friction", "stiffness", "load", "quadratic"):
+        theta[NAMES.index(name)] = (getattr(found, name).value or 0.0) / mass
+    for name in ("share", "frequency", "loss"):
+        theta[NAMES.index(name)] = getattr(found, name).value or 0.0
+    theta[DELAY] = found.device_delay.value or 0.0
     theta[LAG] = (found.lag.value or 0.0) / experiment.period
     return fit(experiment, starts, found.ticks, theta, (), found.encoder.value or 1e-6)
 
@@ -108,8 +82,7 @@ def _search(experiment: Experiment, starts: NDArray[np.int64], length: int, scal
     full: Fit | None = None
     for stiff in (True, False)[held is False :]:
         # The equations of a free device tell more when there is no hand; which of the two starts nearer decides.
-        guess = first_guess(experiment, stiff)
-        here = fit(experiment, starts, length, guess, free, scale, steps=5)
+        here = fit(experiment, starts, length, first_guess(experiment, stiff), free, scale, steps=5)
         here = fit(experiment, starts, length, here.theta, (*free, DELAY), scale, here.states)
         if full is None or here.rms < full.rms:
             full = here
@@ -127,5 +100,49 @@ def _is_held(found: Fit) -> bool:
     """Whether the stiffness of a hand stands out of its own error, and out of what it could be mistaken for."""
     at = list(found.free).index(STIFFNESS)
     covariance = covariance_of(found)
-    k = float(found.theta[STIFFNESS])
-    return k > 4.0 * math.sqrt(covariance[at, at])
+    return float(found.theta[STIFFNESS]) > 4.0 * math.sqrt(covariance[at, at])
+
+
+HALF_WIDTH = 24  # half the length of the bump [ticks]
+DELAYS = np.arange(0.0, 12.01, 0.5)  # delays that are tried [ticks]
+
+
+def first_guess(experiment: Experiment, held: bool) -> Array:
+    """Solve the linear equations at every delay and take the one that fits best."""
+    period = experiment.period
+    s = np.linspace(-1.0, 1.0, 2 * HALF_WIDTH + 1)
+    unit = HALF_WIDTH * period
+    bump = (1.0 - s**2) ** 4
+    slope = -8.0 * s * (1.0 - s**2) ** 3 / unit
+    bend = (-8.0 * (1.0 - s**2) ** 3 + 48.0 * s**2 * (1.0 - s**2) ** 2) / unit**2
+    # ∫ force dt at the forces' own instants is piecewise linear, and so exact at any delay.
+    impulse = np.concatenate([[0.0], np.cumsum(experiment.force[:-1] * np.diff(experiment.at))])
+    best: tuple[float, Array] = (np.inf, np.array([10.0, 5.0, 0.3, 0.0, 0.0, 0.0, *[0.0] * 5]))
+    parts = [part for part in experiment.segments if part[1] - part[0] > 3 * HALF_WIDTH]
+
+    def over(signal: Array, kernel: Array) -> Array:
+        return np.asarray(np.convolve(signal, kernel[::-1], "valid")[::5] * period)
+
+    def all_parts(signal: Array, kernel: Array) -> Array:
+        return np.concatenate([over(signal[first:end], kernel) for first, end in parts])
+
+    x = experiment.position
+    direction = np.sign(np.gradient(np.convolve(x, np.ones(9) / 9.0, "same")))
+    columns = [all_parts(x, slope), -all_parts(direction, bump), all_parts(np.ones_like(x), bump)]
+    if held:
+        columns.append(-all_parts(x, bump))
+    target = all_parts(x, bend)
+    ticks = np.arange(len(x), dtype=np.float64)
+    for delay in DELAYS.tolist():
+        then = ticks - delay
+        pushed = np.interp(then, experiment.at, impulse)
+        late = then > experiment.at[-1]
+        pushed[late] += experiment.force[-1] * (then[late] - experiment.at[-1])
+        matrix = np.stack([-all_parts(pushed * period, slope), *columns], axis=1)
+        size = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
+        solution = np.linalg.lstsq(matrix / size, target, rcond=None)[0] / size
+        error = float(np.linalg.norm(matrix @ solution - target))
+        if error < best[0]:
+            g, b, c, load, k = (*solution.tolist(), 0.0)[:5]
+            best = error, np.array([max(g, 0.1), max(b, 0.0), max(c, 0.0), max(k, 0.0), load, delay, *[0.0] * 5])
+    return best[1]

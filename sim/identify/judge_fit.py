@@ -1,8 +1,7 @@
 """Judge a fit by what it leaves: whether that is no more than rounding and white noise, and which term the data ask for if not.
 
-Rounding to the encoder's grid is not white where the device is slow. So what a model that holds would leave is drawn: its own
-motion, rounded on grids that lie anywhere, with as much white noise before as the size of the residual asks for. Whiteness and
-every term are measured against these draws (THEORY.md §12).
+Rounding is not white where the device is slow. So what a model that holds would leave is drawn: its own motion, rounded on
+grids that lie anywhere, with as much white noise before as the residual asks for (THEORY.md §12).
 """
 
 from __future__ import annotations
@@ -17,14 +16,10 @@ from sim.identify.experiment import Experiment
 from sim.identify.output_error import Fit, left_over, own_states
 from sim.identify.suspects import Shapes, Suspect
 
-DRAWS = 40
-"""How often a model that holds is drawn."""
-LAGS = 20
-"""Of the autocorrelation [ticks]."""
-SURE = 5.0
-"""So many standard deviations are no chance, among some hundred suspects."""
-IMPROBABLE = 1e-4
-"""Whiteness below which a model does not hold."""
+DRAWS = 40  # how often a model that holds is drawn
+LAGS = 20  # of the autocorrelation [ticks]
+SURE = 5.0  # so many standard deviations are no chance, among some hundred suspects
+IMPROBABLE = 1e-4  # whiteness below which a model does not hold
 
 
 @dataclass(frozen=True)
@@ -117,10 +112,7 @@ def whiteness(what: Left) -> float:
 
 
 def unsteady(experiment: Experiment, what: Left) -> tuple[float, float]:
-    """Tell how much the instants of the samples spread, root mean square [s], and how sure that is [standard deviations].
-
-    A sample that comes late is off by as much as the device moved meanwhile: white, and larger where it is fast.
-    """
+    """Tell the spread of the samples' instants [s], by what is left where it is fast, and how sure that is [deviations]."""
     squared = np.gradient(what.modelled, experiment.period, axis=1) ** 2
     around = squared - squared.mean()
     slope = np.sum(what.residual**2 * around) / np.sum(around**2)
@@ -144,8 +136,7 @@ class Evidence:
 def scan(experiment: Experiment, found: Fit, what: Left) -> list[Evidence]:
     """Try every suspect on what is left, that which takes up most first."""
     findings = []
-    samples = what.residual.size
-    beyond = max(1.0 - (what.rounding / what.size) ** 2, 1.0 / samples) if what.size else 1.0
+    beyond = max(1.0 - (what.rounding / what.size) ** 2, 1.0 / what.residual.size) if what.size else 1.0
     power = float(np.sum(what.residual**2)) * beyond
     for suspect in Shapes(experiment, found, what.modelled).all():
         shapes = what.freed(suspect.shapes).reshape(len(suspect.shapes), -1)
@@ -158,13 +149,6 @@ def scan(experiment: Experiment, found: Fit, what: Left) -> list[Evidence]:
         drawn = np.linalg.norm(what.draws.reshape(DRAWS, -1) @ q, axis=1)
         spread = math.sqrt(float(np.mean(drawn**2)) / q.shape[1])
         factor = float(what.residual.ravel() @ shapes[0]) / float(norms[0]) ** 2
-        findings.append(
-            Evidence(
-                suspect,
-                seen / spread / math.sqrt(q.shape[1]),
-                min(seen**2 / power, 1.0) if power > 0.0 else 0.0,
-                factor,
-                SURE * spread / float(norms[0]),
-            )
-        )
+        strength, share = seen / spread / math.sqrt(q.shape[1]), min(seen**2 / power, 1.0) if power > 0.0 else 0.0
+        findings.append(Evidence(suspect, strength, share, factor, SURE * spread / float(norms[0])))
     return sorted(findings, key=lambda one: -one.share)

@@ -19,12 +19,12 @@ from sim.arrays import Array
 from sim.identify.experiment import Experiment
 from sim.identify.identified_motion import SHARE, STATES, normal, slopes
 
+# Smallest value of each unknown, in the order and the units of `NAMES`.
 LEAST = np.array([1e-3, 0.0, 0.0, 0.0, -math.inf, 0.0, 0.0, 0.0, 1e-3, 1.0, 0.0])
-"""Smallest value of each unknown, in the order and the units of `NAMES`."""
+# Largest value of each.
 MOST = np.array([1e5, math.inf, math.inf, math.inf, math.inf, 100.0, math.inf, 50.0, 0.98, 1000.0, 2.0])
-"""Largest value of each."""
+# Differences that slopes are taken over, as a part of `_SIZES` or of the value, whichever is larger.
 _STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-3, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-5, 1e-3])
-"""Differences that slopes are taken over, as a part of `_SIZES` or of the value, whichever is larger."""
 _SIZES = np.array([1.0, 1.0, 0.1, 100.0, 1.0, 1.0, 1.0, 1.0, 0.1, 10.0, 0.01])
 
 
@@ -51,19 +51,13 @@ class Fit:
 
 
 def windows(experiment: Experiment, length: int) -> NDArray[np.int64]:
-    """Cut an experiment into windows.
-
-    Returns, shape (W,): first tick of each; none spans a gap.
-    """
+    """Cut an experiment into windows: first tick of each, shape (W,); none spans a gap."""
     found = [start for first, end in experiment.segments for start in range(first, end - length + 1, length)]
     return np.array(found, dtype=np.int64)
 
 
 def first_states(experiment: Experiment, starts: NDArray[np.int64], length: int) -> Array:
-    """Guess the state at the beginning of each window from the positions after it.
-
-    `starts`, shape (W,): first ticks. Returns, shape (W, 4): as in `Fit`; a joint begins at rest.
-    """
+    """Guess the states (W, 4) at the beginning of windows from the positions after it; a joint begins at rest."""
     reach = min(8, length - 1)
     x = experiment.position[starts]
     v = (experiment.position[starts + reach] - x) / (reach * experiment.period)
@@ -80,16 +74,14 @@ def fit(
     states: Array | None = None,
     steps: int = 60,
 ) -> Fit:
-    """Find the unknowns from a first guess.
+    """Find the `free` unknowns from a first guess of all, in the order of `NAMES`, until no step lowers the error.
 
-    `starts`, shape (W,): first tick of each window. `theta`, shape (11,): first guess, in the order of `NAMES`. `free`: which
-    of them are looked for; the others stay. `scale`: size of a small error of position: an encoder step [m]. `states`, shape
-    (W, 4): first guess of the initial states. Returns: where no step lowers the error any more.
+    `starts`, shape (W,): first ticks of the windows; `scale`: a small error of position, an encoder step [m]; `states`, shape
+    (W, 4): first guess.
     """
     theta = np.array(theta, dtype=np.float64)
     chosen = np.array(free, dtype=np.int64)
     states = first_states(experiment, starts, length) if states is None else states.copy()
-
     own = own_states(theta)
 
     def equations(theta: Array, states: Array) -> Any:
@@ -106,8 +98,7 @@ def fit(
         move = _step(matrix, side, damping, theta[chosen], LEAST[chosen])
         there = theta.copy()
         there[chosen] = np.clip(theta[chosen] + move, LEAST[chosen], MOST[chosen])
-        moved = there[chosen] - theta[chosen]
-        moved_states = states + alone / (1.0 + damping) - along @ moved
+        moved_states = states + alone / (1.0 + damping) - along @ (there[chosen] - theta[chosen])
         new = equations(there, moved_states)
         before, after = float(errors.sum()), float(new[0].sum())
         if math.isfinite(after) and after <= before:
@@ -125,10 +116,7 @@ def fit(
 
 
 def own_states(theta: Array) -> int:
-    """Count the states that each window has of its own.
-
-    `theta`, shape (11,): the unknowns. Returns: 2, or 4 with a joint.
-    """
+    """Count the states that each window has of its own: 2, or 4 with a joint."""
     return STATES if theta[SHARE] > 0.0 else 2
 
 

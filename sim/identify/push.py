@@ -19,21 +19,15 @@ from sim.identify.borrowed import RAMP, Borrowed, PushedLaunch, borrowed, carrie
 from sim.identify.signals_once import undisturbed
 from sim.measure.measured_launch import beside, within
 
-LAW = "identify"
-"""Name that the excitation gets in the coupling; it stays defined afterwards, inactive."""
-HELD_FAST = 1.5
-"""A device that is pushed and has not moved for so many seconds' worth of ticks is held fast [s]."""
+LAW = "identify"  # name that the excitation gets in the coupling; it stays defined afterwards, inactive
+HELD_FAST = 1.5  # a device that is pushed and has not moved for so many seconds' worth of ticks is held fast [s]
 STUCK = f"the device has not moved for {HELD_FAST:g} s though it was pushed: it is held fast, or friction holds it"
-MOVED = 1e-4
-"""Less than this is not a motion [m]."""
+MOVED = 1e-4  # less than this is not a motion [m]
+# A driver that gives no force for so many seconds' worth of ticks ends the push; shorter silences are a busy machine's [s].
 ALARM = 1.0
-"""A driver that gives no force for so many seconds' worth of ticks ends the push; shorter silences are a busy machine's [s]."""
-LONGER = 2.0
-"""So much longer than it is recorded the excitation pushes, should nobody end it [s]."""
-LONGEST = 600.0
-"""The excitation takes no longer duration [s]."""
-START = 20.0
-"""A recorder that has not begun after so long will not [s]."""
+LONGER = 2.0  # so much longer than it is recorded the excitation pushes, should nobody end it [s]
+LONGEST = 600.0  # the excitation takes no longer duration [s]
+START = 20.0  # a recorder that has not begun after so long will not [s]
 
 
 @dataclass
@@ -59,9 +53,8 @@ def push(
     loop.read_limits()
     here = tuple(float(x) for x in loop.progress()["position_m"])
     centre = tuple(float(x) for x in place) if place is not None else here
-    result = Pushed(out, (centre[0], centre[1], centre[2]))
+    result, duration = Pushed(out, (centre[0], centre[1], centre[2])), float(law.get("duration", 8.0))
     law = {**law, "load": carried(loop, float(law["amplitude"]), load)}
-    duration = float(law.get("duration", 8.0))
     record = ("bag", "record", topics.DEVICE_STATE, "--run", loop.run.run, "--out", str(out))
     recorder: subprocess.Popen[bytes] | None = None
     try:

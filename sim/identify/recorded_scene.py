@@ -57,9 +57,7 @@ def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
     states = recording.messages(DEVICE_STATE)
     seq = np.array([state.seq for state in states], dtype=np.int64)
     if len(seq) < 8 or seq[0] != 0:
-        raise ValueError(
-            f"{path}: {len(seq)} ticks from tick {seq[0] if len(seq) else 0} on; a replay needs them from 0 on"
-        )
+        raise ValueError(f"{path}: {len(seq)} ticks from tick {seq[0] if len(seq) else 0} on; a replay needs them from 0 on")
     whole = np.flatnonzero(np.diff(seq) != 1)
     if len(whole):
         # What the driver slept through cannot be replayed; what came before can.
@@ -89,18 +87,14 @@ def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
         left_out=() if lockstep else left_out,
         position=np.array([state.position[axis] for state in states]),
         force=force,
-        took=_rising(took[used]),
-        came=_rising(came[used]),
+        took=np.maximum.accumulate(took[used]),
+        came=np.maximum.accumulate(came[used]),
         answers=np.where(fresh, answers, -1)[used],
         given=force[used],
         target=np.array([state.target[axis] for state in states]) if dragged and not lockstep else None,
         declared=device is None,
         recorded_ticks=len(seq),
     )
-
-
-def _rising(times: Array) -> Array:
-    return np.maximum.accumulate(times) if len(times) else times
 
 
 def _launch(recording: Recording, changes: Mapping[str, Any]) -> Launch:
@@ -128,9 +122,7 @@ def _launch(recording: Recording, changes: Mapping[str, Any]) -> Launch:
 def _without_files(content: Any) -> Any:
     """Leave out the parameter files that nodes watch: what they said at the start is among the recorded parameters."""
     if isinstance(content, dict) and content.get("include"):
-        raise ParameterError(
-            "a recording of a launch file that includes others: replay the recording of one of its chains"
-        )
+        raise ParameterError("a recording of a launch file that includes others: replay the recording of one of its chains")
     if isinstance(content, dict) and isinstance(content.get("nodes"), dict):
         nodes = {
             name: {key: value for key, value in spec.items() if key != "watch"} if isinstance(spec, dict) else spec
@@ -173,8 +165,7 @@ def _law_of(text: str, period: float) -> CompiledLaw:
 def another_law(recorded: RecordedScene, given: Mapping[str, Any]) -> tuple[CompiledLaw, dict[str, Any]]:
     """Make the law that is asked for instead of the recorded one."""
     law = _wanted(recorded.launch, given)
-    compiled = compile_law(law, recorded.scene.scene.period, "law")
-    return compiled, law_to_dict(law)
+    return compile_law(law, recorded.scene.scene.period, "law"), law_to_dict(law)
 
 
 def refuse_law(path: Path, given: Mapping[str, Any]) -> None:

@@ -8,8 +8,8 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
+# What ends a verb: Ctrl-C, a polite kill, and a terminal that is closed.
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""What ends a verb: Ctrl-C, a polite kill, and a terminal that is closed."""
 
 
 @contextlib.contextmanager

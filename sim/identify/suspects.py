@@ -1,8 +1,7 @@
 """What a device may have beyond the model: for each such term, what it would move the recorded positions by.
 
-A term that acts as a force moves the device as any force does; one that the encoder adds is seen as it stands. The shape
-of each is known up to a factor (how strong it is) and a size or two, which are tried on a grid. `judge_fit` compares
-the shapes with what a fit leaves.
+A term that acts as a force moves the device as any force does; one that the encoder adds is seen as it stands. Each shape is
+known up to a factor and a size or two, which are tried on a grid; `judge_fit` compares them with what a fit leaves.
 """
 
 from __future__ import annotations
@@ -19,14 +18,10 @@ from sim.identify.experiment import Experiment
 from sim.identify.identified_motion import DAMPING, DELAY, FRICTION, LOAD, MOBILITY, STIFFNESS
 from sim.identify.output_error import Fit
 
-LOWEST = 8.0
-"""Of a joint [Hz]; what is slower is a hand."""
-HIGHEST = 0.9
-"""Of a joint, as a part of half the rate: faster ones cannot be told from slow ones."""
-LOSSES = (0.02, 0.08)
-"""Damping ratios of a joint."""
-LAGS = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Of the actuator [ticks]."""
+LOWEST = 8.0  # of a joint [Hz]; what is slower is a hand
+HIGHEST = 0.9  # of a joint, as a part of half the rate: faster ones cannot be told from slow ones
+LOSSES = (0.02, 0.08)  # damping ratios of a joint
+LAGS = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the actuator [ticks]
 
 
 @dataclass(frozen=True)
@@ -39,6 +34,7 @@ class Suspect:
     start: tuple[float, ...] = ()  # sizes to begin a fit with
 
 
+# Words for each term, and the factor of its size.
 SIZES: dict[str, tuple[str, float]] = {
     "flexible mode": ("a second mode at {:.0f} Hz", 1.0),
     "actuator lag": ("an actuator lag of about {:.1f} ms", 1.0),
@@ -50,12 +46,8 @@ SIZES: dict[str, tuple[str, float]] = {
     "cogging": ("a force that repeats every {:.2g} mm", 1e3),
     "encoder ripple": ("an encoder error that repeats every {:.2g} mm", 1e3),
     "drift": ("friction or damping that changes during the run", 1.0),
-    "deadband": (
-        "a force that the motor does not give as commanded: a dead band, or a gain that depends on the force",
-        1.0,
-    ),
+    "deadband": ("a force that the motor does not give as commanded: a dead band, or a gain that depends on the force", 1.0),
 }
-"""Words for each term, and the factor of its size."""
 
 
 def describe(term: str, size: float) -> str:
@@ -70,11 +62,9 @@ class Shapes:
     def __init__(self, experiment: Experiment, found: Fit, modelled: Array) -> None:
         """Take the motion from the model (W, L): smooth, and free of the encoder's rounding."""
         theta, period = found.theta, experiment.period
-        self._period, self._length = period, found.length
+        self._period, self._length, self._theta = period, found.length, theta
         self._rows = found.starts[:, None] + np.arange(found.length)
-        self._x = modelled
-        self._v = np.gradient(modelled, period, axis=1)
-        self._theta = theta
+        self._x, self._v = modelled, np.gradient(modelled, period, axis=1)
         ticks = np.arange(len(experiment.position), dtype=np.float64)
         impulse = np.concatenate([[0.0], np.cumsum(experiment.force[:-1] * np.diff(experiment.at))])
 
@@ -138,8 +128,7 @@ class Shapes:
 
     def _springs(self) -> Iterator[Suspect]:
         x = self._x - np.median(self._x)
-        powers = np.stack([self._moved_by(-(x**n)) for n in (1, 2, 3)])
-        yield Suspect("spring", 0.0, powers)
+        yield Suspect("spring", 0.0, np.stack([self._moved_by(-(x**n)) for n in (1, 2, 3)]))
 
     def _gaps(self) -> Iterator[Suspect]:
         for gap in (5e-5, 1e-4, 2e-4, 4e-4, 8e-4):
@@ -169,13 +158,8 @@ class Shapes:
 
     def _others(self) -> Iterator[Suspect]:
         along = np.broadcast_to((self._rows / self._rows.max() - 0.5)[:, :1], self._x.shape)
-        yield Suspect(
-            "drift", 0.0, np.stack([self._moved_by(-along * self._v), self._moved_by(-along * np.sign(self._v))])
-        )
+        yield Suspect("drift", 0.0, np.stack([self._moved_by(-along * self._v), self._moved_by(-along * np.sign(self._v))]))
         force = self._force[self._rows]
         strongest = np.abs(force).max() or 1.0
-        yield Suspect(
-            "deadband",
-            0.0,
-            np.stack([self._moved_by(np.tanh(force / (0.1 * strongest))), self._moved_by(force * np.abs(force))]),
-        )
+        shapes = (np.tanh(force / (0.1 * strongest)), force * np.abs(force))
+        yield Suspect("deadband", 0.0, np.stack([self._moved_by(shape) for shape in shapes]))

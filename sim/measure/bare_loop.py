@@ -43,9 +43,7 @@ def _sockets(folder: str, own: str, other: str, listeners: int) -> tuple[Any, An
     return publisher, inbox
 
 
-def _relay(
-    folder: str, own: str, other: str, answer: Callable[[dict[str, Any]], dict[str, Any]], listeners: int
-) -> None:
+def _relay(folder: str, own: str, other: str, answer: Callable[[dict[str, Any]], dict[str, Any]], listeners: int) -> None:
     publisher, inbox = _sockets(folder, own, other, listeners)
     topic = f"/{own}/answer".encode()
     pack = msgpack.Packer().pack

@@ -1,16 +1,19 @@
 """Independent jobs of a study, done in this process or by an executor: processes of this machine, or workers of a cluster.
 
 Whatever they run on, the figures are the same to the bit: so a worker that has another version of this project refuses its
-jobs, and one that dies loses none.
+jobs, and one that dies loses none. A sweep keeps each result as a line of a ledger, keyed by the job's parameters: one that was
+interrupted goes on where it stopped, and one that is complete is only read.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
+import json
 import os
 import platform
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future, as_completed
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,12 +23,9 @@ from messages.errors import RefusedError
 J = TypeVar("J")
 R = TypeVar("R")
 
-RETRIES = 3
-"""How often a job is given to another worker when one dies."""
-
-Spread = Callable[[list[Callable[[], Any]], Callable[[str, int], None]], list[Any]]
-"""Does the jobs of a part of a study, and tells each that is done."""
-
+RETRIES = 3  # how often a job is given to another worker when one dies
+# Does the jobs of a part of a study, and tells each that is done.
+Runner = Callable[[list[Callable[[], Any]], Callable[[str, int], None]], list[Any]]
 _ROOT = Path(__file__).parents[2]
 
 
@@ -92,3 +92,54 @@ def _result(future: Future[list[R]]) -> list[R]:
                 f"--cluster: {RETRIES + 1} workers died over one job; their own logs say of what, memory most often"
             ) from error
         raise
+
+
+SweepRow = dict[str, Any]
+# From the parameters of a job to its figures; a function of a module, so that other processes find it by name.
+Job = Callable[[Mapping[str, Any]], SweepRow]
+
+
+def key_of(parameters: Mapping[str, Any]) -> str:
+    """Name a job by its parameters."""
+    return json.dumps(dict(parameters), sort_keys=True)
+
+
+def read_ledger(path: Path) -> dict[str, SweepRow]:
+    """Read the results that there are."""
+    found: dict[str, SweepRow] = {}
+    if path.exists():
+        for line in path.read_text(encoding="utf-8").splitlines():
+            try:
+                entry = json.loads(line)
+                found[key_of(entry["job"])] = entry["row"]
+            except (json.JSONDecodeError, KeyError, TypeError):
+                continue
+    return found
+
+
+def sweep(
+    job: Job,
+    jobs: Sequence[Mapping[str, Any]],
+    pool: Executor,
+    ledger: Path,
+    chunk: int = 1,
+    step: Callable[[str, int], None] | None = None,
+) -> list[SweepRow]:
+    """Do all jobs that the ledger has no result of."""
+    done = read_ledger(ledger)
+    left = [parameters for parameters in jobs if key_of(parameters) not in done]
+    if step is not None and len(left) < len(jobs):
+        step(f"{len(jobs) - len(left)} of {len(jobs)} were done before", len(jobs) - len(left))
+    ledger.parent.mkdir(parents=True, exist_ok=True)
+    whole = not ledger.exists() or ledger.read_bytes().endswith(b"\n") or not ledger.stat().st_size
+    with open(ledger, "a", encoding="utf-8") as file, contextlib.closing(done_by(pool, job, left, chunk)) as found:
+        if not whole:
+            file.write("\n")
+        for part, rows in found:
+            for i, row in zip(part, rows, strict=True):
+                file.write(json.dumps({"job": dict(left[i]), "row": row}) + "\n")
+                done[key_of(left[i])] = row
+            file.flush()
+            if step is not None:
+                step(f"{len(done)} of {len(jobs)}", len(rows))
+    return [done[key_of(parameters)] for parameters in jobs]

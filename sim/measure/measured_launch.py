@@ -32,14 +32,9 @@ from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunError, RunInfo, alive, find_run, runs
 from sim.measure import stopwatch
 
-HAPTIC = (*PYTHON, "-m", "nodes.cli.command")
-"""The command ``haptic`` with this interpreter."""
-
-DEADLINE = 60.0
-"""When a condition that must come about is given up [s]: a bound for what hangs, not a measure of anything."""
-
-PATIENCE = 3.0 * DEADLINE
-"""How long a command may take that compiles its loop first, on a busy machine [s]."""
+HAPTIC = (*PYTHON, "-m", "nodes.cli.command")  # the command ``haptic`` with this interpreter
+DEADLINE = 60.0  # when a condition that must come about is given up [s]: a bound for what hangs, not a measure of anything
+PATIENCE = 3.0 * DEADLINE  # how long a command may take that compiles its loop first, on a busy machine [s]
 
 
 class MeasurementError(HapticError):
@@ -81,16 +76,9 @@ def left_behind(runtime_dir: Path, longest: float = 10.0) -> list[str]:
 
 
 def haptic(
-    folder: Path,
-    *words: str,
-    code: int | None = 0,
-    environment: Mapping[str, str] | None = None,
-    timeout: float = PATIENCE,
+    folder: Path, *words: str, code: int | None = 0, environment: Mapping[str, str] | None = None, timeout: float = PATIENCE
 ) -> subprocess.CompletedProcess[str]:
-    """Run one ``haptic`` command to its end in a folder; an exit code other than `code` raises, None lets any pass.
-
-    `environment` are all its variables; those of this process when left out.
-    """
+    """Run one ``haptic`` command to its end in a folder; an exit code other than `code` raises, None lets any pass."""
     done = subprocess.run(
         [*HAPTIC, *words],
         cwd=folder,
@@ -103,7 +91,7 @@ def haptic(
     )
     if code is not None and done.returncode != code:
         output = f"haptic {' '.join(words)}: exit code {done.returncode}, expected {code}"
-        raise MeasurementError(f"{output}\n{done.stderr[-2000:]}")
+        raise MeasurementError(f"{output}\n{done.stdout[-1000:]}\n{done.stderr[-2000:]}")
     return done
 
 
@@ -118,10 +106,7 @@ def launch(scenario: str, *words: str, folder: Path | None = None, timeout: floa
 
 
 def beside(*words: str, **options: Any) -> subprocess.Popen[Any]:
-    """Start a ``haptic`` command that ends with this process, however that ends: not even SIGKILL leaves it behind.
-
-    It has a process group of its own, so Ctrl-C is for this process alone. `options` are those of `subprocess.Popen`.
-    """
+    """Start a ``haptic`` command, out of Ctrl-C's reach, that ends with this process, even by SIGKILL."""
     options.setdefault("stdin", subprocess.DEVNULL)
     return subprocess.Popen(
         [*HAPTIC, *words], process_group=0, preexec_fn=functools.partial(die_with_parent, os.getpid()), **options
@@ -179,11 +164,7 @@ def end(process: subprocess.Popen[Any], patience: float = DEADLINE) -> None:
 
 
 class Running:
-    """A launch in the background, with a runtime directory of its own; what is not ended yet is interrupted at the end.
-
-    `folder`: its working directory; one of its own, removed at the end of the ``with`` block, when left out. `ready`: whether
-    the ``with`` block begins at the first tick. `stderr`: descriptor to use as standard error in place of ``stderr.txt``.
-    """
+    """A launch in the background, with directories of its own; the ``with`` block begins at its first tick, if `ready`."""
 
     # The launcher, in a process group of its own, so that it can be sent what Ctrl-C on a terminal sends.
     process: subprocess.Popen[bytes]
@@ -235,9 +216,7 @@ class Running:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
         """Leave nothing behind."""
         self.close()
 
@@ -290,9 +269,7 @@ class Running:
         with contextlib.suppress(ControlError, StopIteration):
             # Of several chains the slowest.
             published: dict[str, list[str]] = json.loads(self.run.manifest["publishes"])
-            drivers = [
-                name for name, sent in published.items() if any(one.endswith(topics.DEVICE_STATE) for one in sent)
-            ]
+            drivers = [name for name, sent in published.items() if any(one.endswith(topics.DEVICE_STATE) for one in sent)]
             return min(int(self.call(name, "status", timeout=1.0)["ticks"]) for name in drivers)
         return 0
 

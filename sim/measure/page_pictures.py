@@ -12,11 +12,10 @@ from typing import Any
 from sim.measure.measured_launch import Running, wait_for
 from sim.results import fresh
 
+# In the page: turn the dial to a part of its way.
 TURN = """part => { const dial = document.getElementById("dial");
   dial.value = 1000 * part;
   for (const kind of ["input", "change"]) dial.dispatchEvent(new Event(kind)); }"""
-"""In the page: turn the dial to a part of its way."""
-
 READY = "document.body.dataset.bins > 100 && haptic.dial.stiffness !== null && haptic.dial.edge !== null"
 
 
@@ -82,6 +81,7 @@ def _lab(page: Any) -> None:
     page.locator("#lab").scroll_into_view_if_needed()
 
 
+# By name of the file: what is done first, and the window.
 PICTURES: dict[str, tuple[Callable[[Any], None], dict[str, Any]]] = {
     "page": (_touch, {}),
     "page_beside": (_beside, {}),
@@ -90,7 +90,6 @@ PICTURES: dict[str, tuple[Callable[[Any], None], dict[str, Any]]] = {
     "page_dark": (_touch, {"color_scheme": "dark"}),
     "page_past_the_edge": (_past_the_edge, {}),
 }
-"""By name of the file: what is done first, and the window."""
 
 
 def take(browser: Any, folder: Path, step: Callable[[str], None]) -> list[Path]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import platform
+import statistics
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -30,10 +31,7 @@ class Timing:
 
 
 class Progress:
-    """A progress bar on standard error; a line for every tenth when that is not a terminal.
-
-    `stream`: where to draw; standard error when left out.
-    """
+    """A progress bar on standard error; a line for every tenth when that is not a terminal."""
 
     def __init__(self, total: int, stream: TextIO | None = None, after: float = 0.0) -> None:
         self._total = max(1, total)
@@ -63,9 +61,7 @@ class Progress:
 
 
 def interleaved(
-    jobs: Mapping[str, tuple[Callable[[], object], int]],
-    rounds: int,
-    step: Callable[[str], None] | None = None,
+    jobs: Mapping[str, tuple[Callable[[], object], int]], rounds: int, step: Callable[[str], None] | None = None
 ) -> dict[str, Timing]:
     """Time several jobs against each other."""
     names = list(jobs)
@@ -85,25 +81,19 @@ def interleaved(
 
 
 def _summary(values: list[float]) -> Timing:
-    ordered = sorted(values)
-    last = len(ordered) - 1
-    middle = 0.5 * (ordered[last // 2] + ordered[(last + 1) // 2])
-    return Timing(middle, ordered[last // 4], ordered[last - last // 4], len(ordered))
+    ordered, last = sorted(values), len(values) - 1
+    return Timing(statistics.median(ordered), ordered[last // 4], ordered[last - last // 4], len(ordered))
 
 
 def machine() -> dict[str, Any]:
     """Name the machine that figures were taken on."""
     from importlib.metadata import version
 
-    cpu = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
-    if info.exists():
-        for line in info.read_text().splitlines():
-            if line.startswith("model name"):
-                cpu = line.partition(":")[2].strip()
-                break
+    lines = info.read_text().splitlines() if info.exists() else []
+    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
     return {
-        "cpu": cpu,
+        "cpu": next(named, platform.processor() or platform.machine()),
         "cores": os.cpu_count() or 1,
         "system": f"{platform.system()} {platform.release()}",
         "python": platform.python_version(),
@@ -111,3 +101,16 @@ def machine() -> dict[str, Any]:
         "numba": version("numba"),
         "load_1min": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
     }
+
+
+SILENT = 5.0  # in a pipe a line comes at most so often [s]
+_last = [-SILENT]
+
+
+def say(words: str, always: bool = False) -> None:
+    """Tell how it goes, on standard error; no words end the line."""
+    if is_smart(sys.stderr):
+        keep(sys.stderr, words[: columns(sys.stderr)])
+    elif words and (always or words.endswith("...") or time.monotonic() - _last[0] >= SILENT):
+        _last[0] = time.monotonic()
+        print(words, file=sys.stderr, flush=True)

@@ -2,10 +2,12 @@
 
 All four add from the newest to the oldest and so give the same bits; numpy's own dot product does not, and is timed
 only to show what that costs. The choice of the coupling, `nodes.coupling.law_on_axis.UNROLLED_TAPS`, is made from this.
+Timed beside them: what a history that turns with the surface costs in three axes, by the kernel's own function.
 """
 
 from __future__ import annotations
 
+import ctypes
 import math
 import subprocess
 from array import array
@@ -13,10 +15,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numba
 import numpy as np
 
 from nodes.arithmetic import fir
+from nodes.compiled.kernels.machine import record_at
+from nodes.compiled.kernels.sources import record_of
+from nodes.coupling.kernel import _render as render
 from nodes.coupling.law_on_axis import UNROLLED_TAPS, History, LawOnAxis, unrolled
+from nodes.coupling.render import begin_turning
+from nodes.coupling.renderer import ActiveLaw, Renderer
+from nodes.coupling.state import CouplingState
 from nodes.launcher.child import PYTHON
 from nodes.laws import CompiledLaw, Law
 from nodes.laws.derivatives import realise
@@ -134,8 +143,7 @@ def import_seconds(module: str) -> float:
     """Time the import of a module in a process of its own: what a node pays at its start."""
     code = f"import time; t = time.perf_counter(); import {module}; print(time.perf_counter() - t)"
     return min(
-        float(subprocess.run([*PYTHON, "-c", code], capture_output=True, text=True, check=True).stdout)
-        for _ in range(3)
+        float(subprocess.run([*PYTHON, "-c", code], capture_output=True, text=True, check=True).stdout) for _ in range(3)
     )
 
 
@@ -145,11 +153,7 @@ def as_json(found: TapTimings, machine: dict[str, Any]) -> dict[str, Any]:
     for n, ways in sorted(found.timings.items()):
         point: dict[str, Any] = {"taps": n}
         for way, timing in ways.items():
-            point |= {
-                f"{way}_us": 1e6 * timing.median,
-                f"{way}_us_low": 1e6 * timing.low,
-                f"{way}_us_high": 1e6 * timing.high,
-            }
+            point |= {f"{way}_us": 1e6 * timing.median, f"{way}_us_low": 1e6 * timing.low, f"{way}_us_high": 1e6 * timing.high}
         points.append(point)
     return {
         "points": points,
@@ -164,3 +168,45 @@ def as_json(found: TapTimings, machine: dict[str, Any]) -> dict[str, Any]:
         "import_s": {module: import_seconds(module) for module in ("numpy", "numba")},
         "machine": machine,
     }
+
+
+FRAMES = ("world", "surface")
+
+_TICKS = 20_000
+_RADIUS, _DEEP, _STEP = 0.035, 2e-3, 4e-4
+_look = record_at(record_of(CouplingState))
+
+
+def _play(address: int, normals: Any, position: Any, proxy: Any, force: Any) -> float:
+    """Render along a way: from the normals alone, so that little beside the tick is timed."""
+    s = _look(address)
+    felt = 0.0
+    for k in range(len(normals)):
+        normal = normals[k]
+        for i in range(3):
+            proxy[i] = _RADIUS * normal[i]
+            position[i] = (_RADIUS - _DEEP) * normal[i]
+        render(s, position, proxy, normal, -_DEEP, True, force, s.pushes[s.axes - 1] + 1)
+        felt += force[2]
+    return felt
+
+
+_played: Any = numba.njit(_play)
+
+
+def time_turning(rounds: int, step: Callable[[str], None]) -> dict[str, Timing]:
+    """Time a tick of the coupling's compiled rendering on three axes, with the history in each frame."""
+    angle = _STEP / _RADIUS * np.arange(_TICKS)
+    normals = np.stack([np.cos(angle), 0.6 * np.sin(angle), 0.8 * np.sin(angle)], axis=1)
+    law = PD(stiffness=800.0, damping=2.0).compile(0.002)
+    kept = []
+
+    def job(frame: str) -> Callable[[], object]:
+        renderer = Renderer([0, 1, 2], 64, CouplingState())
+        begin_turning(renderer.state, frame)
+        renderer.law = ActiveLaw("pd", "", law, renderer.histories)
+        kept.append(renderer)
+        at, rooms = ctypes.addressof(renderer.state), [np.zeros(3) for _ in range(3)]
+        return lambda: _played(at, normals, *rooms)
+
+    return interleaved({frame: (job(frame), _TICKS) for frame in FRAMES}, rounds, step)

@@ -40,9 +40,7 @@ def table(claims: Sequence[Claim]) -> str:
     )
 
 
-def save(
-    name: str, figures: Mapping[str, Any], claims: Sequence[Claim], picture: Figure, folder: Path
-) -> dict[str, Any]:
+def save(name: str, figures: Mapping[str, Any], claims: Sequence[Claim], picture: Figure, folder: Path) -> dict[str, Any]:
     """Write a study's figures and picture."""
     plot, data = folder / f"{name}.png", fresh(folder / f"{name}.json")
     save_figure(picture, plot, fresh)

@@ -1,23 +1,25 @@
 """The paper's way to its optimum, reproduced: steepest descent on the cost (13) with the steps (14) and (15).
 
-The cost asks for f = −1 at a few low and middle frequencies and f = +1 at ω_N. With two terms and two such frequencies it
-has three targets and four unknowns: a whole curve of optima with J ≈ 0, so where the descent ends depends on where it
-starts. And the slopes along gains and orders differ by orders of magnitude, so no one step size suits both. Both are
-shown here rather than repaired; `sim.paper.shaping` is the better way. The cost can even be cheated: f = −1 at all frequencies
-is a negative spring, which costs H(1) and damps nothing, and a truncated derivative leaks exactly that. Each term is
-normalised by its own f(ω_N), the sum to n of eq. (9), as in the paper.
+The cost asks for f = −1 at a few low and middle frequencies and f = +1 at ω_N. With two terms and two such frequencies it has
+three targets and four unknowns: a whole curve of optima with J ≈ 0, so where the descent ends depends on where it starts; and
+the slopes along gains and orders differ too much for one step size. Both are shown rather than repaired. The cost can even be
+cheated: f = −1 at all frequencies is a negative spring, which costs H(1) and damps nothing, and a truncated derivative leaks
+exactly that. Terms are normalised by their own f(ω_N), as in the paper.
+
+The better way: for fixed orders f is linear in the gains, so the best are a least-squares or a linear-programming problem with
+one answer, and only the orders are left to search. There f is that of D − D(1), whose mean is zero: no negative spring helps.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
 from sim.arrays import Array
 
-CONVERGED = 1e-6
-"""Cost below which all targets count as met: each to about 1e-3."""
+CONVERGED = 1e-6  # cost below which all targets count as met: each to about 1e-3
 
 
 @dataclass(frozen=True)
@@ -43,10 +45,7 @@ class Descent:
 
 def paper_targets(fractions: tuple[float, ...] = (0.1, 0.5)) -> Targets:
     """Targets of the paper: −1 at low and middle frequencies, +1 at ω_N."""
-    return Targets(
-        np.pi * np.array([*fractions, 1.0]),
-        np.array([-1.0] * len(fractions) + [1.0]),
-    )
+    return Targets(np.pi * np.array([*fractions, 1.0]), np.array([-1.0] * len(fractions) + [1.0]))
 
 
 def term_damping(theta: Array, order: float, taps: int, leak: bool = True) -> tuple[Array, Array]:
@@ -95,24 +94,109 @@ def steepest_descent(
         if history[-1] < CONVERGED:
             outcome = "converged"
             break
-        gains, orders = (
-            gains - rate * 2.0 * (values @ miss),
-            orders - rate * 2.0 * gains * (slopes @ miss),
-        )
+        gains, orders = (gains - rate * 2.0 * (values @ miss), orders - rate * 2.0 * gains * (slopes @ miss))
         if not ((orders > 0.0) & (orders < 4.0)).all():
             outcome = "out_of_range"
             break
     return Descent(gains, orders, np.array(history), outcome)
 
 
-def survey(targets: Targets, taps: int, rate: float, steps: int, starts: int, terms: int = 2) -> list[Descent]:
+def survey(targets: Targets, taps: int, rate: float, steps: int, starts: int) -> list[Descent]:
     """Run the descent from a grid of starts: unit gains, all pairs of orders."""
-    return [steepest_descent(np.ones(terms), orders, targets, taps, rate, steps) for orders in starting(starts, terms)]
+    return [steepest_descent(np.ones(2), orders, targets, taps, rate, steps) for orders in starting(starts, 2)]
 
 
 def starting(starts: int, terms: int) -> list[Array]:
     """List the orders that a survey starts from: all combinations of a grid."""
-    from itertools import combinations
-
     axis = 4.0 * (np.arange(starts) + 0.5) / starts
     return [np.array(orders) for orders in combinations(axis.tolist(), terms)]
+
+
+@dataclass(frozen=True)
+class Shaping:
+    """Gains and orders of a multi-term law and the f they give, all normalised (T = 2), the spring taken as H(1)."""
+
+    # A_i and α_i, shape (t,).
+    gains: Array
+    orders: Array
+    ripple: float  # largest |f + 1| over the band
+    nyquist: float  # f(ω_N)
+
+
+def least_squares(orders: Array, targets: Targets, taps: int) -> Array:
+    """Gains with the least cost (13) for given orders; of several, the shortest."""
+    basis = np.array([term_damping(targets.theta, order, taps)[0] for order in orders.tolist()])
+    gains, *_ = np.linalg.lstsq(basis.T, targets.value, rcond=None)
+    return np.asarray(gains, dtype=np.float64)
+
+
+def minimax(orders: Array, band: tuple[float, float], nyquist: float, taps: int, points: int = 61) -> Shaping | None:
+    """Gains with the least ripple about f = −1 over a band, f(ω_N) bounded: a linear programme."""
+    theta = np.pi * np.linspace(band[0], band[1], points)
+    basis = np.array([term_damping(theta, order, taps, False)[0] for order in orders.tolist()]).T
+    top = np.array([term_damping(np.array([np.pi]), order, taps, False)[0][0] for order in orders.tolist()])
+    found = _least_ripple(basis, top, nyquist)
+    return None if found is None else measured(found[:-1], orders, band, taps)
+
+
+def _least_ripple(basis: Array, top: Array, nyquist: float) -> Array | None:
+    """Solve for the factors of a basis and, at the end, the ripple r: −r ≤ f + 1 ≤ r and |f(ω_N)| ≤ bound."""
+    from scipy.optimize import linprog
+
+    points, factors = basis.shape
+    ones = np.ones((points, 1))
+    above = np.block([[basis, -ones], [-basis, -ones], [top, np.zeros(1)], [-top, np.zeros(1)]])
+    limits = np.concatenate([-np.ones(points), np.ones(points), [nyquist, nyquist]])
+    bounds = [(None, None)] * factors + [(0.0, None)]
+    solution = linprog([0.0] * factors + [1.0], A_ub=above, b_ub=limits, bounds=bounds, method="highs")
+    return np.asarray(solution.x, dtype=np.float64) if solution.success and solution.x is not None else None
+
+
+def measured(gains: Array, orders: Array, band: tuple[float, float], taps: int) -> Shaping:
+    """Measure the f of a multi-term law."""
+    fine = np.pi * np.linspace(band[0], band[1], 601)
+    ripple = float(np.abs(damping_curve(fine, gains, orders, taps, False) + 1.0).max())
+    return Shaping(gains, orders, ripple, float(damping_curve(np.array([np.pi]), gains, orders, taps, False)[0]))
+
+
+def free_taps(taps: int, band: tuple[float, float], nyquist: float, points: int = 61) -> tuple[Array, float]:
+    """Find the least ripple that any derivative part of this length can have: the same programme over the taps themselves."""
+    # f = 2 Σ t_j cos (j+1)θ with the tail sums t_j free: leak-free by construction.
+    theta = np.pi * np.linspace(band[0], band[1], points)
+    j = np.arange(1, taps)
+    basis, top = 2.0 * np.cos(np.outer(theta, j)), 2.0 * np.cos(np.pi * j)
+    found = _least_ripple(basis, top, nyquist)
+    if found is None:
+        raise ValueError(f"nyquist = {nyquist:g}: no {taps} taps meet this bound; raise it or take more taps")
+    return np.asarray(-np.diff([0.0, *found[:-1], 0.0]), dtype=np.float64), float(found[-1])
+
+
+def best_orders(terms: int, band: tuple[float, float], nyquist: float, taps: int, grid: int = 14) -> tuple[Shaping, int]:
+    """Search the orders globally, the gains by linear programme: every combination on a grid, then the best polished."""
+    from scipy.optimize import minimize
+
+    solved = 0
+
+    def ripple(orders: Array) -> float:
+        nonlocal solved
+        solved += 1
+        if orders.min() <= 1e-3 or orders.max() >= 4.0 - 1e-3:
+            return 1e3
+        shape = minimax(np.asarray(orders, dtype=np.float64), band, nyquist, taps)
+        return 1e3 if shape is None else shape.ripple
+
+    axis = 4.0 * (np.arange(grid) + 0.5) / grid
+    ranked = sorted((ripple(np.array(orders)), orders) for orders in combinations(axis.tolist(), terms))
+    if ranked[0][0] >= 1e3:
+        raise ValueError(f"nyquist = {nyquist:g}: no combination of {terms} orders meets this bound; raise it")
+    found = min(
+        (
+            minimize(ripple, np.array(orders), method="Nelder-Mead", options={"maxfev": 120, "xatol": 1e-4, "fatol": 1e-7})
+            for _, orders in ranked[:3]
+        ),
+        key=lambda result: float(result.fun),
+    )
+    shape = minimax(np.asarray(found.x, dtype=np.float64), band, nyquist, taps)
+    if shape is None:
+        raise ValueError(f"nyquist = {nyquist:g}: lost the bound while polishing; raise it")
+    return shape, solved

@@ -18,14 +18,9 @@ from sim.arrays import Array
 from sim.paper.claims import Claim, verdict
 from sim.paper.descent import damping_curve
 
-LOW_ORDERS, HIGH_ORDERS = (0.3, 0.5, 0.7, 1.0), (1.0, 1.3, 1.5, 1.7)
-"""Orders of figure 2 (a) and (b)."""
-
-MEMORIES = (1, 2, 3, 4, 5, 8, 10, 20, 50, 100, 1000)
-"""FIR orders n over which a claim is judged: the paper prints none."""
-
-MIDDLE = 0.5
-"""Where the low and middle frequencies end, in units of ω_N."""
+LOW_ORDERS, HIGH_ORDERS = (0.3, 0.5, 0.7, 1.0), (1.0, 1.3, 1.5, 1.7)  # orders of figure 2 (a) and (b)
+MEMORIES = (1, 2, 3, 4, 5, 8, 10, 20, 50, 100, 1000)  # FIR orders n over which a claim is judged: the paper prints none
+MIDDLE = 0.5  # where the low and middle frequencies end, in units of ω_N
 
 
 def term_curve(theta: Array, order: float) -> Array:
@@ -124,8 +119,7 @@ def claims_2(taps: int) -> list[Claim]:
     ]
 
 
-Curves = Mapping[tuple[float, float], Array]
-"""f of one term by its order and memory n; n infinite for unlimited memory."""
+Curves = Mapping[tuple[float, float], Array]  # f of one term by its order and memory n; n infinite for unlimited memory
 
 
 def _below_1(theta: Array, curves: Curves, shown: Sequence[TermCurve], taps: int) -> list[Claim]:

@@ -12,7 +12,6 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from typing import Any
 
 from nodes.laws import CompiledLaw
@@ -26,14 +25,13 @@ from sim.design.demand import CONVENTIONS, Demand
 from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene
 from sim.experiments.k_max_simulated import SimulatedKMax, simulated_k_max
-from sim.measure.sweep import Row, key_of
+from sim.measure.jobs import SweepRow, key_of
 
 Family = Callable[[float], CompiledLaw]
 
 LAWS = ("pd", "pd_filtered", "pd_windowed", "paper_optimum", "designed", "designed_drop")
 DELAYS = (0.0, 1.0)
-CUTOFF = 100.0
-"""Of the filtered velocity [Hz], a fifth of the paper's rate."""
+CUTOFF = 100.0  # of the filtered velocity [Hz], a fifth of the paper's rate
 
 
 @dataclass(frozen=True)
@@ -50,7 +48,7 @@ class Setting:
     friction: float = 0.06
     criterion: Criterion = field(default_factory=Criterion)  # horizon and tolerance, the same for every law
 
-    def record(self) -> Row:
+    def record(self) -> SweepRow:
         """Describe it for a job."""
         return asdict(self)
 
@@ -98,7 +96,8 @@ def _family(setting: Setting, law: str, taps: Sequence[float] | None) -> Family:
         return published(setting)[law]
     damping = -setting.period * sum(m * tap for m, tap in enumerate(taps))
     whole = CompiledLaw(tuple(taps))
-    return partial(_scaled, with_spring(whole, -whole.h1), damping)
+    derivative = with_spring(whole, -whole.h1).taps
+    return lambda gain: CompiledLaw(tuple(tap * gain / damping for tap in derivative))
 
 
 def demands(setting: Setting, delay: float) -> dict[str, Demand]:
@@ -109,17 +108,15 @@ def demands(setting: Setting, delay: float) -> dict[str, Demand]:
         # Half to twice the mass, an allowance for the hand that holds it, and what `study design` takes by default.
         "designed": Demand((0.5 * mass, 2.0 * mass), damping, delays, period, 0.99, 1e4),
         # This mass and this convention alone; 0.995 per tick still settles within the horizon, |H(−1)| is PD's at its best.
-        "designed_drop": Demand(
-            (mass, mass), damping, delays, period, 0.995, 4.0 * mass / period**2, lands=CONVENTIONS[:1]
-        ),
+        "designed_drop": Demand((mass, mass), damping, delays, period, 0.995, 4.0 * mass / period**2, lands=CONVENTIONS[:1]),
     }
 
 
 def _designed(setting: Setting, delay: float, name: str) -> list[float] | None:
     """Search the taps of a designed law; None where none keeps the demand, or none has a damping to scale.
 
-    The stiffest laws of a drop differ by a percent, and some of them have a negative damping: which one a search ends at
-    depends on its seed and on the processor's rounding. The first of five that can be scaled is taken.
+    The stiffest laws of a drop differ by a percent, and which one a search ends at depends on its seed and on rounding. The
+    first of five whose damping is positive is taken.
     """
     import numpy as np
 
@@ -135,42 +132,30 @@ def _designed(setting: Setting, delay: float, name: str) -> list[float] | None:
     return None
 
 
-def _scaled(derivative: CompiledLaw, damping: float, gain: float) -> CompiledLaw:
-    return CompiledLaw(tuple(tap * gain / damping for tap in derivative.taps))
-
-
-def designs(setting: Setting) -> list[Row]:
+def designs(setting: Setting) -> list[SweepRow]:
     """List the searches for the laws that are designed for a delay: jobs of `point`."""
     wanted = ((delay, name) for delay in DELAYS for name in demands(setting, delay))
     return [{"setting": setting.record(), "what": "design", "delay": delay, "law": name} for delay, name in wanted]
 
 
-def drops(setting: Setting, designed: Sequence[Row]) -> list[Row]:
+def drops(setting: Setting, designed: Sequence[SweepRow]) -> list[SweepRow]:
     """List the boundaries of the figure and of the conventions, point by point: jobs of `point`."""
     taps = {(row["delay"], row["law"]): row["taps"] for row in designed}
     plain = [(delay, law, touch, 0) for delay in DELAYS for law in LAWS for touch in (False, True)]
     others = [(0.0, law, False, i) for law in ("pd", "paper_optimum") for i in range(1, len(CONVENTIONS))]
     return [
-        {
-            "setting": setting.record(),
-            "what": "drop",
-            "law": law,
-            "delay": delay,
-            "touch": touch,
-            "convention": convention,
-            "gain": gain,
-            "taps": taps.get((delay, law)),
-        }
+        {"setting": setting.record(), "what": "drop", "law": law, "delay": delay, "touch": touch}
+        | {"convention": convention, "gain": gain, "taps": taps.get((delay, law))}
         for delay, law, touch, convention in (*plain, *others)
         if law in published(setting) or taps[delay, law] is not None
         for gain in setting.gains
     ]
 
 
-def point(job: Mapping[str, Any]) -> Row:
+def point(job: Mapping[str, Any]) -> SweepRow:
     """Do one job: design a law, or find one K_max."""
     setting = Setting.of(job["setting"])
-    record: Row = {key: job[key] for key in ("law", "delay")}
+    record: SweepRow = {key: job[key] for key in ("law", "delay")}
     if job["what"] == "design":
         return {**record, "taps": _designed(setting, job["delay"], job["law"])}
     derivative = _family(setting, job["law"], job["taps"])(job["gain"])
@@ -181,25 +166,17 @@ def point(job: Mapping[str, Any]) -> Row:
     return {**record, **{key: job[key] for key in ("touch", "convention")}, "found": asdict(found), "linear": linear}
 
 
-def curves_of(jobs: Sequence[Row], rows: Mapping[str, Row]) -> list[Curve]:
+def curves_of(jobs: Sequence[SweepRow], rows: Mapping[str, SweepRow]) -> list[Curve]:
     """Put the points together, each curve as far as it is known, from the rows of a ledger."""
-    named: dict[tuple[str, float, bool, int], list[Row | None]] = {}
+    named: dict[tuple[str, float, bool, int], list[SweepRow | None]] = {}
     for job in jobs:
         row = rows.get(key_of(job))
         named.setdefault((job["law"], job["delay"], job["touch"], job["convention"]), []).append(row)
     curves = []
     for (law, delay, touch, convention), found in named.items():
         known = [row for row in itertools.takewhile(lambda row: row is not None, found) if row is not None]
-        curves.append(
-            Curve(
-                law,
-                delay,
-                touch,
-                [SimulatedKMax(**row["found"]) for row in known],
-                [row["linear"] for row in known],
-                convention,
-            )
-        )
+        limits = [SimulatedKMax(**row["found"]) for row in known]
+        curves.append(Curve(law, delay, touch, limits, [row["linear"] for row in known], convention))
     return curves
 
 

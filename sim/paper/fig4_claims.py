@@ -20,10 +20,7 @@ def claims_4(setting: Setting, curves: list[Curve], spreads: list[tuple[float, s
     others = [name for name in LAWS if name != "pd"]
     return [
         # The paper's own unit first: nominal K.
-        *(
-            _against_pd(setting, by["pd", delay, False], by["paper_optimum", delay, False], felt=False)
-            for delay in (0.0, 1.0)
-        ),
+        *(_against_pd(setting, by["pd", delay, False], by["paper_optimum", delay, False], felt=False) for delay in (0.0, 1.0)),
         *_thesis(setting, [pd, optimum]),
         _peak_of_pd(setting),
         _conditional(setting, pd),
@@ -147,15 +144,8 @@ def _rings(setting: Setting, curves: list[Curve]) -> tuple[list[tuple[float, flo
 
 def _ranges(gains: tuple[float, ...], good: set[float]) -> str:
     """Name the ranges of gains that belong to a set."""
-    parts: list[list[float]] = []
-    previous = False
-    for gain in sorted(set(gains)):
-        if gain in good:
-            if previous:
-                parts[-1][1] = gain
-            else:
-                parts.append([gain, gain])
-        previous = gain in good
+    runs = (list(run) for yes, run in itertools.groupby(sorted(set(gains)), good.__contains__) if yes)
+    parts = [(run[0], run[-1]) for run in runs]
     return "B = " + " or ".join(f"{low:.3g}" if low == high else f"{low:.3g} … {high:.3g}" for low, high in parts)
 
 

@@ -5,42 +5,41 @@ loop with this mass tells K_max. Dry friction changes how fast the swing dies, h
 the decay is not used. Where the damping is not known it lies between none and what the decay shows.
 
 Windows of the contact are fitted one by one; how far they are apart is the interval. What is no swing of the linear loop is
-refused.
+refused. How often the interval holds K_max is counted on random devices with friction and an encoder.
 """
 
 from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from messages.errors import HapticError
 from messages.topics import DEVICE_STATE, FORCE
-from messages.types import DeviceState
 from nodes.laws import CompiledLaw, Law
 from nodes.laws.parse import parse_law
 from nodes.parameters.yaml_io import parse_yaml
 from nodes.recording.reader import Recording
-from nodes.stability.k_max import edge_of, without_spring
+from nodes.stability.k_max import edge_of, k_max, without_spring
 from nodes.stability.occurring import Edge, position_over_force
 from nodes.stability.plant import Plant
 from sim.arrays import Array
 from sim.design.recorded_loop import measure
+from sim.device.model import DeviceModel
+from sim.experiments.drop import drop_scene
+from sim.scene.loop import run
 
 _SHORTEST = 40
+# Parts of the contact that are fitted: what is left of the impact dies in the first eighth.
 _WINDOWS = ((0.12, 1.0), (0.25, 1.0), (0.12, 0.6), (0.4, 1.0))
-"""Parts of the contact that are fitted: what is left of the impact dies in the first eighth."""
-
-_MARGIN = 0.01
-"""Least half width of the interval: over 360 drops on random devices the windows alone miss by less, but for PDα."""
-
-_RESIDUAL = 0.1
-"""Largest residual of the fit, as a part of the swing."""
+_MARGIN = 0.01  # least half width of the interval: over 360 drops on random devices the windows alone miss by less, but for PDα
+_RESIDUAL = 0.1  # largest residual of the fit, as a part of the swing
 
 
 class CannotTellError(HapticError, ValueError):
@@ -88,9 +87,7 @@ def ringing(position: Array) -> Decay:
     def misfit(guess: Array) -> Array:
         decay, theta = guess
         envelope = np.clip(decay, 0.3, 1.05) ** k
-        parts = np.column_stack(
-            [envelope * np.cos(theta * k), envelope * np.sin(theta * k), np.ones(len(k)), k / len(k)]
-        )
+        parts = np.column_stack([envelope * np.cos(theta * k), envelope * np.sin(theta * k), np.ones(len(k)), k / len(k)])
         return np.asarray(parts @ np.linalg.lstsq(parts, x, rcond=None)[0] - x)
 
     found = least_squares(misfit, _start(x), x_scale=(0.01, 0.01))
@@ -164,16 +161,9 @@ def swing_of(law: Law, loop: Plant, inside: Array, damping: float | None) -> Swi
     low, high = edges[0].k_exact_n_per_m, edges[-1].k_exact_n_per_m
     wider = _MARGIN * 0.5 * (low + high) + 0.5 * (high - low)
     masses, dampings = ([getattr(plant, name) for plant in known] for name in ("mass", "damping"))
-    return Swing(
-        omega_rad_per_s=fits[0].theta / loop.period,
-        decay_per_tick=fits[0].decay,
-        ticks=ticks,
-        stiffness_n_per_m=float(getattr(law, "stiffness", compiled.h1)),
-        k_max_n_per_m=(max(low - wider, 0.0), high + wider),
-        mass_kg=(min(masses), max(masses)),
-        damping_n_s_per_m=(min(dampings), max(dampings)),
-        edge=edges[len(edges) // 2],
-    )
+    intervals = (max(low - wider, 0.0), high + wider), (min(masses), max(masses)), (min(dampings), max(dampings))
+    stiffness = float(getattr(law, "stiffness", compiled.h1))
+    return Swing(fits[0].theta / loop.period, fits[0].decay, ticks, stiffness, *intervals, edges[len(edges) // 2])
 
 
 def _by_frequency(law: CompiledLaw, loop: Plant, theta: float, decay: float, damping: float) -> Plant | None:
@@ -186,9 +176,7 @@ def _by_pole(law: CompiledLaw, loop: Plant, theta: float, decay: float) -> Plant
     return _solved(law, loop, 1.0, lambda second: (max(second, 0.0), decay * cmath.exp(1j * theta)))
 
 
-def _solved(
-    law: CompiledLaw, loop: Plant, start: float, trial: Callable[[float], tuple[float, complex]]
-) -> Plant | None:
+def _solved(law: CompiledLaw, loop: Plant, start: float, trial: Callable[[float], tuple[float, complex]]) -> Plant | None:
     from scipy.optimize import root
 
     _, z = trial(start)
@@ -224,27 +212,19 @@ def _contact(recording: Recording) -> Array:
     answers = [rendered[state.force_seq] for state in inside if state.force_seq in rendered]
     if any(answer.revision != forces[0].revision for answer in answers):
         raise CannotTellError("the law changed before the end of the longest contact")
-    if any(state.safety != "active" for state in inside) or any(
-        _limited(state, rendered[state.force_seq].force[axis], axis)
-        for state in inside
-        if state.force_seq in rendered and state.age == 0
-    ):
+    fresh = [state for state in inside if state.force_seq in rendered and state.age == 0]
+    pairs = [(state.force[axis], rendered[state.force_seq].force[axis]) for state in fresh]
+    limited = any(abs(given - asked) > 1e-9 * max(1.0, abs(asked)) for given, asked in pairs)
+    if limited or any(state.safety != "active" for state in inside):
         raise CannotTellError("the driver limited the force during the longest contact")
     return np.array([state.position[axis] for state in inside])
 
 
-def _limited(state: DeviceState, rendered: float, axis: int) -> bool:
-    return abs(state.force[axis] - rendered) > 1e-9 * max(1.0, abs(rendered))
-
-
 def longest(contact: NDArray[np.bool_]) -> tuple[int, int]:
     """Longest run of true."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], contact.astype(int), [0]])))
-    runs = edges.reshape(-1, 2)
-    if not len(runs):
-        return 0, 0
-    longest = runs[int(np.argmax(runs[:, 1] - runs[:, 0]))]
-    return int(longest[0]), int(longest[1])
+    runs = np.flatnonzero(np.diff(np.concatenate([[0], contact.astype(int), [0]]))).reshape(-1, 2).tolist()
+    first, last = max(runs, key=lambda run: run[1] - run[0], default=(0, 0))
+    return first, last
 
 
 def _law(recording: Recording, path: Path) -> Law:
@@ -253,3 +233,46 @@ def _law(recording: Recording, path: Path) -> Law:
         if isinstance(node, dict) and isinstance(node.get("laws"), dict):
             return parse_law(node["laws"][node["law"]], f"laws.{node['law']}")
     raise ValueError(f"{path}: holds no coupling, so no law")
+
+
+TICKS = 500  # of a drop
+RESOLUTION = 2.3e-5  # of the encoder [m]
+
+
+def dropped(number: int, name: str, law: Mapping[str, Any], period: float) -> dict[str, Any]:
+    """Drop a random device on a floor of 0.3 to 0.9 K_max, and look for K_max in its swing.
+
+    50 to 320 g, 0.5 to 2 N s/m, friction up to 0.1 N, a delay of up to 1.5 ticks; B is 20 to 60 times the mass.
+    """
+    random = np.random.default_rng([7, number])
+    plant = Plant(period, 10.0 ** random.uniform(-1.3, -0.5), random.uniform(0.5, 2.0), random.uniform(0.0, 1.5))
+    gained = {**law, "damping": random.uniform(20.0, 60.0) * plant.mass}
+    share, friction = random.uniform(0.3, 0.9), random.uniform(0.0, 0.1)
+    limit = k_max(without_spring(parse_law(gained), period), plant).k_max_n_per_m
+    result: dict[str, Any] = {"law": name, "share": share, "k_max_n_per_m": limit, "between_n_per_m": None}
+    if limit is None:
+        return result | {"why": "no stiffness is stable"}
+    rendered = parse_law({**gained, "stiffness": share * limit})
+    device = DeviceModel(mass=plant.mass, damping=plant.damping, delay=plant.delay, friction=friction, resolution=RESOLUTION)
+    trace = run(drop_scene(device, period, raw=False, clamp=True), rendered.compile(period), TICKS)
+    first, last = longest(np.abs(trace.force) > 0.0)
+    try:
+        swing = swing_of(rendered, plant, trace.measured[first:last], plant.damping)
+    except CannotTellError as error:
+        return result | {"why": str(error)}
+    return result | {"between_n_per_m": list(swing.k_max_n_per_m), "why": ""}
+
+
+def counted(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Count over many drops: refusals, intervals that hold K_max, and by how much the others miss it."""
+    result = [row for row in rows if row["between_n_per_m"]]
+    ends = [[end / row["k_max_n_per_m"] for end in row["between_n_per_m"]] for row in result]
+    misses = [max(low - 1.0, 1.0 - high, 0.0) for low, high in ends]
+    widths = [high - low for low, high in ends]
+    return {
+        "drops": len(rows),
+        "told": len(result),
+        "hold": sum(miss == 0.0 for miss in misses),
+        "worst_miss": max(misses, default=None),
+        "median_width": float(np.median(widths)) if widths else None,
+    }

@@ -1,9 +1,10 @@
-"""Many random devices, identified and tuned without knowing them, and then compared with what they are."""
+"""Many random devices, identified and tuned without knowing them, compared with what they are; and what is told of others."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -15,18 +16,17 @@ from sim.design.demand import Demand
 from sim.design.families import best_pd, designed
 from sim.device.model import DeviceModel
 from sim.identify.identified import Identified
+from sim.identify.identified_text import ROWS
 from sim.identify.identify import identify
-from sim.population.virtual import draw, excite
+from sim.population.virtual import KINDS, draw, draw_outside, excite, excite_outside
+from sim.scene.richer import RicherModel
 from sim.tune.design import Wanted, demand
 
-PARAMETERS = ("mass", "damping", "friction", "delay", "encoder", "stiffness")
-"""What is compared; the stiffness is a hand's."""
+PARAMETERS = ("mass", "damping", "friction", "delay", "encoder", "stiffness")  # what is compared; the stiffness is a hand's
 TAPS = 4
 RADIUS = 0.99
-NYQUIST = 1e4
-"""Largest |H(−1)| of a design [N/m]."""
-SPREAD = 1.25
-"""Factor by which the mass may be off in either direction: the margin of every design here."""
+NYQUIST = 1e4  # largest |H(−1)| of a design [N/m]
+SPREAD = 1.25  # factor by which the mass may be off in either direction: the margin of every design here
 
 
 def study_device(job: Mapping[str, Any]) -> dict[str, Any]:
@@ -34,30 +34,11 @@ def study_device(job: Mapping[str, Any]) -> dict[str, Any]:
     period = 1.0 / job["rate"]
     model = draw(job["number"], job["seed"], job["held"])
     found = identify(excite(model, period, job["seconds"], job["number"]))
-    truth = {
-        "mass": model.moving_mass,
-        "damping": model.moving_damping,
-        "friction": model.friction or 0.0,
-        "delay": model.delay,
-        "encoder": model.resolution,
-        "stiffness": model.grip,
-    }
-    row: dict[str, Any] = {
-        name: {
-            "truth": truth[name],
-            "value": getattr(found, name).value,
-            "low": getattr(found, name).low,
-            "high": getattr(found, name).high,
-            "why": getattr(found, name).why,
-        }
-        for name in PARAMETERS
-    }
-    row |= {
-        "held": job["held"],
-        "residual_steps": found.residual_steps,
-        "held_out_steps": found.held_out_steps,
-        "refuted": found.refuted,
-    }
+    truths = (model.moving_mass, model.moving_damping, model.friction or 0.0, model.delay, model.resolution, model.grip)
+    told = zip(PARAMETERS, truths, strict=True)
+    row: dict[str, Any] = {name: {"truth": truth, **asdict(getattr(found, name))} for name, truth in told}
+    row |= {"held": job["held"], "refuted": found.refuted}
+    row |= {"residual_steps": found.residual_steps, "held_out_steps": found.held_out_steps}
     if job["tune"]:
         row["tuned"] = _tuned(model, found, period)
     return row
@@ -72,15 +53,8 @@ def _tuned(model: DeviceModel, found: Identified, period: float) -> dict[str, An
     latest = (found.delay_range[1] if found.delay.high is None else found.delay.high,) * 2
     grip = (found.stiffness.value or 0.0,) * 2
     asked = Demand(asked.mass, asked.damping, latest, period, RADIUS, NYQUIST, grip)
-    known = Demand(
-        mass=(model.moving_mass / SPREAD, model.moving_mass * SPREAD),
-        damping=model.moving_damping,
-        delay=(model.delay, model.delay),
-        period=period,
-        radius=RADIUS,
-        nyquist=NYQUIST,
-        stiffness=(model.grip, model.grip),
-    )
+    masses, delays = (model.moving_mass / SPREAD, model.moving_mass * SPREAD), (model.delay, model.delay)
+    known = Demand(masses, model.moving_damping, delays, period, RADIUS, NYQUIST, (model.grip, model.grip))
     result: dict[str, Any] = {}
     for name, law in (("tuned", designed(asked, TAPS)), ("known", designed(known, TAPS)), ("pd", best_pd(asked))):
         result[name] = None
@@ -88,9 +62,7 @@ def _tuned(model: DeviceModel, found: Identified, period: float) -> dict[str, An
             taps = CompiledLaw(tuple(law.found.taps.tolist()))
             result[name] = {
                 "h1_n_per_m": taps.h1,
-                "radius": pole_radius(
-                    taps, Plant(period, model.moving_mass, model.moving_damping, model.delay, model.grip)
-                ),
+                "radius": pole_radius(taps, Plant(period, model.moving_mass, model.moving_damping, model.delay, model.grip)),
             }
     return result
 
@@ -119,14 +91,108 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         both = [law for law in laws if law["known"]]
         share = [law["tuned"]["h1_n_per_m"] / law["known"]["h1_n_per_m"] for law in both]
         gain = [law["tuned"]["h1_n_per_m"] / law["pd"]["h1_n_per_m"] for law in laws if law["pd"]]
-        result["tuned"] = {
-            "laws": len(laws),
-            "unstable": sum(not law["tuned"]["radius"] < 1.0 for law in laws),
-            "of_known_min": min(share, default=math.nan),
-            "of_known_median": float(np.median(share)),
-            "of_known_at_least_90_percent": sum(s >= 0.9 for s in share) / len(share),
-            "of_pd_min": min(gain, default=math.nan),
-            "of_pd_median": float(np.median(gain)),
-            "of_pd_at_least_1_2": sum(g >= 1.2 for g in gain) / len(gain),
+        result["tuned"] = {"laws": len(laws), "unstable": sum(not law["tuned"]["radius"] < 1.0 for law in laws)}
+        for name, values, beyond, least in (("known", share, "90_percent", 0.9), ("pd", gain, "1_2", 1.2)):
+            result["tuned"] |= {f"of_{name}_min": min(values, default=math.nan), f"of_{name}_median": float(np.median(values))}
+            result["tuned"][f"of_{name}_at_least_{beyond}"] = sum(value >= least for value in values) / len(values)
+    return result
+
+
+FAR = 2.0  # half widths of a 95 % interval beyond which an estimate is false certainty: by chance one in ten thousand is
+ALLOWED = 0.05  # largest part of devices of which anything may be told that is false
+# Terms that a kind should come out with.
+ASKED = {
+    "flexible mode": {"flexible mode"},
+    "actuator lag": {"actuator lag"},
+    "quadratic damping": {"quadratic damping"},
+    "sampling jitter": {"sampling jitter"},
+    "lag and mode": {"actuator lag", "flexible mode"},
+}
+# Words by which a kind that no model has should be refused.
+NAMED = {
+    "presliding": "presliding",
+    "backlash": "backlash",
+    "hardening spring": "a spring of the device",
+    "stribeck": "friction that falls",
+    "cogging": "a force that repeats",
+    "encoder ripple": "an encoder error",
+    "warming up": "changes during the run",
+    "deadband": "dead band",
+}
+
+
+def truths(device: RicherModel, found: Identified, period: float) -> dict[str, float]:
+    """Say what each parameter is that a run could tell."""
+    rigid = device.rigid
+    # A lag that is not told apart belongs to the delay, and so does what forces come late by on average.
+    unseen = 0.0 if "actuator lag" in found.terms else device.lag / period
+    return {
+        "mass": rigid.mass,
+        "damping": rigid.damping * (1.0 - 0.5 * device.warming),
+        "friction": rigid.friction or 0.0,
+        "delay": rigid.delay + unseen + 0.5 * device.late,
+        "quadratic": device.quadratic,
+        "lag": device.lag,
+        "frequency": device.frequency,
+        "share": device.share,
+        "loss": device.loss,
+    }
+
+
+def study_outside(job: Mapping[str, Any]) -> dict[str, Any]:
+    """Draw, push and identify one device."""
+    period = 1.0 / job["rate"]
+    device = draw_outside(job["kind"], job["number"], job["seed"])
+    found = identify(excite_outside(device, period, job["seconds"], job["number"]))
+    row: dict[str, Any] = {
+        "kind": job["kind"],
+        "refuted": found.refuted,
+        "why": found.why,
+        "terms": list(found.terms),
+        "residual_steps": found.residual_steps,
+        "whiteness": found.held_out.whiteness,
+        "off": {},
+    }
+    for name, truth in truths(device, found, period).items():
+        estimate = getattr(found, name)
+        # What is 0 because the data do not ask for it has a bound, no interval.
+        if estimate.value is not None and not (name in ("quadratic", "lag") and estimate.value == 0.0):
+            half = 0.5 * (estimate.high - estimate.low)
+            row["off"][name] = abs(estimate.value - truth) / max(half, 1e-300)
+    return row
+
+
+def named(row: Mapping[str, Any]) -> bool:
+    """Tell whether a device came out as what it is."""
+    if row["kind"] in ASKED:
+        return not row["refuted"] and set(row["terms"]) == ASKED[row["kind"]]
+    return bool(row["refuted"] and row["kind"] in NAMED and NAMED[row["kind"]] in row["why"])
+
+
+def outcome(row: Mapping[str, Any]) -> str:
+    """Say in a word what became of a device."""
+    if row["refuted"]:
+        return "refused"
+    if any(off > FAR for off in row["off"].values()):
+        return "false"
+    return "richer" if set(row["terms"]) - {"sampling jitter"} else "rigid"
+
+
+def summary_outside(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Count over a population, kind by kind."""
+    labels = {name: label.strip() for _, name, label, _ in ROWS}
+    result: dict[str, Any] = {"devices": len(rows), "kinds": {}}
+    for kind in [kind for kind in KINDS if any(row["kind"] == kind for row in rows)]:
+        of = [row for row in rows if row["kind"] == kind]
+        offs = [off for row in of for off in row["off"].values()]
+        result["kinds"][kind] = {
+            "devices": len(of),
+            **{word: sum(outcome(row) == word for row in of) for word in ("rigid", "richer", "refused", "false")},
+            "named": sum(named(row) for row in of),
+            "intervals": len(offs),
+            "missed": sum(off > 1.0 for off in offs),
+            "false_of": sorted({labels[name] for row in of for name, off in row["off"].items() if off > FAR}),
         }
+    for word in ("refused", "false", "named", "intervals", "missed"):
+        result[word] = sum(one[word] for one in result["kinds"].values())
     return result

@@ -7,22 +7,20 @@ between law and device is played in one process. The judge knows the device: the
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from nodes.laws import CompiledLaw
-from nodes.stability.flexible import FlexiblePlant, flexible_radius
+from nodes.stability.flexible import flexible_radius
 from sim.identify.identified import refusal
 from sim.identify.identify import identify
-from sim.population.outside import KINDS, draw_outside, excite_outside
-from sim.population.virtual import draw, excite
+from sim.population.virtual import KINDS, draw, draw_outside, excite, excite_outside
 from sim.scene.richer import RicherModel
-from sim.tune.design import Wanted, design
+from sim.tune.design import Wanted, design, predict
 from sim.tune.knocking import KnockVerdict, climb, knocked, scaled
 from sim.tune.outcome import verified
-from sim.tune.predict import predict
 
-PEAK = 3.3
-"""Largest force of every driver [N]."""
+PEAK = 3.3  # largest force of every driver [N]
 INSIDE = "inside the model"
 
 
@@ -55,8 +53,7 @@ def tune_device(job: Mapping[str, Any]) -> dict[str, Any]:
         figures, _, plan = predict(compiled, asked, found, PEAK, None)
     except ValueError as error:
         return row | {"stopped": str(error)}
-    once = knocks(device, compiled, figures["knock_m"], period)
-    verdict = verified(figures, climb(plan, once))
+    verdict = verified(figures, climb(plan, knocks(device, compiled, figures["knock_m"], period)))
     row |= {
         "holds": verdict["holds"],
         "delivered": verdict["holds"],
@@ -79,24 +76,14 @@ def knocks(device: RicherModel, law: CompiledLaw, knock: float, period: float) -
     return knocked(law, device, period, knock, PEAK, None, (0.1, 0.6))
 
 
-def _plants(device: RicherModel) -> list[FlexiblePlant]:
-    """Give the linear devices that a device may be: with the shortest delay and the longest."""
-    import dataclasses
-
-    plant = device.plant
-    return [plant, *([dataclasses.replace(plant, delay=plant.delay + device.late)] if device.late else [])]
-
-
 def true_radius(law: CompiledLaw, device: RicherModel, period: float) -> float:
-    """Find the largest pole of the loop with the true device; dry friction left out."""
-    return max(flexible_radius(law, period, plant) for plant in _plants(device))
+    """Find the largest pole of the loop with the true device, at its shortest delay and its longest; dry friction left out."""
+    plants = (replace(device.plant, delay=device.plant.delay + late) for late in {0.0, device.late})
+    return max(flexible_radius(law, period, plant) for plant in plants)
 
 
 def true_edge(law: CompiledLaw, device: RicherModel, period: float) -> float | None:
-    """Find the stiffness at which a pole of the true loop reaches the unit circle [N/m]; None above 20 times the law.
-
-    Upwards from the law where that is stable: a law that damps by its stiffness may be unstable far below itself, too.
-    """
+    """Find the stiffness at which a pole of the true loop reaches the unit circle [N/m]; None above 20 times the law."""
     low = high = 1.0
     if true_radius(law, device, period) < 1.0:
         while true_radius(scaled(law, high), device, period) < 1.0:

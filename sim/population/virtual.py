@@ -1,21 +1,27 @@
-"""Virtual devices to identify: drawn at random, pushed as `nodes.laws.excitation` pushes, in one process."""
+"""Virtual devices to identify, drawn at random and pushed as `nodes.laws.excitation` pushes, in one process.
+
+Those that the identified model does not fit (joints, lags, backlash and the rest) are drawn kind by kind about the same rigid
+ones, so that what is told can be compared with what it is.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from nodes.laws.excitation import Excitation
+from nodes.laws.excitation import Excitation, Telegraph
+from sim.arrays import Array
 from sim.device.model import DeviceModel, Hand, quantise
 from sim.identify.experiment import Experiment, lockstep
 from sim.scene.loop import Scene, SceneSurface, run
+from sim.scene.richer import RicherModel, pushed
 
-PUSH = Excitation()
-"""How they are pushed: as a launch pushes by default."""
+PUSH = Excitation()  # how they are pushed: as a launch pushes by default
 
 
 def excite(model: DeviceModel, period: float, seconds: float, seed: int, peak: float = 3.3) -> Experiment:
@@ -56,9 +62,66 @@ def draw(number: int, seed: int, held: bool, ranges: Range | None = None) -> Dev
     }
     if held:
         hand = Hand(
-            mass=logarithmic(0.05, 0.2),
-            damping=logarithmic(1.0, 5.0),
-            stiffness=logarithmic(100.0, 600.0),
-            path=[(0.0, 0.0)],
+            mass=logarithmic(0.05, 0.2), damping=logarithmic(1.0, 5.0), stiffness=logarithmic(100.0, 600.0), path=[(0.0, 0.0)]
         )
     return DeviceModel(**model, hand=hand)
+
+
+def excite_outside(device: RicherModel, period: float, seconds: float, seed: int, peak: float = 3.3) -> Experiment:
+    """Push such a device from rest at 0 and note what its encoder reads, as if sampled at the tick, whenever it was."""
+    ticks = round(seconds / period)
+    signal = Telegraph(PUSH.amplitude, PUSH.clocks, seed)
+    wanted: Array = np.array([signal.next() for _ in range(ticks)])
+    damper = PUSH.damping / period
+    taps = np.array([PUSH.stiffness + damper, -damper])
+    return lockstep(period, *pushed(device, period, wanted, taps, (0.0, PUSH.reach, peak, 0.0), seed))
+
+
+def _between(low: float, high: float) -> Callable[[np.random.Generator], float]:
+    """Draw evenly in the logarithm."""
+    return lambda rng: math.exp(rng.uniform(math.log(low), math.log(high)))
+
+
+def _evenly(low: float, high: float) -> Callable[[np.random.Generator], float]:
+    return lambda rng: float(rng.uniform(low, high))
+
+
+# What each kind has, drawn at random.
+KINDS: dict[str, dict[str, Callable[[np.random.Generator], float]]] = {
+    "flexible mode": {"share": _evenly(0.15, 0.6), "frequency": _between(15.0, 200.0), "loss": _between(0.01, 0.1)},
+    "actuator lag": {"lag": _between(0.5e-3, 6e-3)},
+    "quadratic damping": {"quadratic": _between(0.3, 4.0)},
+    "presliding": {"presliding": _between(2e-5, 2e-4)},
+    "backlash": {
+        "gap": _between(5e-5, 1e-3),
+        "share": _evenly(0.15, 0.6),
+        "frequency": _between(100.0, 200.0),
+        "loss": _between(0.02, 0.1),
+    },
+    "hardening spring": {"hardening": _between(1e4, 5e5)},
+    "sampling jitter": {"jitter": _evenly(0.05, 0.4)},
+    "delay jitter": {"late": _evenly(0.1, 0.8)},
+    "stribeck": {"stribeck": _evenly(0.2, 1.0)},
+    "uneven friction": {"uneven": _evenly(0.1, 0.5)},
+    "cogging": {"cogging": _between(0.005, 0.05)},
+    "encoder ripple": {"ripple": _between(5e-6, 5e-5)},
+    "position noise": {"noise": _between(5e-6, 5e-5)},
+    "warming up": {"warming": _evenly(0.2, 0.7)},
+    "deadband": {"deadband": _between(0.01, 0.1)},
+    "lag and mode": {
+        "lag": _between(1e-3, 4e-3),
+        "share": _evenly(0.2, 0.6),
+        "frequency": _between(20.0, 120.0),
+        "loss": _between(0.01, 0.1),
+    },
+}
+UNFORESEEN = ("warming up", "deadband", "uneven friction", "delay jitter")  # kinds that no term was written for
+
+
+def draw_outside(kind: str, number: int, seed: int) -> RicherModel:
+    """Draw a device of a kind about a free one of the ranges inside the model, with some friction."""
+    rng = np.random.default_rng([seed, number, list(KINDS).index(kind)])
+    rigid = draw(number, seed + 1000, held=False)
+    rigid = msgspec.structs.replace(rigid, friction=max(rigid.friction or 0.0, 0.01))
+    drawn: dict[str, Any] = {name: value(rng) for name, value in KINDS[kind].items()}
+    return RicherModel(rigid, kind, **drawn)

@@ -20,18 +20,12 @@ from sim.scene.loop import Scene, run
 
 
 def beside_scene(
-    setups: Mapping[str, Setup],
-    law: Mapping[str, Any],
-    targets: Sequence[float],
-    begin: tuple[float, float],
-    late: float = 0.0,
+    setups: Mapping[str, Setup], law: Mapping[str, Any], targets: Sequence[float], begin: tuple[float, float], late: float = 0.0
 ) -> tuple[Scene, Any, int]:
     """Make the scene of a launch with another law and the hand's targets as they were: scene, law and memory [ticks].
 
     `targets` are where the hand pulled to, tick by tick [m], `begin` is the position [m] and velocity [m/s] of the device at
     the first of them, `late` the delay of the loop beyond that of the device and of ``next_tick`` [ticks].
-
-    Raises ParameterError when the launch has something that one process does not play, see `from_launch`.
     """
     first = next(iter(setups.values()))
     nodes = {}
@@ -44,9 +38,7 @@ def beside_scene(
             parameters["safety"] = {**parameters["safety"], "ramp": 0.0}
         nodes[name] = NodeSpec(kind=setup.kind, parameters=parameters)
     spec = RunSpec(rate=1.0 / first.period, apply=first.apply, axes=list(first.axes))
-    launched = from_launch(
-        Launch(scenario=first.run, summary="", path="", text="", arguments={}, run=spec, nodes=nodes)
-    )
+    launched = from_launch(Launch(scenario=first.run, summary="", path="", text="", arguments={}, run=spec, nodes=nodes))
     device = launched.scene.device
     path = [(k * first.period, target) for k, target in enumerate(targets)]
     hand = device.hand and msgspec.structs.replace(device.hand, path=path, repeat=None)
@@ -55,11 +47,7 @@ def beside_scene(
 
 
 def play_beside(
-    setups: Mapping[str, Setup],
-    law: Mapping[str, Any],
-    targets: Sequence[float],
-    begin: tuple[float, float],
-    late: float = 0.0,
+    setups: Mapping[str, Setup], law: Mapping[str, Any], targets: Sequence[float], begin: tuple[float, float], late: float = 0.0
 ) -> tuple[Array, Array]:
     """Play another law under the same hand, see `beside_scene`: what the encoder reads [m], and what is handed over [N]."""
     scene, compiled, memory = beside_scene(setups, law, targets, begin, late)

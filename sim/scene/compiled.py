@@ -40,6 +40,7 @@ KERNELS: tuple[Callable[..., Any], ...] = (
     nodes.arithmetic.fir,
     nodes.arithmetic.one_sided,
     nodes.arithmetic.limit,
+    nodes.arithmetic.limit_within_tick,
     nodes.arithmetic.sections,
     nodes.arithmetic.warm_up,
     nodes.arithmetic.cross_fade,

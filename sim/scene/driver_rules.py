@@ -23,11 +23,7 @@ from sim.device.model import DeviceModel
 
 
 class DriverRules:
-    """What a driver does with each force, in lockstep.
-
-    `parameters`: of its safety; the first axis of the workspace is the scene's. `axes`: the axes that the scene computes; its
-    one axis counts as the first.
-    """
+    """What a driver does with each force, in lockstep; a scene's one axis counts as the first."""
 
     def __init__(
         self,

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from nodes.base.setup import AXIS_INDEX, Axis
+from nodes.base.setup import AXIS_INDEX
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
 from nodes.driver.device import DeviceLimits
@@ -47,11 +47,7 @@ class LaunchedScene:
         """Device and hand as the linear loop sees them: what moves, its delay with that of the loop."""
         body = self.scene.device
         return Plant(
-            self.scene.period,
-            body.moving_mass,
-            body.moving_damping,
-            body.delay + float(self.scene.next_tick),
-            body.grip,
+            self.scene.period, body.moving_mass, body.moving_damping, body.delay + float(self.scene.next_tick), body.grip
         )
 
     def play(self, ticks: int | None = None, interpreted: bool = False, given: Given | None = None) -> Trace:
@@ -63,29 +59,13 @@ def parameters_of(launch: Launch, kind: str, target: type) -> tuple[str, Any]:
     """Find the one node of a kind in a launch: its name and its parameters."""
     found = [(name, spec) for name, spec in launch.nodes.items() if spec.kind == kind]
     if len(found) != 1:
-        raise ParameterError(
-            f"{launch.scenario}.nodes: {len(found)} nodes of kind {kind}; one process plays exactly one"
-        )
+        raise ParameterError(f"{launch.scenario}.nodes: {len(found)} nodes of kind {kind}; one process plays exactly one")
     name, spec = found[0]
     return name, convert(spec.parameters, target, name)
 
 
-def _surface(data: dict[str, Any], where: str, axis: Axis) -> SceneSurface:
-    surface = parse_surface(data, where)
-    reduced = surface.on_axis(axis)
-    if reduced is None:
-        raise ParameterError(
-            f"{where}.kind: {surface.kind!r} has no form on one axis (on_axis), so one process cannot play it; launch it"
-        )
-    return SceneSurface(reduced.shape, reduced.position, reduced.side)
-
-
 def from_launch(launch: Launch) -> LaunchedScene:
-    """Translate a launch file, with its arguments filled in.
-
-    Raises ParameterError when the launch file has something that one process does not play: several axes, swaps to or from a
-    law with code of its own, a surface that is more than a plane or a point.
-    """
+    """Translate a launch file; ParameterError where it has several axes, other surfaces or swaps of a law with its own code."""
     if len(launch.run.axes) != 1:
         raise ParameterError(
             f"{launch.scenario}.run.axes: {launch.run.axes}; one process plays one axis here; sim.scene.spatial plays several"
@@ -98,8 +78,14 @@ def from_launch(launch: Launch) -> LaunchedScene:
         raise ParameterError(
             f"{launch.scenario}: device.mass_by_position: one process plays one mass here; launch it, or take sim.scene.spatial"
         )
-    environment_name, environment = parameters_of(launch, "environment", EnvironmentParameters)
+    name, environment = parameters_of(launch, "environment", EnvironmentParameters)
     coupling_name, coupling = parameters_of(launch, "coupling", CouplingParameters)
+    surface = parse_surface(environment.surface, f"{name}.surface")
+    reduced = surface.on_axis(axis)
+    if reduced is None:
+        raise ParameterError(
+            f"{name}.surface.kind: {surface.kind!r} has no form on one axis (on_axis), so one process cannot play it; launch it"
+        )
     safety = driver.safety
     limits = lower(safety, DeviceLimits(), period)
     if safety.workspace is not None:
@@ -110,16 +96,14 @@ def from_launch(launch: Launch) -> LaunchedScene:
     def law(name: str) -> CompiledLaw:
         compiled = book.compile(coupling, name)
         if compiled.evaluate is not None and coupling.schedule:
-            raise ParameterError(
-                f"{coupling_name}.laws.{name}: has code of its own, which one process cannot swap; launch it"
-            )
+            raise ParameterError(f"{coupling_name}.laws.{name}: has code of its own, which one process cannot swap; launch it")
         return compiled
 
     swaps = sorted(coupling.schedule, key=lambda swap: swap.at)
     return LaunchedScene(
         scene=Scene(
             device=device,
-            surface=_surface(environment.surface, f"{environment_name}.surface", axis),
+            surface=SceneSurface(reduced.shape, reduced.position, reduced.side),
             period=period,
             raw=coupling.history == "position",
             clamp=coupling.clamp,

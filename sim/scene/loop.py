@@ -1,12 +1,13 @@
 """The scene in one process: device, environment, coupling and driver in one loop, tick by tick as the nodes do it.
 
-It answers what the distributed loop will do before it is built, and thousands of times faster. `play` is one
-function: it runs interpreted (slow, for the test that compares the two) or compiled, over the very kernels that the
-nodes call.
+It answers what the distributed loop will do, thousands of times faster. `play` is one function: it runs interpreted (slow, for
+the test that compares the two) or compiled, over the very kernels that the nodes call.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -23,16 +24,7 @@ from sim.arrays import Array
 from sim.device.model import DeviceModel, coefficients, ends_of, split_delay
 from sim.scene.compiled import numbers_of
 from sim.scene.driver_rules import DriverRules
-from sim.scene.tick_loop import (
-    Arrivals,
-    Contact,
-    Guard,
-    LawTables,
-    Motion,
-    Records,
-    play,
-    play_compiled,
-)
+from sim.scene.tick_loop import Arrivals, Contact, Guard, LawTables, Motion, Records, play, play_compiled
 
 
 @dataclass(frozen=True)
@@ -49,9 +41,7 @@ class SceneSurface:
         if self.kind not in ("free", "plane", "anchor"):
             raise ValueError(f"surface.kind is {self.kind!r}, expected free, plane or anchor")
         if self.normal not in (1.0, -1.0):
-            raise ValueError(
-                f"surface.normal is {self.normal}, expected +1 or -1: on one axis a plane faces up or down"
-            )
+            raise ValueError(f"surface.normal is {self.normal}, expected +1 or -1: on one axis a plane faces up or down")
 
     @property
     def code(self) -> int:
@@ -150,12 +140,10 @@ def run(
 ) -> Trace:
     """Play a scene from rest: no deflection and no force before tick 0.
 
-    `law` is that of tick 0, compiled for the scene's period; `swaps` are later ones, in the order of their ticks. The history
-    remembers `memory` deflections, and as many as the laws need anyway: it only matters to recursive laws that are swapped in,
-    which are warmed up over it. `interpreted` runs the same function thousands of times slower; a law with code of its own
-    always runs so, and so does a scene whose driver does more than lower forces.
-
-    Raises ValueError when ticks or swaps are out of range, a law is not finite, or one with code of its own is swapped.
+    `law` is that of tick 0, `swaps` are later ones, in the order of their ticks. The history remembers at least `memory`
+    deflections: over it recursive laws that are swapped in are warmed up. `interpreted` is thousands of times slower; a law
+    with code of its own runs so, and a scene whose driver does more than lower forces. ValueError refuses ticks, swaps and laws
+    that cannot be.
     """
     _check(law, ticks, swaps)
     given = given or Given()
@@ -167,11 +155,9 @@ def run(
         if not _stops(safety, scene.peak, asked, trace.measured):
             return trace
     # Its ramp, its stop or its motor's heat had a say.
-    rules = (
-        None
-        if given.arrivals is not None
-        else DriverRules(scene.device, scene.period, scene.next_tick, safety, scene.passivity)
-    )
+    rules = None
+    if given.arrivals is None:
+        rules = DriverRules(scene.device, scene.period, scene.next_tick, safety, scene.passivity)
     return _played(scene, law, ticks, swaps, memory, interpreted or rules is not None, given, rules)[0]
 
 
@@ -215,16 +201,12 @@ def _played(
     own = law.own_code()
     if own is not None:
         numbered = None if interpreted else numbers_of(own, ticks)
-        interpreted = numbered is None
-        own = own if numbered is None else numbered
+        interpreted, own = numbered is None, own if numbered is None else numbered
     laws = [law, *(swap.law for swap in swaps)]
     recursive = any(candidate.sections for candidate in laws)
     ring = max(2, memory, *(len(candidate.taps) for candidate in laws))
-    taps_from = [0]
-    states_from = [0]
-    for candidate in laws:
-        taps_from.append(taps_from[-1] + len(candidate.taps))
-        states_from.append(states_from[-1] + 2 * len(candidate.sections))
+    taps_from = list(itertools.accumulate((len(candidate.taps) for candidate in laws), initial=0))
+    states_from = list(itertools.accumulate((2 * len(candidate.sections) for candidate in laws), initial=0))
 
     def numbers(values: Any, kind: Any = np.float64) -> Any:
         return list(values) if interpreted else np.array(values, dtype=kind)
@@ -244,10 +226,13 @@ def _played(
         )
     records = Records(*(numbers([0.0] * ticks) for _ in Records._fields))
     nudged = np.zeros((ticks, 3)) if given.nudged is None and given.read is not None else given.nudged
+    contact = contact_of(scene)
+    if not interpreted:
+        motion, contact = _in_numbers(ticks, motion, contact, lockstep=arrivals is None)
     final = (play if interpreted else play_compiled)(
         ticks,
-        motion if interpreted or motion.loads is None else motion._replace(loads=numbers(motion.loads)),
-        contact_of(scene),
+        motion,
+        contact,
         LawTables(
             numbers([tap for candidate in laws for tap in candidate.taps]),
             numbers(taps_from, np.int64),
@@ -275,9 +260,7 @@ def motion_of(scene: Scene, ticks: int, given: Given | None = None) -> Motion:
     """Prepare the device of a scene for the loop; its loads, where there are any, as a list."""
     device = scene.device
     if device.mass_by_position:
-        raise ValueError(
-            "device.mass_by_position: this loop has one mass; sim.scene.spatial plays it, and so does a launch"
-        )
+        raise ValueError("device.mass_by_position: this loop has one mass; sim.scene.spatial plays it, and so does a launch")
     mass, damping, grip = device.moving_mass, device.moving_damping, device.grip
     whole, part = split_delay(device.delay + (1.0 if scene.next_tick else 0.0))
     early = part * scene.period
@@ -290,12 +273,9 @@ def motion_of(scene: Scene, ticks: int, given: Given | None = None) -> Motion:
         loads = [device.load(k, scene.period) for k in range(ticks)]
     if loads is not None and given.force is not None:
         loads = [load + force for load, force in zip(loads, given.force.tolist(), strict=True)]
+    body = {"position": device.position, "velocity": device.velocity, "mass": mass, "damping": damping, "grip": grip}
     return Motion(
-        position=device.position,
-        velocity=device.velocity,
-        mass=mass,
-        damping=damping,
-        grip=grip,
+        **body,
         early=early,
         early_map=coefficients(mass, damping, grip, early) if early > 0.0 else None,
         late=late,
@@ -309,6 +289,21 @@ def motion_of(scene: Scene, ticks: int, given: Given | None = None) -> Motion:
         waiting=whole + 2,
         period=scene.period,
     )
+
+
+def _in_numbers(ticks: int, motion: Motion, contact: Contact, lockstep: bool) -> tuple[Motion, Contact]:
+    """Write what a scene lacks as numbers that change no bit, so that one compiled version plays scenes of many kinds.
+
+    None is a type of its own: each combination would be compiled, one to three seconds of processor time each.
+    """
+    peak, slew = (math.inf if limit is None else limit for limit in (contact.peak, contact.slew))
+    return motion._replace(
+        early_map=motion.late_map if motion.early_map is None else motion.early_map,
+        motor=math.inf if motion.motor is None else motion.motor,
+        ends=(-math.inf, math.inf) if motion.ends is None else motion.ends,
+        loads=np.full(ticks, motion.load) if motion.loads is None else np.array(motion.loads, dtype=np.float64),
+        # In real time what is left of a change of force would be none after an infinite force.
+    ), contact._replace(peak=peak, slew=slew if lockstep else contact.slew)
 
 
 def contact_of(scene: Scene) -> Contact:

@@ -18,8 +18,7 @@ from sim.device.friction import slide
 from sim.device.model import DeviceModel, coefficients, quantise
 from sim.scene.compiled import compiled
 
-SUBSTEPS = 64
-"""Steps of a tick."""
+SUBSTEPS = 64  # steps of a tick
 
 
 @dataclass(frozen=True)
@@ -53,6 +52,9 @@ class RicherModel:
         rigid = self.rigid
         joint = {"share": self.share, "frequency": self.frequency, "loss": self.loss} if self.share else {}
         return FlexiblePlant(rigid.mass, rigid.damping, rigid.delay, lag=self.lag, **joint)
+
+
+_ODD = "quadratic", "lag", "gap", "hardening", "presliding", "stribeck", "uneven", "cogging", "ripple", "warming", "deadband"
 
 
 @compiled()
@@ -162,10 +164,7 @@ def knock_on(
     start: float = 0.0,
     slew: float = math.inf,
 ) -> Array:
-    """Let a law feel a step of the deflection on such a device at rest.
-
-    `taps`, shape (n + 1,): the law [N/m]. Returns, shape (ticks,): what the encoder reads [m].
-    """
+    """Let a law [N/m] feel a step of the deflection on such a device at rest: what the encoder reads [m]."""
     place = start * (device.rigid.resolution or 0.0)
     return pushed(device, period, np.zeros(ticks), taps, (step, math.inf, peak, place), 0, slew)[0]
 
@@ -193,12 +192,7 @@ def pushed(
     rigid = device.rigid
     joint, loss = device.plant.joint if device.share else (0.0, 0.0)
     positions, forces = np.zeros(ticks), np.zeros(ticks)
-    odd = np.array(
-        [
-            rigid.grip, device.quadratic, device.lag, device.gap, device.hardening, device.presliding, device.stribeck,
-            device.uneven, device.cogging, device.ripple, device.warming, device.deadband,
-        ]
-    )  # fmt: skip
+    odd = np.array([rigid.grip, *(getattr(device, name) for name in _ODD)])
     _push(
         wanted, np.asarray(taps, dtype=np.float64), law,
         (rigid.mass, rigid.damping, rigid.friction or 0.0, device.share, joint, loss), odd, sample, arrive, noise,

@@ -1,8 +1,7 @@
 """A launch of any axes in one process: the states and rules of the nodes themselves, tick by tick, as in lockstep.
 
-The loop of `sim.scene.loop` is for one axis and thousands of runs. This one plays what nodes can: shapes, things that move,
-several axes, laws with code of their own and swaps between them, all of the driver's safety. It is interpreted; no rule in it
-is its own.
+It plays what nodes can: shapes, things that move, several axes, laws with code of their own and swaps between them, all of the
+driver's safety. It is interpreted, for few runs (`sim.scene.loop` is for thousands); no rule in it is its own.
 """
 
 from __future__ import annotations
@@ -83,8 +82,8 @@ class _Coupling:
         return force if math.isfinite(force[0] + force[1] + force[2]) else renderer.fall_back(proxy)
 
 
+# From a tick, the position [m] and the force handed over last [N] to proxy, normal, distance and contact.
 Ask = Callable[[int, Vector, Vector], Meeting]
-"""From a tick, the position [m] and the force handed over last [N] to proxy, normal, distance and contact."""
 
 
 def _environment(launch: Launch, next_tick: bool, solids: Sequence[Solid] | None, world: MovingScene | None) -> Ask:
@@ -96,8 +95,7 @@ def _environment(launch: Launch, next_tick: bool, solids: Sequence[Solid] | None
         meet_axes(surface, launch.run.axes, f"{name}.surface")
         if solids is not None:
             radius = getattr(surface, "tool_radius", 0.0)
-            numbers = Numbers(SHAPES, scene_table(solids, radius, period), new_memory(len(solids)))
-            meet = meeting_of(numbers)
+            meet = meeting_of(Numbers(SHAPES, scene_table(solids, radius, period), new_memory(len(solids))))
         else:
             found = numbers_of(surface, period)
             meet = surface.meeting_every(period) if found is None else meeting_of(found)
@@ -120,12 +118,10 @@ def play(
     path: Array | None = None,
     world: MovingScene | None = None,
 ) -> SpatialTrace:
-    """Play a launch file.
+    """Play a launch file of one chain and virtual devices: the bits of a run in lockstep.
 
-    `launch`: with its arguments filled in; a real device, or several devices, are not played. `ticks`: how many; the launch
-    file's own number when left out. `path`, shape (at least ticks, 3): where the encoders find the device [m], whatever the
-    force: no device is played then. `world`: scene of things that move in place of the launch file's own. Returns: the bits of
-    a run in lockstep. Raises ParameterError when something is wrong, as a launch would say it.
+    `path`, shape (at least ticks, 3): where the encoders find the device [m], whatever the force; no device is played then.
+    `solids` and `world` take the place of the launch file's own. ParameterError says what is wrong, as a launch would.
     """
     run = launch.run
     period, ticks = run.period, ticks or run.ticks or round(10.0 / run.period)
@@ -150,15 +146,7 @@ def play(
         position = rules.sample_all(k, (place[0], place[1], place[2]))
         proxy, normal, distance, contact = meet(k, position, force)
         wanted = coupling.answer(
-            Proxy(
-                seq=k,
-                stamp=k * period,
-                position=position,
-                proxy=proxy,
-                normal=normal,
-                distance=distance,
-                contact=contact,
-            )
+            Proxy(seq=k, stamp=k * period, position=position, proxy=proxy, normal=normal, distance=distance, contact=contact)
         )
         force = rules.command_all(k, wanted)
         for part in parts:

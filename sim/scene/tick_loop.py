@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
-from nodes.arithmetic import cross_fade, deflection, limit, one_sided, push, warm_up
+from nodes.arithmetic import cross_fade, deflection, limit_within_tick, one_sided, push, warm_up
 from nodes.compiled.kernels.sources import kernel
 from nodes.coupling.render import evaluate
 from nodes.driver.passivity import backlog, control, forget, observe, through
@@ -19,7 +19,7 @@ from sim.device.friction import move
 from sim.device.model import Coefficients, coefficients, end_stop, quantise, saturate
 from sim.scene.compiled import compiled, own_force
 
-Numbers: TypeAlias = Any
+Values: TypeAlias = Any
 """A list of numbers when the loop is interpreted, an array when it is compiled."""
 
 
@@ -28,14 +28,7 @@ kernel(meet_plane)
 
 @kernel
 def respond(
-    measured: float,
-    kind: int,
-    surface: float,
-    normal: float,
-    raw: bool,
-    history: Numbers,
-    head: int,
-    length: int,
+    measured: float, kind: int, surface: float, normal: float, raw: bool, history: Values, head: int, length: int
 ) -> tuple[int, float, bool]:
     """Environment and first half of the coupling: from the sample to the newest deflection in the history."""
     proxy, distance, contact = measured, 0.0, kind == ANCHOR
@@ -54,7 +47,8 @@ class Motion(NamedTuple):
     """The device as the loop moves it: `DeviceModel`, ready for one period and delay.
 
     A tick is split where a force arrives: `early` seconds with the one before, `late` seconds with the newest. A field
-    is None where the scene has no such term; another version is compiled without it.
+    is None where the scene has no such term; another version is compiled without it. Where `early` is 0, `early_map`
+    is not read.
     """
 
     position: float
@@ -71,7 +65,7 @@ class Motion(NamedTuple):
     motor: float | None
     ends: tuple[float, float] | None
     load: float
-    loads: Numbers | None
+    loads: Values | None
     waiting: int
     period: float
 
@@ -91,12 +85,12 @@ class Contact(NamedTuple):
 class LawTables(NamedTuple):
     """All laws of a run, one after the other, and the ticks at which they follow."""
 
-    taps: Numbers
-    taps_from: Numbers
-    recursive: Numbers | None
-    states_from: Numbers
-    swap_at: Numbers
-    swap_ramp: Numbers
+    taps: Values
+    taps_from: Values
+    recursive: Values | None
+    states_from: Values
+    swap_at: Values
+    swap_ramp: Values
 
 
 class Guard(NamedTuple):
@@ -105,7 +99,7 @@ class Guard(NamedTuple):
     damping: float
     stiffness: float | None
     late: float
-    line: Numbers
+    line: Values
     part: float
     allowance: float = 0.0
 
@@ -118,23 +112,23 @@ class Arrivals(NamedTuple):
     the law's force of each tick, and the n-th force after guard and limits [N].
     """
 
-    when: Numbers
-    answers: Numbers
-    given: Numbers
+    when: Values
+    answers: Values
+    given: Values
     effect: float
-    asked: Numbers
-    acts: Numbers
+    asked: Values
+    acts: Values
 
 
 class Records(NamedTuple):
     """What is written down each tick; None for what is not."""
 
-    positions: Numbers
-    velocities: Numbers | None
-    measureds: Numbers | None
-    deflections: Numbers | None
-    forces: Numbers | None
-    asked: Numbers | None = None
+    positions: Values
+    velocities: Values | None
+    measureds: Values | None
+    deflections: Values | None
+    forces: Values | None
+    asked: Values | None = None
 
 
 NUDGE = 0.1
@@ -154,7 +148,7 @@ def nudge(x: float, read: float, resolution: float | None, period: float) -> tup
 
 # numba leaves a branch out when an *argument* is None, not when a field is: hence these small functions.
 @kernel
-def _note(row: Numbers | None, k: int, value: float) -> None:
+def _note(row: Values | None, k: int, value: float) -> None:
     if row is not None:
         row[k] = value
 
@@ -167,19 +161,11 @@ def _stopped(x: float, v: float, ends: tuple[float, float] | None) -> tuple[floa
 
 
 @kernel
-def _load_at(loads: Numbers | None, load: float, k: int) -> float:
+def _load_at(loads: Values | None, load: float, k: int) -> float:
     if loads is None:
         return load
     value: float = loads[k]
     return value
-
-
-@kernel
-def _left(slew: float | None, slewed: float) -> float | None:
-    """Give what is left of a tick's largest change of force."""
-    if slew is None:
-        return None
-    return max(slew - slewed, 0.0)
 
 
 @kernel
@@ -209,13 +195,13 @@ def _move_early(
 ) -> tuple[float, float]:
     if early_map is None:
         return x, v
+    if early == 0.0:
+        return x, v
     return move(x, v, force, early, early_map, mass, damping, grip, friction)
 
 
 @kernel
-def _guarded(
-    guard: Guard, energy: float, force: float, step: float, pending: float, share: float
-) -> tuple[float, float]:
+def _guarded(guard: Guard, energy: float, force: float, step: float, pending: float, share: float) -> tuple[float, float]:
     """Let the guard choose a force, `share` of a tick with the pending one before it: its account, and the force."""
     energy = forget(energy, force, guard.stiffness)
     expected = energy - guard.allowance + (share * pending + backlog(guard.line, guard.part)) * step
@@ -238,15 +224,15 @@ def play(
     motion: Motion,
     contact: Contact,
     laws: LawTables,
-    states: Numbers,
-    history: Numbers,
-    commands: Numbers,
+    states: Values,
+    history: Values,
+    commands: Values,
     records: Records,
     guard: Guard | None = None,
     own: Callable[[Sequence[float], int], float] | None = None,
     arrivals: Arrivals | None = None,
-    nudged: Numbers = None,
-    read: Numbers | None = None,
+    nudged: Values = None,
+    read: Values | None = None,
     rules: Any = None,
 ) -> tuple[float, float]:
     """Play a scene from rest; `sim.scene.loop.run` prepares it and reads what was written down.
@@ -332,7 +318,7 @@ def play(
                     if guard is not None:
                         energy, force = _guarded(guard, energy, force, step, pending, guard.late)
                     _note(records.asked, k, force)
-                    applied = limit(force, applied, contact.peak, contact.slew)
+                    applied = limit_within_tick(force, applied, contact.peak, contact.slew, 0.0)
                     if guard is not None:
                         acting = through(guard.line, applied if guard.late == 0.0 else pending, guard.part)
                 # A ring of the last i + 2 commands; of those still under way, tick k−i−1's acts first, then tick k−i's.
@@ -346,9 +332,7 @@ def play(
                 )
                 x, v = _stopped(x, v, motion.ends)
                 u = saturate(applied if waiting == 2 else commands[newer], motion.motor) + load
-                x, v = move(
-                    x, v, u, motion.late, motion.late_map, motion.mass, motion.damping, motion.grip, motion.friction
-                )
+                x, v = move(x, v, u, motion.late, motion.late_map, motion.mass, motion.damping, motion.grip, motion.friction)
                 x, v = _stopped(x, v, motion.ends)
             else:
                 arrivals.asked[k] = force
@@ -369,7 +353,7 @@ def play(
                         if guard is not None:
                             energy, force = _guarded(guard, energy, force, step, handed, late if late > 0.0 else offset)
                         last = applied
-                        applied = limit(force, last, contact.peak, _left(contact.slew, slewed))
+                        applied = limit_within_tick(force, last, contact.peak, contact.slew, slewed)
                         slewed += abs(applied - last)
                     else:
                         applied = arrivals.given[came]

@@ -20,9 +20,8 @@ from sim.scene.compiled import compiled
 del _registered
 
 
+# `nodes.environment.shapes.proxy.meet`, compiled.
 meet: Callable[[Any, Any, float, float, float], None] = compiled()(proxy.meet)
-"""`nodes.environment.shapes.proxy.meet`, compiled."""
-
 _ANSWER = 9
 
 
@@ -56,10 +55,7 @@ def touch(
     interpreted: bool = False,
     memory: Array | None = None,
 ) -> Touched:
-    """Lead a device over shapes.
-
-    `path`, shape (ticks, 3): device positions [m]. Returns: proxies and what goes with them.
-    """
+    """Lead a device along a path (ticks, 3) [m] over shapes."""
     table = scene_table(solids, tool_radius, period)
     answers = np.zeros((len(path), _ANSWER))
     if interpreted:
@@ -77,10 +73,7 @@ def touch(
 def call_times(
     solids: Sequence[Solid], path: Array, tool_radius: float = 0.0, period: float = 1e-3, most: int = 20_000
 ) -> Array:
-    """Time single calls of the compiled proxy along a path, with what the interpreter adds to each (under 1 µs).
-
-    Returns: one time for each position, of at most so many [s].
-    """
+    """Time single calls of the compiled proxy along a path [s], with what the interpreter adds to each (under 1 µs)."""
     table, memory = np.array(scene_table(solids, tool_radius, period)), np.array(new_memory(len(solids)))
     times = []
     for x, y, z in path[:most].tolist():

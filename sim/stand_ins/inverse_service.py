@@ -27,9 +27,7 @@ from websockets.sync.server import Server, ServerConnection, serve
 
 from sim.stand_ins.world import World
 
-FORGETS: Final = 0.02
-"""After so long without a message no force acts any more [s]."""
-
+FORGETS: Final = 0.02  # after so long without a message no force acts any more [s]
 DEVICE: Final = "04BA"
 
 
@@ -39,10 +37,7 @@ def _vector(numbers: tuple[float, float, float]) -> dict[str, float]:
 
 
 class Service:
-    """The service.
-
-    `version`: ``3.1`` takes forces under another name, and none of those of today.
-    """
+    """The service; version ``3.1`` takes forces under another name, and none of those of today."""
 
     def __init__(self, world: World, version: str) -> None:
         self._world, self._version = world, version
@@ -118,14 +113,10 @@ class Service:
         del connection
         if request.headers.get("Upgrade"):
             return None
-        data: Any = {
-            "/version": self._version,
-            "/sessions": [],
-            "/inverse3/0/config/basis": {"permutation": "XYZ"},
-        }.get(request.path)
-        body = json.dumps(
-            {"ok": data is not None, "data": data, "error": None if data is not None else "unknown"}
-        ).encode()
+        data: Any = {"/version": self._version, "/sessions": [], "/inverse3/0/config/basis": {"permutation": "XYZ"}}.get(
+            request.path
+        )
+        body = json.dumps({"ok": data is not None, "data": data, "error": None if data is not None else "unknown"}).encode()
         return Response(HTTPStatus.OK, "OK", Headers({"Content-Length": str(len(body))}), body)
 
     def events(self, connection: ServerConnection) -> None:

@@ -52,10 +52,7 @@ class WorldState(ctypes.Structure):
 
 
 class World:
-    """One arm.
-
-    `path`: its file; made, with an arm of 0.1 kg held at the origin, where there is none.
-    """
+    """One arm, in its file; where there is none, one of 0.1 kg that is held at the origin."""
 
     def __init__(self, path: Path) -> None:
         made = not path.exists()
@@ -71,9 +68,7 @@ class World:
         # lets the call named ``fail`` fail; ``other`` is a force of somebody else [N]; ``late`` is the delay of the device
         # itself [s].
         self.state = WorldState.from_buffer(self._mapped)
-        code = shared_library(
-            "stand-in-world.so", [HERE / "world.c", HERE / "world.h"], [HERE / "world.c", "-lm"], "an arm"
-        )
+        code = shared_library("stand-in-world.so", [HERE / "world.c", HERE / "world.h"], [HERE / "world.c", "-lm"], "an arm")
         code.stand_in_size.restype = ctypes.c_size_t
         if code.stand_in_size() != ctypes.sizeof(WorldState):
             raise OSError(f"{path}: world.h and world.py disagree")
@@ -116,10 +111,7 @@ class World:
 
 
 def library(name: str, folder: Path, *options: str) -> tuple[Path, World]:
-    """Compile a stand-in of a vendor's library into a folder, with its world.
-
-    Returns: the library and its arm.
-    """
+    """Compile a stand-in of a vendor's library into a folder, with its world: both."""
     # A name of its own: who holds a device is told by the name of its library.
     path = folder / f"lib{name}-{os.urandom(4).hex()}.so"
     subprocess.run(_command(name, "-shared", "-fPIC", *options, "-o", str(path)), check=True)

@@ -2,6 +2,7 @@
 
 The design keeps a pole radius over the whole interval of mass, widened by a factor for what identification cannot know (another
 hand, another pose), and over the whole range of delay that was seen. Unless told otherwise, every drop on a floor settles too.
+What the law will do on the device as identified is predicted: its edge by poles and by knocks, drops, delays, rest.
 """
 
 from __future__ import annotations
@@ -10,11 +11,18 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from nodes.laws import CompiledLaw
+from nodes.stability.closed_loop import pole_radius
+from nodes.stability.flexible import FlexiblePlant, flexible_radius
+from nodes.stability.plant import Plant
+from nodes.stability.rest import rest
 from sim.design.demand import CONVENTIONS, Demand
-from sim.design.families import Tuned, best_pd, designed
+from sim.design.families import Tuned, best_pd, certificate, designed, latest_delay
+from sim.design.landing import drops
 from sim.device.model import DeviceModel, Hand
 from sim.identify.identified import Identified
 from sim.scene.richer import RicherModel
+from sim.tune.knocking import KnockedEdge, Plan, knocked, planned, scaled
 
 
 @dataclass(frozen=True)
@@ -32,13 +40,8 @@ class Wanted:
 
 
 def demand(found: Identified, wanted: Wanted) -> Demand:
-    """Ask for a law that suits everything that a device may be.
-
-    Returns: mass interval widened, least damping, range of delay, range of a hand's stiffness. Raises ValueError when mass,
-    damping or delay could not be told; the text says why.
-    """
-    _, lightest, heaviest = found.mass.known()
-    _, damping, _ = found.damping.known()
+    """Ask for a law that suits all that a device may be: its intervals, the mass widened; ValueError where one is not told."""
+    (_, lightest, heaviest), (_, damping, _) = found.mass.known(), found.damping.known()
     found.delay.known()
     _, softest, stiffest = found.stiffness.known()
     lighter, heavier = wanted.poses
@@ -89,11 +92,7 @@ def from_record(record: dict[str, Any]) -> Demand:
 
 
 def design(found: Identified, wanted: Wanted) -> tuple[Tuned, Tuned, Demand]:
-    """Design taps, and tune PD in the same way to compare.
-
-    Returns: the designed law, PD, and what both keep; the better of the two comes first should the search find no better taps.
-    Raises ValueError when the device is not known well enough.
-    """
+    """Design taps, and tune PD in the same way to compare: the better of the two, PD, and what both keep."""
     asked = demand(found, wanted)
     law, pd = designed(asked, wanted.taps, wanted.effort), best_pd(asked)
     if pd.found is not None and (law.found is None or pd.found.h1_n_per_m > law.found.h1_n_per_m):
@@ -102,28 +101,90 @@ def design(found: Identified, wanted: Wanted) -> tuple[Tuned, Tuned, Demand]:
 
 
 def model(found: Identified) -> DeviceModel | RicherModel:
-    """Put the identified device into a model that has the whole delay of the loop.
-
-    Returns: free, or with the hand's stiffness about its present place; the richer one where the data asked for a joint, a lag
-    or quadratic damping.
-    """
-    mass, _, _ = found.mass.known()
-    damping, _, _ = found.damping.known()
-    delay, _, _ = found.delay.known()
+    """Put the identified device, the loop's whole delay in it, into a model: the richer one where the data asked for it."""
+    mass, damping, delay = (one.known()[0] for one in (found.mass, found.damping, found.delay))
     hand = None
     if found.held and found.stiffness.value:
         hand = Hand(stiffness=found.stiffness.value, path=[(0.0, 0.0)])
-    rigid = DeviceModel(
-        mass=mass,
-        damping=damping,
-        friction=found.friction.value or None,
-        resolution=found.encoder.value,
-        delay=delay,
-        hand=hand,
-    )
+    friction, resolution = found.friction.value or None, found.encoder.value
+    rigid = DeviceModel(mass=mass, damping=damping, delay=delay, hand=hand, friction=friction, resolution=resolution)
     whole = found.plant()
     quadratic = found.quadratic.value or 0.0
     if whole.rigid and whole.lag == quadratic == 0.0:
         return rigid
     joint = {} if whole.rigid else {"share": whole.share, "frequency": whole.frequency, "loss": whole.loss}
     return RicherModel(rigid, "identified", quadratic=quadratic, lag=whole.lag, **joint)
+
+
+def plant_of(found: Identified) -> Plant:
+    """Put the identified device, with the whole delay of the loop, into a plant."""
+    values = (found.mass.known()[0], found.damping.known()[0], found.delay.known()[0])
+    return Plant(found.period, *values, found.stiffness.value or 0.0)
+
+
+def knock_size(taps: tuple[float, ...], edge: float, found: Identified, peak: float | None) -> float:
+    """Choose a knock that the driver does not limit: at most 1 mm, at least eight encoder steps [m]."""
+    strongest = 0.8 * (peak or 4.0) / (edge * max(map(abs, taps)))
+    return max(min(1e-3, strongest), 8.0 * (found.encoder.value or 1e-6))
+
+
+def linear_edge(law: CompiledLaw, plant: Plant | FlexiblePlant, period: float | None = None) -> float:
+    """Find the factor of all taps, 1 to 100, at which a pole of the loop reaches the unit circle; 1 for an unstable law."""
+
+    def radius(factor: float) -> float:
+        if isinstance(plant, Plant):
+            return pole_radius(scaled(law, factor), plant)
+        return flexible_radius(scaled(law, factor), period or math.nan, plant)
+
+    low, high = 1.0, 1.0
+    while high < 100.0 and radius(high) < 1.0:
+        low, high = high, high * 1.1
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if radius(middle) < 1.0 else (low, middle)
+    return low
+
+
+def predict(
+    law: CompiledLaw, asked: Demand, found: Identified, peak: float | None, slew: float | None
+) -> tuple[dict[str, Any], KnockedEdge, Plan]:
+    """Tell what a law will do on the identified device: figures, the knocks on the model, the steps to try for real."""
+    plant = plant_of(found)
+    whole = found.plant()
+    rigid = whole.rigid and whole.lag == 0.0
+    linear = linear_edge(law, plant) if rigid else linear_edge(law, whole, found.period)
+    knock = knock_size(law.taps, linear, found, peak)
+    plan, edge = planned(knocked(law, model(found), found.period, knock, peak, slew), linear)
+    dropped = drops(law, asked)
+    factor = edge.factor
+    radius = pole_radius(law, plant) if rigid else flexible_radius(law, found.period, whole)
+    figures: dict[str, Any] = {"h1_n_per_m": law.h1, "h_nyquist_n_per_m": law.h_nyquist, "pole_radius": radius}
+    figures |= {"edge_linear_factor": linear, "edge_linear_h1_n_per_m": linear * law.h1}
+    figures |= {"edge_factor": factor, "edge_h1_n_per_m": None if factor is None else factor * law.h1, "knock_m": knock}
+    figures |= {"stable_up_to_delay_ticks": latest_delay(law, asked)}
+    figures |= {"drops_settled": sum(dropped.values()), "drops": len(dropped)}
+    return figures | _every_delay(law, asked) | _at_rest(law, found, plant), edge, plan
+
+
+def _every_delay(law: CompiledLaw, asked: Demand) -> dict[str, Any]:
+    """Certify the law for every sequence of delays, where the range is within a tick."""
+    low, high = asked.delay
+    answer = certificate(law, asked)
+    if answer != "too wide":
+        return {"every_delay_stable": answer}
+    return {"every_delay_stable": None, "every_delay_why": f"delays of {low:.3g} to {high:.3g} ticks: over a tick apart"}
+
+
+def _at_rest(law: CompiledLaw, found: Identified, plant: Plant) -> dict[str, Any]:
+    """Compare the friction with what rest takes: a proof where it is above the bound, an estimate below."""
+    if found.encoder.value is None or found.friction.value is None:
+        return {"limit_cycle_free": None}
+    answer = rest(law, plant, found.encoder.value)
+    friction = found.friction.value
+    return {
+        "friction_n": friction,
+        "friction_for_rest_bound_n": answer.friction_bound_n,
+        "friction_for_rest_estimated_n": answer.friction_estimated_n,
+        "limit_cycle_free": answer.free(friction),
+        "buzz_hz": answer.buzz_hz,
+    }

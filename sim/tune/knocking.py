@@ -1,12 +1,11 @@
 """Knock on a held device and see whether it comes to rest: how the edge of stability is approached, on a model and for real.
 
 The law on trial feels a step of the deflection from nothing (`nodes.laws.knock`). What is left of the motion at the end of the
-window decides; a motion that is left but goes on dying is watched for longer. Both edges, the predicted and the measured one,
-are found by the same steps of stiffness and the same verdict, friction, encoder and limits of the driver included.
+window decides; what is left but goes on dying is watched for longer. The predicted and the measured edge are found by the same
+steps and the same verdict, friction, encoder and limits of the driver included.
 
-The steps begin far below the law and go up through it: in large steps where the model sees no danger, in steps of 2 % near the
-law's edge. When a large step does not come to rest, the steps below it are tried from the last that did. When already the first
-one does not, they go down.
+The steps begin far below the law and go up through it: large where the model sees no danger, of 2 % near the law's edge. When a
+large step does not come to rest, those below it are tried from the last that did; when the first does not, they go down.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
+import msgspec
 import numpy as np
 
 from nodes.laws import CompiledLaw
@@ -24,32 +24,20 @@ from sim.device.model import DeviceModel
 from sim.scene.loop import Scene, SceneSurface, run
 from sim.scene.richer import RicherModel, knock_on
 
-WINDOW = 400
-"""Ticks that a knock is watched."""
-LONGEST = 4 * WINDOW
-"""Ticks that a knock is watched whose motion dies slowly."""
-STEP = 1.02
-"""Factor between two stiffnesses near the edge."""
-STRIDE = 10
-"""So many of those steps are one large step, 22 %."""
-LOWEST = -7 * STRIDE
-"""Where the climb begins where the model allows it: a quarter of the law [steps]."""
-DEEPEST = -20 * STRIDE
-"""A law that does not rest at a fiftieth of itself is not tried any lower [steps]."""
-NEAR = 4
-"""So many steps below the predicted edge the small steps begin."""
-BEYOND = 12
-"""So many steps above the predicted edge it is given up: 27 %."""
-LEFT = 0.5
-"""Part of the knock that may be left, peak to peak, in the last third of the window."""
-DYING = 0.9
-"""A motion dies when the last third of the longest window has so much of the third before it."""
-GROWING = 1.05
-"""One that has more than this of it grows, and is watched no longer."""
+WINDOW = 400  # ticks that a knock is watched
+LONGEST = 4 * WINDOW  # ticks that a knock is watched whose motion dies slowly
+STEP = 1.02  # factor between two stiffnesses near the edge
+STRIDE = 10  # so many of those steps are one large step, 22 %
+LOWEST = -7 * STRIDE  # where the climb begins where the model allows it: a quarter of the law [steps]
+DEEPEST = -20 * STRIDE  # a law that does not rest at a fiftieth of itself is not tried any lower [steps]
+NEAR = 4  # so many steps below the predicted edge the small steps begin
+BEYOND = 12  # so many steps above the predicted edge it is given up: 27 %
+LEFT = 0.5  # part of the knock that may be left, peak to peak, in the last third of the window
+DYING = 0.9  # a motion dies when the last third of the longest window has so much of the third before it
+GROWING = 1.05  # one that has more than this of it grows, and is watched no longer
+# Where in an encoder step a knock on a model begins: near the edge that decides, and the worst of them counts.
 STARTS = (0.0, 0.25, 0.5, 0.75)
-"""Where in an encoder step a knock on a model begins: near the edge that decides, and the worst of them counts."""
-FAR = 3.0
-"""A deflection of so many knocks ends the trial."""
+FAR = 3.0  # a deflection of so many knocks ends the trial
 
 
 @dataclass(frozen=True)
@@ -104,16 +92,12 @@ def judge(position: Array, knock: float, factor: float) -> KnockVerdict | None:
     with np.errstate(invalid="ignore", over="ignore"):
         away = np.abs(knock - (position - position[:1])) / abs(knock)
         if position.size and not bool(np.all(away <= FAR)):
-            return KnockVerdict(
-                factor, float(np.max(np.nan_to_num(away, nan=np.inf))), False, f"went {FAR:g} knocks far"
-            )
+            return KnockVerdict(factor, float(np.max(np.nan_to_num(away, nan=np.inf))), False, f"went {FAR:g} knocks far")
         for ticks in (WINDOW, 2 * WINDOW, LONGEST):
             if position.size < ticks:
                 return None
             third = ticks // 3
-            middle, last = (
-                float(np.ptp(part)) for part in (position[third : 2 * third], position[ticks - third : ticks])
-            )
+            middle, last = (float(np.ptp(part)) for part in (position[third : 2 * third], position[ticks - third : ticks]))
             left = last / abs(knock)
             if left < LEFT or last > GROWING * middle:
                 return KnockVerdict(factor, left, left < LEFT)
@@ -121,10 +105,7 @@ def judge(position: Array, knock: float, factor: float) -> KnockVerdict | None:
 
 
 def climb(plan: Plan, knock: Callable[[int], KnockVerdict], steps: KnockedEdge | None = None) -> KnockedEdge:
-    """Go up in steps until one does not come to rest, and find between which two that is.
-
-    `steps` takes the verdicts as they come, for who interrupts the climb.
-    """
+    """Go up in steps until one does not come to rest, and find between which two that is; `steps` takes what is known."""
     edge = KnockedEdge() if steps is None else steps
 
     def rests(step: int) -> bool:
@@ -153,13 +134,12 @@ def climb(plan: Plan, knock: Callable[[int], KnockVerdict], steps: KnockedEdge |
             known, top = factor_of(step), step - 1
             continue
         here = step
-    found = edge.factor
-    edge.ended = (
-        "every factor came to rest"
-        if found is None
-        else f"the device does not come to rest at {found:.3f} times the law"
-    )
+    edge.ended = _ended("device", edge.factor)
     return edge
+
+
+def _ended(who: str, found: float | None) -> str:
+    return "every factor came to rest" if found is None else f"the {who} does not come to rest at {found:.3f} times the law"
 
 
 def scaled(law: CompiledLaw, factor: float) -> CompiledLaw:
@@ -177,11 +157,9 @@ def knocked(
     starts: Sequence[float] = STARTS,
 ) -> Callable[[int], KnockVerdict]:
     """Make knocks on a model, each from several places in an encoder step."""
-    import msgspec
-
     if isinstance(model, RicherModel):
-        richer, limits = model, (math.inf if limit is None else limit for limit in (peak, slew))
-        strongest, change = limits
+        richer = model
+        strongest, change = (math.inf if limit is None else limit for limit in (peak, slew))
 
         def on_richer(step: int) -> KnockVerdict:
             factor = factor_of(step)
@@ -194,9 +172,7 @@ def knocked(
     def begun(start: float) -> Scene:
         place = start * (model.resolution or 0.0) - knock
         device = msgspec.structs.replace(model, position=place, velocity=0.0, gravity=None)
-        return Scene(
-            device=device, surface=SceneSurface("anchor"), period=period, raw=False, clamp=False, peak=peak, slew=slew
-        )
+        return Scene(device=device, surface=SceneSurface("anchor"), period=period, raw=False, clamp=False, peak=peak, slew=slew)
 
     scenes = [begun(start) for start in (starts if model.resolution else starts[:1])]
 
@@ -232,11 +208,7 @@ def planned(knock: Callable[[int], KnockVerdict], linear: float) -> tuple[Plan, 
     if not edge.steps:
         raise ValueError("the law does not come to rest on the identified model")
     found = edge.factor
-    edge.ended = (
-        "every factor came to rest"
-        if found is None
-        else f"the model does not come to rest at {found:.3f} times the law"
-    )
+    edge.ended = _ended("model", found)
     first = round(math.log(edge.steps[0].factor) / math.log(STEP))
     last = top if found is None else round(math.log(found) / math.log(STEP)) + BEYOND
     return Plan(min(first, 0), (top if found is None else last - BEYOND) - NEAR, last), edge
@@ -244,11 +216,5 @@ def planned(knock: Callable[[int], KnockVerdict], linear: float) -> tuple[Plan, 
 
 def law_of(taps: list[float], factor: float, knock: float, load: float) -> dict[str, object]:
     """Describe a law on trial, as a coupling takes it."""
-    return {
-        "kind": Knock.kind,
-        "taps": [factor * tap for tap in taps],
-        "step": knock,
-        "ticks": LONGEST,
-        "far": FAR,
-        "load": load,
-    }
+    limits = {"step": knock, "ticks": LONGEST, "far": FAR, "load": load}
+    return {"kind": Knock.kind, "taps": [factor * tap for tap in taps], **limits}

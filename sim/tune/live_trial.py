@@ -1,10 +1,9 @@
 """Knock on the device of a running launch: each trial ends by itself, and everything is put back whatever happens.
 
-The law on trial is a law of the coupling that gives up after its ticks, or as soon as the device swings far
-(`nodes.laws.knock`): counted by the loop itself, so in lockstep too, where thousands of ticks pass before anybody could ask
-for an end. The driver's passivity guard watches meanwhile, with an allowance: a knock that dies down never meets it, and a
-loop that gives out more than that is held within a tick. A driver that stopped the loop has given its verdict: it does not
-rest. It takes forces again once the soft spring holds the device; with a real device only when the user has asked for it.
+The law on trial gives up after its ticks, or as soon as the device swings far (`nodes.laws.knock`): counted by the loop itself,
+so in lockstep too. The driver's passivity guard watches with an allowance: a knock that dies down never meets it, and a loop
+that gives out more is held within a tick. A driver that stopped the loop has given its verdict: it does not rest. It takes
+forces again once the soft spring holds the device; with a real one only when the user has asked for it.
 """
 
 from __future__ import annotations
@@ -21,19 +20,13 @@ from sim.identify.borrowed import SOFT_LAW, SOFT_RAMP, Borrowed, PushedLaunch
 from sim.identify.signals_once import undisturbed
 from sim.tune.knocking import LONGEST, WINDOW, KnockedEdge, KnockVerdict, Plan, climb, factor_of, judge, law_of
 
-AGAIN = 10
-"""How often one stiffness is tried when the machine stalls."""
-HOLDS = 3
-"""How often the far end of the soft spring is put where the device is, which still creeps towards it."""
-TRIAL = "trial"
-"""Name that the coupling gets for the law on trial."""
+AGAIN = 10  # how often one stiffness is tried when the machine stalls
+HOLDS = 3  # how often the far end of the soft spring is put where the device is, which still creeps towards it
+TRIAL = "trial"  # name that the coupling gets for the law on trial
+# A knock has moved the device when its position went so far, and has not when less than that [parts of the knock].
 MOVES, STANDS = 0.5, 0.1
-"""A knock has moved the device when its position went so far, and has not when less than that [parts of the knock]."""
-UNMOVED = (
-    "the position did not follow a knock: the encoder is stuck, or the device is held fast; nothing was verified by it"
-)
-STOPPED = "the driver stopped the loop"
-"""How a verdict of the driver's own begins."""
+UNMOVED = "the position did not follow a knock: the encoder is stuck, or the device is held fast; nothing was verified by it"
+STOPPED = "the driver stopped the loop"  # how a verdict of the driver's own begins
 
 
 class StalledError(RefusedError):
@@ -41,11 +34,7 @@ class StalledError(RefusedError):
 
 
 class Trials:
-    """Knocks on one device.
-
-    `load`: the force that carries the device's weight [N]. `rearm`: whether the driver of a real device takes forces
-    again after a stop.
-    """
+    """Knocks on one device under its load [N]; whether the driver of a real one takes forces again after a stop is `rearm`."""
 
     def __init__(
         self,

@@ -10,20 +10,19 @@ from typing import Any
 from sim.tune.knocking import STEP, KnockedEdge
 from sim.tune.tuning_text import number
 
+# An edge so far from the predicted one is another device's: then the model tells nothing of this one's poles either.
 AGREES = 0.1
-"""An edge so far from the predicted one is another device's: then the model tells nothing of this one's poles either."""
-MARGIN = 1.05
-"""A law holds when it rests up to so many times itself: what dry friction lends a small knock, a large one lacks."""
+MARGIN = 1.05  # a law holds when it rests up to so many times itself: what dry friction lends a small knock, a large one lacks
+# The edge by poles gets one figure where neither end of its interval is further from it; else the interval alone.
 CERTAIN = 1.05
-"""The edge by poles gets one figure where neither end of its interval is further from it; else the interval alone."""
 
 
 def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
     """Judge a law by the knocks on its device.
 
-    Knocks see the edge a little early where a motion dies slowly, and late where friction is strong (`by_poles`). Where
-    device and model do not agree about the edge, the model tells nothing: dry friction may hold a mode that it does not have.
-    Such a law is not delivered, even if small knocks on it come to rest.
+    Knocks see the edge early where a motion dies slowly, late where friction is strong (`by_poles`). Where device and model do
+    not agree about it, dry friction may hold a mode that the model lacks: such a law is not delivered, even if small knocks on
+    it come to rest.
     """
     h1, factor, rested = predicted["h1_n_per_m"], edge.factor, edge.rested
     expected = predicted["edge_factor"]
@@ -58,9 +57,8 @@ def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
 def by_poles(measured: float, expected: float, linear: float) -> tuple[float, float]:
     """Give the interval of the factor at which a pole of the device reaches the unit circle.
 
-    Two ways lead there: the poles of the model, which knows the device by thousands of ticks, and the measured knocks, times
-    the ratio of poles and knocks on the model. Friction that is a little off moves the second by several steps; a model that
-    is wrong and not refuted moves the first. So the interval holds both, and a step more on either side.
+    Friction that is a little off moves the measured knocks, times the ratio of poles and knocks on the model, by several steps;
+    a model that is wrong and not refuted moves its own poles. So the interval holds both ways, and a step more on either side.
     """
     corrected = measured * linear / expected
     return min(linear, corrected) / STEP, max(linear, corrected) * STEP
@@ -79,9 +77,7 @@ def compared(predicted: float | None, measured: float | None) -> dict[str, Any]:
 def headline(record: Mapping[str, Any]) -> str:
     """Say in one sentence what came of a tuning, the worst first."""
     designed, after = record.get("designed"), record.get("verified")
-    stopped = record.get("refused") or (
-        f"interrupted during {record['interrupted']}" if record.get("interrupted") else ""
-    )
+    stopped = record.get("refused") or (f"interrupted during {record['interrupted']}" if record.get("interrupted") else "")
     if designed is None:
         return f"No law: {stopped or 'none was designed'}."
     lands = "" if designed["lands"] else "; it does not bear a landing"
@@ -90,15 +86,10 @@ def headline(record: Mapping[str, Any]) -> str:
         law = f"a law of {number(designed['h1_n_per_m'], 'N/m')}"
         return f"Not tried: {law} was designed, but not tried on the device{why}{lands}."
     if after["holds"]:
-        until = edge_in_words(after)
-        broken = f", {stopped}" if stopped else ""
-        return (
-            f"The law holds: {number(designed['h1_n_per_m'], 'N/m')} were tried on the device{broken}, {until}{lands}."
-        )
+        tried = f"{number(designed['h1_n_per_m'], 'N/m')} were tried on the device{f', {stopped}' if stopped else ''}"
+        return f"The law holds: {tried}, {edge_in_words(after)}{lands}."
     rested = after["stiffest_at_rest_n_per_m"]
-    softer = (
-        "nothing softer came to rest either" if rested is None else f"it came to rest up to {number(rested, 'N/m')}"
-    )
+    softer = "nothing softer came to rest either" if rested is None else f"it came to rest up to {number(rested, 'N/m')}"
     if stopped and after["edge_factor"] is None:
         return f"Not verified: {stopped}; {softer}, the law has {number(designed['h1_n_per_m'], 'N/m')}. Nothing was delivered."
     return f"The law does NOT hold: {after['ended']}; {softer}. Nothing was delivered."

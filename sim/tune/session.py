@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from sim.identify.identified import Identified
 
 STEPS = ("identify", "design", "predict", "verify", "apply")
+# What each step does anew; the rest of it was another law's, or another device's.
 OVERTAKES = {
     "identify": ("identified", "limits", "designed", "predicted", "predicted_steps", "verified", "applied"),
     "design": ("designed", "predicted", "predicted_steps", "verified", "applied"),
@@ -27,13 +28,9 @@ OVERTAKES = {
     "verify": ("verified", "applied"),
     "apply": ("applied",),
 }
-"""What each step does anew; the rest of it was another law's, or another device's."""
-RAMP = 250
-"""Cross-fade to the tuned law [ticks]."""
-LAW = "tuned"
-"""Name of the law that is delivered."""
-NYQUIST = (1e3, 1e4)
-"""The bound on |H(−1)| that friction asks for is kept within these [N/m]."""
+RAMP = 250  # cross-fade to the tuned law [ticks]
+LAW = "tuned"  # name of the law that is delivered
+NYQUIST = (1e3, 1e4)  # the bound on |H(−1)| that friction asks for is kept within these [N/m]
 
 
 class Options(msgspec.Struct, frozen=True, kw_only=True):
@@ -54,11 +51,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Tuning:
-    """The steps, each a method; a launch is asked for when one needs it.
-
-    `identified`: pushes and identifies: the recording, why the push ended, the device. `fresh`: whether nothing of an earlier
-    tuning counts.
-    """
+    """The steps, each a method; a launch is asked for when one needs it, and nothing earlier counts when it is `fresh`."""
 
     def __init__(
         self,
@@ -69,7 +62,7 @@ class Tuning:
         fresh: bool,
     ) -> None:
         self._options, self._find, self._identified, self._say = options, running, identified, say
-        self._file = options.out / "tune.json"
+        self._file, self._tuned, self._designed = (options.out / name for name in ("tune.json", "tuned.yaml", "designed.yaml"))
         self.files = {"html": str(options.out / "tune.html"), "json": str(self._file)}  # what was written
         self.record: dict[str, Any] = {}  # what is known
         if not fresh and self._file.exists():
@@ -89,14 +82,6 @@ class Tuning:
             raise RefusedError(f"{self._file}: holds no {key!r}; run that step first")
         return self.record[key]
 
-    @property
-    def _tuned(self) -> Path:
-        return self._options.out / "tuned.yaml"
-
-    @property
-    def _designed(self) -> Path:
-        return self._options.out / "designed.yaml"
-
     def do(self, step: str) -> None:
         """Do one step, after dropping what it overtakes."""
         for key in OVERTAKES[step]:
@@ -104,12 +89,10 @@ class Tuning:
         if step in ("identify", "design", "verify"):
             # A law that was delivered before is not this one.
             self._tuned.unlink(missing_ok=True)
-        with self._standing() if step in ("design", "predict") else contextlib.nullcontext():
+        # In lockstep a launch stands still while something is calculated.
+        loop = self._loop if step in ("design", "predict") else None
+        with contextlib.nullcontext() if loop is None else loop.standing():
             getattr(self, f"_{step}")()
-
-    def _standing(self) -> contextlib.AbstractContextManager[None]:
-        """Let the launch stand still in lockstep while something is calculated, if there is one."""
-        return contextlib.nullcontext() if self._loop is None else self._loop.standing()
 
     def _identify(self) -> None:
         from sim.identify.identified_text import figures
@@ -129,15 +112,12 @@ class Tuning:
         from sim.identify.identified_text import from_figures
         from sim.tune.design import Wanted, design, to_record
 
-        chosen = self._options
-        identified = self._need("identified")
+        chosen, identified = self._options, self._need("identified")
         found = from_figures(identified)
         poses = identified.get("poses_kg") or (0.0, 0.0)
         refused = refusal(found)
         if refused and not chosen.refuted:
-            raise RefusedError(
-                f"{refused}. A law for it would be a law for another device; --refuted designs it all the same"
-            )
+            raise RefusedError(f"{refused}. A law for it would be a law for another device; --refuted designs it all the same")
         found = found.anyway()
         self._say(f"designing {chosen.taps} taps{' that land' if chosen.land else ''}, and PD to compare")
         wanted = Wanted(
@@ -186,21 +166,16 @@ class Tuning:
     def _predict(self) -> None:
         from nodes.laws import CompiledLaw
         from sim.identify.identified_text import from_figures
-        from sim.tune.design import from_record
+        from sim.tune.design import from_record, predict
         from sim.tune.outcome import compared
-        from sim.tune.predict import predict
 
         designed = self._need("designed")
         found, asked = from_figures(self._need("identified")).anyway(), from_record(designed["demand"])
         limits = self._need("limits")
         law = CompiledLaw(tuple(designed["taps_n_per_m"]))
         figures, edge, plan = predict(law, asked, found, limits["peak_n"], limits["slew_n"])
-        self.record["predicted"] = figures
-        self.record["predicted_steps"] = {
-            "steps": [asdict(step) for step in edge.steps],
-            "ended": edge.ended,
-            "plan": asdict(plan),
-        }
+        self.record["predicted"], steps = figures, [asdict(step) for step in edge.steps]
+        self.record["predicted_steps"] = {"steps": steps, "ended": edge.ended, "plan": asdict(plan)}
         if "verified" in self.record:
             self.record["verified"] |= compared(figures["edge_factor"], self.record["verified"]["edge_factor"])
 
@@ -219,8 +194,7 @@ class Tuning:
         with borrowed(loop) as held:
             try:
                 taps, knock = designed["taps_n_per_m"], predicted["knock_m"]
-                trials = Trials(loop, held, taps, knock, load, self._say, self._options.rearm)
-                trials.climb(plan, edge)
+                Trials(loop, held, taps, knock, load, self._say, self._options.rearm).climb(plan, edge)
             except KeyboardInterrupt:
                 edge.ended = edge.ended or "interrupted"
                 raise
@@ -242,9 +216,7 @@ class Tuning:
         """Fade to the tuned law in the running coupling: only to one that was tried and held."""
         designed = self._need("designed")
         if not self.record.get("verified", {}).get("holds"):
-            raise RefusedError(
-                "apply: the law was not tried on the device, or does not hold; only a law that held is applied"
-            )
+            raise RefusedError("apply: the law was not tried on the device, or does not hold; only a law that held is applied")
         loop = self._running()
         loop.ready()
         law = {"kind": "fir", "taps": designed["taps_n_per_m"], "period": loop.period}
@@ -257,10 +229,8 @@ class Tuning:
         from sim.tune.outcome import headline
 
         self.files = {name: file for name, file in self.files.items() if name in ("html", "json")}
-        for path in (self._tuned, self._designed):
-            if path.exists():
-                self.files["params"] = str(path)
-                break
+        if law := next((path for path in (self._tuned, self._designed) if path.exists()), None):
+            self.files["params"] = str(law)
         self.record["headline"] = headline(self.record)
         self.record["command"], self.record["date"] = self._options.command, time.strftime("%Y-%m-%d %H:%M:%S %z")
         with contextlib.suppress(RefusedError):

@@ -1,15 +1,27 @@
-"""A tuning told on one page: the verdict first, then device, law, what was predicted, what was measured."""
+"""A tuning told on one page: the verdict first, then device, law, predictions, measurements and pictures of them."""
 
 from __future__ import annotations
 
+import base64
 import html
+import io
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from messages.errors import HapticError
+from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, styled, threshold
 from sim.identify.identified_text import ROWS
-from sim.tune.tuning_pictures import pictures
-from sim.tune.tuning_text import SECTIONS, Row, number
+from sim.tune.knocking import LEFT
+from sim.tune.tuning_text import SECTIONS, TextRow, number
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 STYLE = (
     ":root{color-scheme:light dark}body{font:15px/1.5 system-ui,sans-serif;max-width:56rem;margin:2rem auto;padding:0 1rem}"
@@ -20,8 +32,8 @@ STYLE = (
     "@media(prefers-color-scheme:dark){img{filter:invert(.9) hue-rotate(180deg)}}"
 )
 
+# Units in which a device's small lengths and times are read, and how many of them one SI unit has.
 READ_IN = {"m": ("µm", 1e6), "s": ("ms", 1e3)}
-"""Units in which a device's small lengths and times are read, and how many of them one SI unit has."""
 
 
 def page(record: Mapping[str, Any]) -> str:
@@ -31,9 +43,7 @@ def page(record: Mapping[str, Any]) -> str:
     by = [("device", record.get("device")), ("date", record.get("date")), ("command", record.get("command"))]
     parts.append(f'<p class="by">{"<br>".join(f"{name}: {_plain(value)}" for name, value in by if value)}</p>')
     if record.get("interrupted"):
-        parts.append(
-            f"<p><b>Interrupted during {_plain(record['interrupted'])}</b>: what follows is what was known.</p>"
-        )
+        parts.append(f"<p><b>Interrupted during {_plain(record['interrupted'])}</b>: what follows is what was known.</p>")
     if record.get("not_put_back"):
         parts.append(f"<p><b>Not put back</b>: {_plain(record['not_put_back'])}</p>")
     if "identified" in record:
@@ -51,7 +61,7 @@ def _plain(value: object) -> str:
     return html.escape(str(value))
 
 
-def _table(rows: Sequence[Row]) -> str:
+def _table(rows: Sequence[TextRow]) -> str:
     lines = "".join(f"<tr><td>{_plain(name)}</td><td>{_plain(value)}</td></tr>" for name, value in rows)
     return f"<table>{lines}</table>"
 
@@ -73,13 +83,124 @@ def _device(record: Mapping[str, Any]) -> str:
         else:
             shown, factor = READ_IN.get(unit, (unit, 1.0))
             value, low, high = (factor * one[end] for end in ("value", "low", "high"))
-            lines.append(
-                f"<tr><td>{name}</td><td>{number(value)}</td><td>{_interval(low, high)}</td><td>{shown}</td></tr>"
-            )
-    refuted = (
-        f"<p><b>The recording refutes this model: {_plain(record['why'])}</b></p>" if record.get("refuted") else ""
-    )
+            lines.append(f"<tr><td>{name}</td><td>{number(value)}</td><td>{_interval(low, high)}</td><td>{shown}</td></tr>")
+    refuted = f"<p><b>The recording refutes this model: {_plain(record['why'])}</b></p>" if record.get("refuted") else ""
     steps = record["residual_steps"]
     ended = f"The push ended: {_plain(record['stopped'])}. "
     residual = f"Residual {number(steps)} encoder steps; rounding alone leaves 0.29."
     return f"{refuted}<table>{''.join(lines)}</table><p>{ended}{residual}</p>"
+
+
+WINDOWS = 8  # windows of the recording that the picture of the fit shows
+FALL = 0.8  # how much of a fall on the wall is drawn [s]
+
+
+def pictures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Draw what is known: of each picture what it shows, and its PNG in base64."""
+    drawn = {"the model against the recording": _fit, "the wall that is felt": _felt, "what is left of each knock": _knocks}
+    found = [(name, draw(record)) for name, draw in drawn.items()]
+    return [(name, _encoded(figure)) for name, figure in found if figure is not None]
+
+
+def _encoded(figure: Figure) -> str:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, dpi=110, format="png")
+    return base64.b64encode(buffer.getvalue()).decode("ascii")
+
+
+@styled
+def _fit(record: Mapping[str, Any]) -> Figure | None:
+    """Draw the first windows of the recording, the model's motion from each one's beginning, and what is left between them."""
+    identified = record.get("identified")
+    if identified is None or identified["mass_kg"]["value"] is None:
+        return None
+    from matplotlib.figure import Figure
+
+    from sim.identify.experiment import read
+    from sim.identify.identified_text import from_figures
+    from sim.identify.identify import followed
+
+    try:
+        experiment = read(Path(identified["recording"]), identified["axis"])
+    except (HapticError, ValueError, OSError):
+        # Removed since, or moved: the report is of what is still there.
+        return None
+    starts, positions = followed(experiment, from_figures(identified).anyway(), WINDOWS)
+    figure = Figure(figsize=(8.0, 4.4), layout="constrained")
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
+    for k, (start, modelled) in enumerate(zip(starts.tolist(), positions, strict=True)):
+        time = (start + np.arange(len(modelled))) * experiment.period
+        recorded = experiment.position[start : start + len(modelled)]
+        named = {"recorded": "recorded", "model": "model"} if k == 0 else {"recorded": "_", "model": "_"}
+        top.plot(time, 1e3 * recorded, color=GREY, ls="-", lw=3.0, alpha=0.6, label=named["recorded"])
+        top.plot(time, 1e3 * modelled, color=COLOURS[0], ls="-", lw=1.0, label=named["model"])
+        bottom.plot(time, 1e6 * (recorded - modelled), color=COLOURS[1], ls="-", lw=0.8)
+    top.set(ylabel="position  [mm]", title="the model against the recording, window by window")
+    bottom.set(ylabel="left  [µm]", xlabel="time  [s]")
+    step = identified["encoder_m"]["value"]
+    if step:
+        low, high = bottom.get_ylim()
+        bottom.set_ylim(min(low, -0.8e6 * step), max(high, 1.2e6 * step))
+        threshold(bottom, 0.5e6 * step, "half an encoder step")
+        threshold(bottom, -0.5e6 * step, "")
+    top.legend()
+    return figure
+
+
+@styled
+def _felt(record: Mapping[str, Any]) -> Figure | None:
+    """Draw force over depth as the identified device falls on the wall of the law, beside the stiffness felt at rest."""
+    if "designed" not in record or "identified" not in record:
+        return None
+    from matplotlib.figure import Figure
+
+    from sim.design.fall import fallen
+    from sim.design.landing import HEIGHTS
+    from sim.identify.identified_text import from_figures
+
+    designed, found = record["designed"], from_figures(record["identified"]).anyway()
+    if None in (found.mass.value, found.damping.value, found.delay.value):
+        return None
+    # Nobody holds what falls.
+    plant = replace(found.plant(), stiffness=0.0)
+    ticks = round(FALL / found.period)
+    position, force = fallen(plant, found.period, designed["taps_n_per_m"], HEIGHTS[0], ticks)
+    depth = -1e3 * position
+    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+    axes = figure.subplots()
+    axes.plot(depth, force, color=COLOURS[0], ls="-", lw=1.0, label="a fall from 10 mm")
+    most = max(float(depth.max()), 0.1)
+    h1 = designed["h1_n_per_m"]
+    axes.plot([0.0, most], [0.0, 1e-3 * most * h1], color=COLOURS[1], ls="--", label=f"at rest: {number(h1, 'N/m')}")
+    axes.set_xlim(-0.25 * most, 1.05 * most)
+    threshold(axes, 0.0, "surface", vertical=True)
+    axes.set(xlabel="depth  [mm]", ylabel="force  [N]", title="the wall that is felt, on the identified device")
+    axes.legend(loc="upper left", bbox_to_anchor=(0.02, 0.85))
+    return figure
+
+
+@styled
+def _knocks(record: Mapping[str, Any]) -> Figure | None:
+    """Draw what is left of each knock against the stiffness; nothing before anything was knocked on."""
+    if "predicted" not in record:
+        return None
+    from matplotlib.figure import Figure
+
+    h1 = record["predicted"]["h1_n_per_m"]
+    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+    axes = figure.subplots()
+    runs = (("predicted", record["predicted_steps"]["steps"]), ("measured", record.get("verified", {}).get("steps")))
+    for k, (name, steps) in enumerate(runs):
+        if steps:
+            stiffness = [h1 * step["factor"] for step in steps]
+            look: Any = {"color": COLOURS[k], "ls": LINES[k], "marker": MARKERS[k], "label": name}
+            axes.plot(stiffness, [max(step["left"], 1e-3) for step in steps], **look)
+    axes.set(yscale="log", xlabel="stiffness H(1)  [N/m]", ylabel="left of a knock  [1]")
+    axes.set_title("what is left of each knock after its window")
+    edge = record["predicted"]["edge_linear_h1_n_per_m"]
+    axes.set_xlim(right=1.25 * max(axes.get_xlim()[1], edge))
+    threshold(axes, LEFT, f"{LEFT:g}: more is no rest")
+    threshold(axes, h1, "the law", vertical=True)
+    threshold(axes, edge, "pole on the unit circle", vertical=True)
+    axes.legend(loc="center left")
+    return figure

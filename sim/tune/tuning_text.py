@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-Row = tuple[str, str]
+TextRow = tuple[str, str]
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -18,14 +18,11 @@ def number(value: Any, unit: str = "") -> str:
         return "yes" if value else "NO"
     if isinstance(value, str):
         return value
-    return f"{_three(value)} {unit}".rstrip()
-
-
-def _three(value: float) -> str:
+    digits = f"{float(f'{value:.3g}'):.15g}"
     if value and abs(value) < 1e-3:
-        digits, _, power = f"{value:.2e}".partition("e")
-        return f"{digits} × 10{str(int(power)).translate(_RAISED)}".replace("-", "−")
-    return f"{float(f'{value:.3g}'):.15g}".replace("-", "−")
+        first, _, power = f"{value:.2e}".partition("e")
+        digits = f"{first} × 10{str(int(power)).translate(_RAISED)}"
+    return f"{digits.replace('-', '−')} {unit}".rstrip()
 
 
 def _poses(record: Mapping[str, Any]) -> str:
@@ -34,11 +31,12 @@ def _poses(record: Mapping[str, Any]) -> str:
     return f", with {number(lighter)} less and {number(heavier)} more in other poses" if lighter or heavier else ""
 
 
-def law_rows(record: Mapping[str, Any]) -> list[Row]:
+def law_rows(record: Mapping[str, Any]) -> list[TextRow]:
     """Tell the designed law."""
     asked = record["demand"]
     gain = record["gain_over_pd"]
     compared = "no ratio: only laws that both land are compared" if gain is None else f"{gain:.3g} times the best PD"
+    worst = [record["worst"]] if "worst" in record else []
     return [
         ("stiffness that is felt, H(1)", number(record["h1_n_per_m"], "N/m")),
         ("beside PD of the same demand", compared),
@@ -47,16 +45,12 @@ def law_rows(record: Mapping[str, Any]) -> list[Row]:
         ("for masses", f"{number(asked['mass'][0])} to {number(asked['mass'][1])} kg{_poses(record)}"),
         ("for delays", f"{number(asked['delay'][0])} to {number(asked['delay'][1])} ticks"),
         ("pole radius at most", number(asked["radius"])),
-        *(
-            [("the worst case", f"{number(record['worst'][0])} kg, {number(record['worst'][1])} ticks")]
-            if "worst" in record
-            else []
-        ),
+        *(("the worst case", f"{number(mass)} kg, {number(delay)} ticks") for mass, delay in worst),
         *([("the model is refuted", record["model_refuted"])] if record.get("model_refuted") else []),
     ]
 
 
-def predicted_rows(record: Mapping[str, Any]) -> list[Row]:
+def predicted_rows(record: Mapping[str, Any]) -> list[TextRow]:
     """Tell what the law does on the identified device."""
     knocked = record["edge_h1_n_per_m"]
     rest = record["limit_cycle_free"]
@@ -75,30 +69,28 @@ def predicted_rows(record: Mapping[str, Any]) -> list[Row]:
     ]
 
 
-def verified_rows(record: Mapping[str, Any]) -> list[Row]:
+def verified_rows(record: Mapping[str, Any]) -> list[TextRow]:
     """Tell what was measured."""
     edge, rested = record["edge_h1_n_per_m"], record["stiffest_at_rest_n_per_m"]
     ends, poles = record["edge_by_poles_between_n_per_m"], record["edge_by_poles_h1_n_per_m"]
     between = number(None) if ends is None else f"{number(ends[0])} to {number(ends[1], 'N/m')}"
+    by_poles = between if poles is None else f"{number(poles, 'N/m')} ({between})"
     return [
         ("the law holds", number(record["holds"])),
         ("came to rest up to", "nothing" if rested is None else number(rested, "N/m")),
         ("edge, by knocks on the device", "none was found" if edge is None else number(edge, "N/m")),
-        (
-            "edge, by poles: less what friction lends a knock",
-            between if poles is None else f"{number(poles, 'N/m')} ({between})",
-        ),
+        ("edge, by poles: less what friction lends a knock", by_poles),
         ("beside the prediction", record["edge_compared"]),
         ("knocks", f"{len(record['steps'])} stiffnesses; {record['ended']}"),
     ]
 
 
+# Title, key and rows of each part.
 SECTIONS = (
     ("The law", "designed", law_rows),
     ("Predicted for the device as identified", "predicted", predicted_rows),
     ("Measured on the device", "verified", verified_rows),
 )
-"""Title, key and rows of each part."""
 
 
 def text(record: Mapping[str, Any], files: Mapping[str, str]) -> str:

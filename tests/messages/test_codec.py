@@ -118,12 +118,7 @@ def test_requests_and_replies_are_one_bounded_frame() -> None:
         with pytest.raises(MessageRefusedError):
             decode_reply(frames)
     # An operation's name and arguments are bounded too: 128 characters, 64 names.
-    for wrong in (
-        {"op": "x" * 129},
-        {"op": 1},
-        {"op": "a", "args": {str(i): 0 for i in range(65)}},
-        {"op": "a", "b": 1},
-    ):
+    for wrong in ({"op": "x" * 129}, {"op": 1}, {"op": "a", "args": {str(i): 0 for i in range(65)}}, {"op": "a", "b": 1}):
         with pytest.raises(MessageRefusedError):
             decode_request([msgpack.packb(wrong)])
 

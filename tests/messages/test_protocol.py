@@ -77,11 +77,7 @@ def check(topic: str, message: dict[str, Any]) -> None:
 def test_page_lists_every_field_and_topic() -> None:
     page = (Path(types.__file__).parent / "PROTOCOL.md").read_text(encoding="utf-8")
     rows = {line.split("`")[1]: line for line in page.splitlines() if line.startswith("| `/")}
-    kinds: dict[str, type[types.Message]] = {
-        **topics.FIXED,
-        "/NODE/status": types.NodeStatus,
-        "/NODE/event": types.Event,
-    }
+    kinds: dict[str, type[types.Message]] = {**topics.FIXED, "/NODE/status": types.NodeStatus, "/NODE/event": types.Event}
     for topic, message_type in kinds.items():
         for name in message_type.__struct_fields__:
             if name not in ("seq", "stamp"):
@@ -117,7 +113,7 @@ def test_live_traffic_with_zmq_and_msgpack_only(tmp_path: Path) -> None:
         states = seen["/device/state"]
         # Where a busy machine kept the driver from its ticks, the driver says so.
         skipped = states[-1]["seq"] - states[0]["seq"] + 1 - len(states)
-        assert skipped == states[-1]["missed"] - states[0]["missed"]
+        assert skipped == states[-1]["overruns"] - states[0]["overruns"]
         positions = {message["seq"]: message["position"] for message in seen["/device/state"]}
         common = [message for message in seen["/environment/proxy"] if message["seq"] in positions]
         assert common

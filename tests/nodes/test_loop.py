@@ -14,6 +14,7 @@ from nodes.laws.pd import PD
 from sim.device.model import DeviceModel, Hand
 from sim.device.state import VirtualDevice
 from sim.scene.loop import PlannedSwap, Scene, SceneSurface, Trace, run
+from sim.scene.tick_loop import play_compiled
 
 PERIOD = 0.002
 FLOOR = SceneSurface("plane")
@@ -52,9 +53,7 @@ SCENES = {
     "motor": scene(peak_force=2.0),
     "limits": scene(peak=3.0, slew=0.5),
     "hand": scene(hand=HAND, gravity=None),
-    "everything": scene(
-        raw=True, delay=1.6, resolution=2.3e-5, friction=0.06, peak_force=7.9, hand=HAND, peak=6.0, slew=1.0
-    ),
+    "everything": scene(raw=True, delay=1.6, resolution=2.3e-5, friction=0.06, peak_force=7.9, hand=HAND, peak=6.0, slew=1.0),
 }
 
 
@@ -65,6 +64,18 @@ def test_compiled_bits_are_interpreted_bits(name: str) -> None:
     assert same_bits(fast, run(SCENES[name], LAW, 500, swaps, interpreted=True))
     assert np.isfinite(fast.position).all()
     assert np.ptp(fast.position) > 1e-3
+
+
+def test_what_a_scene_lacks_makes_no_version_of_its_own() -> None:
+    run(SCENES["drop"], LAW, 10)
+    versions = list(play_compiled.signatures)
+    # An encoder and friction are other arithmetic, and so are other versions.
+    for here in [
+        scene(workspace=(0.0, 0.1)),
+        *(SCENES[name] for name in SCENES if name not in ("encoder", "friction", "everything")),
+    ]:
+        run(here, LAW, 10)
+    assert play_compiled.signatures == versions
 
 
 @pytest.mark.parametrize("name", ["drop", "everything"])
@@ -107,9 +118,7 @@ def test_bits_of_the_nodes_kernels_by_hand(name: str) -> None:
         asked = fir(law.taps, history, head)
         if flat:
             asked += sections(flat, state, history[head], history[head + 1])
-        force = limit(
-            one_sided(asked, normal, asked * normal, contact, here.raw, here.clamp), force, here.peak, here.slew
-        )
+        force = limit(one_sided(asked, normal, asked * normal, contact, here.raw, here.clamp), force, here.peak, here.slew)
         assert (device.position, measured, newest, force) == (
             trace.position[k],
             trace.measured[k],

@@ -1,16 +1,17 @@
 """Each real device at its own rate, on its stand-in, beside the virtual device in turns: ticks missed, and response times.
 
-``pytest -s -n 0 tests/sim/test_device_rates.py`` prints the table of nodes/driver/DEVICES.md.
+``pytest -s -n 0 --benchmark-enable tests/sim/test_device_rates.py`` prints the table of nodes/driver/DEVICES.md.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from statistics import median
-from typing import Any, TypeAlias
+from typing import Any
 
 import pytest
 
-from sim.drill.devices import KINDS, DrilledKind, StandIn
+from sim.drill.devices import KINDS, StandIn
 from sim.drill.drill import scene
 from sim.measure.rig import Rig
 
@@ -18,14 +19,13 @@ OWN_RATE = 1000.0
 """Samples that the drivers ask their devices for, where nothing else is said [Hz]; here the loop goes as fast."""
 
 SECONDS, ROUNDS = 1.5, 3
-"""Of a turn [s]: 1500 ticks, of which `MORE` are 15; and how many turns each device has."""
+"""Of a turn [s]: 1500 ticks, of which `MORE` are 15; and how many turns each device has where one does not decide."""
 
 MORE = 0.01
 """What a real device may miss more than the virtual one [share of ticks]: two turns of one device differ by so much."""
 
 
-Found: TypeAlias = dict[str, list[tuple[float, float]]]
-"""Of each device, and of each turn: ticks missed [share], and the 99th percentile of its response [us]."""
+VIRTUAL = "sim_driver"
 
 
 def _run(stand: StandIn | None) -> dict[str, Any]:
@@ -45,22 +45,43 @@ def _run(stand: StandIn | None) -> dict[str, Any]:
             stand.tidy()
 
 
+class Turns:
+    """The turns of each device: ticks missed [share], and the 99th percentile of its response [us]."""
+
+    def __init__(self) -> None:
+        self._turns: dict[str, list[tuple[float, float]]] = {}
+
+    def of(self, name: str) -> int:
+        """Count the turns of a device that are done."""
+        return len(self._turns.get(name, []))
+
+    def missed(self, name: str, turns: int) -> float:
+        """Find the median share of missed ticks in so many turns; those that are not done yet are run."""
+        made = self._turns.setdefault(name, [])
+        while len(made) < turns:
+            told = _run(StandIn(next(kind for kind in KINDS if kind.kind == name)) if name != VIRTUAL else None)
+            made.append(((told["missed"] + told["overruns"]) / (told["ticks"] + told["overruns"]), told["response_us"]["p99"]))
+        return median(share for share, _ in made[:turns])
+
+    def show(self) -> None:
+        """Print the table's rows."""
+        for name, made in self._turns.items():
+            shares = ", ".join(f"{share:.2%}" for share, _ in made)
+            print(f"| `{name}` | {OWN_RATE:.0f} | {shares} | {median(p99 for _, p99 in made):.0f} |")
+
+
 @pytest.fixture(scope="module")
-def found() -> Found:
-    """Run all devices in turns, each beside the same virtual one."""
-    runs: Found = {name: [] for name in (*(kind.kind for kind in KINDS), "sim_driver")}
-    for _ in range(ROUNDS):
-        for name, stand in (*((kind.kind, StandIn(kind)) for kind in KINDS), ("sim_driver", None)):
-            told = _run(stand)
-            missed = (told["missed"] + told["overruns"]) / (told["ticks"] + told["overruns"])
-            runs[name].append((missed, told["response_us"]["p99"]))
-    for name, rounds in runs.items():
-        shares = ", ".join(f"{share:.2%}" for share, _ in rounds)
-        print(f"| `{name}` | {OWN_RATE:.0f} | {shares} | {median(p99 for _, p99 in rounds):.0f} |")
-    return runs
+def turns(request: pytest.FixtureRequest) -> Iterator[Turns]:
+    made = Turns()
+    if request.config.getoption("benchmark_enable"):
+        for name in (*(kind.kind for kind in KINDS), VIRTUAL) * ROUNDS:
+            made.missed(name, made.of(name) + 1)
+    yield made
+    made.show()
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: str(kind.kind))
-def test_a_real_device_misses_no_more_ticks_than_the_virtual_one(kind: DrilledKind, found: Found) -> None:
-    assert median(share for share, _ in found[kind.kind]) <= median(share for share, _ in found["sim_driver"]) + MORE
+@pytest.mark.parametrize("kind", [kind.kind for kind in KINDS])
+def test_a_real_device_misses_no_more_ticks_than_the_virtual_one(kind: str, turns: Turns) -> None:
+    # One turn decides most of the time; where it does not, the machine may have stalled in it, and the median of more decides.
+    assert any(turns.missed(kind, n) <= turns.missed(VIRTUAL, n) + MORE for n in (1, ROUNDS))

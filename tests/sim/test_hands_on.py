@@ -46,9 +46,7 @@ def felt(stand: Bench, question: str) -> str:
     return ""
 
 
-def checked(
-    stand: Bench, folder: Path, answer: Callable[[Bench, str], str], *more: str, **given: Any
-) -> tuple[int, str, str]:
+def checked(stand: Bench, folder: Path, answer: Callable[[Bench, str], str], *more: str, **given: Any) -> tuple[int, str, str]:
     """Run `haptic device check`, answering each question; exit code, standard output, and what was said."""
     command = [*HAPTIC, "device", "check", stand.kind, *words(stand, **given), *more]
     process = subprocess.Popen(

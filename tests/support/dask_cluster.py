@@ -77,9 +77,7 @@ class DaskCluster:
 
 
 @contextlib.contextmanager
-def dask_cluster(
-    folder: Path, host: str = "127.0.0.1", tls: Sequence[str] = (), workers: int = 2
-) -> Iterator[DaskCluster]:
+def dask_cluster(folder: Path, host: str = "127.0.0.1", tls: Sequence[str] = (), workers: int = 2) -> Iterator[DaskCluster]:
     """Start a scheduler and workers; all are gone afterwards."""
     protocol, port = "tls" if tls else "tcp", free_port()
     found = DaskCluster(f"{protocol}://{host}:{port}", tls, folder)

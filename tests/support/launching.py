@@ -8,11 +8,16 @@ outlives it and that its directory is gone.
 from __future__ import annotations
 
 import contextlib
+import io
+import subprocess
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from nodes.cli.main import main
 from sim.measure.measured_launch import DEADLINE, HAPTIC, Running, haptic, left_behind, processes_of, wait_for
 
 __all__ = [
@@ -25,6 +30,7 @@ __all__ = [
     "private_runtime_dir",
     "processes_of",
     "running",
+    "typed",
     "wait_for",
 ]
 
@@ -58,12 +64,33 @@ def running(
 
 
 def launch_json(
-    folder: Path,
-    scenario: str,
-    *assignments: str,
-    code: int = 0,
-    environment: Mapping[str, str] | None = None,
+    folder: Path, scenario: str, *assignments: str, code: int = 0, environment: Mapping[str, str] | None = None
 ) -> dict[str, Any]:
     """Run a launch to its end: the object of ``--json``, whose ``recording`` is relative to `folder`."""
     with running(folder, scenario, *assignments, environment=environment, ready=False) as launch:
         return launch.finish(code=code)
+
+
+def typed(launch: Running, *words: str, code: int | None = 0) -> subprocess.CompletedProcess[str]:
+    """Run a verb in this process, as `Running.haptic` does in one of its own: starting one costs half a second.
+
+    For what a verb says, asks and returns. What is of a process (signals, pipes, how it starts) needs one, and so does a
+    launch, which writes to the process's own standard error.
+    """
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        pytest.MonkeyPatch.context() as patched,
+        contextlib.chdir(launch.folder),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
+        for name, value in launch.environment.items():
+            patched.setenv(name, value)
+        try:
+            found = main(list(words))
+        except SystemExit as ended:
+            # The parser's, for words that it does not take.
+            found = ended.code if isinstance(ended.code, int) else 1
+    done = subprocess.CompletedProcess(["haptic", *words], found, out.getvalue(), err.getvalue())
+    assert code is None or found == code, f"{done.args}: exit code {found}, expected {code}\n{done.stderr}"
+    return done

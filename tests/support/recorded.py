@@ -71,9 +71,7 @@ def drop(ticks: int, *, missed: tuple[int, ...] = (), switch: int | None = None)
             damping *= 2.0
             yield (
                 RECEIPT,
-                Receipt(
-                    seq=k, stamp=k * PERIOD, action="switch", before="{law: pd}", after="{law: stiffer}", revision=1
-                ),
+                Receipt(seq=k, stamp=k * PERIOD, action="switch", before="{law: pd}", after="{law: stiffer}", revision=1),
             )
         stretch = deflection(x, proxy, distance, 1.0, contact, False)
         law = STIFFNESS * stretch + damping * (stretch - before) / PERIOD

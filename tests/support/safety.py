@@ -9,9 +9,9 @@ from nodes.driver import safety
 from nodes.driver.device import DeviceLimits
 from nodes.driver.limits import SafetyParameters, lower
 from nodes.driver.motion import set_motion
+from nodes.driver.notes import take_notes
 from nodes.driver.passivity import PassivityParameters, set_guard
 from nodes.driver.state import LIMITED, REFUSED, SAFETY, DriverState
-from nodes.driver.telling import take_notes
 
 T = 0.002
 UP: Vector = (0.0, 0.0, 1.0)

@@ -21,19 +21,12 @@ from messages.transport.sockets import Subscription
 from messages.types import Vector
 from nodes.base.node import Node
 from nodes.compiled.layout import LOOP
+from nodes.compiled.load import load_kernel
 from nodes.driver.calls import READ, WRITE, Calls
 from nodes.driver.device import DeviceLimits
 from nodes.driver.node import Driver
 from nodes.driver.parameters import DriverParameters
-from tests.support.scripted_world import (
-    ASIDE,
-    HOP,
-    Arrival,
-    ScriptedFunctions,
-    ScriptedPublisher,
-    ScriptedSocket,
-    World,
-)
+from tests.support.scripted_world import ASIDE, HOP, Arrival, ScriptedFunctions, ScriptedPublisher, ScriptedSocket, World
 from tests.support.setups import setup_of
 
 # -- a driver's device ------------------------------------------------------------------------------------------------
@@ -215,19 +208,13 @@ def played(script: Script, tick: str, folder: Path) -> tuple[Outcome, Any]:
 
     with pytest.MonkeyPatch.context() as patch:
         for module in (
-            *(
-                "nodes.driver.node",
-                "nodes.driver.plain_tick",
-                "nodes.base.realtime",
-                "nodes.base.events",
-                "nodes.base.follow",
-            ),
+            *("nodes.driver.node", "nodes.driver.plain_tick", "nodes.base.realtime", "nodes.base.events", "nodes.base.follow"),
             *("nodes.compiled.memory", "messages.transport.sockets"),
         ):
             patch.setattr(f"{module}.time", time)
         patch.setattr("messages.transport.sockets.select", SimpleNamespace(select=wait))
         patch.setattr("nodes.compiled.answering.functions", lambda: functions.addresses)
-        node.load_kernel()
+        load_kernel(node)
         assert (node.kernel is not None) == (tick == "compiled")
         node.entered, kernel = 0, node.kernel
 

@@ -10,7 +10,7 @@ from scipy.optimize import nnls
 
 from nodes.environment.shapes.scene import Solid, rotation
 from nodes.environment.shapes.tables import BOX, CAPSULE, CYLINDER, MESH, PLANE, SPHERE
-from sim.experiments.polyhedron import nearest_on
+from sim.experiments.proxies import nearest_on
 
 Array = NDArray[np.float64]
 
@@ -74,8 +74,7 @@ def out_of_balance(solids: list[Solid], radius: float, proxy: Array, device: Arr
             pushes.append(
                 np.array(
                     [
-                        (distance_to(solid, proxy + step * axis) - distance_to(solid, proxy - step * axis))
-                        / (2.0 * step)
+                        (distance_to(solid, proxy + step * axis) - distance_to(solid, proxy - step * axis)) / (2.0 * step)
                         for axis in np.eye(3)
                     ]
                 )

@@ -15,41 +15,24 @@ from nodes.compiled.message_fields import FLAG, REAL, VECTOR, WHOLE, fields_of
 @compilable
 def put_whole(at: int, value: int) -> int:
     """Write an integer as short as it goes; where it ends."""
-    if value >= 0:
-        if value < 0x80:
-            put_byte(at, value)
-            return at + 1
-        if value < 0x100:
-            put_byte(at, 0xCC)
-            put_byte(at + 1, value)
-            return at + 2
-        if value < 0x10000:
-            put_byte(at, 0xCD)
-            put_be16(at + 1, value)
-            return at + 3
-        if value < 0x100000000:
-            put_byte(at, 0xCE)
-            put_be32(at + 1, value)
-            return at + 5
-        put_byte(at, 0xCF)
-        put_be64(at + 1, value)
-        return at + 9
-    if value >= -0x20:
+    if -0x20 <= value < 0x80:
         put_byte(at, value)
         return at + 1
-    if value >= -0x80:
-        put_byte(at, 0xD0)
+    # Four widths follow each other, those without a sign first: 0xCC to 0xCF, then 0xD0 to 0xD3.
+    first = 0xCC if value >= 0 else 0xD0
+    if -0x80 <= value < 0x100:
+        put_byte(at, first)
         put_byte(at + 1, value)
         return at + 2
-    if value >= -0x8000:
-        put_byte(at, 0xD1)
+    if -0x8000 <= value < 0x10000:
+        put_byte(at, first + 1)
         put_be16(at + 1, value)
         return at + 3
-    if value >= -0x80000000:
-        put_byte(at, 0xD2)
+    if -0x80000000 <= value < 0x100000000:
+        put_byte(at, first + 2)
         put_be32(at + 1, value)
         return at + 5
-    put_byte(at, 0xD3)
+    put_byte(at, first + 3)
     put_be64(at + 1, value)
     return at + 9
 
@@ -66,9 +49,7 @@ def make_encode(message: type[Message]) -> Callable[[int, int, Any, Any, int, in
     """Make the writer of one type of message."""
     fields = fields_of(message)
     count = len(fields)
-    kinds = np.array([field.kind for field in fields])
-    slots = np.array([field.slot for field in fields])
-    sizes = np.array([1 + len(field.name) for field in fields])
+    kinds, slots, sizes = (np.array(row) for row in zip(*((f.kind, f.slot, 1 + len(f.name)) for f in fields), strict=True))
     real, vector, whole, flag = REAL, VECTOR, WHOLE, FLAG
 
     @compilable
@@ -102,5 +83,4 @@ def make_encode(message: type[Message]) -> Callable[[int, int, Any, Any, int, in
                 at += text_size
         return at
 
-    done: Callable[[int, int, Any, Any, int, int], int] = encode
-    return done
+    return encode

@@ -48,8 +48,7 @@ def receive(s: Any, flags: int) -> bool:
     more[0] = 0
     call_option(s.zmq_getsockopt, (s.inbox, _RCVMORE, s.events, s.events_size))
     if more[0] == 0:
-        # A message of one frame: the next one is another message's.
-        s.frames, s.payload_size = 2, 0
+        s.frames, s.payload_size = 2, 0  # A message of one frame: the next one is another message's
         return False
     size = call_pass(s.zmq_recv, (s.inbox, s.payload, _ROOM_IN, flags))
     if size < 0:

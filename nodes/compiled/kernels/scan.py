@@ -1,8 +1,8 @@
 """Reading a MessagePack map with known fields, in any order; unknown keys are skipped.
 
-What is read here is read exactly as messages/codec.py reads it. What is in the least unusual (a wrong type, a value out of its
-bounds, text that is not ASCII, an extension, a malformed or truncated payload) is not judged here: the answer is False, and
-the decoder that exists looks at the payload and says what is wrong with it.
+What is read here is read exactly as messages/codec.py reads it. Anything unusual returns False (a wrong type, a
+value out of its bounds, text that is not ASCII, an extension, a malformed or truncated payload): the Python decoder then reads
+the payload and reports what is wrong with it.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ from nodes.compiled.kernels.machine import be16, be32, be64, byte, compilable, r
 from nodes.compiled.layout import TEXTS
 from nodes.compiled.message_fields import FLAG, REAL, TEXT, VECTOR, WHOLE, Field, fields_of
 
-MOST_SKIPPED = 32
-"""Arrays and maps under unknown keys that are skipped; deeper ones may be refused for their depth."""
+MOST_SKIPPED = 32  # arrays and maps under unknown keys that are skipped; deeper ones may be refused for their depth
 
 
 @compilable
@@ -147,8 +146,7 @@ def after_value(at: int, end: int) -> int:
             size = 3
             containers += 1
         else:
-            # Extensions, the largest containers, and what is no MessagePack.
-            return -1
+            return -1  # extensions, the largest containers, and what is no MessagePack
         if size > end - at or containers > MOST_SKIPPED:
             return -1
         at += size
@@ -162,10 +160,7 @@ def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:
     names = np.frombuffer(b"".join(field.name.encode() for field in fields), np.uint8).copy()
     sizes = np.array([len(field.name) for field in fields])
     begins = np.concatenate([[0], np.cumsum(sizes)[:-1]])
-    kinds = np.array([field.kind for field in fields])
-    slots = np.array([field.slot for field in fields])
-    lows = np.array([field.low for field in fields])
-    highs = np.array([field.high for field in fields])
+    kinds, slots, lows, highs = (np.array(row) for row in zip(*((f.kind, f.slot, f.low, f.high) for f in fields), strict=True))
     defaults = np.array([0.0 if field.default is None else field.default for field in fields])
     required = sum(1 << k for k, field in enumerate(fields) if field.default is None)
     real, vector, whole, flag, text, texts = REAL, VECTOR, WHOLE, FLAG, TEXT, TEXTS
@@ -193,8 +188,7 @@ def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:
         if entries < 0:
             return False
         seen = 0
-        # Most senders keep the order of the fields.
-        guess = 0
+        guess = 0  # most senders keep the order of the fields
         for _ in range(entries):
             size, at = text_size(at, end)
             if size < 0:
@@ -256,8 +250,7 @@ def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:
                     wholes[slots[k]] = int(defaults[k])
         return True
 
-    done: Callable[[int, int, Any, Any], bool] = scan
-    return done
+    return scan
 
 
 def make_match(text: str) -> Callable[[Any], bool]:
@@ -277,5 +270,4 @@ def make_match(text: str) -> Callable[[Any], bool]:
                 return False
         return True
 
-    done: Callable[[Any], bool] = match
-    return done
+    return match

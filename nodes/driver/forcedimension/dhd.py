@@ -46,43 +46,46 @@ STATUS: Final = 17
 RESET: Final = 3
 """In the status: whether the device must be calibrated."""
 
-WATCHDOG_UNIT: Final = 125e-6
-"""Unit of the firmware's watchdog [s]; at most 255 of them."""
+WATCHDOG_UNIT: Final = 125e-6  # unit of the firmware's watchdog [s]; at most 255 of them
 
 _ID: Final = c_char
 _D: Final = POINTER(c_double)
 
 FUNCTIONS: Final[Functions] = {
-    "dhdErrorGetLast": (c_int, []),
+    **dict.fromkeys(("dhdErrorGetLast", "dhdGetDeviceCount", "dhdEnableExpertMode"), (c_int, [])),
+    **dict.fromkeys(("dhdOpenID", "dhdClose", "dhdStop"), (c_int, [_ID])),
+    **dict.fromkeys(("dhdEnableForce", "dhdSetWatchdog"), (c_int, [c_ubyte, _ID])),
+    **dict.fromkeys(("dhdSetEffectorMass", "dhdSetBaseAngleXDeg", "dhdSetBaseAngleZDeg"), (c_int, [c_double, _ID])),
+    **dict.fromkeys(("dhdGetPosition", "dhdGetLinearVelocity"), (c_int, [_D, _D, _D, _ID])),
+    **dict.fromkeys(("dhdHasWrist", "dhdHasGripper"), (c_bool, [_ID])),
+    **dict.fromkeys(("dhdGetGripperGap", "dhdGetJointAngles"), (c_int, [_D, _ID])),
     "dhdGetSDKVersionStr": (c_char_p, []),
-    "dhdGetDeviceCount": (c_int, []),
-    "dhdOpenID": (c_int, [_ID]),
-    "dhdClose": (c_int, [_ID]),
-    "dhdStop": (c_int, [_ID]),
     "dhdGetSerialNumber": (c_int, [POINTER(c_ushort), _ID]),
     "dhdGetSystemName": (c_char_p, [_ID]),
     "dhdGetVersionStr": (c_int, [c_char_p, c_size_t, _ID]),
     "dhdGetStatus": (c_int, [POINTER(c_int), _ID]),
-    "dhdEnableForce": (c_int, [c_ubyte, _ID]),
     "dhdSetGravityCompensation": (c_int, [c_int, _ID]),
-    "dhdSetEffectorMass": (c_int, [c_double, _ID]),
-    "dhdSetBaseAngleXDeg": (c_int, [c_double, _ID]),
-    "dhdSetBaseAngleZDeg": (c_int, [c_double, _ID]),
     "dhdGetMaxForce": (c_double, [_ID]),
-    "dhdEnableExpertMode": (c_int, []),
-    "dhdSetWatchdog": (c_int, [c_ubyte, _ID]),
-    "dhdGetPosition": (c_int, [_D, _D, _D, _ID]),
-    "dhdGetLinearVelocity": (c_int, [_D, _D, _D, _ID]),
     "dhdGetOrientationFrame": (c_int, [c_void_p, _ID]),
-    "dhdGetGripperGap": (c_int, [_D, _ID]),
-    "dhdHasWrist": (c_bool, [_ID]),
-    "dhdHasGripper": (c_bool, [_ID]),
     "dhdGetButtonMask": (c_uint, [_ID]),
     "dhdSetForce": (c_int, [c_double, c_double, c_double, _ID]),
-    "dhdGetJointAngles": (c_int, [_D, _ID]),
     "dhdJointAnglesToInertiaMatrix": (c_int, [_D, _D, _ID]),
 }
 """All that is used of it."""
+
+
+SERVO_CALLS: Final = {
+    "get_position": "dhdGetPosition",
+    "get_velocity": "dhdGetLinearVelocity",
+    "get_orientation": "dhdGetOrientationFrame",
+    "get_gripper": "dhdGetGripperGap",
+    "get_buttons": "dhdGetButtonMask",
+    "get_status": "dhdGetStatus",
+    "set_force": "dhdSetForce",
+    "last_error": "dhdErrorGetLast",
+    "get_joints": "dhdGetJointAngles",
+}
+"""What the servo loop calls, by its name there."""
 
 
 class DhdServo(ctypes.Structure):
@@ -90,13 +93,7 @@ class DhdServo(ctypes.Structure):
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
         ("box", Mailbox),
-        *(
-            (name, c_void_p)
-            for name in (
-                *("get_position", "get_velocity", "get_orientation", "get_gripper", "get_buttons", "get_status"),
-                *("set_force", "last_error", "get_joints"),
-            )
-        ),
+        *((name, c_void_p) for name in SERVO_CALLS),
         ("period", c_double),
         *((name, c_int) for name in ("device", "running", "saturated")),
         ("poses", c_uint),
@@ -129,8 +126,7 @@ def _linked(archive: Path) -> Any:
     """Link a static library into a shared one."""
     usb = find("libusb-1.0.so.0", ("/usr/lib", "/usr/lib/x86_64-linux-gnu", "/lib/x86_64-linux-gnu"))
     if usb.library is not None:
-        # The archive leaves its functions open.
-        ctypes.CDLL(usb.library, mode=ctypes.RTLD_GLOBAL)
+        ctypes.CDLL(usb.library, mode=ctypes.RTLD_GLOBAL)  # the archive leaves its functions open
     with tempfile.TemporaryDirectory(prefix="haptic-dhd-") as folder:
         stubs = Path(folder) / "stubs.c"
         stubs.write_text(_stubs(archive), encoding="ascii")

@@ -15,54 +15,28 @@ from typing import Annotated, Any, ClassVar
 import msgspec
 
 from messages.types import Vector
-from nodes.driver.device import DeviceLimits, Workspace
-from nodes.driver.forcedimension.dhd import (
-    CONDITIONS,
-    FOLDERS,
-    RESET,
-    STATUS,
-    WATCHDOG_UNIT,
-    DhdServo,
-    error_text,
-    identity,
-    load_library,
-)
+from nodes.driver.device import Workspace
+from nodes.driver.forcedimension import dhd as sdk
 from nodes.driver.hardware.driver import HardwareDriver
-from nodes.driver.hardware.libraries import Found, find
 from nodes.driver.hardware.mailbox import HardwareParameters, MailboxDevice, ServoParameters
 from nodes.parameters.paths import LocalPath
-
-SILENCE = 0.1
-"""Longest watchdog that a launch file may ask for on these devices [s]."""
 
 
 class ForceDimensionParameters(ServoParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of the device.
 
-    Attributes
-    ----------
-    serial : int or None
-        Its serial number; None for the first one that is found.
-    library : str
-        DHD's library: a name that the dynamic linker finds, or a path; a static one (``.a``) is linked once.
-    watchdog : float
-        After so long without a force command the firmware itself cuts the forces and brakes [s]: what holds when the whole
-        process is gone. 0 for a device without one, which must then be allowed by ``safety.without: [hold]``.
-    peak_force : float
-        What the model bears along each axis [N]: the device does not tell it. An omega.3 bears 12, a delta.3 and a sigma.7 20,
-        a Falcon 8.
-    continuous_force : float or None
-        What it bears for long [N]; None for as much.
-    workspace : tuple of tuple of float, shape (3, 2)
-        Of the model, along its own axes [m]; a device outside of it gets no force.
-    gravity_compensation : bool
-        Whether the library carries the device's own weight; beside the forces of the scene.
-    tool_mass : float or None
-        Mass of what is mounted on it, for that [kg]; None for the one that the device knows.
-    base_angles : tuple of float, shape (2,)
-        How its base stands, about x and z of its own, for that [degrees].
-    ready_time : float
-        Longest wait for a device that must be moved to calibrate itself [s].
+    serial: Its serial number; None for the first one that is found.
+    library: DHD's library: a name that the dynamic linker finds, or a path; a static one (``.a``) is linked once.
+    watchdog: After so long without a force command the firmware itself cuts the forces and brakes [s]: what holds when the
+        whole process is gone. 0 for a device without one, which must then be allowed by ``safety.without: [hold]``.
+    peak_force: What the model bears along each axis [N]: the device does not tell it. An omega.3 bears 12, a delta.3 and a
+        sigma.7 20, a Falcon 8.
+    continuous_force: What it bears for long [N]; None for as much.
+    workspace: Of the model, along its own axes [m]; a device outside of it gets no force.
+    gravity_compensation: Whether the library carries the device's own weight; beside the forces of the scene.
+    tool_mass: Mass of what is mounted on it, for that [kg]; None for the one that the device knows.
+    base_angles: How its base stands, about x and z of its own, for that [degrees].
+    ready_time: Longest wait for a device that must be moved to calibrate itself [s].
     """
 
     serial: int | None = None
@@ -81,10 +55,7 @@ class ForceDimensionParameters(ServoParameters, frozen=True, forbid_unknown_fiel
 class ForceDimensionDriverParameters(HardwareParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of the driver node.
 
-    Attributes
-    ----------
-    force_dimension : ForceDimensionParameters
-        The device.
+    force_dimension: The device.
     """
 
     force_dimension: ForceDimensionParameters = ForceDimensionParameters()
@@ -94,26 +65,21 @@ class ForceDimensionDevice(MailboxDevice):
     """One device. `connect` takes hold of it with forces off; `open` waits for its calibration and lets forces through."""
 
     TITLE: ClassVar[str] = "Force Dimension"
+    SECTION: ClassVar[str] = "force_dimension"
+    FOLDERS: ClassVar[tuple[str, ...]] = sdk.FOLDERS
     AXES: ClassVar[tuple[str, ...]] = ("-x", "-y", "+z")
     SERVO: ClassVar[Path] = Path(__file__).with_name("servo.c")
-    Shared: ClassVar[type[Any]] = DhdServo
+    Shared: ClassVar[type[Any]] = sdk.DhdServo
 
     def __init__(self, parameters: ForceDimensionDriverParameters) -> None:
         super().__init__(parameters)
-        self._wants = parameters.force_dimension
-        self.servo_rate = self._wants.servo_rate
         self._id: bytes | None = None
 
     # -- finding it --------------------------------------------------------------------------------------------------
 
-    @classmethod
-    def find(cls, parameters: Any) -> Found:
-        """Look for the vendor's library."""
-        return find(parameters.force_dimension.library, FOLDERS)
-
     def connect(self) -> None:
         """Load the vendor's library, take hold of the device that is meant, and read what it is; no force yet."""
-        self._dhd: Any = load_library(self._wants.library)
+        self._dhd: Any = sdk.load_library(self._wants.library)
         count = self._dhd.dhdGetDeviceCount()
         if count <= 0:
             raise OSError(
@@ -123,11 +89,11 @@ class ForceDimensionDevice(MailboxDevice):
         seen: list[str] = []
         refused = ""
         for number in range(count):
-            if self._dhd.dhdOpenID(identity(number)) < 0:
+            if self._dhd.dhdOpenID(sdk.identity(number)) < 0:
                 refused = self._last()
                 seen.append(f"number {number}: {refused}")
                 continue
-            self._id = identity(number)
+            self._id = sdk.identity(number)
             try:
                 serial = self._serial()
                 if self._wants.serial in (None, serial):
@@ -140,9 +106,7 @@ class ForceDimensionDevice(MailboxDevice):
             self.close()
         if self._wants.serial is None:
             raise OSError(f"Force Dimension: the device cannot be opened: {refused}; does another program have it?")
-        raise OSError(
-            f"Force Dimension: no device with serial number {self._wants.serial}; there are: {', '.join(seen)}"
-        )
+        raise OSError(f"Force Dimension: no device with serial number {self._wants.serial}; there are: {', '.join(seen)}")
 
     def _connected(self, serial: int) -> None:
         wants, dhd = self._wants, self._dhd
@@ -160,22 +124,15 @@ class ForceDimensionDevice(MailboxDevice):
         }
         has_watchdog = False
         if wants.watchdog > 0.0:
-            units = min(255, int(wants.watchdog / WATCHDOG_UNIT))
+            units = min(255, int(wants.watchdog / sdk.WATCHDOG_UNIT))
             has_watchdog = dhd.dhdEnableExpertMode() >= 0 and dhd.dhdSetWatchdog(units, self._id) >= 0
         self.facts["watchdog"] = f"{wants.watchdog:g} s" if has_watchdog else f"none ({self._last()})"
-        peak = wants.peak_force
-        if 0.0 < self.facts["force_limit_n"] < peak:
-            peak = self.facts["force_limit_n"]
-        limits = DeviceLimits(
-            peak_force=peak,
-            continuous_force=min(peak, wants.continuous_force or peak),
-            silence=SILENCE,
-            # The thread's own deadline, while the process lives; the firmware's, when it does not.
-            hold=max(wants.deadline, wants.watchdog) if has_watchdog else math.inf,
-            opening=wants.ready_time + 10.0,
-            workspace=wants.workspace,
-        )
-        self.prepare(limits, wants.deadline)
+        limit = self.facts["force_limit_n"]
+        peak = min(wants.peak_force, limit) if limit > 0.0 else wants.peak_force
+        # The thread's own deadline, while the process lives; the firmware's, when it does not.
+        hold = max(wants.deadline, wants.watchdog) if has_watchdog else math.inf
+        continuous = min(peak, wants.continuous_force or peak)
+        self.prepare(peak, continuous, wants.workspace, hold=hold, opening=wants.ready_time + 10.0)
 
     def _serial(self) -> int:
         number = ctypes.c_ushort()
@@ -187,7 +144,7 @@ class ForceDimensionDevice(MailboxDevice):
         return f"SDK {text.decode(errors='replace')}" if text else "an SDK without a version"
 
     def _last(self) -> str:
-        return error_text(self._dhd.dhdErrorGetLast())
+        return sdk.error_text(self._dhd.dhdErrorGetLast())
 
     def _call(self, name: str, *arguments: Any) -> int:
         """Call DHD; only what is negative is an error."""
@@ -211,18 +168,9 @@ class ForceDimensionDevice(MailboxDevice):
         servo = self._shared
         has_wrist, has_gripper = dhd.dhdHasWrist(self._id), dhd.dhdHasGripper(self._id)
         self.facts |= {"wrist": has_wrist, "gripper": has_gripper}
-        for field, name, there in (
-            ("get_position", "dhdGetPosition", True),
-            ("get_velocity", "dhdGetLinearVelocity", True),
-            ("get_orientation", "dhdGetOrientationFrame", has_wrist),
-            ("get_gripper", "dhdGetGripperGap", has_gripper),
-            ("get_buttons", "dhdGetButtonMask", True),
-            ("get_status", "dhdGetStatus", True),
-            ("set_force", "dhdSetForce", True),
-            ("last_error", "dhdErrorGetLast", True),
-            ("get_joints", "dhdGetJointAngles", True),
-        ):
-            if there:
+        there = {"get_orientation": has_wrist, "get_gripper": has_gripper}
+        for field, name in sdk.SERVO_CALLS.items():
+            if there.get(field, True):
                 setattr(servo, field, ctypes.cast(getattr(dhd, name), ctypes.c_void_p).value)
         servo.device, servo.period = self._id[0], 1.0 / wants.servo_rate
         if error := self._code.servo_start(ctypes.byref(servo)):
@@ -230,16 +178,12 @@ class ForceDimensionDevice(MailboxDevice):
         self.await_samples()
         self.write_force((0.0, 0.0, 0.0), 0, 0.0)
         self._call("dhdEnableForce", 1)
-        # The status of before said that they were off.
-        self._box.condition = 0
+        self._box.condition = 0  # the status of before said that they were off
 
     def _await_ready(self) -> None:
         until = time.monotonic() + self._wants.ready_time
-        status = (ctypes.c_int * STATUS)()
-        while True:
-            self._call("dhdGetStatus", status)
-            if not status[RESET]:
-                return
+        status = (ctypes.c_int * sdk.STATUS)()
+        while self._call("dhdGetStatus", status) >= 0 and status[sdk.RESET]:
             if time.monotonic() > until:
                 raise OSError(
                     f"Force Dimension: not calibrated within {self._wants.ready_time:g} s: move the handle through its whole "
@@ -255,25 +199,23 @@ class ForceDimensionDevice(MailboxDevice):
         """End the servo loop, set forces off and give the device back; also after a failure half-way."""
         if self._id is None:
             return
-        ended = self._shared is None or self._code.servo_end(ctypes.byref(self._shared)) == 0
-        if ended:
-            # Forces off first; a device that is gone refuses both, and that is no news at the end.
-            self._dhd.dhdStop(self._id)
-            self._dhd.dhdClose(self._id)
-            self._id = None
-            return
-        raise OSError("Force Dimension: a call of the device does not return; its watchdog cuts the forces")
+        if self._shared is not None and self._code.servo_end(ctypes.byref(self._shared)):
+            raise OSError("Force Dimension: a call of the device does not return; its watchdog cuts the forces")
+        # Forces off first; a device that is gone refuses both, and that is no news at the end.
+        self._dhd.dhdStop(self._id)
+        self._dhd.dhdClose(self._id)
+        self._id = None
 
     # -- words -------------------------------------------------------------------------------------------------------
 
     def error_text(self, code: int) -> str:
         """Put an error of DHD in words."""
-        return error_text(code)
+        return sdk.error_text(code)
 
     def condition(self) -> str:
         """Say why the device gives no force."""
         cause = int(self._box.condition)
-        return CONDITIONS.get(cause, f"the device says that forces are off (cause {cause})") if cause else ""
+        return sdk.CONDITIONS.get(cause, f"the device says that forces are off (cause {cause})") if cause else ""
 
     def inertia(self) -> tuple[Vector, Vector, Vector] | None:
         """Tell the inertia that forces of the scene move where the device stands [kg]."""

@@ -19,20 +19,14 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from websockets.sync.client import ClientConnection, connect
 
 from messages.types import ZERO, Vector
-from nodes.driver.device import DeviceLimits, Workspace
+from nodes.driver.device import Workspace
 from nodes.driver.haply.service import ENDS, EVENTS, REMEDY, Inverse3, ask, buttons, command, read
 from nodes.driver.hardware.driver import HardwareDriver
-from nodes.driver.hardware.libraries import Found
+from nodes.driver.hardware.libraries import Search
 from nodes.driver.hardware.mailbox import SAMPLE, HardwareParameters, MailboxDevice, ServoParameters
 
-SILENCE: Final = 0.1
-"""Longest watchdog that a launch file may ask for on this device [s]."""
-
-COLD_START: Final = 25.0
-"""What the service takes after it was started, by the vendor's guide [s]."""
-
-CLOSED, SLOW, FORCELESS, UNPLUGGED, NO_STATE = 1, 2, 3, 4, 5
-"""What can go wrong, as numbers for the mailbox."""
+COLD_START: Final = 25.0  # what the service takes after it was started, by the vendor's guide [s]
+CLOSED, SLOW, FORCELESS, UNPLUGGED, NO_STATE = 1, 2, 3, 4, 5  # what can go wrong, as numbers for the mailbox
 
 ERRORS: Final = {
     CLOSED: "the Inverse Service closed the connection",
@@ -41,33 +35,20 @@ ERRORS: Final = {
     UNPLUGGED: "the Inverse3 was unplugged",
     NO_STATE: "the Inverse Service gives no state of the Inverse3",
 }
-
-ASKED: Final = 0.1
-"""From so much force on it is looked whether the service takes it [N]; and so much may come from others."""
-
-FORCELESS_AFTER: Final = 0.3
-"""After so long without an effect forces are taken to be refused [s]."""
+ASKED: Final = 0.1  # from so much force on it is looked whether the service takes it [N]; and so much may come from others
+FORCELESS_AFTER: Final = 0.3  # after so long without an effect forces are taken to be refused [s]
 
 
 class Inverse3Parameters(ServoParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of the device.
 
-    Attributes
-    ----------
-    serial : str
-        Its identifier in the service (``device_id``); empty for the first one.
-    host : str
-        Where the service runs.
-    port, events_port : int
-        Of its WebSocket, and of its events; 0 for no events.
-    start_time : float
-        Longest wait for the service and the device [s]: a cold start takes up to 25.
-    peak_force : float
-        Largest force along an axis [N]: the service does not tell what the device bears.
-    continuous_force : float
-        What it bears for long [N].
-    workspace : tuple of tuple of float, shape (3, 2)
-        Along its own axes [m].
+    serial: Its identifier in the service (``device_id``); empty for the first one.
+    host: Where the service runs.
+    port, events_port: Of its WebSocket, and of its events; 0 for no events.
+    start_time: Longest wait for the service and the device [s]: a cold start takes up to 25.
+    peak_force: Largest force along an axis [N]: the service does not tell what the device bears.
+    continuous_force: What it bears for long [N].
+    workspace: Along its own axes [m].
     """
 
     serial: str = ""
@@ -83,10 +64,7 @@ class Inverse3Parameters(ServoParameters, frozen=True, forbid_unknown_fields=Tru
 class Inverse3DriverParameters(HardwareParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of the driver node.
 
-    Attributes
-    ----------
-    inverse3 : Inverse3Parameters
-        The device.
+    inverse3: The device.
     """
 
     inverse3: Inverse3Parameters = Inverse3Parameters()
@@ -96,12 +74,11 @@ class Inverse3Device(MailboxDevice):
     """One device. Nothing but `open` needs the service: a cold start takes longer than a node may take to be configured."""
 
     TITLE: ClassVar[str] = "Inverse3"
+    SECTION: ClassVar[str] = "inverse3"
     AXES: ClassVar[tuple[str, ...]] = ("+y", "-x", "+z")
 
     def __init__(self, parameters: Inverse3DriverParameters) -> None:
         super().__init__(parameters)
-        self._wants = parameters.inverse3
-        self.servo_rate = self._wants.servo_rate
         self._socket: ClientConnection | None = None
         self._open = ExitStack()
         self._threads: list[threading.Thread] = []
@@ -113,25 +90,18 @@ class Inverse3Device(MailboxDevice):
         self.round_trip = 0.0
 
     @classmethod
-    def find(cls, parameters: Any) -> Found:
+    def find(cls, parameters: Any) -> Search:
         """Look whether the service answers."""
         wants = parameters.inverse3
         address = f"ws://{wants.host}:{wants.port}"
         version = ask(wants.host, wants.port, "/version")
-        return Found(None if version is None else f"the Inverse Service {version}", (address,))
+        return Search(None if version is None else f"the Inverse Service {version}", (address,))
 
     def connect(self) -> None:
         """Lay down what the driver asks of it; the service is not needed yet."""
         wants = self._wants
-        limits = DeviceLimits(
-            peak_force=wants.peak_force,
-            continuous_force=min(wants.peak_force, wants.continuous_force),
-            silence=SILENCE,
-            hold=wants.deadline,
-            opening=wants.start_time + 10.0,
-            workspace=wants.workspace,
-        )
-        self.prepare(limits, wants.deadline)
+        continuous = min(wants.peak_force, wants.continuous_force)
+        self.prepare(wants.peak_force, continuous, wants.workspace, opening=wants.start_time + 10.0)
         code = self._code
         doubles = ctypes.POINTER(ctypes.c_double)
         code.mailbox_force.argtypes = [ctypes.c_void_p, doubles]
@@ -145,19 +115,17 @@ class Inverse3Device(MailboxDevice):
             return
         wants = self._wants
         address = f"ws://{wants.host}:{wants.port}"
-        begun = time.monotonic()
-        until, why = begun + wants.start_time, ""
+        begun, why = time.monotonic(), ""
         while self._socket is None:
             try:
                 self._socket = self._dial(address)
             except (OSError, ConnectionClosed, InvalidHandshake, ValueError, TimeoutError) as error:
                 why = str(error)
-            if self._socket is None:
-                if time.monotonic() > until:
+                if time.monotonic() > begun + wants.start_time:
                     raise OSError(
                         f"Inverse3: not ready at {address} within {wants.start_time:g} s: {why}; {REMEDY}. On Linux "
                         "ModemManager may hold its serial port"
-                    )
+                    ) from error
                 self.wait_for(
                     f"waits up to {wants.start_time:g} s for the Inverse Service at {address}: {why}; a cold start takes up to "
                     f"{COLD_START:g} s"
@@ -174,11 +142,7 @@ class Inverse3Device(MailboxDevice):
             names = [device.device_id for device in found]
             chosen = [device for device in found if wants.serial in ("", device.device_id)]
             if not chosen:
-                asked = (
-                    f"no Inverse3 {wants.serial}; there are: {', '.join(names)}"
-                    if names
-                    else "no Inverse3 is connected"
-                )
+                asked = f"no Inverse3 {wants.serial}; there are: {', '.join(names)}" if names else "no Inverse3 is connected"
                 raise ValueError(asked)
             self._describe(chosen[0])
             self._open = dialled.pop_all()
@@ -251,11 +215,8 @@ class Inverse3Device(MailboxDevice):
                 self._failed(NO_STATE)
             else:
                 turn = state.body_orientation
-                quaternion = (turn.x, turn.y, turn.z, turn.w)
-                sample[:] = [
-                    *(*state.cursor_position.numbers(), *state.cursor_velocity.numbers()),
-                    *(*quaternion, 0.0, float(buttons(answered))),
-                ]
+                seen = (*state.cursor_position.numbers(), *state.cursor_velocity.numbers(), turn.x, turn.y, turn.z, turn.w)
+                sample[:] = [*seen, 0.0, float(buttons(answered))]
                 code.mailbox_sampled(at, sample)
                 code.mailbox_ticked(at)
                 given = state.current_cursor_force.numbers()
@@ -325,10 +286,7 @@ class Inverse3Device(MailboxDevice):
 
 def _connection(address: str) -> AbstractContextManager[ClientConnection]:
     """Prepare a connection; no proxy of the environment stands between a device and its driver, and no compression."""
-    made: AbstractContextManager[ClientConnection] = connect(
-        address, open_timeout=2.0, close_timeout=0.5, compression=None, proxy=None
-    )
-    return made
+    return connect(address, open_timeout=2.0, close_timeout=0.5, compression=None, proxy=None)
 
 
 class Inverse3Driver(HardwareDriver):

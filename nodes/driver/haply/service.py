@@ -38,12 +38,8 @@ class _Quaternion(msgspec.Struct):
 class Inverse3State(msgspec.Struct):
     """The state of a device; what is left out is zero.
 
-    Attributes
-    ----------
-    cursor_position, cursor_velocity, current_cursor_force : vector
-        In the session's own axes [m], [m/s], [N].
-    body_orientation : quaternion
-        Of the device's body.
+    cursor_position, cursor_velocity, current_cursor_force: In the session's own axes [m], [m/s], [N].
+    body_orientation: Of the device's body.
     """
 
     cursor_position: _Vector = msgspec.field(default_factory=_Vector)
@@ -80,10 +76,7 @@ _DECODER: Final = msgspec.json.Decoder(ServiceMessage)
 
 
 def read(message: str | bytes) -> ServiceMessage:
-    """Read a message of the service.
-
-    Raises ValueError when it is none.
-    """
+    """Read a message of the service; ValueError when it is none."""
     try:
         return _DECODER.decode(message)
     except msgspec.DecodeError as error:

@@ -14,10 +14,7 @@ from nodes.compiled import cache
 
 
 def shared_library(name: str, sources: Iterable[Path], options: Sequence[str | Path], what: str) -> Any:
-    """Load what a C compiler makes of some options.
-
-    Raises OSError when there is no compiler, or it fails.
-    """
+    """Load what a C compiler makes of some options; OSError when there is none, or it fails."""
     # A path that is absolute stands for itself.
     digests = {
         str(path.relative_to(cache.ROOT) if path.is_relative_to(cache.ROOT) else path): cache.digest_of(path)
@@ -39,9 +36,7 @@ def servo_library(source: Path) -> Any:
     """Load a servo loop, which is compiled once per version of its source."""
     sources = [source, Path(__file__).with_name("mailbox.h")]
     name = f"{source.parent.name}-{source.stem}.so"
-    return shared_library(
-        name, sources, ["-pthread", source, "-lm"], f"the servo loop {source.parent.name}/{source.name}"
-    )
+    return shared_library(name, sources, ["-pthread", source, "-lm"], f"the servo loop {source.parent.name}/{source.name}")
 
 
 def compiler() -> str:

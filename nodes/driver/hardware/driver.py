@@ -12,7 +12,7 @@ from messages import topics
 from messages.types import Handle
 from nodes.driver.device import Device
 from nodes.driver.hardware.inertia import SeenMasses
-from nodes.driver.hardware.libraries import Found
+from nodes.driver.hardware.libraries import Search
 from nodes.driver.hardware.mailbox import HardwareParameters, MailboxDevice
 from nodes.driver.node import Driver
 from nodes.parameters.store import ParameterError
@@ -32,11 +32,8 @@ class HardwareDriver(Driver):
     _condition = ""
 
     @classmethod
-    def find(cls, parameters: Any) -> Found:
-        """Look for what the device needs on this machine.
-
-        Returns: its library, and where it was looked for.
-        """
+    def find(cls, parameters: Any) -> Search:
+        """Look for what the device needs on this machine."""
         return cls.hardware.find(parameters)
 
     def make_device(self) -> Device:
@@ -79,8 +76,7 @@ class HardwareDriver(Driver):
         """Look whether the loop goes on, and tell when the device keeps forces off (control thread)."""
         super().look_after()
         if self.state == "running":
-            # A device passes through poses that nobody asks about.
-            self._masses.look(self.held.inertia())
+            self._masses.look(self.held.inertia())  # a device passes through poses that nobody asks about
         condition = self.held.condition() if self.state == "running" else ""
         if condition != self._condition:
             self._condition = condition
@@ -98,7 +94,5 @@ class HardwareDriver(Driver):
 
     def _recentre(self) -> dict[str, Any]:
         if any(self.driving.handed):
-            raise ParameterError(
-                f"{self.setup.name}: re-centre while no force acts: move the device out of the wall first"
-            )
+            raise ParameterError(f"{self.setup.name}: re-centre while no force acts: move the device out of the wall first")
         return {"moved_m": list(self.held.recentre())}

@@ -18,11 +18,7 @@ Inertia = tuple[Vector, Vector, Vector]
 
 
 def masses_along(inertia: Sequence[Sequence[float]]) -> tuple[Vector, tuple[float, float]]:
-    """Give the mass along each axis, and the least and greatest along any direction [kg].
-
-    `inertia`, shape (3, 3): symmetric [kg]. Returns: masses along x, y and z; least and greatest. Raises ValueError when it is
-    no inertia: not finite, or not positive definite.
-    """
+    """Give the mass along x, y and z, and the least and greatest along any direction [kg]; ValueError when it is no inertia."""
     matrix = np.array(inertia, dtype=float)
     if not np.isfinite(matrix).all():
         raise ValueError("the device's inertia is not finite")

@@ -9,34 +9,30 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-Functions = Mapping[str, tuple[Any, Sequence[Any]]]
-"""Of each function that is used: what it gives, and what it takes."""
+Functions = Mapping[str, tuple[Any, Sequence[Any]]]  # of each function that is used: what it gives, and what it takes
 
 
-class Found(NamedTuple):
+class Search(NamedTuple):
     """Where a library was looked for."""
 
     library: str | None  # where it is; None where it is not found
     searched: tuple[str, ...]  # where it was looked for
 
 
-def find(name: str, folders: Sequence[str]) -> Found:
+def find(name: str, folders: Sequence[str]) -> Search:
     """Look for a library: a path, or a name in what the dynamic linker knows and in the vendor's folders."""
     if "/" in name:
-        return Found(name if Path(name).exists() else None, (name,))
+        return Search(name if Path(name).exists() else None, (name,))
     loader = [folder for folder in os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep) if folder]
     places = [str(Path(folder) / name) for folder in (*loader, *folders)]
     library = next((place for place in places if Path(place).exists()), None)
     if library is None:
         library = ctypes.util.find_library(name.removeprefix("lib").partition(".")[0])
-    return Found(library, ("the dynamic linker's cache", *places))
+    return Search(library, ("the dynamic linker's cache", *places))
 
 
 def load(name: str, folders: Sequence[str], remedy: str, what: str, functions: Functions) -> Any:
-    """Load a library and declare what is used of it.
-
-    Raises OSError when it cannot be loaded, or is another one.
-    """
+    """Load a library and declare what is used of it; OSError when it cannot be loaded, or is another one."""
     found = find(name, folders)
     try:
         library: Any = ctypes.CDLL(found.library or name)

@@ -17,28 +17,24 @@ from typing import Annotated, Any, ClassVar, Final, NamedTuple
 import msgspec
 
 from messages.types import Vector
+from nodes.compiled.layout import named
 from nodes.driver.calls import Calls
-from nodes.driver.device import DeviceLimits
+from nodes.driver.device import DeviceLimits, Workspace
 from nodes.driver.hardware.compile import servo_library
-from nodes.driver.hardware.libraries import Found
-from nodes.driver.hardware.mapping import Mapping, Matrix, limits_in_scene, matrix
+from nodes.driver.hardware.libraries import Search, find
+from nodes.driver.hardware.mapping import Mapping, Turn, limits_in_scene, matrix
 from nodes.driver.parameters import DriverParameters
 
-FAULT, STALLED, UNREAD = 1, 2, 3
-"""What ``device_read`` of mailbox.h fails with, as negative numbers."""
+FAULT, STALLED, UNREAD = 1, 2, 3  # what ``device_read`` of mailbox.h fails with, as negative numbers
 
 LOST: Final = 0.8
 """After so long without a sample a device is given up [s]; until then its position counts as unknown, and there is no force."""
 
 SAMPLE: Final = 12
+SILENCE: Final = 0.1  # longest watchdog that a launch file may ask for on these devices [s]
 
 _kept: Final[list[Any]] = []
 """Mailboxes that a servo loop may still use: one whose thread hangs must not write into freed memory."""
-
-
-def _silent(text: str) -> None:
-    """Tell nobody."""
-    del text
 
 
 class Mailbox(ctypes.Structure):
@@ -48,23 +44,17 @@ class Mailbox(ctypes.Structure):
         ("turn", ctypes.c_double * 9),
         ("unit", ctypes.c_double),
         ("origin", ctypes.c_double * 3),
-        *((name, ctypes.c_double) for name in ("deadline", "patience", "peak", "reach", "back")),
-        ("clutch", ctypes.c_int64),
-        ("commands", ctypes.c_uint),
+        *named(ctypes.c_double, "deadline", "patience", "peak", "reach", "back"),
+        *(("clutch", ctypes.c_int64), ("commands", ctypes.c_uint)),
         ("force", ctypes.c_double * 3),
-        ("stop", ctypes.c_uint),
-        ("seen", ctypes.c_uint),
-        ("seen_at", ctypes.c_double),
-        ("held", ctypes.c_int64),
-        ("frozen", ctypes.c_double * 3),
-        ("shift", ctypes.c_double * 3),
-        ("share_from", ctypes.c_double),
-        ("samples", ctypes.c_uint),
+        *named(ctypes.c_uint, "stop", "seen"),
+        *(("seen_at", ctypes.c_double), ("held", ctypes.c_int64)),
+        *named(ctypes.c_double * 3, "frozen", "shift"),
+        *(("share_from", ctypes.c_double), ("samples", ctypes.c_uint)),
         ("sample", ctypes.c_double * SAMPLE),
-        *((name, ctypes.c_uint) for name in ("ticks", "let_go", "errors")),
-        *((name, ctypes.c_int) for name in ("error", "fault", "condition")),
-        ("last_command", ctypes.c_uint),
-        ("silent", ctypes.c_uint),
+        *named(ctypes.c_uint, "ticks", "let_go", "errors"),
+        *named(ctypes.c_int, "error", "fault", "condition"),
+        *named(ctypes.c_uint, "last_command", "silent"),
         ("commanded_at", ctypes.c_double),
         ("acting", ctypes.c_double * 3),
     ]
@@ -73,10 +63,7 @@ class Mailbox(ctypes.Structure):
 class HardwareParameters(DriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters that every driver of a real device has.
 
-    Attributes
-    ----------
-    mapping : Mapping
-        From the device into the scene; see nodes/driver/hardware/mapping.py.
+    mapping: From the device into the scene; see nodes/driver/hardware/mapping.py.
     """
 
     mapping: Mapping = Mapping()
@@ -85,12 +72,8 @@ class HardwareParameters(DriverParameters, frozen=True, forbid_unknown_fields=Tr
 class ServoParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of a servo loop.
 
-    Attributes
-    ----------
-    servo_rate : int
-        Its rate [Hz]; where a device refuses it, its own holds.
-    deadline : float
-        How long it holds a force without a new one [s].
+    servo_rate: Its rate [Hz]; where a device refuses it, its own holds.
+    deadline: How long it holds a force without a new one [s].
     """
 
     servo_rate: Annotated[int, msgspec.Meta(ge=100, le=10_000)] = 1000
@@ -111,6 +94,8 @@ class MailboxDevice(ABC):
     """One device; a kind defines how it is found, opened and closed, and what its errors mean."""
 
     TITLE: ClassVar[str] = ""  # what it is called in errors
+    SECTION: ClassVar[str] = ""  # which of the node's parameters are its own
+    FOLDERS: ClassVar[Sequence[str]] = ()  # where its vendor's library may be, beside what the dynamic linker knows
     # Its axes that are forward, left and up here, where it stands upright.
     AXES: ClassVar[Sequence[str]] = ("+x", "+y", "+z")
     UNIT: ClassVar[float] = 1.0  # its unit of length [m]
@@ -119,10 +104,11 @@ class MailboxDevice(ABC):
 
     def __init__(self, parameters: Any) -> None:
         self.parameters = parameters
+        self._wants: Any = getattr(parameters, self.SECTION)
         self.facts: dict[str, Any] = {}  # what is known of it once it is connected: model, serial number, versions
-        self.servo_rate = 1000.0  # samples that are asked for [Hz]
+        self.servo_rate, self.deadline = self._wants.servo_rate, self._wants.deadline
         # Told what is waited for while it is opened, which may take long; its maker sets it.
-        self.say: Callable[[str], None] = _silent
+        self.say: Callable[[str], Any] = str
         self._waits = ""
         self._limits = DeviceLimits()
         self._turn = matrix(parameters.mapping, self.AXES)
@@ -141,10 +127,9 @@ class MailboxDevice(ABC):
         return int(self._box.let_go)
 
     @classmethod
-    def find(cls, parameters: Any) -> Found:
-        """Look for what it needs on this machine; a kind with a library names it."""
-        del parameters
-        return Found(None, ())
+    def find(cls, parameters: Any) -> Search:
+        """Look for what it needs on this machine: its vendor's library, or what a kind needs in its place."""
+        return find(getattr(parameters, cls.SECTION).library, cls.FOLDERS)
 
     @property
     def ticks(self) -> int:
@@ -152,7 +137,7 @@ class MailboxDevice(ABC):
         return int(self._box.ticks)
 
     @property
-    def turn(self) -> Matrix:
+    def turn(self) -> Turn:
         """The matrix from the device's axes into the scene's."""
         return self._turn
 
@@ -166,20 +151,14 @@ class MailboxDevice(ABC):
 
     @abstractmethod
     def connect(self) -> None:
-        """Take hold of the device with forces off, and read its limits and facts.
-
-        Raises OSError when it cannot be used; the text says what to do.
-        """
+        """Take hold of the device, forces off, and read its limits and facts; OSError when it cannot be used, with a remedy."""
 
     def identify(self) -> None:  # noqa: B027  # most kinds know all by then
         """Read what is not known after `connect`; for a device that is far away."""
 
     @abstractmethod
     def open(self) -> None:
-        """Start the servo loop, calibrate with forces off, then let forces through, at zero.
-
-        Raises OSError when it cannot be used; the text says what to do.
-        """
+        """Start the servo loop, calibrate with forces off, then let forces through, at zero; OSError as `connect`."""
 
     @abstractmethod
     def close(self) -> None:
@@ -195,9 +174,22 @@ class MailboxDevice(ABC):
 
     # -- for kinds ---------------------------------------------------------------------------------------------------
 
-    def prepare(self, theirs: DeviceLimits, deadline: float) -> None:
-        """Make the mailbox, and take what the device bears along its own axes in metres."""
+    def prepare(
+        self, peak: float, continuous: float, workspace: Workspace, hold: float | None = None, opening: float | None = None
+    ) -> None:
+        """Make the mailbox, with what the device bears along its own axes [N], [m], and how long it holds a force [s].
+
+        It holds one for the servo loop's own deadline where nothing else is told.
+        """
         mapping: Mapping = self.parameters.mapping
+        theirs = DeviceLimits(
+            peak_force=peak,
+            continuous_force=continuous,
+            silence=SILENCE,
+            hold=self.deadline if hold is None else hold,
+            opening=DeviceLimits().opening if opening is None else opening,
+            workspace=workspace,
+        )
         self._code = servo_library(self.SERVO)
         self._code.mailbox_size.restype = ctypes.c_size_t
         sizes = [(self._code.mailbox_size, Mailbox)]
@@ -215,8 +207,8 @@ class MailboxDevice(ABC):
         box = self._box = self._shared if self.Shared is Mailbox else self._shared.box
         box.turn[:] = [number for row in self._turn for number in row]
         box.unit, box.origin[:] = self.UNIT, mapping.centre
-        box.deadline = box.patience = deadline
-        box.peak = theirs.peak_force
+        box.deadline = box.patience = self.deadline
+        box.peak = peak
         box.clutch = 0 if mapping.clutch is None else 1 << mapping.clutch
         box.reach, box.back = mapping.reach, mapping.clutch_ramp
         self._limits = limits_in_scene(theirs, mapping, self._turn)
@@ -227,10 +219,8 @@ class MailboxDevice(ABC):
         while self._box.ticks < 2:
             if self._box.fault or time.monotonic() > until:
                 error = self._box.fault or self._box.error
-                raise OSError(
-                    f"{self.TITLE}: no sample from the device within 2 s"
-                    + (f": {self.error_text(error)}" if error else "; restart it")
-                )
+                why = f": {self.error_text(error)}" if error else "; restart it"
+                raise OSError(f"{self.TITLE}: no sample from the device within 2 s{why}")
             time.sleep(0.001)
         if self.parameters.mapping.recentre:
             self.recentre()
@@ -271,10 +261,8 @@ class MailboxDevice(ABC):
 
     def calls(self) -> Calls:
         """Give the mailbox as it stands in C."""
-        read, write = (
-            ctypes.cast(function, ctypes.c_void_p).value or 0
-            for function in (self._code.device_read, self._code.device_write)
-        )
+        both = self._code.device_read, self._code.device_write
+        read, write = (ctypes.cast(function, ctypes.c_void_p).value or 0 for function in both)
         return Calls(read, write, self._at)
 
     def raw(self) -> list[float] | None:

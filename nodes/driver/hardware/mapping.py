@@ -17,32 +17,22 @@ from messages.types import Vector
 from nodes.driver.device import Bounds, DeviceLimits, Workspace
 
 AxisName = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
-Matrix = tuple[Vector, Vector, Vector]
+Turn = tuple[Vector, Vector, Vector]
 _LETTERS: Final = "xyz"
 
 
 class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """How positions of the device become positions of the scene.
 
-    Attributes
-    ----------
-    axes : tuple of str, shape (3,), or None
-        Which axis of the device, in its vendor's directions, is forward, left and up here, e.g. ``["-z", "-x", "+y"]``; None
+    axes: Which axis of the device, in its vendor's directions, is forward, left and up here, e.g. ``["-z", "-x", "+y"]``; None
         for those of the device as it stands upright on a table.
-    rotation : tuple of float, shape (3,)
-        How the device is turned from there: about x, then y, then z of the scene [degrees].
-    scale : float
-        Metres of the scene for a metre of the device; forces on the device are those of the scene times it.
-    centre : tuple of float, shape (3,)
-        Where the middle of the device is in the scene [m].
-    recentre : bool
-        Whether ``centre`` is where the device stands when it is opened.
-    clutch : int or None
-        Number of the button, from 0, that holds the scene still while the device is moved; None for none.
-    reach : float
-        How far the clutch may move the device against the scene, along an axis [m].
-    clutch_ramp : float
-        Time in which the force comes back after the clutch [s].
+    rotation: How the device is turned from there: about x, then y, then z of the scene [degrees].
+    scale: Metres of the scene for a metre of the device; forces on the device are those of the scene times it.
+    centre: Where the middle of the device is in the scene [m].
+    recentre: Whether ``centre`` is where the device stands when it is opened.
+    clutch: Number of the button, from 0, that holds the scene still while the device is moved; None for none.
+    reach: How far the clutch may move the device against the scene, along an axis [m].
+    clutch_ramp: Time in which the force comes back after the clutch [s].
     """
 
     axes: tuple[AxisName, AxisName, AxisName] | None = None
@@ -61,7 +51,7 @@ class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             raise ValueError(f"axes is {list(self.axes)}: a mirror of the scene; turn one sign round, or swap two")
 
 
-def _rows(names: Sequence[str]) -> Matrix:
+def _rows(names: Sequence[str]) -> Turn:
     x, y, z = (tuple((1.0 if name[0] == "+" else -1.0) * (letter == name[1]) for letter in _LETTERS) for name in names)
     return x, y, z  # type: ignore[return-value]  # each is three long
 
@@ -71,7 +61,7 @@ def _handed(names: Sequence[str]) -> float:
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
-def _product(a: Matrix, b: Matrix) -> Matrix:
+def _product(a: Turn, b: Turn) -> Turn:
     def row(i: int) -> Vector:
         x, y, z = (sum(a[i][k] * b[k][j] for k in range(3)) for j in range(3))
         return x, y, z
@@ -87,12 +77,8 @@ def _cosine_sine(degrees: float) -> tuple[float, float]:
     return math.cos(angle), math.sin(angle)
 
 
-def matrix(mapping: Mapping, usual: Sequence[str]) -> Matrix:
-    """Make the matrix from the device's axes into the scene's.
-
-    `usual`, shape (3,): the device's own axes that are forward, left and up where nothing was asked for. Returns, shape (3,
-    3): s R A, row by row.
-    """
+def matrix(mapping: Mapping, usual: Sequence[str]) -> Turn:
+    """Make s R A by rows, from the axes that are forward, left and up (`usual`: where none are asked for) into the scene's."""
     turned = _rows(mapping.axes or usual)
     for axis, degrees in enumerate(mapping.rotation):
         cosine, sine = _cosine_sine(degrees)
@@ -105,7 +91,7 @@ def matrix(mapping: Mapping, usual: Sequence[str]) -> Matrix:
     return first, second, third
 
 
-def limits_in_scene(limits: DeviceLimits, mapping: Mapping, turn: Matrix) -> DeviceLimits:
+def limits_in_scene(limits: DeviceLimits, mapping: Mapping, turn: Turn) -> DeviceLimits:
     """Turn what the device bears along its own axes into what a scene may ask for.
 
     `turn`, shape (3, 3): as from `matrix`. Returns: forces: so low that no axis of the device gets more than it bears,

@@ -28,12 +28,8 @@ from nodes.stability.plant import Plant
 class PairedMember(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One of the two.
 
-    Attributes
-    ----------
-    kind : str
-        Kind of driver.
-    parameters : dict
-        As that driver takes them.
+    kind: Kind of driver.
+    parameters: As that driver takes them.
     """
 
     kind: str
@@ -43,10 +39,7 @@ class PairedMember(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 class PairedDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of the driver of a pair.
 
-    Attributes
-    ----------
-    first, second : PairedMember
-        The devices.
+    first, second: The devices.
     """
 
     first: PairedMember
@@ -127,9 +120,7 @@ class PairedDriver(Driver):
                 return None
             changed[which] = {"kind": member.kind, "parameters": stood[0]}
             plants.append(stood[1])
-        first, second = (
-            Plant(1.0, one["mass"], one["damping"], one["device_delay"], one["stiffness"]) for one in plants
-        )
+        first, second = (Plant(1.0, one["mass"], one["damping"], one["device_delay"], one["stiffness"]) for one in plants)
         pair = first.paired_with(second)
         facts = {"mass": pair.mass, "damping": pair.damping, "stiffness": pair.stiffness, "device_delay": pair.delay}
         return changed, {"heaviest": None, **facts}
@@ -164,10 +155,7 @@ class PairedDriver(Driver):
 
     def operations(self) -> dict[str, Any]:
         """Offer where each of the two is."""
-        return {
-            **super().operations(),
-            "places": lambda: {"first_m": self.pair.places[0], "second_m": self.pair.places[1]},
-        }
+        return {**super().operations(), "places": lambda: {"first_m": self.pair.places[0], "second_m": self.pair.places[1]}}
 
     def condition(self) -> str:
         """Say which of them keeps forces off, and why."""

@@ -15,51 +15,22 @@ from typing import Annotated, Any, ClassVar
 
 import msgspec
 
-from nodes.driver.device import DeviceLimits, Workspace
+from nodes.driver.device import Workspace
 from nodes.driver.hardware.driver import HardwareDriver
-from nodes.driver.hardware.libraries import Found, find
 from nodes.driver.hardware.mailbox import HardwareParameters, MailboxDevice, ServoParameters
-from nodes.driver.touch.hdapi import (
-    AUTOMATIC,
-    CALIBRATION_NEEDS_MANUAL,
-    CALIBRATION_NEEDS_UPDATE,
-    CALIBRATION_OK,
-    CALIBRATION_STYLE,
-    DRIVER_VERSION,
-    ENCODER_RESET,
-    FOLDERS,
-    FORCE_OUTPUT,
-    INKWELL,
-    INVALID_HANDLE,
-    MAX_CONTINUOUS_FORCE,
-    MAX_FORCE,
-    MAX_WORKSPACE,
-    MODEL_TYPE,
-    SERIAL_NUMBER,
-    TouchServo,
-    error_text,
-    load_library,
-)
+from nodes.driver.touch import hdapi
 from nodes.parameters.paths import LocalPath
 
 PRIORITY = 65535
-SILENCE = 0.1
-"""Longest watchdog that a launch file may ask for on this device [s]."""
 
 
 class TouchParameters(ServoParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of the device.
 
-    Attributes
-    ----------
-    name : str
-        Name of the device in the vendor's setup; empty for the default one.
-    serial : str
-        Serial number that the device must have; empty for any.
-    library : str
-        HDAPI's library: a name that the dynamic linker finds, or a path.
-    calibration_time : float
-        Longest wait for the calibration [s].
+    name: Name of the device in the vendor's setup; empty for the default one.
+    serial: Serial number that the device must have; empty for any.
+    library: HDAPI's library: a name that the dynamic linker finds, or a path.
+    calibration_time: Longest wait for the calibration [s].
     """
 
     name: str = ""
@@ -71,10 +42,7 @@ class TouchParameters(ServoParameters, frozen=True, forbid_unknown_fields=True, 
 class TouchDriverParameters(HardwareParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of the driver node.
 
-    Attributes
-    ----------
-    touch : TouchParameters
-        The device.
+    touch: The device.
     """
 
     touch: TouchParameters = TouchParameters()
@@ -84,23 +52,18 @@ class TouchDevice(MailboxDevice):
     """One device. `connect` takes hold of it with forces off; `open` calibrates it and lets forces through."""
 
     TITLE: ClassVar[str] = "Touch"
+    SECTION: ClassVar[str] = "touch"
+    FOLDERS: ClassVar[tuple[str, ...]] = hdapi.FOLDERS
     AXES: ClassVar[tuple[str, ...]] = ("-z", "-x", "+y")
     UNIT: ClassVar[float] = 1e-3
     SERVO: ClassVar[Path] = Path(__file__).with_name("servo.c")
-    Shared: ClassVar[type[Any]] = TouchServo
+    Shared: ClassVar[type[Any]] = hdapi.TouchServo
     held: ClassVar[bool] = False
 
     def __init__(self, parameters: TouchDriverParameters) -> None:
         super().__init__(parameters)
-        self._touch = parameters.touch
-        self.servo_rate = self._touch.servo_rate
         self._device: int | None = None
         self._scheduled: int | None = None
-
-    @classmethod
-    def find(cls, parameters: Any) -> Found:
-        """Look for the vendor's library."""
-        return find(parameters.touch.library, FOLDERS)
 
     def connect(self) -> None:
         """Load the vendor's library, take hold of the device, and read its limits; no force yet."""
@@ -108,28 +71,25 @@ class TouchDevice(MailboxDevice):
             raise OSError(
                 "Touch: this process has one already, and HDAPI has one scheduler a process: give each a launch of its own"
             )
-        self._hd: Any = load_library(self._touch.library)
-        name = self._touch.name or "(default)"
-        device = self._hd.hdInitDevice(self._touch.name.encode() or None)
+        self._hd: Any = hdapi.load_library(self._wants.library)
+        name = self._wants.name or "(default)"
+        device = self._hd.hdInitDevice(self._wants.name.encode() or None)
         self._check(f"device {name} cannot be opened", "is it plugged in and set up?")
-        if device == INVALID_HANDLE:
+        if device == hdapi.INVALID_HANDLE:
             raise OSError(f"device {name}: hdInitDevice gave no handle; is it plugged in?")
         self._device = device
         TouchDevice.held = True
         try:
-            self._hd.hdDisable(FORCE_OUTPUT)
+            self._hd.hdDisable(hdapi.FORCE_OUTPUT)
             self._check("forces cannot be switched off")
-            self.facts = {
-                "model": self._text(MODEL_TYPE),
-                "serial": self._text(SERIAL_NUMBER),
-                "driver": self._text(DRIVER_VERSION),
-            }
-            if self._touch.serial not in ("", self.facts["serial"]):
+            known = {"model": hdapi.MODEL_TYPE, "serial": hdapi.SERIAL_NUMBER, "driver": hdapi.DRIVER_VERSION}
+            self.facts = {name: self._text(which) for name, which in known.items()}
+            if self._wants.serial not in ("", self.facts["serial"]):
                 raise OSError(
-                    f"Touch: device {name} has serial number {self.facts['serial']}, not {self._touch.serial}; give the "
+                    f"Touch: device {name} has serial number {self.facts['serial']}, not {self._wants.serial}; give the "
                     "name that the vendor's setup has for that one as touch.name"
                 )
-            self.prepare(self._read_limits(), self._touch.deadline)
+            self._prepare()
         except OSError:
             self.close()
             raise
@@ -137,7 +97,7 @@ class TouchDevice(MailboxDevice):
     def _errors(self) -> list[str]:
         found: list[str] = []
         while len(found) < 16 and (code := self._hd.hdGetError().error):
-            found.append(error_text(code))
+            found.append(hdapi.error_text(code))
         return found
 
     def _check(self, what: str, remedy: str = "") -> None:
@@ -156,38 +116,23 @@ class TouchDevice(MailboxDevice):
         self._check(f"0x{name:04X} cannot be read")
         return list(values)
 
-    def _read_limits(self) -> DeviceLimits:
-        ends = [end * self.UNIT for end in self._doubles(MAX_WORKSPACE, 6)]
+    def _prepare(self) -> None:
+        """Make the mailbox with the device's own limits."""
+        ends = [end * self.UNIT for end in self._doubles(hdapi.MAX_WORKSPACE, 6)]
         workspace: Workspace = ((ends[0], ends[3]), (ends[1], ends[4]), (ends[2], ends[5]))
-        (peak,), (continuous,) = self._doubles(MAX_FORCE, 1), self._doubles(MAX_CONTINUOUS_FORCE, 1)
+        (peak,), (continuous,) = self._doubles(hdapi.MAX_FORCE, 1), self._doubles(hdapi.MAX_CONTINUOUS_FORCE, 1)
         if not (peak > 0.0 and continuous > 0.0):
             raise OSError(f"Touch: the device reports a peak force of {peak:g} N and {continuous:g} N continuously")
-        return DeviceLimits(
-            peak_force=peak,
-            continuous_force=continuous,
-            silence=SILENCE,
-            hold=self._touch.deadline,
-            workspace=workspace,
-        )
+        self.prepare(peak, continuous, workspace)
 
     def open(self) -> None:
         """Start the servo loop, calibrate with forces off, then let forces through, at zero."""
         hd = self._hd
-        hd.hdSetSchedulerRate(self._touch.servo_rate)
+        hd.hdSetSchedulerRate(self._wants.servo_rate)
         # Where it is refused the device's own rate holds: the driver takes the newest sample at each of its own ticks.
         self._errors()
         servo = self._shared
-        for field, name in (
-            ("begin_frame", "hdBeginFrame"),
-            ("end_frame", "hdEndFrame"),
-            ("make_current", "hdMakeCurrentDevice"),
-            ("get_double", "hdGetDoublev"),
-            ("get_integer", "hdGetIntegerv"),
-            ("set_double", "hdSetDoublev"),
-            ("get_error", "hdGetError"),
-            ("enable", "hdEnable"),
-            ("disable", "hdDisable"),
-        ):
+        for field, name in hdapi.SERVO_CALLS.items():
             setattr(servo, field, ctypes.cast(getattr(hd, name), ctypes.c_void_p).value)
         servo.device = self._device
         tick = ctypes.cast(self._code.servo_tick, ctypes.c_void_p)
@@ -198,50 +143,42 @@ class TouchDevice(MailboxDevice):
         self._calibrate()
         self.await_samples()
         self.write_force((0.0, 0.0, 0.0), 0, 0.0)
-        hd.hdEnable(FORCE_OUTPUT)
+        hd.hdEnable(hdapi.FORCE_OUTPUT)
         self._check("forces cannot be switched on")
         if error := self._code.servo_watch(ctypes.byref(servo)):
             raise OSError(error, "Touch: the servo loop cannot be watched")
 
     def _calibrate(self) -> None:
-        until = time.monotonic() + self._touch.calibration_time
-        while (state := self._hd.hdCheckCalibration()) != CALIBRATION_OK:
+        until = time.monotonic() + self._wants.calibration_time
+        while (state := self._hd.hdCheckCalibration()) != hdapi.CALIBRATION_OK:
             self._check("the calibration cannot be checked")
-            if state == CALIBRATION_NEEDS_UPDATE:
-                # The position may jump: forces are still off.
-                styles = (ctypes.c_int * 1)()
-                self._hd.hdGetIntegerv(CALIBRATION_STYLE, styles)
+            if state == hdapi.CALIBRATION_NEEDS_UPDATE:
+                styles = (ctypes.c_int * 1)()  # the position may jump: forces are still off
+                self._hd.hdGetIntegerv(hdapi.CALIBRATION_STYLE, styles)
                 self._check("the way of calibrating cannot be read")
-                ways = [way for way in (AUTOMATIC, INKWELL, ENCODER_RESET) if styles[0] & way]
+                ways = [way for way in (hdapi.AUTOMATIC, hdapi.INKWELL, hdapi.ENCODER_RESET) if styles[0] & way]
                 if not ways:
-                    raise OSError(
-                        f"Touch: the device knows no way of calibrating that this driver does (0x{styles[0]:X})"
-                    )
+                    raise OSError(f"Touch: the device knows no way of calibrating that this driver does (0x{styles[0]:X})")
                 self._hd.hdUpdateCalibration(ways[0])
                 self._check("the calibration failed")
-            remedy = (
-                "put the stylus into its inkwell"
-                if state == CALIBRATION_NEEDS_MANUAL
-                else "move the stylus through its whole range"
-            )
+            by_hand = state == hdapi.CALIBRATION_NEEDS_MANUAL
+            remedy = "put the stylus into its inkwell" if by_hand else "move the stylus through its whole range"
             if time.monotonic() > until:
-                raise OSError(
-                    f"Touch: not calibrated within {self._touch.calibration_time:g} s (0x{state:04X}): {remedy}"
-                )
+                raise OSError(f"Touch: not calibrated within {self._wants.calibration_time:g} s (0x{state:04X}): {remedy}")
             # What an update mends at once needs nobody.
-            if state == CALIBRATION_NEEDS_MANUAL:
-                self.wait_for(f"waits up to {self._touch.calibration_time:g} s for its calibration: {remedy}")
+            if by_hand:
+                self.wait_for(f"waits up to {self._wants.calibration_time:g} s for its calibration: {remedy}")
             time.sleep(0.01)
         self._check("the calibration cannot be checked")
 
     def error_text(self, code: int) -> str:
         """Put an error of HDAPI in words."""
-        return error_text(code)
+        return hdapi.error_text(code)
 
     def condition(self) -> str:
         """Say what keeps forces off."""
         if self._box.fault:
-            return f"the device reported {error_text(self._box.fault)}: forces are off until the node is started again"
+            return f"the device reported {hdapi.error_text(self._box.fault)}: forces are off until the node is started again"
         return ""
 
     def close(self) -> None:
@@ -253,7 +190,7 @@ class TouchDevice(MailboxDevice):
             self._box.stop = 1
             if self._code.servo_end(ctypes.byref(self._shared)):
                 raise OSError("Touch: a call of the device does not return; switch the device off")
-        hd.hdDisable(FORCE_OUTPUT)
+        hd.hdDisable(hdapi.FORCE_OUTPUT)
         if self._scheduled is not None:
             hd.hdStopScheduler()
             hd.hdUnschedule(self._scheduled)

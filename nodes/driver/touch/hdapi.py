@@ -8,7 +8,7 @@ from __future__ import annotations
 import ctypes
 from typing import Any, ClassVar
 
-from nodes.driver.hardware.libraries import load
+from nodes.driver.hardware.libraries import Functions, load
 from nodes.driver.hardware.mailbox import Mailbox
 
 FORCE_OUTPUT = 0x4000
@@ -18,8 +18,7 @@ MAX_WORKSPACE, MAX_FORCE, MAX_CONTINUOUS_FORCE = 0x2550, 0x2603, 0x2604
 CALIBRATION_STYLE = 0x2555
 """Which ways of calibrating the device has, one bit each."""
 
-AUTOMATIC, INKWELL, ENCODER_RESET = 2, 4, 1
-"""The ways, the best first, as the vendor's examples prefer them."""
+AUTOMATIC, INKWELL, ENCODER_RESET = 2, 4, 1  # the ways, the best first, as the vendor's examples prefer them
 
 INVALID_HANDLE = 0xFFFFFFFF
 ERRORS = {
@@ -42,18 +41,26 @@ class ErrorInfo(ctypes.Structure):
     ]
 
 
+SERVO_CALLS = {
+    "begin_frame": "hdBeginFrame",
+    "end_frame": "hdEndFrame",
+    "make_current": "hdMakeCurrentDevice",
+    "get_double": "hdGetDoublev",
+    "get_integer": "hdGetIntegerv",
+    "set_double": "hdSetDoublev",
+    "get_error": "hdGetError",
+    "enable": "hdEnable",
+    "disable": "hdDisable",
+}
+"""What the servo loop calls, by its name there."""
+
+
 class TouchServo(ctypes.Structure):
     """What driver and servo loop share, as in nodes/driver/touch/servo.c."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
         ("box", Mailbox),
-        *(
-            (name, ctypes.c_void_p)
-            for name in (
-                *("begin_frame", "end_frame", "make_current", "get_double", "get_integer", "set_double", "get_error"),
-                *("enable", "disable"),
-            )
-        ),
+        *((name, ctypes.c_void_p) for name in SERVO_CALLS),
         *((name, ctypes.c_uint) for name in ("device", "turns")),
         *((name, ctypes.c_int) for name in ("cut", "watched")),
         ("watch", ctypes.c_ulong),
@@ -75,30 +82,17 @@ def load_library(name: str) -> Any:
     """Load the vendor's library and declare what is used of it."""
     uint, void = ctypes.c_uint, None
     doubles, whole = ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_int)
-    return load(
-        name,
-        FOLDERS,
-        REMEDY,
-        "HDAPI's library (libHD)",
-        {
-            "hdInitDevice": (uint, [ctypes.c_char_p]),
-            "hdDisableDevice": (void, [uint]),
-            "hdEnable": (void, [uint]),
-            "hdDisable": (void, [uint]),
-            "hdMakeCurrentDevice": (void, [uint]),
-            "hdBeginFrame": (void, [uint]),
-            "hdEndFrame": (void, [uint]),
-            "hdGetDoublev": (void, [uint, doubles]),
-            "hdSetDoublev": (void, [uint, doubles]),
-            "hdGetIntegerv": (void, [uint, whole]),
-            "hdGetString": (ctypes.c_char_p, [uint]),
-            "hdGetError": (ErrorInfo, []),
-            "hdSetSchedulerRate": (void, [ctypes.c_ulong]),
-            "hdScheduleAsynchronous": (ctypes.c_ulong, [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_ushort]),
-            "hdStartScheduler": (void, []),
-            "hdStopScheduler": (void, []),
-            "hdUnschedule": (void, [ctypes.c_ulong]),
-            "hdCheckCalibration": (uint, []),
-            "hdUpdateCalibration": (void, [uint]),
-        },
-    )
+    functions: Functions = {
+        "hdInitDevice": (uint, [ctypes.c_char_p]),
+        **dict.fromkeys(("hdDisableDevice", "hdEnable", "hdDisable", "hdMakeCurrentDevice"), (void, [uint])),
+        **dict.fromkeys(("hdBeginFrame", "hdEndFrame", "hdUpdateCalibration"), (void, [uint])),
+        **dict.fromkeys(("hdGetDoublev", "hdSetDoublev"), (void, [uint, doubles])),
+        "hdGetIntegerv": (void, [uint, whole]),
+        "hdGetString": (ctypes.c_char_p, [uint]),
+        "hdGetError": (ErrorInfo, []),
+        **dict.fromkeys(("hdSetSchedulerRate", "hdUnschedule"), (void, [ctypes.c_ulong])),
+        "hdScheduleAsynchronous": (ctypes.c_ulong, [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_ushort]),
+        **dict.fromkeys(("hdStartScheduler", "hdStopScheduler"), (void, [])),
+        "hdCheckCalibration": (uint, []),
+    }
+    return load(name, FOLDERS, REMEDY, "HDAPI's library (libHD)", functions)

@@ -22,8 +22,7 @@ EXTRA = "pip install 'haptic-nodes[mujoco]'"
 LARGEST = 64_000_000
 """Largest MJCF file that is read [bytes]."""
 
-WIDEST = 1.0
-"""Largest radius around a geom of the tool [m]: what is larger was probably drawn in millimetres."""
+WIDEST = 1.0  # largest radius around a geom of the tool [m]: what is larger was probably drawn in millimetres
 
 _MOST_STEPS = 1000
 _LIGHTEST = 1e-6
@@ -56,10 +55,9 @@ def load_mujoco(where: str) -> Any:
 
 
 class MovingScene:
-    """A scene and its tool.
+    """A scene and its tool, a child of the world on three slide joints; `held`: all but the tool is held where it begins.
 
-    `tool`: body that is the tool: a child of the world on three slide joints. `held`: whether all but the tool is held where
-    it begins. Raises ParameterError when MuJoCo is not installed, the file cannot be read, or the tool is none.
+    Raises ParameterError when MuJoCo is not installed, the file cannot be read, or the tool is none.
     """
 
     def __init__(self, file: Path, tool: str, period: float, where: str, held: bool = False) -> None:
@@ -68,33 +66,27 @@ class MovingScene:
             # Opened here: the words of the operating system are clearer.
             with open(file, "rb") as opened:
                 size = opened.seek(0, os.SEEK_END)
-            if size > LARGEST:
-                raise ParameterError(
-                    f"{where}.scene: {file} has {size / 1e6:.0f} MB, more than {LARGEST / 1e6:.0f}; meshes and textures "
-                    "belong in files of their own"
-                )
-            with _heard(mujoco) as warnings:
-                self.model = _held(mujoco, file, tool) if held else mujoco.MjModel.from_xml_path(str(file))
-            if warnings:
-                # MuJoCo would go on without the value: a mass that is not a number becomes that of water.
-                raise ParameterError(f"{where}.scene: {file}: {' '.join(' '.join(warnings).split())}")
-        except ParameterError:
-            raise
         except OSError as error:
             raise ParameterError(f"{where}.scene: {file} cannot be read: {error.strerror}") from error
+        if size > LARGEST:
+            raise ParameterError(
+                f"{where}.scene: {file} has {size / 1e6:.0f} MB, more than {LARGEST / 1e6:.0f}; meshes and textures "
+                "belong in files of their own"
+            )
+        try:
+            with _heard(mujoco) as warnings:
+                self.model = _held(mujoco, file, tool) if held else mujoco.MjModel.from_xml_path(str(file))
         except ValueError as error:
             raise ParameterError(f"{where}.scene: {file}: {' '.join(str(error).split())}") from error
+        if warnings:
+            # MuJoCo would go on without the value: a mass that is not a number becomes that of water.
+            raise ParameterError(f"{where}.scene: {file}: {' '.join(' '.join(warnings).split())}")
         self.data = mujoco.MjData(self.model)
-        # The tool's body in the model.
-        self.tool, self._slides = self._find_tool(tool, file, where)
+        self.tool, self._slides = self._find_tool(tool, file, where)  # the tool's body in the model
         self.mass = float(self.model.body_subtreemass[self.tool])  # of the tool, with what is fixed to it [kg]
         if self.mass < _LIGHTEST:
-            raise ParameterError(
-                f"{where}.tool: body {tool!r} weighs {self.mass:g} kg, expected at least {_LIGHTEST:g} kg"
-            )
-        widest = max(
-            (float(self.model.geom_rbound[i]) for i in range(self.model.ngeom) if self._of_tool(i)), default=0.0
-        )
+            raise ParameterError(f"{where}.tool: body {tool!r} weighs {self.mass:g} kg, expected at least {_LIGHTEST:g} kg")
+        widest = max((float(self.model.geom_rbound[i]) for i in range(self.model.ngeom) if self._of_tool(i)), default=0.0)
         if widest > WIDEST:
             raise ParameterError(
                 f"{where}.scene: {file}: a geom of body {tool!r} reaches {widest:.4g} m, expected at most {WIDEST:g} m; "
@@ -119,15 +111,10 @@ class MovingScene:
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, tool)
         if body < 0:
             names = [model.body(i).name for i in range(1, model.nbody)]
-            raise ParameterError(
-                f"{where}.tool: no body {tool!r} in {file}; its bodies are {', '.join(names) or 'none'}"
-            )
+            raise ParameterError(f"{where}.tool: no body {tool!r} in {file}; its bodies are {', '.join(names) or 'none'}")
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-        slides = [
-            i
-            for i in range(first, first + count)
-            if model.jnt_type[i] == mujoco.mjtJoint.mjJNT_SLIDE and not model.jnt_limited[i]
-        ]
+        kind = mujoco.mjtJoint.mjJNT_SLIDE
+        slides = [i for i in range(first, first + count) if model.jnt_type[i] == kind and not model.jnt_limited[i]]
         axes = [tuple(model.jnt_axis[i].tolist()) for i in slides]
         if count != 3 or axes != [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)] or model.body_parentid[body] != 0:
             raise ParameterError(
@@ -152,13 +139,10 @@ class MovingScene:
         self._mujoco.mj_forward(self.model, self.data)
 
     def follow(self, tick: int, position: Vector, force: Vector, since: int, delay: float, first: bool) -> bool:
-        """Take the scene to a tick whose state tells the last force, the tick it answered and how much later it took effect.
-
-        Whether the scene diverged, and was put back to its beginning.
-        """
+        """Go to a tick whose state tells the last force, the tick it answered and its delay; whether the scene diverged."""
         if first:
             self.begin(position)
-            self.skip_to(tick)
+            self._done = tick * self.steps  # A node that was killed goes on with the present
         else:
             self.hand_over(force, since, delay)
             self.advance(tick)
@@ -192,42 +176,13 @@ class MovingScene:
         """Go one step of the scene further, with the force that acts now."""
         self._mujoco.mj_step(self.model, self.data)
 
-    def skip_to(self, tick: int) -> None:
-        """Take it that nothing happened up to a tick: a node that was killed goes on with the present."""
-        self._done = tick * self.steps
-
     def diverged(self) -> bool:
         """Tell whether the scene had to be put back to its beginning since the last call: MuJoCo does so by itself."""
         kinds = self._mujoco.mjtWarning
-        found = sum(
-            int(self.data.warning[int(kind)].number)
-            for kind in (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)
-        )
+        bad = kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC
+        found = sum(int(self.data.warning[int(kind)].number) for kind in bad)
         new, self.resets = found > self.resets, found
         return new
-
-    def save(self) -> bytes:
-        """Give the whole state, bit by bit, with the forces under way."""
-        import numpy as np
-
-        spec = self._mujoco.mjtState.mjSTATE_INTEGRATION
-        state = np.empty(self._mujoco.mj_stateSize(self.model, spec))
-        self._mujoco.mj_getState(self.model, self.data, state, spec)
-        rows = [[float(self._done), len(self._forces), 0.0, 0.0], *([when, *force] for when, force in self._forces)]
-        return np.concatenate([np.ravel(rows), state]).tobytes()
-
-    def restore(self, saved: bytes) -> None:
-        """Go on from a state that was saved."""
-        import numpy as np
-
-        numbers = np.frombuffer(saved)
-        count = int(numbers[1])
-        self._done = int(numbers[0])
-        rows = numbers[4 : 4 + 4 * count].reshape(-1, 4).tolist()
-        self._forces = deque((int(when), (x, y, z)) for when, x, y, z in rows)
-        spec = self._mujoco.mjtState.mjSTATE_INTEGRATION
-        self._mujoco.mj_setState(self.model, self.data, np.array(numbers[4 + 4 * count :]), spec)
-        self._mujoco.mj_forward(self.model, self.data)
 
     def stiffness(self) -> list[PairStiffness]:
         """Measure what the tool's contacts are in N/m: the parameters of a pair do not tell it.
@@ -240,37 +195,25 @@ class MovingScene:
         tip = next((i for i in of_tool if model.geom_contype[i] or model.geom_conaffinity[i]), None)
         if tip is None:
             return []
-        found: dict[str, float] = {}
+        found = []
         for i in range(model.ngeom):
-            meets = (
-                model.geom_contype[i] & model.geom_conaffinity[tip]
-                or model.geom_contype[tip] & model.geom_conaffinity[i]
-            )
-            if i in of_tool or not meets:
-                continue
-            name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, i) or f"geom {i}"
-            found[name] = self._pressed(tip, i)
-        return [PairStiffness(name, value) for name, value in found.items()]
+            meets = model.geom_contype[i] & model.geom_conaffinity[tip] or model.geom_contype[tip] & model.geom_conaffinity[i]
+            if meets and i not in of_tool:
+                name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, i) or f"geom {i}"
+                found.append(PairStiffness(name, self._pressed(tip, i)))
+        return found
 
     def _pressed(self, tip: int, wall: int) -> float:
         def contact(i: int) -> str:
             """Attributes of a geom that say how it touches."""
             found = {name: getattr(self.model, f"geom_{name}")[i] for name in _OF_CONTACT}
-            return " ".join(
-                f'{name}="{" ".join(map(repr, numbers.ravel().tolist()))}"' for name, numbers in found.items()
-            )
+            return " ".join(f'{name}="{" ".join(map(repr, numbers.ravel().tolist()))}"' for name, numbers in found.items())
 
-        model = self._mujoco.MjModel.from_xml_string(
-            _PRESS.format(
-                step=min(self.model.opt.timestep, _FINE),
-                # A pyramid's slope is part of how stiff a contact is.
-                cone="elliptic" if self.model.opt.cone else "pyramidal",
-                ratio=float(self.model.opt.impratio),
-                wall=contact(wall),
-                tip=contact(tip),
-                mass=self.mass,
-            )
-        )
+        option = self.model.opt
+        # A pyramid's slope is part of how stiff a contact is.
+        scene = {"cone": "elliptic" if option.cone else "pyramidal", "ratio": float(option.impratio), "mass": self.mass}
+        text = _PRESS.format(step=min(option.timestep, _FINE), wall=contact(wall), tip=contact(tip), **scene)
+        model = self._mujoco.MjModel.from_xml_string(text)
         data = self._mujoco.MjData(model)
         depths = []
         for load in _LOADS:

@@ -24,14 +24,9 @@ from nodes.parameters.store import ParameterError, convert
 class MujocoParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of an environment with things that move.
 
-    Attributes
-    ----------
-    scene : str
-        MJCF file; ``$(dirname)`` in a launch file is the folder that it stands in.
-    tool : str
-        Body of it that the coupling holds to the device.
-    bodies : str
-        ``dynamic``, or ``fixed`` to hold all but the tool where it begins.
+    scene: MJCF file; ``$(dirname)`` in a launch file is the folder that it stands in.
+    tool: Body of it that the coupling holds to the device.
+    bodies: ``dynamic``, or ``fixed`` to hold all but the tool where it begins.
     """
 
     scene: str
@@ -86,28 +81,17 @@ class MujocoEnvironment(Node):
         begin = 0.0 if simulated else time.monotonic()
         first = self.counters.answered < 0
         if world.follow(seq, state.position, state.force, seq - 1 - state.age, state.delay, first):
-            self.events.emit(
-                "bodies",
-                "the scene diverged and was put back to its beginning; a smaller option timestep may help",
-            )
+            text = "the scene diverged and was put back to its beginning; a smaller option timestep may help"
+            self.events.emit("bodies", text)
         at = world.tool_position
         if not simulated:
             note_spent(self.counters.spent, time.monotonic() - begin)
         if seq % self._every == 0:
             self._poses.write(world.data.geom_xpos, world.data.geom_xmat)
-        return encode(
-            Proxy(
-                seq=seq,
-                stamp=state.stamp if simulated else self.clock.now(),
-                position=state.position,
-                proxy=at,
-                # The coupling holds the tool from all sides: no normal, and nothing to clamp.
-                normal=ZERO,
-                distance=0.0,
-                contact=True,
-                delay=state.delay,
-            )
-        )
+        stamp = state.stamp if simulated else self.clock.now()
+        # The coupling holds the tool from all sides: no normal, and nothing to clamp.
+        held: dict[str, Any] = {"proxy": at, "normal": ZERO, "distance": 0.0, "contact": True}
+        return encode(Proxy(seq=seq, stamp=stamp, position=state.position, delay=state.delay, **held))
 
     def report(self) -> dict[str, Any]:
         """Tell how long its ticks took."""

@@ -1,7 +1,7 @@
 """Where the bodies of a scene are, for pages that draw them: the environment writes it some 60 times a second, a page reads it.
 
-Both map one small file in the run's private directory, sequence-locked as nodes/view/pointer.py is: the writer counts up before
-and after, and a reader takes the poses only when both counts agree. So drawing costs the loop no message and no waiting.
+Both map one small file in the run's private directory, sequence-locked as nodes/driver/pointer.py is: the writer counts up
+before and after, and a reader takes the poses only when both counts agree. So drawing costs the loop no message and no waiting.
 """
 
 from __future__ import annotations
@@ -13,11 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-RATE = 60.0
-"""Poses that are written per second of the run."""
-
-NUMBERS = 12
-"""Of each geom: its place [m], then its rotation matrix by rows."""
+RATE = 60.0  # poses that are written per second of the run
+NUMBERS = 12  # of each geom: its place [m], then its rotation matrix by rows
 
 
 def poses_file(run_dir: str | Path, node: str) -> Path:
@@ -26,10 +23,7 @@ def poses_file(run_dir: str | Path, node: str) -> Path:
 
 
 class Poses:
-    """Poses of the geoms of a scene, in a mapped file.
-
-    `make`: whether to make the file: the environment does. Raises OSError when the file cannot be made, or is not there.
-    """
+    """Poses of the geoms of a scene, in a mapped file, which the environment makes."""
 
     def __init__(self, path: Path, count: int, make: bool = False) -> None:
         size = 8 * (NUMBERS * count + 2)

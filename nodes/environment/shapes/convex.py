@@ -6,24 +6,10 @@ first hit, and converges quadratically: one distance a shape is all that its swe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import sqrt
 
-from nodes.environment.shapes.tables import (
-    BOX,
-    CAPSULE,
-    CYLINDER,
-    GIVEN,
-    KIND,
-    LIP,
-    MESH,
-    PLANE,
-    RADIUS,
-    SPHERE,
-    TOLERANCE,
-    TRIANGLE,
-    TRIANGLES,
-)
+from nodes.environment.shapes import tables as t
+from nodes.environment.shapes.tables import Table, Vector4
 from nodes.environment.shapes.triangle import nearest_on_triangle
 
 _TINY = 1e-15
@@ -31,38 +17,36 @@ _STEPS = 60
 _STRAIGHT = 1e-6
 
 
-def gap(scene: Sequence[float], row: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
+def gap(scene: Table, row: int, x: float, y: float, z: float) -> Vector4:
     """Distance of the tool's centre from where it touches a shape [m], negative inside, and the outward normal."""
-    kind, at = scene[row + KIND], row + GIVEN
+    kind, at = scene[row + t.KIND], row + t.GIVEN
     px, py, pz = x - scene[at], y - scene[at + 1], z - scene[at + 2]
-    if kind == PLANE:
+    if kind == t.PLANE:
         nx, ny, nz = scene[at + 3], scene[at + 4], scene[at + 5]
         away = px * nx + py * ny + pz * nz
-    elif kind == SPHERE:
+    elif kind == t.SPHERE:
         away, nx, ny, nz = _from_point(px, py, pz)
         away -= scene[at + 3]
-    elif kind == CAPSULE:
+    elif kind == t.CAPSULE:
         ux, uy, uz = scene[at + 3], scene[at + 4], scene[at + 5]
         along = min(max(px * ux + py * uy + pz * uz, 0.0), scene[at + 6])
         away, nx, ny, nz = _from_point(px - along * ux, py - along * uy, pz - along * uz)
         away -= scene[at + 7]
-    elif kind == CYLINDER:
+    elif kind == t.CYLINDER:
         away, nx, ny, nz = _from_cylinder(scene, at, px, py, pz)
     else:
         away, nx, ny, nz = _from_box(scene, at, px, py, pz)
-    return away - scene[RADIUS], nx, ny, nz
+    return away - scene[t.RADIUS], nx, ny, nz
 
 
-def _from_point(px: float, py: float, pz: float) -> tuple[float, float, float, float]:
+def _from_point(px: float, py: float, pz: float) -> Vector4:
     away = sqrt(px * px + py * py + pz * pz)
     if away < _TINY:
         return 0.0, 0.0, 0.0, 1.0
     return away, px / away, py / away, pz / away
 
 
-def _from_cylinder(
-    scene: Sequence[float], at: int, px: float, py: float, pz: float
-) -> tuple[float, float, float, float]:
+def _from_cylinder(scene: Table, at: int, px: float, py: float, pz: float) -> Vector4:
     ux, uy, uz = scene[at + 3], scene[at + 4], scene[at + 5]
     along = px * ux + py * uy + pz * uz
     rx, ry, rz = px - along * ux, py - along * uy, pz - along * uz
@@ -82,7 +66,7 @@ def _from_cylinder(
     return end, ux, uy, uz
 
 
-def _from_box(scene: Sequence[float], at: int, px: float, py: float, pz: float) -> tuple[float, float, float, float]:
+def _from_box(scene: Table, at: int, px: float, py: float, pz: float) -> Vector4:
     nx = ny = nz = squares = 0.0
     outside, nearest, deepest = 0, 0, -1e300
     sign = 1.0
@@ -107,53 +91,47 @@ def _from_box(scene: Sequence[float], at: int, px: float, py: float, pz: float) 
 
 
 def core(
-    scene: Sequence[float], row: int, face: float, x: float, y: float, z: float, nx: float, ny: float, nz: float
+    scene: Table, row: int, face: float, x: float, y: float, z: float, nx: float, ny: float, nz: float
 ) -> tuple[bool, float, float, float]:
-    """Where the normals of a round part meet that a point pulls to: whether there is such, and the point.
+    """Whether the part that a point pulls to is round, and the centre of its curvature beside the point [m].
 
-    `nx`, `ny`, `nz`: outward normal where the proxy touches: it tells the part. Returns: whether that part is round, and the
-    centre of its curvature beside the point [m].
+    `nx`, `ny`, `nz`: outward normal where the proxy touches: it tells the part.
     """
-    kind, at = scene[row + KIND], row + GIVEN
+    kind, at = scene[row + t.KIND], row + t.GIVEN
     cx, cy, cz = scene[at], scene[at + 1], scene[at + 2]
-    if kind == SPHERE:
+    if kind == t.SPHERE:
         return True, cx, cy, cz
-    if kind == CAPSULE or kind == CYLINDER:  # noqa: SIM109  # compiled, floats are compared one by one
+    if kind == t.CAPSULE or kind == t.CYLINDER:  # compiled, floats are compared one by one
         ux, uy, uz = scene[at + 3], scene[at + 4], scene[at + 5]
         along = (x - cx) * ux + (y - cy) * uy + (z - cz) * uz
-        if kind == CAPSULE:
+        if kind == t.CAPSULE:
             along = min(max(along, 0.0), scene[at + 6])
             return True, cx + along * ux, cy + along * uy, cz + along * uz
         if abs(nx * ux + ny * uy + nz * uz) < _STRAIGHT and abs(along) < scene[at + 6]:
             return True, cx + along * ux, cy + along * uy, cz + along * uz
-    if kind == BOX or kind == CYLINDER:  # noqa: SIM109
+    if kind == t.BOX or kind == t.CYLINDER:
         # A ball on an edge: what pulls lies between the shape and the ball's way around it.
         away, ox, oy, oz = gap(scene, row, x, y, z)
-        away += scene[RADIUS]
-        if away > LIP:
+        away += scene[t.RADIUS]
+        if away > t.LIP:
             return True, x - away * ox, y - away * oy, z - away * oz
-    if kind == MESH and scene[RADIUS] > LIP:
-        qx, qy, qz, inside = nearest_on_triangle(scene, int(scene[row + TRIANGLES]) + TRIANGLE * int(face), x, y, z)
+    if kind == t.MESH and scene[t.RADIUS] > t.LIP:
+        qx, qy, qz, inside = nearest_on_triangle(scene, int(scene[row + t.TRIANGLES]) + t.TRIANGLE * int(face), x, y, z)
         if not inside:
             return True, qx, qy, qz
     return False, 0.0, 0.0, 0.0
 
 
-def convex_hit(
-    scene: Sequence[float], row: int, x: float, y: float, z: float, sx: float, sy: float, sz: float
-) -> tuple[float, float, float, float]:
-    """Part of a straight step that the tool can go before it hits a convex shape, and the normal there; 2.0 for no hit.
-
-    Returns: 0.0 to 1.0, or 2.0; and the normal.
-    """
+def convex_hit(scene: Table, row: int, x: float, y: float, z: float, sx: float, sy: float, sz: float) -> Vector4:
+    """Part of a straight step that the tool can go before it hits a convex shape, and the normal there; 2.0 for no hit."""
     part, nx, ny, nz = 0.0, 0.0, 0.0, 1.0
     for _ in range(_STEPS):
         left, nx, ny, nz = gap(scene, row, x + part * sx, y + part * sy, z + part * sz)
         closing = nx * sx + ny * sy + nz * sz
         # A convex function lies above its tangent: what the tangent does not reach is not reached.
-        if left + closing * (1.0 - part) >= -TOLERANCE:
+        if left + closing * (1.0 - part) >= -t.TOLERANCE:
             return 2.0, nx, ny, nz
-        if left <= TOLERANCE:
+        if left <= t.TOLERANCE:
             break
         part -= left / closing
     return part, nx, ny, nz

@@ -10,5 +10,4 @@ from nodes.environment.meet import meet
 
 del _registered
 
-ticks = make_ticks(kernel(meet))
-"""Answer device states with proxies until something is unusual."""
+ticks = make_ticks(kernel(meet))  # answer device states with proxies until something is unusual

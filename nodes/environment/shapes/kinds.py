@@ -17,22 +17,11 @@ from nodes.environment.state import SHAPES
 from nodes.environment.surfaces import Surface, parse_surface
 from nodes.parameters.store import ParameterError
 
-__all__ = [
-    "Ball",
-    "Box",
-    "Capsule",
-    "Cylinder",
-    "FrictionParameters",
-    "Mesh",
-    "OrientedPlane",
-    "Shape",
-    "Touchable",
-    "Union",
-]
+__all__ = ["Ball", "Box", "Capsule", "Cylinder", "FrictionParameters", "Mesh", "OrientedPlane", "Shape", "Touchable", "Union"]
 
-Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
+Size = Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
 Coefficient = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
-Sizes = tuple[Positive, Positive, Positive]
+Sizes = tuple[Size, Size, Size]
 
 
 class FrictionParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -97,9 +86,7 @@ class Touchable(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Describe the surface by numbers: the scene, and the memory of a proxy that has touched nothing yet."""
         solids = self.solids("surface")
         repairs = tuple(repair for solid in solids if solid.mesh is not None for repair in solid.mesh.repairs)
-        return Numbers(
-            SHAPES, scene.scene_table(solids, self.tool_radius, period), scene.new_memory(len(solids)), repairs
-        )
+        return Numbers(SHAPES, scene.scene_table(solids, self.tool_radius, period), scene.new_memory(len(solids)), repairs)
 
     def pushes(self) -> tuple[Axis, ...]:
         """Tell along which axes it can push."""
@@ -159,7 +146,7 @@ class Ball(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     kind: ClassVar[str] = "sphere"
     position: Vector = ZERO
-    radius: Positive
+    radius: Size
 
     def solids(self, where: str) -> list[Solid]:
         """Make the sphere."""
@@ -194,14 +181,12 @@ class Box(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
 class _Rod(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
     start: Vector
     end: Vector
-    radius: Positive
+    radius: Size
 
     def solids(self, where: str) -> list[Solid]:
         """Make the solid between the two ends."""
         if math.dist(self.start, self.end) < 1e-6:
-            raise ParameterError(
-                f"{where}.end: {list(self.end)} is the start: the axis has no direction; a ball is a sphere"
-            )
+            raise ParameterError(f"{where}.end: {list(self.end)} is the start: the axis has no direction; a ball is a sphere")
         make = scene.capsule if type(self).kind == "capsule" else scene.cylinder
         return [make(self.start, self.end, self.radius, self.rubs)]
 
@@ -253,15 +238,14 @@ class Mesh(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     kind: ClassVar[str] = "mesh"
     file: str
-    scale: Positive = 1.0
+    scale: Size = 1.0
     position: Vector = ZERO
     rotation: Vector = ZERO
     sides: Literal["outer", "both"] = "outer"
 
     def solids(self, where: str) -> list[Solid]:
         """Read the file and make the solid."""
-        # A scene of plain shapes needs no numpy.
-        import numpy as np
+        import numpy as np  # A scene of plain shapes needs no numpy
 
         from nodes.environment.shapes.mesh import prepare_mesh
         from nodes.environment.shapes.mesh_file import read_triangles

@@ -10,19 +10,12 @@ from numpy.typing import NDArray
 from nodes.environment.shapes.tables import NODE
 from nodes.parameters.store import ParameterError
 
-Corners = NDArray[np.float64]
-"""Shape (n, 3, 3): triangles, corners, coordinates [m]."""
-
-LARGEST = 2.0
-"""Largest extent of a mesh [m]: what is larger was probably drawn in millimetres."""
-
+Corners = NDArray[np.float64]  # Shape (n, 3, 3): triangles, corners, coordinates [m]
+LARGEST = 2.0  # largest extent of a mesh [m]: what is larger was probably drawn in millimetres
 SMALLEST = 1e-3
 
-_LEAF = 4
-"""Triangles in a leaf of the tree, at most."""
-
-_SLIVER = 1e-9
-"""A triangle lower than this is degenerate [m]."""
+_LEAF = 4  # triangles in a leaf of the tree, at most
+_SLIVER = 1e-9  # a triangle lower than this is degenerate [m]
 
 
 class PreparedMesh(NamedTuple):
@@ -39,11 +32,10 @@ class PreparedMesh(NamedTuple):
 
 
 def prepare_mesh(corners: Corners, both_sides: bool, where: str) -> PreparedMesh:
-    """Check triangles, and build what a proxy needs.
+    """Check triangles [m], and build what a proxy needs of a surface felt from both sides, or the closed border of a solid.
 
-    `corners`, shape (n, 3, 3): triangles [m]. `both_sides`: whether it is a surface to be felt from both sides; otherwise it
-    must be the closed border of a solid. Raises ParameterError when a coordinate is not finite, the extent is not that of
-    something to touch, or the mesh is open or its faces disagree about where outside is.
+    Raises ParameterError when a coordinate is not finite, the extent is not that of something to touch, or the mesh is open or
+    its faces disagree about where outside is.
     """
     repairs = []
     if not np.isfinite(corners).all():
@@ -51,15 +43,12 @@ def prepare_mesh(corners: Corners, both_sides: bool, where: str) -> PreparedMesh
         raise ParameterError(f"{where}: triangle {bad} has a coordinate that is not finite")
     extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
     if not SMALLEST <= extent <= LARGEST:
-        hint = (
-            "a file in millimetres takes scale: 0.001"
-            if extent > LARGEST
-            else "its scale is too small, or its unit is not m"
-        )
-        raise ParameterError(
-            f"{where}: the mesh is {extent:.4g} m wide, expected {SMALLEST:g} to {LARGEST:g} m; {hint}"
-        )
-    corner, ids = _merged(corners)
+        small = "its scale is too small, or its unit is not m"
+        hint = "a file in millimetres takes scale: 0.001" if extent > LARGEST else small
+        raise ParameterError(f"{where}: the mesh is {extent:.4g} m wide, expected {SMALLEST:g} to {LARGEST:g} m; {hint}")
+    # Corners at the same place are one: STL tells each triangle's own, to single precision.
+    corner, ids = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    ids = ids.reshape(-1, 3).astype(np.int64)
     corners = corner[ids]
     good = (ids[:, 0] != ids[:, 1]) & (ids[:, 1] != ids[:, 2]) & (ids[:, 2] != ids[:, 0])
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -89,21 +78,8 @@ def prepare_mesh(corners: Corners, both_sides: bool, where: str) -> PreparedMesh
             repairs.append(f"{where}: all faces looked inwards, and were turned")
     order, leaves = _order(corners)
     corners, ids, normals = corners[order], ids[order], normals[order]
-    return PreparedMesh(
-        np.ascontiguousarray(corners),
-        normals,
-        _neighbours(ids),
-        _boxes(corners, leaves),
-        leaves,
-        not both_sides,
-        tuple(repairs),
-    )
-
-
-def _merged(corners: Corners) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Make corners at the same place one: STL tells each triangle's own, to single precision."""
-    points, ids = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
-    return points, ids.reshape(-1, 3).astype(np.int64)
+    boxes = _boxes(corners, leaves)
+    return PreparedMesh(np.ascontiguousarray(corners), normals, _neighbours(ids), boxes, leaves, not both_sides, tuple(repairs))
 
 
 def _edges(ids: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -115,9 +91,7 @@ def _refuse_open(ids: NDArray[np.int64], where: str) -> None:
     there = _edges(ids).ravel()
     back = _edges(ids[:, ::-1]).ravel()
     named, times = np.unique(there, return_counts=True)
-    undirected = np.minimum(ids, np.roll(ids, -1, axis=1)) * (int(ids.max()) + 1) + np.maximum(
-        ids, np.roll(ids, -1, axis=1)
-    )
+    undirected = np.minimum(ids, np.roll(ids, -1, axis=1)) * (int(ids.max()) + 1) + np.maximum(ids, np.roll(ids, -1, axis=1))
     _, shared = np.unique(undirected, return_counts=True)
     if lonely := int((shared == 1).sum()):
         raise ParameterError(

@@ -11,19 +11,14 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-LARGEST: Final = 256_000_000
-"""Largest file that is read [bytes]: some five million triangles."""
+LARGEST: Final = 256_000_000  # largest file that is read [bytes]: some five million triangles
 
 _HEADER: Final = 84
 _RECORD: Final = 50
 
 
 def read_triangles(path: Path, where: str) -> NDArray[np.float64]:
-    """Read the triangles of a file, as they stand there.
-
-    Returns, shape (n, 3, 3): corners, in the unit of the file. Raises ParameterError when the file cannot be read, is too
-    large, is cut off, or has no triangles.
-    """
+    """Read the corners of a file's triangles, in its unit, shape (n, 3, 3); ParameterError when it has none."""
     kind = path.suffix.lower()
     if kind not in (".stl", ".obj"):
         raise ParameterError(f"{where}: {path} is no .stl and no .obj file")
@@ -32,9 +27,7 @@ def read_triangles(path: Path, where: str) -> NDArray[np.float64]:
         if not path.is_file():
             raise ParameterError(f"{where}: {path} is no file")
         if size > LARGEST:
-            raise ParameterError(
-                f"{where}: {path} has {size / 1e6:.0f} MB, more than {LARGEST / 1e6:.0f}; decimate the mesh"
-            )
+            raise ParameterError(f"{where}: {path} has {size / 1e6:.0f} MB, more than {LARGEST / 1e6:.0f}; decimate the mesh")
         data = path.read_bytes()
     except OSError as error:
         raise ParameterError(f"{where}: {path} cannot be read: {error.strerror}") from error
@@ -53,9 +46,7 @@ def _stl(data: bytes) -> NDArray[np.float64]:
     count = int.from_bytes(data[80:_HEADER], "little") if len(data) >= _HEADER else 0
     # A binary file may begin with "solid", too: its length tells it apart.
     if count and len(data) == _HEADER + _RECORD * count:
-        records = np.frombuffer(
-            data, dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")], offset=_HEADER
-        )
+        records = np.frombuffer(data, dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")], offset=_HEADER)
         return records["corners"].astype(np.float64)
     if not data.lstrip()[:5].lower() == b"solid":
         raise ValueError(
@@ -65,7 +56,7 @@ def _stl(data: bytes) -> NDArray[np.float64]:
     for line, text in enumerate(data.decode("utf-8", errors="replace").splitlines(), 1):
         words = text.split()
         if words and words[0].lower() == "vertex":
-            numbers.append(_numbers(words[1:4], line, 3))
+            numbers.append(_numbers(words[1:4], line))
     if len(numbers) % 3 or b"endsolid" not in data.lower():
         raise ValueError(f"is cut off: {len(numbers)} corners" + (", and no endsolid" if len(numbers) % 3 == 0 else ""))
     return np.array(numbers, dtype=np.float64).reshape(-1, 3, 3)
@@ -79,7 +70,7 @@ def _obj(data: bytes) -> NDArray[np.float64]:
     for line, text in enumerate(data.decode("utf-8", errors="replace").splitlines(), 1):
         words = text.split()
         if words and words[0] == "v":
-            points.append(_numbers(words[1:4], line, 3))
+            points.append(_numbers(words[1:4], line))
         elif words and words[0] == "f":
             corners = [_corner(word, points, line) for word in words[1:]]
             if len(corners) < 3:
@@ -88,13 +79,13 @@ def _obj(data: bytes) -> NDArray[np.float64]:
     return np.array(faces, dtype=np.float64).reshape(-1, 3, 3)
 
 
-def _numbers(words: list[str], line: int, count: int) -> list[float]:
+def _numbers(words: list[str], line: int) -> list[float]:
     try:
         numbers = [float(word) for word in words]
     except ValueError as error:
         raise ValueError(f"line {line}: {error}") from error
-    if len(numbers) != count:
-        raise ValueError(f"line {line}: {len(numbers)} coordinates, expected {count}")
+    if len(numbers) != 3:
+        raise ValueError(f"line {line}: {len(numbers)} coordinates, expected 3")
     return numbers
 
 

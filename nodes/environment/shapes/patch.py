@@ -2,34 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import MutableSequence, Sequence
 from math import sqrt
 
-from nodes.environment.shapes.tables import LIP, NEIGHBOURS, PATCH, RADIUS, SEEN, TRIANGLE, TRIANGLES
+from nodes.environment.shapes.tables import LIP, NEIGHBOURS, PATCH, RADIUS, SEEN, TRIANGLE, TRIANGLES, Memory, Table
 from nodes.environment.shapes.triangle import nearest_on_triangle
 
 _SHALLOW = 1.0718
 """Squared: how much further than the contact an edge may be from the device to be crossed. 1/cos²(15°), so that between two
 equally near faces an edge of up to 30° counts as part of a smooth surface."""
 
-_NEARER = 1e-13
-"""By how much another triangle must be nearer [m]."""
+_NEARER = 1e-13  # by how much another triangle must be nearer [m]
 
 
 def nearer_in_patch(
-    scene: Sequence[float],
-    row: int,
-    memory: MutableSequence[float],
-    face: int,
-    x: float,
-    y: float,
-    z: float,
+    scene: Table, row: int, memory: Memory, face: int, x: float, y: float, z: float
 ) -> tuple[bool, float, float, float]:
-    """Look for a triangle nearer to the device than the one touched, over edges that are hardly further.
-
-    `memory`: what the proxy remembers; the triangles seen are noted in it. Returns: whether there is one, and where the proxy
-    would be on it [m].
-    """
+    """Look over edges that are hardly further for a triangle nearer to the device: whether there is one, and its proxy [m]."""
     triangles, neighbours = int(scene[row + TRIANGLES]), int(scene[row + NEIGHBOURS])
     px, py, pz, _ = nearest_on_triangle(scene, triangles + TRIANGLE * face, x, y, z)
     least = sqrt((px - x) * (px - x) + (py - y) * (py - y) + (pz - z) * (pz - z))
@@ -67,7 +55,7 @@ def nearer_in_patch(
     return True, bx + out * (bx - x), by + out * (by - y), bz + out * (bz - z)
 
 
-def _edge(scene: Sequence[float], at: int, k: int, x: float, y: float, z: float) -> float:
+def _edge(scene: Table, at: int, k: int, x: float, y: float, z: float) -> float:
     """Squared distance to an edge of a triangle [m²]."""
     i, j = at + 3 * k, at + 3 * ((k + 1) % 3)
     ex, ey, ez = scene[j] - scene[i], scene[j + 1] - scene[i + 1], scene[j + 2] - scene[i + 2]

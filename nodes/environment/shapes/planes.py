@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import MutableSequence
-
-from nodes.environment.shapes.tables import CONTACT, CONTACTS, GAP, SHARE
+from messages.types import Vector
+from nodes.environment.shapes.tables import CONTACT, CONTACTS, GAP, SHARE, Memory
 
 _FLAT = 1e-14
 _SLACK = 1e-13
 
 
-def step_between(
-    memory: MutableSequence[float], count: int, vx: float, vy: float, vz: float
-) -> tuple[float, float, float]:
+def step_between(memory: Memory, count: int, vx: float, vy: float, vz: float) -> Vector:
     """Find the step nearest to a wanted one that stays on the free side of all planes touched.
 
     It is the v that minimises |step − v|² subject to n·step ≥ −gap for each plane. In three dimensions at most three planes
@@ -39,13 +36,13 @@ def step_between(
     return _against(memory, vx, vy, vz, bi, bj, bk)
 
 
-def _needs(memory: MutableSequence[float], i: int, vx: float, vy: float, vz: float) -> float:
+def _needs(memory: Memory, i: int, vx: float, vy: float, vz: float) -> float:
     """How far a step leads behind a plane [m]."""
     at = CONTACTS + CONTACT * i
     return -memory[at + GAP] - (memory[at] * vx + memory[at + 1] * vy + memory[at + 2] * vz)
 
 
-def _all_push(memory: MutableSequence[float], i: int, j: int, k: int) -> bool:
+def _all_push(memory: Memory, i: int, j: int, k: int) -> bool:
     return (
         (i < 0 or memory[CONTACTS + CONTACT * i + SHARE] > 0.0)
         and (j < 0 or memory[CONTACTS + CONTACT * j + SHARE] > 0.0)
@@ -53,14 +50,12 @@ def _all_push(memory: MutableSequence[float], i: int, j: int, k: int) -> bool:
     )
 
 
-def _dot(memory: MutableSequence[float], i: int, j: int) -> float:
+def _dot(memory: Memory, i: int, j: int) -> float:
     a, b = CONTACTS + CONTACT * i, CONTACTS + CONTACT * j
     return memory[a] * memory[b] + memory[a + 1] * memory[b + 1] + memory[a + 2] * memory[b + 2]
 
 
-def _against(
-    memory: MutableSequence[float], vx: float, vy: float, vz: float, i: int, j: int, k: int
-) -> tuple[float, float, float]:
+def _against(memory: Memory, vx: float, vy: float, vz: float, i: int, j: int, k: int) -> Vector:
     """Step on up to three planes at once (-1: none); their multipliers are written, 0 where they are all but parallel."""
     if i < 0:
         return vx, vy, vz
@@ -85,15 +80,9 @@ def _against(
                 )
             else:
                 a = b = c = 0.0
-    p = CONTACTS + CONTACT * i
-    memory[p + SHARE] = a
-    vx, vy, vz = vx + a * memory[p], vy + a * memory[p + 1], vz + a * memory[p + 2]
-    if j >= 0:
-        p = CONTACTS + CONTACT * j
-        memory[p + SHARE] = b
-        vx, vy, vz = vx + b * memory[p], vy + b * memory[p + 1], vz + b * memory[p + 2]
-    if k >= 0:
-        p = CONTACTS + CONTACT * k
-        memory[p + SHARE] = c
-        vx, vy, vz = vx + c * memory[p], vy + c * memory[p + 1], vz + c * memory[p + 2]
+    for n, part in ((i, a), (j, b), (k, c)):
+        if n >= 0:
+            p = CONTACTS + CONTACT * n
+            memory[p + SHARE] = part
+            vx, vy, vz = vx + part * memory[p], vy + part * memory[p + 1], vz + part * memory[p + 2]
     return vx, vy, vz

@@ -11,86 +11,43 @@ as well, and takes the nearest, so that its energy depends on where the device i
 
 from __future__ import annotations
 
-from collections.abc import MutableSequence, Sequence
 from math import sqrt
 
+from messages.types import Vector
+from nodes.environment.shapes import tables as t
 from nodes.environment.shapes.convex import convex_hit, core, gap
 from nodes.environment.shapes.patch import nearer_in_patch
 from nodes.environment.shapes.planes import step_between
-from nodes.environment.shapes.tables import (
-    AT,
-    BACK,
-    CONTACT,
-    CONTACTS,
-    DISTANCE,
-    DYNAMIC,
-    FACE,
-    GAP,
-    IN_CONTACT,
-    KIND,
-    LAST,
-    MESH,
-    MOST,
-    NORMAL,
-    PERIOD,
-    PLACED,
-    PROXY,
-    RADIUS,
-    ROUNDS,
-    ROW,
-    ROWS,
-    SHAPE,
-    SHAPES,
-    SHARE,
-    SLIDING,
-    STATIC,
-    TOUCH,
-    TOUCHED,
-    TRIANGLE,
-    TRIANGLES,
-    VISCOUS,
-)
+from nodes.environment.shapes.tables import Memory, Table, Vector4
 from nodes.environment.shapes.tree import mesh_gap, mesh_hit
 from nodes.environment.shapes.triangle import triangle_gap
 
-_STILL = 1e-14
-"""A shorter step is none [m]."""
-
+_STILL = 1e-14  # a shorter step is none [m]
 _MOST_ROUNDS = 200
 
 _TRUSTED = 50
 """Rounds in which a leap may lead away from the device, as it does deep in a round part; what takes more goes in circles."""
 
-_FAR = 1e3
-"""A device that says it is further away than this is lost [m]: it touches nothing, and is met anew when it returns."""
-
-_FACING = 0.2
-"""Cosine from which on the centre of a round part shows the way."""
+_FAR = 1e3  # a device that says it is further away than this is lost [m]: it touches nothing, and is met anew when it returns
+_FACING = 0.2  # cosine from which on the centre of a round part shows the way
 
 _PARALLEL = 1e-9
 _BIT = 1e-6
 """How far along a crease its bend is looked for [m]."""
 
-_FLATTEST = 0.1
-"""A step along a crease is lengthened up to ten times."""
-
-_TURNS = 9
-"""Descents in a call: the first, and two for each patch that is tried."""
+_FLATTEST = 0.1  # a step along a crease is lengthened up to ten times
+_TURNS = 9  # descents in a call: the first, and two for each patch that is tried
 
 
-def meet(scene: Sequence[float], memory: MutableSequence[float], x: float, y: float, z: float) -> None:
-    """Let the proxy follow the device to a position, and write the answer into its memory.
-
-    `scene`: the shapes (see nodes/environment/shapes/tables.py). `memory`: what the proxy remembers; proxy, normal, distance
-    and contact are written into it.
-    """
-    memory[ROUNDS] = 0.0
+def meet(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
+    """Let the proxy follow the device to a position; proxy, normal, distance and contact are written into its memory."""
+    memory[t.ROUNDS] = 0.0
     if not (abs(x) < _FAR and abs(y) < _FAR and abs(z) < _FAR):
-        memory[PLACED] = 0.0
-        memory[PROXY], memory[PROXY + 1], memory[PROXY + 2] = x, y, z
-        memory[NORMAL] = memory[NORMAL + 1] = memory[NORMAL + 2] = memory[DISTANCE] = memory[IN_CONTACT] = 0.0
+        memory[t.PLACED] = 0.0
+        memory[t.PROXY], memory[t.PROXY + 1], memory[t.PROXY + 2] = x, y, z
+        memory[t.NORMAL] = memory[t.NORMAL + 1] = memory[t.NORMAL + 2] = memory[t.DISTANCE] = memory[t.IN_CONTACT] = 0.0
         return
-    if memory[PLACED] == 0.0:
+    if memory[t.PLACED] == 0.0:
         _place(scene, memory, x, y, z)
     gx, gy, gz = x, y, z
     before, trying = 0.0, False
@@ -112,57 +69,53 @@ def meet(scene: Sequence[float], memory: MutableSequence[float], x: float, y: fl
     _answer(scene, memory, x, y, z)
 
 
-def _away(memory: Sequence[float], x: float, y: float, z: float) -> float:
+def _away(memory: Memory, x: float, y: float, z: float) -> float:
     """Squared distance of a point to the proxy [m²]."""
-    ax, ay, az = memory[AT] - x, memory[AT + 1] - y, memory[AT + 2] - z
+    ax, ay, az = memory[t.AT] - x, memory[t.AT + 1] - y, memory[t.AT + 2] - z
     return ax * ax + ay * ay + az * az
 
 
-def _go_back(memory: MutableSequence[float]) -> None:
+def _go_back(memory: Memory) -> None:
     """Be again where the last search of a patch began."""
-    memory[AT], memory[AT + 1], memory[AT + 2] = memory[BACK], memory[BACK + 1], memory[BACK + 2]
-    for k in range(CONTACT):
-        memory[CONTACTS + k] = memory[BACK + 3 + k]
-    memory[TOUCHED] = 1.0
+    memory[t.AT], memory[t.AT + 1], memory[t.AT + 2] = memory[t.BACK], memory[t.BACK + 1], memory[t.BACK + 2]
+    for k in range(t.CONTACT):
+        memory[t.CONTACTS + k] = memory[t.BACK + 3 + k]
+    memory[t.TOUCHED] = 1.0
 
 
-def _place(scene: Sequence[float], memory: MutableSequence[float], x: float, y: float, z: float) -> None:
+def _place(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
     """Put a proxy that has no past beside the device, or on the nearest surface when that is inside."""
-    memory[PLACED] = 1.0
-    memory[SLIDING] = memory[TOUCHED] = 0.0
-    shapes = int(scene[SHAPES])
+    memory[t.PLACED] = 1.0
+    memory[t.SLIDING] = memory[t.TOUCHED] = 0.0
+    shapes = int(scene[t.SHAPES])
     for _ in range(_MOST_ROUNDS):
-        deepest, nx, ny, nz = -TOUCH, 0.0, 0.0, 1.0
+        deepest, nx, ny, nz = -t.TOUCH, 0.0, 0.0, 1.0
         for n in range(shapes):
             away, px, py, pz = _shape_gap(scene, memory, n, x, y, z)
             if away < deepest:
                 deepest, nx, ny, nz = away, px, py, pz
-        if deepest >= -TOUCH:
+        if deepest >= -t.TOUCH:
             break
         x, y, z = x - deepest * nx, y - deepest * ny, z - deepest * nz
-    memory[AT], memory[AT + 1], memory[AT + 2] = x, y, z
+    memory[t.AT], memory[t.AT + 1], memory[t.AT + 2] = x, y, z
 
 
-def _shape_gap(
-    scene: Sequence[float], memory: MutableSequence[float], n: int, x: float, y: float, z: float
-) -> tuple[float, float, float, float]:
-    row = ROWS + ROW * n
-    if scene[row + KIND] == MESH:
-        return mesh_gap(scene, row, memory, LAST + n, x, y, z)
+def _shape_gap(scene: Table, memory: Memory, n: int, x: float, y: float, z: float) -> Vector4:
+    row = t.ROWS + t.ROW * n
+    if scene[row + t.KIND] == t.MESH:
+        return mesh_gap(scene, row, memory, t.LAST + n, x, y, z)
     return gap(scene, row, x, y, z)
 
 
-def _descend(
-    scene: Sequence[float], memory: MutableSequence[float], dx: float, dy: float, dz: float, rough: bool
-) -> bool:
+def _descend(scene: Table, memory: Memory, dx: float, dy: float, dz: float, rough: bool) -> bool:
     """Bring the proxy as near as it can come, descending all the way; whether something holds it."""
-    x, y, z = memory[AT], memory[AT + 1], memory[AT + 2]
-    count, sliding, slid, idle = int(memory[TOUCHED]), memory[SLIDING] == 1.0, 0.0, 0
+    x, y, z = memory[t.AT], memory[t.AT + 1], memory[t.AT + 2]
+    count, sliding, slid, idle = int(memory[t.TOUCHED]), memory[t.SLIDING] == 1.0, 0.0, 0
     covered, nx, ny, nz, shape, face = 1.0, 0.0, 0.0, 1.0, -1.0, -1.0
     # Where the last leap began, how far from the device that was (squared; −1 for none under way), and whether to leap now.
     bx, by, bz, had_slid, before_leap, leaping = x, y, z, 0.0, -1.0, True
     for turn in range(_MOST_ROUNDS):
-        memory[ROUNDS] += 1.0
+        memory[t.ROUNDS] += 1.0
         before = count
         count = _touching(scene, memory, count, x, y, z)
         if shape >= 0.0:
@@ -175,13 +128,13 @@ def _descend(
         carrying, carrier = 0, 0
         cone = coat = pressed = 0.0
         for i in range(count):
-            at = CONTACTS + CONTACT * i
-            share = memory[at + SHARE]
+            at = t.CONTACTS + t.CONTACT * i
+            share = memory[at + t.SHARE]
             if share > 0.0:
                 carrying, carrier = carrying + 1, i
-                row = ROWS + ROW * int(memory[at + SHAPE])
-                cone += share * scene[row + (DYNAMIC if sliding else STATIC)]
-                coat += share * scene[row + VISCOUS]
+                row = t.ROWS + t.ROW * int(memory[at + t.SHAPE])
+                cone += share * scene[row + (t.DYNAMIC if sliding else t.STATIC)]
+                coat += share * scene[row + t.VISCOUS]
                 pressed += share
         held = carrying > 0
         if held and before_leap >= 0.0:
@@ -192,13 +145,13 @@ def _descend(
                 continue
             before_leap = -1.0
         if rough and held and length > _STILL:
-            behind = coat / (pressed * scene[PERIOD])
+            behind = coat / (pressed * scene[t.PERIOD])
             if not sliding and length > cone:
                 sliding = True
                 cone = 0.0
                 for i in range(count):
-                    at = CONTACTS + CONTACT * i
-                    cone += memory[at + SHARE] * scene[ROWS + ROW * int(memory[at + SHAPE]) + DYNAMIC]
+                    at = t.CONTACTS + t.CONTACT * i
+                    cone += memory[at + t.SHARE] * scene[t.ROWS + t.ROW * int(memory[at + t.SHAPE]) + t.DYNAMIC]
             left = length - cone - behind * slid
             if left <= _STILL:
                 length = 0.0
@@ -209,7 +162,7 @@ def _descend(
         if held and leaping and carrying < 3:
             bx, by, bz, had_slid, before_leap = x, y, z, slid, vx * vx + vy * vy + vz * vz
         if carrying == 1 and leaping:
-            at = CONTACTS + CONTACT * carrier
+            at = t.CONTACTS + t.CONTACT * carrier
             sx, sy, sz = _around(scene, memory, at, x, y, z, dx, dy, dz, sx, sy, sz)
         elif carrying == 2 and leaping:
             sx, sy, sz = _along_crease(scene, memory, count, x, y, z, sx, sy, sz)
@@ -217,27 +170,26 @@ def _descend(
         sx, sy, sz = part * sx, part * sy, part * sz
         go, nx, ny, nz, shape, face = _first_hit(scene, x, y, z, sx, sy, sz)
         if go > 1.0 and not held:
-            # Nothing in the way: the device itself, to the bit.
-            go, x, y, z = 1.0, dx, dy, dz
+            go, x, y, z = 1.0, dx, dy, dz  # nothing in the way: the device itself, to the bit
         else:
             go = min(go, 1.0)
             x, y, z = x + go * sx, y + go * sy, z + go * sz
         covered = go * sqrt(sx * sx + sy * sy + sz * sz)
         if held:
             slid += covered
-    memory[AT], memory[AT + 1], memory[AT + 2] = x, y, z
-    memory[TOUCHED] = float(count)
+    memory[t.AT], memory[t.AT + 1], memory[t.AT + 2] = x, y, z
+    memory[t.TOUCHED] = float(count)
     if rough:
-        memory[SLIDING] = 1.0 if slid > _STILL else 0.0
+        memory[t.SLIDING] = 1.0 if slid > _STILL else 0.0
     pressed = 0.0
     for i in range(count):
-        pressed += memory[CONTACTS + CONTACT * i + SHARE]
+        pressed += memory[t.CONTACTS + t.CONTACT * i + t.SHARE]
     return pressed > 0.0
 
 
 def _around(
-    scene: Sequence[float],
-    memory: MutableSequence[float],
+    scene: Table,
+    memory: Memory,
     at: int,
     x: float,
     y: float,
@@ -248,38 +200,30 @@ def _around(
     sx: float,
     sy: float,
     sz: float,
-) -> tuple[float, float, float]:
+) -> Vector:
     """On a round part: the step along its tangent plane to above where the proxy comes to rest, from where it only drops."""
-    row = ROWS + ROW * int(memory[at + SHAPE])
+    row = t.ROWS + t.ROW * int(memory[at + t.SHAPE])
     nx, ny, nz = memory[at], memory[at + 1], memory[at + 2]
-    is_round, cx, cy, cz = core(scene, row, memory[at + FACE], dx, dy, dz, nx, ny, nz)
+    is_round, cx, cy, cz = core(scene, row, memory[at + t.FACE], dx, dy, dz, nx, ny, nz)
     if is_round:
         ox, oy, oz = dx - cx, dy - cy, dz - cz
         facing = nx * ox + ny * oy + nz * oz
         if facing > _FACING * sqrt(ox * ox + oy * oy + oz * oz):
-            height = nx * (x - cx) + ny * (y - cy) + nz * (z - cz) - memory[at + GAP]
+            height = nx * (x - cx) + ny * (y - cy) + nz * (z - cz) - memory[at + t.GAP]
             far = height / facing
             return cx + far * ox - x, cy + far * oy - y, cz + far * oz - z
     return sx, sy, sz
 
 
 def _along_crease(
-    scene: Sequence[float],
-    memory: MutableSequence[float],
-    count: int,
-    x: float,
-    y: float,
-    z: float,
-    sx: float,
-    sy: float,
-    sz: float,
-) -> tuple[float, float, float]:
+    scene: Table, memory: Memory, count: int, x: float, y: float, z: float, sx: float, sy: float, sz: float
+) -> Vector:
     """Between two surfaces: the step along their crease by Newton's method, which knows how both bend along it."""
     tx = ty = tz = 0.0
     first = -1
     for i in range(count):
-        at = CONTACTS + CONTACT * i
-        if memory[at + SHARE] > 0.0:
+        at = t.CONTACTS + t.CONTACT * i
+        if memory[at + t.SHARE] > 0.0:
             if first < 0:
                 first = at
             else:
@@ -292,83 +236,73 @@ def _along_crease(
     tx, ty, tz = tx / length, ty / length, tz / length
     steep = 1.0
     for i in range(count):
-        at = CONTACTS + CONTACT * i
-        if memory[at + SHARE] > 0.0:
-            row = ROWS + ROW * int(memory[at + SHAPE])
+        at = t.CONTACTS + t.CONTACT * i
+        if memory[at + t.SHARE] > 0.0:
+            row = t.ROWS + t.ROW * int(memory[at + t.SHAPE])
             nx, ny, nz = memory[at], memory[at + 1], memory[at + 2]
             begins = follows = radius = 0.0
             is_round = False
             for n in range(2):
                 on = n * _BIT
                 px, py, pz = x + on * tx, y + on * ty, z + on * tz
-                is_round, cx, cy, cz = core(scene, row, memory[at + FACE], px, py, pz, nx, ny, nz)
+                is_round, cx, cy, cz = core(scene, row, memory[at + t.FACE], px, py, pz, nx, ny, nz)
                 along = (cx - x) * tx + (cy - y) * ty + (cz - z) * tz
                 if n == 0:
                     begins, radius = along, nx * (x - cx) + ny * (y - cy) + nz * (z - cz)
                 else:
                     follows = (along - begins) / _BIT
             if is_round and radius > 0.0:
-                steep -= memory[at + SHARE] * (1.0 - follows) / radius
+                steep -= memory[at + t.SHARE] * (1.0 - follows) / radius
     more = (tx * sx + ty * sy + tz * sz) * (1.0 / max(steep, _FLATTEST) - 1.0)
     return sx + more * tx, sy + more * ty, sz + more * tz
 
 
 def _first_hit(
-    scene: Sequence[float], x: float, y: float, z: float, sx: float, sy: float, sz: float
+    scene: Table, x: float, y: float, z: float, sx: float, sy: float, sz: float
 ) -> tuple[float, float, float, float, float, float]:
     """Part of a step before anything is hit (2.0: nothing), the normal there, which shape, which of its triangles."""
     best, nx, ny, nz, shape, face = 2.0, 0.0, 0.0, 1.0, -1.0, -1.0
-    for n in range(int(scene[SHAPES])):
-        row = ROWS + ROW * n
-        if scene[row + KIND] == MESH:
+    for n in range(int(scene[t.SHAPES])):
+        row = t.ROWS + t.ROW * n
+        triangle = -1.0
+        if scene[row + t.KIND] == t.MESH:
             part, px, py, pz, triangle = mesh_hit(scene, row, x, y, z, sx, sy, sz)
-            if part < best:
-                best, nx, ny, nz, shape, face = part, px, py, pz, float(n), triangle
         else:
             part, px, py, pz = convex_hit(scene, row, x, y, z, sx, sy, sz)
-            if part < best:
-                best, nx, ny, nz, shape, face = part, px, py, pz, float(n), -1.0
+        if part < best:
+            best, nx, ny, nz, shape, face = part, px, py, pz, float(n), triangle
     return best, nx, ny, nz, shape, face
 
 
-def _touching(scene: Sequence[float], memory: MutableSequence[float], count: int, x: float, y: float, z: float) -> int:
+def _touching(scene: Table, memory: Memory, count: int, x: float, y: float, z: float) -> int:
     """Keep the triangles that are still touched, and look which of the other shapes are; how many contacts that makes."""
     kept = 0
     for i in range(count):
-        at = CONTACTS + CONTACT * i
-        shape, face = memory[at + SHAPE], memory[at + FACE]
+        at = t.CONTACTS + t.CONTACT * i
+        shape, face = memory[at + t.SHAPE], memory[at + t.FACE]
         if face >= 0.0:
-            first = int(scene[ROWS + ROW * int(shape) + TRIANGLES])
-            away, nx, ny, nz = triangle_gap(scene, first + TRIANGLE * int(face), scene[RADIUS], x, y, z)
-            if away <= TOUCH:
+            first = int(scene[t.ROWS + t.ROW * int(shape) + t.TRIANGLES])
+            away, nx, ny, nz = triangle_gap(scene, first + t.TRIANGLE * int(face), scene[t.RADIUS], x, y, z)
+            if away <= t.TOUCH:
                 kept = _write(memory, kept, nx, ny, nz, away, shape, face)
-    for n in range(int(scene[SHAPES])):
-        if scene[ROWS + ROW * n + KIND] != MESH and kept < MOST:
-            away, nx, ny, nz = gap(scene, ROWS + ROW * n, x, y, z)
-            if away <= TOUCH:
+    for n in range(int(scene[t.SHAPES])):
+        if scene[t.ROWS + t.ROW * n + t.KIND] != t.MESH and kept < t.MOST:
+            away, nx, ny, nz = gap(scene, t.ROWS + t.ROW * n, x, y, z)
+            if away <= t.TOUCH:
                 kept = _write(memory, kept, nx, ny, nz, away, float(n), -1.0)
     return kept
 
 
-def _write(
-    memory: MutableSequence[float],
-    i: int,
-    nx: float,
-    ny: float,
-    nz: float,
-    away: float,
-    shape: float,
-    face: float,
-) -> int:
-    at = CONTACTS + CONTACT * i
+def _write(memory: Memory, i: int, nx: float, ny: float, nz: float, away: float, shape: float, face: float) -> int:
+    at = t.CONTACTS + t.CONTACT * i
     memory[at], memory[at + 1], memory[at + 2] = nx, ny, nz
-    memory[at + GAP], memory[at + SHAPE], memory[at + FACE], memory[at + SHARE] = away, shape, face, 0.0
+    memory[at + t.GAP], memory[at + t.SHAPE], memory[at + t.FACE], memory[at + t.SHARE] = away, shape, face, 0.0
     return i + 1
 
 
 def _add(
-    scene: Sequence[float],
-    memory: MutableSequence[float],
+    scene: Table,
+    memory: Memory,
     count: int,
     nx: float,
     ny: float,
@@ -381,46 +315,44 @@ def _add(
 ) -> int:
     """Note what was hit, if it is not among the contacts yet; with all places taken, in place of the last."""
     for i in range(count):
-        at = CONTACTS + CONTACT * i
-        if memory[at + SHAPE] == shape and memory[at + FACE] == face:
+        at = t.CONTACTS + t.CONTACT * i
+        if memory[at + t.SHAPE] == shape and memory[at + t.FACE] == face:
             return count
     away = 0.0
     if face >= 0.0:
-        first = int(scene[ROWS + ROW * int(shape) + TRIANGLES])
-        found, _, _, _ = triangle_gap(scene, first + TRIANGLE * int(face), scene[RADIUS], x, y, z)
-        if found <= TOUCH:
+        first = int(scene[t.ROWS + t.ROW * int(shape) + t.TRIANGLES])
+        found, _, _, _ = triangle_gap(scene, first + t.TRIANGLE * int(face), scene[t.RADIUS], x, y, z)
+        if found <= t.TOUCH:
             away = found
-    return _write(memory, min(count, MOST - 1), nx, ny, nz, away, shape, face)
+    return _write(memory, min(count, t.MOST - 1), nx, ny, nz, away, shape, face)
 
 
-def _other_patch(
-    scene: Sequence[float], memory: MutableSequence[float], dx: float, dy: float, dz: float
-) -> tuple[bool, float, float, float]:
+def _other_patch(scene: Table, memory: Memory, dx: float, dy: float, dz: float) -> tuple[bool, float, float, float]:
     """On a smooth mesh without friction: whether a triangle over a shallow edge is nearer, and where the proxy would be."""
     carrier, carriers = 0, 0
-    for i in range(int(memory[TOUCHED])):
-        if memory[CONTACTS + CONTACT * i + SHARE] > 0.0:
-            carrier, carriers = CONTACTS + CONTACT * i, carriers + 1
-    if carriers != 1 or memory[carrier + FACE] < 0.0:
+    for i in range(int(memory[t.TOUCHED])):
+        if memory[t.CONTACTS + t.CONTACT * i + t.SHARE] > 0.0:
+            carrier, carriers = t.CONTACTS + t.CONTACT * i, carriers + 1
+    if carriers != 1 or memory[carrier + t.FACE] < 0.0:
         return False, 0.0, 0.0, 0.0
-    row = ROWS + ROW * int(memory[carrier + SHAPE])
-    if scene[row + STATIC] > 0.0 or scene[row + VISCOUS] > 0.0:
+    row = t.ROWS + t.ROW * int(memory[carrier + t.SHAPE])
+    if scene[row + t.STATIC] > 0.0 or scene[row + t.VISCOUS] > 0.0:
         return False, 0.0, 0.0, 0.0
     for k in range(3):
-        memory[BACK + k] = memory[AT + k]
-    for k in range(CONTACT):
-        memory[BACK + 3 + k] = memory[carrier + k]
-    return nearer_in_patch(scene, row, memory, int(memory[carrier + FACE]), dx, dy, dz)
+        memory[t.BACK + k] = memory[t.AT + k]
+    for k in range(t.CONTACT):
+        memory[t.BACK + 3 + k] = memory[carrier + k]
+    return nearer_in_patch(scene, row, memory, int(memory[carrier + t.FACE]), dx, dy, dz)
 
 
-def _answer(scene: Sequence[float], memory: MutableSequence[float], x: float, y: float, z: float) -> None:
+def _answer(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
     """Write where the proxy is, how far, and whether there is contact."""
-    ax, ay, az = memory[AT], memory[AT + 1], memory[AT + 2]
-    memory[PROXY], memory[PROXY + 1], memory[PROXY + 2] = ax, ay, az
+    ax, ay, az = memory[t.AT], memory[t.AT + 1], memory[t.AT + 2]
+    memory[t.PROXY], memory[t.PROXY + 1], memory[t.PROXY + 2] = ax, ay, az
     nx = ny = nz = 0.0
-    for i in range(int(memory[TOUCHED])):
-        at = CONTACTS + CONTACT * i
-        share = memory[at + SHARE]
+    for i in range(int(memory[t.TOUCHED])):
+        at = t.CONTACTS + t.CONTACT * i
+        share = memory[at + t.SHARE]
         nx, ny, nz = nx + share * memory[at], ny + share * memory[at + 1], nz + share * memory[at + 2]
     length = sqrt(nx * nx + ny * ny + nz * nz)
     if length == 0.0:
@@ -430,12 +362,12 @@ def _answer(scene: Sequence[float], memory: MutableSequence[float], x: float, y:
     if length > 0.0:
         nx, ny, nz = nx / length, ny / length, nz / length
         away = nx * (x - ax) + ny * (y - ay) + nz * (z - az)
-        memory[IN_CONTACT] = 1.0
+        memory[t.IN_CONTACT] = 1.0
     else:
         away, nx, ny, nz = 1e300, 0.0, 0.0, 0.0
-        for n in range(int(scene[SHAPES])):
+        for n in range(int(scene[t.SHAPES])):
             found, px, py, pz = _shape_gap(scene, memory, n, x, y, z)
             if found < away:
                 away, nx, ny, nz = found, px, py, pz
-        memory[IN_CONTACT] = 0.0
-    memory[NORMAL], memory[NORMAL + 1], memory[NORMAL + 2], memory[DISTANCE] = nx, ny, nz, away
+        memory[t.IN_CONTACT] = 0.0
+    memory[t.NORMAL], memory[t.NORMAL + 1], memory[t.NORMAL + 2], memory[t.DISTANCE] = nx, ny, nz, away

@@ -8,24 +8,7 @@ from math import cos, sin, sqrt
 from typing import TYPE_CHECKING, NamedTuple
 
 from messages.types import Vector
-from nodes.environment.shapes.tables import (
-    BOX,
-    CAPSULE,
-    CYLINDER,
-    GIVEN,
-    KIND,
-    MESH,
-    PERIOD,
-    PLANE,
-    RADIUS,
-    ROW,
-    ROWS,
-    SHAPES,
-    SKIN,
-    SPHERE,
-    STATIC,
-    memory_size,
-)
+from nodes.environment.shapes import tables as t
 
 if TYPE_CHECKING:
     from nodes.environment.shapes.mesh import PreparedMesh
@@ -53,36 +36,34 @@ class Solid(NamedTuple):
 
 def plane(point: Vector, normal: Vector, friction: Friction = SLIPPERY) -> Solid:
     """Half a space, free on the side of its normal."""
-    return Solid(PLANE, (*point, *unit(normal)), friction)
+    return Solid(t.PLANE, (*point, *unit(normal)), friction)
 
 
 def sphere(centre: Vector, radius: float, friction: Friction = SLIPPERY) -> Solid:
     """Make a ball."""
-    return Solid(SPHERE, (*centre, radius), friction)
+    return Solid(t.SPHERE, (*centre, radius), friction)
 
 
 def box(centre: Vector, size: Vector, turn: Vector = (0.0, 0.0, 0.0), friction: Friction = SLIPPERY) -> Solid:
     """Make a box with edges of these lengths, turned by roll, pitch and yaw [rad]."""
     axes = zip(*rotation(turn), strict=True)
-    return Solid(
-        BOX, (*centre, *(number for axis in axes for number in axis), *(0.5 * side for side in size)), friction
-    )
+    return Solid(t.BOX, (*centre, *(number for axis in axes for number in axis), *(0.5 * side for side in size)), friction)
 
 
 def capsule(start: Vector, end: Vector, radius: float, friction: Friction = SLIPPERY) -> Solid:
     """Make all that is within a radius of a straight line."""
-    return Solid(CAPSULE, (*start, *_direction(start, end), _length(start, end), radius), friction)
+    return Solid(t.CAPSULE, (*start, *_direction(start, end), _length(start, end), radius), friction)
 
 
 def cylinder(start: Vector, end: Vector, radius: float, friction: Friction = SLIPPERY) -> Solid:
     """Make a cylinder between the centres of its ends."""
     middle = tuple(0.5 * (a + b) for a, b in zip(start, end, strict=True))
-    return Solid(CYLINDER, (*middle, *_direction(start, end), 0.5 * _length(start, end), radius), friction)
+    return Solid(t.CYLINDER, (*middle, *_direction(start, end), 0.5 * _length(start, end), radius), friction)
 
 
 def mesh(prepared: PreparedMesh, friction: Friction = SLIPPERY) -> Solid:
     """Make the solid, or the sheet, that triangles bound."""
-    return Solid(MESH, (), friction, prepared)
+    return Solid(t.MESH, (), friction, prepared)
 
 
 def unit(vector: Sequence[float]) -> Vector:
@@ -95,48 +76,36 @@ def unit(vector: Sequence[float]) -> Vector:
 def rotation(turn: Vector) -> tuple[Vector, Vector, Vector]:
     """Rows of the matrix that turns by roll, pitch and yaw [rad], about fixed x, then y, then z, as in URDF."""
     (a, b, c), (d, e, f) = (tuple(map(cos, turn)), tuple(map(sin, turn)))
-    return (
-        (c * b, c * e * d - f * a, c * e * a + f * d),
-        (f * b, f * e * d + c * a, f * e * a - c * d),
-        (-e, b * d, b * a),
-    )
+    return ((c * b, c * e * d - f * a, c * e * a + f * d), (f * b, f * e * d + c * a, f * e * a - c * d), (-e, b * d, b * a))
 
 
 def scene_table(solids: Sequence[Solid], tool_radius: float, period: float) -> array[float]:
-    """Put shapes into a table (nodes/environment/shapes/tables.py).
-
-    `tool_radius`: of the ball that touches them; 0 for a point [m].
-    """
-    rows = array("d", [0.0]) * (ROWS + ROW * len(solids))
-    rows[SHAPES], rows[RADIUS], rows[PERIOD] = len(solids), tool_radius + SKIN, period
+    """Put shapes into a table (nodes/environment/shapes/tables.py) for a ball that touches them, or a point."""
+    rows = array("d", [0.0]) * (t.ROWS + t.ROW * len(solids))
+    rows[t.SHAPES], rows[t.RADIUS], rows[t.PERIOD] = len(solids), tool_radius + t.SKIN, period
     behind = array("d")
     for n, solid in enumerate(solids):
-        at = ROWS + ROW * n
-        rows[at + KIND] = solid.kind
-        rows[at + STATIC : at + STATIC + 3] = array("d", solid.friction)
+        at = t.ROWS + t.ROW * n
+        rows[at + t.KIND] = solid.kind
+        rows[at + t.STATIC : at + t.STATIC + 3] = array("d", solid.friction)
         numbers = solid.numbers
         if solid.mesh is not None:
+            import numpy as np
+
             begin, found = float(len(rows) + len(behind)), solid.mesh
             count = len(found.corners)
             tree = begin + 12 * count
             numbers = (begin, count, tree, found.leaves, tree + found.boxes.size, float(found.closed))
-            behind.frombytes(_triangles(found))
-            behind.frombytes(found.boxes.tobytes())
-            behind.frombytes(found.neighbours.astype(float).tobytes())
-        rows[at + GIVEN : at + GIVEN + len(numbers)] = array("d", numbers)
+            triangles = np.concatenate([found.corners.reshape(-1, 9), found.normals], axis=1)
+            for part in (triangles, found.boxes, found.neighbours.astype(float)):
+                behind.frombytes(part.tobytes())
+        rows[at + t.GIVEN : at + t.GIVEN + len(numbers)] = array("d", numbers)
     return rows + behind
 
 
 def new_memory(solids: int) -> array[float]:
     """Make the memory of a proxy that has not touched anything yet."""
-    return array("d", [0.0]) * memory_size(solids)
-
-
-def _triangles(found: PreparedMesh) -> bytes:
-    import numpy as np
-
-    flat = np.concatenate([found.corners.reshape(-1, 9), found.normals], axis=1)
-    return np.ascontiguousarray(flat).tobytes()
+    return array("d", [0.0]) * t.memory_size(solids)
 
 
 def _direction(start: Vector, end: Vector) -> Vector:

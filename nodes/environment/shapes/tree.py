@@ -6,35 +6,25 @@ stack: after a node comes the one to its right, above all that end with it.
 
 from __future__ import annotations
 
-from collections.abc import MutableSequence, Sequence
 from math import sqrt
 
-from nodes.environment.shapes.tables import (
-    CLOSED,
-    COUNT,
-    LEAVES,
-    LIP,
-    NODE,
-    RADIUS,
-    TREE,
-    TRIANGLE,
-    TRIANGLES,
-)
+from nodes.environment.shapes import tables as t
+from nodes.environment.shapes.tables import Memory, Table, Vector4
 from nodes.environment.shapes.triangle import height_above, nearest_on_triangle, triangle_hit
 
 
 def mesh_hit(
-    scene: Sequence[float], row: int, x: float, y: float, z: float, sx: float, sy: float, sz: float
+    scene: Table, row: int, x: float, y: float, z: float, sx: float, sy: float, sz: float
 ) -> tuple[float, float, float, float, float]:
     """Part of a step before a mesh is hit (2.0: not at all), the normal there, and which triangle."""
-    radius, count, leaves = scene[RADIUS], int(scene[row + COUNT]), int(scene[row + LEAVES])
-    triangles, tree = int(scene[row + TRIANGLES]), int(scene[row + TREE])
-    margin = radius + LIP
+    radius, count, leaves = scene[t.RADIUS], int(scene[row + t.COUNT]), int(scene[row + t.LEAVES])
+    triangles, tree = int(scene[row + t.TRIANGLES]), int(scene[row + t.TREE])
+    margin = radius + t.LIP
     best, bx, by, bz, face = 2.0, 0.0, 0.0, 1.0, -1.0
     ex, ey, ez = x + sx, y + sy, z + sz
     k = 1
     while True:
-        at = tree + NODE * k
+        at = tree + t.NODE * k
         if (
             min(x, ex) - margin <= scene[at + 3]
             and max(x, ex) + margin >= scene[at]
@@ -48,7 +38,7 @@ def mesh_hit(
                 continue
             j = k - leaves
             for i in range(j * count // leaves, (j + 1) * count // leaves):
-                part, nx, ny, nz = triangle_hit(scene, triangles + TRIANGLE * i, radius, x, y, z, sx, sy, sz)
+                part, nx, ny, nz = triangle_hit(scene, triangles + t.TRIANGLE * i, radius, x, y, z, sx, sy, sz)
                 if part < best:
                     best, bx, by, bz, face = part, nx, ny, nz, float(i)
                     ex, ey, ez = x + part * sx, y + part * sy, z + part * sz
@@ -59,22 +49,17 @@ def mesh_hit(
         k += 1
 
 
-def mesh_gap(
-    scene: Sequence[float], row: int, memory: MutableSequence[float], last: int, x: float, y: float, z: float
-) -> tuple[float, float, float, float]:
-    """Distance of a tool's centre from where it touches a mesh [m], negative inside of a closed one, and the outward normal.
-
-    `last`: where in it the nearest triangle stands: the search begins with that one, which makes it short.
-    """
-    count, leaves = int(scene[row + COUNT]), int(scene[row + LEAVES])
-    triangles, tree = int(scene[row + TRIANGLES]), int(scene[row + TREE])
+def mesh_gap(scene: Table, row: int, memory: Memory, last: int, x: float, y: float, z: float) -> Vector4:
+    """Distance of the tool from where it touches a mesh [m], negative inside, and the normal; `last`: the nearest before."""
+    count, leaves = int(scene[row + t.COUNT]), int(scene[row + t.LEAVES])
+    triangles, tree = int(scene[row + t.TRIANGLES]), int(scene[row + t.TREE])
     face = int(memory[last])
-    qx, qy, qz, _ = nearest_on_triangle(scene, triangles + TRIANGLE * face, x, y, z)
+    qx, qy, qz, _ = nearest_on_triangle(scene, triangles + t.TRIANGLE * face, x, y, z)
     best = (x - qx) * (x - qx) + (y - qy) * (y - qy) + (z - qz) * (z - qz)
-    side = height_above(scene, triangles + TRIANGLE * face, x, y, z)
+    side = height_above(scene, triangles + t.TRIANGLE * face, x, y, z)
     k = 1
     while True:
-        at = tree + NODE * k
+        at = tree + t.NODE * k
         dx = max(scene[at] - x, x - scene[at + 3], 0.0)
         dy = max(scene[at + 1] - y, y - scene[at + 4], 0.0)
         dz = max(scene[at + 2] - z, z - scene[at + 5], 0.0)
@@ -84,7 +69,7 @@ def mesh_gap(
                 continue
             j = k - leaves
             for i in range(j * count // leaves, (j + 1) * count // leaves):
-                at = triangles + TRIANGLE * i
+                at = triangles + t.TRIANGLE * i
                 px, py, pz, _ = nearest_on_triangle(scene, at, x, y, z)
                 away = (x - px) * (x - px) + (y - py) * (y - py) + (z - pz) * (z - pz)
                 if away <= best:
@@ -101,9 +86,9 @@ def mesh_gap(
         k += 1
     memory[last] = float(face)
     away = sqrt(best)
-    sign = -1.0 if scene[row + CLOSED] == 1.0 and side < 0.0 else 1.0
-    at = triangles + TRIANGLE * face
-    if away <= LIP:
-        return sign * away - scene[RADIUS], scene[at + 9], scene[at + 10], scene[at + 11]
+    sign = -1.0 if scene[row + t.CLOSED] == 1.0 and side < 0.0 else 1.0
+    at = triangles + t.TRIANGLE * face
+    if away <= t.LIP:
+        return sign * away - scene[t.RADIUS], scene[at + 9], scene[at + 10], scene[at + 11]
     away *= sign
-    return away - scene[RADIUS], (x - qx) / away, (y - qy) / away, (z - qz) / away
+    return away - scene[t.RADIUS], (x - qx) / away, (y - qy) / away, (z - qz) / away

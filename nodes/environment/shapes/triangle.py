@@ -6,15 +6,12 @@ surface that is felt from both sides has each triangle twice, back to back.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import sqrt
 
-from nodes.environment.shapes.tables import LIP, SKIN, TOLERANCE, TOUCH
+from nodes.environment.shapes.tables import LIP, SKIN, TOLERANCE, TOUCH, Table, Vector4
 
 
-def nearest_on_triangle(
-    scene: Sequence[float], at: int, x: float, y: float, z: float
-) -> tuple[float, float, float, bool]:
+def nearest_on_triangle(scene: Table, at: int, x: float, y: float, z: float) -> tuple[float, float, float, bool]:
     """Nearest point of a triangle [m], and whether it lies inside of its edges (Ericson 2005, 5.1.5)."""
     ax, ay, az = scene[at], scene[at + 1], scene[at + 2]
     bx, by, bz = scene[at + 3] - ax, scene[at + 4] - ay, scene[at + 5] - az
@@ -49,12 +46,12 @@ def nearest_on_triangle(
     return x - height * nx, y - height * ny, z - height * nz, True
 
 
-def height_above(scene: Sequence[float], at: int, x: float, y: float, z: float) -> float:
+def height_above(scene: Table, at: int, x: float, y: float, z: float) -> float:
     """Height of a point above the plane of a triangle [m]."""
     return (x - scene[at]) * scene[at + 9] + (y - scene[at + 1]) * scene[at + 10] + (z - scene[at + 2]) * scene[at + 11]
 
 
-def _within(scene: Sequence[float], at: int, x: float, y: float, z: float) -> bool:
+def _within(scene: Table, at: int, x: float, y: float, z: float) -> bool:
     """Whether a point over the plane lies over the triangle or its lips."""
     nx, ny, nz = scene[at + 9], scene[at + 10], scene[at + 11]
     for k in range(3):
@@ -67,9 +64,7 @@ def _within(scene: Sequence[float], at: int, x: float, y: float, z: float) -> bo
     return True
 
 
-def triangle_gap(
-    scene: Sequence[float], at: int, radius: float, x: float, y: float, z: float
-) -> tuple[float, float, float, float]:
+def triangle_gap(scene: Table, at: int, radius: float, x: float, y: float, z: float) -> Vector4:
     """Distance of a tool's centre from where it touches a triangle [m], and the normal there; 1.0 where it is beside it."""
     height = height_above(scene, at, x, y, z)
     if abs(height) <= radius + TOUCH and height >= 0.0 and _within(scene, at, x, y, z):
@@ -85,20 +80,9 @@ def triangle_gap(
 
 
 def triangle_hit(
-    scene: Sequence[float],
-    at: int,
-    radius: float,
-    x: float,
-    y: float,
-    z: float,
-    sx: float,
-    sy: float,
-    sz: float,
-) -> tuple[float, float, float, float]:
-    """Part of a straight step that a tool can go before it hits a triangle, and the normal there; 2.0 when it does not.
-
-    Returns: 0.0 to 1.0, or 2.0; and the normal.
-    """
+    scene: Table, at: int, radius: float, x: float, y: float, z: float, sx: float, sy: float, sz: float
+) -> Vector4:
+    """Part of a straight step that a tool can go before it hits a triangle, and the normal there; 2.0 when it does not."""
     nx, ny, nz = scene[at + 9], scene[at + 10], scene[at + 11]
     before = height_above(scene, at, x, y, z)
     closing = nx * sx + ny * sy + nz * sz
@@ -124,17 +108,7 @@ def triangle_hit(
     return _rim_hit(scene, at, radius, x, y, z, sx, sy, sz)
 
 
-def _rim_hit(
-    scene: Sequence[float],
-    at: int,
-    radius: float,
-    x: float,
-    y: float,
-    z: float,
-    sx: float,
-    sy: float,
-    sz: float,
-) -> tuple[float, float, float, float]:
+def _rim_hit(scene: Table, at: int, radius: float, x: float, y: float, z: float, sx: float, sy: float, sz: float) -> Vector4:
     """When a moving ball hits an edge or a corner."""
     best, bx, by, bz = 2.0, 0.0, 0.0, 1.0
     for k in range(3):
@@ -148,22 +122,14 @@ def _rim_hit(
         ex, ey, ez = ex / length, ey / length, ez / length
         along, going = px * ex + py * ey + pz * ez, sx * ex + sy * ey + sz * ez
         part, nx, ny, nz = _ball_hit(
-            radius,
-            px - along * ex,
-            py - along * ey,
-            pz - along * ez,
-            sx - going * ex,
-            sy - going * ey,
-            sz - going * ez,
+            radius, px - along * ex, py - along * ey, pz - along * ez, sx - going * ex, sy - going * ey, sz - going * ez
         )
         if part < best and 0.0 <= along + part * going <= length:
             best, bx, by, bz = part, nx, ny, nz
     return best, bx, by, bz
 
 
-def _ball_hit(
-    radius: float, px: float, py: float, pz: float, sx: float, sy: float, sz: float
-) -> tuple[float, float, float, float]:
+def _ball_hit(radius: float, px: float, py: float, pz: float, sx: float, sy: float, sz: float) -> Vector4:
     """When a point that moves from p by s comes within a radius of the origin."""
     speed, coming = sx * sx + sy * sy + sz * sz, px * sx + py * sy + pz * sz
     if coming >= 0.0:

@@ -22,10 +22,7 @@ Realise = Callable[[float, int, float], CompiledLaw]
 
 
 def derivative_kinds() -> dict[str, Realise]:
-    """Find all installed realisations of D^α that can be imported.
-
-    Returns: registered name to ``f(order, taps, period) -> CompiledLaw``, sorted by name.
-    """
+    """Find all installed realisations of D^α that can be imported, sorted by name."""
     return DERIVATIVES.all()[0]
 
 
@@ -33,9 +30,8 @@ def realise(kind: str, order: float, taps: int, period: float) -> CompiledLaw:
     """Realise D^α with unit gain and check that what came out can run.
 
     `order`: α, in (0, 4). `taps`: length n + 1, at least 2: the number of taps of a finite realisation, the memory [ticks] of
-    a long-memory one, the degree n plus one of a recursive one. Each realisation says which. Returns: taps and sections
-    [1/s^α] whose output is D^α of the deflection. Raises ValueError when there is no such realisation, or it cannot be had at
-    this order, length and period; the text names the parameter, its value, the limit and what to do.
+    a long-memory one, the degree n plus one of a recursive one; each says which. Raises ValueError when there is none, or not
+    at this order, length and period; the text names the parameter, its value, the limit and what to do.
     """
     if not 0.0 < order < MAX_ORDER:
         raise ValueError(f"order = {order!r}: must lie in (0, 4); for a plain damper use order 1")

@@ -1,15 +1,15 @@
 """Lubich's convolution quadrature: the generating function of a BDF of order p, to the power α, as taps.
 
-T^−α (Σ_{j=1..p} (1 − w)^j / j)^α = Σ c_m w^m (Lubich 1986): p-th order accuracy at low frequency, phase right up to a
-large part of Nyquist. It pays with the gain there, (Σ 2^j/j)^α·T^−α: 13.9^α times that of GL for p = 6, and in the
-loop that is stiffness lost. Starting weights are left out: they depend on the time since start, and the loop has
-none. It breaks for p > 6, where the series no longer decays, and when cut shorter than p⌈α⌉ + 1 taps, its exact
-length at whole orders.
+T^−α (Σ_{j=1..p} (1 − w)^j / j)^α = Σ c_m w^m (Lubich 1986): p-th order accuracy at low frequency, phase right up to a large
+part of Nyquist. It pays with the gain there, (Σ 2^j/j)^α·T^−α: 13.9^α times that of GL for p = 6, and in the loop that is
+stiffness lost. Starting weights are left out: they depend on the time since start, and the loop has none. It breaks for p > 6,
+where the series no longer decays, and when cut shorter than p⌈α⌉ + 1 taps, its exact length at whole orders.
 """
 
 from __future__ import annotations
 
 import math
+from functools import partial
 
 from nodes.laws import CompiledLaw
 
@@ -29,42 +29,14 @@ def lubich(order: float, taps: int, period: float, degree: int) -> CompiledLaw:
         )
     # Sums are rounded once (fsum): the built-in sum rounds otherwise from Python 3.12 on, and taps would differ.
     # Power of a polynomial a_0 + a_1 w + ...: c_m = Σ_j ((α+1) j/m − 1) a_j c_{m−j} / a_0 (Euler; J. C. P. Miller).
-    polynomial = [
-        math.fsum((-1.0) ** i * math.comb(j, i) / j for j in range(max(i, 1), degree + 1)) for i in range(degree + 1)
-    ]
+    polynomial = [math.fsum((-1.0) ** i * math.comb(j, i) / j for j in range(max(i, 1), degree + 1)) for i in range(degree + 1)]
     lead = polynomial[0]
     series = [lead**order]
     for m in range(1, taps):
-        series.append(
-            math.fsum(
-                ((order + 1.0) * j / m - 1.0) * polynomial[j] * series[m - j] for j in range(1, min(degree, m) + 1)
-            )
-            / lead
-        )
+        terms = (((order + 1.0) * j / m - 1.0) * polynomial[j] * series[m - j] for j in range(1, min(degree, m) + 1))
+        series.append(math.fsum(terms) / lead)
     gain = float(period) ** -order
     return CompiledLaw(tuple(gain * c for c in series))
 
 
-def bdf2(order: float, taps: int, period: float) -> CompiledLaw:
-    """`lubich` with p = 2."""
-    return lubich(order, taps, period, 2)
-
-
-def bdf3(order: float, taps: int, period: float) -> CompiledLaw:
-    """`lubich` with p = 3."""
-    return lubich(order, taps, period, 3)
-
-
-def bdf4(order: float, taps: int, period: float) -> CompiledLaw:
-    """`lubich` with p = 4."""
-    return lubich(order, taps, period, 4)
-
-
-def bdf5(order: float, taps: int, period: float) -> CompiledLaw:
-    """`lubich` with p = 5."""
-    return lubich(order, taps, period, 5)
-
-
-def bdf6(order: float, taps: int, period: float) -> CompiledLaw:
-    """`lubich` with p = 6."""
-    return lubich(order, taps, period, 6)
+bdf2, bdf3, bdf4, bdf5, bdf6 = (partial(lubich, degree=degree) for degree in range(2, 7))

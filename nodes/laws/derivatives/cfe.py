@@ -1,7 +1,6 @@
 """Continued fractions of ((z − 1)/(z + a))^β without expanding a polynomial.
 
-The n-th convergent is the [n/n] Padé approximant at z = ∞, and because ((u − 1)/(u + 1))^β, 0 < β < 1, is a Stieltjes
-function,
+The n-th convergent is the [n/n] Padé approximant at z = ∞, and because ((u − 1)/(u + 1))^β, 0 < β < 1, is a Stieltjes function,
 
     ((u − 1)/(u + 1))^β = 1 − (sin πβ/π) ∫ (1−t)^β (1+t)^−β /(u − t) dt, t from −1 to 1,
 

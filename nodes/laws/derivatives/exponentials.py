@@ -4,11 +4,10 @@ D^β = D·I^{1−β}, and the weights of GL's fractional sum I^{1−β} are mome
 
     g_m = (sin πβ/π) ∫ t^{m−β} (1−t)^{β−1} dt = (sin πβ/π) ∫ e^{−s(m+1−β)} (1−e^{−s})^{β−1} ds, s > 0.
 
-With s = e^y the trapezium rule converges exponentially fast in its step, so a handful of exponentials per decade of
-memory gives every g_m alike; the first taps stay exact. All rates slower than the memory are put on the slowest pole.
-The difference D leaves no leak: beyond N ticks it goes over to a first difference instead. ``taps`` is the memory N,
-at least 8 (below that there is nothing to save) and at most 10⁶ (the slowest pole then lies 10⁻⁷ from the unit
-circle).
+With s = e^y the trapezium rule converges exponentially fast in its step, so a handful of exponentials per decade of memory
+gives every g_m alike; the first taps stay exact. All rates slower than the memory are put on the slowest pole. The difference D
+leaves no leak: beyond N ticks it goes over to a first difference instead. ``taps`` is the memory N, at least 8 (below that
+there is nothing to save) and at most 10⁶ (the slowest pole then lies 10⁻⁷ from the unit circle).
 """
 
 from __future__ import annotations
@@ -41,18 +40,12 @@ def exponentials(order: float, taps: int, period: float) -> CompiledLaw:
     density = math.sin(math.pi * fraction) / math.pi
     low, high = math.log(_SLOWEST / taps), math.log(_FASTEST / (_HEAD + 1))
     count = math.ceil((high - low) / _STEP)
-    poles: list[float] = []
-    weights: list[float] = []
-    for i in range(count + 1):
-        s = math.exp(high - i * _STEP)
-        weight = density * _STEP * s * math.exp(-s * (1.0 - fraction)) * (-math.expm1(-s)) ** (fraction - 1.0)
-        poles.append(math.exp(-s))
-        weights.append(weight)
+    rates = [math.exp(high - i * _STEP) for i in range(count + 1)]
+    poles = [math.exp(-s) for s in rates]
+    weights = [density * _STEP * s * math.exp(-s * (1.0 - fraction)) * (-math.expm1(-s)) ** (fraction - 1.0) for s in rates]
     # Rates below the slowest: Σ of the geometric rest of the trapezium rule, whose terms go as s^β.
     weights[-1] /= -math.expm1(-fraction * _STEP)
     exact = coefficients(fraction - 1.0, _HEAD)
-    head = [exact[0]] + [
-        exact[m] - math.fsum(w * p**m for w, p in zip(weights, poles, strict=True)) for m in range(1, _HEAD)
-    ]
+    head = [exact[0]] + [exact[m] - math.fsum(w * p**m for w, p in zip(weights, poles, strict=True)) for m in range(1, _HEAD)]
     residues = [gain * w * p for w, p in zip(weights, poles, strict=True)]
     return parallel([gain * h for h in head], poles, residues, whole + 1, period)

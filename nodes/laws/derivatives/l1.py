@@ -27,8 +27,7 @@ def l1(order: float, taps: int, period: float) -> CompiledLaw:
         return difference(whole, period)
     intervals = taps - whole - 1
     gain = float(period) ** -fraction / math.gamma(2.0 - fraction)
-    # (m+1)^γ − m^γ, γ = 1 − β, by expm1: the plain difference loses digits at large m.
-    power = 1.0 - fraction
+    power = 1.0 - fraction  # (m+1)^γ − m^γ, γ = 1 − β, by expm1: the plain difference loses digits at large m
     weights = [1.0] + [m**power * math.expm1(power * math.log1p(1.0 / m)) for m in range(1, intervals)]
     series = [weights[0]] + [weights[m] - weights[m - 1] for m in range(1, intervals)] + [-weights[-1]]
     return differenced([gain * c for c in series], whole, period)

@@ -1,10 +1,9 @@
 """Oustaloup's recursive filter made discrete: poles and zeros alternating evenly over a logarithmic band.
 
-s^β ≈ ω_h^β Π (s + ω'_i)/(s + ω_i) between ω_b and ω_h (Oustaloup et al. 2000), n pairs, here from Nyquist down half a
-decade per pair, to at most five decades; more pairs then make it smoother. Two ways to z: Tustin's map of each
-factor, and matched poles and zeros (e^{−ωT}), with the gain matched in the middle of the band. Below ω_b it leaks
-ω_b^β. It breaks at one pair, which covers no band at all, and is not checked beyond 200; its ripple and its gain at
-Nyquist do not go away with n.
+s^β ≈ ω_h^β Π (s + ω'_i)/(s + ω_i) between ω_b and ω_h (Oustaloup et al. 2000), n pairs, here from Nyquist down half a decade
+per pair, to at most five decades; more pairs then make it smoother. Two ways to z: Tustin's map of each factor, and matched
+poles and zeros (e^{−ωT}), with the gain matched in the middle of the band. Below ω_b it leaks ω_b^β. It breaks at one pair,
+which covers no band at all, and is not checked beyond 200; its ripple and its gain at Nyquist do not go away with n.
 """
 
 from __future__ import annotations
@@ -43,8 +42,7 @@ def _oustaloup(order: float, taps: int, period: float, to_z: Callable[[float], f
     if fraction == 0.0:
         return difference(whole, period)
     span = 10.0 ** min(_DECADES_PER_PAIR * pairs, _MOST_DECADES)
-    # ωT of poles and zeros; ω_h is Nyquist, ωT = π.
-    low = math.pi / span
+    low = math.pi / span  # ωT of poles and zeros; ω_h is Nyquist, ωT = π
     zeros = [to_z(low * span ** ((i + 0.5 - 0.5 * fraction) / pairs)) for i in range(pairs)]
     poles = [to_z(low * span ** ((i + 0.5 + 0.5 * fraction) / pairs)) for i in range(pairs)]
     middle = math.sqrt(low * math.pi)

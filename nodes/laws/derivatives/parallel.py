@@ -22,8 +22,7 @@ _EPSILON = 1e-18
 
 Section = tuple[float, float, float, float]
 
-ROUNDING = 16 * sys.float_info.epsilon
-"""Relative distance within which an order is a whole number."""
+ROUNDING = 16 * sys.float_info.epsilon  # relative distance within which an order is a whole number
 
 
 def split(order: float) -> tuple[int, float]:

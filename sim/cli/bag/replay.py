@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
+
 from messages.errors import RefusedError, UsageError
-from nodes.cli.main import answer
-from nodes.recording.figure_style import INK, styled
+from nodes.launcher.launch_file import parse_assignments
+from nodes.laws.parse import LawRefusedError
+from nodes.parameters.store import ParameterError, convert
+from nodes.parameters.yaml_io import read_yaml
+from nodes.recording.figure_style import INK, new_figure, styled
+from nodes.recording.writer import RecordError
+from sim.cli.answers import report
 
 if TYPE_CHECKING:
     from sim.device.model import DeviceModel
@@ -22,9 +30,7 @@ EXPLAINED = 1e-5
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("file", type=Path, help="recording of a launch")
-    parser.add_argument(
-        "assignments", nargs="*", metavar="name:=value", help="law:=NAME or a description, and its parameters"
-    )
+    parser.add_argument("assignments", nargs="*", metavar="name:=value", help="law:=NAME or a description, and its parameters")
     parser.add_argument(
         "--model",
         help="the device: declared (as the virtual device was), identified (from this recording), a recording to identify it "
@@ -38,10 +44,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Replay the same law, then the other."""
     import numpy as np
 
-    from nodes.launcher.launch_file import parse_assignments
-    from nodes.laws.parse import LawRefusedError
-    from nodes.parameters.store import ParameterError
-    from nodes.recording.writer import RecordError
     from sim.identify.counterfactual import nudges, replay
     from sim.identify.recorded_scene import another_law, refuse_law
 
@@ -60,43 +62,33 @@ def run(arguments: argparse.Namespace) -> int:
     except ValueError as error:
         raise RefusedError(str(error)) from error
     other = replay(recorded, law, external, nudged) if given else same
-    error_m, model_error_m = (float(np.max(np.abs(felt.measured - recorded.position))) for felt in (same, alone))
-    step = recorded.scene.scene.device.resolution
+    device, nudge = recorded.scene.scene.device, np.zeros(1) if nudged is None else nudged[:, 0]
     figures: dict[str, Any] = {
         "recording": str(recorded.path),
         "model": model,
         "lockstep": recorded.lockstep,
         "ticks": len(recorded.position),
         "ticks_recorded": recorded.recorded_ticks,
-        "self_error_m": error_m,
-        "self_error_steps": None if step is None else error_m / step,
-        "model_error_m": model_error_m,
-        "model_error_steps": None if step is None else model_error_m / step,
-        "nudges": {
-            "ticks": 0 if nudged is None else int(np.count_nonzero(nudged[:, 0])),
-            "largest_m": 0.0 if nudged is None else float(np.max(np.abs(nudged[:, 0]))),
-        },
-        "hand": None if external is None else "spring" if recorded.scene.scene.device.hand else "force",
+        "nudges": {"ticks": int(np.count_nonzero(nudge)), "largest_m": float(np.max(np.abs(nudge)))},
+        "hand": None if external is None else "spring" if device.hand else "force",
         "law": described,
-        "recorded": _figures(same),
-        "predicted": _figures(other),
         "left_out": list(recorded.left_out),
     }
+    for name, felt in (("self", same), ("model", alone)):
+        off = float(np.max(np.abs(felt.measured - recorded.position)))
+        figures[f"{name}_error_m"] = off
+        figures[f"{name}_error_steps"] = None if device.resolution is None else off / device.resolution
+    for name, felt in (("recorded", same), ("predicted", other)):
+        figures[name] = {"settled": felt.settled, "peak_force_n": felt.peak_force, "rest_m": felt.rest}
     if arguments.out is not None:
         _draw(arguments.out, recorded, same, other)
         figures["plot"] = str(arguments.out)
-    answer(arguments.json, figures, _text(figures))
-    return 0
-
-
-def _figures(felt: Felt) -> dict[str, Any]:
-    return {"settled": felt.settled, "peak_force_n": felt.peak_force, "rest_m": felt.rest}
+    return report(arguments, figures, _text(figures))
 
 
 def _prepared(arguments: argparse.Namespace) -> tuple[RecordedScene, Any, str]:
     """Rebuild the recording with its model, and estimate the force that the model lacks."""
-    import math
-
+    from sim.device.model import DeviceModel
     from sim.identify.counterfactual import missing_force
     from sim.identify.experiment import read
     from sim.identify.identify import identify
@@ -110,7 +102,8 @@ def _prepared(arguments: argparse.Namespace) -> tuple[RecordedScene, Any, str]:
             if name is not None:
                 raise
     if name is not None and Path(name).suffix in (".yaml", ".yml"):
-        device, noise = _device(Path(name))
+        device = convert(read_yaml(Path(name)), DeviceModel, Path(name).stem)
+        noise = 1e-6
     else:
         source = arguments.file if name in (None, "identified") else Path(name)
         found = identify(read(source))
@@ -124,19 +117,8 @@ def _prepared(arguments: argparse.Namespace) -> tuple[RecordedScene, Any, str]:
     return recorded, missing_force(recorded, rounding), str(name)
 
 
-def _device(path: Path) -> tuple[DeviceModel, float]:
-    from nodes.parameters.store import convert
-    from nodes.parameters.yaml_io import read_yaml
-    from sim.device.model import DeviceModel
-
-    model: DeviceModel = convert(read_yaml(path), DeviceModel, path.stem)
-    return model, model.resolution or 1e-6
-
-
 def _modelled(found: Any, recording: Path) -> DeviceModel:
     """Put the identified device where the recording begins, its weight with it."""
-    import msgspec
-
     from sim.device.model import DeviceModel
     from sim.identify.experiment import read
     from sim.identify.identified_text import device_parameters
@@ -156,7 +138,7 @@ def at_most(metres: float) -> str:
     return "0 µm" if metres == 0.0 else f"{max(1e-6, metres * 1e6):.3g} µm"
 
 
-def _text(figures: dict[str, Any]) -> str:
+def _text(figures: dict[str, Any]) -> list[str]:
     def error(name: str) -> str:
         steps = figures[f"{name}_error_steps"]
         return at_most(figures[f"{name}_error_m"]) + ("" if steps is None else f" = {steps:.3g} encoder steps")
@@ -166,9 +148,8 @@ def _text(figures: dict[str, Any]) -> str:
         f"  the recorded law replayed differs from what was recorded by at most {error('self')}",
     ]
     if figures["ticks"] < figures["ticks_recorded"]:
-        lines.append(
-            f"  only the first {figures['ticks']} of {figures['ticks_recorded']} ticks: the driver slept through the next one"
-        )
+        whole = figures["ticks_recorded"]
+        lines.append(f"  only the first {figures['ticks']} of {whole} ticks: the driver slept through the next one")
     nudges = figures["nudges"]
     if nudges["ticks"]:
         lines.append(
@@ -183,20 +164,18 @@ def _text(figures: dict[str, Any]) -> str:
         )
     lines.append("  predicted for " + ", ".join(f"{key} {value}" for key, value in figures["law"].items()))
     if figures["hand"] == "force":
-        lines.append(
-            "  the hand is replayed as its recorded force; one that yields needs hand: {stiffness: K} in --model's YAML"
-        )
+        yielding = "one that yields needs hand: {stiffness: K} in --model's YAML"
+        lines.append(f"  the hand is replayed as its recorded force; {yielding}")
     if figures["left_out"]:
         lines.append(f"  not replayed: {', '.join(figures['left_out'])}")
-    return "\n".join(lines)
+    return lines
 
 
 @styled
 def _draw(path: Path, recorded: RecordedScene, same: Felt, other: Felt) -> None:
     import numpy as np
-    from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9.0, 5.0), layout="constrained")
+    figure = new_figure(9.0, 5.0)
     top, bottom = figure.subplots(2, 1, sharex=True)
     time = np.arange(len(recorded.position)) * recorded.scene.scene.period
     top.plot(time, 1e3 * recorded.position, color=INK, ls="-", lw=2.5, alpha=0.3, label="recorded")

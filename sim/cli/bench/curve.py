@@ -18,6 +18,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from socket import create_server
 from typing import TYPE_CHECKING, Any
+from unittest import mock
 
 import msgspec
 
@@ -31,9 +32,11 @@ from messages.transport.sockets import Publisher, Subscription
 from messages.types import DeviceState, Force
 from nodes.base import realtime
 from nodes.base.setup import Scheduling, Setup
-from nodes.cli.main import add_json, answer
+from nodes.cli.main import add_json
 from nodes.cli.quantities import declare
 from nodes.launcher.child import PYTHON
+from nodes.recording.summary import quantile
+from sim.cli.answers import report
 
 if TYPE_CHECKING:
     from messages.transport.endpoints import Context
@@ -151,15 +154,8 @@ def _round(loops: dict[str, _Loop], ticks: int, period: float) -> dict[str, list
 @contextmanager
 def _own_keys(folder: Path) -> Iterator[keys.Identity]:
     """Keys for the length of the benchmark; the user's own are not touched."""
-    before = os.environ.get("HAPTIC_KEYS")
-    os.environ["HAPTIC_KEYS"] = str(folder / "keys")
-    try:
+    with mock.patch.dict(os.environ, HAPTIC_KEYS=str(folder / "keys")):
         yield keys.new_identity()
-    finally:
-        if before is None:
-            del os.environ["HAPTIC_KEYS"]
-        else:
-            os.environ["HAPTIC_KEYS"] = before
 
 
 def measure(rate: float, rounds: int, ticks: int) -> dict[str, Any]:
@@ -185,19 +181,14 @@ def measure(rate: float, rounds: int, ticks: int) -> dict[str, Any]:
         for _ in range(rounds):
             for name, found in _round(loops, ticks, period).items():
                 responses[name].append(found)
-    ratios = [
-        statistics.median(curve) / statistics.median(ipc)
-        for ipc, curve in zip(responses["ipc"], responses["curve"], strict=True)
-    ]
+    ratios = sorted(statistics.median(curve) / statistics.median(ipc) for ipc, curve in zip(*responses.values(), strict=True))
     figures: dict[str, Any] = {"rate_hz": rate, "rounds": rounds, "ticks_per_round": ticks, "response_us": {}}
     for name, lists in responses.items():
         values = sorted(value for one in lists for value in one)
-        share = {"p50": 0.5, "p99": 0.99}
-        figures["response_us"][name] = {
-            key: round(values[int(part * (len(values) - 1))] * 1e6, 1) for key, part in share.items()
-        }
+        shares = {"p50": 0.5, "p99": 0.99}
+        figures["response_us"][name] = {key: round(quantile(values, part) * 1e6, 1) for key, part in shares.items()}
     figures["ratio"] = round(statistics.median(ratios), 4)
-    figures["ratio_of_rounds"] = [round(ratio, 4) for ratio in sorted(ratios)]
+    figures["ratio_of_rounds"] = [round(ratio, 4) for ratio in ratios]
     return figures
 
 
@@ -213,5 +204,4 @@ def run(arguments: argparse.Namespace) -> int:
         f"  tcp with CURVE   p50 {curve['p50']:.0f} µs, p99 {curve['p99']:.0f} µs\n"
         f"  ratio            {found['ratio']:.3f} (median of the rounds, which gave {spread[0]:.3f} to {spread[-1]:.3f})"
     )
-    answer(arguments.json, found, text)
-    return 0
+    return report(arguments, found, text)

@@ -10,10 +10,11 @@ import time
 from typing import Any
 
 from messages.topics import DEVICE_STATE
-from nodes.cli.main import add_json, answer
+from nodes.cli.main import add_json
 from nodes.cli.quantities import declare
 from nodes.recording.reader import Recording
 from nodes.recording.summary import quantile
+from sim.cli.answers import report
 from sim.measure.measured_launch import HAPTIC, Running, machine, wait_for
 from sim.measure.stopwatch import Progress
 
@@ -83,14 +84,10 @@ def measure(rounds: int, seconds: float, rate: float, progress: Progress) -> dic
         responses = sorted(state.response * 1e6 for state in part if state.response > 0.0)
         quantiles[label].append((quantile(responses, 0.5), quantile(responses, 0.99)))
         missed[label] += part[-1].missed - part[0].missed
-    quiet = [p99 for _, p99 in quantiles["without"]]
-    busy = [p99 for _, p99 in quantiles["with"]]
+    (p50, quiet), (p50_busy, busy) = (tuple(zip(*quantiles[label], strict=True)) for label in ("without", "with"))
     return {
-        "without_us": {
-            "p50": statistics.median(p50 for p50, _ in quantiles["without"]),
-            "p99": statistics.median(quiet),
-        },
-        "with_us": {"p50": statistics.median(p50 for p50, _ in quantiles["with"]), "p99": statistics.median(busy)},
+        "without_us": {"p50": statistics.median(p50), "p99": statistics.median(quiet)},
+        "with_us": {"p50": statistics.median(p50_busy), "p99": statistics.median(busy)},
         "p99_ratio": statistics.median(with_ / without for with_, without in zip(busy, quiet, strict=True)),
         "spread_without": max(quiet) / min(quiet),
         "missed": missed,
@@ -112,5 +109,4 @@ def run(arguments: argparse.Namespace) -> int:
         f"missed {figures['missed']['without']} without, {figures['missed']['with']} with; "
         f"lost by the launch's own logger {figures['lost_by_own_logger']}"
     )
-    answer(arguments.json, figures, text)
-    return 0
+    return report(arguments, figures, text)

@@ -1,6 +1,6 @@
 """The running loop, plain and compiled, against bare ones: lockstep throughput, response, start-up, memory, CPU.
 
-Beside the ordinary launch the cases of sim/measure/loop_cases.py, in turns with it: what a guard and a cross-fade cost, and
+Beside the ordinary launch the cases of sim/measure/bare.py, in turns with it: what a guard and a cross-fade cost, and
 whether a device behind its own servo loop misses more than the virtual one.
 """
 
@@ -16,22 +16,18 @@ from typing import Any
 from messages.errors import UsageError
 from nodes.base.realtime import awake, quietest_processor
 from nodes.base.setup import Tick
-from nodes.cli.main import add_json, answer
+from nodes.cli.main import add_json
 from nodes.compiled.choose_tick import choose
 from nodes.launcher.launch_spec import AWAKE_RATE
-from sim.measure import loop_cases
+from sim.cli.answers import report
+from sim.measure import bare
 from sim.measure.bare import BARE, bare_loop, c_loop
 from sim.measure.measured_launch import fifo_granted, launch, machine
 from sim.measure.stopwatch import Progress
 
 RATES = (500, 4000, 8000)
 
-KERNELS = (
-    "nodes.environment.kernel",
-    "nodes.coupling.kernel",
-    "nodes.driver.kernel",
-    "sim.device.kernel",
-)
+KERNELS = ("nodes.environment.kernel", "nodes.coupling.kernel", "nodes.driver.kernel", "sim.device.kernel")
 """The compiled ticks of the loop."""
 
 NAMES = {
@@ -39,16 +35,12 @@ NAMES = {
     "plain": "plain",
     "bare": "bare pyzmq + msgpack",
     "c": "bare C",
-    **{
-        f"{tick} {case}": f"{tick}, {label}"
-        for case, label in loop_cases.CASES.items()
-        for tick in ("compiled", "plain")
-    },
+    **{f"{tick} {case}": f"{tick}, {label}" for case, label in bare.CASES.items() for tick in ("compiled", "plain")},
 }
 """The loops compared; a bare one carries a logger when ours does."""
 
 Launches = Mapping[str, tuple[str, ...]]
-"""Arguments of each case, and of the ordinary launch, see sim/measure/loop_cases.py."""
+"""Arguments of each case, and of the ordinary launch, see sim/measure/bare.py."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -57,28 +49,21 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--ticks", type=int, default=20000, help="ticks of a lockstep round (default 20000)")
     parser.add_argument("--seconds", type=float, default=10.0, help="length of a real-time round (default 10 s)")
     parser.add_argument(
-        "--rates",
-        type=int,
-        nargs="+",
-        default=RATES,
-        metavar="HZ",
-        help="of the real-time rounds (default 500 4000 8000)",
+        "--rates", type=int, nargs="+", default=RATES, metavar="HZ", help="of the real-time rounds (default 500 4000 8000)"
     )
     parser.add_argument(
         "--cases",
         nargs="*",
-        choices=loop_cases.CASES,
-        default=list(loop_cases.CASES),
-        help=f"beside the ordinary launch (default all; stand_in at {loop_cases.SERVO_RATE} Hz, where that is a rate)",
+        choices=bare.CASES,
+        default=list(bare.CASES),
+        help=f"beside the ordinary launch (default all; stand_in at {bare.SERVO_RATE} Hz, where that is a rate)",
     )
     parser.add_argument(
         "--scenes",
         action="store_true",
         help="scenes in three axes against the floor at 500 Hz, in place of that: missed, response, the environment's time",
     )
-    parser.add_argument(
-        "--finest", type=int, default=7, help="of --scenes: a ball of 20·4ⁿ triangles (default 7, 327 680)"
-    )
+    parser.add_argument("--finest", type=int, default=7, help="of --scenes: a ball of 20·4ⁿ triangles (default 7, 327 680)")
     add_json(parser)
     parser.set_defaults(run=run)
 
@@ -123,8 +108,8 @@ def _rows(rates: Sequence[int], tick: Tick, launches: Launches) -> list[tuple[st
     """Name what runs in real time, and at which rate; a case at one rate only."""
     ours = tuple(dict.fromkeys(("plain", tick)))
     found = [(name, rate) for rate in rates for name in (*ours, *_programs())]
-    for case in loop_cases.CASES.keys() & launches.keys():
-        rate = loop_cases.SERVO_RATE if case == "stand_in" else rates[0]
+    for case in bare.CASES.keys() & launches.keys():
+        rate = bare.SERVO_RATE if case == "stand_in" else rates[0]
         if rate in rates:
             found += [(f"{one} {case}", rate) for one in (ours if case != "stand_in" else (tick,))]
     return found
@@ -220,9 +205,7 @@ def text(figures: dict[str, Any]) -> str:
                 )
     memory = ", ".join(f"{name} {value:.0f} MB" for name, value in figures["memory_mb"].items())
     cpu = ", ".join(f"{name} {value:.1%}" for name, value in figures["cpu_share"].items())
-    return "\n".join(
-        [*lines, f"memory     {memory}", f"CPU {figures['rates_hz'][0]} Hz {cpu} of a core, start-up included"]
-    )
+    return "\n".join([*lines, f"memory     {memory}", f"CPU {figures['rates_hz'][0]} Hz {cpu} of a core, start-up included"])
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -232,15 +215,14 @@ def run(arguments: argparse.Namespace) -> int:
     rounds = arguments.rounds
     tick = choose("compiled", KERNELS, lambda text: print(text, file=sys.stderr))
     # Like the bare loop in C, the stand-in needs a compiler.
-    stands_in = loop_cases.SERVO_RATE in arguments.rates and c_loop() is not None
-    with loop_cases.launches([case for case in arguments.cases if case != "stand_in" or stands_in]) as launches:
+    stands_in = bare.SERVO_RATE in arguments.rates and c_loop() is not None
+    with bare.launches([case for case in arguments.cases if case != "stand_in" or stands_in]) as launches:
         loops = _loops(tick, launches)
         progress = Progress(rounds * (len(_names(loops)) + len(_rows(arguments.rates, tick, launches))))
         figures = lockstep(rounds, arguments.ticks, loops, tick, progress)
         figures.update(realtime(rounds, arguments.seconds, arguments.rates, tick, launches, progress))
     figures["machine"] = machine()
-    answer(arguments.json, figures, text(figures))
-    return 0
+    return report(arguments, figures, text(figures))
 
 
 def _run_scenes(arguments: argparse.Namespace) -> int:
@@ -255,5 +237,4 @@ def _run_scenes(arguments: argparse.Namespace) -> int:
     kernels = (*KERNELS, "nodes.environment.shapes.kernel")
     tick = choose("compiled", kernels, lambda text: print(text, file=sys.stderr))
     figures = compare_scenes(arguments.rounds, arguments.seconds, arguments.finest, tick)
-    answer(arguments.json, figures, "\n".join([figures["machine"], *scenes_text(figures["rows"])]))
-    return 0
+    return report(arguments, figures, [figures["machine"], *scenes_text(figures["rows"])])

@@ -6,7 +6,8 @@ import argparse
 import statistics
 from typing import Any
 
-from nodes.cli.main import add_json, answer
+from nodes.cli.main import add_json
+from sim.cli.answers import report
 from sim.measure.measured_launch import launch, machine
 from sim.measure.stopwatch import Progress
 
@@ -49,13 +50,8 @@ def run(arguments: argparse.Namespace) -> int:
     lines = [figures["machine"]]
     for half in (WITHOUT, WITH):
         own = figures[half]
-        lines.append(
-            f"response {half:7} p50 {own['p50']:.0f} µs, p99 {own['p99']:.0f} µs, missed {own['missed']} ticks"
-        )
-    lines += [
-        f"{name} with/without {figures[f'{name}_ratio']:.2f} ({low:.2f} to {high:.2f})"
-        for name in ("p50", "p99")
-        for low, high in [figures[f"{name}_ratio_range"]]
-    ]
-    answer(arguments.json, figures, "\n".join(lines))
-    return 0
+        lines.append(f"response {half:7} p50 {own['p50']:.0f} µs, p99 {own['p99']:.0f} µs, missed {own['missed']} ticks")
+    for name in ("p50", "p99"):
+        low, high = figures[f"{name}_ratio_range"]
+        lines.append(f"{name} with/without {figures[f'{name}_ratio']:.2f} ({low:.2f} to {high:.2f})")
+    return report(arguments, figures, lines)

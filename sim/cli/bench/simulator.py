@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 
 from messages.errors import UsageError
-from nodes.cli.main import add_json, answer
+from nodes.cli.main import add_json
+from sim.cli.answers import report
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -31,15 +32,9 @@ def run(arguments: argparse.Namespace) -> int:
     for taps, timing in speed.simulator.items():
         plain = speed.plain_c.get(taps)
         ratio = None if plain is None else plain.median / timing.median
-        points.append(
-            {
-                "taps": taps,
-                "ticks_per_s": 1.0 / timing.median,
-                "ticks_per_s_quartiles": [1.0 / timing.high, 1.0 / timing.low],
-                "c_ticks_per_s": None if plain is None else 1.0 / plain.median,
-                "ratio": ratio,
-            }
-        )
+        low, high = 1.0 / timing.high, 1.0 / timing.low
+        point = {"taps": taps, "ticks_per_s": 1.0 / timing.median, "ticks_per_s_quartiles": [low, high], "ratio": ratio}
+        points.append(point | {"c_ticks_per_s": None if plain is None else 1.0 / plain.median})
         beside = f"{1e-6 / plain.median:12.1f} M   {ratio:6.2f}" if plain is not None else f"   no C: {speed.reason}"
         lines.append(f"{taps:4d} {1e-6 / timing.median:15.1f} M {beside}")
     scaling = speed.one_core.median / speed.all_cores.median
@@ -61,5 +56,4 @@ def run(arguments: argparse.Namespace) -> int:
         "rounds": arguments.rounds,
         "machine": here,
     }
-    answer(arguments.json, figures, "\n".join(lines))
-    return 0
+    return report(arguments, figures, lines)

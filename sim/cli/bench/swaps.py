@@ -17,10 +17,11 @@ from typing import Any
 from messages.topics import DEVICE_STATE, FORCE, RECEIPT
 from messages.transport.requests import ControlError
 from messages.types import DeviceState, Receipt
-from nodes.cli.main import add_json, answer
+from nodes.cli.main import add_json
 from nodes.cli.quantities import declare
 from nodes.recording.reader import Recording
 from nodes.recording.summary import quantile
+from sim.cli.answers import report
 from sim.measure.measured_launch import Running, machine
 
 LAWS = ("pd", "pd_alpha", "multi_term")
@@ -58,13 +59,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("--swaps", type=int, default=1000, help="swaps of laws (default %(default)s)")
     parser.add_argument("--sets", type=int, default=1000, help="sets of parameters (default %(default)s)")
-    parser.add_argument(
-        "--duration", type=float, default=60.0, help="time for all [s], half of it idle (default %(default)s)"
-    )
+    parser.add_argument("--duration", type=float, default=60.0, help="time for all [s], half of it idle (default %(default)s)")
     declare(parser, rate=500.0)
-    parser.add_argument(
-        "--blocks", type=int, default=20, help="busy blocks, each with an idle one (default %(default)s)"
-    )
+    parser.add_argument("--blocks", type=int, default=20, help="busy blocks, each with an idle one (default %(default)s)")
     add_json(parser)
     parser.set_defaults(run=run)
 
@@ -90,9 +87,7 @@ def _ask_all(ask: Callable[..., Any], swaps: int, sets: int, blocks: int, durati
                 else:
                     # Damping is not felt at rest: a set of it must not make the force step either.
                     law, damping = LAWS[k % len(LAWS)], 2.5 + 0.5 * (len(asked.answers) % 3)
-                    found = ask(
-                        "param.set", values={f"laws.{law}.damping": damping} if law == "pd" else {"ramp": k % 4}
-                    )
+                    found = ask("param.set", values={f"laws.{law}.damping": damping} if law == "pd" else {"ramp": k % 4})
                 asked.answers.append(found)
             except ControlError as error:
                 asked.refused.append(str(error))
@@ -134,39 +129,31 @@ def measure(swaps: int, sets: int, blocks: int, duration: float, rate: float = 5
 
 def _quantiles(values: list[float], unit: float) -> dict[str, float]:
     ordered = sorted(values) or [math.nan]
-    return {
-        name: round(quantile(ordered, share) * unit, 3) for name, share in (("p50", 0.5), ("p99", 0.99), ("max", 1.0))
-    }
+    return {name: round(quantile(ordered, share) * unit, 3) for name, share in (("p50", 0.5), ("p99", 0.99), ("max", 1.0))}
 
 
 def _steps_at_rest(states: list[DeviceState], receipts: list[Receipt]) -> list[float]:
     """Force steps of those changes that came while the mass rested; a machine that stalls lets it fall in between."""
     position = {state.seq: state.position[2] for state in states}
-    steps = []
-    for receipt in receipts:
-        recent = [position.get(receipt.seq - age, math.inf) for age in range(1, MEMORY + 1)]
-        # A tick that was left out is not known to have been at rest (and infinity less itself is not small either).
-        if max(recent) - min(recent) <= STILL:
-            steps.append(receipt.force_step)
-    return steps
+    # A tick that was left out is not known to have been at rest (and infinity less itself is not small either).
+    recent = [[position.get(one.seq - age, math.inf) for age in range(1, MEMORY + 1)] for one in receipts]
+    return [one.force_step for one, part in zip(receipts, recent, strict=True) if max(part) - min(part) <= STILL]
 
 
 def _figures(recording: Recording, summary: dict[str, Any], asked: Asked, before: int) -> dict[str, Any]:
     states = recording.messages(DEVICE_STATE)
     receipts = [receipt for receipt in recording.messages(RECEIPT) if receipt.revision > before]
-    by_revision = {receipt.revision: receipt for receipt in receipts}
-    lost = [found for found in asked.answers if found["revision"] not in by_revision]
+    known = {receipt.revision for receipt in receipts}
+    lost = [found for found in asked.answers if found["revision"] not in known]
     steps = _steps_at_rest(states, receipts)
     blocks: dict[bool, list[dict[str, Any]]] = {True: [], False: []}
     for block in asked.blocks:
         part = [state for state in states if block.began <= state.stamp < block.ended]
-        counted = {
-            "ticks": part[-1].seq - part[0].seq,
-            # A driver that was itself held up has left ticks out; they are the machine's or ours as well.
-            "missed": part[-1].missed - part[0].missed + part[-1].overruns - part[0].overruns,
-            "responses": [state.response for state in part if state.response > 0.0],
-        }
-        blocks[block.busy].append(counted)
+        first, last = part[0], part[-1]
+        # A driver that was itself held up has left ticks out; they are the machine's or ours as well.
+        missed = last.missed - first.missed + last.overruns - first.overruns
+        responses = [state.response for state in part if state.response > 0.0]
+        blocks[block.busy].append({"ticks": last.seq - first.seq, "missed": missed, "responses": responses})
     figures: dict[str, Any] = {
         "machine": machine(),
         "rate_hz": summary["rate_hz"],
@@ -217,5 +204,4 @@ def text(figures: dict[str, Any]) -> str:
 def run(arguments: argparse.Namespace) -> int:
     """Run the benchmark."""
     figures = measure(arguments.swaps, arguments.sets, arguments.blocks, arguments.duration, arguments.rate)
-    answer(arguments.json, figures, text(figures))
-    return 0 if figures["requests"] == figures["receipts"] else 1
+    return report(arguments, figures, text(figures), held=figures["requests"] == figures["receipts"])

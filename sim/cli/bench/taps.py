@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from messages.errors import UsageError
-from nodes.cli.main import add_json, answer
-from nodes.recording.figure_style import save_figure, styled, threshold
+from nodes.cli.main import add_json
+from nodes.recording.figure_style import new_figure, save_figure, styled, threshold
+from sim.cli.answers import report
 from sim.results import fresh
 
 
@@ -36,8 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.rounds < 1:
         raise UsageError(f"--rounds {arguments.rounds}: at least 1")
     from sim.measure.stopwatch import Progress, machine
-    from sim.measure.tap_timing import LENGTHS, WAYS, as_json, time_laws, time_taps
-    from sim.measure.turning import time_turning
+    from sim.measure.tap_timing import LENGTHS, WAYS, as_json, time_laws, time_taps, time_turning
 
     found = time_taps(arguments.taps or LENGTHS, arguments.rounds, Progress(arguments.rounds).step)
     laws = time_laws(arguments.rounds, lambda _: None)
@@ -66,17 +66,14 @@ def run(arguments: argparse.Namespace) -> int:
         f"{cost['numpy']:.2f} s at its start, numba {cost['numba']:.2f} s"
     )
     lines.append(f"same bits: {'yes' if figures['same_bits'] else 'NO'}; {figures['machine']['cpu']}")
-    answer(arguments.json, figures, "\n".join(lines))
-    return 0
+    return report(arguments, figures, lines)
 
 
 @styled
 def _write(figures: dict[str, Any], folder: Path) -> list[Path]:
     import json
 
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    figure = new_figure(6.4, 4.0)
     axes = figure.add_subplot(xlabel="taps  [1]", ylabel="time per tick  [µs]", xscale="log", yscale="log")
     taps = [point["taps"] for point in figures["points"]]
     for way, mark in (("plain", "o"), ("unrolled", "v"), ("numpy", "s"), ("numba", "^"), ("numpy_dot", "")):

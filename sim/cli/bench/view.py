@@ -21,10 +21,12 @@ from messages.errors import UsageError
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from messages.types import DeviceState, Force, Message, Proxy
 from nodes.base.realtime import memory_bytes, off
-from nodes.cli.main import add_json, answer
+from nodes.cli.main import add_json
 from nodes.cli.quantities import declare
 from nodes.recording.reader import Recording
+from nodes.recording.summary import quantile
 from nodes.view.live import Facts, LiveRun
+from sim.cli.answers import report
 from sim.measure.measured_launch import HAPTIC, Running, machine
 from sim.measure.page_pictures import take
 from sim.measure.stopwatch import Progress
@@ -58,9 +60,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rounds", type=int, default=4, help="rounds of without and with (default 4)")
     parser.add_argument("--seconds", type=float, default=4.0, help="length of each half of a round (default 4 s)")
     declare(parser, rate=500.0)
-    parser.add_argument(
-        "--picture", type=Path, metavar="FILE", help="take one of the page while the wall is pushed (PNG)"
-    )
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="take one of the page while the wall is pushed (PNG)")
     parser.add_argument(
         "--pictures", type=Path, metavar="FOLDER", help="take those of the project's pages instead of measuring (PNG)"
     )
@@ -119,17 +119,10 @@ def _with_page(
         view.communicate(timeout=30.0)
 
 
-def loop_cost(
-    rounds: int, seconds: float, rate: float, progress: Progress, picture: Path | None = None
-) -> dict[str, Any]:
+def loop_cost(rounds: int, seconds: float, rate: float, progress: Progress, picture: Path | None = None) -> dict[str, Any]:
     """Run one launch and open a page in every second half of a round."""
     halves: dict[str, list[tuple[float, float]]] = {"without": [], "with": []}
-    delays: dict[str, list[float]] = {
-        "first_picture_s": [],
-        "switch_s": [],
-        "hand_to_picture_s": [],
-        "hand_to_force_s": [],
-    }
+    delays: dict[str, list[float]] = {"first_picture_s": [], "switch_s": [], "hand_to_picture_s": [], "hand_to_force_s": []}
     # As ``haptic view`` opens one: a browser, too, keeps off the processor of the loop.
     with Running("touch_wall", f"rate:={rate}") as launch, off(launch.run.processors), browsing() as browser:
         for _ in range(rounds):
@@ -149,8 +142,8 @@ def loop_cost(
         for began, ended in spans:
             part = [state for state in states if began <= state.stamp <= ended]
             responses = sorted(state.response * 1e6 for state in part if state.response > 0.0)
-            p50.append(responses[len(responses) // 2])
-            p99.append(responses[int(0.99 * len(responses))])
+            p50.append(quantile(responses, 0.5))
+            p99.append(quantile(responses, 0.99))
             missed += part[-1].missed - part[0].missed
             ticks += len(part)
         found[label] = {"p50_us": p50, "p99_us": p99, "missed": missed, "ticks": ticks}
@@ -207,8 +200,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.pictures is not None:
         with browsing() as browser:
             taken = take(browser, arguments.pictures, lambda name: print(name, file=sys.stderr, flush=True))
-        answer(arguments.json, {"pictures": [str(path) for path in taken]}, "\n".join(map(str, taken)))
-        return 0
+        return report(arguments, {"pictures": [str(path) for path in taken]}, [str(path) for path in taken])
     progress, load = Progress(2 * arguments.rounds), [os.getloadavg()[0]]
     figures = loop_cost(arguments.rounds, arguments.seconds, arguments.rate, progress, arguments.picture)
     load.append(os.getloadavg()[0])
@@ -228,9 +220,7 @@ def run(arguments: argparse.Namespace) -> int:
     force = figures["hand_to_force_s"] * 1e3
     lines.append(
         f"first picture {figures['first_picture_s']:.2f} s after the URL; from the hand to the force {force:.0f} ms, "
-        f"to the picture {hand:.0f} ms; "
-        f"a switch is shown in {switch:.0f} ms; memory "
-        f"{kept['after_one_minute_mb']:.1f} MB after one minute, {kept['at_the_end_mb']:.1f} MB after {arguments.minutes:g}"
+        f"to the picture {hand:.0f} ms; a switch is shown in {switch:.0f} ms; memory {kept['after_one_minute_mb']:.1f} MB "
+        f"after one minute, {kept['at_the_end_mb']:.1f} MB after {arguments.minutes:g}"
     )
-    answer(arguments.json, figures, "\n".join(lines))
-    return 0
+    return report(arguments, figures, lines)

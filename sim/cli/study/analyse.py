@@ -8,19 +8,22 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from messages.errors import UsageError
-from nodes.cli.main import answer
 from nodes.cli.quantities import declare, declare_law, interval, not_negative, positive
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import LawRefusedError, compile_law
-from nodes.recording.figure_style import OMEGA, save_figure, styled, threshold
+from nodes.recording.figure_style import OMEGA, new_figure, save_figure, styled, threshold
 from nodes.stability.closed_loop import law_figures
+from nodes.stability.effective_damping import effective_damping
 from nodes.stability.every_delay import every_delay
 from nodes.stability.k_max import edge_of, k_max, tolerance, without_spring
 from nodes.stability.plant import Plant
 from nodes.stability.rest import rest, stiffest_at_rest
 from sim.chart.rest_map import rest_map
 from sim.cli import arguments as shared
+from sim.cli.answers import add_answer, report
 from sim.results import fresh
 
 
@@ -38,8 +41,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--resolution", type=positive, help="of the device's encoder: tells the friction for rest [m]")
     parser.add_argument("--friction", type=not_negative, help="of the device: tells the stiffness for rest [N]")
     shared.add_device(parser)
-    shared.add_answer(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -56,24 +58,20 @@ def run(arguments: argparse.Namespace) -> int:
             f"{law.kind}: has code of its own, so no transfer function and no poles to analyse; drop it: "
             "haptic study kmax --method simulation"
         )
-    figures = law_figures(compiled, device)
-    limits = tolerance(compiled, device)
-    boundary = k_max(derivative, device)
-    figures |= {"tolerance": None if limits is None else asdict(limits), **_boundary(asdict(boundary))}
-    edge = edge_of(derivative, device)
-    figures["edge"] = None if edge is None else asdict(edge)
-    figures["every_delay"] = _every_delay(arguments, compiled, device)
-    figures["rest"] = _rest(arguments, compiled, derivative, device)
+    limits, edge, boundary = tolerance(compiled, device), edge_of(derivative, device), asdict(k_max(derivative, device))
+    figures = law_figures(compiled, device) | {
+        "tolerance": limits and asdict(limits),
+        **{key: boundary[key] for key in ("k_max_n_per_m", "h1_max_n_per_m", "method")},
+        "edge": edge and asdict(edge),
+        "every_delay": _every_delay(arguments, compiled, device),
+        "rest": _rest(arguments, compiled, derivative, device),
+    }
     if arguments.resolution is not None:
         friction = arguments.friction or figures["rest"]["friction_bound_n"]
         nominal = compiled.taps[0] - derivative.taps[0]
-        figures["rest"]["map"] = rest_map(
-            compiled, nominal, device, arguments.resolution, friction, arguments.out / "rest.png"
-        )
+        figures["rest"]["map"] = rest_map(compiled, nominal, device, arguments.resolution, friction, arguments.out / "rest.png")
     figures["loop"] = shared.head(law, device)
-    figures["plot"] = str(_draw(arguments, compiled, device))
-    answer(arguments.json, figures, f"{figures['loop']}\n{_text(figures)}")
-    return 0
+    return report(arguments, figures, _text(figures), plot=_draw(arguments, compiled, device))
 
 
 def _every_delay(arguments: argparse.Namespace, law: CompiledLaw, device: Plant) -> dict[str, Any] | None:
@@ -86,9 +84,7 @@ def _every_delay(arguments: argparse.Namespace, law: CompiledLaw, device: Plant)
     return {"delay_ticks": list(arguments.every_delay), **asdict(found)}
 
 
-def _rest(
-    arguments: argparse.Namespace, law: CompiledLaw, derivative: CompiledLaw, device: Plant
-) -> dict[str, Any] | None:
+def _rest(arguments: argparse.Namespace, law: CompiledLaw, derivative: CompiledLaw, device: Plant) -> dict[str, Any] | None:
     if arguments.resolution is None:
         if arguments.friction is not None:
             raise UsageError("--friction: rest takes the encoder too; give --resolution")
@@ -102,16 +98,13 @@ def _rest(
     return found
 
 
-def _boundary(found: dict[str, Any]) -> dict[str, Any]:
-    return {key: found[key] for key in ("k_max_n_per_m", "h1_max_n_per_m", "method")}
-
-
-def _text(figures: dict[str, Any]) -> str:
+def _text(figures: dict[str, Any]) -> list[str]:
     def shown(value: float | None, unit: str, missing: str = "none") -> str:
         return missing if value is None else f"{value:.6g} {unit}".rstrip()
 
     verdict = "stable" if figures["pole_radius"] < 1.0 else "UNSTABLE"
     lines = [
+        figures["loop"],
         f"H(1)            {shown(figures['h1_n_per_m'], 'N/m')}",
         f"H(-1)           {shown(figures['h_nyquist_n_per_m'], 'N/m')}",
         f"f min, H(1)     {shown(figures['f_min_n_s_per_m'], 'N s/m')} at {figures['f_min_rad_per_s']:.5g} rad/s",
@@ -132,7 +125,7 @@ def _text(figures: dict[str, Any]) -> str:
             f"hand up to      {shown(limits['hand_stiffness_max_n_per_m'], 'N/m', '1e6 N/m, no limit found')}",
             f"delay up to     {shown(limits['delay_max_ticks'], 'ticks', '100 ticks more, no limit found')}",
         ]
-    return "\n".join([*lines, figures["plot"]])
+    return lines
 
 
 def _beyond(figures: dict[str, Any]) -> list[str]:
@@ -157,34 +150,21 @@ def _beyond(figures: dict[str, Any]) -> list[str]:
         lines.append(f"rest            {still['text']}")
         if "k_rest_n_per_m" in still:
             stiffest = still["k_rest_n_per_m"]
-            lines.append(
-                f"stiffest rest   {'none' if stiffest is None else f'{stiffest:.6g} N/m'} with the declared friction"
-            )
+            lines.append(f"stiffest rest   {'none' if stiffest is None else f'{stiffest:.6g} N/m'} with the declared friction")
         lines.append(f"rest map        {still['map']['plot']}")
     return lines
 
 
 @styled
 def _draw(arguments: argparse.Namespace, law: CompiledLaw, device: Plant) -> Path:
-    import numpy as np
-    from matplotlib.figure import Figure
-
-    from nodes.stability.effective_damping import effective_damping
-
     period, theta = device.period, np.linspace(0.0, np.pi, 801)
-    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-    axes = figure.add_subplot(
-        xlabel=OMEGA, ylabel=r"$f(\omega)$  [N s/m]", title=f"effective damping of {arguments.law}"
-    )
+    figure = new_figure(6.4, 4.0)
+    axes = figure.add_subplot(xlabel=OMEGA, ylabel=r"$f(\omega)$  [N s/m]", title=f"effective damping of {arguments.law}")
     spring = 0.5 * period * law.h1
     axes.plot(theta / np.pi, effective_damping(law, period, theta / period), label="without delay")
     whole = int(device.delay)
     if whole:
-        axes.plot(
-            theta / np.pi,
-            effective_damping(law, period, theta / period, whole),
-            label=f"late by {whole} T",
-        )
+        axes.plot(theta / np.pi, effective_damping(law, period, theta / period, whole), label=f"late by {whole} T")
     limit = device.damping - spring
     threshold(axes, limit, f"b − H(1)T/2 = {limit:.3g} N s/m: passive below")
     axes.legend()

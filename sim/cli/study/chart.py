@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from messages.errors import UsageError
-from nodes.cli.main import answer
-from sim.cli.arguments import add_answer
+from sim.cli.answers import add_answer, report
 from sim.cli.sweeps import add_spread, spread
-from sim.measure.jobs import Spread, call
+from sim.measure.jobs import Runner, call
 from sim.results import fresh
 
 if TYPE_CHECKING:
@@ -32,8 +31,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--quick", action="store_true", help="fewer lengths, rates and rounds: a first look")
     add_spread(parser, "none; times are of this machine in any case")
-    add_answer(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -55,23 +53,16 @@ def run(arguments: argparse.Namespace) -> int:
 
     groups, failures = _measured(parts, arguments.quick, diary, beside)
     seconds, where = time.monotonic() - start, machine()
-    files = save(groups, where, seconds, arguments.out)
-    for group in groups:
-        files.append(draw(group, arguments.out))
+    files = [*save(groups, where, seconds, arguments.out), *(draw(group, arguments.out) for group in groups)]
     read = fresh(arguments.out / "chart.md")
     read.write_text(page(groups, where, seconds))
     lines = conclusions(groups)
-    figures = as_json(groups, where, seconds) | {
-        "conclusions": lines,
-        "page": str(read),
-        "files": [*map(str, files)],
-        "failures": failures,
-    }
-    answer(arguments.json, figures, "\n".join([*lines, *failures, f"{read} ({seconds:.0f} s)"]))
-    return 1 if failures else 0
+    figures = as_json(groups, where, seconds) | {"conclusions": lines, "page": str(read), "failures": failures}
+    figures["files"] = [*map(str, files)]
+    return report(arguments, figures, [*lines, *failures, f"{read} ({seconds:.0f} s)"], held=not failures)
 
 
-def _measured(parts: list[str], quick: bool, diary: Path, beside: Spread) -> tuple[list[Group], list[str]]:
+def _measured(parts: list[str], quick: bool, diary: Path, beside: Runner) -> tuple[list[Group], list[str]]:
     """Measure each part, or take it from the diary of a run that was stopped; and say which parts are missing."""
     from sim.chart.derivatives import derivative_groups, derivative_steps
     from sim.chart.equal_demand import demand_groups, demand_steps
@@ -97,17 +88,17 @@ def _measured(parts: list[str], quick: bool, diary: Path, beside: Spread) -> tup
     failures: list[str] = []
     for part in parts:
         make, steps, weight = makers[part]
-        step = partial(_advance, progress, weight)
         try:
             found = kept(diary, part)
             if found is None:
-                found = [with_front(group) for group in make(step, quick)]
+                advance = partial(_advance, progress, weight)
+                found = [with_front(group) for group in make(advance, quick)]
                 keep(diary, part, found)
             else:
                 progress.step(f"{part}: done before", steps(quick) * weight)
             groups += found
         except MeasurementError as error:
-            # The other parts are worth keeping; the exit code tells that one is missing.
+            # The other parts are worth keeping; the exit code shows that one is missing.
             failures.append(f"{part}: {error}")
         except KeyboardInterrupt:
             failures.append(f"{part}: interrupted; the same command goes on here")

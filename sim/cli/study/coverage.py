@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from messages.errors import UsageError
-from nodes.cli.main import answer
 from nodes.cli.quantities import declare, positive
-from nodes.recording.figure_style import COLOURS, INK, save_figure, styled, threshold
-from sim.cli import arguments as shared
+from nodes.recording.figure_style import COLOURS, INK, new_figure, save_figure, styled, threshold
+from sim.cli.answers import add_answer, given, report
 from sim.cli.sweeps import add_sweep, swept
 from sim.results import fresh
 
@@ -26,14 +25,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     declare(parser, rate=500.0)
     parser.add_argument("--seed", type=int, default=1, help="of the population (default: %(default)s)")
     parser.add_argument(
-        "--outside",
-        action="store_true",
-        help="devices that are not rigid: joints, lags, backlash and more, kind by kind",
+        "--outside", action="store_true", help="devices that are not rigid: joints, lags, backlash and more, kind by kind"
     )
     parser.add_argument("--tune", action="store_true", help="tune a law for each device too: seconds per device")
     add_sweep(parser)
-    shared.add_answer(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -44,46 +40,28 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--devices {arguments.devices}: between 1 and 100000")
     if arguments.outside:
         return _outside(arguments)
-    jobs: list[dict[str, Any]] = [
-        {
-            "number": number,
-            "held": number % 2 == 1,
-            "seed": arguments.seed,
-            "seconds": arguments.seconds,
-            "rate": arguments.rate,
-            "tune": arguments.tune,
-        }
-        for number in range(arguments.devices)
-    ]
+    told = given(arguments, "seed", "seconds", "rate", "tune")
+    jobs = [{"number": number, "held": number % 2 == 1, **told} for number in range(arguments.devices)]
     rows, ledger = swept(arguments, study_device, jobs, "coverage", 1 if arguments.tune else 8)
     found = summary(rows)
-    picture = arguments.out / "coverage.png"
-    draw(picture, rows)
-    answer(arguments.json, found | {"ledger": str(ledger), "plot": str(picture)}, _text(found, ledger, picture))
     kept = all(_kept(one["coverage"], one["told"]) for one in found["parameters"].values() if one["told"])
-    return 0 if kept and not found.get("tuned", {}).get("unstable") else 1
+    held = kept and not found.get("tuned", {}).get("unstable")
+    picture = draw(arguments.out / "coverage.png", rows)
+    return report(arguments, found, _text(found), ledger=ledger, plot=picture, held=held)
 
 
 def _outside(arguments: argparse.Namespace) -> int:
     """Sweep over devices that are not rigid."""
     from scipy.stats import binom
 
-    from sim.population.outside import KINDS
-    from sim.population.outside_study import ALLOWED, study_outside, summary_outside
+    from sim.population.study import ALLOWED, study_outside, summary_outside
+    from sim.population.virtual import KINDS
 
     if arguments.tune:
         raise UsageError("--tune: not with --outside, where most devices are refused")
+    told, kinds = given(arguments, "seed", "seconds", "rate"), list(KINDS)
     # All kinds in turn, so that an interrupted study has seen each.
-    jobs: list[dict[str, Any]] = [
-        {
-            "kind": list(KINDS)[number % len(KINDS)],
-            "number": number // len(KINDS),
-            "seed": arguments.seed,
-            "seconds": arguments.seconds,
-            "rate": arguments.rate,
-        }
-        for number in range(arguments.devices)
-    ]
+    jobs = [{"kind": kinds[n % len(kinds)], "number": n // len(kinds), **told} for n in range(arguments.devices)]
     rows, ledger = swept(arguments, study_outside, jobs, "coverage_outside")
     found = summary_outside(rows)
     lines = [
@@ -99,10 +77,10 @@ def _outside(arguments: argparse.Namespace) -> int:
         f"{found['devices']} devices: something false of {found['false']}, {found['refused']} refused, {found['named']} named "
         f"rightly; {found['missed']} of {found['intervals']} 95 % intervals miss"
     )
-    answer(arguments.json, found | {"ledger": str(ledger)}, "\n".join([*lines, str(ledger)]))
     # More than allowed, and not by chance.
     share = found["false"] / found["devices"]
-    return 0 if share <= ALLOWED or binom.sf(found["false"] - 1, found["devices"], ALLOWED) >= 0.01 else 1
+    held = share <= ALLOWED or binom.sf(found["false"] - 1, found["devices"], ALLOWED) >= 0.01
+    return report(arguments, found, lines, ledger=ledger, held=held)
 
 
 def _kept(coverage: float, devices: int) -> bool:
@@ -112,37 +90,33 @@ def _kept(coverage: float, devices: int) -> bool:
     return coverage >= WANTED or bool(binom.cdf(round(coverage * devices), devices, 0.95) >= 0.01)
 
 
-def _text(found: Mapping[str, Any], ledger: Path, picture: Path) -> str:
+def _text(found: Mapping[str, Any]) -> list[str]:
     lines = [
         f"{found['devices']} devices, {found['refused']} refused, residual {found['residual_steps_median']:.3f} encoder steps "
-        "(rounding: 0.289)"
+        "(rounding: 0.289)",
+        f"{'parameter':10} {'told':>5} {'cannot':>7} {'in 95 %':>8} {'median error':>13}",
     ]
-    lines.append(f"{'parameter':10} {'told':>5} {'cannot':>7} {'in 95 %':>8} {'median error':>13}")
     for name, one in found["parameters"].items():
         if one["told"]:
             error = one["median_relative_error"]
             shown = "—" if error is None else f"{100 * error:.2g} %"
-            lines.append(
-                f"{name:10} {one['told']:5d} {one['cannot_tell']:7d} {100 * one['coverage']:6.1f} % {shown:>13}"
-            )
-    tuned = found.get("tuned")
-    if tuned:
+            lines.append(f"{name:10} {one['told']:5d} {one['cannot_tell']:7d} {100 * one['coverage']:6.1f} % {shown:>13}")
+    if tuned := found.get("tuned"):
         lines.append(
             f"{tuned['laws']} tuned laws, {tuned['unstable']} unstable; H(1) of the law for the true device: "
             f"median {100 * tuned['of_known_median']:.1f} %, least {100 * tuned['of_known_min']:.1f} %; "
             f"of PD tuned alike: median x {tuned['of_pd_median']:.2f}, least x {tuned['of_pd_min']:.2f}"
         )
-    return "\n".join([*lines, str(ledger), str(picture)])
+    return lines
 
 
 @styled
-def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
     """Draw estimates against the truth, and errors in units of their own interval."""
-    from matplotlib.figure import Figure
     from matplotlib.ticker import NullFormatter
 
     named = {"mass": "kg", "damping": "N s/m", "friction": "N", "delay": "ticks"}
-    figure = Figure(figsize=(10.0, 5.0), layout="constrained")
+    figure = new_figure(10.0, 5.0)
     panels = figure.subplots(2, len(named), height_ratios=(1.4, 1.0))
     for column, (name, unit) in enumerate(named.items()):
         top, bottom = panels[0][column], panels[1][column]
@@ -150,15 +124,8 @@ def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
             known = [row[name] for row in rows if row["held"] == held and row[name]["value"] is not None]
             if not known:
                 continue
-            label = "held" if held else "free"
-            top.plot(
-                [one["truth"] for one in known],
-                [one["value"] for one in known],
-                mark,
-                color=colour,
-                ms=2.5,
-                label=label,
-            )
+            points = [one["truth"] for one in known], [one["value"] for one in known]
+            top.plot(*points, mark, color=colour, ms=2.5, label="held" if held else "free")
             half = [max(0.5 * (one["high"] - one["low"]), 1e-300) for one in known]
             off = [(one["value"] - one["truth"]) / h for one, h in zip(known, half, strict=True)]
             bottom.hist(off, bins=25, range=(-2.5, 2.5), histtype="step", color=colour, ls="--" if held else "-")
@@ -173,4 +140,4 @@ def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         threshold(bottom, 1.0, "95 %", vertical=True)
         bottom.set(xlabel="error over half interval  [1]", ylabel="devices" if column == 0 else "")
     panels[0][0].legend()
-    save_figure(figure, path, fresh)
+    return save_figure(figure, path, fresh)

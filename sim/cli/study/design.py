@@ -11,33 +11,26 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from messages.errors import UsageError
-from nodes.cli.main import answer
 from nodes.cli.quantities import Interval, declare, not_negative, positive
 from nodes.laws import CompiledLaw
-from nodes.recording.figure_style import OMEGA, save_figure, styled, threshold
+from nodes.recording.figure_style import OMEGA, new_figure, save_figure, styled, threshold
 from nodes.stability.closed_loop import pole_radius
+from nodes.stability.effective_damping import effective_damping
 from nodes.stability.plant import Plant
 from nodes.stability.rest import rest
+from sim.axes import plain_log
 from sim.chart.rest_map import rest_map
 from sim.cli import arguments as shared
+from sim.cli.answers import add_answer, report
 from sim.cli.sweeps import add_spread, spread
 from sim.design.demand import CONVENTIONS, Demand, Robust
-from sim.design.families import (
-    Tuned,
-    best_pd,
-    certificate,
-    certified,
-    compare,
-    designed,
-    fir,
-    latest_delay,
-    to_yaml,
-)
+from sim.design.families import Tuned, best_pd, certificate, certified, compare, designed, fir, latest_delay, to_yaml
 from sim.design.landing import best_pd_windowed, drops
 from sim.design.passive import Passive, stiffest_passive
-from sim.design.recorded_loop import Measured
-from sim.design.replay_delays import replayed_radius
+from sim.design.recorded_loop import Measured, replayed_radius
 from sim.experiments.terms import RESOLUTION
 from sim.measure.jobs import call
 from sim.results import fresh
@@ -59,9 +52,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--radius", type=positive, default=0.99, help="pole radius allowed (default: %(default)s)")
     parser.add_argument("--nyquist", type=positive, default=1e4, help="|H(-1)| allowed [N/m] (default: 10000)")
-    parser.add_argument(
-        "--from-run", type=Path, metavar="RECORDING", help="take rate, delay and jitter from a recording"
-    )
+    parser.add_argument("--from-run", type=Path, metavar="RECORDING", help="take rate, delay and jitter from a recording")
     parser.add_argument("--effort", type=int, default=1, help="multiplies the search (default: %(default)s)")
     parser.add_argument(
         "--land",
@@ -77,9 +68,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--resolution", type=positive, help="of the device's encoder, with --friction [m]")
     parser.add_argument(
-        "--friction",
-        type=positive,
-        help="of the device: |H(-1)| <= 2 friction/resolution, no chatter at rest [N]",
+        "--friction", type=positive, help="of the device: |H(-1)| <= 2 friction/resolution, no chatter at rest [N]"
     )
     parser.add_argument("--compare", action="store_true", help="against best PD, every PDα and the paper's optimum")
     parser.add_argument("--delays", type=not_negative, nargs="+", default=[0.0, 1.0, 2.0], help="of --compare [ticks]")
@@ -87,8 +76,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--margins", type=not_negative, nargs="+", default=[0.0, 0.5], help="delay margins of --compare [ticks]"
     )
     add_spread(parser)
-    shared.add_answer(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -119,18 +107,10 @@ def _demand(arguments: argparse.Namespace) -> tuple[Demand, Measured | None]:
     if arguments.friction is not None:
         nyquist = min(nyquist, 2.0 * arguments.friction / arguments.resolution)
     least, most = arguments.damping
-    demand = Demand(
-        mass=arguments.mass,
-        damping=least,
-        damping_max=most if most > least else None,
-        delay=delay,
-        period=1.0 / rate,
-        radius=arguments.radius,
-        nyquist=nyquist,
-        stiffness=arguments.hand,
-        lands=CONVENTIONS if arguments.land else (),
-    )
-    return demand, run
+    device = (arguments.mass, least, delay, 1.0 / rate, arguments.radius, nyquist)
+    lands = CONVENTIONS if arguments.land else ()
+    widest = most if most > least else None
+    return Demand(*device, damping_max=widest, stiffness=arguments.hand, lands=lands), run
 
 
 def _say(what: str) -> None:
@@ -167,12 +147,7 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
     if demand.damping > 0.0:
         _say("passive")
         passive = stiffest_passive(arguments.taps, demand.period, demand.damping, demand.delay, demand.nyquist)
-    figures: dict[str, Any] = {
-        "demand": _wanted(demand),
-        "designed": None,
-        "passive": None,
-        "best_pd": _row(pd, demand),
-    }
+    figures: dict[str, Any] = {"demand": _wanted(demand), "designed": None, "passive": None, "best_pd": _row(pd, demand)}
     lines = [_describe(demand)]
     if measured is not None:
         figures |= _replayed(arguments.from_run, demand, law, measured)
@@ -183,25 +158,19 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
         )
     if law.found is not None and law.law is not None:
         result, said = _designed(arguments, demand, law, pd)
-        plot = fresh(arguments.out / "design.png")
-        _draw(plot, demand, law, pd, passive)
+        plot = _draw(arguments.out / "design.png", demand, law, pd, passive)
         figures |= {"designed": result, "plot": str(plot)}
         if not result["lands"]:
-            lines.insert(
-                0, "This law does NOT survive a landing: a drop on a floor does not settle; without --no-land it would"
-            )
+            lines[:0] = ["This law does NOT survive a landing: a drop on a floor does not settle; without --no-land it would"]
         lines += [*said, str(plot)]
         if arguments.friction is not None:
             lines += _at_rest(arguments, law.found, demand, result)
     else:
-        lines.append(
-            "no law of this length keeps the demand: allow a larger radius, a narrower range, more taps or --no-land"
-        )
+        lines.append("no law of this length keeps the demand: allow a larger radius, a narrower range, more taps or --no-land")
     if passive is not None:
         figures["passive"] = _passive_row(passive, demand, arguments.out)
         lines.append(_passive_line(passive, demand, figures["passive"]))
-    answer(arguments.json, figures, "\n".join(lines))
-    return 0 if law.found is not None else 1
+    return report(arguments, figures, lines, held=law.found is not None)
 
 
 def _designed(arguments: argparse.Namespace, demand: Demand, law: Tuned, pd: Tuned) -> tuple[dict[str, Any], list[str]]:
@@ -228,35 +197,25 @@ def _at_rest(arguments: argparse.Namespace, found: Robust, demand: Demand, figur
     """Friction that the law asks for at the heaviest, least damped device, and the map of its K about this one."""
     device = Plant(demand.period, demand.mass[1], demand.damping, demand.delay[1], demand.stiffness[0])
     needed = rest(found.law, device, arguments.resolution)
-    path = arguments.out / "design_rest.png"
+    free, path = needed.free(arguments.friction), arguments.out / "design_rest.png"
     drawn = rest_map(found.law, found.h1_n_per_m, device, arguments.resolution, arguments.friction, path)
-    figures["rest"] = asdict(needed) | {"map": drawn}
-    figures["rest"]["limit_cycle_free"] = needed.free(arguments.friction)
-    stops = "stops" if figures["rest"]["limit_cycle_free"] is True else "need not stop"
-    return [
-        f"with {arguments.friction:g} N a motion {stops}: {needed.text()}",
-        str(path),
-    ]
+    figures["rest"] = asdict(needed) | {"map": drawn, "limit_cycle_free": free}
+    stops = "stops" if free is True else "need not stop"
+    return [f"with {arguments.friction:g} N a motion {stops}: {needed.text()}", str(path)]
 
 
 def _replayed(path: Path, demand: Demand, law: Tuned, measured: Measured) -> dict[str, Any]:
     """Replay the recorded delays on the lightest and the heaviest device: jitter is not a constant delay."""
-    worst = None
+    worst = math.inf
     if law.found is not None:
-        compiled = law.found.law
-        worst = max(
-            replayed_radius(
-                compiled, Plant(demand.period, mass, demand.damping, 0.0, hand), measured.delays[:_REPLAYED]
-            )
-            for mass in demand.mass
-            for hand in demand.stiffness
-        )
+        devices = [Plant(demand.period, m, demand.damping, 0.0, hand) for m in demand.mass for hand in demand.stiffness]
+        worst = max(replayed_radius(law.found.law, device, measured.delays[:_REPLAYED]) for device in devices)
     return {
         "from_run": str(path),
         "delay_median_ticks": measured.median,
         "jitter_ticks": measured.jitter,
         "unanswered_ticks": measured.unanswered,
-        "replayed_radius": worst if worst is not None and math.isfinite(worst) else None,
+        "replayed_radius": worst if math.isfinite(worst) else None,
     }
 
 
@@ -276,29 +235,28 @@ def _span(ends: tuple[float, float]) -> str:
 def _row(tuned: Tuned, demand: Demand) -> dict[str, Any]:
     if tuned.found is None:
         return {"family": tuned.family, "law": None, "h1_n_per_m": None}
+    found = tuned.found
     return {
         "family": tuned.family,
         "law": tuned.law,
-        "taps_n_per_m": tuned.found.taps.tolist(),
-        "h1_n_per_m": tuned.found.h1_n_per_m,
-        "h_nyquist_n_per_m": tuned.found.h_nyquist_n_per_m,
-        "pole_radius": tuned.found.radius,
-        "worst_mass_kg": tuned.found.worst[0],
-        "stable_up_to_delay_ticks": latest_delay(tuned.found.law, demand),
-        "drops_settled": drops(tuned.found.law, demand),
+        "taps_n_per_m": found.taps.tolist(),
+        "h1_n_per_m": found.h1_n_per_m,
+        "h_nyquist_n_per_m": found.h_nyquist_n_per_m,
+        "pole_radius": found.radius,
+        "worst_mass_kg": found.worst[0],
+        "stable_up_to_delay_ticks": latest_delay(found.law, demand),
+        "drops_settled": drops(found.law, demand),
     }
 
 
 def _passive_row(passive: Passive, demand: Demand, out: Path) -> dict[str, Any]:
     """Write the passive law down; its figures."""
     path = fresh(out / "passive.yaml")
-    result = f"passive for any mass and hand: {_describe(demand)}"
-    path.write_text(to_yaml(fir(passive.taps, demand.period), "passive", comment=result), encoding="utf-8")
+    comment = f"passive for any mass and hand: {_describe(demand)}"
+    path.write_text(to_yaml(fir(passive.taps, demand.period), "passive", comment=comment), encoding="utf-8")
     law = CompiledLaw(tuple(passive.taps.tolist()))
-    radius = max(
-        pole_radius(law, Plant(demand.period, mass, demand.damping, delay, hand))
-        for mass, delay, hand in itertools.product(demand.mass, demand.delay, demand.stiffness)
-    )
+    loops = itertools.product(demand.mass, demand.delay, demand.stiffness)
+    radius = max(pole_radius(law, Plant(demand.period, mass, demand.damping, delay, hand)) for mass, delay, hand in loops)
     return {
         "pole_radius": radius,
         "taps_n_per_m": passive.taps.tolist(),
@@ -334,22 +292,15 @@ def _line(row: dict[str, Any]) -> str:
 
 def _compare(arguments: argparse.Namespace, demand: Demand) -> int:
     rows, lines = [], []
-    cases = [
-        replace(demand, delay=(delay, delay + margin)) for margin in arguments.margins for delay in arguments.delays
-    ]
-    done = spread(
-        arguments, call, [partial(_tuned, case, arguments.taps, arguments.resolution or RESOLUTION) for case in cases]
-    )
+    cases = [replace(demand, delay=(delay, delay + margin)) for margin in arguments.margins for delay in arguments.delays]
+    jobs = [partial(_tuned, case, arguments.taps, arguments.resolution or RESOLUTION) for case in cases]
+    done = spread(arguments, call, jobs)
     for case, (laws, windowed) in zip(cases, done, strict=True):
         lines += [_describe(case), *(f"  {_line(law)}" for law in laws)]
         rows.append(_verdict(case, laws, lines) | {"pd_windowed": windowed})
-        tuned = (
-            "no stiffness" if windowed is None else "K {stiffness:.0f} N/m, B {damping:.3g} N s/m".format(**windowed)
-        )
+        tuned = "no stiffness" if windowed is None else "K {stiffness:.0f} N/m, B {damping:.3g} N s/m".format(**windowed)
         lines.append(f"  pd_windowed has no poles, so no radius: {tuned} by its drops alone, all of which settle")
-    figures = {"demand": _wanted(demand), "cases": rows}
-    answer(arguments.json, figures, "\n".join(lines))
-    return 0
+    return report(arguments, {"demand": _wanted(demand), "cases": rows}, lines)
 
 
 def _tuned(case: Demand, taps: int, resolution: float) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
@@ -375,32 +326,21 @@ def _verdict(demand: Demand, laws: list[dict[str, Any]], lines: list[str]) -> di
 
 
 @styled
-def _draw(path: Path, demand: Demand, law: Tuned, pd: Tuned, passive: Passive | None) -> None:
-    import numpy as np
-    from matplotlib.figure import Figure
-
-    from nodes.stability.effective_damping import effective_damping
-    from sim.axes import plain_log
-
+def _draw(path: Path, demand: Demand, law: Tuned, pd: Tuned, passive: Passive | None) -> Path:
     named = [(one.family, one.found.taps) for one in (law, pd) if one.found is not None]
     if passive is not None:
         named.append(("passive", passive.taps))
-    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+    figure = new_figure(10.0, 4.0)
     left, right = figure.subplots(1, 2)
     masses = np.geomspace(0.5 * demand.mass[0], 2.0 * demand.mass[1], 121)
     theta = np.linspace(0.0, np.pi, 401)
     whole = round(demand.delay[1])
     for name, taps in named:
         compiled = CompiledLaw(tuple(taps.tolist()))
-        radii = [
-            pole_radius(compiled, Plant(demand.period, m, demand.damping, demand.delay[1], demand.stiffness[0]))
-            for m in masses.tolist()
-        ]
+        devices = [Plant(demand.period, m, demand.damping, demand.delay[1], demand.stiffness[0]) for m in masses.tolist()]
         label = f"{name}, H(1) = {compiled.h1:.0f} N/m"
-        left.semilogx(masses, radii, label=label)
-        needed = 0.5 * demand.period * compiled.h1 + effective_damping(
-            compiled, demand.period, theta / demand.period, whole
-        )
+        left.semilogx(masses, [pole_radius(compiled, device) for device in devices], label=label)
+        needed = 0.5 * demand.period * compiled.h1 + effective_damping(compiled, demand.period, theta / demand.period, whole)
         right.plot(theta / np.pi, needed, label=label)
     plain_log(left.xaxis, float(masses[0]), float(masses[-1]))
     threshold(left, demand.radius, f"{demand.radius:g}: demanded at most")
@@ -409,4 +349,4 @@ def _draw(path: Path, demand: Demand, law: Tuned, pd: Tuned, passive: Passive | 
     threshold(right, demand.damping, f"b = {demand.damping:g} N s/m of the device")
     right.set(xlabel=OMEGA, ylabel="damping needed  [N s/m]", title=f"passivity at a delay of {whole} T")
     left.legend()
-    save_figure(figure, path)
+    return save_figure(figure, path, fresh)

@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from messages.errors import UsageError
-from nodes.cli.main import answer
 from nodes.cli.quantities import not_negative, positive
-from nodes.recording.figure_style import COLOURS, MARKERS, legend_above, name_rows, save_figure, styled, threshold
-from sim.cli import arguments as shared
+from nodes.recording import figure_style as style
+from sim.cli.answers import add_answer, report
 from sim.results import fresh
 
 if TYPE_CHECKING:
-    from nodes.launcher.launch_spec import Launch
     from sim.experiments.detail import Detail
 
 
@@ -24,25 +22,30 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scenario", help="name of a launch file with a shape in three axes, or the path of one")
     parser.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
     parser.add_argument(
-        "--fraction",
-        type=not_negative,
-        default=0.01,
-        help="part of the largest force that is no difference (default: 0.01)",
+        "--fraction", type=not_negative, default=0.01, help="part of the largest force that is no difference (default: 0.01)"
     )
-    parser.add_argument(
-        "--resolution", type=positive, help="encoder step [m] (default: the scene's device, or a Touch X's)"
-    )
-    shared.add_answer(parser)
-    parser.set_defaults(run=run)
+    parser.add_argument("--resolution", type=positive, help="encoder step [m] (default: the scene's device, or a Touch X's)")
+    add_answer(parser, run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Lead a lockstep run's path through every level."""
+    import tempfile
+
+    import numpy as np
+
+    from messages.topics import PROXY
     from nodes.coupling.law_book import LawBook
     from nodes.coupling.parameters import CouplingParameters
+    from nodes.environment.shapes.kinds import Touchable
+    from nodes.environment.surfaces import parse_surface
     from nodes.launcher import launch_file
     from nodes.parameters.store import ParameterError, convert
+    from nodes.recording.reader import Recording
+    from sim.experiments.detail import body_detail, detail
     from sim.experiments.terms import RESOLUTION
+    from sim.measure.measured_launch import launch as run_launch
+    from sim.measure.stopwatch import Progress
 
     words = [*arguments.assignments, "pace:=lockstep"]
     try:
@@ -54,61 +57,34 @@ def run(arguments: argparse.Namespace) -> int:
             )
         name, given = parts["coupling"]
         coupling = convert(given, CouplingParameters, name)
-        law = LawBook(name, launch.run.period).compile(coupling, coupling.law)
+        stiffness = LawBook(name, launch.run.period).compile(coupling, coupling.law).h1
         device = parts.get("sim_driver", ("", {}))[1].get("device", {})
         resolution = arguments.resolution or device.get("resolution") or RESOLUTION
-        way = _of_bodies if "mujoco" in parts else _of_shapes
-        found = way(arguments, launch, words, law.h1, resolution)
+        if "mujoco" in parts:
+            # In one process: it gives the bits of a launch.
+            found = body_detail(launch, stiffness, resolution, arguments.fraction, Progress(5).step)
+        else:
+            name, given = parts["environment"]
+            surface = parse_surface(given.get("surface", {"kind": "free"}), f"{name}.surface")
+            if not isinstance(surface, Touchable):
+                raise UsageError(
+                    f"{name}.surface.kind: {surface.kind!r} has one level of detail; take a shape in three axes, "
+                    "e.g. mesh_pebble"
+                )
+            solids = surface.solids(f"{name}.surface")
+            with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
+                figures = run_launch(arguments.scenario, *words, folder=Path(folder))
+                recorded = Recording(Path(folder) / figures["recording"]).messages(PROXY)
+            path = np.array([message.position for message in recorded])
+            loop = launch.run.period, stiffness, resolution, arguments.fraction
+            found = detail(solids, path, surface.tool_radius, *loop, Progress(12).step)
     except ParameterError as error:
         raise UsageError(str(error)) from error
     except ValueError as error:
         raise UsageError(f"{launch.scenario}: {error}") from error
-    picture = draw(arguments.out / f"detail_{launch.scenario}.png", launch.scenario, found)
     result: dict[str, Any] = {"scenario": launch.scenario, **asdict(found), "needs": found.coarsest.name}
-    text = f"{_text(launch.scenario, law.h1, resolution, found)}\n{picture}"
-    answer(arguments.json, result | {"plot": str(picture)}, text)
-    return 0
-
-
-def _of_bodies(
-    arguments: argparse.Namespace, launch: Launch, words: list[str], stiffness: float, resolution: float
-) -> Detail:
-    """Play a scene in which things move, in one process: it gives the bits of a launch."""
-    from sim.experiments.detail_bodies import body_detail
-    from sim.measure.stopwatch import Progress
-
-    del words
-    return body_detail(launch, stiffness, resolution, arguments.fraction, Progress(5).step)
-
-
-def _of_shapes(
-    arguments: argparse.Namespace, launch: Launch, words: list[str], stiffness: float, resolution: float
-) -> Detail:
-    import tempfile
-
-    import numpy as np
-
-    from messages.topics import PROXY
-    from nodes.environment.shapes.kinds import Touchable
-    from nodes.environment.surfaces import parse_surface
-    from nodes.recording.reader import Recording
-    from sim.experiments.detail import detail
-    from sim.measure.measured_launch import launch as run_launch
-    from sim.measure.stopwatch import Progress
-
-    name, given = next((name, one.parameters) for name, one in launch.nodes.items() if one.kind == "environment")
-    surface = parse_surface(given.get("surface", {"kind": "free"}), f"{name}.surface")
-    if not isinstance(surface, Touchable):
-        raise UsageError(
-            f"{name}.surface.kind: {surface.kind!r} has one level of detail; take a shape in three axes, e.g. mesh_pebble"
-        )
-    solids = surface.solids(f"{name}.surface")
-    with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
-        figures = run_launch(arguments.scenario, *words, folder=Path(folder))
-        recorded = Recording(Path(folder) / figures["recording"]).messages(PROXY)
-    path = np.array([message.position for message in recorded])
-    period, part = launch.run.period, arguments.fraction
-    return detail(solids, path, surface.tool_radius, period, stiffness, resolution, part, Progress(12).step)
+    picture = draw(arguments.out / f"detail_{launch.scenario}.png", launch.scenario, found)
+    return report(arguments, result, _text(launch.scenario, stiffness, resolution, found), plot=picture)
 
 
 def _text(scenario: str, stiffness: float, resolution: float, found: Detail) -> str:
@@ -137,37 +113,29 @@ def _text(scenario: str, stiffness: float, resolution: float, found: Detail) -> 
     return "\n".join(lines)
 
 
-@styled
+@style.styled
 def draw(path: Path, scenario: str, found: Detail) -> Path:
     """Draw by how much the force of each level differs, and what a call costs."""
     import numpy as np
-    from matplotlib.figure import Figure
 
     levels = found.levels
-    figure = Figure(figsize=(8.6, 1.4 + 0.32 * len(levels)), layout="constrained")
+    figure = style.new_figure(8.6, 1.4 + 0.32 * len(levels))
     differs, costs = figure.subplots(1, 2, sharey=True, width_ratios=(1.6, 1.0))
-    name_rows(differs, [level.name for level in levels])
+    style.name_rows(differs, [level.name for level in levels])
     # What differs by nothing, or by rounding alone, has no place on a logarithmic axis: it stands at its end.
     least = 1e-3 * (1e3 * found.limit_n)
     for axes, low, high, names, scale in (
         (differs, "rms_n", "force_n", ("rms", "largest"), 1e3),
         (costs, "call_us", "call_p99_us", ("median", "p99"), 1.0),
     ):
-        for key, name, colour, mark in zip((low, high), names, COLOURS, MARKERS, strict=False):
-            values = [scale * getattr(level, key) for level in levels]
-            axes.plot(
-                np.maximum(values, least if axes is differs else 0.0),
-                range(len(levels)),
-                mark,
-                color=colour,
-                label=name,
-                clip_on=False,
-            )
-        legend_above(axes)
+        for key, name, colour, mark in zip((low, high), names, style.COLOURS, style.MARKERS, strict=False):
+            values = np.maximum([scale * getattr(level, key) for level in levels], least if axes is differs else 0.0)
+            axes.plot(values, range(len(levels)), mark, color=colour, label=name, clip_on=False)
+        style.legend_above(axes)
     differs.set(xscale="log", xlabel="the force differs by, at the left end less than that  [mN]", xlim=(least, None))
     # One call that the machine has interrupted would push all others to the left.
     apart = max(level.call_p99_us for level in levels) > 20.0 * min(level.call_us for level in levels)
     costs.set(xscale="log" if apart else "linear", xlabel="time of a call  [µs]")
     figure.suptitle(f"{scenario} needs: {found.coarsest.name}", fontsize=9.5, x=0.01, ha="left")
-    threshold(differs, 1e3 * found.limit_n, f"no difference: up to {1e3 * found.limit_n:.3g} mN", vertical=True)
-    return save_figure(figure, path, fresh)
+    style.threshold(differs, 1e3 * found.limit_n, f"no difference: up to {1e3 * found.limit_n:.3g} mN", vertical=True)
+    return style.save_figure(figure, path, fresh)

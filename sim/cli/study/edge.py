@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from messages.errors import UsageError
-from nodes.cli.main import answer
 from nodes.cli.quantities import Interval, declare, not_negative
 from nodes.laws.parse import LawRefusedError, parse_law
-from nodes.recording.figure_style import COLOURS, INK, MARKERS, save_figure, styled, threshold
+from nodes.recording.figure_style import COLOURS, INK, MARKERS, new_figure, save_figure, styled, threshold
 from nodes.recording.writer import RecordError
 from nodes.stability.k_max import edge_of, k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.cli import arguments as shared
+from sim.cli.answers import add_answer, report
 from sim.cli.sweeps import add_spread, spread
 from sim.measure.jobs import call
 
@@ -45,14 +45,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--points", type=int, default=24, help="gains, in geometric steps (default: %(default)s)")
     parser.add_argument(
-        "--device-damping",
-        type=not_negative,
-        help="of the recorded device, when it is real [N s/m]; narrows the interval",
+        "--device-damping", type=not_negative, help="of the recorded device, when it is real [N s/m]; narrows the interval"
     )
     shared.add_device(parser)
     add_spread(parser)
-    shared.add_answer(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -72,36 +69,26 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--gain {low:g}..{high:g}: no law rings at a limit here; take lower gains")
     ratios = [row["k_simple_n_per_m"] / row["k_max_n_per_m"] for row in rows]
     exact = max(abs(row["k_exact_n_per_m"] / row["k_max_n_per_m"] - 1.0) for row in rows)
-    plot = _draw(arguments, rows, device.damping, period)
-    figures = {
-        "points": rows,
-        "ratio_min": min(ratios),
-        "ratio_max": max(ratios),
-        "exact_error": exact,
-        "plot": str(plot),
-    }
+    figures = {"points": rows, "ratio_min": min(ratios), "ratio_max": max(ratios), "exact_error": exact}
     text = (
         f"m {device.mass:g} kg, b {device.damping:g} N s/m, hand {device.stiffness:g} N/m, delay {device.delay:g} ticks, "
         f"{arguments.rate:g} Hz; B {low:g} .. {high:g}\n"
         f"K_max = 2(b R - f(w_c))/T to {exact:.1e} over {len(rows)} loops; without R the ratio is {min(ratios):.3f} .. "
         f"{max(ratios):.3f} (THEORY.md §9)\n"
-        f"pd_windowed is left out: no taps, so no f(w); its K_max is by drops (study kmax --method simulation)\n{plot}"
+        "pd_windowed is left out: no taps, so no f(w); its K_max is by drops (study kmax --method simulation)"
     )
-    answer(arguments.json, figures, text)
-    return 0
+    return report(arguments, figures, text, plot=_draw(arguments, rows, device.damping, period))
 
 
 def _ring(name: str, gain: float, device: Plant) -> dict[str, Any] | None:
     """Find where a law rings on a device; None where it has no limit."""
     derivative = without_spring(parse_law({**LAWS[name], "damping": gain}), device.period)
     limit, edge = k_max(derivative, device).k_max_n_per_m, edge_of(derivative, device)
-    return (
-        None if limit is None or edge is None else {"law": name, "gain": gain, "k_max_n_per_m": limit, **asdict(edge)}
-    )
+    return None if limit is None or edge is None else {"law": name, "gain": gain, "k_max_n_per_m": limit, **asdict(edge)}
 
 
 def _drops(arguments: argparse.Namespace) -> int:
-    from sim.paper.swing_drops import counted, dropped
+    from sim.paper.swing import counted, dropped
 
     if not 1 <= arguments.drops <= 100_000:
         raise UsageError(f"--drops {arguments.drops}: between 1 and 100000")
@@ -116,8 +103,7 @@ def _drops(arguments: argparse.Namespace) -> int:
                 f"{name:20} {one['drops']:6d} {one['told']:6d} {one['hold']:11d} {100.0 * one['worst_miss']:9.2f} % "
                 f"{100.0 * one['median_width']:11.2f} %"
             )
-    answer(arguments.json, {**counted(rows), "laws": laws, "rows": rows}, "\n".join(lines))
-    return 0
+    return report(arguments, {**counted(rows), "laws": laws, "rows": rows}, lines)
 
 
 def _predict(arguments: argparse.Namespace) -> int:
@@ -126,11 +112,9 @@ def _predict(arguments: argparse.Namespace) -> int:
     try:
         swing = recorded_swing(arguments.recording, arguments.device_damping)
     except CannotTellError as error:
-        answer(arguments.json, {"k_max_n_per_m": None, "why": str(error)}, f"cannot tell: {error}")
-        return 1
+        return report(arguments, {"k_max_n_per_m": None, "why": str(error)}, f"cannot tell: {error}", held=False)
     except (RecordError, LawRefusedError, ValueError, OSError) as error:
         raise UsageError(str(error)) from error
-    figures = asdict(swing)
     low, high = swing.k_max_n_per_m
     mass, damping, k = swing.mass_kg, swing.damping_n_s_per_m, swing.stiffness_n_per_m
     known = (
@@ -144,15 +128,12 @@ def _predict(arguments: argparse.Namespace) -> int:
         f"{swing.omega_rad_per_s / (2.0 * math.pi):.5g} Hz, x {swing.decay_per_tick:.5f} per tick; rings at "
         f"{swing.edge.omega_rad_per_s / (2.0 * math.pi):.5g} Hz at the edge"
     )
-    answer(arguments.json, figures, text)
-    return 0
+    return report(arguments, asdict(swing), text)
 
 
 @styled
 def _draw(arguments: argparse.Namespace, rows: list[dict[str, Any]], damping: float, period: float) -> Path:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+    figure = new_figure(10.0, 4.2)
     left, right = figure.subplots(1, 2)
     for i, name in enumerate(LAWS):
         mine = [row for row in rows if row["law"] == name]
@@ -164,9 +145,7 @@ def _draw(arguments: argparse.Namespace, rows: list[dict[str, Any]], damping: fl
     span = sorted(row["f_n_s_per_m"] for row in rows)
     left.plot(span, [2.0 * (damping - f) / period for f in span], color=INK, ls="-", lw=0.8, label="$2(b-f)/T$")
     left.set(
-        xlabel=r"$f(\omega_c)$  [N s/m]",
-        ylabel=r"$K_\mathrm{max}$  [N/m]",
-        title="the smaller f where it rings, the stiffer",
+        xlabel=r"$f(\omega_c)$  [N s/m]", ylabel=r"$K_\mathrm{max}$  [N/m]", title="the smaller f where it rings, the stiffer"
     )
     right.set(
         xlabel=r"$\omega_c/2\pi$  [Hz]",

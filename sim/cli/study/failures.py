@@ -8,8 +8,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from nodes.cli.main import answer
-from nodes.recording.figure_style import COLOURS, GREY, styled, threshold
-from sim.cli import arguments as shared
+from nodes.recording.figure_style import COLOURS, GREY, new_figure, styled, threshold
+from sim.cli.answers import add_answer
 from sim.cli.sweeps import add_spread, spread
 from sim.measure.jobs import call
 
@@ -22,15 +22,13 @@ if TYPE_CHECKING:
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add_spread(parser)
-    shared.add_answer(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Look at all boundaries, spring all traps."""
     from sim.paper.claims import save, table
-    from sim.paper.failures import MARGIN, both_sides, boundaries, traps
-    from sim.paper.traps import euler_bias
+    from sim.paper.failures import MARGIN, both_sides, boundaries, euler_bias, traps
 
     cases, steps = boundaries(), (2, 3, 4, 5, 7, 10, 20, 50)
     jobs: list[partial[Any]] = [partial(both_sides, case) for case in cases]
@@ -58,11 +56,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 @styled
 def _draw(edges: list[FailureEdge], bias: dict[int, tuple[float, float]]) -> Figure:
-    from matplotlib.figure import Figure
-
     from sim.axes import legend_below
 
-    figure = Figure(figsize=(11.5, 5.0), layout="constrained")
+    figure = new_figure(11.5, 5.0)
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     for row, edge in enumerate(edges):
         for radius, settled in ((edge.inside, edge.settled_inside), (edge.outside, edge.settled_outside)):

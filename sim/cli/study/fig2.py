@@ -7,22 +7,19 @@ import argparse
 from messages.errors import UsageError
 from nodes.cli.main import answer
 from nodes.cli.quantities import declare
-from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, OMEGA, styled
-from sim.cli import arguments as shared
+from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, OMEGA, new_figure, styled
+from sim.cli.answers import add_answer
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     declare(parser, taps=4)
-    shared.add_answer(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run)
 
 
 @styled
 def run(arguments: argparse.Namespace) -> int:
     """Draw the figure and check the claims."""
-    from matplotlib.figure import Figure
-
     from sim.paper.claims import save, table
     from sim.paper.fig2_fig3 import claims_2, figure_2
 
@@ -30,7 +27,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--taps {arguments.taps}: a derivative needs at least 2")
     theta, low, high = figure_2(arguments.taps)
     claims = claims_2(arguments.taps)
-    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+    figure = new_figure(10.0, 4.2)
     share = theta / theta[-1]
     for axes, name, terms in zip(figure.subplots(1, 2), "ab", (low, high), strict=True):
         axes.set(xlabel=OMEGA, ylabel=r"$f(\omega)$ over $f(\omega_\mathrm{N})$  [1]", ylim=(-2.5, 1.2))

@@ -7,22 +7,19 @@ import argparse
 from messages.errors import UsageError
 from nodes.cli.main import answer
 from nodes.cli.quantities import declare
-from nodes.recording.figure_style import COLOURS, GREY, OMEGA, label_ends, styled
-from sim.cli import arguments as shared
+from nodes.recording.figure_style import COLOURS, GREY, OMEGA, label_ends, new_figure, styled
+from sim.cli.answers import add_answer
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     declare(parser, taps=4, rate=500.0)
-    shared.add_answer(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run)
 
 
 @styled
 def run(arguments: argparse.Namespace) -> int:
     """Draw the figure and check the claims."""
-    from matplotlib.figure import Figure
-
     from sim.paper.claims import save, table
     from sim.paper.fig2_fig3 import claims_3, figure_3
 
@@ -31,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     curves = figure_3(arguments.taps)
     claims = claims_3(arguments.taps, 1.0 / arguments.rate)
     share = curves["theta"] / curves["theta"][-1]
-    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
+    figure = new_figure(6.4, 4.2)
     axes = figure.add_subplot(xlabel=OMEGA, ylabel=r"$f(\omega)$, each term 1 at $\omega_\mathrm{N}$  [1]")
     axes.plot(share, curves["optimum"], color=COLOURS[0], ls="-", label="paper's optimum")
     axes.plot(share, curves["pd"], color=COLOURS[1], ls="--", label="PD")
@@ -42,13 +39,9 @@ def run(arguments: argparse.Namespace) -> int:
     axes.set_title(f"f of the paper's optimum, {arguments.taps} taps per term")
     axes.set_xlim(0.0, 1.0)
     label_ends(axes)
-    figures = {
-        "taps": arguments.taps,
-        "frequency_nyquist": share.tolist(),
-        "f_optimum": curves["optimum"].tolist(),
-        "f_pd": curves["pd"].tolist(),
-        "f_terms": curves["terms"].tolist(),
-    }
+    named = {"optimum": curves["optimum"], "pd": curves["pd"], "terms": curves["terms"]}
+    figures = {"taps": arguments.taps, "frequency_nyquist": share.tolist()}
+    figures |= {f"f_{name}": curve.tolist() for name, curve in named.items()}
     saved = save("fig3", figures, claims, figure, arguments.out)
     head = f"figure 3: f of the paper's optimum beside PD, {arguments.taps} taps per term; seconds as at {arguments.rate:g} Hz"
     answer(arguments.json, saved, f"{head}\n{table(claims)}\n{saved['plot']}\n{saved['data']}")

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 from messages.errors import UsageError
 from nodes.cli.main import answer
 from nodes.cli.quantities import Interval, declare, not_negative, positive
-from nodes.recording.figure_style import COLOURS, GREY, MARKERS, styled, threshold
-from sim.cli import arguments as shared
+from nodes.recording.figure_style import COLOURS, GREY, MARKERS, new_figure, styled, threshold
+from sim.cli.answers import add_answer
 from sim.cli.sweeps import add_sweep, begun, executor
-from sim.measure.sweep import Row, read_ledger, sweep
+from sim.measure.jobs import SweepRow, read_ledger, sweep
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,8 +27,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--friction", type=not_negative, default=0.06, help="its friction [N], a remembered figure")
     parser.add_argument("--horizon", type=int, default=2500, help="of a drop [ticks] (default: %(default)s)")
     add_sweep(parser)
-    shared.add_answer(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run)
 
 
 def _setting(arguments: argparse.Namespace) -> Setting:
@@ -61,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     first = designs(setting)
     # A design takes as long as some hundred points; the bar moves by points.
     progress = Progress(len(first) + len(drops(setting, [job | {"taps": [0.0]} for job in first])))
-    jobs: list[Row] = []
+    jobs: list[SweepRow] = []
     complete = True
     try:
         with executor(arguments) as pool:
@@ -80,16 +79,9 @@ def run(arguments: argparse.Namespace) -> int:
                 f"--horizon {arguments.horizon} --points {arguments.points}: too little settles to judge the claims ({error}); "
                 "give a longer horizon or more points"
             ) from error
-    saved = save(
-        "fig4",
-        as_json(setting, curves) | {"complete": complete, "ledger": str(ledger)},
-        claims,
-        _draw(setting, curves),
-        arguments.out,
-    )
-    text = (
-        table(claims) if claims else f"interrupted: what was found is in {ledger}, and the same command goes on there"
-    )
+    figures = as_json(setting, curves) | {"complete": complete, "ledger": str(ledger)}
+    saved = save("fig4", figures, claims, _draw(setting, curves), arguments.out)
+    text = table(claims) if claims else f"interrupted: what was found is in {ledger}, and the same command goes on there"
     head = (
         f"figure 4: drop of {setting.mass:g} kg, {setting.damping:g} N s/m, {arguments.rate:g} Hz, {arguments.points} gains B "
         f"of {setting.gains[0]:g} to {setting.gains[-1]:g} N s/m, {setting.criterion.ticks} ticks"
@@ -100,27 +92,25 @@ def run(arguments: argparse.Namespace) -> int:
 
 @styled
 def _draw(setting: Setting, curves: list[Curve]) -> Figure:
-    from matplotlib.figure import Figure
-
     from sim.axes import legend_below, plain_log
     from sim.paper.fig4 import DELAYS, LAWS
 
-    figure = Figure(figsize=(10.0, 7.0), layout="constrained")
+    figure = new_figure(10.0, 7.0)
     axes = figure.subplots(2, 2, sharex=True)
     for column, delay in enumerate(DELAYS):
         stiffness, frequency = axes[0][column], axes[1][column]
         for curve in (c for c in curves if c.delay == delay):
-            i = LAWS.index(curve.law)
+            i, gains = LAWS.index(curve.law), setting.gains[: len(curve.found)]
+            nominal, felt, swings = (
+                [getattr(f, key) or float("nan") for f in curve.found]
+                for key in ("k_max_n_per_m", "h1_max_n_per_m", "frequency_hz")
+            )
             color: Any = {"color": COLOURS[i]}
-            gains = setting.gains[: len(curve.found)]
-            felt = [f.h1_max_n_per_m or float("nan") for f in curve.found]
             if curve.touch:
                 stiffness.plot(gains, felt, **color, marker="x", ls="none")
                 continue
-            nominal = [f.k_max_n_per_m or float("nan") for f in curve.found]
             stiffness.plot(gains, nominal, **color, ls="-", marker=MARKERS[i], ms=3.5, label=curve.law)
             stiffness.plot(gains, felt, **color, ls="--", lw=0.9)
-            swings = [f.frequency_hz or float("nan") for f in curve.found]
             frequency.plot(gains, swings, **color, ls="-", marker=MARKERS[i], ms=3.5)
         stiffness.set(xscale="log", yscale="log", ylabel="largest stiffness that settles  [N/m]")
         stiffness.set_title(f"delay of {delay:g} tick{'' if delay == 1 else 's'}")

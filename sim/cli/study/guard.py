@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from messages.errors import UsageError
-from nodes.cli.main import add_json, answer
 from nodes.cli.quantities import declare, not_negative, positive
 from nodes.driver.passivity import PassivityParameters
 from nodes.laws.pd import PD
-from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, save_figure, styled, threshold
+from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, new_figure, save_figure, styled, threshold
+from sim.cli.answers import add_answer, report
 from sim.cli.sweeps import add_spread, spread
 from sim.device.model import DeviceModel
 from sim.experiments.guarded_drop import Drop, compare
@@ -30,19 +30,14 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--height", type=positive, default=0.01, help="height of the drop [m] (default: %(default)s)")
     parser.add_argument("--next-tick", action="store_true", help="forces take effect one tick later")
     parser.add_argument(
-        "--guard-damping",
-        type=not_negative,
-        default=10.0,
-        help="largest damper of the guard [N s/m] (default: %(default)s)",
+        "--guard-damping", type=not_negative, default=10.0, help="largest damper of the guard [N s/m] (default: %(default)s)"
     )
     parser.add_argument("--low", type=positive, default=500.0, help="softest wall [N/m] (default: %(default)s)")
     parser.add_argument("--high", type=positive, default=16000.0, help="stiffest wall [N/m] (default: %(default)s)")
     parser.add_argument("--points", type=int, default=21, help="walls between them (default: %(default)s)")
     parser.add_argument("--duration", type=positive, default=6.0, help="length of a drop [s] (default: %(default)s)")
     add_spread(parser)
-    parser.add_argument("--out", type=Path, default=Path("studies"), help="folder (default: %(default)s)")
-    add_json(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -55,16 +50,11 @@ def run(arguments: argparse.Namespace) -> int:
     ratio = (arguments.high / arguments.low) ** (1.0 / (arguments.points - 1))
     walls = [arguments.low * ratio**i for i in range(arguments.points)]
     device = DeviceModel(mass=arguments.mass, damping=arguments.damping, gravity=9.81, position=arguments.height)
-    rest = (
-        period,
-        PassivityParameters(damping=arguments.guard_damping),
-        arguments.next_tick,
-        round(arguments.duration * arguments.rate),
-    )
+    guard, ticks = PassivityParameters(damping=arguments.guard_damping), round(arguments.duration * arguments.rate)
     laws = [{wall: PD(stiffness=wall, damping=arguments.gain).compile(period)} for wall in walls]
-    found = spread(arguments, call, [partial(compare, device, law, *rest) for law in laws])
+    jobs = [partial(compare, device, law, period, guard, arguments.next_tick, ticks) for law in laws]
+    found = spread(arguments, call, jobs)
     drops = [drop for pair in found for drop in pair]
-    plot = _draw(arguments, drops)
     lines = [
         "            ----- without the guard -----   ------ with the guard -------",
         "   K N/m    out mJ  unrest mm   felt N/m    out mJ  unrest mm   felt N/m",
@@ -76,16 +66,13 @@ def run(arguments: argparse.Namespace) -> int:
             for drop in (bare, guarded)
         ]
         lines.append(f"{bare.stiffness:8.0f} {cells[0]} {cells[1]}")
-    lines.append(str(plot))
-    answer(arguments.json, {"drops": [asdict(drop) for drop in drops], "plot": str(plot)}, "\n".join(lines))
-    return 0
+    plot = _draw(arguments, drops)
+    return report(arguments, {"drops": [asdict(drop) for drop in drops]}, lines, plot=plot)
 
 
 @styled
 def _draw(arguments: argparse.Namespace, drops: list[Drop]) -> Path:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.0, 7.5), layout="constrained")
+    figure = new_figure(7.0, 7.5)
     panels = figure.subplots(3, 1, sharex=True)
     for guarded, i, label in ((False, 1, "without the guard"), (True, 0, "with the guard")):
         look: Any = {"color": COLOURS[i], "marker": MARKERS[i], "ls": LINES[i], "ms": 3.5}
@@ -107,6 +94,6 @@ def _draw(arguments: argparse.Namespace, drops: list[Drop]) -> Path:
     panels[2].set_xlabel("nominal stiffness K  [N/m]")
     panels[0].set_title(
         f"Drop of {arguments.mass:g} kg from {arguments.height * 1e3:g} mm, PD with B = {arguments.gain:g} N s/m, "
-        f"{arguments.rate:g} Hz, forces {'at the next tick' if arguments.next_tick else 'on arrival'}",
+        f"{arguments.rate:g} Hz, forces {'at the next tick' if arguments.next_tick else 'on arrival'}"
     )
     return save_figure(figure, arguments.out / "guard.png", fresh)

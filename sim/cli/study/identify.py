@@ -6,8 +6,9 @@ import argparse
 from pathlib import Path
 
 from messages.errors import RefusedError, UsageError
-from nodes.cli.main import add_json, answer
+from nodes.cli.main import add_json
 from nodes.recording.writer import RecordError
+from sim.cli.answers import report
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -40,5 +41,5 @@ def run(arguments: argparse.Namespace) -> int:
         found = identify(experiment, arguments.held, arguments.window)
     except ValueError as error:
         raise RefusedError(f"{arguments.recording}: {error}") from error
-    answer(arguments.json, {"recording": str(arguments.recording), **figures(found)}, text(found))
-    return 0 if found.mass.value is not None and not found.refuted else 1
+    held = found.mass.value is not None and not found.refuted
+    return report(arguments, {"recording": str(arguments.recording), **figures(found)}, text(found), held=held)

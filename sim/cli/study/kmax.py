@@ -8,14 +8,16 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from messages.errors import UsageError
-from nodes.cli.main import answer
 from nodes.cli.quantities import Interval, declare, declare_law
 from nodes.laws import CompiledLaw, Law
-from nodes.recording.figure_style import label_ends, save_figure, styled
+from nodes.recording.figure_style import label_ends, new_figure, save_figure, styled
 from nodes.stability.k_max import KMax, k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
 from sim.cli import arguments as shared
+from sim.cli.answers import add_answer, given, report
 from sim.cli.sweeps import add_spread, spread
 from sim.device.model import DeviceModel, Hand
 from sim.measure.jobs import call
@@ -46,16 +48,12 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--horizon", type=int, default=2500, help="ticks of a simulated run (default: %(default)s)")
     parser.add_argument(
-        "--grid",
-        type=int,
-        default=257,
-        help="stiffnesses that lockstep bisects, K_max/2 to 2 K_max (default: %(default)s)",
+        "--grid", type=int, default=257, help="stiffnesses that lockstep bisects, K_max/2 to 2 K_max (default: %(default)s)"
     )
     declare_law(parser)
     shared.add_device(parser)
     add_spread(parser)
-    shared.add_answer(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -69,23 +67,20 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.method == "lockstep":
         return _lockstep(arguments, gain, device)
     loop = _loop(arguments, gain, device)
-    found = _k_max(arguments, gain, device)
+    found = _found(_method(arguments), shared.law(arguments, arguments.law, gain), device)
     stable = [[low, high if math.isfinite(high) else None] for low, high in found.stable]
-    figures = {"loop": loop} | _figures(found) | {"stable_n_per_m": stable}
     if found.k_max_n_per_m is None:
-        answer(arguments.json, figures, f"{loop}\nno stiffness is stable: lower the gain, the delay or the order")
-        return 1
-    if not math.isfinite(found.k_max_n_per_m):
-        answer(arguments.json, figures, f"{loop}\nevery stiffness that was looked at is stable: there is no K_max")
-        return 0
-    text = (
-        f"{loop}\n"
-        f"K_max    {found.k_max_n_per_m:.6g} N/m (nominal)\n"
-        f"H(1)_max {found.h1_max_n_per_m:.6g} N/m (felt)\n"
-        f"method   {found.method}"
-    )
-    answer(arguments.json, figures, text)
-    return 0
+        text = "no stiffness is stable: lower the gain, the delay or the order"
+    elif not math.isfinite(found.k_max_n_per_m):
+        text = "every stiffness that was looked at is stable: there is no K_max"
+    else:
+        text = (
+            f"K_max    {found.k_max_n_per_m:.6g} N/m (nominal)\n"
+            f"H(1)_max {found.h1_max_n_per_m:.6g} N/m (felt)\n"
+            f"method   {found.method}"
+        )
+    figures = {"loop": loop} | _figures(found) | {"stable_n_per_m": stable}
+    return report(arguments, figures, [loop, text], held=found.k_max_n_per_m is not None)
 
 
 def _loop(arguments: argparse.Namespace, gain: float | None, device: Plant, gains: str = "") -> str:
@@ -94,13 +89,9 @@ def _loop(arguments: argparse.Namespace, gain: float | None, device: Plant, gain
     return shared.head(law, device, gains or f"B {getattr(law, 'damping', 0.0):g}")
 
 
-def _k_max(arguments: argparse.Namespace, gain: float | None, device: Plant) -> KMax:
-    return _found(_method(arguments), shared.law(arguments, arguments.law, gain), device)
-
-
 def _method(arguments: argparse.Namespace) -> argparse.Namespace:
     """Take of the arguments what a worker needs."""
-    return argparse.Namespace(**{name: getattr(arguments, name) for name in ("method", "scene", "history", "horizon")})
+    return argparse.Namespace(**given(arguments, "method", "scene", "history", "horizon"))
 
 
 def _found(method: argparse.Namespace, law: Law, device: Plant) -> KMax:
@@ -115,8 +106,6 @@ def _found(method: argparse.Namespace, law: Law, device: Plant) -> KMax:
 
 def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Plant) -> int:
     """Bisect one grid twice, by launches and in one process; around what the simulation found."""
-    import numpy as np
-
     from sim.experiments.drop import Criterion
     from sim.experiments.k_max_launched import same_k_max
     from sim.measure.measured_launch import MeasurementError
@@ -137,27 +126,24 @@ def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Plant) 
     except (ValueError, MeasurementError) as error:
         raise UsageError(str(error)) from error
     same = found.launched_n_per_m == found.one_process_n_per_m
+    ratio, loop = grid[1] / grid[0], _loop(arguments, gain, device)
     figures: dict[str, Any] = {
-        "loop": _loop(arguments, gain, device),
+        "loop": loop,
         "k_max_n_per_m": found.launched_n_per_m,
         "h1_max_n_per_m": found.h1_n_per_m,
         "method": "lockstep",
         "one_process_n_per_m": found.one_process_n_per_m,
         "same": same,
         "launches": found.launches,
-        "grid_ratio": grid[1] / grid[0],
+        "grid_ratio": ratio,
     }
-    by_launch, alone = (
-        "none" if k is None else f"{k:.6g} N/m" for k in (found.launched_n_per_m, found.one_process_n_per_m)
-    )
-    text = (
-        f"{figures['loop']}\n"
-        f"K_max    {by_launch} (nominal), by {found.launches} launches in lockstep\n"
-        f"         {alone} in one process: {'the same' if same else 'NOT the same'}, "
-        f"on steps of {figures['grid_ratio'] - 1.0:.2%}"
-    )
-    answer(arguments.json, figures, text)
-    return 0 if same and found.launched_n_per_m is not None else 1
+    by_launch, alone = ("none" if k is None else f"{k:.6g} N/m" for k in (found.launched_n_per_m, found.one_process_n_per_m))
+    lines = [
+        loop,
+        f"K_max    {by_launch} (nominal), by {found.launches} launches in lockstep",
+        f"         {alone} in one process: {'the same' if same else 'NOT the same'}, on steps of {ratio - 1.0:.2%}",
+    ]
+    return report(arguments, figures, lines, held=same and found.launched_n_per_m is not None)
 
 
 def _scene(arguments: argparse.Namespace, device: Plant) -> Scene:
@@ -183,8 +169,7 @@ def _simulated(arguments: argparse.Namespace, derivative: CompiledLaw, device: P
 
     scene = _scene(arguments, device)
     found = simulated_k_max(lambda k: with_spring(derivative, k), scene, Criterion(ticks=arguments.horizon))
-    top = found.k_max_n_per_m
-    return KMax(top, found.h1_max_n_per_m, "simulation", ())
+    return KMax(found.k_max_n_per_m, found.h1_max_n_per_m, "simulation", ())
 
 
 def _figures(found: KMax) -> dict[str, Any]:
@@ -207,37 +192,29 @@ def _boundary(arguments: argparse.Namespace, device: Plant) -> int:
     points = [{"gain": gain, **_figures(one)} for gain, one in zip(gains, found, strict=True)]
     stable = [point for point in points if point["k_max_n_per_m"] is not None]
     if not stable:
-        answer(arguments.json, {"points": points, "plot": None}, "no stiffness is stable anywhere in this range")
-        return 1
+        text = "no stiffness is stable anywhere in this range"
+        return report(arguments, {"points": points, "plot": None}, text, held=False)
     best = max(stable, key=lambda point: float(point["h1_max_n_per_m"]))
-    plot = _draw(arguments, points)
     loop = _loop(arguments, low, device, f"B {low:g} .. {high:g}")
     lines = [loop, "      gain     K_max N/m   H(1)_max N/m"]
     for point in points:
         k, h1 = point["k_max_n_per_m"], point["h1_max_n_per_m"]
-        lines.append(
-            f"{point['gain']:10.4g}  {'-' if k is None else f'{k:.6g}':>12}  {'-' if h1 is None else f'{h1:.6g}':>12}"
-        )
-    lines.append(f"stiffest: gain {best['gain']:.4g}, H(1) {best['h1_max_n_per_m']:.6g} N/m\n{plot}")
-    figures = {**{key: best[key] for key in ("k_max_n_per_m", "h1_max_n_per_m", "method")}, "gain": best["gain"]}
-    answer(arguments.json, {"loop": loop, **figures, "points": points, "plot": str(plot)}, "\n".join(lines))
-    return 0
+        lines.append(f"{point['gain']:10.4g}  {'-' if k is None else f'{k:.6g}':>12}  {'-' if h1 is None else f'{h1:.6g}':>12}")
+    lines.append(f"stiffest: gain {best['gain']:.4g}, H(1) {best['h1_max_n_per_m']:.6g} N/m")
+    figures = {"loop": loop, **best, "points": points}
+    return report(arguments, figures, lines, plot=_draw(arguments, points))
 
 
 @styled
 def _draw(arguments: argparse.Namespace, points: list[dict[str, Any]]) -> Path:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    figure = new_figure(6.4, 4.0)
     axes = figure.add_subplot(xlabel="gain B  [N s/m]", ylabel="stiffness  [N/m]")
     gains = [point["gain"] for point in points]
     for key, label, style in (("k_max_n_per_m", "nominal K", "--"), ("h1_max_n_per_m", "felt, H(1)", "-")):
-        axes.plot(
-            gains, [float("nan") if point[key] is None else point[key] for point in points], ls=style, label=label
-        )
+        axes.plot(gains, [float("nan") if point[key] is None else point[key] for point in points], ls=style, label=label)
     axes.set_title(
         f"Stability boundary: {arguments.law}, m = {arguments.mass:g} kg, b = {arguments.damping:g} N s/m, "
-        f"d = {arguments.delay:g}, {arguments.rate:g} Hz",
+        f"d = {arguments.delay:g}, {arguments.rate:g} Hz"
     )
     label_ends(axes)
     return save_figure(figure, arguments.out / "kmax.png", fresh)

@@ -8,8 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from messages.errors import UsageError
-from nodes.cli.main import answer
-from sim.cli.arguments import add_answer
+from sim.cli.answers import add_answer, report
 from sim.cli.sweeps import add_spread, spread
 
 if TYPE_CHECKING:
@@ -30,8 +29,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--rounds", type=int, default=5, help="interleaved rounds of timing; 0 times nothing (default: %(default)s)"
     )
     add_spread(parser)
-    add_answer(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -40,8 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--rounds {arguments.rounds}: at least 0")
     from nodes.launcher import launch_file
     from nodes.parameters.store import ParameterError
-    from sim.experiments.needs import needs
-    from sim.experiments.spatial_needs import spatial_needs
+    from sim.experiments.needs import needs, spatial_needs
     from sim.measure.stopwatch import Progress
     from sim.scene.from_launch import from_launch
 
@@ -49,11 +46,8 @@ def run(arguments: argparse.Namespace) -> int:
         launch = launch_file.read(arguments.scenario, launch_file.parse_assignments(arguments.assignments))
         step = Progress(arguments.rounds).step
         scene = from_launch(launch) if len(launch.run.axes) == 1 else None
-        found = (
-            spatial_needs(launch, arguments.rounds, step, partial(spread, arguments))
-            if scene is None
-            else needs(scene, launch.model, arguments.rounds, step, partial(spread, arguments))
-        )
+        timed = arguments.rounds, step, partial(spread, arguments)
+        found = spatial_needs(launch, *timed) if scene is None else needs(scene, launch.model, *timed)
     except ParameterError as error:
         raise UsageError(str(error)) from error
     figures: dict[str, Any] = {
@@ -72,8 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
             f"\nrest: {1e6 * told['resolution_m']:.3g} µm of encoder and {told['friction_n']:.3g} N of friction"
             f"{'' if told['declared'] else ' (a Touch X: the scene has none)'}; {told['text']}\n{told['map']['plot']}"
         )
-    answer(arguments.json, figures, text)
-    return 1 if found.superfluous or found.missing else 0
+    return report(arguments, figures, text, held=not (found.superfluous or found.missing))
 
 
 def _rest(scene: LaunchedScene, path: Path) -> dict[str, Any] | None:
@@ -86,20 +79,13 @@ def _rest(scene: LaunchedScene, path: Path) -> dict[str, Any] | None:
     if scene.scene.surface.kind == "free" or law.evaluate is not None:
         return None
     body = scene.scene.device
-    resolution, friction = body.resolution, body.friction
-    declared = bool(resolution and friction)
-    if not (resolution and friction):
-        resolution, friction = RESOLUTION, FRICTION
+    declared = bool(body.resolution and body.friction)
+    resolution = (declared and body.resolution) or RESOLUTION
+    friction = (declared and body.friction) or FRICTION
     found = rest(law, device, resolution)
     drawn = rest_map(law, law.h1, device, resolution, friction, path)
-    return {
-        "declared": declared,
-        "resolution_m": resolution,
-        "friction_n": friction,
-        **asdict(found),
-        "text": found.text(),
-        "map": drawn,
-    }
+    told = {"declared": declared, "resolution_m": resolution, "friction_n": friction}
+    return {**told, **asdict(found), "text": found.text(), "map": drawn}
 
 
 def _micrometres(length: float) -> str:
@@ -122,9 +108,5 @@ def _text(name: str, model: Any, found: Needs) -> str:
         moved = "∞" if f.moved == float("inf") else f"{100 * f.moved:.3g} %"
         cost = "" if f.cost_us is None else f"{f.cost_us:+.2f} ± {f.cost_spread_us:.2f}"
         lines.append(f"{f.term:24} {f.switched:34} {moved:>9}  {f.most:14} {cost:>14}  {f.verdict}")
-    lines += [
-        "",
-        f"superfluous: {', '.join(found.superfluous) or 'nothing'}",
-        f"missing: {', '.join(found.missing) or 'nothing'}",
-    ]
-    return "\n".join(lines)
+    missing, superfluous = (", ".join(names) or "nothing" for names in (found.missing, found.superfluous))
+    return "\n".join([*lines, "", f"superfluous: {superfluous}", f"missing: {missing}"])

@@ -11,19 +11,28 @@ from typing import Any
 import numpy as np
 
 from messages.errors import UsageError
-from nodes.cli.main import answer
 from nodes.cli.quantities import declare, interval, positive
 from nodes.laws import CompiledLaw
 from nodes.laws.multi_term import MultiTerm, Term
 from nodes.laws.presets import PRESETS
-from nodes.recording.figure_style import COLOURS, LINES, OMEGA, save_figure, styled
+from nodes.recording.figure_style import COLOURS, LINES, OMEGA, new_figure, save_figure, styled
 from nodes.stability.k_max import k_max, without_spring
-from nodes.stability.plant import Plant
 from sim.cli import arguments as shared
+from sim.cli.answers import add_answer, report
 from sim.cli.sweeps import add_spread, spread
 from sim.measure.jobs import call
-from sim.paper.descent import Descent, cost, damping_curve, paper_targets, starting, steepest_descent
-from sim.paper.shaping import Shaping, best_orders, free_taps, measured
+from sim.paper.descent import (
+    Descent,
+    Shaping,
+    best_orders,
+    cost,
+    damping_curve,
+    free_taps,
+    measured,
+    paper_targets,
+    starting,
+    steepest_descent,
+)
 from sim.results import fresh
 
 OUTCOMES = ("converged", "slow", "out_of_range", "diverged")
@@ -38,13 +47,10 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--steps", type=int, default=2000, help="of each descent (default: %(default)s)")
     parser.add_argument("--starts", type=int, default=8, help="orders per axis to start from (default: %(default)s)")
     parser.add_argument("--band", type=interval, default=(0.02, 0.55), help="where f = -1 is wanted [ω_N]")
-    parser.add_argument(
-        "--nyquist", type=positive, nargs="+", default=[1.0, 2.0, 3.05, 4.0], help="bounds on f at Nyquist"
-    )
+    parser.add_argument("--nyquist", type=positive, nargs="+", default=[1.0, 2.0, 3.05, 4.0], help="bounds on f at Nyquist")
     shared.add_device(parser)
     add_spread(parser)
-    shared.add_answer(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -56,10 +62,9 @@ def run(arguments: argparse.Namespace) -> int:
     targets = paper_targets(tuple(arguments.at))
     starts = starting(arguments.starts, arguments.terms)
     # The searches first: each takes as long as many descents.
-    jobs: list[partial[Any]] = [
-        partial(best_orders, arguments.terms, arguments.band, bound, arguments.taps) for bound in arguments.nyquist
-    ]
-    jobs += [partial(free_taps, arguments.taps, arguments.band, bound) for bound in arguments.nyquist]
+    shape, bounds = (arguments.taps, arguments.band), arguments.nyquist
+    jobs: list[partial[Any]] = [partial(best_orders, arguments.terms, arguments.band, one, arguments.taps) for one in bounds]
+    jobs += [partial(free_taps, *shape, bound) for bound in bounds]
     jobs += [
         partial(steepest_descent, np.ones(arguments.terms), orders, targets, arguments.taps, rate, arguments.steps)
         for rate in arguments.rates
@@ -69,32 +74,25 @@ def run(arguments: argparse.Namespace) -> int:
         done = spread(arguments, call, jobs)
     except ValueError as error:
         raise UsageError(str(error)) from error
-    count = len(arguments.nyquist)
+    count = len(bounds)
     runs = done[2 * count :]
     descents = {rate: runs[i * len(starts) :][: len(starts)] for i, rate in enumerate(arguments.rates)}
-    rows = [_row("paper_optimum", None, _paper(arguments.band), arguments)] if arguments.terms == 2 else []
-    for bound, (shape, programmes), (taps, least) in zip(
-        arguments.nyquist, done[:count], done[count : 2 * count], strict=True
-    ):
-        rows.append(_row("best orders", bound, shape, arguments) | {"programmes": programmes})
+    paper = measured(*_paper_terms(), arguments.band, 4)
+    rows = [_row("paper_optimum", None, paper, arguments)] if arguments.terms == 2 else []
+    for bound, (optimum, programmes), (taps, least) in zip(bounds, done[:count], done[count : 2 * count], strict=True):
+        rows.append(_row("best orders", bound, optimum, arguments) | {"programmes": programmes})
         rows.append(_free_row(bound, taps, least, arguments))
     figures = {
         "descent": [{"rate": rate, **_counts(runs)} for rate, runs in descents.items()],
         "paper_cost": cost(*_paper_terms(), targets, 4),
         "shapes": rows,
-        "plot": str(_draw(arguments, descents, rows)),
     }
-    answer(arguments.json, figures, _text(figures))
-    return 0
+    return report(arguments, figures, _text(figures), plot=_draw(arguments, descents, rows))
 
 
 def _paper_terms() -> tuple[np.ndarray[Any, np.dtype[np.float64]], np.ndarray[Any, np.dtype[np.float64]]]:
     terms = PRESETS["paper_optimum"]["terms"]
     return np.array([term["gain"] for term in terms]), np.array([term["order"] for term in terms])
-
-
-def _paper(band: tuple[float, float]) -> Shaping:
-    return measured(*_paper_terms(), band, 4)
 
 
 def _row(name: str, bound: float | None, shape: Shaping, arguments: argparse.Namespace) -> dict[str, Any]:
@@ -132,8 +130,7 @@ def _free_row(bound: float, taps: Any, ripple: float, arguments: argparse.Namesp
 
 
 def _stiffest(derivative: CompiledLaw, arguments: argparse.Namespace) -> float | None:
-    device = Plant(1.0 / arguments.rate, arguments.mass, arguments.damping, arguments.delay, arguments.hand)
-    return k_max(derivative, device).h1_max_n_per_m
+    return k_max(derivative, shared.device(arguments)).h1_max_n_per_m
 
 
 def _counts(runs: list[Descent]) -> dict[str, Any]:
@@ -147,11 +144,8 @@ def _counts(runs: list[Descent]) -> dict[str, Any]:
     }
 
 
-def _text(figures: dict[str, Any]) -> str:
-    lines = [
-        "steepest descent (13)-(15)",
-        "     rate  starts  converged  slow  left 0<α<4  diverged  best J     median J",
-    ]
+def _text(figures: dict[str, Any]) -> list[str]:
+    lines = ["steepest descent (13)-(15)", "     rate  starts  converged  slow  left 0<α<4  diverged  best J     median J"]
     for row in figures["descent"]:
         best, median = row["cost_best"], row["cost_median"]
         lines.append(
@@ -162,35 +156,23 @@ def _text(figures: dict[str, Any]) -> str:
     lines.append("\nlaw            bound   ripple  f(ω_N)  H(1)_max  gains; orders")
     for row in figures["shapes"]:
         bound, h1 = row["nyquist_bound"], row["h1_max_n_per_m"]
-        terms = "; ".join(
-            " ".join(f"{value:.3f}" for value in row[key]) for key in ("gains", "orders", "taps") if key in row
-        )
+        terms = "; ".join(" ".join(f"{value:.3f}" for value in row[key]) for key in ("gains", "orders", "taps") if key in row)
         lines.append(
             f"{row['law']:13} {'-' if bound is None else f'{bound:.3g}':>6}  {row['ripple']:7.4f}  {row['f_nyquist']:6.3f}"
             f"  {'-' if h1 is None else f'{h1:.5g}':>8}  {terms}"
         )
-    return "\n".join([*lines, figures["plot"]])
+    return lines
 
 
 @styled
 def _draw(arguments: argparse.Namespace, descents: dict[float, list[Descent]], rows: list[dict[str, Any]]) -> Path:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+    figure = new_figure(10.0, 4.0)
     left, right = figure.subplots(1, 2)
     for k, (rate, runs) in enumerate(descents.items()):
         for i, one in enumerate(runs):
-            left.loglog(
-                np.arange(1, one.cost.size + 1),
-                one.cost,
-                color=COLOURS[k % len(COLOURS)],
-                lw=0.6,
-                ls=LINES[k % len(LINES)],
-                label=f"rate {rate:g}" if i == 0 else None,
-            )
-    left.set(
-        xlabel="step  [1]", ylabel="J, eq. (13)  [1]", title="steepest descent from a grid of orders", ylim=(1e-7, 1e6)
-    )
+            look: Any = {"color": COLOURS[k % len(COLOURS)], "lw": 0.6, "ls": LINES[k % len(LINES)]}
+            left.loglog(np.arange(1, one.cost.size + 1), one.cost, **look, label=f"rate {rate:g}" if i == 0 else None)
+    left.set(xlabel="step  [1]", ylabel="J, eq. (13)  [1]", title="steepest descent from a grid of orders", ylim=(1e-7, 1e6))
     if descents:
         left.legend(title="of descent", title_fontsize=8.0)
     theta = np.linspace(0.0, np.pi, 401)
@@ -199,13 +181,7 @@ def _draw(arguments: argparse.Namespace, descents: dict[float, list[Descent]], r
             curve = damping_curve(theta, np.array(row["gains"]), np.array(row["orders"]), arguments.taps, leak=False)
             bound = row["nyquist_bound"]
             label = row["law"] if bound is None else rf"best orders, $f(\omega_\mathrm{{N}}) \leq {bound:g}$"
-            right.plot(
-                theta / np.pi,
-                curve,
-                label=label,
-                color="k" if bound is None else None,
-                **({"ls": "-"} if bound is None else {}),
-            )
+            right.plot(theta / np.pi, curve, label=label, **({"color": "k", "ls": "-"} if bound is None else {}))
     right.set(xlabel=OMEGA, ylabel="f over the spring as H(1)  [1]", title="shapes of f")
     if rows:
         right.legend()

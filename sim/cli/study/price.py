@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from messages.errors import UsageError
-from nodes.cli.main import answer
 from nodes.cli.quantities import declare, not_negative, positive
-from nodes.recording.figure_style import BAD, save_figure, styled
+from nodes.recording.figure_style import BAD, new_figure, save_figure, styled
 from sim.cli import arguments as shared
+from sim.cli.answers import add_answer, given, report
 from sim.cli.sweeps import add_sweep, swept
 from sim.results import fresh
 
@@ -24,21 +24,12 @@ KNOWN = (0.0, 5.0, 20.0, 50.0)
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     shared.add_device(parser, delay=1.2, hand=500.0)
-    parser.add_argument(
-        "--share", type=positive, default=0.3, help="of the mass behind the joint (default: %(default)s)"
-    )
+    parser.add_argument("--share", type=positive, default=0.3, help="of the mass behind the joint (default: %(default)s)")
     parser.add_argument("--frequency", type=positive, default=40.0, help="of the joint [Hz] (default: %(default)s)")
     parser.add_argument("--loss", type=positive, default=0.03, help="damping ratio of the joint (default: %(default)s)")
-    parser.add_argument(
-        "--jitter", type=not_negative, default=0.2, help="of the delay, above it [ticks] (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--known",
-        type=not_negative,
-        nargs="*",
-        default=KNOWN,
-        help="how far off the joint's frequency may be [%%] (default: 0 5 20 50)",
-    )
+    parser.add_argument("--jitter", type=not_negative, default=0.2, help="of the delay, above it [ticks] (default: 0.2)")
+    text = "how far off the joint's frequency may be [%%] (default: 0 5 20 50)"
+    parser.add_argument("--known", type=not_negative, nargs="*", default=KNOWN, help=text)
     parser.add_argument(
         "--land",
         action=argparse.BooleanOptionalAction,
@@ -46,15 +37,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     declare(parser, taps=2)
     add_sweep(parser)
-    shared.add_answer(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run)
 
 
 def study_price(job: Mapping[str, Any]) -> dict[str, Any]:
-    """Design for what is known, and try the law on the device that it is for.
-
-    By poles alone, or landing too and with a certificate for every sequence of the delays.
-    """
+    """Design for what is known, by poles alone, or landing too and with a certificate for every sequence of the delays."""
     from nodes.stability.flexible import FlexiblePlant, flexible_radius
     from sim.design.demand import CONVENTIONS, Demand
     from sim.design.families import certificate, certified, designed
@@ -62,17 +49,10 @@ def study_price(job: Mapping[str, Any]) -> dict[str, Any]:
 
     period, frequency, spread = 1.0 / job["rate"], job["frequency"], job["spread"]
     known = () if spread is None else sorted({frequency / spread, frequency, frequency * spread})
-    asked = Demand(
-        mass=(job["mass"] / 1.1, job["mass"] * 1.1),
-        damping=job["damping"],
-        delay=(job["delay"], job["delay"] + job["jitter"]),
-        period=period,
-        radius=0.99,
-        nyquist=1e4,
-        stiffness=(0.0, job["hand"]),
-        beyond=tuple((0.0, job["share"], one, job["loss"]) for one in known),
-        lands=CONVENTIONS if job["lands"] else (),
-    )
+    device = ((job["mass"] / 1.1, job["mass"] * 1.1), job["damping"], (job["delay"], job["delay"] + job["jitter"]), period)
+    joints = tuple((0.0, job["share"], one, job["loss"]) for one in known)
+    lands = CONVENTIONS if job["lands"] else ()
+    asked = Demand(*device, 0.99, 1e4, stiffness=(0.0, job["hand"]), beyond=joints, lands=lands)
 
     def free(wanted: Demand) -> Any:
         return designed(wanted, job["taps"])
@@ -98,8 +78,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--taps {arguments.taps}: between 1 and 12; the search is over each of them")
     if arguments.share >= 1.0:
         raise UsageError(f"--share {arguments.share:g}: expected a part of the mass, below 1")
-    given = ("mass", "damping", "delay", "jitter", "share", "frequency", "loss", "taps", "rate")
-    device = {name: getattr(arguments, name) for name in given}
+    names = ("mass", "damping", "delay", "jitter", "share", "frequency", "loss", "taps", "rate")
+    device = given(arguments, *names)
     jobs: list[dict[str, Any]] = [
         {**device, "hand": hand, "spread": spread, "lands": lands}
         for lands in ((False, True) if arguments.land is None else (arguments.land,))
@@ -108,20 +88,14 @@ def run(arguments: argparse.Namespace) -> int:
     ]
     rows, ledger = swept(arguments, study_price, jobs, "price")
     priced = [{**job, **row} for job, row in zip(jobs, rows, strict=True)]
-    picture = arguments.out / "price.png"
-    draw(picture, priced)
     lines = [
         f"{arguments.mass:g} kg, joint of {arguments.frequency:g} Hz with {100 * arguments.share:g} % of it, delay "
         f"{arguments.delay:g} to {arguments.delay + arguments.jitter:g} ticks, {arguments.taps} taps, pole radius at most 0.99",
         f"{'known':22} {'hand':24} {'asked':22} {'H(1) [N/m]':>10}  on the device",
         *map(_line, priced),
     ]
-    answer(
-        arguments.json,
-        {"rows": priced, "ledger": str(ledger), "plot": str(picture)},
-        "\n".join([*lines, str(ledger), str(picture)]),
-    )
-    return 0
+    picture = draw(arguments.out / "price.png", priced)
+    return report(arguments, {"rows": priced}, lines, ledger=ledger, plot=picture)
 
 
 def _line(row: Mapping[str, Any]) -> str:
@@ -140,26 +114,20 @@ def _held(hand: float) -> str:
 
 
 @styled
-def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
     """Draw H(1) against what is known of the joint."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.0, 4.0), layout="constrained")
+    figure = new_figure(7.0, 4.0)
     axes = figure.subplots()
-    kinds = sorted({(row["lands"], row["hand"]) for row in rows})
-    for lands, hand in kinds:
+    for lands, hand in sorted({(row["lands"], row["hand"]) for row in rows}):
         known = [row for row in rows if (row["lands"], row["hand"]) == (lands, hand) and row["spread"] is not None]
-        axes.plot(
-            [100.0 * (row["spread"] - 1.0) for row in known],
-            [row["h1_n_per_m"] if row["h1_n_per_m"] is not None else math.nan for row in known],
-            marker="o" if hand == 0.0 else "s",
-            ls="-" if lands else ":",
-            label=f"{_held(hand)}, {'lands, every sequence of delays' if lands else 'poles alone'}",
-        )
+        felt = [math.nan if row["h1_n_per_m"] is None else row["h1_n_per_m"] for row in known]
+        look: Any = {"marker": "o" if hand == 0.0 else "s", "ls": "-" if lands else ":"}
+        label = f"{_held(hand)}, {'lands, every sequence of delays' if lands else 'poles alone'}"
+        axes.plot([100.0 * (row["spread"] - 1.0) for row in known], felt, label=label, **look)
     none = [100.0 * (row["spread"] - 1.0) for row in rows if row["spread"] is not None and row["h1_n_per_m"] is None]
     if none:
         axes.plot(none, [0.0] * len(none), marker="x", ls="", color=BAD, clip_on=False, label="no law found")
     axes.set(xlabel="frequency of the joint known to ± [%]", ylabel="H(1) of the designed law [N/m]", ylim=(0.0, None))
     axes.grid(alpha=0.3)
     axes.legend()
-    save_figure(figure, path, fresh)
+    return save_figure(figure, path, fresh)

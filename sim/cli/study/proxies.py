@@ -8,8 +8,9 @@ from functools import partial
 from typing import Any
 
 from messages.errors import UsageError
-from nodes.cli.main import add_json, answer
+from nodes.cli.main import add_json
 from nodes.cli.quantities import declare, not_negative, positive
+from sim.cli.answers import report
 from sim.cli.sweeps import add_spread, spread
 from sim.measure.jobs import call
 
@@ -24,9 +25,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--depth", type=positive, default=0.004, help="below the surface [m] (default: 0.004)")
     parser.add_argument("--speed", type=positive, default=0.2, help="along the surface [m/s] (default: 0.2)")
     parser.add_argument("--tool", type=not_negative, default=0.0, help="radius of the tool [m] (default: 0)")
-    parser.add_argument(
-        "--steps", type=int, default=1_000_000, help="random steps through the plate (default: 1000000)"
-    )
+    parser.add_argument("--steps", type=int, default=1_000_000, help="random steps through the plate (default: 1000000)")
     parser.add_argument("--seed", type=int, default=0, help="of the random steps (default: 0)")
     add_spread(parser)
     add_json(parser)
@@ -43,15 +42,13 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--depth {arguments.depth}: at most 0.01 m, in a sphere of 0.05 m")
     from sim.experiments.proxies import PLATE, Way, compared, count, timed, wrong_sides
 
-    period = 1.0 / arguments.rate
+    period, step = 1.0 / arguments.rate, 2.0 / arguments.rate
     led = (arguments.ticks, arguments.depth, arguments.speed, period, arguments.tool)
     ways = [Way(number, *led) for number in range(count(arguments.finest))]
-    step = 2.0 * period
     # The finest mesh takes longest, and goes first; times are of this machine, wherever the rest was worked out.
     jobs: list[partial[Any]] = [partial(compared, way, arguments.stiffness) for way in reversed(ways)]
-    *rows, (wrong, aside) = spread(
-        arguments, call, [*jobs, partial(wrong_sides, arguments.steps, step, arguments.seed, arguments.tool)]
-    )
+    jobs.append(partial(wrong_sides, arguments.steps, step, arguments.seed, arguments.tool))
+    *rows, (wrong, aside) = spread(arguments, call, jobs)
     found = [timed(row, way) for row, way in zip(reversed(rows), ways, strict=True)]
     lines = [
         f"{'':28}{'force error [mN]':>24}{'':>12}{'proxy [µm] off':>24}{'drag':>10}{'µs a call':>18}",
@@ -67,9 +64,5 @@ def run(arguments: argparse.Namespace) -> int:
         f"plate of {1e3 * PLATE[2]:g} mm, {arguments.steps} random steps of up to {1e3 * step:g} mm: {wrong} on the wrong "
         f"side, at most {1e6 * aside:.3g} µm beside the device"
     )
-    figures = {
-        "rows": [asdict(row) for row in found],
-        "plate": {"steps": arguments.steps, "step_m": step, "wrong_side": wrong, "aside_max_m": aside},
-    }
-    answer(arguments.json, figures, "\n".join(lines))
-    return 1 if wrong else 0
+    plate = {"steps": arguments.steps, "step_m": step, "wrong_side": wrong, "aside_max_m": aside}
+    return report(arguments, {"rows": [asdict(row) for row in found], "plate": plate}, lines, held=not wrong)

@@ -8,10 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from messages.errors import UsageError
-from nodes.cli.main import answer
 from nodes.cli.quantities import Interval, declare, positive
-from nodes.recording.figure_style import GREY, name_rows, save_figure, styled, threshold
+from nodes.laws import CompiledLaw
+from nodes.laws.parse import parse_law
+from nodes.recording.figure_style import GREY, name_rows, new_figure, save_figure, styled, threshold
+from nodes.stability.plant import Plant
 from sim.cli import arguments as shared
+from sim.cli.answers import add_answer, given, report
 from sim.cli.sweeps import add_sweep, swept
 from sim.results import fresh
 
@@ -33,13 +36,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--nyquist", type=positive, default=1e4, help="|H(-1)| allowed [N/m] (default: 10000)")
     parser.add_argument("--families", nargs="+", choices=FAMILIES, default=FAMILIES, help="which (default: all)")
     add_sweep(parser)
-    shared.add_answer(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run)
 
 
 def tune_family(job: Mapping[str, Any]) -> dict[str, Any]:
     """Tune one family to the demand: its stiffest law, and the damping that it needs to be passive."""
-    from nodes.laws import CompiledLaw
     from nodes.stability.effective_damping import damping_needed
     from sim.design.demand import Demand
     from sim.design.families import best_pd, designed
@@ -83,19 +84,20 @@ def tune_family(job: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _radius(law: Any, asked: Any) -> float:
+    from nodes.stability.closed_loop import pole_radius
+
+    return max(pole_radius(law, Plant(asked.period, mass, asked.damping, asked.delay[0])) for mass in _masses(asked.mass))
+
+
+def _masses(ends: Sequence[float]) -> list[float]:
     import numpy as np
 
-    from nodes.stability.closed_loop import pole_radius
-    from nodes.stability.plant import Plant
-
-    lightest, heaviest = asked.mass
-    masses = np.geomspace(lightest, heaviest, 11).tolist()
-    return max(pole_radius(law, Plant(asked.period, mass, asked.damping, asked.delay[0])) for mass in masses)
+    found: list[float] = np.geomspace(ends[0], ends[1], 11).tolist()
+    return found
 
 
 def _best_solid(asked: Any, taps: int, family: str) -> tuple[Any, dict[str, Any]] | None:
     """Tune K and B at every order and relaxation; a Kelvin and Voigt's solid has none."""
-    from nodes.laws.parse import parse_law
     from sim.design.families import best_linear
 
     best: tuple[float, Any, dict[str, Any]] | None = None
@@ -114,11 +116,9 @@ def _two_rates(job: Mapping[str, Any], period: float) -> dict[str, Any]:
     """Tune a bare spring under a servo's damper: the stiffest that keeps the radius at every mass."""
     import numpy as np
 
-    from nodes.laws import CompiledLaw
     from nodes.stability.two_rate import TwoRate, two_rate_radius
 
-    lightest, heaviest = job["mass"]
-    masses = np.geomspace(lightest, heaviest, 11).tolist()
+    masses = _masses(job["mass"])
     # The servo hands forces over at its own ticks.
     late = round(job["delay"] * SERVO)
 
@@ -157,8 +157,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.from_run is not None:
         measured = shared.recorded(arguments.from_run)
         arguments.rate, arguments.delay = 1.0 / measured.period, measured.median
-    given = {name: getattr(arguments, name) for name in ("damping", "delay", "rate", "taps", "nyquist")}
-    jobs = [given | {"mass": list(arguments.mass), "family": family} for family in arguments.families]
+    told = given(arguments, "damping", "delay", "rate", "taps", "nyquist")
+    jobs = [told | {"mass": list(arguments.mass), "family": family} for family in arguments.families]
     rows, ledger = swept(arguments, tune_family, jobs, "relatives")
     low, high = arguments.mass
     lines = [
@@ -169,9 +169,8 @@ def run(arguments: argparse.Namespace) -> int:
         f"passive at this delay: those with a b of at most {arguments.damping:g} N s/m (THEORY.md §16)",
     ]
     picture = draw(arguments.out / "relatives.png", lines[0], arguments.damping, rows)
-    figures = {"delay_ticks": arguments.delay, "rate_hz": arguments.rate, "rows": rows, "ledger": str(ledger)}
-    answer(arguments.json, figures | {"plot": str(picture)}, "\n".join([*lines, str(ledger), str(picture)]))
-    return 0
+    figures = {"delay_ticks": arguments.delay, "rate_hz": arguments.rate, "rows": rows}
+    return report(arguments, figures, lines, ledger=ledger, plot=picture)
 
 
 def _line(row: Mapping[str, Any]) -> str:
@@ -191,9 +190,7 @@ def _line(row: Mapping[str, Any]) -> str:
 @styled
 def draw(path: Path, demand: str, damping: float, rows: Sequence[Mapping[str, Any]]) -> Path:
     """Draw how stiff each family gets, and the damping with which it is passive."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8.6, 1.6 + 0.32 * len(rows)), layout="constrained")
+    figure = new_figure(8.6, 1.6 + 0.32 * len(rows))
     figure.suptitle(demand, fontsize=8.5, x=0.01, ha="left")
     stiffness, passive = figure.subplots(1, 2, sharey=True)
     name_rows(stiffness, [row["family"] for row in rows])
@@ -206,17 +203,9 @@ def draw(path: Path, demand: str, damping: float, rows: Sequence[Mapping[str, An
                 continue
             axes.plot([0.0, value], [at, at], color=GREY, lw=0.8, ls="-")
             axes.plot(value, at, "o", color="C0")
-            axes.annotate(
-                f"{value:.3g}" if value < 100.0 else f"{value:.0f}",
-                (value, at),
-                xytext=(6, 0),
-                textcoords="offset points",
-                fontsize=8,
-                va="center",
-            )
+            text = f"{value:.3g}" if value < 100.0 else f"{value:.0f}"
+            axes.annotate(text, (value, at), xytext=(6, 0), textcoords="offset points", fontsize=8, va="center")
     stiffness.set(xlabel="stiffness felt at rest, H(1)  [N/m]", xlim=(0.0, 1.2 * (stiffness.get_xlim()[1] or 1.0)))
-    passive.set(
-        xlabel="damping with which it is passive  [N s/m]", xlim=(0.0, 1.2 * max(damping, passive.get_xlim()[1]))
-    )
+    passive.set(xlabel="damping with which it is passive  [N s/m]", xlim=(0.0, 1.2 * max(damping, passive.get_xlim()[1])))
     threshold(passive, damping, f"the device's, {damping:g} N s/m", vertical=True)
     return save_figure(figure, path, fresh)

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from messages.errors import UsageError
-from nodes.cli.main import answer
 from nodes.cli.quantities import declare, positive
-from nodes.recording.figure_style import BAD, COLOURS, MARKERS, legend_above, save_figure, styled, threshold
-from sim.cli import arguments as shared
+from nodes.recording.figure_style import BAD, COLOURS, MARKERS, legend_above, new_figure, save_figure, styled, threshold
+from sim.cli.answers import add_answer, given, report
 from sim.cli.sweeps import add_sweep, swept
 from sim.results import fresh
 
@@ -33,8 +32,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--refuted", action="store_true", help="design on refuted models too: what the knocks alone keep from delivery"
     )
     add_sweep(parser)
-    shared.add_answer(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -44,32 +42,22 @@ def run(arguments: argparse.Namespace) -> int:
     if not 1 <= arguments.devices <= 100_000:
         raise UsageError(f"--devices {arguments.devices}: between 1 and 100000")
     inside, *outside = kinds()
-    jobs: list[dict[str, Any]] = [
-        {
-            "number": number,
-            "kind": inside if number % 2 == 0 else outside[number // 2 % len(outside)],
-            "seed": arguments.seed,
-            "seconds": arguments.seconds,
-            "rate": arguments.rate,
-            "taps": arguments.taps,
-            "nyquist": arguments.nyquist,
-            "land": arguments.land,
-            "refuted": arguments.refuted,
-        }
-        for number in range(arguments.devices)
-    ]
+    told = given(arguments, "seed", "seconds", "rate", "taps", "nyquist", "land", "refuted")
+    kind = [inside if number % 2 == 0 else outside[number // 2 % len(outside)] for number in range(arguments.devices)]
+    jobs = [{"number": number, "kind": one, **told} for number, one in enumerate(kind)]
     rows, ledger = swept(arguments, tune_device, jobs, "tuned")
     found = summary(rows)
     picture = draw(arguments.out / "tuned.png", rows)
-    text = "\n".join([_text(found, rows), str(ledger), str(picture)])
-    answer(arguments.json, found | {"rows": rows, "ledger": str(ledger), "plot": str(picture)}, text)
-    missed = (
-        found["edges"] - found["edges_within_5_percent"] + found["intervals"] - found["intervals_that_hold_the_edge"]
-    )
-    return 1 if found["delivered_unstable"] or missed else 0
+    return report(arguments, found | {"rows": rows}, _text(found, rows), ledger=ledger, plot=picture, held=held(found))
 
 
-def _text(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> str:
+def held(found: Mapping[str, Any]) -> bool:
+    """Tell whether no law was delivered unstable, and each edge and each interval that was told is true."""
+    missed = found["edges"] - found["edges_within_5_percent"] + found["intervals"] - found["intervals_that_hold_the_edge"]
+    return not found["delivered_unstable"] and not missed
+
+
+def _text(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> list[str]:
     lines = [f"{'device':20} {'law [N/m]':>10} {'edge told':>22} {'true edge':>10} {'true radius':>11}  outcome"]
     for row in rows:
         if row["holds"] is None:
@@ -89,7 +77,7 @@ def _text(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> str:
         + ("" if worst is None else f", the worst {100 * worst:.1f} % off")
         + f"; {found['intervals_that_hold_the_edge']} of {found['intervals']} intervals hold the edge"
     )
-    return "\n".join(lines)
+    return lines
 
 
 def _outcome(row: Mapping[str, Any]) -> str:
@@ -107,19 +95,15 @@ def _shown(value: float | None) -> str:
 @styled
 def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
     """Draw the edge that was told over the true one, and how far each law is from it."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.8, 5.4), layout="constrained")
+    figure = new_figure(6.8, 5.4)
     told, radius = figure.subplots(2, 1, sharex=True)
     tried = [row for row in rows if row["holds"] is not None and row["true_edge_n_per_m"]]
-    stable = [row for row in tried if row["delivered"] and row["true_radius"] < 1.0]
-    wrong = [row for row in tried if row["delivered"] and row["true_radius"] >= 1.0]
-    kept = [row for row in tried if not row["delivered"]]
-    for name, mine, colour, mark in (
-        ("delivered, and stable", stable, COLOURS[0], MARKERS[0]),
-        ("not delivered", kept, COLOURS[1], MARKERS[1]),
-        ("delivered, and unstable", wrong, BAD, "X"),
+    for name, delivered, unstable, colour, mark in (
+        ("delivered, and stable", True, (False,), COLOURS[0], MARKERS[0]),
+        ("not delivered", False, (False, True), COLOURS[1], MARKERS[1]),
+        ("delivered, and unstable", True, (True,), BAD, "X"),
     ):
+        mine = [row for row in tried if row["delivered"] == delivered and (row["true_radius"] >= 1.0) in unstable]
         for row in mine:
             true, ends = row["true_edge_n_per_m"], row["edge_between_n_per_m"]
             if row["edge_n_per_m"]:
@@ -129,11 +113,8 @@ def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
         if mine:
             places = [row["true_edge_n_per_m"] for row in mine], [row["true_radius"] for row in mine]
             radius.plot(*places, mark, color=colour, label=name)
-    told.set(
-        ylabel="edge told / true edge  [1]",
-        xscale="log",
-        title=f"{len(rows)} devices tuned end to end, {len(tried)} laws tried",
-    )
+    title = f"{len(rows)} devices tuned end to end, {len(tried)} laws tried"
+    told.set(ylabel="edge told / true edge  [1]", xscale="log", title=title)
     radius.set(xlabel="true edge of the device with its law, H(1)  [N/m]", ylabel="true pole radius  [1]")
     for value, name in ((0.95, "−5 %"), (1.0, "true"), (1.05, "+5 %")):
         threshold(told, value, name)

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from messages.errors import UsageError
-from nodes.cli.main import answer
 from nodes.cli.quantities import declare, not_negative
-from nodes.recording.figure_style import label_ends, save_figure, styled
-from sim.cli import arguments as shared
+from nodes.laws import CompiledLaw
+from nodes.recording.figure_style import label_ends, new_figure, save_figure, styled
+from sim.cli.answers import add_answer, report
 from sim.results import fresh
 
 
@@ -20,13 +20,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     declare(parser, mass=0.1, damping=1.0, delay=1.0, rate=500.0)
     parser.add_argument("--servo", type=not_negative, default=3.0, help="damper of the servo [N s/m] (default: 3)")
     parser.add_argument("--ratios", type=int, nargs="+", default=[1, 2, 4, 8], help="servo ticks per tick of the loop")
-    shared.add_answer(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Compare servo rates."""
-    from nodes.laws import CompiledLaw
     from nodes.stability.two_rate import TwoRate, heavy_limit, two_rate_k_max
 
     if min(arguments.ratios) < 1:
@@ -53,25 +51,16 @@ def run(arguments: argparse.Namespace) -> int:
             + f", heavy device {row['heavy_limit_n_per_m']:.5g} N/m"
         )
     picture = draw(arguments.out / "two_rate.png", lines[0], rows)
-    figures = {"rate_hz": arguments.rate, "rows": rows, "plot": str(picture)}
-    answer(arguments.json, figures, "\n".join([*lines, str(picture)]))
-    return 0
+    return report(arguments, {"rate_hz": arguments.rate, "rows": rows}, lines, plot=picture)
 
 
 @styled
 def draw(path: Path, title: str, rows: Sequence[Mapping[str, Any]]) -> Path:
     """Draw the largest stiffness over the servo's rate."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-    axes = figure.add_subplot(
-        xlabel="rate of the servo  [Hz]", ylabel="largest stiffness  [N/m]", title=title, xscale="log"
-    )
+    figure = new_figure(6.4, 4.0)
+    axes = figure.add_subplot(xlabel="rate of the servo  [Hz]", ylabel="largest stiffness  [N/m]", title=title, xscale="log")
     rates = [row["servo_hz"] for row in rows]
-    for key, label, mark in (
-        ("k_max_n_per_m", "$K_\\mathrm{max}$", "o"),
-        ("heavy_limit_n_per_m", "of a heavy device", "s"),
-    ):
+    for key, label, mark in (("k_max_n_per_m", "$K_\\mathrm{max}$", "o"), ("heavy_limit_n_per_m", "of a heavy device", "s")):
         values = [float("nan") if row[key] is None else row[key] for row in rows]
         axes.plot(rates, values, marker=mark, label=label)
     axes.set_xticks(rates, [f"{rate:g}" for rate in rates], minor=False)

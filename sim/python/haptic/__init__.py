@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from messages.errors import HapticError
     from nodes.laws.parse import LawRefusedError
     from nodes.stability.plant import Plant
-    from sim.api.catalogue import laws, scenarios
-    from sim.api.laws import law
+    from sim.api.laws import law, laws, scenarios
     from sim.api.loops import drop, k_max, play, poles
     from sim.api.python_runs import LaunchError, Run, connect, launch
     from sim.api.recordings import plot, read
@@ -45,28 +44,17 @@ __all__ = [
     "tune",
 ]
 
-_HOME = {
-    "HapticError": "messages.errors",
-    "LaunchError": "sim.api.python_runs",
-    "LawRefusedError": "nodes.laws.parse",
-    "Plant": "nodes.stability.plant",
-    "Run": "sim.api.python_runs",
-    "connect": "sim.api.python_runs",
-    "design": "sim.api.verbs",
-    "drop": "sim.api.loops",
-    "identify": "sim.api.verbs",
-    "k_max": "sim.api.loops",
-    "launch": "sim.api.python_runs",
-    "law": "sim.api.laws",
-    "laws": "sim.api.catalogue",
-    "play": "sim.api.loops",
-    "plot": "sim.api.recordings",
-    "poles": "sim.api.loops",
-    "read": "sim.api.recordings",
-    "scenarios": "sim.api.catalogue",
-    "study": "sim.api.verbs",
-    "tune": "sim.api.verbs",
+_NAMES = {
+    "messages.errors": ("HapticError",),
+    "nodes.laws.parse": ("LawRefusedError",),
+    "nodes.stability.plant": ("Plant",),
+    "sim.api.laws": ("law", "laws", "scenarios"),
+    "sim.api.loops": ("drop", "k_max", "play", "poles"),
+    "sim.api.python_runs": ("LaunchError", "Run", "connect", "launch"),
+    "sim.api.recordings": ("plot", "read"),
+    "sim.api.verbs": ("design", "identify", "study", "tune"),
 }
+_HOME = {name: module for module, names in _NAMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:

@@ -20,7 +20,7 @@ from messages.transport.gate import Gate, Reopening
 from messages.transport.keys import Identity, KeyRefusedError
 from messages.transport.open_port import OpenPort
 from messages.transport.sockets import Publisher, Subscription
-from sim.drill.unruly import visit
+from sim.drill.intruders import visit
 from tests.support.launching import haptic, wait_for
 from tests.support.ports import free_ports
 from tests.support.strangers import as_somebody_else
@@ -102,12 +102,7 @@ print("ended", flush=True)
 @pytest.mark.parametrize("which", ["hop", "listeners", "open port", "requests"])
 def test_no_listener_however_unruly_ends_the_process(context: Context, place: str, which: str) -> None:
     """ZeroMQ aborts (``!_io_error``) when it writes a heartbeat to a peer that left while its input was stopped."""
-    places = {
-        "hop": place,
-        "listeners": place + "l",
-        "open port": f"tcp://127.0.0.1:{free_ports(1)}",
-        "requests": place + "c",
-    }
+    places = {"hop": place, "listeners": place + "l", "open port": f"tcp://127.0.0.1:{free_ports(1)}", "requests": place + "c"}
     command = [sys.executable, "-c", VISITED, *places.values()]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         try:
@@ -229,10 +224,7 @@ def test_a_key_that_is_taken_away_ends_connections_and_lets_in_nobody(
     assert asking.poll(20_000)
     asking.recv()
     take_away(how, keys.key_dir())
-    wait_for(
-        lambda: any(f"the key {other.public} is not allowed any more" in told for told in encrypted.denied),
-        "it is told",
-    )
+    wait_for(lambda: any(f"the key {other.public} is not allowed any more" in told for told in encrypted.denied), "it is told")
     wait_for(lambda: not encrypted.listeners(), "nobody is connected")
     drain(listener)
     assert not hears(encrypted, listener)
@@ -247,9 +239,7 @@ def test_a_key_that_is_taken_away_ends_connections_and_lets_in_nobody(
     own.close()
 
 
-def test_the_other_machines_connections_survive_a_revocation(
-    encrypted: Guarded, context: Context, tmp_path: Path
-) -> None:
+def test_the_other_machines_connections_survive_a_revocation(encrypted: Guarded, context: Context, tmp_path: Path) -> None:
     """All are on one address here, the hardest case: they stumble, and are let in again."""
     with as_somebody_else(tmp_path / "other") as other:
         pass

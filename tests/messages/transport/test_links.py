@@ -181,9 +181,7 @@ def test_a_publisher_without_the_key_in_place_of_a_killed_one(context: Context, 
     assert_heard(context, endpoint, ear)
 
 
-def test_silence_is_told_with_the_state_of_the_link(
-    context: Context, place: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_silence_is_told_with_the_state_of_the_link(context: Context, place: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("messages.transport.links.PATIENCE", 0.1)
     publisher, ear = Publisher(context, place), Ear(context, place)
     wait_for(ear.hears(publisher), "the publisher")
@@ -197,9 +195,7 @@ def test_silence_is_told_with_the_state_of_the_link(
     publisher.close(0)
 
 
-def test_who_is_connected_and_starved_is_waited_for(
-    context: Context, place: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_who_is_connected_and_starved_is_waited_for(context: Context, place: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """It once was connected anew each 3 s, so that a loop on a starved machine never met again."""
     monkeypatch.setattr("messages.transport.links.SILENCE", 0.02)
     publisher, ear = Publisher(context, place), Ear(context, place)

@@ -189,9 +189,7 @@ def test_oneself_and_the_allowed_are_let_in(door: Door, context: Context, tmp_pa
     assert not door.denied
 
 
-def test_an_unknown_key_hears_and_asks_nothing_until_it_is_allowed(
-    door: Door, context: Context, tmp_path: Path
-) -> None:
+def test_an_unknown_key_hears_and_asks_nothing_until_it_is_allowed(door: Door, context: Context, tmp_path: Path) -> None:
     with as_somebody_else(tmp_path / "other") as other:
         listener = Subscription(context, [door.endpoint], [""])
         wait_for(denied(door, other.public), "the refusal, with the key")

@@ -59,9 +59,7 @@ def test_nothing_is_left_open(place: str) -> None:
 
 
 @pytest.mark.parametrize("wait", [0.0, 0.0003, 0.0021, 0.0179])
-def test_receive_until_waits_until_the_deadline_and_not_in_milliseconds(
-    context: Context, place: str, wait: float
-) -> None:
+def test_receive_until_waits_until_the_deadline_and_not_in_milliseconds(context: Context, place: str, wait: float) -> None:
     publisher, subscription = connected(context, place)
     late = []
     for _ in range(30):
@@ -188,9 +186,7 @@ def test_tcp_off_loopback_needs_a_key(endpoint: str, context: Context) -> None:
     assert split(f"{endpoint}#{KEY}") == (endpoint, KEY)
 
 
-@pytest.mark.parametrize(
-    "endpoint", ["tcp://127.0.0.1:5600", "tcp://127.8.9.1:1", "tcp://[::1]:5600", "tcp://localhost:2"]
-)
+@pytest.mark.parametrize("endpoint", ["tcp://127.0.0.1:5600", "tcp://127.8.9.1:1", "tcp://[::1]:5600", "tcp://localhost:2"])
 def test_loopback_is_shared_by_all_users_and_needs_one_too(endpoint: str, context: Context) -> None:
     for use in (split, lambda place: Publisher(context, place), lambda place: Subscription(context, [place], [""])):
         with pytest.raises(EndpointRefusedError, match="haptic keys new"):

@@ -132,9 +132,7 @@ def test_descriptors_that_run_out_end_no_loop_with_a_force_on(tmp_path: Path) ->
         pid = launch.pid("driver")
         number, before = len(os.listdir(f"/proc/{pid}/fd")), resource.prlimit(pid, resource.RLIMIT_NOFILE)
         resource.prlimit(pid, resource.RLIMIT_NOFILE, (number, before[1]))
-        wait_for(
-            lambda: resource.prlimit(pid, resource.RLIMIT_NOFILE) == (before[1],) * 2, "the node takes what it may"
-        )
+        wait_for(lambda: resource.prlimit(pid, resource.RLIMIT_NOFILE) == (before[1],) * 2, "the node takes what it may")
         with contextlib.ExitStack() as held:
             for _ in range(50):
                 client = held.enter_context(socket.socket(socket.AF_UNIX))
@@ -147,9 +145,7 @@ def test_descriptors_that_run_out_end_no_loop_with_a_force_on(tmp_path: Path) ->
         # Now there is no more to be had.
         resource.prlimit(pid, resource.RLIMIT_NOFILE, (number, number))
         launch.finish(code=1)
-        assert (
-            f"[driver] descriptors: of {number} descriptors, the limit (ulimit -n), too few are left" in launch.errors
-        )
+        assert f"[driver] descriptors: of {number} descriptors, the limit (ulimit -n), too few are left" in launch.errors
         assert "SIGABRT" not in launch.errors
         # It ended in order: force down to zero, device closed.
         assert launch.figures["safety"]["soft_stop_ticks"] > 0

@@ -13,7 +13,7 @@ from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.cli.main import main
 from nodes.recording.reader import Recording
 from sim.measure.measured_launch import beside
-from tests.support.launching import Running, launch_json, running, wait_for
+from tests.support.launching import Running, launch_json, running, typed, wait_for
 
 
 @pytest.fixture(scope="module")
@@ -66,9 +66,7 @@ def test_what_cannot_be_is_refused(path: Path, capsys: pytest.CaptureFixture[str
     assert not path.with_suffix(".cut.mcap").exists()
 
 
-def test_play_begins_later_and_under_other_names(
-    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_play_begins_later_and_under_other_names(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     whole = Recording(path)
     half = whole.wall_duration / 2.0
     times = [entry.log_time for entry in whole.entries([FORCE])]
@@ -87,7 +85,7 @@ def wall(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 def test_patterns_choose_what_is_recorded(wall: Running, tmp_path: Path) -> None:
     out = tmp_path / "r.mcap"
-    wall.haptic("bag", "record", "-e", "/(state|force)$", "-x", "force", "--out", str(out), "--duration", "0.3")
+    typed(wall, "bag", "record", "-e", "/(state|force)$", "-x", "force", "--out", str(out), "--duration", "0.3")
     assert set(Recording(out).topics) == {DEVICE_STATE}
 
 
@@ -99,19 +97,17 @@ def test_a_force_from_outside_reaches_the_device(wall: Running) -> None:
     with beside(*words, cwd=wall.folder, env=wall.environment, stdout=subprocess.DEVNULL) as pushing:
         try:
             echo = ("topic", "echo", "/device/state", "--field", "force[0]")
-            wait_for(lambda: wall.haptic(*echo, "--once").stdout.strip() == "0.25", "the force")
+            wait_for(lambda: typed(wall, *echo, "--once").stdout.strip() == "0.25", "the force")
         finally:
             pushing.kill()
-    wait_for(
-        lambda: wall.haptic(*echo, "--once").stdout.strip() == "0.0", "the force to be gone when it is not renewed"
-    )
+    wait_for(lambda: typed(wall, *echo, "--once").stdout.strip() == "0.0", "the force to be gone when it is not renewed")
 
 
 def test_what_cannot_be_published_is_refused(wall: Running) -> None:
-    assert "published 1" in wall.haptic("topic", "pub", "/external/target", "[0.005, 0, 0]", "--once").stdout
+    assert "published 1" in typed(wall, "topic", "pub", "/external/target", "[0.005, 0, 0]", "--once").stdout
     for topic, why in (("/device/state", "each tick has one"), ("/nothing", "there are /external/wrench")):
-        assert why in wall.haptic("topic", "pub", topic, "[0, 0, 0]", code=2).stderr
-    assert "force" in wall.haptic("topic", "pub", "/external/wrench", "{force: [0, 0]}", code=2).stderr
+        assert why in typed(wall, "topic", "pub", topic, "[0, 0, 0]", code=2).stderr
+    assert "force" in typed(wall, "topic", "pub", "/external/wrench", "{force: [0, 0]}", code=2).stderr
 
 
 def test_debug_tells_the_launch_and_its_processes(wall: Running) -> None:

@@ -71,10 +71,7 @@ def test_wake_ups_are_ordered() -> None:
     assert 0.0 < late["p50"] <= late["p99"] <= late["max"]
 
 
-@pytest.mark.parametrize(
-    ("counts", "expected"),
-    [((5, 900), 0), ((900, 5), 1), ((7, 7), 1), ((0, 1), 0)],
-)
+@pytest.mark.parametrize(("counts", "expected"), [((5, 900), 0), ((900, 5), 1), ((7, 7), 1), ((0, 1), 0)])
 def test_the_chain_gets_the_processor_that_devices_interrupt_least(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, counts: tuple[int, int], expected: int
 ) -> None:

@@ -30,17 +30,18 @@ from nodes.cli.colour import coloured
 from nodes.cli.completion import candidates
 from nodes.cli.status_line import KEEP, ORDER, fitted
 from nodes.recording.reader import Recording
-from tests.support.launching import HAPTIC, Running, private_runtime_dir, running, wait_for
+from tests.support.launching import HAPTIC, Running, private_runtime_dir, running, typed, wait_for
 
 
 @pytest.fixture(scope="module")
 def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    with running(tmp_path_factory.mktemp("launch"), "floor_drop", "duration:=0") as found:
+    # Nothing here is a matter of the rate, and each tick of four processes costs.
+    with running(tmp_path_factory.mktemp("launch"), "floor_drop", "duration:=0", "rate:=250") as found:
         yield found
 
 
 def told(launch: Running, *words: str, code: int = 0) -> Any:
-    return json.loads(launch.haptic(*words, "--json", code=code).stdout.splitlines()[-1])
+    return json.loads(typed(launch, *words, "--json", code=code).stdout.splitlines()[-1])
 
 
 # -- topic -----------------------------------------------------------------------------------------------------------
@@ -48,7 +49,7 @@ def told(launch: Running, *words: str, code: int = 0) -> Any:
 
 def test_topic_options_of_ros2(launch: Running) -> None:
     assert launch.haptic("topic", "echo", DEVICE_STATE, "--once").stdout.count("---") == 1
-    assert f"{FORCE} [haptic.Force]" in launch.haptic("topic", "list", "-t").stdout.splitlines()
+    assert f"{FORCE} [haptic.Force]" in typed(launch, "topic", "list", "-t").stdout.splitlines()
     # Of 60 messages, the interval figures are those of the last 20.
     found = told(launch, "topic", "hz", DEVICE_STATE, "-w", "20", "-n", "60")
     assert found["messages"] == 20
@@ -60,7 +61,7 @@ def test_topic_options_of_ros2(launch: Running) -> None:
 def test_a_topic_that_nobody_publishes_is_an_error(launch: Running, tmp_path: Path) -> None:
     out = tmp_path / "r.mcap"
     for topic, hint in (("/nosuch", "there are /device/state"), ("/device/stat", "did you mean /device/state?")):
-        done = launch.haptic("bag", "record", topic, "--out", str(out), "--duration", "0.2", code=2)
+        done = typed(launch, "bag", "record", topic, "--out", str(out), "--duration", "0.2", code=2)
         assert f"no topic '{topic}'" in done.stderr
         assert hint in done.stderr
         assert not out.exists()
@@ -75,7 +76,7 @@ def test_topics_are_whole_names(launch: Running, tmp_path: Path) -> None:
     out = tmp_path / "all.mcap"
     told(launch, "bag", "record", "-a", "--out", str(out), "--duration", "0.3")
     assert {DEVICE_STATE, PROXY, FORCE} <= set(Recording(out).topics)
-    assert "choose one" in launch.haptic("bag", "record", "-a", PROXY, code=2).stderr
+    assert "choose one" in typed(launch, "bag", "record", "-a", PROXY, code=2).stderr
 
 
 def test_a_launch_refuses_a_logger_of_topics_that_nothing_publishes(tmp_path: Path) -> None:
@@ -134,13 +135,13 @@ def test_param_describe(launch: Running) -> None:
     assert found["parameters"]["memory"]["default"] == 2048
     assert found["parameters"]["stability"]["type"] == "one of changes, off, refuse, warn"
     assert found["parameters"]["plant"]["type"] == "parameters or null"
-    text = launch.haptic("param", "describe", "environment").stdout
+    text = typed(launch, "param", "describe", "environment").stdout
     assert "surface.position: number" in text
-    assert "[" in launch.haptic("param", "describe", "driver").stdout
-    done = launch.haptic("param", "describe", "coupling", "laws.pd.stifness", code=2)
+    assert "[" in typed(launch, "param", "describe", "driver").stdout
+    done = typed(launch, "param", "describe", "coupling", "laws.pd.stifness", code=2)
     assert "coupling.laws.pd.stifness: no such parameter" in done.stderr
     assert "did you mean stiffness?" in done.stderr
-    assert "nothing below memory" in launch.haptic("param", "describe", "coupling", "memory.x", code=2).stderr
+    assert "nothing below memory" in typed(launch, "param", "describe", "coupling", "memory.x", code=2).stderr
 
 
 def test_every_parameter_of_every_node_is_described(launch: Running) -> None:
@@ -182,7 +183,7 @@ def test_the_run_may_be_named_once_for_all(launch: Running, monkeypatch: pytest.
     monkeypatch.setitem(launch.environment, "HAPTIC_RUN", "floor_drop")
     assert told(launch, "node", "list")["run"] == launch.run.run
     monkeypatch.setitem(launch.environment, "HAPTIC_RUN", "elsewhere")
-    done = launch.haptic("node", "list", code=2)
+    done = typed(launch, "node", "list", code=2)
     assert "no run is named 'elsewhere'" in done.stderr
     assert "HAPTIC_RUN" in done.stderr
     assert told(launch, "node", "list", "--run", "floor_drop")["run"] == launch.run.run
@@ -295,9 +296,7 @@ def on_terminal(words: list[str], columns: int, environment: dict[str, str], fol
     """
     ours, theirs = pty.openpty()
     resize(theirs, columns)
-    with subprocess.Popen(
-        [*HAPTIC, *words], cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=theirs
-    ) as process:
+    with subprocess.Popen([*HAPTIC, *words], cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=theirs) as process:
         os.close(theirs)
         written = b""
         while process.poll() is None or select.select([ours], [], [], 0.0)[0]:
@@ -359,8 +358,19 @@ def test_nothing_is_coloured_in_a_pipe(launch: Running) -> None:
 def test_stop_of_what_is_gone(tmp_path: Path) -> None:
     with private_runtime_dir() as runtime:
         environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime)}
-        done = subprocess.run(
-            [*HAPTIC, "stop", "x"], env=environment, capture_output=True, text=True, timeout=60, check=False
-        )
+        done = subprocess.run([*HAPTIC, "stop", "x"], env=environment, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
     wait_for(lambda: not list(tmp_path.iterdir()), "nothing written")
+
+
+# -- what a verb starts ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("asked", "had"), [(None, "1"), ("4", "4")])
+def test_linear_algebra_has_one_thread_unless_somebody_asks_for_more(asked: str | None, had: str) -> None:
+    code = "import os, sys; sys.argv = ['haptic', '--version']\nfrom nodes.cli.command import main\n"
+    code += "try: main()\nexcept SystemExit: pass\nprint(os.environ['OPENBLAS_NUM_THREADS'])"
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    environment |= {} if asked is None else {"OPENBLAS_NUM_THREADS": asked}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == had

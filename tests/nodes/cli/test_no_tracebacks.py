@@ -17,9 +17,7 @@ from tests.support.launching import DEADLINE, HAPTIC, haptic, private_runtime_di
 COMMAND = Path(sys.executable).parent / "haptic"
 
 
-@pytest.mark.parametrize(
-    "value", ["!!int [1]", "!!bool x", "!!float x", "!!int {a: 1}", "!!seq x", "!!map x", "!!null [1]"]
-)
+@pytest.mark.parametrize("value", ["!!int [1]", "!!bool x", "!!float x", "!!int {a: 1}", "!!seq x", "!!map x", "!!null [1]"])
 def test_tags_that_do_not_fit_are_refused_where_they_stand(value: str, tmp_path: Path) -> None:
     (tmp_path / "given.yaml").write_text(f"coupling:\n  ramp: {value}\n", encoding="utf-8")
     told = haptic(tmp_path, "launch", "floor_drop", "--params", "given.yaml", code=2).stderr
@@ -68,9 +66,7 @@ def test_no_room_for_the_run_s_directory(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize(
-    "more", [{"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}, {"PYTHONOPTIMIZE": "2"}]
-)
+@pytest.mark.parametrize("more", [{"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}, {"PYTHONOPTIMIZE": "2"}])
 def test_odd_interpreters(more: dict[str, str], tmp_path: Path) -> None:
     with private_runtime_dir() as runtime_dir:
         environment = {**os.environ, **more, "HAPTIC_RUNTIME_DIR": str(runtime_dir)}

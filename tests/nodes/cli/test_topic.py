@@ -23,11 +23,11 @@ from messages.codec import encode
 from messages.topics import DEVICE_STATE, FORCE, PROXY, RECEIPT
 from messages.types import Force
 from nodes.cli import main
-from nodes.cli.spread import Spread
+from nodes.cli.topic import Spread
 from nodes.launcher.runs import RunInfo, new_run_dir, write_run
 from nodes.recording.reader import Recording
 from sim.measure.rig import full_pipe
-from tests.support.launching import HAPTIC, Running, private_runtime_dir, running, wait_for
+from tests.support.launching import HAPTIC, Running, private_runtime_dir, running, typed, wait_for
 from tests.support.setups import setup_of
 
 RATE = 250.0
@@ -42,7 +42,7 @@ def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 
 def told(launch: Running, *words: str, code: int = 0) -> Any:
-    return json.loads(launch.haptic(*words, "--json", code=code).stdout.splitlines()[-1])
+    return json.loads(typed(launch, *words, "--json", code=code).stdout.splitlines()[-1])
 
 
 # -- list, info, echo ------------------------------------------------------------------------------------------------
@@ -65,22 +65,22 @@ def test_info(launch: Running) -> None:
     assert (found["type"], found["node"], found["per_tick"]) == ("Force", "coupling", True)
     assert found["endpoint"] == launch.run.nodes["coupling"].listen
     assert "[N]" in found["schema"]["properties"]["force"]["description"]
-    assert "published by coupling" in launch.haptic("topic", "info", FORCE).stdout
+    assert "published by coupling" in typed(launch, "topic", "info", FORCE).stdout
 
 
 def test_echo(launch: Running) -> None:
-    lines = launch.haptic("topic", "echo", DEVICE_STATE, "-n", "5", "--json").stdout.splitlines()
+    lines = typed(launch, "topic", "echo", DEVICE_STATE, "-n", "5", "--json").stdout.splitlines()
     states = [json.loads(line) for line in lines]
     seqs = [state["seq"] for state in states]
     assert seqs == sorted(set(seqs))
     assert len(seqs) == 5
-    text = launch.haptic("topic", "echo", DEVICE_STATE, "-n", "1").stdout.splitlines()
+    text = typed(launch, "topic", "echo", DEVICE_STATE, "-n", "1").stdout.splitlines()
     assert text[-1] == "---"
     assert [line.split(":")[0] for line in text[:-1]] == list(states[0])
-    height = launch.haptic("topic", "echo", DEVICE_STATE, "-n", "1", "--field", "position[2]").stdout
+    height = typed(launch, "topic", "echo", DEVICE_STATE, "-n", "1", "--field", "position[2]").stdout
     # The drop is over or not: somewhere between where it began and the deepest a spring of 1000 N/m lets it.
     assert -0.01 < float(height) <= 0.01
-    done = launch.haptic("topic", "echo", DEVICE_STATE, "-n", "1", "--field", "speed", code=2)
+    done = typed(launch, "topic", "echo", DEVICE_STATE, "-n", "1", "--field", "speed", code=2)
     assert "--field speed: no such field; there are seq, stamp, position" in done.stderr
 
 
@@ -124,7 +124,7 @@ def test_duration_ends_the_listening(launch: Running) -> None:
 
 def test_a_silent_topic_is_told_by_the_exit_code(launch: Running) -> None:
     assert told(launch, "topic", "hz", RECEIPT, "--duration", "0.2", code=1)["messages"] == 0
-    assert launch.haptic("topic", "echo", RECEIPT, "--duration", "0.2", code=1).stdout == ""
+    assert typed(launch, "topic", "echo", RECEIPT, "--duration", "0.2", code=1).stdout == ""
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -143,9 +143,9 @@ def test_a_signal_prints_the_figures_so_far(launch: Running, number: int) -> Non
 
 @pytest.mark.parametrize("verb", ["info", "echo", "hz", "bw", "delay"])
 def test_unknown_topics(launch: Running, verb: str) -> None:
-    done = launch.haptic("topic", verb, "/device/stat", code=2)
+    done = typed(launch, "topic", verb, "/device/stat", code=2)
     assert "no topic '/device/stat'; did you mean /device/state?" in done.stderr
-    assert "there are /device/state, " in launch.haptic("topic", verb, "zzz", code=2).stderr
+    assert "there are /device/state, " in typed(launch, "topic", verb, "zzz", code=2).stderr
 
 
 def test_no_launch_no_topics(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -198,7 +198,7 @@ def test_record_for_a_while(launch: Running) -> None:
     # It came late, and from then on has everything.
     assert recording.topics[DEVICE_STATE].first_seq > 0
     assert {DEVICE_STATE, PROXY, FORCE, "/driver/status"} <= set(recording.topics)
-    assert "exists already" in launch.haptic("bag", "record", "--out", str(path), code=2).stderr
+    assert "exists already" in typed(launch, "bag", "record", "--out", str(path), code=2).stderr
     told(launch, "bag", "record", FORCE, "--duration", "0.3", "--out", str(path), "--force")
     assert list(Recording(path).topics) == [FORCE]
 

@@ -77,13 +77,9 @@ def _pipe(path: Path) -> None:
 
 @pytest.mark.parametrize("steps", range(4), ids=["entry", "folder", "haptic-nodes", "base"])
 @pytest.mark.parametrize(
-    "spoil",
-    [_open_to_others, pytest.param(_of_another_user, marks=needs_root), _link],
-    ids=lambda spoil: spoil.__name__,
+    "spoil", [_open_to_others, pytest.param(_of_another_user, marks=needs_root), _link], ids=lambda spoil: spoil.__name__
 )
-def test_nothing_is_loaded_that_somebody_else_could_have_written(
-    kept: Path, spoil: Callable[[Path], None], steps: int
-) -> None:
+def test_nothing_is_loaded_that_somebody_else_could_have_written(kept: Path, spoil: Callable[[Path], None], steps: int) -> None:
     spoil([kept, *kept.parents][steps])
     if spoil is _link and steps == 3:
         # What leads to the folder may be a link of one's own, as /home often is.

@@ -16,6 +16,7 @@ from nodes.compiled.message_fields import NotCompilableError
 from tests.support.launching import running, wait_for
 
 TINY = "tests.support.tiny_kernel"
+BROKEN = "tests.support.broken_kernel"
 KERNEL = "nodes.environment.kernel"
 
 
@@ -36,9 +37,7 @@ def test_plain_and_auto_never_wait_for_the_compiler(empty_cache: Path) -> None:
     assert not list(empty_cache.rglob("*.tick"))
 
 
-def test_what_cannot_be_compiled_is_said_and_the_plain_tick_runs(
-    empty_cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_compiled_is_said_and_the_plain_tick_runs(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # numba as it is where its compiler fails: decorated functions stay what they are.
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
     told: list[str] = []
@@ -46,10 +45,24 @@ def test_what_cannot_be_compiled_is_said_and_the_plain_tick_runs(
     assert "compiling the tick" in told[0]
     assert KERNEL in told[1]
     # A node, on another machine too, loads what is there and never compiles.
-    with pytest.raises(
-        NotCompilableError, match=r"environment\.kernel is not compiled on this machine; `haptic launch"
-    ):
+    with pytest.raises(NotCompilableError, match=r"environment\.kernel is not compiled on this machine; `haptic launch"):
         obtain(KERNEL)
+
+
+def test_a_function_that_its_kernel_does_not_name_is_named_with_its_place(
+    empty_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cause = f"{BROKEN}: Untyped global name 'unnamed'"
+    told: list[str] = []
+    assert choose("compiled", [BROKEN], told.append) == "plain"
+    monkeypatch.setenv("HAPTIC_COMPILE", "background")
+    compile_later([BROKEN], told.append)
+    wait_for(lambda: find(BROKEN), "its failure is noted")
+    assert choose("auto", [BROKEN], told.append) == "plain"
+    for line in (told[1], told[-1]):
+        assert cause in line
+        assert "must be named in its kernel" in line
+        assert 'broken_kernel.py", line 17' in line
 
 
 def test_the_library_is_the_one_that_pyzmq_uses() -> None:
@@ -85,9 +98,7 @@ def test_what_a_launch_lacked_is_compiled_in_the_background(empty_cache: Path, m
     assert choose("auto", [TINY], told.append) == "compiled"
 
 
-def test_what_fails_in_the_background_is_not_tried_at_each_launch(
-    empty_cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_fails_in_the_background_is_not_tried_at_each_launch(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HAPTIC_COMPILE", "background")
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
     told: list[str] = []
@@ -106,9 +117,7 @@ def test_what_fails_in_the_background_is_not_tried_at_each_launch(
 
 def test_a_launch_says_which_tick_ran_and_has_the_other_made(empty_cache: Path, tmp_path: Path) -> None:
     variables = {"HAPTIC_COMPILE": "background"}
-    with running(
-        tmp_path, "floor_drop", "pace:=lockstep", "duration:=0.02", environment=variables, ready=False
-    ) as launch:
+    with running(tmp_path, "floor_drop", "pace:=lockstep", "duration:=0.02", environment=variables, ready=False) as launch:
         figures = launch.finish()
         (process, line), *more = background(empty_cache).items()
         try:

@@ -17,6 +17,7 @@ from messages.transport.context import new_context
 from messages.transport.sockets import Publisher, Subscription
 from messages.types import Force, Proxy
 from nodes.compiled.choose_tick import choose
+from nodes.compiled.load import load_kernel
 from nodes.coupling.node import Coupling
 from sim.measure.measured_launch import wait_for
 from tests.support.setups import setup_of
@@ -80,7 +81,7 @@ def answered(
     )
     if made is not None:
         made.append(node)
-    node.load_kernel()
+    load_kernel(node)
     node.configure()
     proxies, node.publisher = Publisher(context, source), Publisher(context, sink)
     node.connect(lambda endpoints, wanted, queue: Subscription(context, endpoints, wanted, queue))

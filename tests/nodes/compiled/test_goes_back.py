@@ -16,6 +16,7 @@ from messages.transport.sockets import Publisher, Subscription
 from messages.types import MAX_COUNT, DeviceState, Message, NodeStatus, Proxy, Vector
 from nodes.base.node import Node
 from nodes.compiled.choose_tick import choose
+from nodes.compiled.load import load_kernel
 from nodes.coupling.node import Coupling
 from nodes.driver.device import DeviceLimits
 from nodes.driver.node import Driver
@@ -45,9 +46,7 @@ PD = {"kind": "pd", "stiffness": 500.0, "damping": 3.0}
 
 
 def state_of(seq: int, **changes: Any) -> DeviceState:
-    return DeviceState(
-        **{"seq": seq, "stamp": 0.002 * seq, "position": (0.0, 0.0, -1e-3), "force": (0.0, 0.0, 0.0), **changes}
-    )
+    return DeviceState(**{"seq": seq, "stamp": 0.002 * seq, "position": (0.0, 0.0, -1e-3), "force": (0.0, 0.0, 0.0), **changes})
 
 
 def proxy_of(seq: int, depth: float = -1e-3) -> Proxy:
@@ -77,9 +76,7 @@ def environment(sent: Sequence[Message | bytes], plain: int, **surface: Any) -> 
     return Case(Environment, {"surface": surface or {"kind": "plane"}}, sent, plain)
 
 
-def coupling(
-    sent: Sequence[Message | bytes], plain: int, ask: Callable[[Any], Any] = lambda _: None, **more: Any
-) -> Case:
+def coupling(sent: Sequence[Message | bytes], plain: int, ask: Callable[[Any], Any] = lambda _: None, **more: Any) -> Case:
     laws = {"pd": PD, "soft": {**PD, "stiffness": 400.0}, "own": {"kind": "excitation"}}
     return Case(Coupling, {"law": "pd", "laws": laws, "memory": 16, "stability": "off", **more}, sent, plain, ask)
 
@@ -114,9 +111,7 @@ STAYS = {
     "nothing to touch": environment(STATES, 0, kind="free"),
     "a gap": coupling([*PROXIES[:3], *PROXIES[6:]], 0),
     "a gap longer than the memory": coupling([*PROXIES[:6], proxy_of(40), proxy_of(41)], 0),
-    "a recursive law": coupling(
-        PROXIES, 0, law="filtered", laws={"filtered": {**PD, "kind": "pd_filtered", "cutoff": 60.0}}
-    ),
+    "a recursive law": coupling(PROXIES, 0, law="filtered", laws={"filtered": {**PD, "kind": "pd_filtered", "cutoff": 60.0}}),
 }
 
 
@@ -136,7 +131,7 @@ def played(place: Path, case: Case) -> tuple[Node, int]:
         parameters=case.parameters,
     )
     node: Any = case.kind(setup)
-    node.load_kernel()
+    load_kernel(node)
     node.configure()
     feed, node.publisher = Publisher(context, source), Publisher(context, sink)
     node.connect(lambda endpoints, wanted, queue: Subscription(context, endpoints, wanted, queue))
@@ -219,9 +214,7 @@ def in_lockstep(script: Script, silence: int) -> Script:
 DRIVER_CASES = {
     "a change of what the safety does, a refusal": (
         # To damping, to nothing, back to active; two of four refusals are told: at powers of two, as all that repeats.
-        driver(
-            [*answers_but(*SILENT), *(answer(seq, -3_000.0) for seq in (80, 90, 100))], watchdog=5, damping_ticks=20
-        ),
+        driver([*answers_but(*SILENT), *(answer(seq, -3_000.0) for seq in (80, 90, 100))], watchdog=5, damping_ticks=20),
         3 + 2,
     ),
     "a call of the device that fails": (

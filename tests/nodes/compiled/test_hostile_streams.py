@@ -108,9 +108,7 @@ def without_texts(outcome: Outcome) -> Outcome:
 @pytest.mark.parametrize("pace", ["realtime", "lockstep"])
 @pytest.mark.parametrize("kind", ALL)
 @pytest.mark.parametrize("bad", BAD)
-def test_what_is_refused_is_refused_alike_and_costs_no_other_message(
-    bad: str, kind: str, pace: str, tmp_path: Path
-) -> None:
+def test_what_is_refused_is_refused_alike_and_costs_no_other_message(bad: str, kind: str, pace: str, tmp_path: Path) -> None:
     outcome, node = assert_alike(with_one_refused(kind, BAD[bad], pace), tmp_path)
     assert node.events.refused == 20
     assert {name for name, *_ in outcome.events} <= {"refused", "safety"}
@@ -166,9 +164,7 @@ def test_ticks_that_jump_make_no_count_that_cannot_be_told(kind: str, tmp_path: 
 
 ANY = {**GOOD, **{name: made for name, made in BAD.items() if "bytes" not in name and "million" not in name}}
 coming = st.lists(
-    st.tuples(
-        st.integers(0, 30), st.integers(0, 9_000), st.integers(-6, 3), st.sampled_from([*["as it is"] * 12, *ANY])
-    ),
+    st.tuples(st.integers(0, 30), st.integers(0, 9_000), st.integers(-6, 3), st.sampled_from([*["as it is"] * 12, *ANY])),
     max_size=60,
 )
 

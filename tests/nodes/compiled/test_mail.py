@@ -6,6 +6,7 @@ import ctypes
 import statistics
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -73,7 +74,7 @@ def told_during(place: Path, kernel: Callable[[Coupling, CouplingState], None]) 
     node.configure()
     proxies, node.publisher = Publisher(context, source), Publisher(context, f"ipc://{place}/force")
     node.connect(lambda endpoints, wanted, queue: Subscription(context, endpoints, wanted, queue))
-    compiled = node.make_compiled()
+    compiled: Any = node.make_compiled()
     assert compiled is not None
     compiled.go()
     told = [Decoder(Event).decode(payload).reason for _, payload in node.events.outbox]

@@ -204,13 +204,7 @@ def test_in_any_order_with_any_width_and_unknown_keys(
 ) -> None:
     """Each message is refused by both, left to msgspec, or read alike."""
     seq, stamp, force, law, revision = values
-    known = {
-        "seq": seq,
-        "stamp": stamp,
-        "force": b"\x93" + b"".join(force),
-        "law": msgpack.packb(law),
-        "revision": revision,
-    }
+    known = {"seq": seq, "stamp": stamp, "force": b"\x93" + b"".join(force), "law": msgpack.packb(law), "revision": revision}
     entries = [(msgpack.packb(name), known[name]) for name in order]
     for entry in more:
         entries.insert(data.draw(st.integers(0, len(entries))), entry)
@@ -236,9 +230,7 @@ def test_a_damaged_payload_is_never_read_otherwise(message: Message, data: Any) 
 
 def test_just_inside_and_just_outside_of_what_is_read() -> None:
     def force(**changed: Any) -> bytes:
-        return bytes(
-            msgpack.packb({"seq": 1, "stamp": 2.0, "force": [1.0, 2.0, 3.0], "law": "pd", "revision": 0, **changed})
-        )
+        return bytes(msgpack.packb({"seq": 1, "stamp": 2.0, "force": [1.0, 2.0, 3.0], "law": "pd", "revision": 0, **changed}))
 
     def read(payload: bytes) -> bool:
         return scanner(Force)(payload) is not None

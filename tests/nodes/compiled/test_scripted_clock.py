@@ -65,12 +65,7 @@ RULES = {
         driver(answers_but(*SILENT), ramp=0.02, recovery=0.04, watchdog=5), lambda s: s.entered[RAMP] == 2
     ),
     "a hand that is pushed by the ramp": Rule(
-        driver(
-            answers_but(*SILENT),
-            recovery=0.05,
-            watchdog=5,
-            position=lambda seq: (0.0, 0.0, 1e-3 * max(seq - 69, 0)),
-        ),
+        driver(answers_but(*SILENT), recovery=0.05, watchdog=5, position=lambda seq: (0.0, 0.0, 1e-3 * max(seq - 69, 0))),
         lambda s: s.entered[RAMP] == 1 and s.safety == RAMP,
     ),
     "slew": Rule(
@@ -87,8 +82,7 @@ RULES = {
     ),
     "ticks lost": Rule(driver(ANSWERED, {30: 2_000, 50: 1_998, 70: 21_000}), lambda s: s.overruns == 1 + 10),
     "lost ticks and no answers": Rule(
-        driver(answers_but(*SILENT), {22: 9_000, 40: 3_000}, watchdog=5),
-        lambda s: s.overruns == 5 and s.entered[DAMPING] == 1,
+        driver(answers_but(*SILENT), {22: 9_000, 40: 3_000}, watchdog=5), lambda s: s.overruns == 5 and s.entered[DAMPING] == 1
     ),
     "hold: the device lets go in a silence": Rule(
         driver(answers_but(*SILENT), limits={"hold": 6 * T}, watchdog=30), lambda s: s.entered[NOTHING] == 1
@@ -97,8 +91,7 @@ RULES = {
         driver(ANSWERED, {30: 21_000}, limits={"hold": 4 * T}), lambda s: s.entered[NOTHING] == 1 and s.overruns == 10
     ),
     "hold that ends within a tick": Rule(
-        driver(answers_but(*SILENT), {60: 9_000}, limits={"hold": 5.5 * T}, watchdog=30),
-        lambda s: s.entered[NOTHING] == 1,
+        driver(answers_but(*SILENT), {60: 9_000}, limits={"hold": 5.5 * T}, watchdog=30), lambda s: s.entered[NOTHING] == 1
     ),
     "continuous force, two gaps in one window": Rule(
         driver(
@@ -117,14 +110,11 @@ RULES = {
     ),
     "samples that are late, with answers beyond their tick": Rule(
         driver(
-            [answer(seq, 2_200.0 if seq % 4 == 0 else 500.0) for seq in range(TICKS)],
-            dict.fromkeys(range(0, TICKS, 4), 1_500),
+            [answer(seq, 2_200.0 if seq % 4 == 0 else 500.0) for seq in range(TICKS)], dict.fromkeys(range(0, TICKS, 4), 1_500)
         ),
         lambda s: s.missed == 30 and s.overruns == 0,
     ),
-    "every answer late": Rule(
-        driver([answer(seq, 2_100.0) for seq in range(TICKS)]), lambda s: s.entered[DAMPING] == 0
-    ),
+    "every answer late": Rule(driver([answer(seq, 2_100.0) for seq in range(TICKS)]), lambda s: s.entered[DAMPING] == 0),
     "every answer twice": Rule(
         driver(
             [answer(seq, 600.0 if seq % 2 else 2_200.0) for seq in range(TICKS)]
@@ -147,11 +137,7 @@ RULES = {
         lambda s: s.skipped > 500 and s.refused_for[1] > 500,
     ),
     "outside the workspace, and back": Rule(
-        driver(
-            ANSWERED,
-            position=lambda seq: (0.0, 0.0, 0.2 if 30 <= seq < 40 else -1e-3),
-            recovery=0.02,
-        ),
+        driver(ANSWERED, position=lambda seq: (0.0, 0.0, 0.2 if 30 <= seq < 40 else -1e-3), recovery=0.02),
         lambda s: s.entered[FAULT] == 1 and s.missed == 0,
     ),
     "a loop that swings": Rule(
@@ -321,13 +307,8 @@ def test_a_driver_does_the_same_in_whatever_order(
 
 
 @quick
-@given(
-    kind=st.sampled_from(sorted(KINDS)),
-    coming=st.lists(st.tuples(st.integers(-2, 4), micros, st.booleans()), max_size=40),
-)
-def test_who_follows_does_the_same_in_whatever_order(
-    kind: str, coming: list[tuple[int, int, bool]], tmp_path: Path
-) -> None:
+@given(kind=st.sampled_from(sorted(KINDS)), coming=st.lists(st.tuples(st.integers(-2, 4), micros, st.booleans()), max_size=40))
+def test_who_follows_does_the_same_in_whatever_order(kind: str, coming: list[tuple[int, int, bool]], tmp_path: Path) -> None:
     seq, ticks, cut = 0, [], []
     for step, late, whole in coming:
         seq = max(seq + step, 0)

@@ -138,10 +138,7 @@ def test_the_second_launch_runs_compiled_and_every_player_keeps_the_changed_rule
         assert "for the next launch" not in said
         assert "plain tick" not in said
 
-    forces = {
-        "interpreted nodes": forces_of(changed.folder, first),
-        "compiled nodes": forces_of(changed.folder, second),
-    }
+    forces = {"interpreted nodes": forces_of(changed.folder, first), "compiled nodes": forces_of(changed.folder, second)}
     forces |= json.loads(changed.run("-c", PLAYED, str(changed.folder / first["recording"])).stdout)
     expected = forces["interpreted nodes"]
     assert len(expected) == 300

@@ -50,9 +50,7 @@ finite = st.floats(-1e6, 1e6)
 
 @settings(deadline=None)
 @given(st.lists(finite, max_size=80), st.lists(finite, max_size=90))
-def test_taps_written_out_and_added_by_numpy_have_the_bits_of_the_kernel(
-    taps: list[float], values: list[float]
-) -> None:
+def test_taps_written_out_and_added_by_numpy_have_the_bits_of_the_kernel(taps: list[float], values: list[float]) -> None:
     history = filled(values, 80)
     found = sum_of_taps(tuple(taps), history)(history.head)
     expected = arithmetic.fir(taps, history.values, history.head)
@@ -193,9 +191,7 @@ def test_sections_see_the_ticks_that_were_bridged() -> None:
 def proxy_at(z: float, seq: int = 0) -> Proxy:
     """Meet a floor at z = 0."""
     surface = (0.0, 0.0, 0.0 if z < 0.0 else z)
-    return Proxy(
-        seq=seq, stamp=0.0, position=(0.0, 0.0, z), proxy=surface, normal=(0.0, 0.0, 1.0), distance=z, contact=z < 0.0
-    )
+    return Proxy(seq=seq, stamp=0.0, position=(0.0, 0.0, z), proxy=surface, normal=(0.0, 0.0, 1.0), distance=z, contact=z < 0.0)
 
 
 def renderer_with(*taps: float) -> Renderer:
@@ -221,9 +217,7 @@ def test_a_fade_is_the_kernels_and_ends_after_its_ramp() -> None:
     assert forces[3:] == [new] * 3
 
 
-@given(
-    st.lists(st.tuples(st.floats(100.0, 5000.0), st.integers(0, 30), st.integers(1, 12)), min_size=1, max_size=14),
-)
+@given(st.lists(st.tuples(st.floats(100.0, 5000.0), st.integers(0, 30), st.integers(1, 12)), min_size=1, max_size=14))
 @settings(max_examples=60, deadline=None)
 def test_a_swap_during_a_fade_does_not_make_the_force_jump(swaps: list[tuple[float, int, int]]) -> None:
     # Held at 1 mm every law's force is constant, so a fade's largest step is the whole difference over its ramp; a hard
@@ -245,9 +239,7 @@ def test_a_swap_during_a_fade_does_not_make_the_force_jump(swaps: list[tuple[flo
 
 @pytest.mark.parametrize("counts", [(1, 3, 2), (30, 3, 70)])
 def test_laws_of_taps_are_joined_exactly(counts: tuple[int, ...]) -> None:
-    laws = [
-        (tuple(deflections(count, 7 + count)), weight) for count, weight in zip(counts, (0.5, 0.2, 0.3), strict=True)
-    ]
+    laws = [(tuple(deflections(count, 7 + count)), weight) for count, weight in zip(counts, (0.5, 0.2, 0.3), strict=True)]
     history = filled(deflections(100), 80)
     joined = arithmetic.fir(weighted_taps(laws), history.values, history.head)
     apart = sum(weight * arithmetic.fir(taps, history.values, history.head) for taps, weight in laws)

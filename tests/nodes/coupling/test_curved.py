@@ -22,11 +22,7 @@ LAWS: dict[str, Law] = {
     "pd": PD(stiffness=800.0, damping=2.0),
     "pd_alpha": PDAlpha(stiffness=800.0, damping=2.0, order=1.2, taps=10, gains="physical"),
     "multi_term": MultiTerm(
-        stiffness=800.0,
-        damping=2.0,
-        terms=(Term(gain=1.0, order=1.2), Term(gain=0.5, order=0.8)),
-        taps=10,
-        gains="physical",
+        stiffness=800.0, damping=2.0, terms=(Term(gain=1.0, order=1.2), Term(gain=0.5, order=0.8)), taps=10, gains="physical"
     ),
 }
 

@@ -62,10 +62,7 @@ def test_every_request_has_its_receipt_and_equal_stiffness_swaps_without_a_step(
         assert answer["force_step_n"] == pytest.approx(200.0 * REST / 1000.0, rel=1e-6)
         assert answer["action"] == "switch"
         settle(launch)
-        done(
-            "param.load",
-            values={"coupling": {"law": "new", "laws": {"new": {"kind": "fir", "taps": [2200.0, -1000.0]}}}},
-        )
+        done("param.load", values={"coupling": {"law": "new", "laws": {"new": {"kind": "fir", "taps": [2200.0, -1000.0]}}}})
         launch.wait_ticks(100)
         dump = launch.call("coupling", "param.dump")
         figures = launch.finish(signal.SIGINT, code=0)
@@ -102,27 +99,11 @@ def held(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 
 REFUSED: list[tuple[str, dict[str, Any], str]] = [
-    (
-        "param.set",
-        {"values": {"laws.pd.stiffness": -5.0}},
-        "coupling.laws.pd.stiffness: expected a number above 0, got -5.0",
-    ),
-    (
-        "param.set",
-        {"values": {"laws.pd.stiffness": math.nan}},
-        "coupling.laws.pd.stiffness: nan is not a finite number",
-    ),
+    ("param.set", {"values": {"laws.pd.stiffness": -5.0}}, "coupling.laws.pd.stiffness: expected a number above 0, got -5.0"),
+    ("param.set", {"values": {"laws.pd.stiffness": math.nan}}, "coupling.laws.pd.stiffness: nan is not a finite number"),
     ("param.set", {"values": {"laws.pd.stiffness": 10**18 * 10}}, "coupling.laws.pd: pole radius"),
-    (
-        "param.set",
-        {"values": {"laws.pd.stiffnes": 1.0}},
-        "coupling.laws.pd.stiffnes: law kind pd has no such parameter",
-    ),
-    (
-        "param.set",
-        {"values": {"laws.pd.stiffness": "soft"}},
-        "coupling.laws.pd.stiffness: expected a number, got 'soft'",
-    ),
+    ("param.set", {"values": {"laws.pd.stiffnes": 1.0}}, "coupling.laws.pd.stiffnes: law kind pd has no such parameter"),
+    ("param.set", {"values": {"laws.pd.stiffness": "soft"}}, "coupling.laws.pd.stiffness: expected a number, got 'soft'"),
     ("param.set", {"values": {"nix": 1}}, "coupling.nix: no such parameter; there is: law, laws"),
     ("param.set", {"values": {"ramp": 2.5}}, "coupling.ramp: expected a whole number, got 2.5"),
     ("param.set", {"values": {"memory": 64}}, "coupling.memory: is fixed while the node runs"),
@@ -131,16 +112,8 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("param.set", {"value": {"ramp": 1}}, "coupling: param.set: missing a required argument: 'values'"),
     ("param.load", {"values": [1]}, "coupling: expected a mapping of parameters"),
     ("param.load", {"values": {"environment": {}}}, "coupling.environment: no such parameter; there is: law, laws"),
-    (
-        "param.load",
-        {"values": {"laws": {"x": {"kind": "fir", "taps": [5.0, -5.0]}}}},
-        "coupling.laws.x: renders H(1) = 0 N/m",
-    ),
-    (
-        "param.load",
-        {"values": {"laws": {"x": {"kind": "fir", "taps": [1.0, -3.0]}}}},
-        "coupling.laws.x: renders H(1) = -2 N/m",
-    ),
+    ("param.load", {"values": {"laws": {"x": {"kind": "fir", "taps": [5.0, -5.0]}}}}, "coupling.laws.x: renders H(1) = 0 N/m"),
+    ("param.load", {"values": {"laws": {"x": {"kind": "fir", "taps": [1.0, -3.0]}}}}, "coupling.laws.x: renders H(1) = -2 N/m"),
     ("param.load", {"values": {"laws": {"x": {"kind": "fir", "taps": [1.0] * 2049}}}}, "coupling.memory is 2048"),
     (
         "param.load",
@@ -149,11 +122,7 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ),
     ("param.load", {"values": {"laws": {"x": {"kind": "fir", "taps": [1.0] * 120000}}}}, "a request of 1080"),
     ("param.get", {"name": "laws.nix"}, "coupling.laws.nix: no such parameter; there is: pd, pd_alpha"),
-    (
-        "law.switch",
-        {"law": "nix"},
-        "coupling.law: no law is named 'nix'; there is: pd, pd_alpha, ",
-    ),
+    ("law.switch", {"law": "nix"}, "coupling.law: no law is named 'nix'; there is: pd, pd_alpha, "),
     ("law.switch", {"law": "pd_alpha", "ramp": -1}, "coupling.ramp: expected a whole number of at least 0, got -1"),
     ("law.switch", {"law": ["pd"]}, "coupling.law: expected text, got a list"),
     ("law.show", {"law": "nix"}, "no law is named 'nix'"),
@@ -211,9 +180,7 @@ def test_a_law_of_an_installed_package_works(held: Running) -> None:
         ("busy", "budget 1000 µs"),
     ],
 )
-def test_a_law_that_breaks_at_once_is_refused_and_one_that_breaks_later_replaced(
-    held: Running, kind: str, told: str
-) -> None:
+def test_a_law_that_breaks_at_once_is_refused_and_one_that_breaks_later_replaced(held: Running, kind: str, told: str) -> None:
     launch = held
     surface = launch.call("environment", "param.get", name="surface")
     at_once = {"kind": kind, "stiffness": 500.0}

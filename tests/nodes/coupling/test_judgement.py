@@ -91,9 +91,7 @@ def test_a_refusal_names_the_last_value_that_would_be_taken(
     before: dict[str, float], asked: dict[str, float], path: str, side: str
 ) -> None:
     usual = {"kind": "pd", "stiffness": 500.0, "damping": 3.0}
-    now, wanted = (
-        parameters(laws={"pd": {**usual, **more}}, plant={"mass": 0.1, "damping": 1.0}) for more in (before, asked)
-    )
+    now, wanted = (parameters(laws={"pd": {**usual, **more}}, plant={"mass": 0.1, "damping": 1.0}) for more in (before, asked))
     book = LawBook("coupling", T)
     judgement = Judgement("coupling", T, book)
     with pytest.raises(ParameterError) as raised:
@@ -135,9 +133,7 @@ def test_a_refused_switch_says_how_stiff_the_other_law_may_be_or_how_much_of_its
         value, law = float(told[1]), book.description(wanted, name)
         for factor, holds in ((1.0, True), (1.011, False)):
             changed = (
-                {"stiffness": factor * value}
-                if name == "hard"
-                else {"taps": [factor * value * tap for tap in law["taps"]]}
+                {"stiffness": factor * value} if name == "hard" else {"taps": [factor * value * tap for tap in law["taps"]]}
             )
             assert stable({**law, **changed}) is holds
 
@@ -146,9 +142,7 @@ def test_a_fallback_is_judged_too_and_a_damper_alone_is_stable() -> None:
     book = LawBook("coupling", T)
     judgement = Judgement("coupling", T, book)
     # Without a spring one pole is at z = 1; PD without K is stable up to B = 2m/T − b at no delay (Jury, THEORY.md §3).
-    soft, hard = (
-        parameters(fallback={"damping": damping}, plant={"mass": 0.1, "damping": 1.0}) for damping in (20.0, 1e4)
-    )
+    soft, hard = (parameters(fallback={"damping": damping}, plant={"mass": 0.1, "damping": 1.0}) for damping in (20.0, 1e4))
     assert judgement.at_start(soft, 0.0) == []
     assert "coupling.fallback: pole radius" in judgement.at_start(hard, 0.0, "made up")[0]
     with pytest.raises(ParameterError, match=r"coupling\.fallback: pole radius .*nothing was changed"):

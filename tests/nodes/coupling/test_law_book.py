@@ -44,10 +44,7 @@ def test_a_bare_preset_is_a_law() -> None:
     [
         ({"law": "nix"}, "coupling.law: no law is named 'nix'; there is: pd, optimum, "),
         ({"laws": {"pd": 3}}, "coupling.laws.pd: expected a mapping with kind and parameters, got 3"),
-        (
-            {"laws": {"pd": {"kind": "pd", "damping": 1.0}}},
-            "coupling.laws.pd.stiffness: is missing",
-        ),
+        ({"laws": {"pd": {"kind": "pd", "damping": 1.0}}}, "coupling.laws.pd.stiffness: is missing"),
         ({"laws": {"pd": {"kind": "pdd"}}}, "coupling.laws.pd.kind: 'pdd' is not an installed law"),
         ({"schedule": [{"at": 1.0, "law": "nix"}]}, "coupling.schedule[0].law: no law is named 'nix'"),
         (
@@ -108,15 +105,10 @@ INSTALLED = FIXTURES / "installed"
     [
         ({"kind": "absent"}, "coupling.laws.pd.kind: 'absent': the law cannot be imported: ModuleNotFoundError"),
         ({"kind": "uncompilable"}, "coupling.laws.pd: cannot be compiled: KeyError: 0.002"),
-        (
-            {"kind": "stiffening", "stiffness": 1.0, "qubic": 1.0},
-            "coupling.laws.pd.qubic: law kind stiffening has no such",
-        ),
+        ({"kind": "stiffening", "stiffness": 1.0, "qubic": 1.0}, "coupling.laws.pd.qubic: law kind stiffening has no such"),
     ],
 )
-def test_laws_of_another_package_break_with_a_path(
-    law: dict[str, Any], told: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_laws_of_another_package_break_with_a_path(law: dict[str, Any], told: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(INSTALLED))
     with pytest.raises(ParameterError) as raised:
         check(laws={"pd": law})

@@ -14,7 +14,7 @@ from messages.topics import DEVICE_STATE
 from nodes.driver.limits import SafetyParameters
 from nodes.parameters.yaml_io import write_yaml
 from nodes.recording.reader import Recording
-from tests.support.launching import Running, running, wait_for
+from tests.support.launching import Running, running, typed, wait_for
 
 LARGEST = re.compile(r"largest coupling\.laws\.(\w+)\.stiffness that would be taken is ([-+.e\d]+)", re.IGNORECASE)
 
@@ -30,47 +30,47 @@ def press(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 def test_an_unstable_change_is_refused_where_it_is_typed(press: Running) -> None:
     before = press.call("coupling", "param.dump")
-    told = press.haptic("param", "set", "coupling", "laws.pd.stiffness", "1e9", code=1)
+    told = typed(press, "param", "set", "coupling", "laws.pd.stiffness", "1e9", code=1)
     assert "pole radius" in told.stderr
     assert "nothing was changed" in told.stderr
     assert press.call("coupling", "param.dump") == before
 
     # Just inside: what it says would be taken, is; in percents beyond it is not. The delay may move between two commands.
     def limit() -> float:
-        told = press.haptic("param", "set", "coupling", "laws.pd.stiffness", "1e9", code=1).stderr
+        told = typed(press, "param", "set", "coupling", "laws.pd.stiffness", "1e9", code=1).stderr
         found = LARGEST.search(told)
         assert found is not None, told
         return float(found[2])
 
     def beyond_is_refused() -> bool:
-        done = press.haptic("param", "set", "coupling", "laws.pd.stiffness", str(1.1 * limit()), code=None)
-        press.haptic("param", "set", "coupling", "laws.pd.stiffness", "1000.0")
+        done = typed(press, "param", "set", "coupling", "laws.pd.stiffness", str(1.1 * limit()), code=None)
+        typed(press, "param", "set", "coupling", "laws.pd.stiffness", "1000.0")
         return done.returncode == 1
 
     wait_for(beyond_is_refused, "a tenth beyond the limit is refused")
     largest = limit()
-    taken = press.haptic("param", "set", "coupling", "laws.pd.stiffness", str(0.9 * largest))
+    taken = typed(press, "param", "set", "coupling", "laws.pd.stiffness", str(0.9 * largest))
     assert re.search(r"laws\.pd\.stiffness 1000\.0 → \d+", taken.stdout), taken.stdout
     assert re.search(r"pole radius 0\.\d+ → 0\.9\d+ \(stable below 1\) at a delay of", taken.stdout), taken.stdout
-    press.haptic("param", "set", "coupling", "laws.pd.stiffness", "1000")
+    typed(press, "param", "set", "coupling", "laws.pd.stiffness", "1000")
 
 
 def test_a_file_and_a_switch_are_refused_as_well(press: Running) -> None:
     (press.folder / "hard.yaml").write_text(write_yaml({"coupling": {"laws": {"pd": {"stiffness": 1e7}}}}))
-    assert LARGEST.search(press.haptic("param", "load", "coupling", "hard.yaml", code=1).stderr)
+    assert LARGEST.search(typed(press, "param", "load", "coupling", "hard.yaml", code=1).stderr)
     # A law that is not active may be anything; switching to it is what is judged.
-    press.haptic("param", "set", "coupling", "laws.hard", "{kind: pd, stiffness: 2e5, damping: 2.0}")
-    told = press.haptic("law", "switch", "hard", "--json", code=1)
+    typed(press, "param", "set", "coupling", "laws.hard", "{kind: pd, stiffness: 2e5, damping: 2.0}")
+    told = typed(press, "law", "switch", "hard", "--json", code=1)
     found = LARGEST.search(json.loads(told.stdout.splitlines()[-1])["error"])
     assert found is not None
     assert found[1] == "hard"
     assert press.call("coupling", "law.list")["active"] == "pd"
-    receipt = json.loads(press.haptic("law", "switch", "multi_term", "--json").stdout.splitlines()[-1])
+    receipt = json.loads(typed(press, "law", "switch", "multi_term", "--json").stdout.splitlines()[-1])
     assert receipt["stability"]["stable"] is True
     # Judged before, told after: the measured delay moved in between by less than a tenth of a tick.
     assert receipt["stability"]["pole_radius"] == pytest.approx(receipt["is"]["pole_radius"], rel=0.01)
     assert receipt["changed"] == {"law": ["pd", "multi_term"]}
-    press.haptic("law", "switch", "pd")
+    typed(press, "law", "switch", "pd")
 
 
 def test_a_forced_one_saturates_and_ends_safely(press: Running) -> None:
@@ -81,16 +81,16 @@ def test_a_forced_one_saturates_and_ends_safely(press: Running) -> None:
     wait_for(lambda: press.call("driver", "progress")["safety"] == "stopped", "the safe stop")
     assert "[driver] stopped: active → stopped at tick" in press.errors
     # It stays so, whatever is sent: a stable law does not bring the force back.
-    press.haptic("law", "switch", "pd")
+    typed(press, "law", "switch", "pd")
     stopped = press.wait_ticks(1500) - 1500
     # Until somebody asks for it.
     done = press.haptic("node", "rearm", "--json")
     again = json.loads(done.stdout.splitlines()[-1])["seq"]
     wait_for(lambda: "[driver] rearmed: stopped → zero at tick" in press.errors, "the event")
     wait_for(lambda: press.call("driver", "progress")["safety"] == "active", "the force to be back")
-    assert "has not stopped the loop" in press.haptic("node", "rearm", code=1).stderr
+    assert "has not stopped the loop" in typed(press, "node", "rearm", code=1).stderr
     # A loop that swings again is stopped again.
-    press.haptic("law", "switch", "hard", "--force")
+    typed(press, "law", "switch", "hard", "--force")
     wait_for(lambda: press.call("driver", "progress")["safety"] == "stopped", "the second stop")
     figures = press.finish(signal.SIGINT, code=0)
     recording = Recording(press.folder / figures["recording"])

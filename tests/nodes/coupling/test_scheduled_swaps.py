@@ -31,9 +31,7 @@ def test_scheduled_swaps_are_recorded_and_have_the_bits_of_one_process(tmp_path:
     assert found[1].force_step == pytest.approx(216.423 * 0.000981, rel=1e-4)
     forces: list[Force] = recording.messages("/coupling/force")
     trace = from_launch(read("floor_swap", {"pace": "lockstep", "ramp": ramp})).play()
-    assert [force.force[2].hex() for force in forces[: len(trace.force)]] == [
-        value.hex() for value in trace.force.tolist()
-    ]
+    assert [force.force[2].hex() for force in forces[: len(trace.force)]] == [value.hex() for value in trace.force.tolist()]
     if ramp:
         # Faded, the force never changes by more per tick than it would within a law: no jump to be felt.
         steps = [abs(b.force[2] - a.force[2]) for a, b in itertools.pairwise(forces[1900:2300])]
@@ -56,9 +54,7 @@ SCHEDULED = (
 @pytest.mark.parametrize("ramp", [0, 40])
 def test_a_scheduled_recursive_law_has_the_bits_of_one_process(tmp_path: Path, ramp: int) -> None:
     # Long before the history is full, and when the swap replays less than all: memory is shorter than the run.
-    text = SCHEDULED.replace("fifo: 0", "fifo: 0, pace: lockstep").replace(
-        "law: recursive}", f"law: recursive, ramp: {ramp}}}"
-    )
+    text = SCHEDULED.replace("fifo: 0", "fifo: 0, pace: lockstep").replace("law: recursive}", f"law: recursive, ramp: {ramp}}}")
     (tmp_path / "recursive.yaml").write_text(text.replace("      fallback:", "      memory: 300\n      fallback:"))
     figures = launch_json(tmp_path, "./recursive.yaml")
     forces = {force.seq: force.force[2] for force in recorded(tmp_path, figures).messages("/coupling/force")}

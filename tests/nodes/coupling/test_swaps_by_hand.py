@@ -135,9 +135,7 @@ def test_the_command_line_beside_a_running_loop(
             assert haptic(*asked.split(), code=1)[1].startswith("haptic: ")
 
 
-def test_laws_are_shown_without_a_running_loop(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_laws_are_shown_without_a_running_loop(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     with private_runtime_dir() as runtime_dir:
         haptic = Verbs(runtime_dir, monkeypatch, capsys)
 

@@ -27,24 +27,10 @@ FORCE = (0.5, -0.25, 1.0)
 CALLS = {
     "touch_driver": (
         *("hdInitDevice", "hdEnable", "hdDisable", "hdGetDoublev", "hdGetIntegerv", "hdGetString", "hdSetDoublev"),
-        *(
-            "hdSetSchedulerRate",
-            "hdScheduleAsynchronous",
-            "hdStartScheduler",
-            "hdCheckCalibration",
-            "hdUpdateCalibration",
-        ),
+        *("hdSetSchedulerRate", "hdScheduleAsynchronous", "hdStartScheduler", "hdCheckCalibration", "hdUpdateCalibration"),
     ),
     "force_dimension_driver": (
-        *(
-            "dhdOpenID",
-            "dhdClose",
-            "dhdStop",
-            "dhdGetSerialNumber",
-            "dhdGetSystemName",
-            "dhdGetVersionStr",
-            "dhdGetStatus",
-        ),
+        *("dhdOpenID", "dhdClose", "dhdStop", "dhdGetSerialNumber", "dhdGetSystemName", "dhdGetVersionStr", "dhdGetStatus"),
         *("dhdEnableForce", "dhdSetGravityCompensation", "dhdSetEffectorMass", "dhdSetBaseAngleXDeg", "dhdGetMaxForce"),
         *("dhdEnableExpertMode", "dhdSetWatchdog", "dhdGetPosition", "dhdGetLinearVelocity", "dhdGetOrientationFrame"),
         *("dhdGetGripperGap", "dhdHasWrist", "dhdGetButtonMask", "dhdSetForce"),
@@ -197,9 +183,7 @@ def test_a_read_that_blocks_holds_up_nobody(stand: Bench) -> None:
 def test_a_failed_read_is_no_zero(stand: Bench) -> None:
     stand.world.state.position[:] = HERE
     device = stand.opened()
-    stand.world.fail(
-        {"touch_driver": "hdGetDoublev", "force_dimension_driver": "dhdGetPosition"}.get(stand.kind, "state")
-    )
+    stand.world.fail({"touch_driver": "hdGetDoublev", "force_dimension_driver": "dhdGetPosition"}.get(stand.kind, "state"))
     seen: list[tuple[float, ...]] = []
 
     def ends() -> bool:

@@ -13,11 +13,7 @@ from pathlib import Path
 import pytest
 
 from nodes.driver.forcedimension.dhd import FUNCTIONS, load_library
-from nodes.driver.forcedimension.driver import (
-    ForceDimensionDevice,
-    ForceDimensionDriverParameters,
-    ForceDimensionParameters,
-)
+from nodes.driver.forcedimension.driver import ForceDimensionDevice, ForceDimensionDriverParameters, ForceDimensionParameters
 from sim.stand_ins.world import World, archive, library
 
 REAL = os.environ.get("HAPTIC_DHD", "")
@@ -79,9 +75,7 @@ def test_the_vendors_library_has_all_and_says_that_no_device_is_there() -> None:
     assert library.dhdGetPosition(x, x, x, b"\xff") < 0
     assert x.value == 7.0
     assert library.dhdErrorGetLast() != 0
-    device = ForceDimensionDevice(
-        ForceDimensionDriverParameters(force_dimension=ForceDimensionParameters(library=REAL))
-    )
+    device = ForceDimensionDevice(ForceDimensionDriverParameters(force_dimension=ForceDimensionParameters(library=REAL)))
     with pytest.raises(OSError, match="no device found"):
         device.connect()
     device.close()
@@ -113,9 +107,7 @@ def cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize("form", ["so", "a"])
 @pytest.mark.parametrize("name", ["dhdSetWatchdog", "dhdErrorGetLast", "dhdJointAnglesToInertiaMatrix"])
-def test_a_library_that_lacks_a_function_is_refused_by_its_name(
-    form: str, name: str, tmp_path: Path, cached: Path
-) -> None:
+def test_a_library_that_lacks_a_function_is_refused_by_its_name(form: str, name: str, tmp_path: Path, cached: Path) -> None:
     """As one of another version is: the stand-in with one function under another name."""
     del cached
     renamed = f"-D{name}={name}_of_old"

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from nodes.driver.ending import REST, ending
-from nodes.driver.motion import act, find_velocity, sample
+from nodes.driver.motion import REST, act, ending, find_velocity, sample
 from tests.support.launching import haptic, launch_json
 from tests.support.safety import state_of
 

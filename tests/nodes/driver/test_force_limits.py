@@ -79,9 +79,7 @@ def test_continuous_force_also_counts_ticks_without_an_answer() -> None:
     assert port.state == "active"
 
 
-@pytest.mark.parametrize(
-    ("slew", "watchdog", "tau"), [(50.0, 20, 3.0), (50.0, 2, 0.1), (100.0, 10, 1.0), (20_000.0, 10, 0.5)]
-)
+@pytest.mark.parametrize(("slew", "watchdog", "tau"), [(50.0, 20, 3.0), (50.0, 2, 0.1), (100.0, 10, 1.0), (20_000.0, 10, 0.5)])
 def test_continuous_force_holds_through_gap_after_gap(slew: float, watchdog: int, tau: float) -> None:
     """With room for one gap alone it was exceeded by up to 20 %: each tick of the way down may be followed by another one."""
     limit, keep = 1.75, math.exp(-T / tau)
@@ -117,10 +115,7 @@ def test_continuous_force_holds_through_a_gap_in_which_the_device_holds_its_forc
 # -- the end ----------------------------------------------------------------------------------------------------------
 
 
-@given(
-    start=st.floats(-7.9, 7.9),
-    slew=st.one_of(st.none(), st.floats(5.3, 1e5)),
-)
+@given(start=st.floats(-7.9, 7.9), slew=st.one_of(st.none(), st.floats(5.3, 1e5)))
 def test_soft_stop_ends_at_zero_within_slew_and_time(start: float, slew: float | None) -> None:
     port = Port(slew=slew, peak_force=7.9)
     port.s.force[:] = (0.0, start, -0.5 * start)

@@ -60,8 +60,6 @@ def test_hardware_that_declares_no_limits_does_not_start_unless_told_to(tmp_path
         assert "driver: the device declares no peak_force, hold" in launch.errors
         assert "safety.without: [peak_force, hold]" in launch.errors
     assert [call for _, call, _ in diary(tmp_path)] == ["close", "closed"]
-    told = scene(
-        tmp_path, run={"duration": 0.1}, declared={}, safety={"without": ["hold", "workspace"], "peak_force": 5.0}
-    )
+    told = scene(tmp_path, run={"duration": 0.1}, declared={}, safety={"without": ["hold", "workspace"], "peak_force": 5.0})
     with running(tmp_path, told, environment=INSTALLED, ready=False) as launch:
         launch.finish()

@@ -39,25 +39,14 @@ def scene(folder: Path, run: dict[str, Any] | None = None, chain: dict[str, Any]
         "summary": "for a test",
         "run": {"duration": 0.0, **(run or {})},
         "nodes": {
-            "driver": {
-                "kind": "logging_arm",
-                "parameters": {"diary": str(folder / "diary"), "safety": safety, **arm},
-            },
+            "driver": {"kind": "logging_arm", "parameters": {"diary": str(folder / "diary"), "safety": safety, **arm}},
             "environment": {"kind": "environment", "parameters": {"surface": {"kind": "plane", "axis": "z"}}, **more},
             "coupling": {
                 "kind": "coupling",
-                "parameters": {
-                    "law": "pd",
-                    "laws": {"pd": {"kind": "pd", "stiffness": STIFFNESS, "damping": LAW_DAMPING}},
-                },
+                "parameters": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": STIFFNESS, "damping": LAW_DAMPING}}},
                 **more,
             },
-            "logger": {
-                "kind": "logger",
-                "required": False,
-                "parameters": {"path": "run.mcap", "overwrite": True},
-                **more,
-            },
+            "logger": {"kind": "logger", "required": False, "parameters": {"path": "run.mcap", "overwrite": True}, **more},
         },
     }
     path = folder / "enemy.yaml"
@@ -88,9 +77,7 @@ def test_a_driver_that_is_not_virtual_has_the_compiled_tick_too(tmp_path: Path) 
         figures = launch.finish()
     assert figures["tick"] == "compiled"
     compiled = figures["ticks_compiled"]
-    assert min(compiled[node] for node in ("driver", "environment", "coupling")) > 0.8 * (
-        figures["ticks"] - figures["missed"]
-    )
+    assert min(compiled[node] for node in ("driver", "environment", "coupling")) > 0.8 * (figures["ticks"] - figures["missed"])
     # 1 mm into 1000 N/m, at rest.
     assert forces(tmp_path).count(1.0) > 0.8 * (figures["ticks"] - figures["missed"])
 

@@ -18,11 +18,7 @@ from tests.support.setups import setup_of
 # -- the device's limits ----------------------------------------------------------------------------------------------
 
 TOUCH = DeviceLimits(
-    peak_force=7.9,
-    continuous_force=1.75,
-    slew=2000.0,
-    silence=0.05,
-    workspace=((-0.08, 0.08), (-0.06, 0.06), (-0.06, 0.06)),
+    peak_force=7.9, continuous_force=1.75, slew=2000.0, silence=0.05, workspace=((-0.08, 0.08), (-0.06, 0.06), (-0.06, 0.06))
 )
 
 
@@ -51,9 +47,7 @@ def test_no_launch_file_raises_a_limit_of_the_device_and_each_attempt_is_told() 
         "continuous_force",
     ]
     assert limits.overruled[0] == "driver.safety.peak_force: 20 N, limit 7.9 N of the device, which holds"
-    assert Port(TOUCH, peak_force=20.0).limits.overruled == (
-        "safety.peak_force: 20 N, limit 7.9 N of the device, which holds",
-    )
+    assert Port(TOUCH, peak_force=20.0).limits.overruled == ("safety.peak_force: 20 N, limit 7.9 N of the device, which holds",)
 
 
 def test_a_modest_launch_file_lowers_the_limits_and_nothing_is_told() -> None:

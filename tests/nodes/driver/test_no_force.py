@@ -96,7 +96,4 @@ def test_limits_and_axes_that_keep_a_force_away_are_told() -> None:
 
 def test_the_page_says_what_the_device_says() -> None:
     state = DeviceState(seq=1, stamp=0.0, position=(0.0, 0.0, 0.0), force=(0.0, 0.0, 1.0))
-    assert explain(state, None, None, 0.0, device="nobody holds it") == (
-        "stop",
-        "No force, or another one: nobody holds it.",
-    )
+    assert explain(state, None, None, 0.0, device="nobody holds it") == ("stop", "No force, or another one: nobody holds it.")

@@ -22,7 +22,7 @@ from tests.nodes.driver.test_touch import needs_cc, scenario
 from tests.sim.test_stand_ins import SOFT, through
 from tests.support import ROOT
 from tests.support.devices import Bench, bench
-from tests.support.launching import running, wait_for
+from tests.support.launching import running, typed, wait_for
 
 
 def test_two_hands_are_coupled_and_judged_at_the_measured_delay(tmp_path: Path) -> None:
@@ -37,13 +37,11 @@ def test_two_hands_are_coupled_and_judged_at_the_measured_delay(tmp_path: Path) 
 
         def arrives() -> bool:
             found = places()
-            return bool(
-                abs(found["first_m"][0] - first) < 1e-3 and abs(found["second_m"][0] - first * 500.0 / 600.0) < 1e-3
-            )
+            return bool(abs(found["first_m"][0] - first) < 1e-3 and abs(found["second_m"][0] - first * 500.0 / 600.0) < 1e-3)
 
         wait_for(arrives, "the second follows the first")
         # Judged at the delay of this loop: what is far too stiff for half the mass is refused, with the limit.
-        refused = launch.haptic("param", "set", "coupling", "laws.pd.stiffness", "50000", code=1)
+        refused = typed(launch, "param", "set", "coupling", "laws.pd.stiffness", "50000", code=1)
         assert "unstable" in refused.stderr
         assert re.search(r"mass 0.0725 kg, .* at a delay of \d.*would be taken is \d{3,4}; ", refused.stderr)
 
@@ -140,18 +138,13 @@ def test_two_chains_of_real_devices_in_one_launch(kinds: tuple[str, str], tmp_pa
             left.world.state.buttons, right.world.state.buttons = 1, 0
             wait_for(lambda: left.world.force()[0] == pytest.approx(-1.0, abs=1e-9), "its own force")
             wait_for(lambda: right.world.force()[0] == pytest.approx(-2.0, abs=1e-9), "its own force")
-            nodes = json.loads(launch.haptic("node", "list", "--json").stdout.splitlines()[-1])["nodes"]
+            nodes = json.loads(typed(launch, "node", "list", "--json").stdout.splitlines()[-1])["nodes"]
             assert {f"{name}/{node}" for name in ("left", "right") for node in ("driver", "coupling")} <= set(nodes)
             assert len({node["pid"] for node in nodes.values()}) == len(nodes)
-            topics = set(json.loads(launch.haptic("topic", "list", "--json").stdout)["topics"])
-            assert {
-                "/left/device/state",
-                "/right/device/state",
-                "/left/device/handle",
-                "/right/device/handle",
-            } <= topics
+            topics = set(json.loads(typed(launch, "topic", "list", "--json").stdout)["topics"])
+            assert {"/left/device/state", "/right/device/state", "/left/device/handle", "/right/device/handle"} <= topics
             for name, pressed in (("left", 1), ("right", 0)):
-                told = launch.haptic("topic", "echo", f"/{name}/device/handle", "--once", "--json").stdout
+                told = typed(launch, "topic", "echo", f"/{name}/device/handle", "--once", "--json").stdout
                 assert json.loads(told.splitlines()[-1])["buttons"] == pressed
             # One is unplugged: each chain's driver ends forces by itself, and the launch ends both.
             left.world.state.unplugged = 1
@@ -184,7 +177,7 @@ def test_two_devices_of_different_kinds_on_one_law(kinds: tuple[str, str], tmp_p
             first.world.state.position[0] = 0.054
             wait_for(lambda: first.world.force()[0] == pytest.approx(-2.0, abs=1e-9), "4 mm of 500 N/m")
             wait_for(lambda: second.world.force()[0] == pytest.approx(2.0, abs=1e-9), "the opposite")
-            refused = launch.haptic("param", "set", "coupling", "laws.pd.stiffness", "50000", code=1)
+            refused = typed(launch, "param", "set", "coupling", "laws.pd.stiffness", "50000", code=1)
             assert re.search(r"mass 0.05 kg, damping 0.5 N s/m at a delay of \d", refused.stderr)
             # One has no position any more: neither is pushed.
             second.world.state.nan = 1
@@ -200,7 +193,7 @@ def test_two_devices_of_different_kinds_on_one_law(kinds: tuple[str, str], tmp_p
             else:
 
                 def told() -> bool:
-                    info = json.loads(launch.haptic("node", "info", "driver", "--json").stdout.splitlines()[-1])
+                    info = json.loads(typed(launch, "node", "info", "driver", "--json").stdout.splitlines()[-1])
                     return "first: the emergency brake of the Inverse3 is on" in info["force"]["why"]
 
                 wait_for(told, "whose brake it is")
@@ -251,16 +244,13 @@ def test_two_launches_with_a_device_each(tmp_path: Path) -> None:
             one.interrupt()
             wait_for(lambda: not any(left.world.force()), "the first launch ends")
             wait_for(lambda: right.world.force()[2] == pytest.approx(0.15, abs=1e-9), "the other goes on")
-            assert json.loads(other.haptic("node", "list", "--json").stdout.splitlines()[-1])["nodes"]["driver"]
+            assert json.loads(typed(other, "node", "list", "--json").stdout.splitlines()[-1])["nodes"]["driver"]
 
 
 def test_a_member_that_is_no_device_is_refused(tmp_path: Path) -> None:
     content = json.loads(Path(scenario(tmp_path, "none")).read_text(encoding="utf-8"))
     member = {"kind": "sim_driver", "parameters": {"device": {"mass": 0.1}}}
-    content["nodes"]["driver"] = {
-        "kind": "paired_driver",
-        "parameters": {"first": member, "second": {"kind": "coupling"}},
-    }
+    content["nodes"]["driver"] = {"kind": "paired_driver", "parameters": {"first": member, "second": {"kind": "coupling"}}}
     path = tmp_path / "wrong.yaml"
     path.write_text(json.dumps(content), encoding="utf-8")
     with running(tmp_path, str(path), ready=False) as launch:

@@ -90,9 +90,7 @@ def test_what_is_in_store_may_leave_to_the_last_bit_and_no_more() -> None:
 def test_absorbing_forces_pass_and_a_debt_is_taken_back_with_at_most_the_damper() -> None:
     assert control(-1.0, 2.0, -0.25, 7.0) == 2.0
     assert control(0.0, 2.0, -0.25, 7.0) == 2.0
-    assert (
-        control(0.5, 2.0, -0.25, 7.0) == 2.0 + 7.0 * 0.25
-    )  # 2 N would take all back at once: the damper's limit holds
+    assert control(0.5, 2.0, -0.25, 7.0) == 2.0 + 7.0 * 0.25  # 2 N would take all back at once: the damper's limit holds
     assert control(0.5, 2.0, -0.25, 8.0) == 2.0 + 2.0
     assert control(0.5, 2.0, -0.25, 9.0) == 2.0 + 2.0  # no more than is owed
     assert control(0.5, -2.0, 0.25, 9.0) == -4.0
@@ -242,13 +240,7 @@ def scene(
 ) -> Scene:
     device = DeviceModel(mass=mass, damping=1.0, gravity=9.81, position=0.01, resolution=resolution, delay=latency)
     return Scene(
-        device=device,
-        surface=SceneSurface("plane"),
-        period=T,
-        raw=False,
-        clamp=True,
-        next_tick=next_tick,
-        passivity=guard,
+        device=device, surface=SceneSurface("plane"), period=T, raw=False, clamp=True, next_tick=next_tick, passivity=guard
     )
 
 
@@ -265,15 +257,8 @@ def given_out(trace: Trace, delay: float = 0.0) -> Any:
 
 
 @settings(deadline=None)  # the first example compiles
-@given(
-    ratio=st.floats(0.1, 0.5),
-    damping=st.floats(0.0, 5.0),
-    mass=st.floats(0.05, 0.5),
-    credit=st.booleans(),
-)
-def test_a_dropped_mass_never_gains_more_than_one_tick_allows(
-    ratio: float, damping: float, mass: float, credit: bool
-) -> None:
+@given(ratio=st.floats(0.1, 0.5), damping=st.floats(0.0, 5.0), mass=st.floats(0.05, 0.5), credit=st.booleans())
+def test_a_dropped_mass_never_gains_more_than_one_tick_allows(ratio: float, damping: float, mass: float, credit: bool) -> None:
     stiffness = ratio * mass / T**2
     guard = PassivityParameters(stiffness=stiffness if credit else None)
     trace = run(scene(guard, mass), PD(stiffness=stiffness, damping=damping).compile(T), 1500)
@@ -369,11 +354,7 @@ def test_credit_of_dissipated_energy_does_not_feed_an_instability() -> None:
     calm = PD(stiffness=500.0, damping=1.0).compile(T)
     pump = CompiledLaw((500.0 - 1.0 / T, 1.0 / T))  # negative damping
     worst = {}
-    for name, guard in {
-        "none": None,
-        "plain": PassivityParameters(),
-        "spring": PassivityParameters(stiffness=500.0),
-    }.items():
+    for name, guard in {"none": None, "plain": PassivityParameters(), "spring": PassivityParameters(stiffness=500.0)}.items():
         place = Scene(device=device, surface=SceneSurface("anchor"), period=T, raw=False, clamp=False, passivity=guard)
         trace = run(place, calm, 1500, [PlannedSwap(250, pump)])
         worst[name] = float(np.abs(trace.position[250:]).max())

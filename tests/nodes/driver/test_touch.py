@@ -56,8 +56,7 @@ def test_calibration_comes_before_forces(fake: Bench) -> None:
 
 @needs_cc
 @pytest.mark.parametrize(
-    ("code", "name"),
-    [(0x0200, "warm motors"), (0x0302, "communication error"), (0x0600, "invalid licence"), (0x0999, "error")],
+    ("code", "name"), [(0x0200, "warm motors"), (0x0302, "communication error"), (0x0600, "invalid licence"), (0x0999, "error")]
 )
 def test_a_fault_of_the_device_ends_forces_and_is_told(fake: Bench, code: int, name: str) -> None:
     device = fake.opened()
@@ -116,9 +115,7 @@ def test_a_missing_library_is_told_with_what_to_do() -> None:
 
 @needs_cc
 def test_a_missing_device_and_a_wrong_library_are_told(fake: Bench, tmp_path: Path) -> None:
-    with pytest.raises(
-        OSError, match=r"device absent cannot be opened: communication error \(0x0302\); is it plugged in"
-    ):
+    with pytest.raises(OSError, match=r"device absent cannot be opened: communication error \(0x0302\); is it plugged in"):
         connected(fake.parameters["library"], name="absent")
     wrong = tmp_path / "wrong.so"
     subprocess.run(["cc", "-shared", "-o", wrong, "-x", "c", os.devnull], check=True)
@@ -149,10 +146,7 @@ def scenario(folder: Path, library: str) -> str:
                 "kind": "environment",
                 "parameters": {"surface": {"kind": "plane", "axis": "z", "position": 0.023}},
             },
-            "coupling": {
-                "kind": "coupling",
-                "parameters": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 500.0}}},
-            },
+            "coupling": {"kind": "coupling", "parameters": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 500.0}}}},
             "logger": {"kind": "logger", "parameters": {"path": "run.mcap"}},
         },
     }
@@ -189,8 +183,5 @@ def test_a_launch_with_an_uncalibrated_device_fails_with_the_remedy(fake: Bench,
     fake.world.state.manual = 1
     with running(tmp_path, scenario(tmp_path, fake.parameters["library"]), ready=False) as launch:
         launch.finish(code=1)
-        assert (
-            "[driver] ended: Touch: not calibrated within 0.1 s (0x5002): put the stylus into its inkwell"
-            in launch.errors
-        )
+        assert "[driver] ended: Touch: not calibrated within 0.1 s (0x5002): put the stylus into its inkwell" in launch.errors
         assert "Traceback" not in launch.errors

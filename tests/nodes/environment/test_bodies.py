@@ -53,25 +53,6 @@ def test_the_tool_feels_the_force_when_the_device_does(delay: float, tmp_path: P
         assert found == pytest.approx(-np.array([3.0, 0.0, -1.0]) * acted / 0.05, abs=1e-12)
 
 
-def test_a_state_that_was_saved_goes_on_to_the_bit(tmp_path: Path) -> None:
-    bodies = TOOL + '<geom type="plane" size="1 1 1" pos="0 0 0.09"/>'
-    one, other = world(tmp_path, bodies), world(tmp_path, bodies)
-    rng = np.random.default_rng(1)
-    forces = [tuple(row) for row in rng.normal(size=(60, 3)).tolist()]
-
-    def go(on: MovingScene, begin: int, end: int) -> None:
-        for tick in range(begin, end):
-            on.hand_over(forces[tick], tick - 1, 0.6)
-            on.advance(tick)
-
-    go(one, 1, 30)
-    other.restore(one.save())
-    go(one, 30, 60)
-    go(other, 30, 60)
-    assert one.data.qpos.tobytes() == other.data.qpos.tobytes()
-    assert one.data.qvel.tobytes() == other.data.qvel.tobytes()
-
-
 @pytest.mark.parametrize("contact", ["", 'solref="-20000 -200"', 'friction="0.2 0.005 0.0001"'])
 def test_the_stiffness_that_is_told_is_the_one_that_is_felt(contact: str, tmp_path: Path) -> None:
     """Measured in a scene of its own; felt in this one: how much deeper 1.5 N press the tool than 0.5 N."""
@@ -93,10 +74,7 @@ def test_the_stiffness_that_is_told_is_the_one_that_is_felt(contact: str, tmp_pa
     ("bodies", "told"),
     [
         ("", "environment.tool: no body 'tool' in .*its bodies are none"),
-        (
-            '<body name="tool"><freejoint/><geom size="0.01"/></body>',
-            "must be a child of the world with three slide joints",
-        ),
+        ('<body name="tool"><freejoint/><geom size="0.01"/></body>', "must be a child of the world with three slide joints"),
         (TOOL.replace('"0 1 0"', '"1 0 0"'), "three slide joints"),
         (TOOL.replace('axis="0 0 1"', 'axis="0 0 1" range="0 1"'), "without limits"),
         (TOOL.replace('mass="0.05"', 'mass="1e-9"'), "weighs 1e-09 kg"),
@@ -104,10 +82,7 @@ def test_the_stiffness_that_is_told_is_the_one_that_is_felt(contact: str, tmp_pa
         (TOOL.replace('mass="0.05"', 'mass="nan"'), "environment.scene: .*contains a 'NaN'"),
         (TOOL.replace('size="0.005"', 'size="5"'), "a geom of body 'tool' reaches 5 m, .* MJCF is in metres"),
         ('<geom type="sph"/>', "environment.scene: .*invalid keyword: 'sph'"),
-        (
-            '</worldbody><asset><texture name="t" type="2d" file="no.png"/></asset><worldbody>',
-            "environment.scene: .*no.png",
-        ),
+        ('</worldbody><asset><texture name="t" type="2d" file="no.png"/></asset><worldbody>', "environment.scene: .*no.png"),
     ],
 )
 def test_a_scene_without_a_tool_is_refused(bodies: str, told: str, tmp_path: Path) -> None:
@@ -129,9 +104,7 @@ def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         world(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("scenario", "moved"), [("puck_push", "puck"), ("knob_turn", "knob"), ("stack_boxes", "upper")]
-)
+@pytest.mark.parametrize(("scenario", "moved"), [("puck_push", "puck"), ("knob_turn", "knob"), ("stack_boxes", "upper")])
 @pytest.mark.timeout(300)
 def test_a_launch_repeats_to_the_bit_from_its_recording(scenario: str, moved: str, tmp_path: Path) -> None:
     """The forces that a recording holds lead the scene the same way again: nothing else comes in."""

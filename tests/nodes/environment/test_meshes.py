@@ -49,9 +49,7 @@ def obj(triangles: Array) -> bytes:
     return "\n".join(["# a cube", "vn 0 0 1", *lines, ""]).encode()
 
 
-@pytest.mark.parametrize(
-    ("name", "written"), [("a.stl", binary_stl(CUBE)), ("b.STL", text_stl(CUBE)), ("c.obj", obj(CUBE))]
-)
+@pytest.mark.parametrize(("name", "written"), [("a.stl", binary_stl(CUBE)), ("b.STL", text_stl(CUBE)), ("c.obj", obj(CUBE))])
 def test_each_format_gives_the_triangles(name: str, written: bytes, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(written)
     found = read_triangles(tmp_path / name, "surface.file")
@@ -153,17 +151,11 @@ def test_every_triangle_is_in_its_boxes_and_knows_its_neighbours() -> None:
         ({"kind": "box", "size": [0.1, 0.1]}, "surface.size"),
         ({"kind": "oriented_plane", "normal": [0.0, 0.0, 0.0]}, r"surface.normal: \[0.0, 0.0, 0.0\] has no direction"),
         ({"kind": "capsule", "start": [0.0] * 3, "end": [0.0] * 3, "radius": 0.01}, "surface.end.*has no direction"),
-        (
-            {"kind": "sphere", "radius": 0.1, "friction": {"static": 0.1, "dynamic": 0.2}},
-            "dynamic is 0.2, expected at most",
-        ),
+        ({"kind": "sphere", "radius": 0.1, "friction": {"static": 0.1, "dynamic": 0.2}}, "dynamic is 0.2, expected at most"),
         ({"kind": "union", "shapes": []}, "surface.shapes: expected a list of length at least 1"),
         ({"kind": "union", "shapes": [{"kind": "anchor"}]}, r"surface.shapes\[0\].kind: 'anchor' is no shape"),
         ({"kind": "union", "shapes": [{"kind": "sphere"}]}, r"surface.shapes\[0\].radius: is missing"),
-        (
-            {"kind": "union", "shapes": [{"kind": "sphere", "radius": 0.1, "tool_radius": 0.01}]},
-            r"shapes\[0\].tool_radius",
-        ),
+        ({"kind": "union", "shapes": [{"kind": "sphere", "radius": 0.1, "tool_radius": 0.01}]}, r"shapes\[0\].tool_radius"),
         ({"kind": "mesh", "file": "nowhere.obj"}, "surface.file: nowhere.obj cannot be read"),
     ],
 )
@@ -177,9 +169,7 @@ def test_a_surface_that_cannot_be_is_refused_by_its_path(data: dict[str, object]
 def test_a_device_on_a_corner_an_edge_or_a_face_is_met(triangles: Array, tool: float) -> None:
     """Where nothing leads from the surface to the device, and where a step leads along a face, within rounding of it."""
     rng = np.random.default_rng(0)
-    marks = np.concatenate(
-        [triangles.reshape(-1, 3), triangles.mean(axis=1), 0.5 * (triangles[:, 0] + triangles[:, 1])]
-    )
+    marks = np.concatenate([triangles.reshape(-1, 3), triangles.mean(axis=1), 0.5 * (triangles[:, 0] + triangles[:, 1])])
     scales = np.array([1.0, 1.0, 1.0, 0.9, 1.2, 1.0 - 1e-10, 1.0 + 1e-10])
     path = marks[rng.integers(0, len(marks), 400)] * rng.choice(scales, 400)[:, None]
     path[::40] = (0.0, 0.0, 0.05)
@@ -201,8 +191,6 @@ def test_a_launch_tells_what_was_repaired(tmp_path: Path) -> None:
         f"environment: {{surface: {{kind: mesh, file: {tmp_path}/ball.stl}}}}", encoding="utf-8"
     )
     figures = launch_json(tmp_path, "sphere_feel", "pace:=lockstep", "duration:=0.1", "--params", "given.yaml")
-    (told,) = [
-        one for one in Recording(tmp_path / figures["recording"]).messages(event("environment")) if one.kind == "mesh"
-    ]
+    (told,) = [one for one in Recording(tmp_path / figures["recording"]).messages(event("environment")) if one.kind == "mesh"]
     assert "1 triangles of fewer than three corners left out" in told.reason
     assert "ball.stl: all faces looked inwards, and were turned" in told.reason

@@ -13,17 +13,9 @@ from hypothesis import strategies as st
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.scene import Friction, Solid, box, capsule, cylinder, mesh, plane, sphere
 from nodes.environment.shapes.tables import SKIN
-from sim.experiments.polyhedron import ideal_proxy
-from sim.experiments.proxies import icosphere
+from sim.experiments.proxies import icosphere, ideal_proxy
 from sim.scene.touch import Touched, touch
-from tests.support.shapes import (
-    Array,
-    box_triangles,
-    distance_to,
-    out_of_balance,
-    turned,
-    wander,
-)
+from tests.support.shapes import Array, box_triangles, distance_to, out_of_balance, turned, wander
 
 pytestmark = pytest.mark.timeout(900)
 # The first run on a machine compiles the geometry: some 25 s of one processor.
@@ -84,9 +76,7 @@ def test_an_oblique_plane_is_a_plane_across_an_axis_turned() -> None:
 def test_in_a_corner_of_three_planes_all_are_kept_in_one_call() -> None:
     """One step from free space into the corner, and along its edges."""
     walls = [plane((0.0, 0.0, 0.0), normal) for normal in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
-    path = np.array(
-        [[0.01, 0.02, 0.03], [-0.01, -0.02, -0.03], [-0.01, 0.01, -0.01], [0.02, -0.01, -0.02], [0.02, 0.03, 0.01]]
-    )
+    path = np.array([[0.01, 0.02, 0.03], [-0.01, -0.02, -0.03], [-0.01, 0.01, -0.01], [0.02, -0.01, -0.02], [0.02, 0.03, 0.01]])
     found = led(walls, path)
     assert np.abs(found.proxy - np.where(path > 0.0, path, SKIN)).max() < EXACT
     assert found.contact.tolist() == [False, True, True, True, False]
@@ -171,9 +161,7 @@ SCENES = scenes()
 def test_at_rest_the_deflection_is_carried_by_what_is_touched(name: str, tool: float) -> None:
     """Karush, Kuhn and Tucker, with distances and gradients of the textbook, wherever a random path leads."""
     solids = SCENES[name]
-    path = wander(
-        np.random.default_rng(7), 2000, 2e-3, (0.015, 0.015, 0.015), (0.0, 0.0, 0.0145 if name != "hollow" else 0.0)
-    )
+    path = wander(np.random.default_rng(7), 2000, 2e-3, (0.015, 0.015, 0.015), (0.0, 0.0, 0.0145 if name != "hollow" else 0.0))
     found = led(solids, path, tool)
     assert 0.1 < found.contact.mean() < 0.95
     assert np.array_equal(found.proxy[~found.contact], path[~found.contact])
@@ -299,17 +287,13 @@ def test_the_distance_from_outside_is_that_of_the_textbook() -> None:
                 if not found.contact[0]:
                     assert found.distance[0] == pytest.approx(distance - tool - SKIN, abs=EXACT)
                     nearer = point - 1e-7 * found.normal[0]
-                    assert min(distance_to(solid, nearer) for solid in solids) == pytest.approx(
-                        distance - 1e-7, abs=1e-11
-                    )
+                    assert min(distance_to(solid, nearer) for solid in solids) == pytest.approx(distance - 1e-7, abs=1e-11)
 
 
 def test_a_position_beyond_all_reason_leaves_no_trace() -> None:
     """Squares of 1e300 overflow; afterwards the proxy is met as on the first tick."""
     for solids in SCENES.values():
-        wild = np.array(
-            [[0.0, 0.0, 0.03], [1e300, -1e300, 1e300], [0.0, 1e4, 0.0], [0.0, 0.0, 0.03], [0.0, 0.0, 0.001]]
-        )
+        wild = np.array([[0.0, 0.0, 0.03], [1e300, -1e300, 1e300], [0.0, 1e4, 0.0], [0.0, 0.0, 0.03], [0.0, 0.0, 0.001]])
         found, calm = led(solids, wild), led(solids, wild[3:])
         assert np.array_equal(found.proxy[3:], calm.proxy)
         assert np.array_equal(found.proxy[:3], np.where(found.contact[:3, None], found.proxy[:3], wild[:3]))

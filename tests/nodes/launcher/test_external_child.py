@@ -71,7 +71,5 @@ def test_only_nodes_that_are_waited_for_are_started_by_hand(tmp_path: Path) -> N
         assert "by_hand: true" in told
     assert "HOST:PORT" in haptic(tmp_path, "node", "start", "coupling", "--bind", "nowhere", code=2).stderr
     environment = {**os.environ, "HAPTIC_KEYS": str(tmp_path / "none")}
-    told = haptic(
-        tmp_path, "node", "start", "coupling", "--bind", "10.9.8.7:5600", code=2, environment=environment
-    ).stderr
+    told = haptic(tmp_path, "node", "start", "coupling", "--bind", "10.9.8.7:5600", code=2, environment=environment).stderr
     assert "haptic keys new" in told

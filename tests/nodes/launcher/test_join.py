@@ -74,13 +74,7 @@ class Waiting:
     def setup(self, kind: str, **parameters: object) -> dict[str, Any]:
         """Write a setup that is right in everything but perhaps what is tested."""
         made = setup_of(
-            run="r-1",
-            name=self.name,
-            kind=kind,
-            publish=self.publish,
-            control=self.control,
-            lease=5.0,
-            parameters=parameters,
+            run="r-1", name=self.name, kind=kind, publish=self.publish, control=self.control, lease=5.0, parameters=parameters
         )
         found: dict[str, Any] = msgspec.to_builtins(made)
         return found
@@ -202,9 +196,7 @@ class _Third(msgspec.Struct, frozen=True, kw_only=True):
         (_Third(model="allowed/x\0/../../etc/passwd"), False),
     ],
 )
-def test_paths_in_parameters(
-    parameters: msgspec.Struct, fits: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_paths_in_parameters(parameters: msgspec.Struct, fits: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "allowed").mkdir()
     (tmp_path / "allowed" / "link").symlink_to("/")

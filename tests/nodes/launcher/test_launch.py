@@ -21,15 +21,7 @@ from nodes.launcher import launch_file
 from nodes.launcher.wiring import wire
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
-from tests.support.launching import (
-    DEADLINE,
-    HAPTIC,
-    assert_nothing_left,
-    haptic,
-    launch_json,
-    private_runtime_dir,
-    running,
-)
+from tests.support.launching import DEADLINE, HAPTIC, assert_nothing_left, haptic, launch_json, private_runtime_dir, running
 
 PROMISED = {
     "scenario", "ticks", "missed", "rate_hz", "response_us", "age_ticks_max", "recording", "plot", "exit_reason", "final",
@@ -111,10 +103,8 @@ def test_interrupt_before_the_time_ends_cleanly(tmp_path: Path) -> None:
     [
         (("flor_drop",), "no launch file is named 'flor_drop'; there is: box_edges, floor"),
         (("floor_drop", "stifness:=3"), "no argument 'stifness'; there is: rate"),
-        (
-            ("floor_drop", "stiffness:=soft"),
-            "arguments.stiffness: expected a number, got 'soft' (given as stiffness:=soft)",
-        ),
+        (("floor_swap", "fifo:=0"), "no argument 'fifo'; run.fifo:=0 sets it in any launch file"),
+        (("floor_drop", "stiffness:=soft"), "arguments.stiffness: expected a number, got 'soft' (given as stiffness:=soft)"),
         (("floor_drop", "rate:=1"), "floor_drop.yaml:3: arguments.rate: 1.0 Hz, limit: at least 50 Hz"),
         (("floor_drop", "pace:=slow"), "arguments.pace: 'slow', expected one of realtime, lockstep"),
         (("nowhere.yaml",), "nowhere.yaml: no such file"),
@@ -122,11 +112,7 @@ def test_interrupt_before_the_time_ends_cleanly(tmp_path: Path) -> None:
     ],
 )
 def test_mistakes_are_told_with_path_value_and_limit(
-    words: tuple[str, ...],
-    told: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: tuple[str, ...], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main.main(["launch", *words]) == 2
@@ -147,6 +133,13 @@ def test_mistakes_that_a_node_would_make_are_told_before_it_starts(word: str, to
     assert told in done.stderr
     assert "Traceback" not in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_mistakes_are_told_before_anything_is_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    done = haptic(tmp_path, "launch", "floor_drop", "mass:=-1", "--tick", "compiled", code=2)
+    assert "driver.device.mass: expected a number above 0, got -1.0" in done.stderr
+    assert not (tmp_path / "cache").exists()
 
 
 def test_launch_files_are_checked_completely(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -215,9 +208,7 @@ def test_a_launch_past_the_edge_is_refused_on_a_real_device_only(tmp_path: Path)
 
     real = str(tmp_path / "real.yaml")
     assert not wired(real, 1000.0)
-    with pytest.raises(
-        ParameterError, match=r"laws\.pd: pole radius .* that would be taken is 5800, or set .* to warn"
-    ):
+    with pytest.raises(ParameterError, match=r"laws\.pd: pole radius .* that would be taken is 5800, or set .* to warn"):
         wired(real, 900_000.0)
     assert wired("touch_wall", 900_000.0)
 
@@ -225,19 +216,10 @@ def test_a_launch_past_the_edge_is_refused_on_a_real_device_only(tmp_path: Path)
 def test_files_of_the_user_beside_the_recording_are_not_imported(tmp_path: Path) -> None:
     """Names that a user's own scripts may well have: none of them may take the place of a module that a node imports."""
     for name in ("sim", "messages", "nodes", "yaml", "zmq", "selectors"):
-        (tmp_path / f"{name}.py").write_text(
-            f"raise SystemExit('{name}.py of the user was imported')\n", encoding="utf-8"
-        )
+        (tmp_path / f"{name}.py").write_text(f"raise SystemExit('{name}.py of the user was imported')\n", encoding="utf-8")
     with private_runtime_dir() as runtime_dir:
         done = subprocess.run(
-            [
-                Path(sys.executable).parent / "haptic",
-                "launch",
-                "floor_drop",
-                "pace:=lockstep",
-                "duration:=0.2",
-                "--json",
-            ],
+            [Path(sys.executable).parent / "haptic", "launch", "floor_drop", "pace:=lockstep", "duration:=0.2", "--json"],
             cwd=tmp_path,
             env={**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime_dir)},
             capture_output=True,

@@ -55,9 +55,7 @@ def test_the_loop_resumes_by_itself_when_a_killed_node_is_respawned(tmp_path: Pa
                 # First whether it is back: what was asked of the driver before that would be about its predecessor.
                 other = launch.call(node, "status", timeout=0.5)["pid"] != before
                 progress = launch.call("driver", "progress", timeout=0.5)
-                return bool(
-                    other and progress["safety"] == "active" and progress["answered"] > ticks * (node != "driver")
-                )
+                return bool(other and progress["safety"] == "active" and progress["answered"] > ticks * (node != "driver"))
             return False
 
         wait_for(resumed, f"{node} is back and forces flow")

@@ -18,7 +18,7 @@ import pytest
 
 from messages import topics
 from messages.transport import keys
-from nodes.launcher.clock_offset import DRIFT, ClockOffset
+from nodes.launcher.external_child import DRIFT, ClockOffset
 from nodes.launcher.runs import RunInfo
 from nodes.recording.accounts import accounts, clocks
 from nodes.recording.reader import Recording
@@ -42,11 +42,7 @@ NODES: dict[str, dict[str, Any]] = {
     },
     "coupling": {
         "kind": "coupling",
-        "parameters": {
-            "law": "pd",
-            "laws": {"pd": {"kind": "pd", "stiffness": 200.0, "damping": 1.0}},
-            "stability": "warn",
-        },
+        "parameters": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 200.0, "damping": 1.0}}, "stability": "warn"},
     },
     "logger": {"kind": "logger", "required": False, "parameters": {"path": "far.mcap"}},
 }
@@ -123,9 +119,7 @@ class Pair:
         """Start a haptic command on one of them; its output goes to files."""
         name = ("near", "far")[host]
         with open(self.folder / f"{name}.out", "ab") as out, open(self.folder / f"{name}.err", "ab") as err:
-            return (self.near, self.far)[host].popen(
-                [*HAPTIC, *words], self.environments[host], self.folder / name, out, err
-            )
+            return (self.near, self.far)[host].popen([*HAPTIC, *words], self.environments[host], self.folder / name, out, err)
 
     def errors(self, host: int) -> str:
         """Read what one of them wrote to standard error."""
@@ -172,8 +166,7 @@ class Launched:
     def told(self, text: str, host: int = 0, times: int = 1) -> None:
         """Wait until something was written to standard error."""
         wait_for(
-            lambda: self.pair.errors(host).count(text) >= times or self.launcher.poll() is not None,
-            f"{text!r} to be told",
+            lambda: self.pair.errors(host).count(text) >= times or self.launcher.poll() is not None, f"{text!r} to be told"
         )
         assert self.pair.errors(host).count(text) >= times, self.errors + self.pair.errors(1)
 
@@ -227,9 +220,7 @@ class Launched:
 
 
 @contextlib.contextmanager
-def launched(
-    pair: Pair, node: str = "coupling", run: Mapping[str, Any] | None = None, **spec: object
-) -> Iterator[Launched]:
+def launched(pair: Pair, node: str = "coupling", run: Mapping[str, Any] | None = None, **spec: object) -> Iterator[Launched]:
     """Start a launch with a node on the far machine, and that node."""
     launch = Launched(pair, node, run or {}, spec)
     try:
@@ -305,9 +296,7 @@ def test_any_other_node_alone_on_another_machine(pair: Pair, node: str) -> None:
     # 10 ms for a round trip of 4 to 6: only a lost packet, or a machine that is held up, costs a tick or some.
     assert figures["missed"] < figures["ticks"] / 2
     assert figures["safety"]["soft_stop_ticks"] > 0
-    assert figures["recording"] == (
-        "10.77.0.2:" + str(pair.folder / "far/far.mcap") if node == "logger" else "far.mcap"
-    )
+    assert figures["recording"] == ("10.77.0.2:" + str(pair.folder / "far/far.mcap") if node == "logger" else "far.mcap")
     recording = Recording(pair.folder / ("far" if node == "logger" else "near") / "far.mcap")
     assert_all_recorded(figures, recording)
     assert_one_time(recording, node, pair.far.ahead)
@@ -414,9 +403,7 @@ def test_forces_over_a_slow_cable_are_as_old_as_the_cable_makes_them(pair: Pair)
 
 
 @pytest.mark.parametrize("node", ["coupling", "driver"] if "HAPTIC_ROUND_TRIP" in os.environ else ["driver"])
-def test_a_launch_starts_over_a_cable_with_a_long_round_trip(
-    pair: Pair, node: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_launch_starts_over_a_cable_with_a_long_round_trip(pair: Pair, node: str, monkeypatch: pytest.MonkeyPatch) -> None:
     # A first answer takes six of them: more than the second after which it was once given up, each time anew.
     round_trip = float(os.environ.get("HAPTIC_ROUND_TRIP", "0.2"))
     pair.cable.delay, pair.cable.jitter = round_trip / 2.0, 0.001

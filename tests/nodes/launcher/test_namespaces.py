@@ -16,7 +16,7 @@ from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
-from tests.support.launching import Running, launch_json, running
+from tests.support.launching import Running, launch_json, running, typed
 
 HEAD = "summary: a launch of a test\n"
 
@@ -63,28 +63,25 @@ def two_hands(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 
 def test_verbs_name_nodes_and_topics_with_their_namespace(two_hands: Running) -> None:
-    found = json.loads(two_hands.haptic("topic", "list", "--json").stdout)["topics"]
+    found = json.loads(typed(two_hands, "topic", "list", "--json").stdout)["topics"]
     assert {"/left/device/state", "/right/coupling/force", "/left/driver/status"} <= set(found)
-    assert two_hands.haptic("topic", "echo", "/right/device/state", "--once").stdout.startswith("seq: ")
+    assert typed(two_hands, "topic", "echo", "/right/device/state", "--once").stdout.startswith("seq: ")
     assert two_hands.haptic("param", "get", "left/coupling", "usual.stiffness").stdout
-    refused = two_hands.haptic("law", "switch", "pd_alpha", code=2).stderr
+    refused = typed(two_hands, "law", "switch", "pd_alpha", code=2).stderr
     assert "left/coupling, right/coupling" in refused
     assert "--run /left" in refused
 
 
 def test_a_verb_takes_one_chain_as_if_it_were_alone(two_hands: Running) -> None:
     run = ("--run", "two_hands/left")
-    found = json.loads(two_hands.haptic("topic", "list", "--json", *run).stdout)["topics"]
+    found = json.loads(typed(two_hands, "topic", "list", "--json", *run).stdout)["topics"]
     assert set(topics.LOOP) <= set(found)
     assert not any("left" in topic or "right" in topic for topic in found)
-    assert two_hands.haptic("topic", "echo", "/device/state", "--once", *run).stdout.startswith("seq: ")
-    two_hands.haptic("law", "switch", "pd_alpha", "--run", "/left")
-    active = [
-        json.loads(two_hands.haptic("law", "list", "--json", "--run", f"/{hand}").stdout)["active"]
-        for hand in ("left", "right")
-    ]
-    assert active == ["pd_alpha", "pd"]
-    refused = two_hands.haptic("topic", "list", "--run", "/middle", code=2).stderr
+    assert typed(two_hands, "topic", "echo", "/device/state", "--once", *run).stdout.startswith("seq: ")
+    typed(two_hands, "law", "switch", "pd_alpha", "--run", "/left")
+    told = [typed(two_hands, "law", "list", "--json", "--run", f"/{hand}").stdout for hand in ("left", "right")]
+    assert [json.loads(each)["active"] for each in told] == ["pd_alpha", "pd"]
+    refused = typed(two_hands, "topic", "list", "--run", "/middle", code=2).stderr
     assert "no namespace 'middle'; there is: left, right" in refused
 
 
@@ -158,9 +155,7 @@ def test_files_that_include_one_another_for_ever_are_refused_at_once(tmp_path: P
 def test_text_that_grows_when_it_is_filled_in_is_bounded(tmp_path: Path, written: str) -> None:
     """A kilobyte of arguments in a text makes gigabytes."""
     text = f"arguments: {{a: {{default: {'z' * 2500}}}}}\nnodes:\n  driver: {{kind: sim_driver, watch: '{written}'}}\n"
-    with pytest.raises(
-        ParameterError, match=r"driver\.watch: \d+ characters once its arguments are filled in, limit 4096"
-    ):
+    with pytest.raises(ParameterError, match=r"driver\.watch: \d+ characters once its arguments are filled in, limit 4096"):
         read(tmp_path, text)
 
 

@@ -13,20 +13,12 @@ from tests.support.launching import haptic
 @pytest.mark.parametrize(
     ("before", "after", "told"),
     [
-        (
-            "gravity: 9.81",
-            "gravty: 9.81",
-            "driver.device.gravty: no such parameter; there is: mass, damping, gravity, ",
-        ),
+        ("gravity: 9.81", "gravty: 9.81", "driver.device.gravty: no such parameter; there is: mass, damping, gravity, "),
         ("gravity: 9.81", "gravity: soft", "driver.device.gravity: expected a number or nothing, got 'soft'"),
         ("axis: z", "axis: w", "environment.surface.axis: expected one of x, y, z, got 'w'"),
         ("apply: $(var apply)", "apply: later", "run.apply: expected one of next_tick, on_arrival, got 'later'"),
         ("    kind: sim_driver", "    kind: sim_drive", "nodes.driver.kind: 'sim_drive' is not installed; there is: "),
-        (
-            "position: $(var height)",
-            "position: $(var hight)",
-            "nodes.driver.parameters.device.position: $(var hight) is",
-        ),
+        ("position: $(var height)", "position: $(var hight)", "nodes.driver.parameters.device.position: $(var hight) is"),
     ],
 )
 def test_a_mistake_in_a_launch_file_is_told_with_its_line(before: str, after: str, told: str, tmp_path: Path) -> None:
@@ -74,6 +66,4 @@ def test_a_directory_is_no_launch_file(tmp_path: Path) -> None:
 
 
 def test_an_unknown_option_shows_the_usage_of_its_own_verb(tmp_path: Path) -> None:
-    assert haptic(tmp_path, "param", "set", "--jsn", "coupling", "a", "1", code=2).stderr.startswith(
-        "usage: haptic param set"
-    )
+    assert haptic(tmp_path, "param", "set", "--jsn", "coupling", "a", "1", code=2).stderr.startswith("usage: haptic param set")

@@ -23,13 +23,9 @@ def wake_latency() -> int:
         os.close(latency)
 
 
-@pytest.mark.skipif(
-    not os.access(realtime.WAKE_LATENCY, os.R_OK | os.W_OK), reason=f"no rights to {realtime.WAKE_LATENCY}"
-)
+@pytest.mark.skipif(not os.access(realtime.WAKE_LATENCY, os.R_OK | os.W_OK), reason=f"no rights to {realtime.WAKE_LATENCY}")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_a_fast_loop_keeps_processors_awake_until_its_end_whatever_ends_it(
-    tmp_path: Path, number: signal.Signals
-) -> None:
+def test_a_fast_loop_keeps_processors_awake_until_its_end_whatever_ends_it(tmp_path: Path, number: signal.Signals) -> None:
     before = wake_latency()
     with running(tmp_path, "floor_drop", "duration:=0") as launch:
         assert wake_latency() == before
@@ -39,9 +35,7 @@ def test_a_fast_loop_keeps_processors_awake_until_its_end_whatever_ends_it(
         wait_for(lambda: wake_latency() == before, "processors may sleep again")
 
 
-def test_where_processors_cannot_be_kept_awake_the_reason_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_processors_cannot_be_kept_awake_the_reason_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(realtime, "WAKE_LATENCY", str(tmp_path / "none"))
         with realtime.awake() as refused:
@@ -64,9 +58,7 @@ def test_whoever_is_not_in_the_loop_leaves_its_processor_alone(tmp_path: Path) -
                 stderr=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
             )
-            wait_for(
-                lambda: not chain & os.sched_getaffinity(recorder.pid), "the recorder leaves the chain's processor"
-            )
+            wait_for(lambda: not chain & os.sched_getaffinity(recorder.pid), "the recorder leaves the chain's processor")
             recorder.send_signal(signal.SIGINT)
             assert recorder.wait(20.0) == 0
 

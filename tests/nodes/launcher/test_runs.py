@@ -10,17 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from nodes.launcher.runs import (
-    MARK,
-    RunError,
-    RunInfo,
-    find_run,
-    is_marked,
-    new_run_dir,
-    runs_dir,
-    sweep,
-    write_run,
-)
+from nodes.launcher.runs import MARK, RunError, RunInfo, find_run, is_marked, new_run_dir, runs_dir, sweep, write_run
 from tests.support.launching import haptic, private_runtime_dir
 
 LONG_AGO = 3600.0
@@ -104,9 +94,7 @@ def test_a_long_scenario_starts_where_desktops_keep_runs(base: str, monkeypatch:
             new_run_dir(names[0])
 
 
-def test_a_run_in_a_short_directory_is_found_by_its_name(
-    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_in_a_short_directory_is_found_by_its_name(home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     deep = home / ("d" * 28)
     environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(deep)}
     done = haptic(

@@ -20,7 +20,7 @@ import msgspec
 import pytest
 import zmq
 
-from nodes.launcher.processor_wait import ProcessorWait
+from nodes.launcher.child import ProcessorWait
 from nodes.launcher.runs import alive
 from nodes.launcher.supervisor import INT_TIMEOUT
 from nodes.recording.reader import Recording
@@ -116,9 +116,7 @@ def test_stopped_nodes_are_woken_up_to_end(tmp_path: Path) -> None:
     assert Recording(tmp_path / "run.mcap").complete
 
 
-def test_what_does_not_end_is_killed_in_the_end_and_sooner_when_asked_twice(
-    tmp_path: Path, odd_nodes: dict[str, str]
-) -> None:
+def test_what_does_not_end_is_killed_in_the_end_and_sooner_when_asked_twice(tmp_path: Path, odd_nodes: dict[str, str]) -> None:
     path = scenario(tmp_path, deaf={"kind": "stubborn"})
     with running(tmp_path, path, environment=odd_nodes) as launch:
         begun = time.monotonic()
@@ -161,9 +159,7 @@ def test_what_others_keep_from_running_is_waited_for(tmp_path: Path) -> None:
             launch.process.send_signal(signal.SIGINT)
             # Its own clock: what the launcher would have granted it, had it not been kept from running.
             wait_for(lambda: waits["logger"].look(logger) > INT_TIMEOUT, "the logger waits for a processor")
-            assert waits["reaper"].look(pids["reaper"]) < 0.5 * INT_TIMEOUT, (
-                "it waits for the launcher, not for a processor"
-            )
+            assert waits["reaper"].look(pids["reaper"]) < 0.5 * INT_TIMEOUT, "it waits for the launcher, not for a processor"
             # The launcher comes to the logger when all others have ended.
             wait_for(lambda: "logger: does not get its turn" in launch.errors, "the launcher says so")
             # It once lost most of a recording.

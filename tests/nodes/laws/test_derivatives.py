@@ -252,9 +252,7 @@ def test_every_realisation_works_in_the_loop_as_a_law(kind: str, order: float) -
         x = state @ x
 
 
-def test_a_realisation_from_another_package_works_by_being_installed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_realisation_from_another_package_works_by_being_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "elsewhere.py").write_text(
         "from nodes.laws import CompiledLaw\n\n"
         "def forward(order, taps, period):\n"

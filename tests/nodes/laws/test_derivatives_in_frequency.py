@@ -48,9 +48,7 @@ def test_continued_fraction_is_the_pade_approximant(kind: str, left: float, orde
     law = realise(kind, order, degree + 1, T)
     with mpmath.workdps(60):
         a, beta = mpmath.mpf(left), mpmath.mpf(fraction)
-        binomials = [
-            ((-1) ** m * mpmath.binomial(beta, m), a**m * mpmath.binomial(-beta, m)) for m in range(2 * degree + 1)
-        ]
+        binomials = [((-1) ** m * mpmath.binomial(beta, m), a**m * mpmath.binomial(-beta, m)) for m in range(2 * degree + 1)]
         series = [sum(binomials[j][0] * binomials[m - j][1] for j in range(m + 1)) for m in range(2 * degree + 1)]
         top, bottom = mpmath.pade(series, degree, degree)
         for angle in (0.003, 0.1, 0.5, 1.0):

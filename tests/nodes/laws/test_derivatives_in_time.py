@@ -96,8 +96,7 @@ APPROXIMATION = {
         for signal in SIGNALS
         for order in (0.3, 0.5, 0.8, 1.5, 2.5)
         # Refused above 2; and ringing after any corner, see test_tustin_rings_after_a_corner.
-        if not (kind == "log_binned" and order > 2.0)
-        and not (kind == "tustin_cfe" and (signal != "power" or order > 2.0))
+        if not (kind == "log_binned" and order > 2.0) and not (kind == "tustin_cfe" and (signal != "power" or order > 2.0))
     ],
 )
 def test_follows_the_fractional_derivative(kind: str, signal: str, order: float) -> None:

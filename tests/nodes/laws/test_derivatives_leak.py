@@ -26,9 +26,7 @@ def test_gl_leaks_as_the_binomial_sum(order: float, taps: int) -> None:
     assert leak == pytest.approx(exact, abs=taps * EPS * 2.0**order)
     if taps == 1000:
         # (nT)^−α/Γ(1−α), in units of T^−α, with corrections of order α(α+1)/n.
-        assert exact == pytest.approx(
-            float((taps - 1) ** -order * mpmath.rgamma(1 - order)), rel=order * (order + 1.0) / 1000
-        )
+        assert exact == pytest.approx(float((taps - 1) ** -order * mpmath.rgamma(1 - order)), rel=order * (order + 1.0) / 1000)
         assert (exact > 0.0) == (order < 1.0 or 2.0 < order < 3.0)
 
 

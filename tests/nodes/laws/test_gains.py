@@ -97,14 +97,11 @@ def test_unlimited_is_the_same_as_measuring_time_so_that_the_period_is_two() -> 
 
 
 @pytest.mark.parametrize(
-    ("order", "taps", "low", "high"),
-    [(0.3, 4, 1.0, 1.05), (1.7, 4, 0.98, 1.01), (3.47, 4, 0.97, 1.0), (3.47, 2, 0.3, 0.5)],
+    ("order", "taps", "low", "high"), [(0.3, 4, 1.0, 1.05), (1.7, 4, 0.98, 1.01), (3.47, 4, 0.97, 1.0), (3.47, 2, 0.3, 0.5)]
 )
 def test_paper_and_unlimited_differ_by_what_the_memory_lacks(order: float, taps: int, low: float, high: float) -> None:
     data = {"kind": "pd_alpha", "stiffness": 1.0, "damping": 3.0, "order": order, "taps": taps}
-    paper, unlimited = (
-        parse_law({**data, "gains": unit}).compile(T).h_nyquist - 1.0 for unit in ("paper", "unlimited")
-    )
+    paper, unlimited = (parse_law({**data, "gains": unit}).compile(T).h_nyquist - 1.0 for unit in ("paper", "unlimited"))
     assert low < unlimited / paper < high
 
 

@@ -190,14 +190,8 @@ def test_preset_values_can_be_replaced() -> None:
         ({"kind": "fir", "taps": [1.0] * (MAX_TAPS + 1)}, rf"^laws\.a\.taps: .*of length at most {MAX_TAPS}"),
         ({"kind": "fir", "taps": [1.0, math.inf]}, r"^laws\.a\.taps\[1\]: inf"),
         ({"kind": "paper_optimum", "terms": []}, r"^laws\.a\.terms: .*a list of length at least 1"),
-        (
-            {"kind": "paper_optimum", "terms": [{"gain": 1.0, "order": 4.0}]},
-            r"^laws\.a\.terms\[0\]\.order: .*below 4, got 4",
-        ),
-        (
-            {"kind": "paper_optimum", "terms": [{"gain": 1.0, "order": 0.0}]},
-            r"^laws\.a\.terms\[0\]\.order: .*above 0, got 0",
-        ),
+        ({"kind": "paper_optimum", "terms": [{"gain": 1.0, "order": 4.0}]}, r"^laws\.a\.terms\[0\]\.order: .*below 4, got 4"),
+        ({"kind": "paper_optimum", "terms": [{"gain": 1.0, "order": 0.0}]}, r"^laws\.a\.terms\[0\]\.order: .*above 0, got 0"),
         ({"kind": "paper_optimum", "taps": 1}, r"^laws\.a\.taps: .*of at least 2, got 1"),
         ({"kind": "paper_optimum", "gains": "SI"}, r"^laws\.a\.gains: "),
     ],
@@ -292,9 +286,7 @@ def test_laws_are_parsed_without_numpy() -> None:
 
 
 finite = st.floats(1e-3, 1e5)
-terms = st.lists(
-    st.fixed_dictionaries({"gain": st.floats(-10, 10), "order": st.floats(1e-6, 3.999)}), min_size=1, max_size=5
-)
+terms = st.lists(st.fixed_dictionaries({"gain": st.floats(-10, 10), "order": st.floats(1e-6, 3.999)}), min_size=1, max_size=5)
 laws = st.one_of(
     st.fixed_dictionaries({"kind": st.just("pd"), "stiffness": finite, "damping": finite}),
     st.fixed_dictionaries(

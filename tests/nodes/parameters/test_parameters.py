@@ -168,10 +168,7 @@ class Outer(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         ({"inner": {"gain": -0.5}}, "node.inner.gain: expected a number of at least 0, got -0.5"),
         ({"inner": {"gain": "strong"}}, "node.inner.gain: expected a number, got 'strong'"),
         ({"inner": {"gain": float("nan")}}, "node.inner.gain: nan is not a finite number"),
-        (
-            {"inner": {"points": [[0.0, 1.0], [2.0, float("inf")]]}},
-            "node.inner.points[1][1]: inf is not a finite number",
-        ),
+        ({"inner": {"points": [[0.0, 1.0], [2.0, float("inf")]]}}, "node.inner.points[1][1]: inf is not a finite number"),
         ({"inner": {"points": [[0.0, "a"]]}}, "node.inner.points[0][1]: expected a number, got 'a'"),
         ({"inner": {"gian": 1.0}}, "node.inner.gian: no such parameter; there is: gain, points; did you mean gain?"),
         ({"free": {"deep": {"x": float("nan")}}}, "node.free.deep.x: nan is not a finite number"),
@@ -234,9 +231,7 @@ def test_get_reads_values_branches_and_entries() -> None:
 
 def test_merging_lays_over_and_another_kind_replaces() -> None:
     base = {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 1.0, "damping": 2.0}, "old": {"kind": "fir"}}}
-    over = {
-        "laws": {"pd": {"stiffness": 5.0}, "old": {"kind": "pd", "damping": 1.0}, "new": {"kind": "fir", "taps": [1.0]}}
-    }
+    over = {"laws": {"pd": {"stiffness": 5.0}, "old": {"kind": "pd", "damping": 1.0}, "new": {"kind": "fir", "taps": [1.0]}}}
     before = msgspec.json.encode(base)
     assert merge(base, over) == {
         "law": "pd",
@@ -274,9 +269,7 @@ some_laws = st.dictionaries(
 @st.composite
 def couplings(draw: st.DrawFn) -> dict[str, Any]:
     laws = draw(some_laws)
-    swaps = st.fixed_dictionaries(
-        {"at": st.floats(0, 1e3), "law": st.sampled_from(sorted(laws)), "ramp": st.integers(0, 9)}
-    )
+    swaps = st.fixed_dictionaries({"at": st.floats(0, 1e3), "law": st.sampled_from(sorted(laws)), "ramp": st.integers(0, 9)})
     return {
         "law": draw(st.sampled_from(sorted(laws))),
         "laws": laws,

@@ -88,9 +88,7 @@ def test_a_field_of_an_unknown_type_is_told_with_its_package(tmp_path: Path, mon
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: typing-error\nVersion: 1.0\n", encoding="utf-8")
     (info / "entry_points.txt").write_text("[haptic.surfaces]\nsoft = typing_error:Soft\n", encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
-    with pytest.raises(
-        NotInstalledError, match=r"'soft': the surface .*NameError: .*Stifness.*of the package typing-error"
-    ):
+    with pytest.raises(NotInstalledError, match=r"'soft': the surface .*NameError: .*Stifness.*of the package typing-error"):
         Registry("haptic.surfaces", "surface").load("soft")
 
 

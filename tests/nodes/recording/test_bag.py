@@ -31,9 +31,7 @@ MISSED = (40, 41, 150)
 
 
 def write(path: Path, sent: list[tuple[str, Message]], **manifest: str) -> None:
-    with RecordWriter(
-        path, {"scenario": "floor_drop", "pace": "realtime", "publishes": PUBLISHES} | manifest
-    ) as writer:
+    with RecordWriter(path, {"scenario": "floor_drop", "pace": "realtime", "publishes": PUBLISHES} | manifest) as writer:
         for topic, message in sent:
             writer.write(topic, message, message.stamp + 1e-4)
 
@@ -126,9 +124,7 @@ def test_bad_files(tmp_path: Path, capsys: pytest.CaptureFixture[str], verb: str
     assert list(tmp_path.iterdir()) == [bad], "nothing is written for a file that cannot be read"
 
 
-def test_record_without_a_launch(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_record_without_a_launch(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(tmp_path / "run"))
     monkeypatch.chdir(tmp_path)
     code, _, err = haptic(capsys, "record")
@@ -148,9 +144,7 @@ def test_topics_of_a_file_choose_no_path() -> None:
 @pytest.mark.parametrize(
     ("verb", "made"), [(["export"], "drop_csv"), (["plot"], "drop.png"), (["plot", "--xy"], "drop_xy.png")]
 )
-def test_nothing_is_overwritten_unasked(
-    bag: Path, capsys: pytest.CaptureFixture[str], verb: list[str], made: str
-) -> None:
+def test_nothing_is_overwritten_unasked(bag: Path, capsys: pytest.CaptureFixture[str], verb: list[str], made: str) -> None:
     out = bag.with_name(made)
     assert haptic(capsys, *verb, bag)[0] == 0
     code, _, err = haptic(capsys, *verb, bag)
@@ -201,9 +195,7 @@ def test_play_publishes_what_was_recorded(bag: Path, pair: tuple[OpenPort, Subsc
     assert inbox.receive(0) is None
 
 
-def test_play_keeps_the_pace(
-    tmp_path: Path, pair: tuple[OpenPort, Subscription], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_play_keeps_the_pace(tmp_path: Path, pair: tuple[OpenPort, Subscription], monkeypatch: pytest.MonkeyPatch) -> None:
     publisher, _ = pair
     path = tmp_path / "r.mcap"
     gaps = [0.0, 1.5, 1.5, 4.0]

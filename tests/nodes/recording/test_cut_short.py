@@ -9,10 +9,9 @@ from pathlib import Path
 from messages.topics import DEVICE_STATE, status
 from messages.types import Event, NodeStatus
 from nodes.recording.accounts import completeness
-from nodes.recording.ended import beside
 from nodes.recording.reader import Recording
 from nodes.recording.recover import recover
-from nodes.recording.writer import RecordWriter
+from nodes.recording.writer import RecordWriter, ended_beside
 from tests.support.launching import running, wait_for
 from tests.support.recorded import drop
 
@@ -25,7 +24,7 @@ def test_a_killed_logger_is_in_the_summary_and_its_file_says_what_is_missing(tmp
         told = launch.finish(code=None)
     path = tmp_path / told["recording"]
     assert any("logger: ended with SIGKILL" in failure for failure in told["failures"])
-    assert beside(path).is_file()
+    assert ended_beside(path).is_file()
     recording = Recording(path)
     verdict = completeness(recording)
     # Every tick of the run is either recorded or told as missing.

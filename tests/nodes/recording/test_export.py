@@ -82,8 +82,7 @@ def test_what_was_not_recorded_is_told_as_missing(tmp_path: Path) -> None:
     sent = [
         (topic, message)
         for topic, message in drop(50)
-        if not (topic == topics.FORCE and message.seq in (7, 8))
-        and not (topic == topics.DEVICE_STATE and message.seq == 20)
+        if not (topic == topics.FORCE and message.seq in (7, 8)) and not (topic == topics.DEVICE_STATE and message.seq == 20)
     ]
     write(path, sent)
     table = read(path)
@@ -175,9 +174,7 @@ def test_mat_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert json.loads(found["parameters"])["parameters"]["coupling"]["stiffness"] == 1500.0
 
 
-def test_parquet_reads_back_equal(
-    bag: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_parquet_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     files = exported(capsys, bag, "--format", "parquet")
     found = parquet.read_table(files["drop.parquet"])
     table = read(bag)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import itertools
+import re
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+import pytest
 from matplotlib.figure import Figure
 
 from nodes.recording.figure_style import (
@@ -15,6 +17,9 @@ from nodes.recording.figure_style import (
     MARKERS,
     OMEGA,
     label_ends,
+    new_figure,
+    plain_factor,
+    plain_power,
     save_figure,
     styled,
     threshold,
@@ -69,3 +74,40 @@ def test_each_curve_has_a_colour_a_line_and_a_marker_of_its_own() -> None:
 
 def test_symbols_are_set_as_mathematics_and_words_are_left_alone() -> None:
     assert typeset("D^0.5: time to K_max, 5 K_maxima") == r"$D^{0.5}$: time to $K_\mathrm{max}$, 5 K_maxima"
+
+
+@pytest.mark.parametrize(
+    ("mathematics", "plain"),
+    [
+        (r"$\mathdefault{10^{-9}}$", "10⁻⁹"),
+        (r"$\mathdefault{2\times10^{-1}}$", "2×10⁻¹"),
+        (r"$\mathdefault{-10^{12}}$", "−10¹²"),
+        (r"$\mathdefault{0}$", "0"),
+        ("run-1", "run-1"),
+        ("1e-05", "1e-05"),
+    ],
+)
+def test_powers_are_written_as_text(mathematics: str, plain: str) -> None:
+    assert plain_power(mathematics) == plain
+
+
+@pytest.mark.parametrize(
+    ("told", "plain"), [("1e−9", "×10⁻⁹"), ("1e7", "×10⁷"), ("+1e+7", "+1×10⁷"), ("1e−5+1.2e3", "×10⁻⁵+1.2×10³"), ("", "")]
+)
+def test_factors_are_written_as_text(told: str, plain: str) -> None:
+    assert plain_factor(told) == plain
+
+
+def test_a_saved_picture_has_the_numbers_that_matplotlib_would_have(tmp_path: Path) -> None:
+    figure = new_figure(4.0, 3.0)
+    left, right = figure.subplots(1, 2)
+    left.loglog([1e-4, 1e3], [1.0, 1e6])
+    right.plot([0.0, 3e-9], [0.0, 4e8])
+    svg = save_figure(figure, tmp_path / "a.png").with_suffix(".svg").read_text(encoding="utf-8")
+    powers = {
+        int(text.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789"))) for text in re.findall(r">10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)<", svg)
+    }
+    # Powers within both axes' limits, the least and the largest among them.
+    assert {-4, 0, 6} <= powers <= set(range(-4, 7))
+    assert ">×10⁻⁹<" in svg
+    assert ">×10⁸<" in svg

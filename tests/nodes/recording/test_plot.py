@@ -33,9 +33,7 @@ MISSED = (40, 41, 150)
 
 
 def write(path: Path, sent: Sequence[tuple[str, Message]], **manifest: str) -> Path:
-    with RecordWriter(
-        path, {"scenario": "floor_drop", "pace": "realtime", "publishes": PUBLISHES} | manifest
-    ) as writer:
+    with RecordWriter(path, {"scenario": "floor_drop", "pace": "realtime", "publishes": PUBLISHES} | manifest) as writer:
         for topic, message in sent:
             writer.write(topic, message, message.stamp + 1e-4)
     return path
@@ -137,9 +135,7 @@ def test_plot_marks_missed_ticks_and_the_period(tmp_path: Path) -> None:
     assert with_missed > without + 60
 
 
-@pytest.mark.parametrize(
-    ("ending", "start"), [("png", b"\x89PNG\r\n"), ("svg", b"<?xml"), ("PDF", b"%PDF-"), ("", b"\x89PNG")]
-)
+@pytest.mark.parametrize(("ending", "start"), [("png", b"\x89PNG\r\n"), ("svg", b"<?xml"), ("PDF", b"%PDF-"), ("", b"\x89PNG")])
 def test_files_are_what_they_are_called(bag: Path, ending: str, start: bytes) -> None:
     out = bag.with_name("picture" + (f".{ending}" if ending else ""))
     assert main.main(["bag", "plot", str(bag), "--out", str(out)]) == 0
@@ -188,12 +184,7 @@ def test_a_run_that_does_not_rest_is_shown_whole(tmp_path: Path) -> None:
 def test_the_plot_tells_of_losses_what_bag_info_tells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     # 114 gaps in what the environment answered, because it took the newest: nothing of what it sent is lost.
     sent = [
-        (
-            topic,
-            msgspec.structs.replace(message, sent=186)
-            if isinstance(message, NodeStatus) and "env" in topic
-            else message,
-        )
+        (topic, msgspec.structs.replace(message, sent=186) if isinstance(message, NodeStatus) and "env" in topic else message)
         for topic, message in drop(300)
         if not (topic == topics.PROXY and 100 <= message.seq < 214)
     ]
@@ -230,9 +221,7 @@ def test_plot_of_too_little(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 
 @pytest.fixture
 def several(tmp_path: Path) -> list[Path]:
-    return [
-        write(tmp_path / f"run{number}.mcap", list(drop(200 + 50 * number, switch=60 + number))) for number in range(3)
-    ]
+    return [write(tmp_path / f"run{number}.mcap", list(drop(200 + 50 * number, switch=60 + number))) for number in range(3)]
 
 
 def test_runs_lie_over_each_other(several: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
@@ -265,11 +254,7 @@ def test_force_over_position_pairs_what_belongs_together(several: list[Path]) ->
 
 def test_force_over_position_of_an_hour_at_rest_is_a_point(tmp_path: Path) -> None:
     at_rest = [
-        (
-            topics.DEVICE_STATE,
-            DeviceState(seq=k, stamp=k * PERIOD, position=(0.0, 0.0, 0.01 * (k < 2))),
-        )
-        for k in range(5000)
+        (topics.DEVICE_STATE, DeviceState(seq=k, stamp=k * PERIOD, position=(0.0, 0.0, 0.01 * (k < 2)))) for k in range(5000)
     ]
     (axes,) = force_over_position([Recording(write(tmp_path / "r.mcap", at_rest))]).axes
     assert np.size(axes.lines[0].get_xdata()) < 10
@@ -293,10 +278,7 @@ def crowded() -> Iterator[tuple[str, Message]]:
             name = f"a_law_with_quite_a_long_name_{message.seq // 40}"
             yield topic, msgspec.structs.replace(message, law=name)
             if message.seq % 40 == 0 or 300 < message.seq < 320:
-                yield (
-                    topics.RECEIPT,
-                    Receipt(seq=message.seq, stamp=message.stamp, action="switch", before="{}", after="{}"),
-                )
+                yield (topics.RECEIPT, Receipt(seq=message.seq, stamp=message.stamp, action="switch", before="{}", after="{}"))
         else:
             yield topic, message
 
@@ -336,9 +318,7 @@ def test_a_long_recording_is_drawn_in_bounded_memory(tmp_path: Path) -> None:
             for seq in range(ticks):
                 stamp = seq * PERIOD
                 position = (0.0, 0.0, 0.001 * ((seq * 7919) % 1000))
-                writer.write(
-                    topics.DEVICE_STATE, DeviceState(seq=seq, stamp=stamp, position=position, response=1e-4), stamp
-                )
+                writer.write(topics.DEVICE_STATE, DeviceState(seq=seq, stamp=stamp, position=position, response=1e-4), stamp)
                 writer.write(topics.FORCE, Force(seq=seq, stamp=stamp, force=position, law="pd"), stamp)
         code = (
             "import resource, sys; from nodes.cli.main import main; assert not main(sys.argv[1:]);"

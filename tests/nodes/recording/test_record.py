@@ -68,8 +68,7 @@ def test_messages_fit_their_schema(data: st.DataObject, message_type: type[Messa
 
 
 @pytest.mark.parametrize(
-    "change",
-    [{"seq": -1}, {"seq": 0.5}, {"position": [0.0, 0.0]}, {"position": [0.0] * 4}, {"safety": 1}, {"stamp": "0"}],
+    "change", [{"seq": -1}, {"seq": 0.5}, {"position": [0.0, 0.0]}, {"position": [0.0] * 4}, {"safety": 1}, {"stamp": "0"}]
 )
 def test_schema_refuses(change: dict[str, Any]) -> None:
     good = json.loads(msgspec.json.encode(state(0)))
@@ -90,9 +89,7 @@ def test_schema_refuses_types_it_cannot_flatten() -> None:
 
 
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    written=st.lists(st.tuples(st.sampled_from(TYPES).flatmap(messages), st.floats(0.0, 1e9)), min_size=1, max_size=20)
-)
+@given(written=st.lists(st.tuples(st.sampled_from(TYPES).flatmap(messages), st.floats(0.0, 1e9)), min_size=1, max_size=20))
 def test_round_trip_to_the_bit(tmp_path: Path, written: list[tuple[Message, float]]) -> None:
     path = tmp_path / "r.mcap"
     with RecordWriter(path, {"scenario": "any"}, overwrite=True) as writer:
@@ -348,10 +345,7 @@ LIGHT = """
 
 def test_writing_needs_little_memory_and_no_numpy(tmp_path: Path) -> None:
     process = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(LIGHT), str(tmp_path / "r.mcap")],
-        capture_output=True,
-        text=True,
-        check=True,
+        [sys.executable, "-c", textwrap.dedent(LIGHT), str(tmp_path / "r.mcap")], capture_output=True, text=True, check=True
     )
     peak, *heavy = process.stdout.split()
     assert heavy == []

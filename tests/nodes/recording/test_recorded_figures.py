@@ -167,11 +167,7 @@ def test_viewers_date_a_run_by_the_wall_clock_and_readers_by_the_run(tmp_path: P
 
 def test_recordings_of_earlier_versions_and_damaged_clocks(tmp_path: Path) -> None:
     sent = list(drop(20))
-    for name, clock in (
-        ("none", None),
-        ("bad", {"log_time_offset_ns": "x"}),
-        ("huge", dict.fromkeys(OFFSETS, "9" * 30)),
-    ):
+    for name, clock in (("none", None), ("bad", {"log_time_offset_ns": "x"}), ("huge", dict.fromkeys(OFFSETS, "9" * 30))):
         path = tmp_path / f"{name}.mcap"
         output = Output(path, overwrite=False)
         writer = mcap_writer(output, "earlier")
@@ -197,11 +193,7 @@ def test_overruns_are_gaps_that_the_driver_declares(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     told = [(0, 0), (1, 0), (4, 2), (5, 2), (9, 5)]
     write(
-        path,
-        [
-            (DEVICE_STATE, DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0), overruns=count))
-            for seq, count in told
-        ],
+        path, [(DEVICE_STATE, DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0), overruns=count)) for seq, count in told]
     )
     recording = Recording(path)
     assert recording.topics[DEVICE_STATE].gaps == overruns(recording) == 5

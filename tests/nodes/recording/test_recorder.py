@@ -26,13 +26,7 @@ def test_an_answer_that_is_given_again_is_recorded_once(context: Context, place:
     proxy = encode(Proxy(seq=1, stamp=0.002, position=ZERO, proxy=ZERO, normal=ZERO, distance=0.0))
     with RecordWriter(tmp_path / "r.mcap", {}) as writer:
         recorder = Recorder(inbox, writer)
-        for topic, payload in (
-            (FORCE, forces[0]),
-            (FORCE, forces[1]),
-            (PROXY, proxy),
-            (FORCE, forces[1]),
-            (FORCE, forces[2]),
-        ):
+        for topic, payload in ((FORCE, forces[0]), (FORCE, forces[1]), (PROXY, proxy), (FORCE, forces[1]), (FORCE, forces[2])):
             publisher.send(topic.encode(), payload)
         wait_for(lambda: recorder.take(50) and recorder.recorded == 4, "all of them")
         assert not recorder.take(50)

@@ -113,10 +113,15 @@ def test_a_wrench_is_taken_on_top_of_the_law_and_ends_with_its_age(heard: Heard)
     # Whatever was stamped 5 s ago is refused, and what is not renewed is gone.
     assert beyond_the_law(heard.states("old_from", "pushed_from")) == {0.0}
     age = launch_file.read("ros2_wall", {}).nodes["driver"].parameters["external"]["age"]
-    after = [
-        s for s in heard.states("pushed_to", "pulled_to") if s.stamp > heard.told["pushed_to"] - heard.offset + 2 * age
-    ]
+    after = [s for s in heard.states("pushed_to", "pulled_to") if s.stamp > heard.told["pushed_to"] - heard.offset + 2 * age]
     assert beyond_the_law(after) == {0.0}
+    # A request for each of them took ten times the round's time: as many poses come while somebody pushes as while he pulls.
+    spans = (("pushed_from", "pushed_to"), ("pushed_to", "pulled_to"))
+    pushed, pulled = (
+        sum(heard.told[since] <= pose[0] + 1e-9 * pose[1] <= heard.told[until] for pose in heard.told["poses"])
+        for since, until in spans
+    )
+    assert pushed > 0.4 * pulled
     refusals = [e.reason for e in heard.recording.messages("/ros2/event") if isinstance(e, Event) and e.kind == "stale"]
     assert "limit 0.1 s" in refusals[0]
 

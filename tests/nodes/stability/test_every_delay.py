@@ -15,7 +15,7 @@ from nodes.stability.every_delay import _Ticks, every_delay
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
-from sim.design.replay_delays import replayed_radius
+from sim.design.recorded_loop import replayed_radius
 
 T, M, B = 0.002, 0.1, 1.0
 
@@ -41,9 +41,7 @@ def test_a_constant_sequence_has_the_poles_of_its_delay(name: str, delay: float)
     some = law(name, 0.5, (0.5, 1.0))
     for around in ((delay, delay), (max(delay - 0.4, 0.0), delay + 0.4)):
         matrix = _Ticks(some, FlexiblePlant(M, B), T, around).matrix(delay, delay)
-        assert np.abs(np.linalg.eigvals(matrix)).max() == pytest.approx(
-            pole_radius(some, Plant(T, M, B, delay)), rel=1e-9
-        )
+        assert np.abs(np.linalg.eigvals(matrix)).max() == pytest.approx(pole_radius(some, Plant(T, M, B, delay)), rel=1e-9)
 
 
 @pytest.mark.parametrize("delays", RANGES)

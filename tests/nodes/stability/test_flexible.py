@@ -30,9 +30,7 @@ def test_without_joint_and_lag_it_is_the_rigid_device(delay: float, hand: float)
     assert numerator == pytest.approx(rigid.numerator, abs=1e-12 * T * T / 0.1)
     filtered = parse_law({"kind": "pd_filtered", "stiffness": 500.0, "damping": 2.0, "cutoff": 50.0}).compile(T)
     for law in (PD, filtered):
-        assert flexible_radius(law, T, plant) == pytest.approx(
-            pole_radius(law, Plant(T, 0.1, 1.0, delay, hand)), abs=1e-9
-        )
+        assert flexible_radius(law, T, plant) == pytest.approx(pole_radius(law, Plant(T, 0.1, 1.0, delay, hand)), abs=1e-9)
 
 
 def test_a_stiff_joint_and_a_short_lag_tend_to_the_rigid_device() -> None:

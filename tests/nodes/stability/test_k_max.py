@@ -117,8 +117,7 @@ def test_semi_implicit_euler_overstates_k_max(steps: int) -> None:
     h = T / steps
     position = np.linalg.matrix_power(np.array([[1.0, h], [0.0, 1.0]]), steps)
     pushed = sum(
-        (np.linalg.matrix_power(np.array([[1.0, h], [0.0, 1.0]]), i) @ np.array([h * h / mass, h / mass]))
-        for i in range(steps)
+        (np.linalg.matrix_power(np.array([[1.0, h], [0.0, 1.0]]), i) @ np.array([h * h / mass, h / mass])) for i in range(steps)
     )
 
     def stable(k: float) -> bool:

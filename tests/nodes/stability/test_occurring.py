@@ -62,9 +62,7 @@ def test_damping_shown_is_the_series_for_light_damping() -> None:
         mu = 1e-3
         shown = damping_shown(Plant(T, 0.1, mu * 0.1 / T), theta) / (mu * 0.1 / T)
         # The next term is of order (bT/m)², times the square of the tangent's growth near ω_N.
-        assert shown == pytest.approx(
-            1.0 + math.tan(0.5 * theta) ** 2 / 3.0, rel=1e-5 * (1.0 + math.tan(0.5 * theta) ** 2)
-        )
+        assert shown == pytest.approx(1.0 + math.tan(0.5 * theta) ** 2 / 3.0, rel=1e-5 * (1.0 + math.tan(0.5 * theta) ** 2))
 
 
 @settings(max_examples=60, deadline=None)

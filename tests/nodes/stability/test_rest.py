@@ -76,12 +76,7 @@ def swings_on(law: CompiledLaw, plant: Plant, friction: float) -> bool:
         size = STEP * 10.0 ** random.uniform(-1.0, 1.0)
         position, velocity = (float(v) for v in random.uniform(-size, size, 2) * (1.0, 1.0 / T))
         body = DeviceModel(
-            mass=plant.mass,
-            damping=plant.damping,
-            friction=friction,
-            resolution=STEP,
-            position=position,
-            velocity=velocity,
+            mass=plant.mass, damping=plant.damping, friction=friction, resolution=STEP, position=position, velocity=velocity
         )
         anchor = SceneSurface("anchor", position=float(random.uniform(-STEP, STEP)))
         trace = run(Scene(device=body, surface=anchor, period=T, raw=False, clamp=False), law, 4000)

@@ -339,8 +339,7 @@ def test_what_a_hand_adds() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [{"mass": 0.0}, {"mass": "a"}, {"period": 0.0}, {"damping": -1.0}, {"delay": math.nan}, {"stiffness": -1.0}],
+    "wrong", [{"mass": 0.0}, {"mass": "a"}, {"period": 0.0}, {"damping": -1.0}, {"delay": math.nan}, {"stiffness": -1.0}]
 )
 def test_what_no_device_is_is_refused_at_once(wrong: dict[str, Any]) -> None:
     (name,) = wrong

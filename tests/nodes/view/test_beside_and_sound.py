@@ -37,9 +37,7 @@ def page(browser: Browser, launch: Running) -> Iterator[Page]:
 
 
 def test_a_link_carries_law_stiffness_and_comparison(page: Page, launch: Running) -> None:
-    wait_for(
-        lambda: launch.call("coupling", "param.get", name="laws.pd.stiffness") == 1500.0, "the stiffness of the link"
-    )
+    wait_for(lambda: launch.call("coupling", "param.get", name="laws.pd.stiffness") == 1500.0, "the stiffness of the link")
     wait_for(lambda: page.evaluate("haptic.beside.law") == "multi_term", "the comparison of the link")
     page.evaluate("navigator.clipboard.writeText = (text) => { window.copied = text; return Promise.resolve(); }")
     page.locator("#share").click()
@@ -95,10 +93,7 @@ def test_the_sound_is_the_force(browser: Browser, launch: Running) -> None:
         page.evaluate("""() => { const { port } = haptic.sound.node, post = port.postMessage.bind(port);
           port.postMessage = (data) => {
             heard.times.push(...data.times); heard.forces.push(...data.forces); post(data); }; }""")
-        wait_for(
-            lambda: page.evaluate("Math.min(0, ...heard.forces) < -0.2 && heard.forces.length > 1500"),
-            "a touch is heard",
-        )
+        wait_for(lambda: page.evaluate("Math.min(0, ...heard.forces) < -0.2 && heard.forces.length > 1500"), "a touch is heard")
         assert 8.0 < page.evaluate("window.shaken") <= 40.0, "and felt"
         heard = page.evaluate("heard")
         page.locator("#sound").click()

@@ -29,11 +29,7 @@ def unpack(frame: bytes, feed: Feed) -> tuple[np.ndarray, dict[str, np.ndarray],
     assert len(frame) == HEAD.size + 8 * count + 8 * series * count
     times = np.frombuffer(frame, "<f8", count, HEAD.size)
     values = np.frombuffer(frame, "<f4", 2 * series * count, HEAD.size + 8 * count).reshape(2 * series, count)
-    return (
-        times,
-        dict(zip(feed.names, values[:series], strict=True)),
-        dict(zip(feed.names, values[series:], strict=True)),
-    )
+    return (times, dict(zip(feed.names, values[:series], strict=True)), dict(zip(feed.names, values[series:], strict=True)))
 
 
 @given(st.lists(st.floats(-1.0, 1.0, width=32), min_size=1, max_size=300), st.sampled_from([1, 2, 4, 20]))

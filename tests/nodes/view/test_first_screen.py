@@ -21,17 +21,7 @@ if TYPE_CHECKING:
 
 pytestmark = needs_browser
 
-SIZES = [
-    (1366, 768),
-    (390, 844),
-    (844, 390),
-    (320, 568),
-    (568, 320),
-    (1024, 768),
-    (1920, 1080),
-    (683, 384),
-    (3840, 2160),
-]
+SIZES = [(1366, 768), (390, 844), (844, 390), (320, 568), (568, 320), (1024, 768), (1920, 1080), (683, 384), (3840, 2160)]
 """A laptop, a phone and a small one, each on its side too, a tablet, a large screen, the laptop at 200 %, and 4K."""
 
 
@@ -208,16 +198,12 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
       for (const kind of ["input", "change"]) slider.dispatchEvent(new Event(kind)); }"""
     before = float(page.evaluate("haptic.dial.edge"))
     page.evaluate(script, 0.4)
-    turned = wait_for(
-        lambda: float(launch.call("driver", "param.get", name="device.delay")), "the device answers later"
-    )
+    turned = wait_for(lambda: float(launch.call("driver", "param.get", name="device.delay")), "the device answers later")
     wait_for(lambda: page.evaluate("haptic.map.own") == turned, "the map for that delay")
     wait_for(lambda: page.evaluate("haptic.dial.edge") < before, "the edge to come down")
     assert "ticks of" in shown(page, "#delay-told")
     # The dot of the right-hand panel stands at the delay of the whole loop, and is a handle.
-    wait_for(
-        lambda: page.evaluate("haptic.map.frame.far") > page.evaluate("haptic.map.map.delay_ticks"), "it is inside"
-    )
+    wait_for(lambda: page.evaluate("haptic.map.frame.far") > page.evaluate("haptic.map.map.delay_ticks"), "it is inside")
     box: Any = page.locator("#map").bounding_box()
     at = """() => { const { map: { delay_ticks: d, k_n_per_m: k }, frame } = haptic.map;
       const { begin, last, far, bottom, top, most } = frame;
@@ -253,7 +239,8 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
       return [...canvas.getContext("2d").getImageData(pixel(u), pixel(v), 1, 1).data]; }"""
     red, _, blue, alpha = page.evaluate(drawn, [3.0, k])
     assert alpha > 40
-    assert blue > red + 60, "in the device's colour"
+    # The older of several fades into what lies below.
+    assert blue > red + 20, "in the device's colour"
     launch.call("driver", "param.set", values={"device.delay": 0.0})
     launch.call("coupling", "param.set", values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0})
 

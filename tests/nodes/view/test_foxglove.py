@@ -99,7 +99,5 @@ def test_without_the_extra_it_says_how_to_get_it(tmp_path: Path) -> None:
     )
     import os
 
-    told = haptic(
-        tmp_path, "launch", "open.yaml", code=2, environment={**os.environ, "PYTHONPATH": str(tmp_path)}
-    ).stderr
+    told = haptic(tmp_path, "launch", "open.yaml", code=2, environment={**os.environ, "PYTHONPATH": str(tmp_path)}).stderr
     assert "pip install 'haptic-nodes[foxglove]'" in told

@@ -23,11 +23,11 @@ pytest.importorskip("foxglove", reason="the extra is not installed: pip install 
 
 
 @contextmanager
-def shown(folder: Path, scenario: str) -> Iterator[str]:
-    """Launch a scenario with a view that Foxglove can connect to; where."""
+def shown(folder: Path, scenario: str, **changed: Any) -> Iterator[str]:
+    """Launch a scenario, its nodes' parameters changed, with a view that Foxglove can connect to; where."""
     content = {
         "summary": "A scenario that Foxglove sees.",
-        "include": [{"launch": scenario, "arguments": {"duration": 0.0}, "without": ["logger"]}],
+        "include": [{"launch": scenario, "arguments": {"duration": 0.0}, "without": ["logger"], "parameters": changed}],
         "nodes": {"view": {"kind": "view", "parameters": {"foxglove": 0}}},
     }
     (folder / "shown.yaml").write_text(json.dumps(content), encoding="utf-8")
@@ -100,8 +100,10 @@ def test_the_shape_comes_once_to_each_who_subscribes_then_what_moves(tmp_path: P
 
 def test_bodies_move_for_who_heard_the_beginning(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
-    with shown(tmp_path, "puck_push") as place, subscribed(place) as (client, schema):
-        drawn = entities(client, schema, 3.0)
+    # It is pushed away once: only when a client has had the time to come.
+    hand = {"path": [[4.2, 0.0], [5.2, 0.07], [5.7, 0.07], [6.7, 0.0]], "repeat": 60.0}
+    with shown(tmp_path, "puck_push", driver={"device": {"hand": hand}}) as place, subscribed(place) as (client, schema):
+        drawn = entities(client, schema, 6.0)
     bodies = [one for one in drawn if one["id"] == "bodies"]
     assert len(bodies) > 90
     pucks = np.array([at(one["cylinders"][0]["pose"]["position"]) for one in bodies])
@@ -115,13 +117,9 @@ def test_who_comes_late_is_told_that_bodies_are_not_drawn(tmp_path: Path) -> Non
         launch.wait_ticks(200)
         told = tmp_path / "view.txt"
         with told.open("wb") as file:
-            view = beside(
-                "view", "--json", "--foxglove", "0", cwd=tmp_path, env=launch.environment, stdout=file, stderr=file
-            )
+            view = beside("view", "--json", "--foxglove", "0", cwd=tmp_path, env=launch.environment, stdout=file, stderr=file)
         try:
-            place = wait_for(
-                lambda: told.read_text(encoding="utf-8").partition("ws://")[2].partition("\n")[0], "the port"
-            )
+            place = wait_for(lambda: told.read_text(encoding="utf-8").partition("ws://")[2].partition("\n")[0], "the port")
             with subscribed(place.strip()) as (client, schema):
                 drawn = entities(client, schema, 1.0)
         finally:

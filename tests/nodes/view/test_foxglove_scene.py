@@ -31,8 +31,7 @@ def scene_of(file: Path) -> tuple[dict[str, Any], list[Update]]:
     """Read schema and updates."""
     with file.open("rb") as stream:
         found = [
-            (schema, channel, message)
-            for schema, channel, message in make_reader(stream).iter_messages(topics=["/scene"])
+            (schema, channel, message) for schema, channel, message in make_reader(stream).iter_messages(topics=["/scene"])
         ]
     schema, channel, _ = found[0]
     assert schema is not None
@@ -103,9 +102,7 @@ def test_the_force_is_drawn_from_the_device(sphere: tuple[Path, Path]) -> None:
 def test_everything_that_was_recorded_is_still_there(sphere: tuple[Path, Path]) -> None:
     recording, file = sphere
     with file.open("rb") as stream, recording.open("rb") as original:
-        found = [
-            message.data for _, channel, message in make_reader(stream).iter_messages() if channel.topic != "/scene"
-        ]
+        found = [message.data for _, channel, message in make_reader(stream).iter_messages() if channel.topic != "/scene"]
         assert sorted(found) == sorted(message.data for _, _, message in make_reader(original).iter_messages())
     assert main(["bag", "export", str(recording), "--format", "foxglove"]) != 0
     assert main(["bag", "export", str(recording), "--format", "foxglove", "--out", str(recording), "--force"]) != 0

@@ -98,8 +98,7 @@ def test_a_slider_is_answered_with_a_receipt_and_undone(page: Page, launch: Runn
     slider.focus()
     page.keyboard.press("ArrowRight")
     changed = wait_for(
-        lambda: (k := launch.call("coupling", "param.get", name="laws.pd.stiffness")) != before and k,
-        "the new stiffness",
+        lambda: (k := launch.call("coupling", "param.get", name="laws.pd.stiffness")) != before and k, "the new stiffness"
     )
     assert before < changed < 1.1 * before
     # A busy machine logs a line of its own in between.
@@ -142,9 +141,7 @@ def test_what_is_typed_is_not_overwritten_from_elsewhere(page: Page, launch: Run
     exact.fill("321")
     launch.call("coupling", "param.set", values={"laws.pd.damping": 1.1 * before["damping"]})
     other = page.locator("input[aria-label='damping, exact value']")
-    wait_for(
-        lambda: float(other.input_value()) == pytest.approx(1.1 * before["damping"], rel=1e-5), "the other's value"
-    )
+    wait_for(lambda: float(other.input_value()) == pytest.approx(1.1 * before["damping"], rel=1e-5), "the other's value")
     assert exact.input_value() == "321"
     page.keyboard.press("Enter")
     wait_for(lambda: launch.call("coupling", "param.get", name="laws.pd.stiffness") == 321.0, "what was typed")
@@ -216,9 +213,7 @@ def test_a_page_that_is_stopped_costs_the_others_nothing_and_lets_go(browser: Br
 def test_record_and_undo_buttons_and_pause(page: Page, launch: Running) -> None:
     page.locator("#record").click()
     wait_for(lambda: page.locator("#record").get_attribute("aria-pressed") == "true", "recording")
-    wait_for(
-        lambda: [p for p in (launch.folder / "recordings").glob("*.mcap") if p.stat().st_size > 1000], "the file grows"
-    )
+    wait_for(lambda: [p for p in (launch.folder / "recordings").glob("*.mcap") if p.stat().st_size > 1000], "the file grows")
     page.locator("#record").click()
     wait_for(lambda: page.locator("#record").get_attribute("aria-pressed") == "false", "recorded")
     page.locator("body").click(position={"x": 2, "y": 400})
@@ -237,9 +232,7 @@ def test_plots_are_read_and_zoomed_by_mouse_and_fingers(page: Page, browser: Bro
     assert box is not None
     u, v = box["x"] + 0.5 * box["width"], box["y"] + 40.0
     page.mouse.move(u, v)
-    wait_for(
-        lambda: all(unit in shown(page, "#values") for unit in (" s ", "mm", "N", "mJ", "µs")), "all under the pointer"
-    )
+    wait_for(lambda: all(unit in shown(page, "#values") for unit in (" s ", "mm", "N", "mJ", "µs")), "all under the pointer")
     before = page.evaluate("haptic.plots.sight()")
     page.mouse.down()
     drawn, newest = page.evaluate("[haptic.plots.panels[0].plot.scales.x.max, haptic.plots.store.end]")
@@ -281,9 +274,7 @@ def test_plots_are_read_and_zoomed_by_mouse_and_fingers(page: Page, browser: Bro
         near = phone.evaluate("haptic.plots.sight()")
         # The browser lets the first move of a finger pass; two move at different times, and the middle of both stays.
         assert 0.2 < (near[1] - near[0]) / (moved[1] - moved[0]) < 0.35
-        assert phone.evaluate("[haptic.plots.fingers.size, visualViewport.scale]") == [0, 1], (
-            "the page itself is not zoomed"
-        )
+        assert phone.evaluate("[haptic.plots.fingers.size, visualViewport.scale]") == [0, 1], "the page itself is not zoomed"
 
 
 @pytest.mark.parametrize("size", [(390, 844), (1440, 900)])

@@ -26,9 +26,25 @@ PULL = """t => { const slider = document.getElementById("seek");
   for (const kind of ["input", "change"]) slider.dispatchEvent(new Event(kind)); }"""
 """In the page: pull the recording's slider to a time [s]."""
 
+PAUSE = """() => { const play = document.getElementById("play");
+  if (play.getAttribute("aria-pressed") === "true") play.click(); }"""
+"""In the page: pause what plays. On a busy machine it is at its end already, where a click would play it once more."""
+
 
 def _at(page: Page) -> float:
     return float(page.evaluate("haptic.scene.now.t"))
+
+
+def _go(page: Page, t: float) -> None:
+    page.evaluate(PULL, t)
+    wait_for(lambda: abs(_at(page) - t) < 0.02, "the scene follows the slider")
+
+
+def _stop(page: Page, t: float) -> None:
+    """Let it stand at a time: a picture of before may come after the answer, but none after that of where it was pulled to."""
+    page.evaluate(PAUSE)
+    wait_for(lambda: page.locator("#play").get_attribute("aria-pressed") == "false", "it stands")
+    _go(page, t)
 
 
 def test_it_is_pulled_through_with_its_plots_over_another_one(browser: Browser, tmp_path: Path) -> None:
@@ -43,8 +59,10 @@ def test_it_is_pulled_through_with_its_plots_over_another_one(browser: Browser, 
     words = ("--replay", str(paths[0]), "--over", str(paths[1]))
     with viewing(tmp_path, *words) as url, OpenPage(browser, url + "#lab") as page:
         assert re.fullmatch(r"The recording is cut: it ends at 2\.\d s\.", shown(page, "#notice"))
+        _stop(page, 0.05)
         page.locator("#play").click()
-        wait_for(lambda: page.locator("#play").get_attribute("aria-pressed") == "false", "it stands")
+        wait_for(lambda: _at(page) > 0.1, "it plays on")
+        _stop(page, 0.05)
         wait_for(lambda: page.evaluate("haptic.plots.panels[0].plot.data[0].length > 100"), "the plots")
         before = page.evaluate("haptic.plots.sight()")
         # A moment that is still to come is in the plots already.
@@ -57,13 +75,10 @@ def test_it_is_pulled_through_with_its_plots_over_another_one(browser: Browser, 
         assert float(page.evaluate("haptic.plots.panels[0].plot.data[0].at(-1)")) > wanted + 0.1
         shows = float(page.evaluate("haptic.scene.now.position[2]"))
         # One picture of the scene for 60 in a second.
-        near = [
-            states[seq].position[2] for seq in range(max(0, round(wanted / PERIOD) - 10), round(wanted / PERIOD) + 2)
-        ]
+        near = [states[seq].position[2] for seq in range(max(0, round(wanted / PERIOD) - 10), round(wanted / PERIOD) + 2)]
         assert min(near) <= shows <= max(near)
         # Pulled by its slider: the same, and the clock says so.
-        page.evaluate(PULL, 0.5)
-        wait_for(lambda: abs(_at(page) - 0.5) < 0.02, "the scene follows the slider")
+        _go(page, 0.5)
         wait_for(lambda: shown(page, "#clock").startswith("0.5"), "the clock")
         # Two over each other: the other one's own numbers.
         other = Recording(paths[1]).messages(DEVICE_STATE)
@@ -81,18 +96,12 @@ def test_the_map_is_the_one_of_the_delay_of_its_moment(browser: Browser, tmp_pat
         wait_for(lambda: launch.ticks() > changed + 300, "it goes on")
         path = tmp_path / launch.finish(signal.SIGINT)["recording"]
     with viewing(tmp_path, "--replay", str(path)) as url, OpenPage(browser, url) as page:
-        page.evaluate("document.getElementById('play').click()")
-
-        def go(t: float) -> None:
-            page.evaluate(PULL, t)
-            wait_for(lambda: abs(_at(page) - t) < 0.05, "the moment")
-
-        go(0.2)
+        _stop(page, 0.2)
         before = float(wait_for(lambda: page.evaluate("haptic.map.map?.delay_ticks"), "a map"))
         edge = float(page.evaluate("haptic.map.map.k_max_n_per_m"))
-        go((changed + 250) * PERIOD)
+        _go(page, (changed + 250) * PERIOD)
         wait_for(lambda: page.evaluate("haptic.map.map.delay_ticks") > before + 1.0, "the map of the later answer")
         assert float(page.evaluate("haptic.map.map.delay_ticks")) == pytest.approx(before + 1.5)
         assert page.evaluate("haptic.map.map.k_max_n_per_m") < edge
-        go(0.2)
+        _go(page, 0.2)
         wait_for(lambda: page.evaluate("haptic.map.map.delay_ticks") == before, "and back")

@@ -49,9 +49,7 @@ def get(url: str, **headers: str) -> tuple[int, str]:
 
 @contextlib.contextmanager
 def live(url: str, **more: Any) -> Iterator[ClientConnection]:
-    with connect(
-        url.replace("http", "ws") + "live", compression=None, open_timeout=20.0, max_size=1 << 26, **more
-    ) as page:
+    with connect(url.replace("http", "ws") + "live", compression=None, open_timeout=20.0, max_size=1 << 26, **more) as page:
         yield page
 
 
@@ -117,13 +115,7 @@ def test_a_page_asks_what_it_may_and_nothing_else(launch: Running) -> None:
         assert "no node is named" in ask(op="set", node="../x", values={"a": 1})["error"]
         assert "law" in ask(op="law", field="stiffness", value=1.0, force=True)["error"]
         assert "three numbers" in ask(op="hand", target=[1, 2])["error"]
-        for judge, value in (
-            ("stability", "off"),
-            ("fallback", ""),
-            ("budget", 1.0),
-            ("plant.mass", 9.0),
-            ("plant", {}),
-        ):
+        for judge, value in (("stability", "off"), ("fallback", ""), ("budget", 1.0), ("plant.mass", 9.0), ("plant", {})):
             refused = ask(op="set", node="coupling", values={"ramp": 41, judge: value})
             assert "judges what is set here" in refused["error"], judge
         done = ask(op="set", node="coupling", values={"ramp": 40})
@@ -221,9 +213,7 @@ def test_the_delay_is_the_device_s_own_and_the_law_is_judged_with_it(launch: Run
         assert ask(op="delay", ticks=ticks)["ok"]
         assert launch.call("driver", "param.get", name="device.delay") == ticks
         assert launch.call("coupling", "param.get", name="plant.device_delay") == ticks
-        found = wait_for(
-            lambda: (now := texts(page, "map")) and now["plant"]["device_delay"] == ticks and now, "the map"
-        )
+        found = wait_for(lambda: (now := texts(page, "map")) and now["plant"]["device_delay"] == ticks and now, "the map")
         assert found["k_max_n_per_m"] < sooner["k_max_n_per_m"]
         # The edge over the delay comes down, and where it meets the present stiffness is the margin.
         rows = [(delay, high) for delay, _, high in found["over_delay"] if high is not None]

@@ -30,9 +30,7 @@ def turned_box(p: Corners) -> Corners:
 
 def rod(p: Corners) -> Corners:
     """Tell how far off a capsule of radius 10 mm along x, from 0 to 50 mm."""
-    return np.asarray(
-        np.linalg.norm(p - np.stack([np.clip(p[:, 0], 0.0, 0.05), 0 * p[:, 0], 0 * p[:, 0]], 1), axis=1) - 0.01
-    )
+    return np.asarray(np.linalg.norm(p - np.stack([np.clip(p[:, 0], 0.0, 0.05), 0 * p[:, 0], 0 * p[:, 0]], 1), axis=1) - 0.01)
 
 
 def can(p: Corners) -> Corners:
@@ -46,12 +44,7 @@ def can(p: Corners) -> Corners:
     [
         ({"kind": "sphere", "position": [0.05, 0.01, -0.03], "radius": 0.035}, ball),
         (
-            {
-                "kind": "box",
-                "position": [0.01, 0.0, 0.0],
-                "size": [0.02, 0.04, 0.06],
-                "rotation": [0.0, 0.0, math.pi / 2],
-            },
+            {"kind": "box", "position": [0.01, 0.0, 0.0], "size": [0.02, 0.04, 0.06], "rotation": [0.0, 0.0, math.pi / 2]},
             turned_box,
         ),
         ({"kind": "capsule", "start": [0.0, 0.0, 0.0], "end": [0.05, 0.0, 0.0], "radius": 0.01}, rod),
@@ -74,9 +67,7 @@ def test_every_corner_of_every_kind_lies_on_its_surface(surface: dict[str, Any],
 
 
 def test_a_flat_wall_is_a_patch_and_nothing_is_nothing() -> None:
-    patch = np.array(shape_of({"surface": {"kind": "plane", "axis": "x", "position": 0.02}})["triangles"]).reshape(
-        -1, 3
-    )
+    patch = np.array(shape_of({"surface": {"kind": "plane", "axis": "x", "position": 0.02}})["triangles"]).reshape(-1, 3)
     assert np.all(patch[:, 0] == 0.02)
     assert np.ptp(patch[:, 1]) == pytest.approx(0.16)
     assert shape_of({"surface": {"kind": "free"}}) == {}

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from messages.types import ZERO
-from nodes.view.pointer import PointerReader
+from nodes.driver.pointer import PointerReader
 from nodes.view.shared_hand import DEPTH, EVERY, PATIENCE, PRESS, REST, SLOWLY, SharedHand
 
 

@@ -112,8 +112,7 @@ class Camera:
         if rest < 0.0:
             return None
         x, y, z = (
-            aside * r + above * w + side * math.sqrt(rest) * a
-            for r, w, a in zip(self.right, self.up, self.away, strict=True)
+            aside * r + above * w + side * math.sqrt(rest) * a for r, w, a in zip(self.right, self.up, self.away, strict=True)
         )
         return x, y, z
 
@@ -310,9 +309,7 @@ def test_a_recording_is_looked_at_in_three_dimensions_too(browser: Browser, laun
         assert tuple(now["position"]) in near
 
 
-def test_bodies_are_where_the_environment_has_them_and_where_a_replay_finds_them(
-    browser: Browser, tmp_path: Path
-) -> None:
+def test_bodies_are_where_the_environment_has_them_and_where_a_replay_finds_them(browser: Browser, tmp_path: Path) -> None:
     """A box that is pushed: live from the environment, in a replay from the scene stepped again, which is the same."""
     pytest.importorskip("mujoco")
     with running(tmp_path, "stack_boxes", "--view", "duration:=0") as launch:

@@ -41,9 +41,7 @@ def test_inside_is_stable_and_outside_is_not(described: dict[str, Any], delay: f
     assert (margin == 0.0) == (radius(described, delay) >= 1.0)
     assert radius(described, delay + margin + 1e-6) > 1.0
     assert margin == 0.0 or radius(described, delay + margin - 1e-6) < 1.0
-    assert found["k_max_n_per_m"] == pytest.approx(
-        next(high for b, _, high in rows if b == found["b_n_s_per_m"]), rel=1e-9
-    )
+    assert found["k_max_n_per_m"] == pytest.approx(next(high for b, _, high in rows if b == found["b_n_s_per_m"]), rel=1e-9)
 
 
 def test_the_map_follows_law_device_and_delay() -> None:
@@ -61,8 +59,7 @@ def test_the_map_follows_law_device_and_delay() -> None:
 def test_with_a_mass_that_depends_on_the_place_the_worst_is_drawn() -> None:
     pd = parse_law(LAWS[0])
     edges = {
-        mass: stability_map(pd, T, PlantParameters(mass=mass, damping=1.0), 1.0)["k_max_n_per_m"]
-        for mass in (0.05, 0.1, 0.4)
+        mass: stability_map(pd, T, PlantParameters(mass=mass, damping=1.0), 1.0)["k_max_n_per_m"] for mass in (0.05, 0.1, 0.4)
     }
     for light, heavy in ((0.05, 0.1), (0.1, 0.4), (0.05, 0.4)):
         found = stability_map(pd, T, PlantParameters(mass=light, heaviest=heavy, damping=1.0), 1.0)

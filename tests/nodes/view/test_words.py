@@ -9,18 +9,11 @@ import msgspec
 import pytest
 
 from messages.types import DeviceState, Force, Proxy
-from nodes.view.ringing import Ringing
-from nodes.view.why_force import explain, stop_in_words
+from nodes.view.why_force import Ringing, explain, stop_in_words
 
 STATE = DeviceState(seq=9, stamp=0.0, position=(0.021, 0.0, 0.0), force=(-1.0, 0.0, 0.0), force_seq=8)
 PROXY = Proxy(
-    seq=9,
-    stamp=0.0,
-    position=(0.021, 0.0, 0.0),
-    proxy=(0.02, 0.0, 0.0),
-    normal=(-1.0, 0.0, 0.0),
-    distance=-0.001,
-    contact=True,
+    seq=9, stamp=0.0, position=(0.021, 0.0, 0.0), proxy=(0.02, 0.0, 0.0), normal=(-1.0, 0.0, 0.0), distance=-0.001, contact=True
 )
 FORCE = Force(seq=8, stamp=0.0, force=(-1.0, 0.0, 0.0), law="pd")
 NONE = (0.0, 0.0, 0.0)
@@ -47,11 +40,7 @@ def told(
         ({"force": {"law": "fallback"}}, "warn", "the law failed"),
         ({"force": {"force": (-12.0, 0.0, 0.0)}}, "warn", "1.00 N of the 12.00 N"),
         ({"force": {"force": (-12.0, 0.0, 0.0), "seq": 9}}, "ok", "1.00 N: pd pushes back"),
-        (
-            {"proxy": {"contact": False, "distance": 0.008}, "state": {"force": NONE}},
-            "rest",
-            "the surface is 8.0 mm away",
-        ),
+        ({"proxy": {"contact": False, "distance": 0.008}, "state": {"force": NONE}}, "rest", "the surface is 8.0 mm away"),
         ({"proxy": {"contact": False, "normal": NONE}, "state": {"force": NONE}}, "rest", "there is nothing to touch"),
         ({"state": {"force": NONE}, "force": {"force": NONE}}, "rest", "renders none at this deflection"),
         ({"state": {"safety": "stopped", "force": NONE}}, "stop", "Too hard: it swung, and the driver stopped it."),

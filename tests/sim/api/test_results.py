@@ -94,9 +94,7 @@ def test_an_answer_is_the_rows_of_its_study_and_its_picture(place: Path) -> None
     with pytest.raises(haptic.LaunchError, match=r"--gain"):
         haptic.study("kmax", law="pd")
     # The remedy, without a page of options before it.
-    with pytest.raises(
-        haptic.LaunchError, match=r"exit code 2: haptic study kmax: error: .*--gan.*did you mean --gain"
-    ):
+    with pytest.raises(haptic.LaunchError, match=r"exit code 2: haptic study kmax: error: .*--gan.*did you mean --gain"):
         haptic.study("kmax", law="pd", gan=3)
     with pytest.raises(haptic.LaunchError, match="no launch file is named 'nosuch'"):
         haptic.tune("nosuch")

@@ -226,9 +226,7 @@ def test_forces_of_the_processes_are_those_of_one_process() -> None:
     rate, stiffness = 500.0, 400.0
     found = launch(rate, "next_tick", stiffness, "lockstep")
     device = DeviceModel(mass=0.1, damping=1.0, gravity=9.81, position=0.01)
-    scene = Scene(
-        device=device, surface=SceneSurface("plane"), period=1.0 / rate, raw=False, clamp=True, next_tick=True
-    )
+    scene = Scene(device=device, surface=SceneSurface("plane"), period=1.0 / rate, raw=False, clamp=True, next_tick=True)
     trace = run(scene, PD(stiffness=stiffness, damping=GAIN).compile(scene.period), len(found.force))
     # Lockstep through four processes: the same bits, and exactly one tick late.
     assert found.force.tolist() == trace.force.tolist()
@@ -249,16 +247,7 @@ def chart(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
     out = io.StringIO()
     with redirect_stdout(out):
         code = main(
-            [
-                "study",
-                "chart",
-                "--parts",
-                "derivatives,demand,integrators,kmax",
-                "--quick",
-                "--json",
-                "--out",
-                str(folder),
-            ]
+            ["study", "chart", "--parts", "derivatives,demand,integrators,kmax", "--quick", "--json", "--out", str(folder)]
         )
     assert code == 0
     answer: dict[str, Any] = json.loads(out.getvalue().splitlines()[-1])
@@ -373,9 +362,7 @@ def test_a_stopped_chart_leaves_what_it_has_and_goes_on(
     assert done == ["integrators"]
 
 
-def test_the_panel_of_proxies_has_closed_forms_meshes_and_bodies(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_panel_of_proxies_has_closed_forms_meshes_and_bodies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["study", "chart", "--parts", "proxies", "--quick", "--json", "--out", str(tmp_path)]) == 0
     answer = json.loads(capsys.readouterr().out.splitlines()[-1])
     points = {p["name"]: p for p in answer["points"]}

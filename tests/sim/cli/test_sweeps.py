@@ -17,12 +17,12 @@ from nodes.laws import CompiledLaw
 from nodes.recording.writer import RecordWriter
 from nodes.stability.k_max import k_max
 from nodes.stability.plant import Plant
+from sim.cli.study.tuned import held
 from sim.device.model import DeviceModel
-from sim.measure.sweep import read_ledger
-from sim.population.outside import KINDS
-from sim.population.outside_study import summary_outside
+from sim.measure.jobs import read_ledger
+from sim.population.study import summary_outside
 from sim.population.tuned import summary, true_edge, true_radius
-from sim.population.virtual import draw
+from sim.population.virtual import KINDS, draw
 from sim.scene.richer import RicherModel
 from sim.tune.knocking import scaled
 from tests.support.pictures import assert_drawn
@@ -76,9 +76,7 @@ def recorded(folder: Path, delay: float) -> Path:
     return path
 
 
-def test_relatives_are_judged_at_the_delay_that_was_measured(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_relatives_are_judged_at_the_delay_that_was_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ("relatives", "--families", "pd", "Maxwell", "passive FIR", "--mass", "0.1")
     late = study(capsys, tmp_path, *words, "--from-run", str(recorded(tmp_path, 1.3)))
     assert_drawn(late["plot"], "stiffness felt at rest", "H(1) = 0")
@@ -203,18 +201,30 @@ def device_row(**told: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
+    ("told", "holds"),
+    [
+        ({}, True),
+        # The interval alone, which holds it.
+        ({"edge_n_per_m": None, "edge_between_n_per_m": [1350.0, 1550.0]}, True),
+        ({"true_edge_n_per_m": 1560.0}, False),
+        ({"edge_n_per_m": None, "true_edge_n_per_m": 1600.0}, False),
+        ({"true_radius": 1.01}, False),
+        ({"true_radius": 1.01, "holds": False, "delivered": False, "edge_between_n_per_m": None}, True),
+    ],
+)
+def test_an_unstable_delivery_and_a_false_edge_are_failures(told: dict[str, Any], holds: bool) -> None:
+    assert held(summary([device_row(**told)])) == holds
+
+
+@pytest.mark.parametrize(
     ("told", "code"),
     [
         ({}, 0),
-        # The interval alone, which holds it.
-        ({"edge_n_per_m": None, "edge_between_n_per_m": [1350.0, 1550.0]}, 0),
-        ({"true_edge_n_per_m": 1560.0}, 1),
-        ({"edge_n_per_m": None, "true_edge_n_per_m": 1600.0}, 1),
-        ({"true_radius": 1.01}, 1),
+        ({"true_radius": 1.01, "edge_n_per_m": None}, 1),
         ({"true_radius": 1.01, "holds": False, "delivered": False, "edge_between_n_per_m": None}, 0),
     ],
 )
-def test_an_unstable_delivery_and_a_false_edge_are_failures(
+def test_the_verb_draws_and_fails_as_the_devices_say(
     told: dict[str, Any], code: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     job = {
@@ -231,9 +241,7 @@ def test_an_unstable_delivery_and_a_false_edge_are_failures(
     put(tmp_path / "tuned.jsonl", job, device_row(**told))
     found = study(capsys, tmp_path, "tuned", "--devices", "1", code=code)
     assert found["devices"] == 1
-    assert_drawn(
-        found["plot"], "unstable from 1", "delivered, and unstable" if told == {"true_radius": 1.01} else "+5 %"
-    )
+    assert_drawn(found["plot"], "unstable from 1", "delivered, and unstable" if told == {"true_radius": 1.01} else "+5 %")
     assert main(["study", "tuned", "--devices", "1", "--out", str(tmp_path)]) == code
     assert "intervals hold the edge" in capsys.readouterr().out
 

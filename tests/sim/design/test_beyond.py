@@ -9,8 +9,7 @@ import pytest
 
 from nodes.laws import CompiledLaw
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
-from sim.design.cases import LoopCase, cases_of
-from sim.design.demand import CONVENTIONS, Demand
+from sim.design.demand import CONVENTIONS, Demand, LoopCase, cases_of
 from sim.design.families import certificate, certified, designed, latest_delay
 from sim.design.landing import drops
 

@@ -26,22 +26,12 @@ from nodes.recording.writer import RecordWriter
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.effective_damping import damping_needed
 from nodes.stability.plant import Plant
-from sim.design.cases import LoopCase, cases_of
-from sim.design.demand import CONVENTIONS, Demand, Robust
+from sim.design.demand import CONVENTIONS, Demand, LoopCase, Robust, cases_of
 from sim.design.evolution import _within, evolved
-from sim.design.families import (
-    best_paper_optimum,
-    best_pd,
-    best_pd_alpha,
-    certificate,
-    certified,
-    designed,
-    to_yaml,
-)
+from sim.design.families import best_paper_optimum, best_pd, best_pd_alpha, certificate, certified, designed, to_yaml
 from sim.design.landing import MARGIN, drops, landings
 from sim.design.passive import certain_damping, stiffest_passive
-from sim.design.recorded_loop import measure
-from sim.design.replay_delays import replayed_radius
+from sim.design.recorded_loop import measure, replayed_radius
 from sim.design.robust import stiffest
 from sim.experiments.drop import Criterion, settles
 
@@ -201,9 +191,7 @@ def test_nothing_is_passive_without_damping() -> None:
 def test_replay_of_a_constant_delay_is_its_pole_radius(delay: float) -> None:
     law, device = CompiledLaw((2500.0, -1500.0)), Plant(T, 0.1, 1.0)
     # Two maxima of an oscillation 1500 ticks apart: known to a factor of about 2 in all, 5e-4 per tick.
-    assert replayed_radius(law, device, [delay] * 2000) == pytest.approx(
-        pole_radius(law, Plant(T, 0.1, 1.0, delay)), abs=5e-4
-    )
+    assert replayed_radius(law, device, [delay] * 2000) == pytest.approx(pole_radius(law, Plant(T, 0.1, 1.0, delay)), abs=5e-4)
 
 
 def test_a_force_that_a_younger_one_overtakes_never_acts() -> None:
@@ -249,9 +237,7 @@ def test_ticks_without_an_answer_are_counted_and_replayed_as_such(tmp_path: Path
     path = tmp_path / "run.mcap"
     with RecordWriter(path, {"scenario": "drop", "rate_hz": "500.0"}) as writer:
         for k in range(300):
-            state = DeviceState(
-                seq=k, stamp=k * T, position=(0.0, 0.0, 0.0), force_seq=k - 1, delay=0.2, age=int(k % 10 == 5)
-            )
+            state = DeviceState(seq=k, stamp=k * T, position=(0.0, 0.0, 0.0), force_seq=k - 1, delay=0.2, age=int(k % 10 == 5))
             writer.write(DEVICE_STATE, state, k * T)
     run = measure(path)
     assert (run.unanswered, len(run.delays)) == (30, 299)
@@ -273,9 +259,7 @@ def test_a_real_time_run_without_delays_is_an_old_recording(tmp_path: Path) -> N
     path = tmp_path / "old.mcap"
     with RecordWriter(path, {"scenario": "drop", "rate_hz": "500.0", "pace": "realtime"}) as writer:
         for k in range(200):
-            writer.write(
-                DEVICE_STATE, DeviceState(seq=k, stamp=k * T, position=(0.0, 0.0, 0.0), force_seq=k - 1), k * T
-            )
+            writer.write(DEVICE_STATE, DeviceState(seq=k, stamp=k * T, position=(0.0, 0.0, 0.0), force_seq=k - 1), k * T)
     with pytest.raises(ValueError, match="before delays were"):
         measure(path)
 

@@ -34,9 +34,7 @@ def laws() -> list[CompiledLaw]:
 
 def test_a_rigid_device_falls_as_in_the_simulator() -> None:
     drops = falls(RIGID, MASSES, CONVENTIONS, HEIGHTS)
-    scenes = [
-        dropped(RIGID, mass, *convention, height) for mass in MASSES for convention in CONVENTIONS for height in HEIGHTS
-    ]
+    scenes = [dropped(RIGID, mass, *convention, height) for mass in MASSES for convention in CONVENTIONS for height in HEIGHTS]
     seen = set()
     for law in laws():
         ours, theirs = settled(law, drops), [settles(scene, [law], Criterion())[0] for scene in scenes]

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from messages.topics import DEVICE_STATE
-from nodes.compiled.choose_tick import Wanted, choose
+from nodes.compiled.choose_tick import WantedTick, choose
+from nodes.driver.pointer import PointerParameters, PointerReader, PointerWriter, pointer_file
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
-from nodes.view.pointer import PointerParameters, PointerReader, PointerWriter, pointer_file
 from sim.cli.bench.loop import KERNELS
 from sim.device.driver import SimDevice, SimDriver
 from sim.device.model import DeviceModel, Hand
@@ -80,9 +80,7 @@ def test_compiled_calls_move_a_device_as_the_interpreter_does(tmp_path: Path) ->
     calls = compiled.calls()
     assert calls is not None
     read = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)(calls.read)
-    write = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int64, ctypes.c_void_p, ctypes.c_int64, ctypes.c_double)(
-        calls.write
-    )
+    write = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int64, ctypes.c_void_p, ctypes.c_int64, ctypes.c_double)(calls.write)
     writer = PointerWriter(pointer_file(tmp_path, "driver"))
     chance = np.random.default_rng(14)
     out, force = (ctypes.c_double * 6)(), (ctypes.c_double * 3)()
@@ -114,7 +112,7 @@ def test_compiled_calls_move_a_device_as_the_interpreter_does(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("tick", ["plain", "compiled"])
-def test_a_dragged_run_is_recorded_and_plays_again_in_one_process(tick: Wanted, tmp_path: Path) -> None:
+def test_a_dragged_run_is_recorded_and_plays_again_in_one_process(tick: WantedTick, tmp_path: Path) -> None:
     """In real time, under next_tick: one process with the recorded targets has the same bits where no tick was missed."""
     assert choose(tick, KERNELS, print) == tick
     with running(tmp_path, "touch_wall", "apply:=next_tick", "duration:=2", "--tick", tick) as launch:

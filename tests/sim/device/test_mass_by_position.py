@@ -109,21 +109,7 @@ def test_a_law_is_judged_with_all_the_masses_of_the_workspace() -> None:
 
 
 def test_law_show_says_which_mass_it_is(capsys: pytest.CaptureFixture[str]) -> None:
-    words = [
-        "law",
-        "show",
-        "pd",
-        "--stiffness",
-        "1500",
-        "--gain",
-        "5",
-        "--mass",
-        "0.05",
-        "--damping",
-        "0.5",
-        "--delay",
-        "0.5",
-    ]
+    words = ["law", "show", "pd", "--stiffness", "1500", "--gain", "5", "--mass", "0.05", "--damping", "0.5", "--delay", "0.5"]
     assert main([*words, "--heaviest", "0.5"]) == 0
     told = capsys.readouterr().out
     assert "the worst for this loop of the device's 0.05 to 0.5 kg over its workspace" in told

@@ -72,9 +72,7 @@ def test_every_scenario_takes_one_and_judges_laws_by_it(scenario: str) -> None:
 
 def assert_stands_in(driver: str, before: Launch, launch: Launch) -> None:
     """Assert that the driver has the device, and the coupling of its chain the plant."""
-    device, described = (
-        convert(one.nodes[driver].parameters, SimDriverParameters, driver).device for one in (launch, before)
-    )
+    device, described = (convert(one.nodes[driver].parameters, SimDriverParameters, driver).device for one in (launch, before))
     assert (device.mass, device.damping, device.hand) == (0.035, described.damping, described.hand)
     # Its own limit, or the scene's stricter one.
     limit = before.nodes[driver].parameters["safety"]["peak_force"]

@@ -22,8 +22,7 @@ from nodes.parameters.store import convert
 from sim.device.driver import SimDevice, SimDriverParameters
 from sim.drill import devices, drill, people
 from sim.drill.faults import faults
-from sim.drill.soak import soak
-from sim.drill.witness import UNEXPLAINED, largest
+from sim.drill.soak import UNEXPLAINED, largest, soak
 from sim.measure.measured_launch import within
 from sim.measure.rig import Rig
 from tests.support.devices import real_devices
@@ -35,13 +34,7 @@ HELD = (0.0, 0.0, 1.0)
 
 def state(seq: int, force_seq: int, z: float = 1.0, safety: str = "active", energy: float = 0.0) -> DeviceState:
     return DeviceState(
-        seq=seq,
-        stamp=0.0,
-        position=(0.0, 0.0, 0.0),
-        force=(0.0, 0.0, z),
-        force_seq=force_seq,
-        safety=safety,
-        energy=energy,
+        seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0), force=(0.0, 0.0, z), force_seq=force_seq, safety=safety, energy=energy
     )
 
 
@@ -201,9 +194,7 @@ def test_the_virtual_device_lets_go_after_its_deadline(hold: float | None, let_g
 # -- on real processes ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "name", ["kill coupling", "stop driver", "dead link", "ticks lost by quota", "killed in start-up"]
-)
+@pytest.mark.parametrize("name", ["kill coupling", "stop driver", "dead link", "ticks lost by quota", "killed in start-up"])
 def test_faults_end_safe_recover_and_leave_nothing(name: str) -> None:
     fault = next(fault for fault in faults() if fault.name == name)
     outcome = drill.drill(fault)
@@ -252,7 +243,7 @@ def test_a_force_that_stays_on_an_arm_fails_the_drill(monkeypatch: pytest.Monkey
         stand.force_ends()
         assert rig.states
 
-    outcome = drill.drill(stand.fault("held", "nothing", strike))
+    outcome = drill.drill(drill.fault_of(stand, "held", "nothing", strike))
     assert not outcome.passed
     assert any("the arm had a force for" in reason for reason in outcome.reasons)
 

@@ -23,7 +23,7 @@ from sim.chart.derivatives import with_stiffness as with_gain
 from sim.chart.equal_demand import tuned
 from sim.design.demand import CONVENTIONS, Demand
 from sim.design.landing import dropped
-from sim.design.replay_delays import replayed_radius
+from sim.design.recorded_loop import replayed_radius
 from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene, free_scene, settles
 from sim.experiments.k_max_launched import NO_LIMITS, launched, settles_launched
@@ -75,15 +75,11 @@ def test_certified_jitter_decays_and_its_counterexample_grows(tmp_path: Path) ->
         assert (rate < 1.0) == (name == "inside")
         # The launch swings as the replay of that sequence does, which other code plays; a history that begins empty and the
         # phase of the swing are left: a factor of 2 over all ticks.
-        assert rate == pytest.approx(
-            replayed_radius(law, Plant(T, 0.1, 1.0), repeated), abs=math.log(2.0) / (ticks - quarter)
-        )
+        assert rate == pytest.approx(replayed_radius(law, Plant(T, 0.1, 1.0), repeated), abs=math.log(2.0) / (ticks - quarter))
 
 
 def resting(friction: float, height: float = 1e-4) -> Scene:
-    return drop_scene(
-        DeviceModel(mass=0.1, damping=1.0, friction=friction, resolution=STEP), T, False, True, height=height
-    )
+    return drop_scene(DeviceModel(mass=0.1, damping=1.0, friction=friction, resolution=STEP), T, False, True, height=height)
 
 
 def test_a_launch_stops_at_the_bounds_friction_and_buzzes_just_below_the_edge() -> None:
@@ -144,11 +140,7 @@ def test_launches_land_within_the_margin_and_not_just_beyond() -> None:
     demand = Demand((0.05, 0.2), 1.0, (1.0, 1.0), T, 0.99, 1e4)
     law = parse_law("designed_d1")
     scenes = {
-        mass: [
-            dropped(demand, mass, *way, height)
-            for way in CONVENTIONS
-            for height in np.geomspace(0.005, 0.02, 7).tolist()
-        ]
+        mass: [dropped(demand, mass, *way, height) for way in CONVENTIONS for height in np.geomspace(0.005, 0.02, 7).tolist()]
         for mass in (0.05, 0.05 / 1.06)
     }
     falls = [not settles(scene, [law.compile(T)], Criterion())[0] for scene in scenes[0.05 / 1.06]]

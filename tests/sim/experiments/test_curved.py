@@ -33,9 +33,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str, str]
     return {(row["surface"], row["law"], row["frame"]): row for row in rows}
 
 
-def test_only_axes_that_turn_give_out_nothing_on_smooth_ways(
-    found: dict[tuple[str, str, str], dict[str, float]],
-) -> None:
+def test_only_axes_that_turn_give_out_nothing_on_smooth_ways(found: dict[tuple[str, str, str], dict[str, float]]) -> None:
     for surface in ("plane", "sphere of 35 mm", "rod of 6 mm"):
         for law in ("pd", "pd_alpha"):
             # The proxy keeps 1e-10 m of skin; of forces of 1.6 N that is nothing.
@@ -71,11 +69,7 @@ def test_k_max_of_a_sliding_contact_is_that_of_one_axis(frame: str) -> None:
 def test_launches_agree_where_it_slides() -> None:
     launch = launch_file.read("sphere_feel", {"pace": "lockstep"})
     edge = theory(PERIOD)
-    assert (
-        growth_launched(launch, 0.9 * edge, 0.02, "surface")
-        < 1.0
-        < growth_launched(launch, 1.1 * edge, 0.02, "surface")
-    )
+    assert growth_launched(launch, 0.9 * edge, 0.02, "surface") < 1.0 < growth_launched(launch, 1.1 * edge, 0.02, "surface")
 
 
 def test_what_makes_no_sense_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -24,22 +24,13 @@ PERIOD, STIFFNESS, RESOLUTION = 1e-3, 1000.0, 1e-5
 
 
 def judged(triangles: Array, path: Array, friction: Friction = SLIPPERY, fraction: float = 0.0) -> Detail:
-    return detail(
-        [mesh(prepare_mesh(triangles, False, "file"), friction)], path, 0.0, PERIOD, STIFFNESS, RESOLUTION, fraction
-    )
+    return detail([mesh(prepare_mesh(triangles, False, "file"), friction)], path, 0.0, PERIOD, STIFFNESS, RESOLUTION, fraction)
 
 
 def over_an_edge() -> Array:
     """Lead over the top of a box 20 mm high, 1 mm deep, around an edge and down a side, from outside and back."""
     corners = np.array(
-        [
-            [0.0, 0.0, 0.02],
-            [0.0, 0.0, 0.009],
-            [0.021, 0.004, 0.009],
-            [0.021, 0.004, 0.012],
-            [0.019, 0.004, 0.005],
-            [0.03, 0, 0],
-        ]
+        [[0.0, 0.0, 0.02], [0.0, 0.0, 0.009], [0.021, 0.004, 0.009], [0.021, 0.004, 0.012], [0.019, 0.004, 0.005], [0.03, 0, 0]]
     )
     return np.concatenate([np.linspace(a, b, 60) for a, b in itertools.pairwise(corners)])
 
@@ -102,13 +93,7 @@ def test_bodies_are_led_held_and_left_out(capsys: pytest.CaptureFixture[str], tm
     assert main(["study", "detail", "stack_boxes", "duration:=1.2", "--json", "--out", str(tmp_path)]) == 0
     found = json.loads(capsys.readouterr().out.splitlines()[-1])
     levels = {level["name"]: level for level in found["levels"]}
-    assert list(levels) == [
-        "dynamic",
-        "dynamic, without friction",
-        "kinematic: led as they went",
-        "fixed",
-        "a tool alone",
-    ]
+    assert list(levels) == ["dynamic", "dynamic, without friction", "kinematic: led as they went", "fixed", "a tool alone"]
     # The finest is its own measure.
     assert levels["dynamic"]["force_n"] == 0.0
     assert levels["dynamic"]["enough"]

@@ -24,13 +24,7 @@ from nodes.stability.closed_loop import closed_loop, pole_radius
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel, Hand
-from sim.experiments.drop import (
-    Criterion,
-    drop_scene,
-    free_scene,
-    press_scene,
-    settles,
-)
+from sim.experiments.drop import Criterion, drop_scene, free_scene, press_scene, settles
 from sim.experiments.k_max_simulated import SearchInterrupted, simulated_boundary, simulated_k_max, swing_frequency
 
 PERIOD = 0.002
@@ -93,9 +87,7 @@ def test_just_inside_and_just_outside(law: Law, delay: float) -> None:
     inside, outside = (with_spring(derivative, exact * share) for share in (0.999, 1.001))
     # A part in a thousand of K moves ln ρ by some 1e-5 here: 10⁶ ticks tell e^{−10} from e^{+10}.
     assert settles(free_scene(model, PERIOD), [inside, outside], Criterion(1_000_000)) == [True, False]
-    assert (
-        pole_radius(inside, Plant(PERIOD, 0.1, 1.0, delay)) < 1.0 < pole_radius(outside, Plant(PERIOD, 0.1, 1.0, delay))
-    )
+    assert pole_radius(inside, Plant(PERIOD, 0.1, 1.0, delay)) < 1.0 < pole_radius(outside, Plant(PERIOD, 0.1, 1.0, delay))
 
 
 @pytest.mark.parametrize(("raw", "clamp"), [(False, True), (False, False), (True, True), (True, False)])
@@ -235,9 +227,7 @@ def test_study_presses_with_the_grip_it_is_given(capsys: pytest.CaptureFixture[s
 
 def test_the_pages_simulated_limits_name_their_horizon() -> None:
     page = (Path(__file__).parents[3] / "sim" / "README.md").read_text(encoding="utf-8")
-    rows = re.findall(
-        r"^\| (?:`(\w+)` at 23 µm, )?(free swing|drop) in simulation, (\d+) s \| (\d+) \| (\d+) \|$", page, re.M
-    )
+    rows = re.findall(r"^\| (?:`(\w+)` at 23 µm, )?(free swing|drop) in simulation, (\d+) s \| (\d+) \| (\d+) \|$", page, re.M)
     assert len(rows) == 4
     for kind, scene, horizon, *limits in rows:
         resolution = {"resolution": 2.3e-5} if kind else {}

@@ -74,9 +74,7 @@ def test_recorded_run_is_the_trace_and_is_judged_alike() -> None:
     trace = run(scene, compiled(scene, law), SHORT.ticks)
     assert position.tolist() == trace.position.tolist()
     assert force.tolist() == trace.force.tolist()
-    assert (
-        settled(scene, compiled(scene, law), position, force, SHORT) == settles(scene, [compiled(scene, law)], SHORT)[0]
-    )
+    assert settled(scene, compiled(scene, law), position, force, SHORT) == settles(scene, [compiled(scene, law)], SHORT)[0]
 
 
 @pytest.mark.parametrize("stiffness", [500.0, 2000.0, 2500.0, 3000.0, 4000.0, 12000.0])

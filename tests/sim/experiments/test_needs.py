@@ -16,8 +16,7 @@ from nodes.cli.main import main
 from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Model
 from nodes.parameters.store import ParameterError
-from sim.experiments.needs import Needs, Outcome, movement, needs, outcome
-from sim.experiments.spatial_needs import spatial_needs
+from sim.experiments.needs import Needs, Outcome, movement, needs, outcome, spatial_needs
 from sim.experiments.terms import TERMS
 from sim.scene.from_launch import LaunchedScene, from_launch
 from sim.scene.loop import Trace
@@ -68,9 +67,7 @@ def test_scenes_in_three_axes_model_enough_and_no_more(scenario: str) -> None:
     judged = verdicts(found)
     assert judged["hand"] == "needed"
     # What a scene in three axes is made of is what it needs.
-    own = [
-        judged[term] for term in ("shape", "triangles", "surface_friction", "tool_radius", "bodies") if term in judged
-    ]
+    own = [judged[term] for term in ("shape", "triangles", "surface_friction", "tool_radius", "bodies") if term in judged]
     assert "needed" in own
     assert set(own) <= {"needed", "left out"}
 
@@ -190,9 +187,7 @@ def test_outcome_of_a_known_motion() -> None:
     ticks = 1000
     position = np.where(np.arange(ticks) < 300, 0.02, 0.0)
     position[-1] = 1e-4
-    trace = Trace(
-        scene.scene.period, position, position, position, position, 3.0 * np.sign(position - 0.01), (0.0, 0.0)
-    )
+    trace = Trace(scene.scene.period, position, position, position, position, 3.0 * np.sign(position - 0.01), (0.0, 0.0))
     found = outcome(scene, trace)
     # 20 mm until tick 300; the last sample is within 1 % of the travel.
     assert found.settling_s == pytest.approx(300 * scene.scene.period)

@@ -186,13 +186,7 @@ def test_the_hand_that_moved_the_device_is_estimated(tmp_path: Path) -> None:
     assert np.max(np.abs(predicted.measured - truth.measured)) < 1e-5
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("law:=nothing",), "nothing"),
-        (("stifness:=3",), "stifness"),
-    ],
-)
+@pytest.mark.parametrize(("words", "message"), [(("law:=nothing",), "nothing"), (("stifness:=3",), "stifness")])
 def test_what_cannot_be_replayed_is_refused(buzz: tuple[Path, Path], words: tuple[str, ...], message: str) -> None:
     done = haptic(buzz[0].parent, "bag", "replay", str(buzz[0]), *words, code=2)
     assert message in done.stderr

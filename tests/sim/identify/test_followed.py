@@ -7,7 +7,7 @@ import pytest
 
 from sim.device.model import DeviceModel
 from sim.identify.identify import followed, identify
-from sim.population.outside import excite_outside
+from sim.population.virtual import excite_outside
 from sim.scene.richer import RicherModel
 
 RIGID = DeviceModel(mass=0.1, damping=1.0, friction=0.05, resolution=1e-5, delay=1.2)

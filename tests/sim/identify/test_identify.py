@@ -13,9 +13,8 @@ from scipy import stats
 
 from sim.device.friction import slide
 from sim.device.model import DeviceModel, Hand, coefficients
-from sim.device.state import VirtualDevice
-from sim.identify.encoder import encoder
-from sim.identify.experiment import Experiment, lockstep
+from sim.device.state import VirtualDevice, device_part
+from sim.identify.experiment import Experiment, encoder, lockstep
 from sim.identify.identified import Estimate
 from sim.identify.identified_motion import window
 from sim.identify.identify import identify
@@ -85,9 +84,8 @@ def test_forces_count_from_the_instant_they_take_effect() -> None:
     positions, acting = [], 0.0
     for offset, force in zip(offsets.tolist(), forces.tolist(), strict=True):
         positions.append(device.position)
-        device.pass_time(acting, offset * T)
-        device.pass_time(force, (1.0 - offset) * T)
-        device.end_tick()
+        device_part(device.state, acting, offset * T)
+        device_part(device.state, force, (1.0 - offset) * T)
         acting = force
     theta = np.array([1.0 / 0.08, 0.7 / 0.08, 0.05 / 0.08, *[0.0] * 8])
     out = np.empty(300)

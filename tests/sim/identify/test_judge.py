@@ -14,7 +14,7 @@ from sim.device.model import DeviceModel
 from sim.identify.identified import Estimate, Identified, refusal
 from sim.identify.identified_text import figures, from_figures, text
 from sim.identify.identify import identify
-from sim.population.outside import excite_outside
+from sim.population.virtual import excite_outside
 from sim.scene.richer import RicherModel
 
 T = 0.002

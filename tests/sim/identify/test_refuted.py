@@ -13,7 +13,7 @@ from messages.types import DeviceState
 from nodes.cli.main import main
 from nodes.recording.writer import RecordWriter
 from sim.device.model import DeviceModel
-from sim.population.outside import excite_outside
+from sim.population.virtual import excite_outside
 from sim.scene.richer import RicherModel
 
 T = 0.002
@@ -27,11 +27,7 @@ def recorded(folder: Path, device: RicherModel) -> Path:
     with RecordWriter(path, {"rate_hz": str(1.0 / T), "pace": "lockstep"}) as writer:
         for seq, (position, force) in enumerate(zip(run.position, [0.0, *run.force[:-1]], strict=True)):
             state = DeviceState(
-                seq=seq,
-                stamp=seq * T,
-                position=(float(position), 0.0, 0.0),
-                force=(float(force), 0.0, 0.0),
-                force_seq=seq - 1,
+                seq=seq, stamp=seq * T, position=(float(position), 0.0, 0.0), force=(float(force), 0.0, 0.0), force_seq=seq - 1
             )
             writer.write(DEVICE_STATE, state, state.stamp)
     return path

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from nodes.recording.reader import Recording
-from sim.measure.loop_cases import CASES, LONGEST_FADE, SERVO_RATE, launches
+from sim.measure.bare import CASES, LONGEST_FADE, SERVO_RATE, launches
 from tests.support.held import receipts
 from tests.support.launching import launch_json
 

@@ -19,7 +19,7 @@ import pytest
 from messages.errors import RefusedError, UsageError
 from nodes.launcher.runs import alive
 from sim.cli.sweeps import add_sweep, check_cluster, executor
-from sim.measure.sweep import key_of, read_ledger, sweep
+from sim.measure.jobs import key_of, read_ledger, sweep
 from tests.support.dask_cluster import DaskCluster, dask_cluster, own_address
 from tests.support.launching import DEADLINE, HAPTIC, wait_for
 

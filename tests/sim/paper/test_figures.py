@@ -17,22 +17,10 @@ from nodes.laws.pd_alpha import PDAlpha
 from nodes.stability.effective_damping import effective_damping
 from nodes.stability.k_max import without_spring
 from sim.experiments.drop import Criterion
-from sim.measure.sweep import key_of, read_ledger, sweep
+from sim.measure.jobs import key_of, read_ledger, sweep
 from sim.paper.claims import FAILS, HOLDS, ONLY_IF, Claim, table, verdict
 from sim.paper.fig2_fig3 import claims_2, claims_3, figure_2, figure_3, one_term, ripple, term_curve
-from sim.paper.fig4 import (
-    LAWS,
-    Curve,
-    Setting,
-    _family,
-    as_json,
-    best,
-    curves_of,
-    designs,
-    drops,
-    point,
-    spread_of_conventions,
-)
+from sim.paper.fig4 import LAWS, Curve, Setting, _family, as_json, best, curves_of, designs, drops, point, spread_of_conventions
 from sim.paper.fig4_claims import claims_4
 
 
@@ -101,12 +89,7 @@ def test_verdicts_of_figures_2_and_3() -> None:
 
 
 def test_words_of_a_verdict() -> None:
-    assert (verdict(True), verdict(False, True), verdict(False), verdict(False, False)) == (
-        HOLDS,
-        ONLY_IF,
-        FAILS,
-        FAILS,
-    )
+    assert (verdict(True), verdict(False, True), verdict(False), verdict(False, False)) == (HOLDS, ONLY_IF, FAILS, FAILS)
     assert "does not hold  a  [b]" in table([Claim("b", "a", FAILS, "1")])
 
 
@@ -163,14 +146,9 @@ def test_claims_of_figure_4(setting: Setting, everything: list[Curve], curves: l
     by = {claim.claim: claim.verdict for claim in claims}
     assert len(claims) == 30
     # In the paper's own unit its figure holds; in what is felt it depends on where one looks.
-    nominal = by[
-        "the paper's optimum reaches more stiffness than PD at the same B, in nominal K, d = 0, perfect sensor"
-    ]
+    nominal = by["the paper's optimum reaches more stiffness than PD at the same B, in nominal K, d = 0, perfect sensor"]
     assert nominal == HOLDS
-    assert (
-        by["the paper's optimum reaches more stiffness than PD at the same B, in nominal K, d = 1, perfect sensor"]
-        == HOLDS
-    )
+    assert by["the paper's optimum reaches more stiffness than PD at the same B, in nominal K, d = 1, perfect sensor"] == HOLDS
     assert by["the smaller f at the frequency that occurs, the stiffer the wall"] == HOLDS
     assert by["a long sampling period forces a low stiffness"] == HOLDS
     assert by["PD, b → 0, d = 0: κ_max peaks at 0.6863 at β = 2√2 − 2"] == HOLDS

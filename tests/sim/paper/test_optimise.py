@@ -11,8 +11,19 @@ import pytest
 from nodes.cli.main import main
 from nodes.laws.parse import parse_law
 from nodes.stability.effective_damping import effective_damping
-from sim.paper.descent import Targets, cost, damping_curve, paper_targets, steepest_descent, term_damping
-from sim.paper.shaping import best_orders, free_taps, least_squares, measured, minimax
+from sim.paper.descent import (
+    Targets,
+    best_orders,
+    cost,
+    damping_curve,
+    free_taps,
+    least_squares,
+    measured,
+    minimax,
+    paper_targets,
+    steepest_descent,
+    term_damping,
+)
 
 A, ALPHA = np.array([1.69, 1.32]), np.array([1.50, 3.47])
 BAND = (0.02, 0.55)
@@ -97,9 +108,7 @@ def test_the_cost_is_cheated_by_a_negative_spring() -> None:
     theta = np.linspace(0.1, np.pi, 20)
     almost_a_spring = np.array([1e-9])
     assert damping_curve(theta, np.array([-1.0]), almost_a_spring, 4) == pytest.approx(-np.ones(20), abs=1e-8)
-    assert damping_curve(theta, np.array([-1.0]), almost_a_spring, 4, leak=False) == pytest.approx(
-        np.zeros(20), abs=1e-8
-    )
+    assert damping_curve(theta, np.array([-1.0]), almost_a_spring, 4, leak=False) == pytest.approx(np.zeros(20), abs=1e-8)
 
 
 @pytest.mark.parametrize("orders", [[1.5, 3.47], [0.3, 2.2], [1.0, 2.0]])

@@ -18,17 +18,14 @@ from sim.cli.study.edge import LAWS
 from sim.design.recorded_loop import measure
 from sim.device.model import DeviceModel
 from sim.experiments.drop import free_scene
-from sim.paper.swing import CannotTellError, _law, recorded_swing, ringing, windows
-from sim.paper.swing_drops import counted, dropped
+from sim.paper.swing import CannotTellError, _law, counted, dropped, recorded_swing, ringing, windows
 from sim.scene.loop import run
 from tests.support.launching import launch_json
 
 T = 0.002
 
 
-PD_ALPHA = (
-    "{laws: {half: {kind: pd_alpha, stiffness: 1800.0, damping: 8.0, order: 0.5, taps: 20, gains: paper}}, law: half}"
-)
+PD_ALPHA = "{laws: {half: {kind: pd_alpha, stiffness: 1800.0, damping: 8.0, order: 0.5, taps: 20, gains: paper}}, law: half}"
 
 
 def recorded(folder: Path, words: str, law: str = "") -> Path:
@@ -44,13 +41,7 @@ def limit_of(path: Path, delay: float = 0.0) -> float:
     return limit
 
 
-@pytest.mark.parametrize(
-    ("words", "law", "delay"),
-    [
-        ("law:=pd stiffness:=900 apply:=next_tick", "", 1.0),
-        ("", PD_ALPHA, 0.0),
-    ],
-)
+@pytest.mark.parametrize(("words", "law", "delay"), [("law:=pd stiffness:=900 apply:=next_tick", "", 1.0), ("", PD_ALPHA, 0.0)])
 def test_a_launch_far_inside_tells_where_the_edge_is(
     tmp_path: Path, words: str, law: str, delay: float, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -149,9 +140,7 @@ def test_study_edge_compares_laws(tmp_path: Path, capsys: pytest.CaptureFixture[
     figures = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert figures["exact_error"] < 1e-9
     # The filter's own lag makes the low-frequency reading of PD behind one worse than that of the laws of taps.
-    ratios = [
-        point["k_simple_n_per_m"] / point["k_exact_n_per_m"] for point in figures["points"] if "Hz" not in point["law"]
-    ]
+    ratios = [point["k_simple_n_per_m"] / point["k_exact_n_per_m"] for point in figures["points"] if "Hz" not in point["law"]]
     assert 0.95 < min(ratios) < max(ratios) < 1.0
     assert 0.85 < figures["ratio_min"] < figures["ratio_max"] < 1.0
     assert len(figures["points"]) == 4 * len({point["law"] for point in figures["points"]}) == 20

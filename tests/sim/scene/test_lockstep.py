@@ -124,6 +124,20 @@ def test_a_device_that_comes_to_the_end_of_its_workspace_stops_there(tick: str, 
     assert np.count_nonzero(trace.measured == -39 * 2.3e-5) > 100
 
 
+@pytest.mark.parametrize("tick", ["plain", "compiled"])
+def test_a_driver_that_limits_and_never_stops_does_the_same_everywhere(tick: str, tmp_path: Path) -> None:
+    """Where a driver may stop, one process plays its very rules; here it is the fast loop that limits slew and peak."""
+    hard = tmp_path / "hard.yaml"
+    hard.write_text("{driver: {safety: {slew: 500.0, stop_after: null}}, coupling: {stability: warn}}", encoding="utf-8")
+    words = ("floor_drop", "stiffness:=1e5", "damping:=0", SHORT)
+    assert_same_bits(tmp_path, *words, laid_over=(hard,), tick=tick)
+    force = from_launch(launch_file.read(words[0], launch_file.parse_assignments([*words[1:]]), (hard,))).play().force
+    # 500 N/s are 1 N a tick; the peak is that of the scenario.
+    changes = np.abs(np.diff(force, prepend=0.0))
+    assert np.count_nonzero(changes == 1.0) > 10
+    assert changes.max() <= 1.0 + 40.0 * np.finfo(float).eps
+
+
 def test_designs_that_were_just_made_are_rendered_bit_for_bit(tmp_path: Path) -> None:
     """What ``haptic study design`` writes starts any scenario with a coupling: here both of its files, one over the other."""
     words = ("--mass", "0.1", "--taps", "3", "--delay", "1", "--json")

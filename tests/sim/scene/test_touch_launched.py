@@ -32,9 +32,7 @@ SHAPES = [
     for name, one in LAUNCHES.items()
     if "environment" in one.nodes and one.nodes["environment"].kind == "environment" and len(one.run.axes) == 3
 ]
-MOVING = [
-    name for name, one in LAUNCHES.items() if "environment" in one.nodes and one.nodes["environment"].kind == "mujoco"
-]
+MOVING = [name for name, one in LAUNCHES.items() if "environment" in one.nodes and one.nodes["environment"].kind == "mujoco"]
 TICKS = pytest.mark.parametrize("tick", ["plain", "compiled"])
 
 
@@ -100,9 +98,7 @@ def test_one_process_plays_the_same(scenario: str, tick: str, tmp_path: Path) ->
 
 @TICKS
 @pytest.mark.parametrize("scenario", MOVING)
-@pytest.mark.skipif(
-    find_spec("mujoco") is None, reason="the extra is not installed: pip install 'haptic-nodes[mujoco]'"
-)
+@pytest.mark.skipif(find_spec("mujoco") is None, reason="the extra is not installed: pip install 'haptic-nodes[mujoco]'")
 def test_one_process_plays_what_moves(scenario: str, tick: str, tmp_path: Path) -> None:
     """MuJoCo is called from Python: of its environment the tick is the plain one, whatever the others take."""
     launched(tmp_path, scenario, tick, {"driver", "coupling"})

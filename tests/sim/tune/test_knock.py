@@ -15,6 +15,7 @@ from nodes.laws.pd import PD
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel
+from sim.tune.design import linear_edge
 from sim.tune.knocking import (
     BEYOND,
     DEEPEST,
@@ -36,7 +37,6 @@ from sim.tune.knocking import (
     planned,
 )
 from sim.tune.outcome import MARGIN, compared, headline, verified
-from sim.tune.predict import linear_edge
 from sim.tune.tuning_text import number
 
 T = 0.002

@@ -35,10 +35,7 @@ SCENE = {
                 "safety": {"peak_force": PEAK, "workspace": [[-0.05, 0.05]] * 3},
             },
         },
-        "environment": {
-            "kind": "environment",
-            "parameters": {"surface": {"kind": "anchor", "position": [0.0, 0.0, 0.0]}},
-        },
+        "environment": {"kind": "environment", "parameters": {"surface": {"kind": "anchor", "position": [0.0, 0.0, 0.0]}}},
         "coupling": {
             "kind": "coupling",
             "parameters": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 300.0, "damping": 2.0}}},

@@ -25,16 +25,7 @@ from sim.population.virtual import excite
 from sim.tune.design import Wanted, demand, design, from_record, model, to_record
 from sim.tune.knocking import STEP
 from sim.tune.outcome import AGREES
-from tests.support.launching import (
-    HAPTIC,
-    Running,
-    haptic,
-    launch_json,
-    private_runtime_dir,
-    processes_of,
-    running,
-    wait_for,
-)
+from tests.support.launching import HAPTIC, Running, haptic, launch_json, private_runtime_dir, processes_of, running, wait_for
 
 T = 0.002
 DEVICE = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=1.3, resolution=2.3e-5)
@@ -92,19 +83,7 @@ def test_a_law_lands_unless_it_is_told_otherwise() -> None:
 def tuned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """Tune once on a real launch, in lockstep: one tick of delay and 0.3 of the device's own."""
     folder = tmp_path_factory.mktemp("tune")
-    words = (
-        "tune",
-        *SCENE,
-        "pace:=lockstep",
-        "--duration",
-        "4",
-        "--taps",
-        "2",
-        "--no-land",
-        "--nyquist",
-        "10000",
-        "--json",
-    )
+    words = ("tune", *SCENE, "pace:=lockstep", "--duration", "4", "--taps", "2", "--no-land", "--nyquist", "10000", "--json")
     with private_runtime_dir() as place:
         done = subprocess.run(
             [*HAPTIC, *words],
@@ -119,9 +98,7 @@ def tuned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
     return folder, last_line(done.stdout)
 
 
-def test_the_law_itself_was_tried_from_below_and_the_edge_is_the_predicted_one(
-    tuned: tuple[Path, dict[str, Any]],
-) -> None:
+def test_the_law_itself_was_tried_from_below_and_the_edge_is_the_predicted_one(tuned: tuple[Path, dict[str, Any]]) -> None:
     _, told = tuned
     verified = told["verified"]
     factors = [step["factor"] for step in verified["steps"]]
@@ -136,9 +113,7 @@ def test_the_law_itself_was_tried_from_below_and_the_edge_is_the_predicted_one(
     assert low < told["predicted"]["edge_linear_h1_n_per_m"] < high < (1.0 + AGREES) * STEP**2 * low
 
 
-def test_what_does_not_land_says_so_everywhere_and_is_compared_with_nothing(
-    tuned: tuple[Path, dict[str, Any]],
-) -> None:
+def test_what_does_not_land_says_so_everywhere_and_is_compared_with_nothing(tuned: tuple[Path, dict[str, Any]]) -> None:
     folder, told = tuned
     if told["designed"]["lands"]:
         pytest.skip("this design lands although nobody asked for it")
@@ -170,9 +145,7 @@ def test_the_report_and_the_parameters_are_there(tuned: tuple[Path, dict[str, An
     assert run["exit_reason"] == "done"
 
 
-def test_a_new_design_drops_what_was_measured_of_another_law(
-    tuned: tuple[Path, dict[str, Any]], tmp_path: Path
-) -> None:
+def test_a_new_design_drops_what_was_measured_of_another_law(tuned: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     shutil.copytree(tuned[0] / "tuning", tmp_path / "tuning")
     again = last_line(haptic(tmp_path, "tune", "--steps", "predict", "--json").stdout)
     assert again["predicted"] == tuned[1]["predicted"]
@@ -231,9 +204,7 @@ def state(launch: Running) -> tuple[Any, Any, Any]:
     )
 
 
-def test_a_signal_while_a_law_is_tried_leaves_the_launch_as_it_was(
-    tuned: tuple[Path, dict[str, Any]], tmp_path: Path
-) -> None:
+def test_a_signal_while_a_law_is_tried_leaves_the_launch_as_it_was(tuned: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     with running(tmp_path, *SCENE, "duration:=0") as launch:
         before = state(launch)
         with pytest.raises(ControlError, match="only a loop in lockstep can stand still"):

@@ -23,7 +23,7 @@ from messages.types import ZERO, Vector
 _VALUE = struct.Struct("<QddddQ")
 """Count after the value, target [m], when it was written [s], count before it: the reader reads in this order.
 
-sim/device/tick/device.py reads it too.
+sim/device/state.py reads it too.
 """
 
 _COUNT = struct.Struct("<Q")
@@ -69,10 +69,7 @@ def _mapped(path: Path, flags: int) -> mmap.mmap:
 
 
 class PointerReader:
-    """The driver's end; it makes the file.
-
-    Raises OSError when the file cannot be made.
-    """
+    """The driver's end; it makes the file."""
 
     def __init__(self, path: Path, silence: float) -> None:
         self._map = _mapped(path, os.O_CREAT)
@@ -99,10 +96,7 @@ class PointerReader:
 
 
 class PointerWriter:
-    """The page's end.
-
-    Raises FileNotFoundError when no driver has made it: there is no hand to drag.
-    """
+    """The page's end; FileNotFoundError when no driver has made the file: there is no hand to drag."""
 
     def __init__(self, path: Path) -> None:
         self._map = _mapped(path, 0)

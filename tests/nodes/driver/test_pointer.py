@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from nodes.view.pointer import PointerReader, PointerWriter
+from nodes.driver.pointer import PointerReader, PointerWriter
 from tests.support.launching import wait_for
 
 

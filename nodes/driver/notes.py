@@ -5,23 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
-from nodes.driver.state import NOTE, SAFETY
+from nodes.driver.state import NOTE, REFUSED, SAFETY
 
-FIRST_FORCE: Final = 0
-FRESH_FORCE: Final = 1
-DONE_RAMP: Final = 2
-SILENT: Final = 3
-STILL_SILENT: Final = 4
-LET_GO: Final = 5
-NO_POSITION: Final = 6
-OUTSIDE: Final = 7
-BACK_INSIDE: Final = 8
-SWINGS: Final = 9
-CONTINUOUS: Final = 10
-HELD_UP: Final = 11
-REARMED: Final = 12
-REFUSED_FIRST: Final = 13
-"""The first of four: future, replayed, stale, not finite."""
+FIRST_FORCE, FRESH_FORCE, DONE_RAMP, SILENT, STILL_SILENT, LET_GO, NO_POSITION, OUTSIDE, BACK_INSIDE, SWINGS = range(10)
+CONTINUOUS, HELD_UP, REARMED, REFUSED_FIRST = range(10, 14)
+"""What is noted; the last is the first of four: future, replayed, stale, not finite."""
 
 _WORDS: Final[tuple[Callable[..., str], ...]] = (
     lambda *_: "the first force",
@@ -53,11 +41,11 @@ _KINDS: Final = {
     REARMED: "rearmed",
     CONTINUOUS: "limit",
     HELD_UP: "device",
-    **{REFUSED_FIRST + n: f"refused_{why}" for n, why in enumerate(("future", "replayed", "stale", "not_finite"))},
+    **{REFUSED_FIRST + n: f"refused_{why}" for n, why in enumerate(REFUSED)},
 }
 
 
-class Told(NamedTuple):
+class Note(NamedTuple):
     """What there is to say: kind and reason of the event, whether it changed the state, and which of its kind it is, or 0."""
 
     kind: str
@@ -66,7 +54,7 @@ class Told(NamedTuple):
     which: int
 
 
-def take_notes(s: Any) -> list[Told]:
+def take_notes(s: Any) -> list[Note]:
     """Take what the rules have noted since last time, in words."""
     lines = []
     for n in range(s.notes_count):
@@ -77,6 +65,6 @@ def take_notes(s: Any) -> list[Told]:
             reason = f"{SAFETY[before]} → {SAFETY[after]} at tick {seq:.0f}: {reason}"
         count = 0 if change >= 0.0 or code == HELD_UP else int(numbers[0])
         # A change of state goes by a name of its own: among many others it must not be overlooked.
-        lines.append(Told(_KINDS.get(int(code), "safety"), reason, change >= 0.0, count))
+        lines.append(Note(_KINDS.get(int(code), "safety"), reason, change >= 0.0, count))
     s.notes_count = 0
     return lines

@@ -1,0 +1,62 @@
+"""Commands beside a notebook: started, ended and interrupted in order."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import threading
+from collections.abc import Iterator, Sequence
+from types import FrameType
+from typing import Any
+
+from nodes.base.realtime import die_with_parent
+from nodes.launcher.child import PYTHON
+
+HAPTIC = (*PYTHON, "-m", "nodes.cli.command")
+
+ENDS_WITHIN = 60.0
+"""How long a launch may take to end [s]."""
+
+
+def started(words: Sequence[str], **pipes: Any) -> subprocess.Popen[Any]:
+    """Start a verb in a process group of its own: an interrupt of the notebook's cell is not one of the verb's."""
+    pipes = {"stdin": subprocess.DEVNULL, "process_group": 0, "preexec_fn": die_with_parent, **pipes}
+    return subprocess.Popen([*HAPTIC, *words], **pipes)
+
+
+def end(process: subprocess.Popen[Any]) -> None:
+    """End a command that was `started` as Ctrl-C does; what does not end is killed."""
+    process.send_signal(signal.SIGINT)
+    try:
+        process.wait(ENDS_WITHIN)
+    except BaseException as error:
+        # A cell that was interrupted leaves nothing behind, even one that is interrupted twice.
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        if not isinstance(error, subprocess.TimeoutExpired):
+            raise
+
+
+@contextlib.contextmanager
+def whole() -> Iterator[None]:
+    """Do this block to its end; an interrupt that comes meanwhile is one at its end.
+
+    In the middle of a request libzmq's own clean-up would swallow it: a ``KeyboardInterrupt`` that is raised inside a
+    finaliser, as a socket or context has one, is printed and forgotten, and the cell would go on.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    # Only the main thread is interrupted; SIG_IGN and SIG_DFL run no Python.
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield
+        return
+    came: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: came.append((number, frame)))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if came:
+            before(*came[0])

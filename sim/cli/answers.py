@@ -1,0 +1,40 @@
+"""What most verbs end with: an answer, its files, an exit code. Light, because a verb imports it before it does anything."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from nodes.cli.main import add_json, answer
+
+
+def add_answer(parser: argparse.ArgumentParser, run: Callable[[argparse.Namespace], int]) -> None:
+    """Declare --json and --out, and what runs."""
+    add_json(parser)
+    parser.add_argument(
+        "--out-dir", "--out", type=Path, default=Path("studies"), dest="out", help="directory of files (default: %(default)s)"
+    )
+    parser.set_defaults(run=run)
+
+
+def report(
+    arguments: argparse.Namespace,
+    figures: Mapping[str, Any],
+    lines: str | Sequence[str],
+    *,
+    ledger: Path | None = None,
+    plot: Path | None = None,
+    held: bool = True,
+) -> int:
+    """Answer with figures and lines, last the files that there are; the exit code, 1 where the verdict is no."""
+    files = {name: str(path) for name, path in (("ledger", ledger), ("plot", plot)) if path is not None}
+    text = [lines] if isinstance(lines, str) else lines
+    answer(arguments.json, {**figures, **files}, "\n".join([*text, *files.values()]))
+    return 0 if held else 1
+
+
+def given(arguments: argparse.Namespace, *names: str) -> dict[str, Any]:
+    """Take arguments by name: what a job is told."""
+    return {name: getattr(arguments, name) for name in names}
