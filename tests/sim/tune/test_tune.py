@@ -225,7 +225,7 @@ def test_a_signal_while_a_law_is_tried_leaves_the_launch_as_it_was(tuned: tuple[
             os.killpg(process.pid, number)
             os.killpg(process.pid, number)
             process.wait(timeout=60.0)
-            assert state(launch) == before, number.name
+            assert state(launch) == before, (number.name, launch.errors)
             assert process.returncode == 128 + number
             known = json.loads((folder / "tuning" / "tune.json").read_text(encoding="utf-8"))
             assert known["interrupted"] == "verify"
