@@ -78,7 +78,7 @@ def move(
     stiffness: float,
     friction: float | None,
 ) -> tuple[float, float]:
-    """One exact step, with or without Coulomb friction."""
-    if friction is None:
+    """One exact step, with or without Coulomb friction; None or 0 is none."""
+    if friction is None or friction == 0.0:
         return advance(x, v, u, coefs)
     return slide(x, v, u, duration, coefs, mass, damping, stiffness, friction)

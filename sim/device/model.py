@@ -90,8 +90,8 @@ def advance(x: float, v: float, u: float, coefs: Coefficients) -> tuple[float, f
 
 
 def quantise(x: float, resolution: float | None) -> float:
-    """Read the encoder: the nearest whole count (halves to the even one), in metres; None is a perfect sensor."""
-    if resolution is None:
+    """Read the encoder: the nearest whole count (halves to the even one), in metres; None or 0 is a perfect sensor."""
+    if resolution is None or resolution == 0.0:
         return x
     return ((x / resolution + _WHOLE) - _WHOLE) * resolution
 

@@ -57,8 +57,7 @@ class AxisState(Structure):
         *(
             (name, c_int64)
             for name in (
-                *("axis", "lockstep", "has_friction", "has_resolution", "has_motor"),
-                *("path", "corners", "has_repeat", "pointer", "is_away", "masses", "masses_count"),
+                *("axis", "lockstep", "path", "corners", "has_repeat", "pointer", "is_away", "masses", "masses_count"),
                 # ticks done; tick up to which real time has passed, -1 before the first sample
                 *("ticks", "tick"),
                 *("commands_count", "slot", "pending_first", "pending_count"),
@@ -75,9 +74,7 @@ class AxisState(Structure):
 
 def measured(d: Any) -> float:
     """Read the encoder [m]."""
-    if d.has_resolution != 0:
-        return quantise(d.x, d.resolution)
-    return quantise(d.x, None)
+    return quantise(d.x, d.resolution)
 
 
 def point(d: Any, tick: int) -> float:
@@ -115,8 +112,7 @@ def _pulled(d: Any, force: float) -> float:
     load = d.weight
     if d.corners > 0:
         load += d.grip * (d.pull if d.pointer != 0 else point(d, d.ticks))
-    given = saturate(force, d.motor) if d.has_motor != 0 else saturate(force, None)
-    return float(given + load)
+    return float(saturate(force, d.motor) + load)
 
 
 def mass_here(d: Any) -> float:
@@ -129,10 +125,7 @@ def _move(d: Any, u: float, duration: float, step: Coefficients) -> None:
     if d.masses_count > 0:
         mass = mass_here(d)
         step = coefficients(mass, d.damping, d.grip, duration)
-    if d.has_friction != 0:
-        x, v = move(d.x, d.v, u, duration, step, mass, d.damping, d.grip, d.friction)
-    else:
-        x, v = move(d.x, d.v, u, duration, step, mass, d.damping, d.grip, None)
+    x, v = move(d.x, d.v, u, duration, step, mass, d.damping, d.grip, d.friction)
     d.x, d.v = end_stop(x, v, d.low, d.high)
     if d.masses_count > 0:
         # m(x) x'' + m'(x) v²/2 = u: what the mass does by itself keeps the energy of the motion.
@@ -228,9 +221,8 @@ class VirtualDevice:
         self.state = state_of(AxisState, compiled)  # all of it
         d = self.state
         d.mass, d.damping, d.grip = model.moving_mass, model.moving_damping, model.grip
-        for name, value in (("friction", model.friction), ("resolution", model.resolution), ("motor", model.peak_force)):
-            setattr(d, f"has_{name}", value is not None)
-            setattr(d, name, 0.0 if value is None else value)
+        d.friction, d.resolution = model.friction or 0.0, model.resolution or 0.0
+        d.motor = math.inf if model.peak_force is None else model.peak_force
         self._masses = array("d", [number for corner in model.mass_by_position for number in corner])
         d.masses, d.masses_count = self._masses.buffer_info()[0], len(model.mass_by_position)
         d.carried = 0.0 if model.hand is None else model.hand.mass

@@ -25,7 +25,7 @@ from nodes.laws.pd_windowed import WindowedDamper
 from sim.arrays import Array
 from sim.device.model import DeviceModel, Hand
 from sim.scene.compiled import compiled
-from sim.scene.loop import Scene, SceneSurface, contact_of, motion_of, run
+from sim.scene.loop import Scene, SceneSurface, contact_of, in_numbers, motion_of, run
 from sim.scene.tick_loop import Contact, LawTables, Motion, Records, play_compiled
 
 
@@ -166,10 +166,10 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
         taps[i, : len(law.taps)] = law.taps
         recursive[i, : 4 * len(law.sections)] = [c for section in law.sections for c in section]
     results = np.empty((len(laws), 5))
-    motion = motion_of(scene, ticks)
-    if motion.loads is not None:
-        motion = motion._replace(loads=np.array(motion.loads))
-    contact = contact_of(scene)
+    found, contact = motion_of(scene, ticks), contact_of(scene)
+    motion, contact = in_numbers(ticks, found, contact)
+    # Few scenes have ends, and looking for them takes a twelfth of a tick.
+    motion = motion._replace(ends=found.ends)
     # To hand over a few runs takes as long as to play them.
     cores = min(len(os.sched_getaffinity(0)), 1 + len(laws) // 8)
     bounds = [len(laws) * i // cores for i in range(cores + 1)]

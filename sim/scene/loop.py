@@ -228,7 +228,7 @@ def _played(
     nudged = np.zeros((ticks, 3)) if given.nudged is None and given.read is not None else given.nudged
     contact = contact_of(scene)
     if not interpreted:
-        motion, contact = _in_numbers(ticks, motion, contact, lockstep=arrivals is None)
+        motion, contact = in_numbers(ticks, motion, contact, lockstep=arrivals is None)
     final = (play if interpreted else play_compiled)(
         ticks,
         motion,
@@ -291,7 +291,7 @@ def motion_of(scene: Scene, ticks: int, given: Given | None = None) -> Motion:
     )
 
 
-def _in_numbers(ticks: int, motion: Motion, contact: Contact, lockstep: bool) -> tuple[Motion, Contact]:
+def in_numbers(ticks: int, motion: Motion, contact: Contact, lockstep: bool = True) -> tuple[Motion, Contact]:
     """Write what a scene lacks as numbers that change no bit, so that one compiled version plays scenes of many kinds.
 
     None is a type of its own: each combination would be compiled, one to three seconds of processor time each.
@@ -299,6 +299,8 @@ def _in_numbers(ticks: int, motion: Motion, contact: Contact, lockstep: bool) ->
     peak, slew = (math.inf if limit is None else limit for limit in (contact.peak, contact.slew))
     return motion._replace(
         early_map=motion.late_map if motion.early_map is None else motion.early_map,
+        resolution=motion.resolution or 0.0,
+        friction=motion.friction or 0.0,
         motor=math.inf if motion.motor is None else motion.motor,
         ends=(-math.inf, math.inf) if motion.ends is None else motion.ends,
         loads=np.full(ticks, motion.load) if motion.loads is None else np.array(motion.loads, dtype=np.float64),
