@@ -50,9 +50,9 @@ def _within(fixed: Any, by_tap: Any, taps: Any, radius: float, work: Any) -> boo
 
 
 @kernel
-def _excess(fixed: Any, by_tap: Any, taps: Any, radius: float, enough: float, work: Any) -> float:
-    """By how much the largest pole radius of all cases exceeds one; no further than enough."""
-    reached = radius
+def _excess(fixed: Any, by_tap: Any, taps: Any, radius: float, enough: float, work: Any) -> tuple[float, int]:
+    """By how much the largest pole radius of all cases exceeds one, no further than enough; the case it is of, −1 for none."""
+    reached, worst = radius, -1
     for i in range(len(fixed)):
         if _within(fixed[i], by_tap[i], taps, reached, work):
             continue
@@ -66,10 +66,10 @@ def _excess(fixed: Any, by_tap: Any, taps: Any, radius: float, enough: float, wo
                 high = middle
             else:
                 low = middle
-        reached = high
+        reached, worst = high, i
         if reached - radius > enough:
             break
-    return reached - radius
+    return reached - radius, worst
 
 
 @kernel
@@ -116,7 +116,7 @@ def _evolve(
     scores = np.full(size, np.inf)
     tried = np.empty(p)
     taps = np.empty(n)
-    best, failed = 0, 0
+    best, failed, broken = 0, 0, 0
     for g in range(generations + 1):
         weight = _uniform(0.5, 1.0)
         for i in range(size):
@@ -142,7 +142,12 @@ def _evolve(
                 taps[m] = 0.0
                 for j in range(p):
                     taps[m] += tried[j] * basis[j, m]
-            outside += _excess(fixed, by_tap, taps, radius, max(0.1 * (scores[i] - 1.0), 0.0), work)
+            if scores[i] <= 1.0 and not _within(fixed[broken], by_tap[broken], taps, radius, work):
+                # Against a member that is feasible, whatever is broken rejects it: what was broken last, first.
+                continue
+            excess, case = _excess(fixed, by_tap, taps, radius, max(0.1 * (scores[i] - 1.0), 0.0), work)
+            outside += excess
+            broken = case if case >= 0 else broken
             score = 1.0 + 10.0 * outside if outside > 0.0 else -felt
             if outside == 0.0 and felt > least:
                 # Laws that land compete by H(1), the others by how many drops settle.
@@ -157,6 +162,9 @@ def _evolve(
         best = int(np.argmin(scores))
         if drops is not None and scores.max() < scores[best] + 2e-4 * abs(scores[best]):
             # All are the same law by now, and each drop costs.
+            break
+        if scores[best] == scores.max() and np.all(members == members[best]):
+            # All are the same to the bit: nothing that follows would differ from it.
             break
     return members[best], scores[best]
 
