@@ -13,12 +13,14 @@ import mmap
 import os
 import struct
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
 
 from messages.types import ZERO, Vector
+from nodes.base.setup import Setup
 
 _VALUE = struct.Struct("<QddddQ")
 """Count after the value, target [m], when it was written [s], count before it: the reader reads in this order.
@@ -56,6 +58,21 @@ class PointerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
 def pointer_file(run_dir: str | Path, driver: str) -> Path:
     """Place of a driver's pointer file."""
     return Path(run_dir) / f"{driver}.pointer"
+
+
+def awaited_pointer(driver: Setup, given_up: Callable[[], bool], patience: float = 10.0) -> Path:
+    """Place of a driver's pointer file, once it is there where the launch promises one: a driver may start later than who asks.
+
+    Of a driver on another machine there is none here, and none is waited for.
+    """
+    path = pointer_file(driver.run_dir, driver.name)
+    promised = driver.parameters.get("pointer") is not None and driver.pace == "realtime" and driver.control.startswith("ipc:")
+    deadline = time.monotonic() + patience
+    while promised and time.monotonic() < deadline and not given_up():
+        if path.exists() and path.stat().st_size == _VALUE.size:
+            break
+        time.sleep(0.005)
+    return path
 
 
 def _mapped(path: Path, flags: int) -> mmap.mmap:

@@ -25,7 +25,7 @@ from messages.types import DeviceState, Force, Proxy
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.client.launches import roles
-from nodes.driver.pointer import PointerWriter, pointer_file
+from nodes.driver.pointer import PointerWriter, awaited_pointer
 from nodes.launcher.runs import RunError, RunInfo, read_run
 from nodes.parameters.store import ParameterError, convert
 from nodes.recording.ros2_messages import CUBE, FRAME, SPHERE, RosMessages
@@ -254,12 +254,13 @@ class Ros2(Node):
                 )
             self._graph.listen(self._namespace + parameters.wrench, WRENCH, self._take_wrench)
         if parameters.target:
+            none = f"{self.setup.name}.target: no hand can be dragged; a sim_driver has one with device.hand and pointer: {{}}"
+            if not driver:
+                raise ParameterError(none)
             try:
-                self._hand = PointerWriter(pointer_file(self.setup.run_dir, self._run.nodes[driver].name if driver else ""))
-            except (FileNotFoundError, IsADirectoryError) as error:
-                raise ParameterError(
-                    f"{self.setup.name}.target: no hand can be dragged; a sim_driver has one with device.hand and pointer: {{}}"
-                ) from error
+                self._hand = PointerWriter(awaited_pointer(self._run.nodes[driver], lambda: self.stopping))
+            except FileNotFoundError as error:
+                raise ParameterError(none) from error
             self._graph.listen(self._namespace + parameters.target, POSE, self._take_target)
         self._graph.serve(self._parameters(), self._change)
 

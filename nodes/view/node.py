@@ -102,7 +102,9 @@ class View(Node):
         import asyncio
 
         again = self.store.current.again
-        asyncio.run(self._serve(self._make_pages(self._run_info(), self._listening, self._token(), again)))
+        asyncio.run(
+            self._serve(self._make_pages(self._run_info(), self._listening, self._token(), again, lambda: self.stopping))
+        )
 
     def _token(self) -> str:
         place = read_place(self.setup.run_dir, self.setup.name)

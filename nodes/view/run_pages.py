@@ -14,7 +14,7 @@ from messages.topics import PROXY
 from messages.transport.sockets import Subscription
 from messages.types import Message
 from nodes.base.setup import AXIS_INDEX
-from nodes.driver.pointer import pointer_file
+from nodes.driver.pointer import awaited_pointer
 from nodes.launcher.runs import RunInfo
 from nodes.parameters.store import ParameterError
 from nodes.view.commands import Commander, CommandError, publisher
@@ -85,7 +85,14 @@ class RunPage:
 class RunPages:
     """Everything behind the pages of one run; `again`: the launcher starts a virtual driver again that stopped the loop."""
 
-    def __init__(self, run: RunInfo, inbox: Subscription, token: str = "", again: bool = False) -> None:
+    def __init__(
+        self,
+        run: RunInfo,
+        inbox: Subscription,
+        token: str = "",
+        again: bool = False,
+        stopping: Callable[[], bool] = lambda: False,
+    ) -> None:
         self._run = run
         self._inbox = inbox
         self._commander = Commander(run, again)
@@ -93,8 +100,7 @@ class RunPages:
         self._period = facts.period
         self._axis = AXIS_INDEX[facts.axes[0]]
         self.live = LiveRun(facts)  # what the run tells
-        run_dir = next(iter(run.nodes.values())).run_dir
-        self.hand = SharedHand(pointer_file(run_dir, run.nodes[self._commander.driver].name))  # the hand's target
+        self.hand = SharedHand(awaited_pointer(run.nodes[self._commander.driver], stopping))  # the hand's target
         self.server = PageServer(self._open_page, token)  # serves the pages
         self._comparison = Comparison(run, self._commander.driver, self.live.board.put)
         # Each is called with topic and message of all that comes in.

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from nodes.driver.pointer import PointerReader, PointerWriter
+from nodes.driver.pointer import PointerReader, PointerWriter, awaited_pointer, pointer_file
 from tests.support.launching import wait_for
+from tests.support.setups import setup_of
 
 
 def test_what_is_written_is_read_and_let_go(tmp_path: Path) -> None:
@@ -25,6 +26,37 @@ def test_what_is_written_is_read_and_let_go(tmp_path: Path) -> None:
         writer.write((math.nan, 0.0, 0.0))
     writer.close()
     reader.close()
+
+
+def test_a_hand_that_the_launch_promises_is_waited_for_and_no_other(tmp_path: Path) -> None:
+    path, asked = pointer_file(tmp_path, "driver"), 0
+
+    def given_up() -> bool:
+        # The file is there first, and what is in it later: as a driver makes it.
+        nonlocal asked
+        asked += 1
+        if asked == 2:
+            path.touch()
+        elif asked == 3:
+            PointerReader(path, 60.0).close()
+        return False
+
+    def awaited(**changed: object) -> Path:
+        return awaited_pointer(
+            setup_of(**{"run_dir": str(tmp_path), "control": "ipc:///c", "parameters": {"pointer": {}}, **changed}), given_up
+        )
+
+    others: list[dict[str, object]] = [
+        {"parameters": {}},
+        {"parameters": {"pointer": None}},
+        {"pace": "lockstep"},
+        {"control": "tcp://10.0.0.1:5"},
+    ]
+    for none in others:
+        assert awaited(**none) == path
+    assert asked == 0
+    PointerWriter(awaited()).close()
+    assert asked == 3
 
 
 def test_a_value_expires(tmp_path: Path) -> None:
