@@ -147,8 +147,8 @@ def test_a_dragged_run_is_recorded_and_plays_again_in_one_process(tick: WantedTi
     same = replay(recorded)
     if figures["missed"] == 0:
         assert same.measured.tolist() == recorded.position.tolist()
-    # A tick that the coupling lost is bridged there, and rendered here; one process knows nothing of a coupling that was away for
-    # so long that the driver damped the device.
+    # A tick that the coupling lost is bridged there, and rendered here; one process knows nothing of a coupling that was away
+    # for so long that the driver damped the device.
     if figures["safety"]["entered"].get("damping", 0) == 0 and figures["nodes"]["coupling"]["gaps"] < 20:
         assert np.max(np.abs(same.measured - recorded.position)) < 1e-3
 
