@@ -41,6 +41,9 @@ MAP_PERIOD = 0.25
 PICTURE_FIRST = 0.5
 """How long the first page draws before the first map is computed, which takes longest: they may share a processor [s]."""
 
+ASK_AGAIN = 0.2
+"""How soon nodes that did not answer are asked for their laws again [s]."""
+
 FINAL = 0.5
 """How long pages may take to receive the end of a run [s]."""
 
@@ -302,14 +305,17 @@ class RunPages:
             chosen["device_delay"] = self._commander.device_delay()
             return {"node": node, **self._commander.ask(node, "law.list"), "named": named, **chosen}
 
-        # A coupling that is being started again does not answer; its next receipt or status asks again.
-        with contextlib.suppress(CommandError):
+        try:
             self._laws = await asyncio.get_running_loop().run_in_executor(self._asking, ask)
             if self._laws["device_delay"] is not None:
                 self._comparison.delayed(self._laws["device_delay"])
             self.live.board.put("laws", self._laws)
             if self._bridge is not None:
                 await asyncio.get_running_loop().run_in_executor(None, self._bridge.tell_parameters)
+        except CommandError:
+            # A coupling or driver that is being started again does not answer yet.
+            await asyncio.sleep(ASK_AGAIN)
+            self.live.changed = True
 
     async def _draw_map(self) -> None:
         described, delay = self._laws["laws"][self._laws["active"]], self.live.delay

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -307,6 +309,19 @@ def test_past_the_edge_it_rings_is_stopped_shown_slowly_and_goes_on(page: Page, 
     # Whoever takes the permission back beyond the edge is brought below it: the page has heard that it is below already.
     wait_for(lambda: page.evaluate("!haptic.dial.isPast(haptic.dial.stiffness)"), "the dial is below the edge")
     page.locator("#beyond").uncheck()
+
+
+def test_what_is_changed_while_the_driver_is_started_again_comes_to_the_page(page: Page, launch: Running) -> None:
+    """Laws and the device's delay are read together: a driver that died over the question cost the page all later changes."""
+    launch.call("coupling", "law.switch", law="pd")
+    driver = launch.call("driver", "status")["pid"]
+    os.kill(driver, signal.SIGSTOP)
+    told = page.locator("#log li").count()
+    launch.call("coupling", "param.set", values={"laws.pd.stiffness": 950.0})
+    wait_for(lambda: page.locator("#log li").count() > told, "the page to hear of the change")
+    os.kill(driver, signal.SIGKILL)
+    wait_for(lambda: page.evaluate("haptic.dial.stiffness") == 950.0, "the new stiffness")
+    wait_for(lambda: "No force: nothing is touched" in shown(page, "#words"), "the driver is back")
 
 
 def test_a_page_past_the_edge_needs_a_virtual_device_that_allows_it(browser: Browser, tmp_path: Path) -> None:
