@@ -99,7 +99,7 @@ def test_the_drop_renders_through_the_device(stand: Bench, virtual: Forces, tmp_
         stand.world.state.free_from = math.inf
         stand.world.state.nan = 1
         wait_for(lambda: not any(stand.world.force()), "no force without a position")
-        wait_for(lambda: "active → fault" in launch.errors, "the driver takes it for none")
+        wait_for(lambda: launch.call("driver", "progress")["safety"] == "fault", "the driver takes it for none")
         stand.world.state.nan = 0
         wait_for(lambda: stand.world.force()[2] > 0.0, "the force comes back")
         # Unplugged in mid-run it ends, and says why.

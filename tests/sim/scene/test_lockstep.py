@@ -59,9 +59,8 @@ PLAYED = [
 graph is touch_wall's own; two devices on one law live in real time."""
 
 WORDS = [(name,) for name in PLAYED] + list(VARIANTS)
-ALIKE = {("two_loggers",), ("floor_drop_fast",), ("floor_drop", "law:=designed_d1", "apply:=next_tick")}
-"""Of these the plain tick alone: compiled they run floor_drop's code. Its loop beside two loggers, its loop at a third rate,
-and taps of other values."""
+ALIKE = {("two_loggers",), ("floor_drop", "law:=designed_d1", "apply:=next_tick")}
+"""Of these the plain tick alone: compiled they run floor_drop's code, its loop beside two loggers and taps of other values."""
 
 pytestmark = pytest.mark.timeout(600)  # the kernels are compiled once, which takes minutes on a busy machine
 
