@@ -2,7 +2,7 @@
 
 A law is prepared on the control thread (validated, compiled, judged for stability, brought up to date, tried) and taken up
 between two ticks (nodes/coupling/renderer.py); what is refused leaves the running law untouched. A law that raises, returns a
-force that is not finite or overruns its budget is replaced within the same tick.
+force that is not finite or overruns its budget twice within a second is replaced within the same tick.
 """
 
 from __future__ import annotations
@@ -322,7 +322,14 @@ class Coupling(Node):
         except Exception as error:  # noqa: BLE001  # a law from another package may raise anything
             return self._fall_back(proxy, f"raised {type(error).__name__}: {error}", due)
         over = self._budget.overrun(excused=self.changes.serving.seconds() - served)
-        return self._fall_back(proxy, over) if over else force
+        if not over:
+            return force
+        if self._budget.again(proxy.seq * self.setup.period):
+            return self._fall_back(proxy, over)
+        self.events.emit(
+            "budget", f"law {self._renderer.name!r} at tick {proxy.seq}: {over}; once more within a second is too often"
+        )
+        return force
 
     def _answer(self, proxy: Proxy) -> bytes:
         seq, s, renderer = proxy.seq, self.counters, self._renderer
