@@ -1,4 +1,7 @@
-"""A real browser for the tests: Debian's chromium through Playwright, whose own downloads are not used."""
+"""A real browser for the tests: Debian's chromium through Playwright, whose own downloads are not used.
+
+Where it is installed, chromium's headless shell: the same engine without a window's own pages, at less than half the cost.
+"""
 
 from __future__ import annotations
 
@@ -18,9 +21,11 @@ from tests.support.launching import HAPTIC, Running, wait_for
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+_BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 
-needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: apt install chromium")
+CHROMIUM = next(filter(None, map(shutil.which, _BROWSERS)), None)
+
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: apt install chromium-headless-shell")
 
 ARGUMENTS = [
     "--no-sandbox",
