@@ -94,6 +94,8 @@ def test_killed_launcher(tmp_path: Path, victims: tuple[str, ...]) -> None:
 def test_reaper_and_launcher_killed_at_once_leave_it_to_the_kernel_and_the_next_launch(tmp_path: Path) -> None:
     with running(tmp_path, scenario(tmp_path)) as launch:
         stale = launch.run_dir
+        # At once: a launcher that finds its reaper gone ends the run in order, and a busy machine leaves it the time to.
+        launch.process.send_signal(signal.SIGSTOP)
         os.kill(reaper(launch), signal.SIGKILL)
         launch.process.kill()
         launch.process.wait()
