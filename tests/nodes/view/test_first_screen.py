@@ -78,9 +78,14 @@ def test_scene_and_force_share_the_first_screen(size: tuple[int, int], browser: 
     with OpenPage(browser, url_of(launch), viewport={"width": size[0], "height": size[1]}) as page:
         assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
         scene: Any = page.locator("#scene").bounding_box()
-        strip: Any = page.locator("#strip").bounding_box()
         assert scene["height"] >= 150.0
-        assert strip["y"] + strip["height"] <= size[1]
+
+        def fits() -> bool:
+            strip: Any = page.locator("#strip").bounding_box()
+            return bool(strip["y"] + strip["height"] <= size[1])
+
+        # On a busy machine the sentence above tells of late forces for a moment, in a line more.
+        wait_for(fits, "the force is on the screen")
         assert not page.locator("#laws").is_visible(), "the rest is folded away"
         assert page.locator("#lens").is_visible()
         dial: Any = page.locator("#dial").bounding_box()
@@ -108,7 +113,14 @@ def test_the_handle_does_not_jump_and_stays_in_the_hand(page: Page, launch: Runn
             break
     assert held < 5e-4, "taken beside its middle it stays where it is"
     page.mouse.move(x + 60.0, y)
-    moved = wait_for(lambda: (found := target(page)) > 5e-4 and found, "it follows")
+
+    def arrived() -> float:
+        found, before = target(page), bins(page)
+        wait_for(lambda: bins(page) > before + 50, "some time passes")
+        return found if found > 5e-4 and abs(target(page) - found) < 1e-5 else 0.0
+
+    # It comes at a limited speed, a millimetre a tick.
+    moved = wait_for(arrived, "it follows")
     wait_for(lambda: page.evaluate("haptic.lag.forces.length > 0"), "hand to force is measured")
     assert 0.0 <= page.evaluate("haptic.lag.force") <= page.evaluate("haptic.lag.median"), (
         "the force is there before the picture"
