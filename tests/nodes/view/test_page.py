@@ -308,6 +308,8 @@ def test_a_killed_node_is_told_and_a_killed_view_is_found_again(browser: Browser
         wait_for(lambda: not page.locator("#notice").is_visible(), "the page is back")
         before = bins(page)
         wait_for(lambda: bins(page) != before, "and sees again")
+        # Nodes say twice a second how they are; a new view has heard nothing of them yet.
+        wait_for(lambda: "coupling" in shown(page, "#nodes"), "the new view has heard of the coupling")
         os.kill(int(launch.call("coupling", "status")["pid"]), signal.SIGKILL)
         wait_for(lambda: "coupling: ended with SIGKILL" in shown(page, "#notice"), "the end is told, with its reason")
         assert "coupling" in shown(page, "#nodes li.silent")
