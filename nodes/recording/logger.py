@@ -23,6 +23,7 @@ from messages.transport.sockets import Subscription
 from messages.types import Message
 from nodes.base import realtime
 from nodes.base.node import Node
+from nodes.base.processor_wait import ProcessorWait
 from nodes.base.setup import Setup
 from nodes.launcher.runs import RunInfo
 from nodes.parameters.paths import LocalChoice, LocalPath
@@ -118,10 +119,18 @@ class Recorder:
         self.latest = message.stamp
         self.recorded += 1
 
-    def drain(self) -> None:
-        """Record what is still under way, until nothing comes any more."""
-        while self.take(QUIET_MS):
-            pass
+    def drain(self, end: float = math.inf) -> None:
+        """Record what is still under way, until nothing comes any more, or what comes was sent after an `end` [s].
+
+        A while without a message counts only where this process had a processor: else its I/O thread may hold them all.
+        """
+        wait, pid = ProcessorWait(), os.getpid()
+        while self.latest <= end:
+            if self.take(0):
+                continue
+            began, before = time.monotonic(), wait.look(pid)
+            if not self.take(QUIET_MS) and time.monotonic() - began - (wait.look(pid) - before) > 0.5e-3 * QUIET_MS:
+                return
 
 
 def open_writer(path: str, manifest: dict[str, str], overwrite: bool) -> RecordWriter:
@@ -208,8 +217,7 @@ class Logger(Node):
                 self.between_ticks(0)
             # What is sent later, where only this logger ends, is not its business; in lockstep nothing tells when it was sent.
             end = self.clock.now() if self.setup.pace == "realtime" else math.inf
-            while recorder.take(QUIET_MS) and recorder.latest <= end:
-                self.received = self.counters.ticks = recorder.recorded
+            recorder.drain(end)
         except RecordError as error:
             self._give_up(error)
         finally:

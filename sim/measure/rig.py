@@ -21,7 +21,7 @@ from messages.codec import Decoder, MessageRefusedError
 from messages.topics import DEVICE_STATE
 from messages.transport.sockets import Subscription
 from messages.types import DeviceState
-from nodes.launcher.child import ProcessorWait
+from nodes.base.processor_wait import ProcessorWait
 from sim.measure.measured_launch import HAPTIC, Running, left_behind, processes_of, wait_for, within
 
 START = 30.0  # longest time from the first tick to the first messages [s]

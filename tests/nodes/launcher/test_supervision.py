@@ -20,9 +20,10 @@ import msgspec
 import pytest
 import zmq
 
-from nodes.launcher.child import ProcessorWait
+from nodes.base.processor_wait import ProcessorWait
 from nodes.launcher.runs import alive
 from nodes.launcher.supervisor import INT_TIMEOUT
+from nodes.recording.logger import QUIET_MS
 from nodes.recording.reader import Recording
 from tests.support.launching import DEADLINE, Running, haptic, processes_of, running, wait_for
 from tests.support.odd_nodes import odd_nodes as odd_nodes
@@ -133,8 +134,11 @@ def test_what_does_not_end_is_killed_in_the_end_and_sooner_when_asked_twice(tmp_
 
 
 @contextlib.contextmanager
-def starved(pid: int) -> Iterator[None]:
-    """Let a process run only when four others, which never rest, leave it the processor: a part in 400 at the most."""
+def starved(pid: int, threads: str = "") -> Iterator[None]:
+    """Let a process run only when four others, which never rest, leave it the processor: a part in 400 at the most.
+
+    Or only those of its `threads` that have this in their name.
+    """
     processor = min(os.sched_getaffinity(0))
     spin = f"import os\nos.sched_setaffinity(0, {{{processor}}})\nprint(flush=True)\nwhile True: pass"
     with contextlib.ExitStack() as stack:
@@ -144,10 +148,24 @@ def starved(pid: int) -> Iterator[None]:
             assert hog.stdout is not None
             # On a busy machine the process would have ended before they began.
             hog.stdout.readline()
-        for thread in map(int, os.listdir(f"/proc/{pid}/task")):
-            os.sched_setaffinity(thread, {processor})
-            os.sched_setscheduler(thread, os.SCHED_IDLE, os.sched_param(0))
+        for task in Path(f"/proc/{pid}/task").iterdir():
+            if threads in (task / "comm").read_text(encoding="utf-8"):
+                os.sched_setaffinity(int(task.name), {processor})
+                os.sched_setscheduler(int(task.name), os.SCHED_IDLE, os.sched_param(0))
         yield
+
+
+def test_a_logger_that_stops_waits_for_what_its_own_transport_still_holds(tmp_path: Path) -> None:
+    """A while without messages was the end to it, also where its I/O thread had all of them and no processor."""
+    with running(tmp_path, scenario(tmp_path)) as launch:
+        logger = launch.pid("logger")
+        with starved(logger, "ZMQbg/IO"):
+            launch.process.send_signal(signal.SIGINT)
+            wait_for(lambda: not (launch.run_dir / "driver.pub").exists(), "the driver ends")
+            # Longer than any while that it may take for the end.
+            time.sleep(5 * QUIET_MS / 1e3)
+        figures = launch.finish()
+    assert Recording(tmp_path / "run.mcap").topics["/device/state"].messages == figures["ticks"] + 1
 
 
 def test_what_others_keep_from_running_is_waited_for(tmp_path: Path) -> None:
