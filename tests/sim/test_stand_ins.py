@@ -30,7 +30,8 @@ SOFT = ("stiffness:=150", "damping:=0.5")
 
 HEIGHT, WEIGHT = 0.01, 0.1 * 9.81
 
-DROPS = 5
+DROPS, NEAR = 5, 0.01
+"""A machine that stalls in mid-drop renders something else: so many drops, until one is so near [share of the peak]."""
 
 
 def through(stand: Bench, folder: Path, **parameters: Any) -> str:
@@ -84,6 +85,12 @@ def _compared(table: Table, virtual: Forces, drop: int) -> tuple[float, float, i
     return min((float(np.sqrt(np.mean((force - of)[known] ** 2))), delay, first) for delay, of in virtual.items())
 
 
+def _recorded(path: Path, tick: int) -> Table | None:
+    """Read what is there of a recording that goes on, once it has a tick."""
+    table = read(path)
+    return table if table["seq"][-1] > tick else None
+
+
 @pytest.mark.realtime
 def test_the_drop_renders_through_the_device(stand: Bench, virtual: Forces, tmp_path: Path) -> None:
     period, ticks = 0.002, len(virtual[0.0])
@@ -95,6 +102,10 @@ def test_the_drop_renders_through_the_device(stand: Bench, virtual: Forces, tmp_
             drops.append(int((time.monotonic() - epoch) / period) + 100)
             stand.world.drop(HEIGHT, at=epoch + drops[-1] * period)
             time.sleep((ticks + 110) * period)  # the drop itself, in real time
+            table = wait_for(lambda: _recorded(tmp_path / "run.mcap", drops[-1] + ticks), "the drop to be recorded")
+            error, delay, _ = _compared(table, virtual, drops[-1])
+            if error < NEAR * virtual[delay].max():
+                break
         # Then somebody holds the arm where it rests, and it gives no position for a while: no force, and back by a ramp.
         stand.world.state.free_from = math.inf
         stand.world.state.nan = 1
@@ -110,7 +121,6 @@ def test_the_drop_renders_through_the_device(stand: Bench, virtual: Forces, tmp_
     recording = Recording(tmp_path / "run.mcap")
     assert "fault" in {state.safety for state in recording.messages("/device/state")}
     table = read(tmp_path / "run.mcap")
-    # A machine that stalls in mid-drop renders something else, and the device falls on: of several drops, the least disturbed.
     error, delay, first = min(_compared(table, virtual, drop) for drop in drops)
     peak = virtual[delay].max()
     force = table["force"][first : first + ticks, 2]
@@ -120,6 +130,6 @@ def test_the_drop_renders_through_the_device(stand: Bench, virtual: Forces, tmp_
         f"all ticks {error / peak:.2%}; missed {int(table['missed'][-1])}"
     )
     assert measured - 0.1 < delay < measured + 1.0
-    assert error < 0.01 * peak
-    assert np.nanmax(force) == pytest.approx(peak, rel=0.01)
-    assert np.nanmean(force[-50:]) == pytest.approx(WEIGHT, rel=0.01)
+    assert error < NEAR * peak
+    assert np.nanmax(force) == pytest.approx(peak, rel=NEAR)
+    assert np.nanmean(force[-50:]) == pytest.approx(WEIGHT, rel=NEAR)

@@ -89,7 +89,6 @@ def test_patterns_choose_what_is_recorded(wall: Running, tmp_path: Path) -> None
     assert set(Recording(out).topics) == {DEVICE_STATE}
 
 
-@pytest.mark.realtime
 def test_a_force_from_outside_reaches_the_device(wall: Running) -> None:
     # From 2.3 s on the hand rests before the wall, and the law gives nothing.
     wait_for(lambda: wall.ticks() > 1300, "the hand to rest")

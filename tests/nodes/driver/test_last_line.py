@@ -24,8 +24,6 @@ from sim.measure.rig import full_pipe
 from tests.support import INSTALLED
 from tests.support.launching import Running, running, wait_for
 
-pytestmark = pytest.mark.realtime
-
 STIFFNESS, DAMPING = 1000.0, 0.5
 LAW_DAMPING = 3.0
 PERIOD = 0.002
@@ -69,6 +67,7 @@ def forces(folder: Path) -> list[float]:
 # -- the compiled tick under a driver that exists -------------------------------------------------------------------------
 
 
+@pytest.mark.realtime
 def test_a_driver_that_is_not_virtual_has_the_compiled_tick_too(tmp_path: Path) -> None:
     kernels = ["nodes.environment.kernel", "nodes.coupling.kernel", "nodes.driver.kernel"]
     assert choose("compiled", kernels, print) == "compiled"
@@ -114,6 +113,7 @@ def test_the_force_goes_down_and_the_launch_ends_whoever_reads_what_is_printed(t
 # -- ticks that are lost ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.realtime
 def test_damping_knows_the_time_that_passed_while_the_driver_was_held_up(tmp_path: Path) -> None:
     speed = 0.1
     path = scene(
@@ -196,6 +196,7 @@ def test_a_coupling_started_again_has_its_parameters_and_no_jump(tmp_path: Path)
     assert [event.kind for event in told].count("resumed") == 2
 
 
+@pytest.mark.realtime
 def test_a_logger_started_again_leaves_alone_what_was_recorded(tmp_path: Path) -> None:
     with running(tmp_path, scene(tmp_path, chain=AGAIN), environment=INSTALLED) as launch:
         for _ in range(2):
@@ -221,6 +222,7 @@ def test_a_logger_started_again_leaves_alone_what_was_recorded(tmp_path: Path) -
 WRONG = (1.7e308, -1.7e308, None, 0.11)
 
 
+@pytest.mark.realtime
 def test_positions_outside_the_workspace_are_a_fault_and_no_data(tmp_path: Path) -> None:
     # Each for a tenth of a second, and for a tick or two.
     glitches = [
@@ -270,6 +272,7 @@ HAND = "hand: {mass: 0.1, damping: 2.0, stiffness: 150.0, path: [[0.0, -0.06]]}"
 WEIGHT = "gravity: 9.81"
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize(
     ("tick", "pushes", "strength"),
     [("plain", HAND, 150.0 * 0.06), ("compiled", HAND, 150.0 * 0.06), ("compiled", WEIGHT, 0.981)],

@@ -12,15 +12,13 @@ from typing import Any
 
 import pytest
 
-from tests.support.launching import HAPTIC, Running, running, wait_for
+from tests.support.launching import HAPTIC, Running, running, typed, wait_for
 
 SCENE = ("floor_buzz", "duration:=0")
 
 
 def parameters(launch: Running) -> tuple[str, Any]:
-    law = json.loads(launch.haptic("law", "list", "--json").stdout.splitlines()[-1])["active"]
-    surface = json.loads(launch.haptic("param", "get", "environment", "surface", "--json").stdout.splitlines()[-1])
-    return law, surface["value"]
+    return launch.call("coupling", "law.list")["active"], launch.call("environment", "param.get", name="surface")
 
 
 @pytest.mark.realtime
@@ -30,15 +28,15 @@ def test_identify_on_a_running_launch_and_put_everything_back(tmp_path: Path) ->
     with running(tmp_path, *SCENE, "--params", "wide.yaml") as launch:
         before = parameters(launch)
         # The floor carries 0.98 N of weight, but that might as well be a hand that presses.
-        refused = launch.haptic("device", "identify", "--duration", "6", code=1)
+        refused = typed(launch, "device", "identify", "--duration", "6", code=1)
         assert "let go first" in refused.stderr
         # Dry friction of 0.06 N carries a part of it.
         assert abs(float(refused.stderr.rsplit("--load ", 1)[1]) - 0.981) <= 0.07
         assert parameters(launch) == before
-        heavy = launch.haptic("device", "identify", "--load", "60", "--amplitude", "50", code=1)
+        heavy = typed(launch, "device", "identify", "--load", "60", "--amplitude", "50", code=1)
         assert "more than" in heavy.stderr
         # Twelve windows of 100 ticks are needed: what a busy machine loses, or a short push lacks, a longer one makes up for.
-        short = launch.haptic("device", "identify", "--duration", "1.2", "--load", "0.981", code=None)
+        short = typed(launch, "device", "identify", "--duration", "1.2", "--load", "0.981", code=None)
         assert "pushing again, for longer" in short.stderr
         assert parameters(launch) == before
         done = launch.haptic("device", "identify", "--duration", "6", "--load", "0.981", "--json")
