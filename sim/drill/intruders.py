@@ -26,6 +26,7 @@ from typing import Any
 from messages.transport import keys
 from messages.transport.endpoints import MAX_MESSAGE
 from sim.drill.drill import Fault, fault_of
+from sim.measure.free_ports import free_ports
 from sim.measure.measured_launch import MeasurementError, within
 from sim.measure.rig import Rig
 
@@ -58,10 +59,8 @@ class _Elsewhere:
 
     def prepare(self) -> Mapping[str, str]:
         self.folder = Path(tempfile.mkdtemp(prefix="hk-", dir=Path("/tmp")))  # noqa: S108  # short, as sockets' paths must be
-        with contextlib.ExitStack() as held:
-            ports = [held.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(2)]
-            # The next one is for its requests, and most likely free.
-            self.port = min(int(port.getsockname()[1]) for port in ports)
+        # The second one is for its requests.
+        self.port = free_ports(2)
         made = {}
         for name in ("near", "far"):
             with _keys_of(self.folder / name):
@@ -85,6 +84,7 @@ class _Elsewhere:
 
     def change(self, content: dict[str, Any]) -> None:
         content["nodes"]["coupling"] |= {"host": "127.0.0.1", "port": self.port, "key": "robot", "respawn_delay": 0.0}
+        content["run"]["port"] = free_ports(len(content["nodes"]) * 2)
 
     def replace(self, rig: Rig) -> None:
         """Kill it, let another service answer on its port for a while, and start it again."""

@@ -199,6 +199,9 @@ def _account(rig: Rig, found: Soak, names: list[str]) -> None:
             recording = Recording(rig.folder / name)
             for topic in LOOP:
                 own = _ticks(recording, topic)
+                if not own:
+                    # On a busy machine its visit was over before it heard anything.
+                    continue
                 # What one logger got between two messages of another, that one must have got too.
                 low, high = min(own), max(own)
                 missing = {seq for seq in everything[topic] if low <= seq <= high} - own

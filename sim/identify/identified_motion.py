@@ -66,6 +66,7 @@ def _flow(
 @compiled()
 def _slide_joint(
     state: Array,
+    before: Array,
     u: float,
     duration: float,
     damping: float,
@@ -75,7 +76,7 @@ def _slide_joint(
     pulse: float,
     loss: float,
 ) -> None:
-    """One step of two masses with Coulomb friction on the first."""  # fmt: skip
+    """One step of two masses with Coulomb friction on the first; `before` is room for a state."""
     remaining = duration
     spring, damper = share * (1.0 - share) * pulse * pulse, 2.0 * loss * share * (1.0 - share) * pulse
     for _ in range(4):
@@ -87,7 +88,8 @@ def _slide_joint(
             direction = 1.0 if net > 0.0 else -1.0
         else:
             direction = 1.0 if state[1] > 0.0 else -1.0
-        before = state.copy()
+        for i in range(STATES):
+            before[i] = state[i]
         _flow(state, u - direction * friction, remaining, False, damping, stiffness, share, pulse, loss)
         if state[1] * direction >= 0.0:
             return
@@ -96,7 +98,8 @@ def _slide_joint(
         halt = 0.0
         for _ in range(3):
             halt = low + (high - low) * at_low / (at_low - at_high) if at_low != 0.0 else 0.5 * (low + high)
-            state[:] = before
+            for i in range(STATES):
+                state[i] = before[i]
             _flow(state, u - direction * friction, halt, False, damping, stiffness, share, pulse, loss)
             if state[1] * direction > 0.0:
                 low, at_low = halt, state[1]
@@ -153,9 +156,9 @@ def _richer(theta: Array, initial: Array, start: int, length: int, period: float
     """Positions of one window of a device with a lag, quadratic damping or a joint."""
     mobility, damping, friction, stiffness, load, delay = theta[0], theta[1], theta[2], theta[3], theta[4], theta[5]
     quadratic, lag, share, pulse, loss = theta[6], theta[7], theta[8], 2.0 * math.pi * theta[9], theta[10]
-    state = initial.copy()
-    state[2] = state[0] - initial[2]
-    state[3] = state[1] - initial[3]
+    state, before = np.empty(STATES), np.empty(STATES)
+    state[0], state[1] = initial[0], initial[1]
+    state[2], state[3] = state[0] - initial[2], state[1] - initial[3]
     j = np.searchsorted(at, start - delay, "right") - 1
     acting = force[j] if j >= 0 else 0.0
     given = acting
@@ -191,7 +194,7 @@ def _richer(theta: Array, initial: Array, start: int, length: int, period: float
                     if quadratic > 0.0:
                         u -= quadratic * state[1] * abs(state[1])
                     if share > 0.0:
-                        _slide_joint(state, u, h * period, damping, stiffness, friction, share, pulse, loss)
+                        _slide_joint(state, before, u, h * period, damping, stiffness, friction, share, pulse, loss)
                     else:
                         if abs(h - known) > 1e-12:
                             coefs = coefficients(1.0, damping, stiffness, h * period)
@@ -224,80 +227,42 @@ def slopes(
     free: WholeArray,
     steps: Array,
     own: int,
-    state: Array,
-    start: int,
-    length: int,
-    period: float,
-    position: Array,
-    missing: NDArray[np.bool_],
-    at: Array,
-    force: Array,
-    scale: float,
-    residual: Array,
-    out: Array,
-) -> None:
-    """Residual of one window (L,), and what each unknown and each of its own states moves in it (p + s, L)."""  # fmt: skip
-    here, there = np.empty(length), np.empty(length)
-    p = len(free)
-    window(theta, state, start, length, period, at, force, here)
-    for i in range(p):
-        moved = theta.copy()
-        moved[free[i]] += steps[free[i]]
-        window(moved, state, start, length, period, at, force, there)
-        out[i] = (there - here) / steps[free[i]]
-    for i in range(own):
-        nudge = 0.01 * scale if i % 2 == 0 else 0.1 * scale / (length * period)
-        near = state.copy()
-        near[i] += nudge
-        window(theta, near, start, length, period, at, force, there)
-        out[p + i] = (there - here) / nudge
-    residual[:] = position[start : start + length] - here
-    unread = missing[start : start + length]
-    residual[unread] = 0.0
-    out[:, unread] = 0.0
-
-
-@compiled()
-def normal(
-    theta: Array,
-    free: WholeArray,
-    steps: Array,
-    own: int,
     states: Array,
     starts: WholeArray,
-    length: int,
     period: float,
     position: Array,
     missing: NDArray[np.bool_],
     at: Array,
     force: Array,
     scale: float,
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Errors (W,), normal equations (W, p, p), (W, p) freed of initial states, and what moves those: (W, s), (W, s, p)."""
-    windows, p = len(starts), len(free)
-    errors = np.zeros(windows)
-    matrices = np.zeros((windows, p, p))
-    sides = np.zeros((windows, p))
-    alone = np.zeros((windows, STATES))
-    along = np.zeros((windows, STATES, p))
-    residual = np.empty(length)
-    out = np.empty((p + own, length))
-    for w in range(windows):
-        slopes(
-            theta, free, steps, own, states[w], starts[w], length, period, position, missing, at, force, scale,
-            residual, out,
-        )  # fmt: skip
-        errors[w] = residual @ residual
-        # The states' own block, a hair away from singular where friction holds the device all the time.
-        block = out[p:] @ out[p:].T
-        for i in range(own):
-            block[i, i] += 1e-9 * length * (1.0 if i % 2 == 0 else (length * period) ** 2)
-        cross = out[p:] @ out[:p].T
-        own_side = out[p:] @ residual
-        moves = np.linalg.solve(block, own_side)
-        follows = np.linalg.solve(block, cross)
-        alone[w, :own] = moves
-        along[w, :own] = follows
-        sides[w] = out[:p] @ residual - cross.T @ moves
-        matrices[w] = out[:p] @ out[:p].T - cross.T @ follows
-    return errors, matrices, sides, alone, along
+    residuals: Array,
+    out: Array,
+) -> None:
+    """Residuals of windows (W, L), and what each unknown and each of their own states moves in them (W, p + s, L)."""
+    # In loops: compiled slices of arrays, and their products, take three times as long to compile.
+    length, p = residuals.shape[1], len(free)
+    here, there = np.empty(length), np.empty(length)
+    moved, near = np.empty(len(theta)), np.empty(STATES)
+    for w in range(len(starts)):
+        start = starts[w]
+        for i in range(STATES):
+            near[i] = states[w, i]
+        for i in range(len(theta)):
+            moved[i] = theta[i]
+        window(moved, near, start, length, period, at, force, here)
+        for i in range(p + own):
+            if i < p:
+                step = steps[free[i]]
+                moved[free[i]] += step
+            else:
+                step = 0.01 * scale if (i - p) % 2 == 0 else 0.1 * scale / (length * period)
+                near[i - p] += step
+            window(moved, near, start, length, period, at, force, there)
+            for k in range(length):
+                out[w, i, k] = 0.0 if missing[start + k] else (there[k] - here[k]) / step
+            if i < p:
+                moved[free[i]] = theta[free[i]]
+            else:
+                near[i - p] = states[w, i - p]
+        for k in range(length):
+            residuals[w, k] = 0.0 if missing[start + k] else position[start + k] - here[k]

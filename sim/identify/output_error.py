@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.arrays import Array
 from sim.identify.experiment import Experiment
-from sim.identify.identified_motion import SHARE, STATES, normal, slopes
+from sim.identify.identified_motion import SHARE, STATES, slopes
 
 # Smallest value of each unknown, in the order and the units of `NAMES`.
 LEAST = np.array([1e-3, 0.0, 0.0, 0.0, -math.inf, 0.0, 0.0, 0.0, 1e-3, 1.0, 0.0])
@@ -84,11 +83,8 @@ def fit(
     states = first_states(experiment, starts, length) if states is None else states.copy()
     own = own_states(theta)
 
-    def equations(theta: Array, states: Array) -> Any:
-        return normal(
-            theta, chosen, _widths(theta), own, states, starts, length, experiment.period, experiment.position,
-            experiment.missing, experiment.at, experiment.force, scale,
-        )  # fmt: skip
+    def equations(theta: Array, states: Array) -> tuple[Array, ...]:
+        return _normal(*_slopes(experiment, starts, length, theta, chosen, states, scale), own, experiment.period)
 
     now = equations(theta, states)
     damping, stuck = 1e-3, 0
@@ -125,16 +121,42 @@ def _widths(theta: Array) -> Array:
 
 
 def left_over(experiment: Experiment, found: Fit, scale: float) -> tuple[Array, Array]:
-    """Give what a fit leaves, and what each unknown and each window's own state moves."""
-    own, p = own_states(found.theta), len(found.free)
-    residuals = np.empty((len(found.starts), found.length))
-    moved = np.empty((len(found.starts), p + own, found.length))
-    for w, start in enumerate(found.starts.tolist()):
-        slopes(
-            found.theta, found.free, _widths(found.theta), own, found.states[w], start, found.length, experiment.period,
-            experiment.position, experiment.missing, experiment.at, experiment.force, scale, residuals[w], moved[w],
-        )  # fmt: skip
+    """Give what a fit leaves (W, L), and what each unknown and each window's own state moves (W, p + s, L)."""
+    return _slopes(experiment, found.starts, found.length, found.theta, found.free, found.states, scale)
+
+
+def _slopes(
+    experiment: Experiment,
+    starts: NDArray[np.int64],
+    length: int,
+    theta: Array,
+    free: NDArray[np.int64],
+    states: Array,
+    scale: float,
+) -> tuple[Array, Array]:
+    own = own_states(theta)
+    residuals, moved = np.empty((len(starts), length)), np.empty((len(starts), len(free) + own, length))
+    slopes(
+        theta, free, _widths(theta), own, states, np.ascontiguousarray(starts), experiment.period, experiment.position,
+        experiment.missing, experiment.at, experiment.force, scale, residuals, moved,
+    )  # fmt: skip
     return residuals, moved
+
+
+def _normal(residuals: Array, moved: Array, own: int, period: float) -> tuple[Array, ...]:
+    """Errors (W,), normal equations (W, p, p), (W, p) freed of initial states, and what moves those: (W, 4), (W, 4, p)."""
+    windows, length = residuals.shape
+    unknowns, initial, error = moved[:, :-own], moved[:, -own:], residuals[:, :, None]
+    # The states' own block, a hair away from singular where friction holds the device all the time.
+    hair = np.where(np.arange(own) % 2 == 0, 1.0, (length * period) ** 2)
+    block = initial @ initial.swapaxes(1, 2) + 1e-9 * length * np.diag(hair)
+    cross = initial @ unknowns.swapaxes(1, 2)
+    alone, along = np.zeros((windows, STATES)), np.zeros((windows, STATES, unknowns.shape[1]))
+    alone[:, :own] = np.linalg.solve(block, initial @ error)[:, :, 0]
+    along[:, :own] = np.linalg.solve(block, cross)
+    sides = (unknowns @ error)[:, :, 0] - (cross.swapaxes(1, 2) @ alone[:, :own, None])[:, :, 0]
+    matrices = unknowns @ unknowns.swapaxes(1, 2) - cross.swapaxes(1, 2) @ along[:, :own]
+    return (residuals**2).sum(axis=1), matrices, sides, alone, along
 
 
 def _step(matrix: Array, side: Array, damping: float, at: Array, least: Array) -> Array:

@@ -208,7 +208,8 @@ class Running:
             )
         try:
             if self._ready:
-                wait_for(lambda: self.process.poll() is not None or self.ticks() > 0, "the first tick")
+                if not within(lambda: self.process.poll() is not None or self.ticks() > 0, DEADLINE):
+                    raise MeasurementError(f"the first tick: not within {DEADLINE:g} s: {self.errors}")
                 if self.process.poll():
                     raise MeasurementError(f"the launch ended with exit code {self.process.returncode}: {self.errors}")
         except BaseException:

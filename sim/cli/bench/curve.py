@@ -16,7 +16,6 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from socket import create_server
 from typing import TYPE_CHECKING, Any
 from unittest import mock
 
@@ -37,6 +36,7 @@ from nodes.cli.quantities import declare
 from nodes.launcher.child import PYTHON
 from nodes.recording.summary import quantile
 from sim.cli.answers import report
+from sim.measure.free_ports import free_ports
 
 if TYPE_CHECKING:
     from messages.transport.endpoints import Context
@@ -54,17 +54,12 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
 
 
-def _free_port() -> int:
-    with create_server(("127.0.0.1", 0)) as found:
-        return int(found.getsockname()[1])
-
-
 class _Loop:
     """Two nodes over tcp, and this process as their driver."""
 
     def __init__(self, context: Context, folder: Path, name: str, key: str, period: float, stack: ExitStack) -> None:
         state, proxy, force = (
-            f"tcp://127.0.0.1:{_free_port()}#{key}" if key else f"ipc://{folder}/{name}{hop}" for hop in range(3)
+            f"tcp://127.0.0.1:{free_ports(1)}#{key}" if key else f"ipc://{folder}/{name}{hop}" for hop in range(3)
         )
         cpus = [realtime.quietest_processor()]
         self._publisher = Publisher(context, state)

@@ -21,8 +21,8 @@ from messages.transport.keys import Identity, KeyRefusedError
 from messages.transport.open_port import OpenPort
 from messages.transport.sockets import Publisher, Subscription
 from sim.drill.intruders import visit
+from sim.measure.free_ports import free_ports
 from tests.support.launching import haptic, wait_for
-from tests.support.ports import free_ports
 from tests.support.strangers import as_somebody_else
 
 if TYPE_CHECKING:

@@ -21,8 +21,8 @@ from messages.transport.gate import Gate
 from messages.transport.keys import Identity
 from messages.transport.links import Links
 from messages.transport.sockets import Publisher, Subscription
+from sim.measure.free_ports import free_ports
 from tests.support.launching import wait_for
-from tests.support.ports import free_ports
 
 if TYPE_CHECKING:
     from messages.transport.endpoints import Context

@@ -28,8 +28,8 @@ from messages.transport.links import Links
 from messages.transport.requests import ControlError, call
 from messages.transport.sockets import Publisher, Subscription
 from messages.types import Force
+from sim.measure.free_ports import free_ports
 from tests.support.launching import DEADLINE, HAPTIC, haptic, running, wait_for
-from tests.support.ports import free_ports
 from tests.support.strangers import as_somebody_else
 
 if TYPE_CHECKING:

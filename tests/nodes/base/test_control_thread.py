@@ -24,8 +24,8 @@ from messages.transport.requests import Connection, Request, call
 from nodes.base import control_thread
 from nodes.base.control_thread import ControlServer
 from nodes.base.node import Node
+from sim.measure.free_ports import free_ports
 from tests.support.launching import DEADLINE, HAPTIC, private_runtime_dir, running, wait_for
-from tests.support.ports import free_ports
 from tests.support.setups import setup_of
 
 if TYPE_CHECKING:

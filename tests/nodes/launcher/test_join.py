@@ -21,8 +21,8 @@ from nodes.launcher.external_child import command
 from nodes.parameters.paths import LocalPath, check_paths, needed
 from nodes.parameters.store import ParameterError
 from nodes.recording.logger import LoggerParameters
+from sim.measure.free_ports import free_ports
 from tests.support.launching import DEADLINE, HAPTIC, haptic, private_runtime_dir, wait_for
-from tests.support.ports import free_ports
 from tests.support.setups import setup_of
 
 if TYPE_CHECKING:

@@ -25,10 +25,10 @@ from nodes.launcher.runs import alive
 from nodes.launcher.supervisor import INT_TIMEOUT
 from nodes.recording.logger import QUIET_MS
 from nodes.recording.reader import Recording
+from sim.measure.free_ports import free_ports
 from tests.support.launching import DEADLINE, Running, haptic, processes_of, running, wait_for
 from tests.support.odd_nodes import odd_nodes as odd_nodes
 from tests.support.odd_nodes import scenario
-from tests.support.ports import free_ports
 
 
 def reapers(launch: Running) -> list[int]:
