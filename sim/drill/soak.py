@@ -160,7 +160,7 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
             _pass_time(rig, 2.0 * part, memory)
         found.duration_s = time.monotonic() - begun
         rig.end()
-        _account(rig, found, complete)
+        _account(rig.folder, found, complete)
     witness.close()
     _explain(rig, found, _count(rig, found, excused, done), witness)
     found.growth_bytes = memory.growth
@@ -182,9 +182,9 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
     return found
 
 
-def _account(rig: Rig, found: Soak, names: list[str]) -> None:
+def _account(folder: Path, found: Soak, names: list[str]) -> None:
     try:
-        whole = Recording(rig.folder / "run.mcap")
+        whole = Recording(folder / "run.mcap")
         verdict = accounts(whole)
         everything = {topic: _ticks(whole, topic) for topic in LOOP}
     except RecordError as error:
@@ -196,7 +196,7 @@ def _account(rig: Rig, found: Soak, names: list[str]) -> None:
     ]
     for name in names:
         try:
-            recording = Recording(rig.folder / name)
+            recording = Recording(folder / name)
             for topic in LOOP:
                 own = _ticks(recording, topic)
                 if not own:
