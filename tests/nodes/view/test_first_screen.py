@@ -250,11 +250,10 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
     drawn = """([b, k]) => { const { canvas, frame } = haptic.map, { left, end, right, bottom, top, most } = frame;
       const u = left + b / right * (end - left), v = bottom - k / most * (bottom - top);
       const pixel = (each) => Math.round(each * devicePixelRatio);
-      return [...canvas.getContext("2d").getImageData(pixel(u), pixel(v), 1, 1).data]; }"""
-    red, _, blue, alpha = page.evaluate(drawn, [3.0, k])
-    assert alpha > 40
-    # The older of several fades into what lies below.
-    assert blue > red + 20, "in the device's colour"
+      return [0, 8].map(beside => [...canvas.getContext("2d").getImageData(pixel(u + beside), pixel(v), 1, 1).data]); }"""
+    # The older of several fades into what lies below, which is seen beside it.
+    (red, _, blue, _), (red_below, _, blue_below, _) = page.evaluate(drawn, [3.0, k])
+    assert blue - red > blue_below - red_below + 5, "in the device's colour"
     launch.call("driver", "param.set", values={"device.delay": 0.0})
     launch.call("coupling", "param.set", values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0})
 
