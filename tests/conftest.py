@@ -63,7 +63,7 @@ def pytest_configure() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the longest files first, those with a browser apart, and last those that want the machine to themselves.
+    """Put the longest files first, those with a browser apart, and last those that are judged in real time.
 
     Each test of the last waits for whatever the other workers are at; at the end that is nothing long. A browser draws with
     both processors of a small machine: two at once, each beside a launch in real time, would test nothing but the load.
@@ -97,7 +97,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     worker = getattr(item.config, "workerinput", None)
     if worker is None:
         return (yield)
-    with machine(worker["testrunuid"], alone=item.get_closest_marker("realtime") is not None):
+    with machine(worker["testrunuid"], worker["workerid"], alone=item.get_closest_marker("realtime") is not None):
         return (yield)
 
 

@@ -45,8 +45,8 @@ SCENE = {
 }
 
 
-def designed(folder: Path, taps: list[float], edge: float | None = None) -> None:
-    """Leave a design and a prediction: a law that rests just so, to be tried in large steps."""
+def designed(folder: Path, taps: list[float], edge: float | None = None, first: int = 0, near: int = 60) -> None:
+    """Leave a design and a prediction: a law that rests just so, to be tried from `first` on, in large steps up to `near`."""
     h1 = sum(taps)
     known = None if edge is None else edge * h1
     edges = {"edge_h1_n_per_m": known, "edge_factor": edge, "edge_linear_h1_n_per_m": h1, "edge_linear_factor": 1.0}
@@ -70,7 +70,7 @@ def designed(folder: Path, taps: list[float], edge: float | None = None) -> None
             "every_delay_stable": None,
             "limit_cycle_free": None,
         },
-        "predicted_steps": {"steps": [], "ended": "", "plan": {"first": 0, "near": 60, "last": 60}},
+        "predicted_steps": {"steps": [], "ended": "", "plan": {"first": first, "near": near, "last": 60}},
     }
     (folder / "tuning").mkdir()
     (folder / "tuning" / "tune.json").write_text(json.dumps(told))
@@ -107,14 +107,14 @@ def test_a_trial_that_the_driver_stops_is_a_verdict_and_the_launch_goes_on(tmp_p
             assert all(abs(one.force[0]) <= PEAK * (one.seq - before.seq + 1) / ramp * (1.0 + 1e-15) for one in back)
 
 
-def verified_with(order: str, folder: Path, taps: list[float], edge: float | None = None) -> str:
+def verified_with(order: str, folder: Path, taps: list[float], edge: float | None = None, first: int = 0) -> str:
     """Try a law on a device that lies about its position; nothing may be delivered. What the verb prints."""
     scene = json.loads(json.dumps(SCENE))
     driver = scene["nodes"]["driver"]
     driver["kind"] = "faulty_driver"
     driver["parameters"]["order"] = "order"
     (folder / "held.yaml").write_text(json.dumps(scene))
-    designed(folder, taps, edge)
+    designed(folder, taps, edge, first)
     with running(folder, "held.yaml") as launch:
         (folder / "order").write_text(order)
         done = launch.haptic("tune", "--steps", "verify", code=1)
@@ -130,24 +130,24 @@ def test_an_encoder_that_is_stuck_is_not_a_device_at_rest(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("lie", "told"),
+    ("lie", "told", "first"),
     [
         # A sign: every spring pushes away. A gain: ten times the law that was designed. A delay that jumps by ten ticks.
-        (f"{SCALE}-1", "the law holds                                      NO"),
-        (f"{SCALE}10", "the law holds                                      NO"),
-        (f"{LATE}10", "the law holds                                      NO"),
+        (f"{SCALE}-1", "the law holds                                      NO", 0),
+        (f"{SCALE}10", "the law holds                                      NO", 40),
+        (f"{LATE}10", "the law holds                                      NO", 0),
         # A quarter of it: every knock rests, far beyond where the model has the edge.
-        (f"{SCALE}0.25", "the device is not the one that was identified"),
+        (f"{SCALE}0.25", "the device is not the one that was identified", 0),
     ],
 )
-def test_a_device_that_lies_while_its_law_is_tried_gets_none(lie: str, told: str, tmp_path: Path) -> None:
-    assert told in verified_with(lie, tmp_path, [800.0, -700.0], edge=1.5)
+def test_a_device_that_lies_while_its_law_is_tried_gets_none(lie: str, told: str, first: int, tmp_path: Path) -> None:
+    assert told in verified_with(lie, tmp_path, [800.0, -700.0], edge=1.5, first=first)
 
 
 def test_a_wall_clock_that_is_set_in_mid_trial_changes_no_verdict(tmp_path: Path) -> None:
     """An hour back, two hours on, five times a second, in every process of the launch and in the verb."""
     (tmp_path / "held.yaml").write_text(json.dumps(SCENE))
-    designed(tmp_path, [8000.0, -7600.0])
+    designed(tmp_path, [8000.0, -7600.0], first=45, near=45)
     clock, over = SteppedClock(), threading.Event()
 
     def step_about() -> None:
