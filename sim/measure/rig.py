@@ -13,6 +13,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Self
 
 import msgspec
@@ -21,7 +22,7 @@ from messages.codec import Decoder, MessageRefusedError
 from messages.topics import DEVICE_STATE
 from messages.transport.sockets import Subscription
 from messages.types import DeviceState
-from nodes.base.processor_wait import ProcessorWait
+from nodes.base.processor_wait import ProcessorWait, state_of
 from sim.measure.measured_launch import HAPTIC, Running, left_behind, processes_of, wait_for, within
 
 START = 30.0  # longest time from the first tick to the first messages [s]
@@ -48,6 +49,8 @@ class Rig(Running):
 
     def __init__(self, content: Mapping[str, Any], environment: Mapping[str, str] | None = None, unread: bool = False) -> None:
         self._pipe = full_pipe() if unread else ()
+        # Who does not end says where it is.
+        environment = {"PYTHONFAULTHANDLER": "1", **(environment or {})}
         super().__init__("drill.yaml", environment=environment, stderr=self._pipe[1] if self._pipe else None)
         (self.folder / "drill.yaml").write_bytes(msgspec.json.encode(content))  # JSON is YAML
         self.states: list[DeviceState] = []  # what the driver published, in the order of receipt
@@ -113,7 +116,7 @@ class Rig(Running):
         self.said = self.errors
         self.left = left_behind(self.runtime_dir, 5.0)
         if self.process.poll() is None:
-            self.left.append(f"process {self.process.pid}: the launcher")
+            self.left.append(f"process {self.process.pid}: the launcher; {self._whereabouts()}")
         self.interrupt(0.0)
         self.summary = self.figures
         if self._listener is not None:
@@ -129,6 +132,17 @@ class Rig(Running):
                 return
             for pid in (self.process.pid, *processes_of(self.runtime_dir)):
                 waited = max(waited, waits.setdefault(pid, ProcessorWait()).look(pid))
+
+    def _whereabouts(self) -> str:
+        """Tell where a launcher is that does not end: what its threads wait for in the kernel, and its stack in Python."""
+        threads, state = [], state_of(Path(f"/proc/{self.process.pid}"))
+        for path in Path(f"/proc/{self.process.pid}/task").iterdir():
+            with contextlib.suppress(OSError):
+                threads.append(" ".join((path / name).read_text().strip() for name in ("comm", "wchan", "syscall")))
+        self.process.send_signal(signal.SIGABRT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.process.wait(2.0)
+        return "\n".join([f"state {state}", *threads, self.errors[len(self.said) :]])
 
     def close(self) -> None:
         """End the launch, whatever happened, and remove its folder."""
