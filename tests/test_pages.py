@@ -55,8 +55,8 @@ SHORTER = {
     "haptic study needs": "--rounds 1",
     "haptic study needs sphere_feel": "duration:=1 --rounds 0",
     "haptic study design": "--mass 0.1 --taps 2",
-    "haptic study design --compare": "--mass 0.1 --taps 2 --delays 0 --margins 0",
-    "haptic study coverage": "--devices 2 --seconds 4 --workers 1",
+    "haptic study design --compare": "--mass 0.1 --taps 2 --delays 0 --margins 0 --no-land",
+    "haptic study coverage": "--devices 1 --seconds 3 --workers 1",
     "haptic study fig4": "--gain 2..20 --points 2 --horizon 1500 --workers 1",
 }
 """What makes a command short enough for a test, by its first words."""
