@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
 os.environ.setdefault("HAPTIC_COMPILE", "asked")
 # Every launch is five processes: without its bytecode each of them compiles the project anew, a quarter of what it costs.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+# A shell that runs the suite in the background leaves SIGINT ignored, for all that tests start and interrupt too.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 # Nor are the tests themselves rewritten by every worker of every run.
 sys.dont_write_bytecode = False
 

@@ -128,7 +128,8 @@ def _end_on_trial(rig: Rig, tuning: subprocess.Popen[bytes], number: signal.Sign
     except subprocess.TimeoutExpired as error:
         raise MeasurementError(f"haptic tune does not end on {number.name}") from error
     if code != (-number if number == signal.SIGKILL else 128 + number):
-        raise MeasurementError(f"haptic tune ended with exit code {code}, not by {number.name}")
+        said = (rig.folder / "beside.txt").read_text(encoding="utf-8")
+        raise MeasurementError(f"haptic tune ended with exit code {code}, not by {number.name}: {said[-500:]}")
 
 
 def _press(rig: Rig) -> None:

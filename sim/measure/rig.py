@@ -94,15 +94,11 @@ class Rig(Running):
         within(lambda: self.process.poll() is not None, seconds)
 
     def beside(self, *words: str) -> subprocess.Popen[bytes]:
-        """Start another ``haptic`` command beside the launch, in its folder."""
-        return subprocess.Popen(
-            [*HAPTIC, *words],
-            cwd=self.folder,
-            env=self.environment,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
+        """Start another ``haptic`` command beside the launch, in its folder; what it says goes to `beside.txt` there."""
+        with (self.folder / "beside.txt").open("ab") as said:
+            return subprocess.Popen(
+                [*HAPTIC, *words], cwd=self.folder, env=self.environment, stdin=subprocess.DEVNULL, stdout=said, stderr=said
+            )
 
     def end(self) -> None:
         """Interrupt the launch, wait for its end, and see what it has left behind; its folder stays until `close`."""
