@@ -4,8 +4,8 @@ Whether all poles of a case keep a radius is asked by Schur and Cohn's recursion
 outside they are is bisected, and only where a candidate might still win.
 
 Why not scipy's: `differential_evolution` calls Python for each candidate. On the same demand (50 to 200 g, one tick), with as
-many members and generations and the same compiled test of the poles, it took 14 to 22 times the processor time (4 taps: 1.1 s,
-here 0.05 s, both 3356 N/m; seven: 2.1 s and 6500 N/m, here 0.15 s and 6700 N/m).
+many members and generations and the same compiled test of the poles, it takes at least 14 times the processor time (4 taps: the
+same 3356 N/m; seven: 6500 N/m, here 6700 N/m).
 """
 
 from __future__ import annotations

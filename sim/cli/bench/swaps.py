@@ -189,7 +189,9 @@ def text(figures: dict[str, Any]) -> str:
         f"{figures['machine']}, {figures['rate_hz']:.1f} Hz, {figures['ticks']} ticks",
         f"  requests {figures['requests']}, receipts {figures['receipts']}, refused {figures['refused']}, "
         f"lost {figures['lost']}; answered in p50 {figures['answer_ms']['p50']:.1f}, p99 {figures['answer_ms']['p99']:.1f} ms",
-        f"  largest force step {figures['force_step_max_n']:.2g} N, of {figures['at_rest']} changes at rest",
+        f"  largest force step {figures['force_step_max_n']:.2g} N, of {figures['at_rest']} changes at rest"
+        if figures["at_rest"]
+        else "  largest force step not measured: no change at rest",
     ]
     for label in ("busy", "idle"):
         part = figures[label]

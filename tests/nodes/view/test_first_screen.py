@@ -8,12 +8,10 @@ import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nodes.cli.page import PageAnnouncer
 from sim.measure.measured_launch import within
 from tests.support.browser import OpenPage, bins, needs_browser, shown, url_of
 from tests.support.launching import Running, running, wait_for
@@ -346,18 +344,6 @@ def test_a_page_past_the_edge_needs_a_virtual_device_that_allows_it(browser: Bro
         page.evaluate("haptic.laws.change('stiffness', 1e6, true)")
         wait_for(lambda: "only a virtual device may" in shown(page, "#refusal"), "the refusal")
         assert launch.call("coupling", "law.show")["stiffness"] == before
-
-
-def test_no_url_is_printed_for_a_launch_that_is_ending(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "view.page.json").write_text('{"url": "http://127.0.0.1:1/x/"}', encoding="utf-8")
-    child = SimpleNamespace(setup=SimpleNamespace(kind="view"), running=True)
-    announcer = PageAnnouncer(as_json=True)
-    supervisor: Any = SimpleNamespace(children={"view": child}, run_dir=str(tmp_path), ending=True)
-    announcer(supervisor)
-    supervisor.ending = False
-    announcer(supervisor)
-    announcer.drain()
-    assert capfd.readouterr().out.count("http://") == 1
 
 
 def _pull(page: Page, by: str) -> None:
