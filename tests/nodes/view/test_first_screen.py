@@ -227,8 +227,7 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
     page.mouse.up()
     wait_for(lambda: float(launch.call("driver", "param.get", name="device.delay")) < 0.3 * turned, "dragged back")
     # The other dot, along stiffness and damping: a trail stays where one was.
-    k = float(page.evaluate("haptic.map.map.k_n_per_m"))
-    begun = page.evaluate("haptic.map.trail.length")
+    k, begun = page.evaluate("[haptic.map.map.k_n_per_m, haptic.map.trail.length]")
 
     def softer() -> bool:
         # The map of the delay that was dragged back may come meanwhile, and has another scale.

@@ -258,12 +258,14 @@ def test_plots_are_read_and_zoomed_by_mouse_and_fingers(page: Page, browser: Bro
             there = [{"x": middle + at, "y": y, "id": k} for k, at in enumerate(along)]
             fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": there})
 
-        begun = phone.evaluate("haptic.plots.sight()")
+        # The plots run until the finger moves.
+        phone.evaluate("""document.addEventListener(
+          "pointermove", () => { window.begun = haptic.plots.sight(); }, { capture: true, once: true })""")
         touch("touchStart", 0.0)
         for k in range(1, 8):
             touch("touchMove", 10.0 * k)
         touch("touchEnd")
-        moved = phone.evaluate("haptic.plots.sight()")
+        begun, moved = phone.evaluate("[window.begun, haptic.plots.sight()]")
         assert moved[0] < begun[0]
         assert moved[1] - moved[0] == pytest.approx(begun[1] - begun[0])
         touch("touchStart", -20.0)
