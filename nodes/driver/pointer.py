@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import ctypes
 import math
-import mmap
-import os
 import struct
 import time
 from collections.abc import Callable
@@ -21,6 +19,7 @@ import msgspec
 
 from messages.types import ZERO, Vector
 from nodes.base.setup import Setup
+from nodes.base.shared_file import PATIENCE, awaited, mapped
 
 _VALUE = struct.Struct("<QddddQ")
 """Count after the value, target [m], when it was written [s], count before it: the reader reads in this order.
@@ -60,36 +59,18 @@ def pointer_file(run_dir: str | Path, driver: str) -> Path:
     return Path(run_dir) / f"{driver}.pointer"
 
 
-def awaited_pointer(driver: Setup, given_up: Callable[[], bool], patience: float = 10.0) -> Path:
-    """Place of a driver's pointer file, once it is there where the launch promises one: a driver may start later than who asks.
-
-    Of a driver on another machine there is none here, and none is waited for.
-    """
+def awaited_pointer(driver: Setup, given_up: Callable[[], bool], patience: float = PATIENCE) -> Path:
+    """Place of a driver's pointer file, once it is there where the launch promises one."""
     path = pointer_file(driver.run_dir, driver.name)
-    promised = driver.parameters.get("pointer") is not None and driver.pace == "realtime" and driver.control.startswith("ipc:")
-    deadline = time.monotonic() + patience
-    while promised and time.monotonic() < deadline and not given_up():
-        if path.exists() and path.stat().st_size == _VALUE.size:
-            break
-        time.sleep(0.005)
-    return path
-
-
-def _mapped(path: Path, flags: int) -> mmap.mmap:
-    descriptor = os.open(path, os.O_RDWR | flags, 0o600)
-    try:
-        if flags & os.O_CREAT:
-            os.truncate(descriptor, _VALUE.size)
-        return mmap.mmap(descriptor, _VALUE.size)
-    finally:
-        os.close(descriptor)
+    promised = driver.parameters.get("pointer") is not None and driver.pace == "realtime"
+    return awaited(path, _VALUE.size, driver, given_up, patience) if promised else path
 
 
 class PointerReader:
     """The driver's end; it makes the file."""
 
     def __init__(self, path: Path, silence: float) -> None:
-        self._map = _mapped(path, os.O_CREAT)
+        self._map = mapped(path, _VALUE.size, make=True)
         # Where compiled code finds what is mapped.
         self.address = ctypes.addressof(ctypes.c_char.from_buffer(self._map))
         self.silence = silence
@@ -116,7 +97,7 @@ class PointerWriter:
     """The page's end; FileNotFoundError when no driver has made the file: there is no hand to drag."""
 
     def __init__(self, path: Path) -> None:
-        self._map = _mapped(path, 0)
+        self._map = mapped(path, _VALUE.size, make=False)
         self._count = _COUNT.unpack_from(self._map, 0)[0]
 
     def write(self, target: Vector) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Callable, Container
 from typing import Any
 
 import numpy as np
@@ -11,21 +11,23 @@ from numpy.typing import NDArray
 from messages.topics import PROXY
 from messages.types import DeviceState
 from nodes.base.setup import Setup
+from nodes.base.shared_file import awaited
 from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoParameters, load_world
-from nodes.environment.bodies.poses import Poses, poses_file
+from nodes.environment.bodies.poses import Poses, file_size, poses_file
 from nodes.parameters.store import convert
 from nodes.recording.reader import Recording
 from nodes.view.shape import bodies_of
 
 
 class RunningBodies:
-    """The bodies of a running environment; OSError when they are on another machine."""
+    """The bodies of a running environment, which may start later than this; OSError when they are on another machine."""
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: Setup, given_up: Callable[[], bool]) -> None:
         parameters: MujocoParameters = convert(setup.parameters, MujocoParameters, setup.name)
         world = load_world(parameters, setup.period, setup.name)
-        self._poses = Poses(poses_file(setup.run_dir, setup.name), world.model.ngeom)
+        count = world.model.ngeom
+        self._poses = Poses(awaited(poses_file(setup.run_dir, setup.name), file_size(count), setup, given_up), count)
         self.shape = bodies_of(world)  # what they look like
 
     def news(self) -> dict[str, Any] | None:

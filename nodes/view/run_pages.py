@@ -128,11 +128,11 @@ class RunPages:
             "again": self._commander.again,
             "compares": self._comparison.there,
             "delays": self._commander.delays,
-            "shape": self._shape(),
+            "shape": self._shape(stopping),
         }
         self.live.board.put("hello", {**facts.hello(), **document, "fields": all_law_fields()})
 
-    def _shape(self) -> dict[str, Any]:
+    def _shape(self, stopping: Callable[[], bool]) -> dict[str, Any]:
         """Describe what a scene of several axes looks like; once, for it stays."""
         name = publisher(self._run, PROXY)
         if not name or len(self._run.nodes[name].axes) < 2:
@@ -143,7 +143,7 @@ class RunPages:
 
             # On another machine nobody can look: the flat views remain, as they do without MuJoCo.
             with contextlib.suppress(OSError, ParameterError):
-                self._bodies = RunningBodies(environment)
+                self._bodies = RunningBodies(environment, stopping)
                 return self._bodies.shape
             return {}
         from nodes.view.shape import shape_of

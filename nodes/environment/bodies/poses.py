@@ -6,12 +6,12 @@ before and after, and a reader takes the poses only when both counts agree. So d
 
 from __future__ import annotations
 
-import mmap
-import os
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from nodes.base.shared_file import mapped
 
 RATE = 60.0  # poses that are written per second of the run
 NUMBERS = 12  # of each geom: its place [m], then its rotation matrix by rows
@@ -22,18 +22,16 @@ def poses_file(run_dir: str | Path, node: str) -> Path:
     return Path(run_dir) / f"{node}.poses"
 
 
+def file_size(count: int) -> int:
+    """Length of the file for so many geoms [bytes]."""
+    return 8 * (NUMBERS * count + 2)
+
+
 class Poses:
     """Poses of the geoms of a scene, in a mapped file, which the environment makes."""
 
     def __init__(self, path: Path, count: int, make: bool = False) -> None:
-        size = 8 * (NUMBERS * count + 2)
-        descriptor = os.open(path, os.O_RDWR | (os.O_CREAT if make else 0), 0o600)
-        try:
-            if make:
-                os.truncate(descriptor, size)
-            self._map = mmap.mmap(descriptor, size)
-        finally:
-            os.close(descriptor)
+        self._map = mapped(path, file_size(count), make)
         numbers = np.frombuffer(self._map, dtype=np.uint64)
         self._after, self._before = numbers[:1], numbers[-1:]
         self._poses = numbers[1:-1].view(np.float64).reshape(count, NUMBERS)

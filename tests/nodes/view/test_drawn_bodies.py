@@ -12,11 +12,17 @@ from mcap.reader import make_reader
 
 from messages.topics import DEVICE_STATE, PROXY
 from messages.types import DeviceState, Proxy
+from nodes.environment.bodies.moving_scene import MovingScene
+from nodes.environment.bodies.node import MujocoParameters, load_world
+from nodes.environment.bodies.poses import Poses, poses_file
 from nodes.launcher import launch_file
+from nodes.parameters.store import convert
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordWriter
-from nodes.view.drawn_bodies import RecordedBodies
+from nodes.view.drawn_bodies import RecordedBodies, RunningBodies
 from nodes.view.foxglove_scene import SCENE, export_foxglove
+from nodes.view.shape import bodies_of
+from tests.support.setups import setup_of
 
 STATES = [
     DeviceState(
@@ -47,6 +53,36 @@ def test_positions_that_never_reached_the_environment_move_nothing(parameters: d
         poses.append(bodies.poses())
     assert np.array_equal(poses[0], poses[1])
     assert not np.array_equal(poses[0], poses[2])
+
+
+def test_bodies_of_an_environment_that_starts_later_are_waited_for(parameters: dict[str, Any], tmp_path: Path) -> None:
+    """A page had no bodies for a whole run, where its view was up before the environment had loaded its scene."""
+    setup = setup_of(name="environment", run_dir=str(tmp_path), control="ipc:///c", parameters=parameters)
+    path, count, asked = poses_file(tmp_path, "environment"), len(bodies_of(load_world_of(parameters))["bodies"]), 0
+
+    def given_up() -> bool:
+        # The file is there first, and what is in it later: as an environment makes it.
+        nonlocal asked
+        asked += 1
+        if asked == 2:
+            path.touch()
+        elif asked == 3:
+            Poses(path, count, make=True).write(np.ones((count, 3)), np.ones((count, 9)))
+        return False
+
+    found = RunningBodies(setup, given_up).news()
+    assert asked == 3
+    assert found == {"poses": np.ones((count, 12)).tolist()}
+
+
+def test_bodies_on_another_machine_are_not_waited_for(parameters: dict[str, Any], tmp_path: Path) -> None:
+    setup = setup_of(name="environment", run_dir=str(tmp_path), control="tcp://10.0.0.1:5", parameters=parameters)
+    with pytest.raises(FileNotFoundError):
+        RunningBodies(setup, lambda: False)
+
+
+def load_world_of(parameters: dict[str, Any]) -> MovingScene:
+    return load_world(convert(parameters, MujocoParameters, "environment"), 0.002, "environment")
 
 
 def test_foxglove_is_shown_the_bodies_where_the_replay_shows_them(parameters: dict[str, Any], tmp_path: Path) -> None:

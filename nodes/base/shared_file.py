@@ -1,0 +1,38 @@
+"""A small file in a run's private directory, mapped by two nodes: what one writes, the other reads without a message."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from nodes.base.setup import Setup
+
+PATIENCE = 10.0
+"""How long a file that another node makes in its start is waited for [s]."""
+
+
+def mapped(path: Path, size: int, make: bool) -> mmap.mmap:
+    """Map a file of so many bytes; FileNotFoundError where nobody has made it."""
+    descriptor = os.open(path, os.O_RDWR | (os.O_CREAT if make else 0), 0o600)
+    try:
+        if make:
+            os.truncate(descriptor, size)
+        return mmap.mmap(descriptor, size)
+    finally:
+        os.close(descriptor)
+
+
+def awaited(path: Path, size: int, maker: Setup, given_up: Callable[[], bool], patience: float = PATIENCE) -> Path:
+    """Wait until the node that makes a file has made it: it may start later than who asks.
+
+    That of a node on another machine never comes, and is not waited for.
+    """
+    deadline = time.monotonic() + patience
+    while maker.control.startswith("ipc:") and time.monotonic() < deadline and not given_up():
+        if path.exists() and path.stat().st_size == size:
+            break
+        time.sleep(0.005)
+    return path
