@@ -3,7 +3,7 @@
 | exception | raised for |
 | --- | --- |
 | `HapticError` | all of these |
-| `ParameterError` | a parameter, launch file, law or argument that is refused |
+| `ParameterError` | a parameter, launch file, law or argument that is refused; a command ends with exit code 2 |
 | `LawRefusedError`, `NotInstalledError` | of those: a law not rendered; a name not installed, or not importable |
 | `MessageRefusedError` | a message or request that breaks the wire protocol |
 | `EndpointRefusedError` | an address that may not be used |

@@ -23,7 +23,8 @@ from messages.errors import HapticError, UsageError
 from nodes.base.stderr_queue import drain_stderr
 from nodes.cli.colour import coloured
 from nodes.parameters.installed import OURS, version
-from nodes.parameters.registry import NotInstalledError, Registry
+from nodes.parameters.registry import Registry
+from nodes.parameters.store import ParameterError
 
 VERBS = Registry("haptic.verbs", "verb")
 ASKING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # signals that ask for an end
@@ -148,7 +149,7 @@ def main(argv: list[str] | None = None) -> int:
             stream.reconfigure(errors="replace")
     try:
         return _run(argv)
-    except UsageError as error:
+    except (UsageError, ParameterError) as error:
         complain(error)
         return 2
     except KeyboardInterrupt:
@@ -165,12 +166,8 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(argv: list[str]) -> int:
-    try:
-        # Behind an option stands none: with it, all of them are listed.
-        parser = parser_for(argv[0] if argv and argv[0] in verbs() else None)
-    except NotInstalledError as error:
-        complain(error)
-        return 2
+    # Behind an option stands none: with it, all of them are listed.
+    parser = parser_for(argv[0] if argv and argv[0] in verbs() else None)
     arguments, left_over = parser.parse_known_args(argv)
     if left_over:
         # argparse does not take positional words after options; name:=value may stand anywhere.
@@ -186,7 +183,7 @@ def _run(argv: list[str]) -> int:
         return 2
     try:
         return int(run(arguments))
-    except UsageError:
+    except (UsageError, ParameterError):
         raise
     except HapticError as error:
         if getattr(arguments, "json", False):

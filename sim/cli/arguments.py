@@ -10,7 +10,6 @@ from messages.errors import UsageError
 from nodes.cli.quantities import declare, interval
 from nodes.laws import Law, law_names, load_law
 from nodes.laws.parse import law_to_dict, parse_law
-from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import parse_yaml
 from nodes.stability.plant import Plant
 from sim.cli.answers import given
@@ -23,11 +22,6 @@ if TYPE_CHECKING:
 def hand(text: str) -> tuple[float, float]:
     """Read a range of stiffness, or the name of a published hand: from none to its stiffness."""
     return (0.0, HANDS[text].model["stiffness"].value) if text in HANDS else interval(text)
-
-
-def add_loop(parser: argparse.ArgumentParser, delay: float = 0.0) -> None:
-    """Declare the damping of the device, and the loop."""
-    declare(parser, damping=1.0, delay=delay, rate=500.0)
 
 
 def add_device(parser: argparse.ArgumentParser, delay: float = 0.0, hand: float = 0.0) -> None:
@@ -64,24 +58,20 @@ def head(law: Law, plant: Plant, gain: str = "") -> str:
 
 def law(arguments: argparse.Namespace, name: str, gain: float | None = None, nominal: bool = False) -> Law:
     """Build the law that was asked for; what decides the answer is asked for, not assumed."""
-    data: Any = {"kind": name}
-    if name.lstrip().startswith("{"):
-        try:
-            data = parse_yaml(name, "law")
-        except ParameterError as error:
-            raise UsageError(str(error)) from error
+    written = name.lstrip().startswith("{")
+    data: Any = parse_yaml(name, "law") if written else {"kind": name}
     asked = given(arguments, "stiffness", "order", "taps", "gains", "derivative") | {"damping": gain}
     if isinstance(data, dict):
         data |= {key: value for key, value in asked.items() if value is not None}
     try:
         kind = data.get("kind") if isinstance(data, dict) else None
         fields = load_law(kind).__struct_fields__ if kind in law_names() else ()
-        if "damping" in fields and "damping" not in data and not name.lstrip().startswith("{"):
+        if "damping" in fields and "damping" not in data and not written:
             raise UsageError(f"{kind}: give its damping gain, --gain B; 0 is a bare spring")
         if "stiffness" in fields and nominal and "stiffness" not in data:
             raise UsageError(f"{kind}: give its nominal stiffness, --stiffness K [N/m]")
         if "stiffness" in fields:
             data.setdefault("stiffness", 1.0)
         return parse_law(data)
-    except (ParameterError, TypeError) as error:
+    except TypeError as error:
         raise UsageError(str(error)) from error

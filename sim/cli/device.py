@@ -9,11 +9,11 @@ import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from messages.errors import RefusedError, UsageError
+from messages.errors import RefusedError
 from nodes.cli.ask import add_run, chosen_run, sub_verb
 from nodes.cli.main import add_json
 from nodes.cli.quantities import declare
-from nodes.laws.parse import LawRefusedError, parse_law
+from nodes.laws.parse import parse_law
 from sim.cli.answers import given, report
 from sim.measure.stopwatch import say
 
@@ -158,12 +158,9 @@ def _identify(arguments: argparse.Namespace) -> int:
 
 def excitation(arguments: argparse.Namespace) -> dict[str, Any]:
     """Describe the excitation that was asked for."""
-    law = given(arguments, "duration", "amplitude", "reach")
-    try:
-        parse_law({"kind": "excitation", **law}, "excitation")
-    except LawRefusedError as error:
-        raise UsageError(str(error)) from error
-    return {"kind": "excitation", **law}
+    law = {"kind": "excitation", **given(arguments, "duration", "amplitude", "reach")}
+    parse_law(law, "excitation")
+    return law
 
 
 def identify_running(arguments: argparse.Namespace, tell: Any) -> list[tuple[Pushed, Identified]]:
@@ -221,16 +218,12 @@ def _axes(loop: PushedLaunch, pushed: Pushed, held: bool | None) -> list[Identif
 def identify_scenario(arguments: argparse.Namespace, scenario: str, assignments: list[str]) -> list[tuple[Pushed, Identified]]:
     """Start a scenario that pushes by itself, and identify its recording."""
     from nodes.launcher import launch_file
-    from nodes.parameters.store import ParameterError
     from sim.identify.experiment import read
     from sim.identify.identify import identify
     from sim.identify.push import Pushed
     from sim.measure.measured_launch import beside, end
 
-    try:
-        launch = launch_file.read(scenario, launch_file.parse_assignments(assignments))
-    except ParameterError as error:
-        raise UsageError(str(error)) from error
+    launch = launch_file.read(scenario, launch_file.parse_assignments(assignments))
     words = list(assignments)
     if scenario == "identify":
         named = {word.partition(":=")[0] for word in assignments}

@@ -12,7 +12,7 @@ from nodes.base.node_kinds import NODES
 from nodes.driver.hardware.driver import HardwareDriver
 from nodes.driver.hardware.mailbox import MailboxDevice
 from nodes.launcher.launch_file import parse_assignments
-from nodes.parameters.store import ParameterError, convert
+from nodes.parameters.store import convert
 
 
 @dataclass(frozen=True)
@@ -73,15 +73,12 @@ def device_of(kind: str, words: Sequence[str]) -> MailboxDevice:
         virtual = "; the virtual device needs no check: haptic launch identify" if kind == "sim_driver" else ""
         raise UsageError(f"{kind!r} drives no real device; there are: {', '.join(sorted(known))}{virtual}")
     written: dict[str, Any] = {}
-    try:
-        for path, value in parse_assignments(list(words)).items():
-            at = written
-            *outer, last = path.split(".")
-            for name in outer:
-                at = at.setdefault(name, {})
-            at[last] = value
-        device = known[kind].hardware(convert(written, known[kind].Parameters, kind))
-    except ParameterError as error:
-        raise UsageError(str(error)) from error
+    for path, value in parse_assignments(list(words)).items():
+        at = written
+        *outer, last = path.split(".")
+        for name in outer:
+            at = at.setdefault(name, {})
+        at[last] = value
+    device = known[kind].hardware(convert(written, known[kind].Parameters, kind))
     device.say = lambda text: print(text, file=sys.stderr, flush=True)
     return device

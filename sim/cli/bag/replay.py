@@ -11,7 +11,6 @@ import msgspec
 
 from messages.errors import RefusedError, UsageError
 from nodes.launcher.launch_file import parse_assignments
-from nodes.laws.parse import LawRefusedError
 from nodes.parameters.store import ParameterError, convert
 from nodes.parameters.yaml_io import read_yaml
 from nodes.recording.figure_style import INK, new_figure, styled
@@ -57,7 +56,9 @@ def run(arguments: argparse.Namespace) -> int:
         same = replay(recorded, None, external, nudged)
         alone = same if nudged is None else replay(recorded, None, external)
         law, described = another_law(recorded, given)
-    except (RecordError, OSError, ParameterError, LawRefusedError) as error:
+    except ParameterError:
+        raise
+    except (RecordError, OSError) as error:
         raise UsageError(str(error)) from error
     except ValueError as error:
         raise RefusedError(str(error)) from error

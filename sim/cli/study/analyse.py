@@ -13,7 +13,7 @@ import numpy as np
 from messages.errors import UsageError
 from nodes.cli.quantities import declare, declare_law, interval, not_negative, positive
 from nodes.laws import CompiledLaw
-from nodes.laws.parse import LawRefusedError, compile_law
+from nodes.laws.parse import compile_law
 from nodes.recording.figure_style import OMEGA, new_figure, save_figure, styled, threshold
 from nodes.stability.closed_loop import law_figures
 from nodes.stability.effective_damping import effective_damping
@@ -48,11 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Analyse one law on one device."""
     device, period = shared.device(arguments), 1.0 / arguments.rate
     law = shared.law(arguments, arguments.law, arguments.gain, nominal=True)
-    try:
-        compiled = compile_law(law, period)
-        derivative = without_spring(law, period)
-    except LawRefusedError as error:
-        raise UsageError(str(error)) from error
+    compiled, derivative = compile_law(law, period), without_spring(law, period)
     if compiled.evaluate is not None:
         raise UsageError(
             f"{law.kind}: has code of its own, so no transfer function and no poles to analyse; drop it: "

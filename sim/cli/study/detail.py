@@ -78,8 +78,8 @@ def run(arguments: argparse.Namespace) -> int:
             path = np.array([message.position for message in recorded])
             loop = launch.run.period, stiffness, resolution, arguments.fraction
             found = detail(solids, path, surface.tool_radius, *loop, Progress(12).step)
-    except ParameterError as error:
-        raise UsageError(str(error)) from error
+    except ParameterError:
+        raise
     except ValueError as error:
         raise UsageError(f"{launch.scenario}: {error}") from error
     result: dict[str, Any] = {"scenario": launch.scenario, **asdict(found), "needs": found.coarsest.name}

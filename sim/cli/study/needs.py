@@ -37,19 +37,14 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.rounds < 0:
         raise UsageError(f"--rounds {arguments.rounds}: at least 0")
     from nodes.launcher import launch_file
-    from nodes.parameters.store import ParameterError
     from sim.experiments.needs import needs, spatial_needs
     from sim.measure.stopwatch import Progress
     from sim.scene.from_launch import from_launch
 
-    try:
-        launch = launch_file.read(arguments.scenario, launch_file.parse_assignments(arguments.assignments))
-        step = Progress(arguments.rounds).step
-        scene = from_launch(launch) if len(launch.run.axes) == 1 else None
-        timed = arguments.rounds, step, partial(spread, arguments)
-        found = spatial_needs(launch, *timed) if scene is None else needs(scene, launch.model, *timed)
-    except ParameterError as error:
-        raise UsageError(str(error)) from error
+    launch = launch_file.read(arguments.scenario, launch_file.parse_assignments(arguments.assignments))
+    timed = arguments.rounds, Progress(arguments.rounds).step, partial(spread, arguments)
+    scene = from_launch(launch) if len(launch.run.axes) == 1 else None
+    found = spatial_needs(launch, *timed) if scene is None else needs(scene, launch.model, *timed)
     figures: dict[str, Any] = {
         "scenario": launch.scenario,
         "outcome": asdict(found.outcome),

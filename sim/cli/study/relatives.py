@@ -28,8 +28,7 @@ FAMILIES = ("pd", "Kelvin-Voigt", "Maxwell", "standard linear solid", "passive F
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    declare(parser, mass=Interval(0.05, 0.2), taps=8)
-    shared.add_loop(parser, delay=1.0)
+    declare(parser, mass=Interval(0.05, 0.2), taps=8, damping=1.0, delay=1.0, rate=500.0)
     parser.add_argument(
         "--from-run", type=Path, metavar="RECORDING", help="take rate and median delay from a recording instead"
     )

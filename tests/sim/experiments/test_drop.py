@@ -25,7 +25,7 @@ from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel, Hand
 from sim.experiments.drop import Criterion, drop_scene, free_scene, press_scene, settles
-from sim.experiments.k_max_simulated import SearchInterrupted, simulated_boundary, simulated_k_max, swing_frequency
+from sim.experiments.k_max_simulated import simulated_k_max, swing_frequency
 
 PERIOD = 0.002
 
@@ -163,24 +163,6 @@ def test_ends_of_the_search() -> None:
     assert none.k_max_n_per_m is None
     every = simulated_k_max(lambda K: with_spring(derivative, K), scene, low=100.0, high=300.0)
     assert every.k_max_n_per_m == math.inf
-
-
-def test_an_interruption_keeps_what_is_done() -> None:
-    scene = drop_scene(DeviceModel(mass=0.1, damping=1.0), PERIOD, False, True)
-    derivatives = [without_spring(PD(stiffness=1.0, damping=0.5 + 0.1 * i), PERIOD) for i in range(40)]
-    laws = [lambda K, d=d: with_spring(d, K) for d in derivatives]
-    done = 0
-
-    def step(what: str, count: int) -> None:
-        nonlocal done
-        done += count
-        raise KeyboardInterrupt
-
-    with pytest.raises(SearchInterrupted) as caught:
-        simulated_boundary(laws, scene, Criterion(500), step=step)
-    found = caught.value.found
-    assert 0 < len(found) == done < 40
-    assert found == simulated_boundary(laws[:done], scene, Criterion(500))
 
 
 def test_a_law_with_code_of_its_own_is_judged_by_the_same_rule() -> None:
