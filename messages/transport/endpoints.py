@@ -34,9 +34,8 @@ Context: TypeAlias = zmq.Context[Socket]
 
 DOMAIN = b"haptic"  # ZAP domain of the encrypted sockets; with it set and enforced, a process without a gate lets nobody in
 
+# Longest frame that is received from a publisher or asked of a node; a longer one ends the connection [bytes].
 MAX_MESSAGE = 16 * MAX_PAYLOAD
-"""Longest frame that is received from a publisher or asked of a node; a longer one ends the connection [bytes]."""
-
 MAX_UPSTREAM = 1024  # longest frame that a listener may send to a publisher: a subscription [bytes]
 KEEPALIVE_S = 1  # how often the kernel asks a silent tcp peer whether it is still there [s]
 KEEPALIVE_PROBES = 2  # after so many of them without an answer it is given up

@@ -2,39 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from sim.api.laws import plain
 
-
-class _Asked(Protocol):
-    """What a launch offers to those that change it (`sim.api.python_runs.Run`)."""
-
-    @property
-    def nodes(self) -> Sequence[str]:
-        """Names of its nodes."""
-
-    def ask(self, node: str, op: str, **args: Any) -> Any:
-        """Ask a node."""
-
-    def role(self, part: str) -> str:
-        """Name the node that has a part in the loop."""
+AskNode = Callable[..., Any]  # from a node, an operation and its arguments to the answer: `sim.api.python_runs.Run.ask`
 
 
 class Parameters:
     """Parameters of a running launch: ``run.param["coupling.laws.pd.stiffness"] = 1500``."""
 
-    def __init__(self, run: _Asked) -> None:
-        self._run = run
+    def __init__(self, ask: AskNode, nodes: Sequence[str]) -> None:
+        self._ask, self._nodes = ask, nodes
 
     def __getitem__(self, name: str) -> Any:
         """Read ``node.path``, or all parameters of ``node``."""
         node, _, path = name.partition(".")
-        return self._run.ask(node, "param.get", name=path) if path else self._run.ask(node, "param.dump")
+        return self._ask(node, "param.get", name=path) if path else self._ask(node, "param.dump")
 
     def _ipython_key_completions_(self) -> list[str]:
-        return [f"{node}.{path}" for node in self._run.nodes for path in self.list(node)]
+        return [f"{node}.{path}" for node in self._nodes for path in self.list(node)]
 
     def __setitem__(self, name: str, value: Any) -> None:
         """Change one; what would be unstable is refused."""
@@ -47,20 +35,20 @@ class Parameters:
         The receipt has the tick, old and new values by their path, and the force step. `force` takes a change with which the
         loop becomes unstable.
         """
-        receipt: dict[str, Any] = self._run.ask(node, "param.set", values=plain(values), **({"force": True} if force else {}))
+        receipt: dict[str, Any] = self._ask(node, "param.set", values=plain(values), **({"force": True} if force else {}))
         return receipt
 
     def list(self, node: str) -> dict[str, Any]:
         """List a node's parameters: path to value."""
-        found: dict[str, Any] = self._run.ask(node, "param.list")
+        found: dict[str, Any] = self._ask(node, "param.list")
         return found
 
 
 class Laws:
     """Laws of a running launch."""
 
-    def __init__(self, run: _Asked) -> None:
-        self._run = run
+    def __init__(self, ask: AskNode) -> None:
+        self._ask = ask
 
     def switch(self, law: str, ramp: int | None = None, force: bool = False) -> dict[str, Any]:
         """Switch the law between two ticks; gives the receipt: tick, force step, what was and what is rendered.
@@ -71,15 +59,15 @@ class Laws:
         wanted: dict[str, Any] = {"force": True} if force else {}
         if ramp is not None:
             wanted["ramp"] = ramp
-        receipt: dict[str, Any] = self._run.ask(self._run.role("coupling"), "law.switch", law=law, **wanted)
+        receipt: dict[str, Any] = self._ask("law.switch", law=law, **wanted)
         return receipt
 
     def list(self) -> dict[str, dict[str, Any]]:
         """List the laws that the coupling can switch to: name to kind and parameters."""
-        found: dict[str, dict[str, Any]] = self._run.ask(self._run.role("coupling"), "law.list")["laws"]
+        found: dict[str, dict[str, Any]] = self._ask("law.list")["laws"]
         return found
 
     @property
     def active(self) -> str:
         """Name of the law that renders now."""
-        return str(self._run.ask(self._run.role("coupling"), "law.list")["active"])
+        return str(self._ask("law.list")["active"])

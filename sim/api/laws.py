@@ -13,8 +13,8 @@ from nodes.laws import CompiledLaw, Law, law_names
 from nodes.laws.parse import compile_law, law_to_dict, parse_law
 from nodes.laws.presets import preset_names
 
+# What is taken for a law: `law`'s result, a mapping ``{"kind": ...}``, the name of a preset, or taps [N/m].
 LawLike: TypeAlias = "Law | CompiledLaw | Mapping[str, Any] | str | Sequence[float] | NDArray[Any]"
-"""What is taken for a law: `law`'s result, a mapping ``{"kind": ...}``, the name of a preset, or taps [N/m]."""
 
 
 def plain(values: Mapping[str, Any]) -> dict[str, Any]:

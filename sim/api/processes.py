@@ -16,8 +16,7 @@ from nodes.launcher.child import PYTHON
 
 HAPTIC = (*PYTHON, "-m", "nodes.cli.command")
 
-ENDS_WITHIN = 60.0
-"""How long a launch may take to end [s]."""
+ENDS_WITHIN = 60.0  # how long a launch may take to end [s]
 
 
 def started(words: Sequence[str], **pipes: Any) -> subprocess.Popen[Any]:

@@ -26,8 +26,7 @@ from sim.api.processes import HAPTIC, end, started, whole
 from sim.api.progress import progress
 from sim.api.recordings import Recorded, RunSummary, read
 
-STARTS_WITHIN = 60.0
-"""When a launch that has not ticked is given up [s]."""
+STARTS_WITHIN = 60.0  # when a launch that has not ticked is given up [s]
 
 
 class LaunchError(HapticError):
@@ -65,8 +64,8 @@ class Run:
 
     def __init__(self, info: RunInfo, process: subprocess.Popen[bytes] | None = None, folder: Path | None = None) -> None:
         self.info = info
-        self.param = Parameters(self)
-        self.law = Laws(self)
+        self.param = Parameters(self.ask, self.nodes)
+        self.law = Laws(lambda op, **args: self.ask(self.role("coupling"), op, **args))
         self._process = process
         self._folder = folder
         if folder is not None:

@@ -24,17 +24,11 @@ from sim.api.python_runs import LaunchError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+# Names under which studies tell their rows.
 _TABLES = ("rows", "points", "drops", "edges", "curves", "cases", "terms", "parameters")
-"""Names under which studies tell their rows."""
-
-_ON_OR_OFF = ("land",)
-"""Options that are on unless they are switched off."""
-
-_USAGE = re.compile(r"^usage: .*\n(?: .*\n)*", re.MULTILINE)
-"""How argparse begins what it says of an option that there is not."""
-
-_SHARE = re.compile(r"^(\d+) % ")
-"""How a verb says how far it is, where nobody looks at a terminal (sim/measure/stopwatch.py)."""
+_ON_OR_OFF = ("land",)  # options that are on unless they are switched off
+_USAGE = re.compile(r"^usage: .*\n(?: .*\n)*", re.MULTILINE)  # how argparse begins what it says of an option that there is not
+_SHARE = re.compile(r"^(\d+) % ")  # how a verb says how far it is, where nobody looks at a terminal (sim/measure/stopwatch.py)
 
 
 @dataclass(frozen=True, repr=False)

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from nodes.arithmetic import push
-from nodes.coupling.law_on_axis import History, LawOnAxis
 from nodes.coupling.render import evaluate
 from nodes.laws import CompiledLaw
 from nodes.laws.derivatives import derivative_kinds, realise
@@ -23,8 +22,9 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.plant import Plant
 from sim.chart.derivative_errors import analyse
 from sim.chart.points import Extra, Group, Point
-from sim.measure.jobs import Runner, here
+from sim.measure.jobs import Runner
 from sim.measure.stopwatch import interleaved
+from sim.measure.tap_timing import in_node
 from sim.scene.compiled import compiled
 
 ORDERS = (0.5, 1.5)
@@ -98,7 +98,7 @@ def largest_stable(radius: Callable[[float], float], low: float, high: float, pr
     return before
 
 
-def derivative_groups(step: Callable[[str], None], quick: bool = False, spread: Runner = here) -> list[Group]:
+def derivative_groups(step: Callable[[str], None], quick: bool, spread: Runner) -> list[Group]:
     """Measure all realisations: times on this machine, all else where the study runs."""
     groups = []
     rounds = _QUICK_ROUNDS if quick else _ROUNDS
@@ -106,7 +106,7 @@ def derivative_groups(step: Callable[[str], None], quick: bool = False, spread: 
         found = list(candidates(order, quick))
         jobs: dict[str, tuple[Callable[[], object], int]] = {}
         for kind, taps, law in found:
-            jobs[f"{kind} {taps}|node"] = (_in_node(law), _TICKS)
+            jobs[f"{kind} {taps}|node"] = (in_node(law, _samples(_TICKS)), _TICKS)
             jobs[f"{kind} {taps}|compiled"] = (_when_compiled(law), 20 * _TICKS)
         timings = interleaved(jobs, rounds, step)
         details: dict[str, tuple[str, dict[str, Extra]]] = {}
@@ -123,23 +123,8 @@ def derivative_groups(step: Callable[[str], None], quick: bool = False, spread: 
 
 def _figures(kind: str, taps: int, order: float) -> dict[str, Extra]:
     """Tell everything about one realisation but its times."""
-    figures = analyse(kind, order, taps, PERIOD)
     stiffness, gain = _limits(realise(kind, order, taps, PERIOD), order)
-    return {
-        "order": order,
-        "taps": taps,
-        "multiplies": figures.multiplies,
-        "states": figures.states,
-        "error_raw": figures.error(aligned=False),
-        "error_aligned": figures.error(),
-        "delay_ticks": figures.delay,
-        "leak": figures.leak,
-        "nyquist_gain": figures.nyquist,
-        "largest_pole": figures.pole,
-        "h1_max_n_per_m": stiffness,
-        "gain_max_n_s_per_m": gain,
-        **{f"error_{band}": errors.aligned for band, errors in figures.bands.items()},
-    }
+    return {**analyse(kind, order, taps, PERIOD), "h1_max_n_per_m": stiffness, "gain_max_n_s_per_m": gain}
 
 
 def _groups(order: float, details: dict[str, tuple[str, dict[str, Extra]]], rounds: int) -> list[Group]:
@@ -200,21 +185,6 @@ def _limits(law: CompiledLaw, order: float) -> tuple[float, float]:
 
 def _samples(count: int) -> list[float]:
     return [1e-3 * float(s) for s in np.sin(0.05 * np.arange(count))]
-
-
-def _in_node(law: CompiledLaw) -> Callable[[], object]:
-    history = History(max(2, len(law.taps)))
-    axis = LawOnAxis(law, history)
-    samples = _samples(_TICKS)
-
-    def run() -> float:
-        force = 0.0
-        for sample in samples:
-            history.push(sample)
-            force = axis.force(history.head)
-        return force
-
-    return run
 
 
 def _when_compiled(law: CompiledLaw) -> Callable[[], object]:

@@ -20,10 +20,10 @@ from nodes.laws.pd_filtered import PDFiltered
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import without_spring
 from nodes.stability.plant import Plant
-from sim.chart.derivative_errors import Analysis, analyse
+from sim.chart.derivative_errors import analyse
 from sim.chart.derivatives import DAMPING, DELAY, PERIOD, candidates, with_stiffness
 from sim.chart.points import Extra, Group, Point
-from sim.measure.jobs import Runner, here
+from sim.measure.jobs import Runner
 
 ORDERS = (0.5, 1.0, 1.5)
 MASSES, NYQUIST = (0.05, 0.1, 0.2), 1e4
@@ -62,15 +62,15 @@ def tuned(way: MakeLaw, radius: float) -> tuple[float, float]:
     return best, at
 
 
-def laws(order: float, quick: bool) -> Iterator[tuple[str, str, MakeLaw, Analysis]]:
-    """Go through what is compared: name, family, the law at a stiffness and a gain, and the errors of its derivative."""
+def laws(order: float, quick: bool) -> Iterator[tuple[str, str, MakeLaw, float]]:
+    """Go through what is compared: name, family, the law at a stiffness and a gain, and the error of its derivative."""
     for kind, taps, unit in candidates(order, quick):
         if len(unit.taps) <= (_QUICK_LONGEST if quick else _LONGEST) and (order != 1.0 or (kind, taps) in _FIRST):
             yield (
                 "pd" if (order, kind) == (1.0, "gl") else f"{kind} {taps}",
                 kind,
                 lambda k, g, unit=unit: with_stiffness(unit, k, g, order, PERIOD),  # type: ignore[misc]
-                analyse(kind, order, taps, PERIOD),
+                analyse(kind, order, taps, PERIOD)["error_aligned"],
             )
     if order == 1.0:
         for cutoff in CUTOFFS[1:2] if quick else CUTOFFS:
@@ -79,22 +79,22 @@ def laws(order: float, quick: bool) -> Iterator[tuple[str, str, MakeLaw, Analysi
                 f"pd_filtered {cutoff:g} Hz",
                 "pd_filtered",
                 lambda k, g, unit=unit: with_stiffness(unit, k, g, 1.0, PERIOD),  # type: ignore[misc]
-                analyse("pd_filtered", 1.0, 2, PERIOD, unit),
+                analyse("pd_filtered", 1.0, 2, PERIOD, unit)["error_aligned"],
             )
 
 
 @functools.cache
-def _listed(order: float, quick: bool) -> list[tuple[str, str, MakeLaw, Analysis]]:
+def _listed(order: float, quick: bool) -> list[tuple[str, str, MakeLaw, float]]:
     return list(laws(order, quick))
 
 
 def _row(order: float, quick: bool, number: int, radius: float) -> tuple[str, str, float, float, float]:
     """Tune one realisation: name, family, error of its derivative, stiffness and gain."""
-    name, family, way, errors = _listed(order, quick)[number]
-    return name, family, errors.error(), *tuned(way, radius)
+    name, family, way, error = _listed(order, quick)[number]
+    return name, family, error, *tuned(way, radius)
 
 
-def demand_groups(step: Callable[[str], None], quick: bool = False, spread: Runner = here) -> list[Group]:
+def demand_groups(step: Callable[[str], None], quick: bool, spread: Runner) -> list[Group]:
     """Tune every realisation to the same demand."""
     groups = [(order, demand) for order in ORDERS for demand in RADII]
     jobs: list[Callable[[], Any]] = [

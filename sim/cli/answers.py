@@ -10,12 +10,12 @@ from typing import Any
 from nodes.cli.main import add_json, answer
 
 
-def add_answer(parser: argparse.ArgumentParser, run: Callable[[argparse.Namespace], int]) -> None:
-    """Declare --json and --out, and what runs."""
+def add_answer(parser: argparse.ArgumentParser, run: Callable[[argparse.Namespace], int], files: bool = True) -> None:
+    """Declare --json, --out for a verb that writes files, and what runs."""
     add_json(parser)
-    parser.add_argument(
-        "--out-dir", "--out", type=Path, default=Path("studies"), dest="out", help="directory of files (default: %(default)s)"
-    )
+    if files:
+        text = "directory of files (default: %(default)s)"
+        parser.add_argument("--out-dir", "--out", type=Path, default=Path("studies"), dest="out", help=text)
     parser.set_defaults(run=run)
 
 

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from messages.errors import RefusedError
 from nodes.cli.ask import add_run, chosen_run, sub_verb
-from nodes.cli.main import add_json
 from nodes.cli.quantities import declare
 from nodes.laws.parse import parse_law
-from sim.cli.answers import given, report
+from sim.cli.answers import add_answer, given, report
 from sim.measure.stopwatch import say
 
 if TYPE_CHECKING:
@@ -27,8 +26,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
     sub = parser.add_subparsers(dest="chosen", metavar="list|info|check|free|recentre|presets|identify", required=True)
     listed = sub.add_parser("list", help="which devices can be driven from here")
-    add_json(listed)
-    listed.set_defaults(run=_list)
+    add_answer(listed, _list, files=False)
     for name, run, text in (
         ("info", _info, "Connect to a device with forces off; print what it is and which force it can give."),
         (
@@ -41,8 +39,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         one = sub.add_parser(name, help=text, description=text)
         one.add_argument("kind", help="kind of node that drives it: haptic device list")
         one.add_argument("parameters", nargs="*", metavar="name:=value", help="of its driver: touch.library:=/opt/libHD.so")
-        add_json(one)
-        one.set_defaults(run=run)
+        add_answer(one, run, files=False)
         if name == "info":
             declare(one, rate=500.0, delay=1.0, gain=3.0)
     centred = sub_verb(
@@ -50,8 +47,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     centred.add_argument("driver", nargs="?", default="driver", help="node that drives it (default: %(default)s)")
     known = sub.add_parser("presets", help="known values of real devices, with their sources: device:=touch_x")
-    add_json(known)
-    known.set_defaults(run=_presets)
+    add_answer(known, _presets, files=False)
     text = "Push the device of a running launch (or of a scenario, started for it) and identify it."
     own = sub.add_parser("identify", help=text, description=text)
     own.add_argument("scenario", nargs="?", help="start this launch file; left out: the running launch, or identify")

@@ -10,8 +10,7 @@ import msgspec
 
 from messages.errors import UsageError
 from nodes.cli.colour import coloured
-from nodes.cli.main import add_json
-from sim.cli.answers import report
+from sim.cli.answers import add_answer, report
 from sim.drill.drill import HOLD, LIMIT, RATE, DrillOutcome, drill
 from sim.drill.faults import faults
 from sim.drill.soak import MISS_LIMIT, soak, text
@@ -28,8 +27,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--list", action="store_true", help="list the faults")
     parser.add_argument("--markdown", action="store_true", help="write the table as Markdown, for a page")
-    add_json(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run, files=False)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -62,8 +60,8 @@ def _soak(arguments: argparse.Namespace) -> int:
     return report(arguments, msgspec.to_builtins(found), text(found), held=found.passed)
 
 
+# Columns of the table; the third to the fifth hold numbers.
 HEADS = ("fault", "what was done", "safe after [ticks]", "ticks lost", "given out [mJ]", "recovered", "result")
-"""Columns of the table; the third to the fifth hold numbers."""
 
 
 def table(outcomes: list[DrillOutcome], markdown: bool = False) -> str:

@@ -10,28 +10,17 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 from messages.errors import RefusedError, UsageError
 from nodes.base.workers import Workers
-from sim.measure.jobs import RETRIES, Job, SweepRow, done_by, sweep
+from sim.measure.jobs import RETRIES, Job, SweepRow, call, done_by, sweep
 from sim.measure.stopwatch import Progress
 
-TLS = ("tls-ca-file", "tls-cert", "tls-key")
-"""Options that hold the certificates of a cluster off this machine."""
-PATIENCE = 2.0
-"""What is done so soon shows no progress [s]."""
-
-J = TypeVar("J")
+TLS = ("tls-ca-file", "tls-cert", "tls-key")  # options that hold the certificates of a cluster off this machine
+PATIENCE = 2.0  # what is done so soon shows no progress [s]
 R = TypeVar("R")
-
-
-class Study(NamedTuple):
-    """Rows of a study in the order of its jobs, and the ledger that holds them."""
-
-    rows: list[SweepRow]
-    ledger: Path
 
 
 def add_sweep(parser: argparse.ArgumentParser) -> None:
@@ -114,12 +103,14 @@ def _loopback(host: str) -> bool:
     return False
 
 
-def swept(arguments: argparse.Namespace, job: Job, jobs: Sequence[Mapping[str, Any]], name: str, chunk: int = 1) -> Study:
-    """Do the jobs of a study as its arguments say, with progress on stderr; what was done before is in its ledger."""
+def swept(
+    arguments: argparse.Namespace, job: Job, jobs: Sequence[Mapping[str, Any]], name: str, chunk: int = 1
+) -> tuple[list[SweepRow], Path]:
+    """Do the jobs of a study, with progress on stderr: rows in their order, and the ledger that holds what was done before."""
     ledger = begun(arguments, name)
     try:
         with executor(arguments) as pool:
-            return Study(sweep(job, jobs, pool, ledger, chunk, Progress(len(jobs)).step), ledger)
+            return sweep(job, jobs, pool, ledger, chunk, Progress(len(jobs)).step), ledger
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"what is done is in {ledger}, and the same command goes on there") from None
 
@@ -134,12 +125,14 @@ def begun(arguments: argparse.Namespace, name: str) -> Path:
 
 def spread(
     arguments: argparse.Namespace,
-    job: Callable[[J], R],
-    jobs: Sequence[J],
+    jobs: Sequence[Callable[[], R]],
     chunk: int = 1,
     step: Callable[[str, int], None] | None = None,
 ) -> list[R]:
-    """Do all jobs where the arguments say, with progress on stderr: results in the order of the jobs, kept nowhere."""
+    """Do all jobs where the arguments say, with progress on stderr: results in the order of the jobs, kept nowhere.
+
+    Each is a `functools.partial` of a module's function, so that other processes find it by name.
+    """
     step = step or Progress(len(jobs), after=PATIENCE).step
     results: dict[int, R] = {}
 
@@ -148,10 +141,10 @@ def spread(
         step(f"{len(results)} of {len(jobs)}", len(rows))
 
     if arguments.cluster is None and not arguments.workers:
-        for i, parameters in enumerate(jobs):
-            note(range(i, i + 1), [job(parameters)])
+        for i, job in enumerate(jobs):
+            note(range(i, i + 1), [job()])
     else:
-        with executor(arguments) as pool, contextlib.closing(done_by(pool, job, jobs, chunk)) as done:
+        with executor(arguments) as pool, contextlib.closing(done_by(pool, call, jobs, chunk)) as done:
             for part, rows in done:
                 note(part, rows)
     return [results[i] for i in range(len(jobs))]

@@ -248,26 +248,3 @@ class VirtualDevice:
     def address(self) -> int:
         """Where compiled code finds it."""
         return ctypes.addressof(self.state)
-
-    @property
-    def position(self) -> float:
-        """True position [m]."""
-        return float(self.state.x)
-
-    @property
-    def velocity(self) -> float:
-        """True velocity [m/s]."""
-        return float(self.state.v)
-
-    @property
-    def ticks(self) -> int:
-        """Ticks done so far."""
-        return int(self.state.ticks)
-
-    def measured(self) -> float:
-        """Read the encoder [m]."""
-        return measured(self.state)
-
-    def tick(self, force: float) -> None:
-        """Go through one whole tick."""
-        device_tick(self.state, force)

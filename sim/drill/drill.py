@@ -118,6 +118,11 @@ def scene() -> dict[str, Any]:
     }
 
 
+def with_link(content: dict[str, Any]) -> None:
+    """Put a bad link between coupling and driver."""
+    content["nodes"]["link"] = {"kind": "link"}
+
+
 def _acting(states: Sequence[DeviceState], hold_ticks: float) -> Iterator[tuple[int, int]]:
     """Tell at each tick for how long an old force, or damping, has acted, and how much of that a damping driver was away."""
     since = states[0].seq if states else 0

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from sim.drill import devices, intruders, last_line, people
-from sim.drill.drill import Fault, FaultSkippedError, fault_of, kill
+from sim.drill.drill import Fault, FaultSkippedError, fault_of, kill, with_link
 from sim.measure.measured_launch import within
 from sim.measure.rig import Rig
 
@@ -32,10 +32,6 @@ def _stop(node: str) -> Callable[[Rig], None]:
         os.kill(pid, signal.SIGCONT)
 
     return strike
-
-
-def _with_link(content: dict[str, Any]) -> None:
-    content["nodes"]["link"] = {"kind": "link"}
 
 
 def _bad_link(**values: float) -> Callable[[Rig], None]:
@@ -189,7 +185,7 @@ def faults() -> list[Fault]:
     disk, clock = _SmallDisk(), SteppedClock()
 
     def link(name: str, what: str, **values: float) -> Fault:
-        return Fault(name, what, _bad_link(**values), change=_with_link)
+        return Fault(name, what, _bad_link(**values), change=with_link)
 
     return [
         *(Fault(f"kill {node}", "SIGKILL, respawned", kill(node)) for node in chain),

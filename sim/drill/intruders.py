@@ -19,13 +19,14 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 from messages.transport import keys
 from messages.transport.endpoints import MAX_MESSAGE
-from sim.drill.drill import Fault, fault_of
+from sim.drill.drill import Fault, fault_of, with_link
 from sim.measure.free_ports import free_ports
 from sim.measure.measured_launch import MeasurementError, within
 from sim.measure.rig import Rig
@@ -36,18 +37,9 @@ FEW = 256  # descriptors with which a launch that is flooded starts
 VISITS, PAUSE = 200, 0.02
 
 
-@contextlib.contextmanager
-def _keys_of(folder: Path) -> Iterator[None]:
+def _keys_of(folder: Path) -> contextlib.AbstractContextManager[object]:
     """Act as a machine with other keys."""
-    before = os.environ.get("HAPTIC_KEYS")
-    os.environ["HAPTIC_KEYS"] = str(folder)
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ["HAPTIC_KEYS"]
-        else:
-            os.environ["HAPTIC_KEYS"] = before
+    return mock.patch.dict(os.environ, HAPTIC_KEYS=str(folder))
 
 
 class _Elsewhere:
@@ -196,9 +188,6 @@ def faults() -> list[Fault]:
     """List the faults that come from somebody else."""
     impostor, revoked, few = _Elsewhere(), _Elsewhere(), _FewDescriptors()
     size, visits = MAX_MESSAGE >> 20, 2 * VISITS
-
-    def with_link(content: dict[str, Any]) -> None:
-        content["nodes"]["link"] = {"kind": "link"}
 
     return [
         Fault("oversize message", f"one force of more than {size} MiB", _send_oversize, change=with_link),

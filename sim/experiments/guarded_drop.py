@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nodes.driver.passivity import PassivityParameters
-from nodes.laws import CompiledLaw
+from nodes.laws.pd import PD
 from sim.device.model import DeviceModel
 from sim.scene.loop import Scene, SceneSurface, Trace, run
 
@@ -53,20 +53,13 @@ def measure(trace: Trace, stiffness: float, guarded: bool, delay: float) -> Drop
 
 
 def compare(
-    device: DeviceModel, laws: dict[float, CompiledLaw], period: float, guard: PassivityParameters, next_tick: bool, ticks: int
+    device: DeviceModel, wall: float, damping: float, period: float, guard_damping: float, next_tick: bool, ticks: int
 ) -> list[Drop]:
-    """Drop a mass on walls of several stiffnesses, with and without the guard."""
+    """Drop a mass on a wall of PD, without the guard and with it."""
     found = []
-    for stiffness, law in laws.items():
-        for on in (False, True):
-            scene = Scene(
-                device=device,
-                surface=SceneSurface("plane"),
-                period=period,
-                raw=False,
-                clamp=True,
-                next_tick=next_tick,
-                passivity=PassivityParameters(stiffness=stiffness, damping=guard.damping) if on else None,
-            )
-            found.append(measure(run(scene, law, ticks), stiffness, on, device.delay + (1.0 if next_tick else 0.0)))
+    for guard in (None, PassivityParameters(stiffness=wall, damping=guard_damping)):
+        floor = SceneSurface("plane")
+        scene = Scene(device=device, surface=floor, period=period, raw=False, clamp=True, next_tick=next_tick, passivity=guard)
+        trace = run(scene, PD(stiffness=wall, damping=damping).compile(period), ticks)
+        found.append(measure(trace, wall, guard is not None, device.delay + float(next_tick)))
     return found

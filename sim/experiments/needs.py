@@ -34,7 +34,7 @@ S = TypeVar("S")
 R = TypeVar("R")
 
 # How variants are played: one after another here, or side by side (`sim.cli.sweeps.spread`).
-Play = Callable[[Callable[[S], R], Sequence[S]], list[R]]
+Play = Callable[[Sequence[Callable[[], R]]], list[R]]
 
 
 @dataclass(frozen=True)
@@ -143,17 +143,13 @@ class Variant(NamedTuple, Generic[S]):
     switched: str
 
 
-def here(play: Callable[[S], R], scenes: Sequence[S]) -> list[R]:
+def here(plays: Sequence[Callable[[], R]]) -> list[R]:
     """Play variants one after another."""
-    return [play(scene) for scene in scenes]
+    return [play() for play in plays]
 
 
 def needs(
-    scene: LaunchedScene,
-    model: Model,
-    rounds: int = 5,
-    step: Callable[[str], None] | None = None,
-    players: Play[LaunchedScene, Trace] = here,
+    scene: LaunchedScene, model: Model, rounds: int = 5, step: Callable[[str], None] | None = None, players: Play[Trace] = here
 ) -> Needs:
     """Switch every term of a scene."""
 
@@ -182,10 +178,10 @@ def judge(
     model: Model,
     rounds: int,
     step: Callable[[str], None] | None,
-    players: Play[S, R] = here,
+    players: Play[R] = here,
 ) -> tuple[tuple[Finding, ...], float | None]:
     """Play a scene and its variants: what each moves and, in turns, what it costs on this machine; time per tick [µs]."""
-    played = players(play, [variant.scene for variant in variants])
+    played = players([partial(play, variant.scene) for variant in variants])
     jobs: dict[str, tuple[Callable[[], object], int]] = {
         str(i): (partial(play, changed), ticks) for i, changed in enumerate([scene, *(v.scene for v in variants)])
     }
@@ -281,7 +277,7 @@ def _play_spatial(scene: SpatialScene) -> SpatialTrace:
 
 
 def spatial_needs(
-    launch: Launch, rounds: int = 5, step: Callable[[str], None] | None = None, players: Play[SpatialScene, SpatialTrace] = here
+    launch: Launch, rounds: int = 5, step: Callable[[str], None] | None = None, players: Play[SpatialTrace] = here
 ) -> Needs:
     """Switch every term of a scene with several axes; without rounds nothing is timed.
 

@@ -19,23 +19,13 @@ from messages.types import ZERO, Vector
 from nodes.driver.hardware.mailbox import MailboxDevice
 from sim.hands_on.delay import FORCE, PULSES, MeasuredDelay, measure
 
-REST: Final = 1.0
-"""How long a device at rest is looked at [s]."""
-
-MOVED: Final = 0.02
-"""So far the handle must be moved, along one axis more than twice as far as along the others [m]."""
-
-PUSH_TIME: Final = 0.6
-"""How long a push lasts, its ramps included [s]."""
-
-FASTEST: Final = 0.25
-"""A handle that is faster is let go [m/s]."""
-
+REST: Final = 1.0  # how long a device at rest is looked at [s]
+MOVED: Final = 0.02  # so far the handle must be moved, along one axis more than twice as far as along the others [m]
+PUSH_TIME: Final = 0.6  # how long a push lasts, its ramps included [s]
+FASTEST: Final = 0.25  # A handle that is faster is let go [m/s]
 STEP: Final = 0.001
 
-FRESH: Final = 5
-"""After so many samples a position is one of after the question."""
-
+FRESH: Final = 5  # after so many samples a position is one of after the question
 WAYS: Final = (("forward", "away from you"), ("left", "to the left"), ("up", "upwards"))
 
 

@@ -18,23 +18,13 @@ from nodes.driver.hardware.mailbox import MailboxDevice
 from sim.arrays import Array
 
 PULSES: Final = 12
-FORCE: Final = 1.0
-"""Size of a pulse [N]; less where the device bears less."""
-
+FORCE: Final = 1.0  # size of a pulse [N]; less where the device bears less
+# How long it is looked at before a pulse, how long one lasts at most, and the rest after it [s].
 BEFORE, PULSE, AFTER = 0.05, 0.06, 0.25
-"""How long it is looked at before a pulse, how long one lasts at most, and the rest after it [s]."""
-
-FAR: Final = 0.002
-"""A handle that went so far needs no more push [m]."""
-
-LEAST: Final = 5e-5
-"""One that went less far was held too firmly [m]."""
-
-LONGEST: Final = 0.04
-"""Longest delay that is looked for [s]."""
-
-TIMES: Final = (0.002, 0.005, 0.01, 0.02, 0.05, 0.2)
-"""Times in which a handle comes to its speed, m/b, that are tried [s]."""
+FAR: Final = 0.002  # a handle that went so far needs no more push [m]
+LEAST: Final = 5e-5  # one that went less far was held too firmly [m]
+LONGEST: Final = 0.04  # longest delay that is looked for [s]
+TIMES: Final = (0.002, 0.005, 0.01, 0.02, 0.05, 0.2)  # times in which a handle comes to its speed, m/b, that are tried [s]
 
 
 class MeasuredDelay(msgspec.Struct, frozen=True, kw_only=True):

@@ -10,14 +10,14 @@ import contextlib
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 from messages import topics
 from messages.errors import RefusedError, UsageError
 from messages.types import DeviceState
 from nodes.base.node_kinds import load
-from nodes.client.launches import ask
+from nodes.base.setup import AXIS_INDEX
+from nodes.client.launches import ask, roles
 from nodes.client.listen import listen
 from nodes.driver.node import STAND_STILL
 from nodes.launcher.runs import RunInfo
@@ -37,33 +37,21 @@ SETTLING = 3.0  # a device that does not come to rest within so long goes on mov
 LEASE = "borrowed"  # name of the leases
 
 
-@dataclass
 class PushedLaunch:
     """The nodes of a running launch that are needed to push its device."""
 
-    run: RunInfo  # the run
-    # Names of its nodes.
-    driver: str = ""
-    environment: str = ""
-    coupling: str = ""
-    period: float = 0.0  # sampling period [s]
-    axes: tuple[int, ...] = field(default=())  # axes that the scene computes
-    # The driver's limits, by `read_limits`: force [N], change per tick [N].
-    peak: float | None = None
-    slew: float | None = None
-
-    def __post_init__(self) -> None:
-        for name, setup in self.run.nodes.items():
-            publishes = load(setup.factory).publishes
-            if topics.DEVICE_STATE in publishes:
-                self.driver, self.period = name, setup.period
-                self.axes = tuple("xyz".index(axis) for axis in setup.axes)
-            elif topics.PROXY in publishes:
-                self.environment = name
-            elif topics.FORCE in publishes:
-                self.coupling = name
-        if not (self.driver and self.environment and self.coupling):
-            raise UsageError(f"{self.run.run}: has no driver, environment and coupling that could push a device")
+    def __init__(self, run: RunInfo) -> None:
+        found = roles(run)
+        if len(found) < 3:
+            raise UsageError(f"{run.run}: has no driver, environment and coupling that could push a device")
+        self.run = run
+        self.driver, self.environment, self.coupling = found["driver"], found["environment"], found["coupling"]
+        setup = run.nodes[self.driver]
+        self.period = setup.period  # sampling period [s]
+        self.axes = tuple(AXIS_INDEX[axis] for axis in setup.axes)  # axes that the scene computes
+        # The driver's limits, by `read_limits`: force [N], change per tick [N].
+        self.peak: float | None = None
+        self.slew: float | None = None
 
     def poses(self) -> tuple[float, float] | None:
         """Ask a device that knows its inertia by how much it is lighter and heavier elsewhere, along its first axis [kg]."""

@@ -10,8 +10,8 @@ import numpy as np
 from sim.arrays import Array
 from sim.identify import identified_motion as motion
 from sim.identify.choose_model import Choice
-from sim.identify.experiment import Encoder, Experiment, encoder
-from sim.identify.identified import Estimate, HeldOut, Identified
+from sim.identify.experiment import Experiment, encoder
+from sim.identify.identified import Estimate, Identified
 from sim.identify.identified_text import ROWS
 from sim.identify.output_error import Fit, own_states
 
@@ -22,16 +22,10 @@ def nothing(experiment: Experiment, length: int, why: str) -> Identified:
     """Tell what a run without a changing force tells: its delays and its encoder."""
     _, *delays, jitter = _delays(experiment)
     estimates: dict[str, Any] = dict.fromkeys((name for _, name, _, _ in ROWS), Estimate(None, why=why))
-    estimates |= {"encoder": _step(encoder(experiment.position[~experiment.missing])), "jitter": jitter}
-    figures: dict[str, Any] = {"delay_range": tuple(delays), "held": False, "residual": math.nan, "held_out": HeldOut()}
+    estimates |= {"encoder": encoder(experiment.position[~experiment.missing]), "jitter": jitter}
+    figures: dict[str, Any] = {"delay_range": tuple(delays), "held": False, "residual": math.nan}
     figures |= {"dropped": 0, "windows": 0, "ticks": length, "axis": experiment.axis, "period": experiment.period}
     return Identified(**estimates, **figures)
-
-
-def _step(grid: Encoder) -> Estimate:
-    if grid.step is None:
-        return Estimate(None, why=grid.why)
-    return Estimate(grid.step, grid.step - grid.error, grid.step + grid.error)
 
 
 def covariance_of(found: Fit) -> Array:
@@ -84,7 +78,7 @@ class _Widths:
         return float(self._found.theta[which]) * unit, self._quantile * math.sqrt(self._covariance[i, i]) * unit
 
 
-def conclude(experiment: Experiment, choice: Choice, grid: Encoder) -> Identified:
+def conclude(experiment: Experiment, choice: Choice, grid: Estimate) -> Identified:
     """Turn what was chosen into estimates; a refuted model gives its parameters no value."""
     found, test = choice.model, choice.test
     widths = _Widths(found)
@@ -103,13 +97,14 @@ def conclude(experiment: Experiment, choice: Choice, grid: Encoder) -> Identifie
         estimates = dict.fromkeys(estimates, unknown)
     # The middle one: a window that a stall spoilt says nothing about the model.
     residual = math.sqrt(float(np.median(test.errors)) / (test.length - own_states(test.theta)))
-    estimates |= {"encoder": _step(grid), "jitter": jitter}
+    estimates |= {"encoder": grid, "jitter": jitter}
     return Identified(
         **estimates,
         delay_range=(shortest, longest),
         held=motion.STIFFNESS in widths and float(found.theta[motion.STIFFNESS]) > 0.0,
         residual=found.rms,
-        held_out=HeldOut(residual, choice.whiteness),
+        held_out=residual,
+        whiteness=choice.whiteness,
         dropped=choice.dropped,
         windows=len(found.starts),
         ticks=found.length,

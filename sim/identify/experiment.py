@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from messages.topics import DEVICE_STATE
 from nodes.base.setup import AXIS_INDEX
 from nodes.recording.reader import Recording
 from sim.arrays import Array
+from sim.identify.identified import Estimate
 
 # So many ticks that the driver slept through do not end a stretch: forces held meanwhile, and the motion is known [ticks].
 BRIDGED = 50
@@ -40,11 +41,6 @@ class Experiment:
     def missing(self) -> NDArray[np.bool_]:
         """Whether a tick's position was not sampled, shape (N,)."""
         return np.zeros(len(self.position), dtype=bool) if self.unread is None else self.unread
-
-    def between(self, start: int, end: int) -> Experiment:
-        """Cut out a stretch of time."""
-        kept = [(max(first, start), min(last, end)) for first, last in self.segments]
-        return replace(self, segments=tuple((first, last) for first, last in kept if last > first))
 
 
 def lockstep(period: float, position: Array, force: Array, delay: float = 0.0, axis: str = "x") -> Experiment:
@@ -100,20 +96,11 @@ LEAST_VALUES = 8  # fewer different positions could lie on many grids
 STRAY = 0.02  # how far from the grid a position may be, as a part of the step: rounding, not motion
 
 
-@dataclass(frozen=True)
-class Encoder:
-    """What positions tell of the encoder."""
-
-    step: float | None  # distance of neighbouring readings [m]; None when it cannot be told
-    error: float = 0.0  # half width of the interval that holds it [m]
-    why: str = ""  # why it cannot be told; empty when it can
-
-
-def encoder(position: Array) -> Encoder:
-    """Find the grid that all positions lie on."""
+def encoder(position: Array) -> Estimate:
+    """Find the grid that all positions lie on: the distance of neighbouring readings [m]."""
     values = np.unique(position)
     if len(values) < LEAST_VALUES:
-        return Encoder(None, why=f"only {len(values)} different positions, at least {LEAST_VALUES} are needed: move it more")
+        return Estimate(None, why=f"only {len(values)} different positions, at least {LEAST_VALUES} are needed: move it more")
     gaps = np.diff(values)
     # Values closer than a millionth of the usual distance are one, rounded differently.
     gaps = gaps[gaps > 1e-6 * float(np.median(gaps))]
@@ -123,9 +110,9 @@ def encoder(position: Array) -> Encoder:
     slope, offset = np.polyfit(counts, values, 1)
     stray = float(np.max(np.abs(values - offset - slope * counts)))
     if not stray < STRAY * slope:
-        return Encoder(
+        return Estimate(
             None, why="the positions lie on no even grid: the encoder is fine, or its axes are not those of the message"
         )
     # Rounding moves each reading by at most `stray`, so the two ends of the grid leave this much room.
-    span = float(counts[-1] - counts[0])
-    return Encoder(float(slope), 2.0 * (stray + float(np.spacing(np.abs(values).max()))) / span)
+    error = 2.0 * (stray + float(np.spacing(np.abs(values).max()))) / float(counts[-1] - counts[0])
+    return Estimate(float(slope), float(slope) - error, float(slope) + error)

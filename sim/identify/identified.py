@@ -27,18 +27,6 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class HeldOut:
-    """What is left in the windows that the fit has not seen."""
-
-    # Root-mean-square distance of the model's positions from the measured ones, the middle window of them [m]; None when there
-    # are none.
-    residual: float | None = None
-    # Probability that a model that holds leaves a residual at least so far from white, by rounding alone; None where it was not
-    # tested.
-    whiteness: float | None = None
-
-
-@dataclass(frozen=True)
 class Identified:
     """A device as a recording tells it."""
 
@@ -66,13 +54,16 @@ class Identified:
     delay_range: tuple[float, float]
     held: bool  # whether a hand's stiffness was found
     residual: float  # Root-mean-square distance of the model's positions from the measured ones [m]
-    held_out: HeldOut  # the residual in windows that the fit has not seen
     dropped: int  # windows left out because a stall or a knock spoilt them
     # How many windows of how many ticks.
     windows: int
     ticks: int
     axis: str  # the axis
     period: float  # sampling period [s]
+    # The residual of the middle one of the windows that the fit has not seen [m], and the probability that a model that holds
+    # leaves one at least so far from white, by rounding alone; None where there are none.
+    held_out: float | None = None
+    whiteness: float | None = None
     # What the model has beyond mass, damping, friction, delay and hand because the data ask for it.
     terms: tuple[str, ...] = ()
     refuted: bool = False  # whether the held-out windows refute the model, and no richer one explains them
@@ -101,9 +92,7 @@ class Identified:
     @property
     def held_out_steps(self) -> float | None:
         """The same of the held-out windows."""
-        if self.encoder.value is None or self.held_out.residual is None:
-            return None
-        return self.held_out.residual / self.encoder.value
+        return None if self.encoder.value is None or self.held_out is None else self.held_out / self.encoder.value
 
 
 def refusal(found: Identified) -> str | None:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from sim.identify.identified import Estimate, HeldOut, Identified
+from sim.identify.identified import Estimate, Identified
 
 # Key, attribute, name and unit of each parameter.
 ROWS = (
@@ -43,35 +43,28 @@ def figures(found: Identified) -> dict[str, Any]:
         "residual_m": None if math.isnan(found.residual) else found.residual,
         "terms": list(found.terms),
         "unbelieved": {key: _estimate(found.unbelieved[name]) for key, name, _, _ in ROWS if name in found.unbelieved},
-        "held_out": {
-            "residual_steps": found.held_out_steps,
-            "residual_m": found.held_out.residual,
-            "whiteness": found.held_out.whiteness,
-        },
+        "held_out": {"residual_steps": found.held_out_steps, "residual_m": found.held_out, "whiteness": found.whiteness},
         "windows_dropped": found.dropped,
         "window_ticks": found.ticks,
     }
 
 
-def _read(record: Mapping[str, Any]) -> Estimate:
-    return Estimate(record["value"], record["low"], record["high"], record.get("why", ""))
-
-
 def from_figures(record: Mapping[str, Any]) -> Identified:
     """Read back what `figures` gave: the inverse, for a step that is run alone."""
-    estimates: dict[str, Any] = {name: _read(record[key]) for key, name, _, _ in ROWS}
+    estimates: dict[str, Any] = {name: Estimate(**record[key]) for key, name, _, _ in ROWS}
     low, high = record["delay_range_ticks"]
     return Identified(
         **estimates,
         **{name: record[name] for name in ("held", "windows", "axis", "refuted", "why")},
         delay_range=(low, high),
         residual=math.nan if record["residual_m"] is None else record["residual_m"],
-        held_out=HeldOut(record["held_out"]["residual_m"], record["held_out"]["whiteness"]),
+        held_out=record["held_out"]["residual_m"],
+        whiteness=record["held_out"]["whiteness"],
         dropped=record["windows_dropped"],
         ticks=record["window_ticks"],
         period=1.0 / record["rate_hz"],
         terms=tuple(record["terms"]),
-        unbelieved={name: _read(record["unbelieved"][key]) for key, name, _, _ in ROWS if key in record["unbelieved"]},
+        unbelieved={name: Estimate(**record["unbelieved"][key]) for key, name, _, _ in ROWS if key in record["unbelieved"]},
     )
 
 
@@ -102,7 +95,7 @@ def text(found: Identified) -> str:
             lines.append(f"  {label:30} none seen; below {estimate.high:.2g} {unit} it would not show")
         else:
             lines.append(f"  {label:30} {estimate.value:10.5g}  ({estimate.low:.5g} to {estimate.high:.5g}) {unit}")
-    steps, unseen = found.residual_steps, found.held_out.residual
+    steps, unseen = found.residual_steps, found.held_out
     residual = f"{found.residual * 1e6:.3g} µm" + ("" if steps is None else f" = {steps:.3g} encoder steps (rounding: 0.29)")
     held_out = "none" if unseen is None else f"{unseen * 1e6:.3g} µm"
     lines.append(f"  residual {residual}; in held-out windows {held_out}; {found.windows} windows of {found.ticks} ticks")

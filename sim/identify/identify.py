@@ -39,11 +39,11 @@ def identify(experiment: Experiment, held: bool | None = None, length: int = WIN
     for first, end in experiment.segments:
         within[first:end] = True
     grid = encoder(experiment.position[within & ~experiment.missing])
-    scale = grid.step or 1e-6
+    scale = grid.value or 1e-6
     unseen = starts[HELD_OUT - 1 :: HELD_OUT]
     seen = np.setdiff1d(starts, unseen)
     found = _search(experiment, seen, length, scale, held)
-    return conclude(experiment, choose(experiment, found, Windows(seen, unseen, length), scale, grid.step), grid)
+    return conclude(experiment, choose(experiment, found, Windows(seen, unseen, length), scale, grid.value), grid)
 
 
 def initial_state(experiment: Experiment, found: Identified) -> tuple[float, float]:

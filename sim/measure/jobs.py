@@ -29,15 +29,6 @@ Runner = Callable[[list[Callable[[], Any]], Callable[[str, int], None]], list[An
 _ROOT = Path(__file__).parents[2]
 
 
-def here(jobs: list[Callable[[], Any]], step: Callable[[str, int], None]) -> list[Any]:
-    """Do jobs one after another in this process."""
-    done = []
-    for number, job in enumerate(jobs, 1):
-        done.append(job())
-        step(f"{number} of {len(jobs)}", 1)
-    return done
-
-
 def call(job: Callable[[], R]) -> R:
     """Do a job that is a `functools.partial` of a module's function."""
     return job()

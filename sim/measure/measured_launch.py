@@ -14,7 +14,7 @@ import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -24,12 +24,13 @@ import zmq
 
 from messages import topics
 from messages.errors import HapticError
-from messages.transport.context import new_context
 from messages.transport.requests import ControlError, call
-from nodes.base.node_kinds import load
+from messages.types import DeviceState
 from nodes.base.realtime import die_with_parent
+from nodes.client.launches import ask, roles
 from nodes.launcher.child import PYTHON
-from nodes.launcher.runs import RunError, RunInfo, alive, find_run, runs
+from nodes.launcher.runs import RunInfo, alive, runs
+from nodes.recording.summary import quantile
 from sim.measure import stopwatch
 
 HAPTIC = (*PYTHON, "-m", "nodes.cli.command")  # the command ``haptic`` with this interpreter
@@ -121,12 +122,11 @@ def launched(scenario: str, *assignments: str) -> Iterator[RunInfo]:
         process = beside("launch", *words, "--json", "--no-plot", stdout=subprocess.DEVNULL, stderr=output)
 
         def ticking() -> RunInfo | None:
-            for name in runs():
-                # Others come and go meanwhile.
-                with contextlib.suppress(RunError, ControlError):
-                    run = find_run(name)
-                    if run.launcher == process.pid and _ticks(run):
-                        return run
+            run = next((run for run in runs().values() if run.launcher == process.pid), None)
+            driver = None if run is None else roles(run).get("driver")
+            if run is not None and driver is not None:
+                with contextlib.suppress(ControlError):
+                    return run if ask(run, driver, "status", timeout=1.0)["ticks"] > 10 else None
             return None
 
         try:
@@ -138,18 +138,6 @@ def launched(scenario: str, *assignments: str) -> Iterator[RunInfo]:
             yield found
         finally:
             end(process)
-
-
-def _ticks(run: RunInfo) -> bool:
-    """Whether a launch's driver is past its first ticks."""
-    context = new_context()
-    try:
-        for name, setup in run.nodes.items():
-            if topics.DEVICE_STATE in load(setup.factory).publishes:
-                return bool(call(context, run.nodes[name].control, "status", timeout=1.0)["ticks"] > 10)
-    finally:
-        context.term()
-    return False
 
 
 def end(process: subprocess.Popen[Any], patience: float = DEADLINE) -> None:
@@ -297,6 +285,19 @@ class Running:
         if code is not None and found != code:
             raise MeasurementError(f"the launch ended with exit code {found}, expected {code}: {self.errors}")
         return self.figures
+
+
+def responses_in(states: Sequence[DeviceState], spans: Sequence[tuple[float, float]]) -> dict[str, Any]:
+    """Sum up what a driver published in some spans of time [s]: response in each [µs], all ticks, and those missed."""
+    found: dict[str, Any] = {"p50_us": [], "p99_us": [], "missed": 0, "ticks": 0}
+    for began, ended in spans:
+        part = [state for state in states if began <= state.stamp <= ended]
+        responses = sorted(state.response * 1e6 for state in part if state.response > 0.0)
+        found["p50_us"].append(quantile(responses, 0.5))
+        found["p99_us"].append(quantile(responses, 0.99))
+        found["missed"] += part[-1].missed - part[0].missed
+        found["ticks"] += len(part)
+    return found
 
 
 def machine() -> str:

@@ -107,10 +107,10 @@ SILENT = 5.0  # in a pipe a line comes at most so often [s]
 _last = [-SILENT]
 
 
-def say(words: str, always: bool = False) -> None:
+def say(words: str) -> None:
     """Tell how it goes, on standard error; no words end the line."""
     if is_smart(sys.stderr):
         keep(sys.stderr, words[: columns(sys.stderr)])
-    elif words and (always or words.endswith("...") or time.monotonic() - _last[0] >= SILENT):
+    elif words and (words.endswith("...") or time.monotonic() - _last[0] >= SILENT):
         _last[0] = time.monotonic()
         print(words, file=sys.stderr, flush=True)

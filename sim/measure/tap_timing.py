@@ -106,7 +106,7 @@ def time_taps(lengths: Sequence[int], rounds: int, step: Callable[[str], None]) 
 def time_laws(rounds: int, step: Callable[[str], None]) -> dict[str, Timing]:
     """Time the coupling's own rendering of PD, plain and with its velocity behind a filter or in windows."""
     period, step_m, ticks = 0.002, 2.3e-5, 500
-    laws = {
+    laws: dict[str, Law] = {
         "pd": PD(stiffness=1000.0, damping=3.0),
         "pd_filtered": PDFiltered(stiffness=1000.0, damping=3.0, cutoff=100.0),
         "pd_windowed": PDWindowed(stiffness=1000.0, damping=3.0, resolution=step_m),
@@ -114,19 +114,20 @@ def time_laws(rounds: int, step: Callable[[str], None]) -> dict[str, Timing]:
     # A slow swing through an encoder: windows open and close.
     samples = (np.rint(1e-3 * np.sin(0.02 * np.arange(ticks)) / step_m) * step_m).tolist()
 
-    def render(law: Law) -> Callable[[], object]:
-        compiled_law = law.compile(period)
-        history = History(max(2, len(compiled_law.taps)))
-        axis = LawOnAxis(compiled_law, history)
+    return interleaved({name: (in_node(law.compile(period), samples), ticks) for name, law in laws.items()}, rounds, step)
 
-        def run() -> None:
-            for sample in samples:
-                history.push(sample)
-                axis.force(history.head)
 
-        return run
+def in_node(law: CompiledLaw, samples: Sequence[float]) -> Callable[[], object]:
+    """Make a run of the coupling's own rendering over some deflections."""
+    history = History(max(2, len(law.taps)))
+    axis = LawOnAxis(law, history)
 
-    return interleaved({name: (render(law), ticks) for name, law in laws.items()}, rounds, step)
+    def run() -> None:
+        for sample in samples:
+            history.push(sample)
+            axis.force(history.head)
+
+    return run
 
 
 def _repeat(evaluate: Callable[[int], float], length: int, calls: int) -> Callable[[], object]:

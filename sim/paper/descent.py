@@ -101,11 +101,6 @@ def steepest_descent(
     return Descent(gains, orders, np.array(history), outcome)
 
 
-def survey(targets: Targets, taps: int, rate: float, steps: int, starts: int) -> list[Descent]:
-    """Run the descent from a grid of starts: unit gains, all pairs of orders."""
-    return [steepest_descent(np.ones(2), orders, targets, taps, rate, steps) for orders in starting(starts, 2)]
-
-
 def starting(starts: int, terms: int) -> list[Array]:
     """List the orders that a survey starts from: all combinations of a grid."""
     axis = 4.0 * (np.arange(starts) + 0.5) / starts
@@ -121,13 +116,6 @@ class Shaping:
     orders: Array
     ripple: float  # largest |f + 1| over the band
     nyquist: float  # f(ω_N)
-
-
-def least_squares(orders: Array, targets: Targets, taps: int) -> Array:
-    """Gains with the least cost (13) for given orders; of several, the shortest."""
-    basis = np.array([term_damping(targets.theta, order, taps)[0] for order in orders.tolist()])
-    gains, *_ = np.linalg.lstsq(basis.T, targets.value, rcond=None)
-    return np.asarray(gains, dtype=np.float64)
 
 
 def minimax(orders: Array, band: tuple[float, float], nyquist: float, taps: int, points: int = 61) -> Shaping | None:

@@ -7,7 +7,7 @@ THEORY.md names: methods that look right and are not, each made to fail here.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from nodes.laws import CompiledLaw
 from nodes.laws.derivatives import realise
 from nodes.laws.derivatives.cfe import whole_order
+from nodes.laws.derivatives.gl import coefficients
 from nodes.laws.parse import parse_law
 from nodes.laws.pd import PD
 from nodes.laws.pd_alpha import PDAlpha, combine
@@ -24,7 +25,7 @@ from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel, Hand
 from sim.experiments.drop import Criterion, drop_scene, free_scene, settles
 from sim.paper.claims import Claim, verdict
-from sim.paper.descent import paper_targets, survey
+from sim.paper.descent import paper_targets, starting, steepest_descent
 from sim.scene.loop import run
 
 MARGIN = 0.002  # how far inside and outside a boundary is looked at, as a share of K
@@ -60,11 +61,10 @@ def boundaries() -> list[Boundary]:
         PDAlpha(stiffness=1.0, damping=2.0, order=0.8, taps=6, gains="paper", derivative="oustaloup_matched"), PERIOD
     )
     short = without_spring(PDAlpha(stiffness=1.0, damping=2.0, order=1.5, taps=8, gains="paper"), PERIOD)
+    pd = without_spring(PD(stiffness=1.0, damping=2.0), PERIOD)
     return [
         ("spring", spring, Plant(PERIOD, 0.1, 1.0)),
-        ("PD, B 2 N s/m", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Plant(PERIOD, 0.1, 1.0)),
-        ("PD, B 2 N s/m", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Plant(PERIOD, 0.1, 1.0, 1.0)),
-        ("PD, B 2 N s/m", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Plant(PERIOD, 0.1, 1.0, 0.4)),
+        *(("PD, B 2 N s/m", pd, Plant(PERIOD, 0.1, 1.0, delay)) for delay in (0.0, 1.0, 0.4)),
         ("PD, B 40 N s/m", without_spring(PD(stiffness=1.0, damping=40.0), PERIOD), Plant(PERIOD, 0.1, 1.0)),
         ("PDα, α 1.5, 8 taps", short, Plant(PERIOD, 0.05, 1.0)),
         ("PDα, α 0.8, Oustaloup", recursive, Plant(PERIOD, 0.1, 1.0, 1.0)),
@@ -89,11 +89,6 @@ def both_sides(boundary: Boundary) -> FailureEdge | None:
     )
 
 
-def edges() -> Iterator[FailureEdge]:
-    """Look at every boundary from both sides."""
-    yield from filter(None, map(both_sides, boundaries()))
-
-
 def traps() -> list[Claim]:
     """Make every named trap spring."""
     first = next(m for m in range(1, 400) if gamma_coefficient(0.5, m) == 0.0)
@@ -109,7 +104,7 @@ def traps() -> list[Claim]:
             "THEORY.md §1",
             "the printed Gamma ratio gives 0 from m = 171 on",
             verdict(first == 171),
-            f"first zero at m = {first}; the recursion gives {recursive_coefficient(0.5, first):.3e} there (α = 0.5)",
+            f"first zero at m = {first}; the recursion gives {coefficients(0.5, first + 1)[first]:.3e} there (α = 0.5)",
         ),
         _leak_claim(),
         Claim(
@@ -233,14 +228,6 @@ def gamma_coefficient(order: float, m: int) -> float:
         return float(gamma(m - order) / (gamma(-order) * gamma(m + 1.0)))
 
 
-def recursive_coefficient(order: float, m: int) -> float:
-    """Grünwald–Letnikov coefficient by the recursion c_m = c_{m−1}(1 − (α+1)/m)."""
-    c = 1.0
-    for j in range(1, m + 1):
-        c *= 1.0 - (order + 1.0) / j
-    return c
-
-
 def leak_law(damping: float, stiffness: float = 1000.0) -> CompiledLaw:
     """Give a PDα whose short memory leaks: α = 1.5, 4 taps, normalised gain."""
     return PDAlpha(stiffness=stiffness, damping=damping, order=1.5, taps=4, gains="paper").compile(PERIOD)
@@ -297,9 +284,8 @@ def chatter(law: CompiledLaw, friction: float, resolution: float = 2.3e-5, ticks
 
 def descent_outcomes(rate: float) -> dict[str, int]:
     """Count how the paper's steepest descent ends, from a grid of starts."""
-    found = survey(paper_targets(), 4, rate, 1000, 5)
-    outcomes = sorted({descent.outcome for descent in found})
-    return {outcome: sum(descent.outcome == outcome for descent in found) for outcome in outcomes}
+    found = [steepest_descent(np.ones(2), orders, paper_targets(), 4, rate, 1000).outcome for orders in starting(5, 2)]
+    return dict(sorted(Counter(found).items()))
 
 
 def chatter_bound(name: str) -> tuple[float, float, float]:

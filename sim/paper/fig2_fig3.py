@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nodes.laws.derivatives.gl import coefficients
 from nodes.laws.fields import alternating_sum
 from nodes.laws.presets import PRESETS
 from sim.arrays import Array
@@ -55,6 +56,11 @@ def one_term(theta: Array, order: float, taps: int) -> Array:
     return damping_curve(theta, np.ones(1), np.array([order]), taps)
 
 
+def curve_of(theta: Array, order: float, memory: float) -> Array:
+    """Give f of one term with a memory of n, or infinite."""
+    return term_curve(theta, order) if memory == math.inf else one_term(theta, order, int(memory) + 1)
+
+
 def _last_zero(theta: Array, curve: Array) -> float:
     """Interpolate the highest sign change of a curve that ends positive [ω_N]."""
     below = np.flatnonzero(curve < 0.0)
@@ -76,9 +82,9 @@ def _for_which(holds: dict[int, bool]) -> str:
     return f"n = {', '.join(map(str, good)) or 'none'}" + (f"; not n = {', '.join(map(str, bad))}" if bad else "")
 
 
-def _by_memory(source: str, claim: str, judge: Callable[[int], bool], unlimited: bool, number: str) -> Claim:
-    """Judge a claim at every memory of `MEMORIES` and, told by the caller, with unlimited memory."""
-    holds = {n: judge(n) for n in MEMORIES}
+def _by_memory(source: str, claim: str, judge: Callable[[float], bool], number: str) -> Claim:
+    """Judge a claim at every memory of `MEMORIES` and with unlimited memory."""
+    holds, unlimited = {n: judge(n) for n in MEMORIES}, judge(math.inf)
     everywhere = all(holds.values()) and unlimited
     which = "every n looked at" if all(holds.values()) else _for_which(holds)
     found = f"{which}; unlimited memory: {'yes' if unlimited else 'no'}" + (f"; {number}" if number else "")
@@ -90,8 +96,7 @@ def claims_2(taps: int) -> list[Claim]:
     theta, low, high = figure_2(taps)
     pd = -np.cos(theta)
     orders = {*LOW_ORDERS, *HIGH_ORDERS}
-    curves: dict[tuple[float, float], Array] = {(a, n): one_term(theta, a, n + 1) for a in orders for n in MEMORIES}
-    curves |= {(a, math.inf): term_curve(theta, a) for a in orders}
+    curves = {(a, n): curve_of(theta, a, n) for a in orders for n in (*MEMORIES, math.inf)}
     finite = [curve for (_, n), curve in curves.items() if n < math.inf]
     return [
         Claim(
@@ -105,8 +110,7 @@ def claims_2(taps: int) -> list[Claim]:
         _by_memory(
             "paper, section 3.2",
             "a single term is not enough: none is more passive than PD at low and middle frequencies both",
-            lambda n: all(_worse_somewhere(theta, one_term(theta, a, n + 1), pd) for a in _OTHERS),
-            all(_worse_somewhere(theta, term_curve(theta, a), pd) for a in _OTHERS),
+            lambda n: all(_worse_somewhere(theta, curve_of(theta, a, n), pd) for a in _OTHERS),
             f"α = {_OTHERS[0]} to {_OTHERS[-1]} but 1, up to {MIDDLE:g} ω_N; at n = 1 the leak passes for damping",
         ),
         Claim(
@@ -141,21 +145,18 @@ def _below_1(theta: Array, curves: Curves, shown: Sequence[TermCurve], taps: int
             "paper, section 3.2, fig. 2(a)",
             "0 < α < 1: f rises monotonically with ω",
             rises,
-            rises(math.inf),
             f"α = 0.7 alone: {_for_which({n: rises(n, (0.7,)) for n in MEMORIES})}",
         ),
         _by_memory(
             "paper, section 3.2, fig. 2",
             "the zero of f moves right as α grows",
             moves,
-            moves(math.inf),
             f"n = {taps - 1}: {zeros} ω_N; unlimited: α/(α+1)",
         ),
         _by_memory(
             "paper, section 3.2, fig. 2(a)",
             "0 < α < 1: more passive than PD at low frequencies, less at middle ones",
             crosses,
-            crosses(math.inf),
             "α = 0.3 needs n ≥ 5, 0.5 n ≥ 3, 0.7 n ≥ 2",
         ),
     ]
@@ -168,8 +169,10 @@ def _above_1(theta: Array, curves: Curves, shown: Sequence[TermCurve], taps: int
     def dips(n: float) -> bool:
         return all(0 < int(np.argmin(curves[a, n])) < theta.size - 1 for a in above)
 
-    def starts_at_zero(n: int) -> bool:
-        return _rising([_at_zero(a, n + 1) for a in (*above, 2.0)]) and abs(_at_zero(2.0, n + 1)) < 1e-9
+    def starts_at_zero(n: float) -> bool:
+        # With unlimited memory f(0) is 0 for all, and does not rise.
+        starts = [] if n == math.inf else [_at_zero(a, int(n) + 1) for a in (*above, 2.0)]
+        return bool(starts) and _rising(starts) and abs(starts[-1]) < 1e-9
 
     def crosses(n: float) -> bool:
         return all(_order_of_signs(curves[a, n] - pd) == "+-" for a in above)
@@ -178,24 +181,18 @@ def _above_1(theta: Array, curves: Curves, shown: Sequence[TermCurve], taps: int
     starts = ", ".join(f"{a:g}: {_at_zero(a, taps):+.3f}" for a in (*above, 2.0))
     return [
         _by_memory(
-            "paper, section 3.2, fig. 2(b)",
-            "1 < α < 2: f has a minimum between 0 and ω_N",
-            dips,
-            dips(math.inf),
-            f"n = {taps - 1}: {lowest}",
+            "paper, section 3.2, fig. 2(b)", "1 < α < 2: f has a minimum between 0 and ω_N", dips, f"n = {taps - 1}: {lowest}"
         ),
         _by_memory(
             "paper, section 3.2, fig. 2(b)",
             "1 < α < 2: f(0) rises to zero with α",
             starts_at_zero,
-            False,
             f"n = {taps - 1}: {starts}; unlimited: f(0) = 0 for all",
         ),
         _by_memory(
             "paper, section 3.2, fig. 2(b)",
             "1 < α < 2: less passive than PD at low frequencies, more at middle ones",
             crosses,
-            crosses(math.inf),
             "",
         ),
     ]
@@ -215,10 +212,7 @@ def _worse_somewhere(theta: Array, curve: Array, pd: Array) -> bool:
 
 def _at_zero(order: float, taps: int) -> float:
     """f(0) of a normalised term: T Σ c_m (½ + m) in units of f(ω_N)."""
-    coefficient, total = 1.0, 0.5
-    for m in range(1, taps):
-        coefficient *= (m - 1.0 - order) / m
-        total += coefficient * (0.5 + m)
+    total = sum(coefficient * (0.5 + m) for m, coefficient in enumerate(coefficients(order, taps)))
     return 2.0 * total / alternating_sum(order, taps)
 
 
@@ -247,11 +241,7 @@ def _ours_2(theta: Array, taps: int) -> list[Claim]:
 
 def _leak(order: float, taps: int) -> float:
     """D(1) of a normalised term, in units of 2/T."""
-    coefficient, total = 1.0, 1.0
-    for m in range(1, taps):
-        coefficient *= (m - 1.0 - order) / m
-        total += coefficient
-    return float(total / alternating_sum(order, taps))
+    return sum(coefficients(order, taps)) / alternating_sum(order, taps)
 
 
 def _leak_sign(order: float, leak: float) -> bool:

@@ -14,6 +14,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+import msgspec
+
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.laws.pd import PD
@@ -47,15 +49,6 @@ class Setting:
     resolution: float = 2.3e-5
     friction: float = 0.06
     criterion: Criterion = field(default_factory=Criterion)  # horizon and tolerance, the same for every law
-
-    def record(self) -> SweepRow:
-        """Describe it for a job."""
-        return asdict(self)
-
-    @classmethod
-    def of(cls, record: Mapping[str, Any]) -> Setting:
-        """Read what `record` described, from JSON too."""
-        return cls(**{**record, "gains": tuple(record["gains"]), "criterion": Criterion(**record["criterion"])})
 
     def device(self, delay: float, touch: bool) -> DeviceModel:
         """Describe the device."""
@@ -135,7 +128,7 @@ def _designed(setting: Setting, delay: float, name: str) -> list[float] | None:
 def designs(setting: Setting) -> list[SweepRow]:
     """List the searches for the laws that are designed for a delay: jobs of `point`."""
     wanted = ((delay, name) for delay in DELAYS for name in demands(setting, delay))
-    return [{"setting": setting.record(), "what": "design", "delay": delay, "law": name} for delay, name in wanted]
+    return [{"setting": asdict(setting), "what": "design", "delay": delay, "law": name} for delay, name in wanted]
 
 
 def drops(setting: Setting, designed: Sequence[SweepRow]) -> list[SweepRow]:
@@ -144,7 +137,7 @@ def drops(setting: Setting, designed: Sequence[SweepRow]) -> list[SweepRow]:
     plain = [(delay, law, touch, 0) for delay in DELAYS for law in LAWS for touch in (False, True)]
     others = [(0.0, law, False, i) for law in ("pd", "paper_optimum") for i in range(1, len(CONVENTIONS))]
     return [
-        {"setting": setting.record(), "what": "drop", "law": law, "delay": delay, "touch": touch}
+        {"setting": asdict(setting), "what": "drop", "law": law, "delay": delay, "touch": touch}
         | {"convention": convention, "gain": gain, "taps": taps.get((delay, law))}
         for delay, law, touch, convention in (*plain, *others)
         if law in published(setting) or taps[delay, law] is not None
@@ -154,7 +147,7 @@ def drops(setting: Setting, designed: Sequence[SweepRow]) -> list[SweepRow]:
 
 def point(job: Mapping[str, Any]) -> SweepRow:
     """Do one job: design a law, or find one K_max."""
-    setting = Setting.of(job["setting"])
+    setting = msgspec.convert(job["setting"], Setting)
     record: SweepRow = {key: job[key] for key in ("law", "delay")}
     if job["what"] == "design":
         return {**record, "taps": _designed(setting, job["delay"], job["law"])}

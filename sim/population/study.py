@@ -150,7 +150,7 @@ def study_outside(job: Mapping[str, Any]) -> dict[str, Any]:
         "why": found.why,
         "terms": list(found.terms),
         "residual_steps": found.residual_steps,
-        "whiteness": found.held_out.whiteness,
+        "whiteness": found.whiteness,
         "off": {},
     }
     for name, truth in truths(device, found, period).items():

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import msgspec
@@ -33,38 +32,39 @@ def excite(model: DeviceModel, period: float, seconds: float, seed: int, peak: f
     return lockstep(period, trace.measured, trace.force)
 
 
-@dataclass(frozen=True)
-class Range:
-    """What virtual devices are drawn from."""
-
-    mass: tuple[float, float] = (0.03, 0.5)  # [kg], evenly in the logarithm, shape (2,)
-    damping: tuple[float, float] = (0.05, 5.0)  # [N s/m], evenly in the logarithm, shape (2,)
-    friction: tuple[float, float] = (0.0, 0.1)  # [N], shape (2,)
-    delay: tuple[float, float] = (0.0, 2.5)  # [ticks], shape (2,)
-    resolution: tuple[float, float] = (5e-6, 1e-4)  # encoder step [m], evenly in the logarithm, shape (2,)
+Drawn = Callable[[np.random.Generator], float]
 
 
-def draw(number: int, seed: int, held: bool, ranges: Range | None = None) -> DeviceModel:
+def _between(low: float, high: float) -> Drawn:
+    """Draw evenly in the logarithm."""
+    return lambda rng: math.exp(rng.uniform(math.log(low), math.log(high)))
+
+
+def _evenly(low: float, high: float) -> Drawn:
+    return lambda rng: float(rng.uniform(low, high))
+
+
+# What a device and a hand have, drawn at random: fields of `DeviceModel` and `Hand`.
+RIGID: dict[str, Drawn] = {
+    "mass": _between(0.03, 0.5),
+    "damping": _between(0.05, 5.0),
+    "friction": _evenly(0.0, 0.1),
+    "delay": _evenly(0.0, 2.5),
+    "resolution": _between(5e-6, 1e-4),
+}
+HAND: dict[str, Drawn] = {"mass": _between(0.05, 0.2), "damping": _between(1.0, 5.0), "stiffness": _between(100.0, 600.0)}
+
+
+def drawn(fields: dict[str, Drawn], rng: np.random.Generator) -> dict[str, Any]:
+    """Draw fields, in their order."""
+    return {name: value(rng) for name, value in fields.items()}
+
+
+def draw(number: int, seed: int, held: bool) -> DeviceModel:
     """Draw one device."""
-    ranges = ranges or Range()
     rng = np.random.default_rng([seed, number, int(held)])
-
-    def logarithmic(low: float, high: float) -> float:
-        return math.exp(rng.uniform(math.log(low), math.log(high)))
-
-    hand = None
-    model: dict[str, Any] = {
-        "mass": logarithmic(*ranges.mass),
-        "damping": logarithmic(*ranges.damping),
-        "friction": float(rng.uniform(*ranges.friction)),
-        "delay": float(rng.uniform(*ranges.delay)),
-        "resolution": logarithmic(*ranges.resolution),
-    }
-    if held:
-        hand = Hand(
-            mass=logarithmic(0.05, 0.2), damping=logarithmic(1.0, 5.0), stiffness=logarithmic(100.0, 600.0), path=[(0.0, 0.0)]
-        )
-    return DeviceModel(**model, hand=hand)
+    model = drawn(RIGID, rng)
+    return DeviceModel(**model, hand=Hand(**drawn(HAND, rng), path=[(0.0, 0.0)]) if held else None)
 
 
 def excite_outside(device: RicherModel, period: float, seconds: float, seed: int, peak: float = 3.3) -> Experiment:
@@ -77,17 +77,8 @@ def excite_outside(device: RicherModel, period: float, seconds: float, seed: int
     return lockstep(period, *pushed(device, period, wanted, taps, (0.0, PUSH.reach, peak, 0.0), seed))
 
 
-def _between(low: float, high: float) -> Callable[[np.random.Generator], float]:
-    """Draw evenly in the logarithm."""
-    return lambda rng: math.exp(rng.uniform(math.log(low), math.log(high)))
-
-
-def _evenly(low: float, high: float) -> Callable[[np.random.Generator], float]:
-    return lambda rng: float(rng.uniform(low, high))
-
-
-# What each kind has, drawn at random.
-KINDS: dict[str, dict[str, Callable[[np.random.Generator], float]]] = {
+# What each kind has beside that, drawn at random.
+KINDS: dict[str, dict[str, Drawn]] = {
     "flexible mode": {"share": _evenly(0.15, 0.6), "frequency": _between(15.0, 200.0), "loss": _between(0.01, 0.1)},
     "actuator lag": {"lag": _between(0.5e-3, 6e-3)},
     "quadratic damping": {"quadratic": _between(0.3, 4.0)},
@@ -115,7 +106,6 @@ KINDS: dict[str, dict[str, Callable[[np.random.Generator], float]]] = {
         "loss": _between(0.01, 0.1),
     },
 }
-UNFORESEEN = ("warming up", "deadband", "uneven friction", "delay jitter")  # kinds that no term was written for
 
 
 def draw_outside(kind: str, number: int, seed: int) -> RicherModel:
@@ -123,5 +113,4 @@ def draw_outside(kind: str, number: int, seed: int) -> RicherModel:
     rng = np.random.default_rng([seed, number, list(KINDS).index(kind)])
     rigid = draw(number, seed + 1000, held=False)
     rigid = msgspec.structs.replace(rigid, friction=max(rigid.friction or 0.0, 0.01))
-    drawn: dict[str, Any] = {name: value(rng) for name, value in KINDS[kind].items()}
-    return RicherModel(rigid, kind, **drawn)
+    return RicherModel(rigid, kind, **drawn(KINDS[kind], rng))

@@ -18,8 +18,6 @@ from sim.device.friction import slide
 from sim.device.model import DeviceModel, coefficients, quantise
 from sim.scene.compiled import compiled
 
-SUBSTEPS = 64  # steps of a tick
-
 
 @dataclass(frozen=True)
 class RicherModel:

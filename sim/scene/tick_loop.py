@@ -19,8 +19,7 @@ from sim.device.friction import move
 from sim.device.model import Coefficients, coefficients, end_stop, quantise, saturate
 from sim.scene.compiled import compiled, own_force
 
-Values: TypeAlias = Any
-"""A list of numbers when the loop is interpreted, an array when it is compiled."""
+Values: TypeAlias = Any  # a list of numbers when the loop is interpreted, an array when it is compiled
 
 
 kernel(meet_plane)
@@ -131,8 +130,7 @@ class Records(NamedTuple):
     asked: Values | None = None
 
 
-NUDGE = 0.1
-"""Part of a nudge that the velocity takes as an error of its own, made within a tick."""
+NUDGE = 0.1  # part of a nudge that the velocity takes as an error of its own, made within a tick
 
 
 @kernel
@@ -381,5 +379,4 @@ def play(
     return x, v
 
 
-play_compiled: Any = compiled()(play)
-"""The loop, compiled: for other compiled functions that play many scenes."""
+play_compiled: Any = compiled()(play)  # the loop, compiled: for other compiled functions that play many scenes

@@ -48,24 +48,19 @@ class Touched(NamedTuple):
 
 
 def touch(
-    solids: Sequence[Solid],
-    path: Array,
-    tool_radius: float = 0.0,
-    period: float = 1e-3,
-    interpreted: bool = False,
-    memory: Array | None = None,
+    solids: Sequence[Solid], path: Array, tool_radius: float = 0.0, period: float = 1e-3, interpreted: bool = False
 ) -> Touched:
     """Lead a device along a path (ticks, 3) [m] over shapes."""
     table = scene_table(solids, tool_radius, period)
     answers = np.zeros((len(path), _ANSWER))
     if interpreted:
-        kept: Any = new_memory(len(solids)) if memory is None else memory.tolist()
+        kept: Any = new_memory(len(solids))
         for answer, (x, y, z) in zip(answers, path.tolist(), strict=True):
             proxy.meet(table, kept, x, y, z)
             answer[:] = [*kept[PROXY : PROXY + 8], kept[ROUNDS]]
         memory = np.array(kept)
     else:
-        memory = np.array(new_memory(len(solids))) if memory is None else memory
+        memory = np.array(new_memory(len(solids)))
         _walk(np.array(table), memory, np.ascontiguousarray(path, dtype=np.float64), answers)
     return Touched(path, answers[:, :3], answers[:, 3:6], answers[:, 6], answers[:, 7] == 1.0, answers[:, 8], memory)
 

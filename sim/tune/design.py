@@ -8,7 +8,7 @@ What the law will do on the device as identified is predicted: its edge by poles
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from nodes.laws import CompiledLaw
@@ -34,7 +34,6 @@ class Wanted:
     radius: float = 0.99  # largest pole radius
     nyquist: float = 1e4  # largest |H(−1)| [N/m]
     land: bool = True  # whether every drop must settle too
-    effort: int = 1  # multiplies the search
     # By how much the device is lighter and heavier in other poses than in the one that it was identified in [kg], shape (2,).
     poses: tuple[float, float] = (0.0, 0.0)
 
@@ -78,23 +77,10 @@ def _beyond(found: Identified) -> tuple[tuple[float, float, float, float], ...]:
     )
 
 
-def to_record(asked: Demand) -> dict[str, Any]:
-    """Write a demand down, for a step that is run alone."""
-    return asdict(asked)
-
-
-def from_record(record: dict[str, Any]) -> Demand:
-    """Read a demand back: the inverse of `to_record`."""
-    beyond = tuple((float(a), float(b), float(c), float(d)) for a, b, c, d in record.get("beyond", ()))
-    pairs = {name: (float(record[name][0]), float(record[name][1])) for name in ("mass", "delay", "stiffness")}
-    lands = tuple((bool(raw), bool(clamp)) for raw, clamp in record["lands"])
-    return Demand(**{**record, **pairs, "lands": lands, "beyond": beyond})
-
-
 def design(found: Identified, wanted: Wanted) -> tuple[Tuned, Tuned, Demand]:
     """Design taps, and tune PD in the same way to compare: the better of the two, PD, and what both keep."""
     asked = demand(found, wanted)
-    law, pd = designed(asked, wanted.taps, wanted.effort), best_pd(asked)
+    law, pd = designed(asked, wanted.taps), best_pd(asked)
     if pd.found is not None and (law.found is None or pd.found.h1_n_per_m > law.found.h1_n_per_m):
         law = pd
     return law, pd, asked

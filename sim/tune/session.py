@@ -110,7 +110,7 @@ class Tuning:
         from sim.design.landing import drops
         from sim.identify.identified import refusal
         from sim.identify.identified_text import from_figures
-        from sim.tune.design import Wanted, design, to_record
+        from sim.tune.design import Wanted, design
 
         chosen, identified = self._options, self._need("identified")
         found = from_figures(identified)
@@ -141,7 +141,7 @@ class Tuning:
             "model_refuted": refused,
             "poses_kg": list(poses),
             "worst": list(law.found.worst[:2]),
-            "demand": to_record(asked),
+            "demand": asdict(asked),
         }
         self._write_law(self._designed, "NOT tried on the device: haptic tune --steps predict verify")
 
@@ -165,12 +165,13 @@ class Tuning:
 
     def _predict(self) -> None:
         from nodes.laws import CompiledLaw
+        from sim.design.demand import Demand
         from sim.identify.identified_text import from_figures
-        from sim.tune.design import from_record, predict
+        from sim.tune.design import predict
         from sim.tune.outcome import compared
 
         designed = self._need("designed")
-        found, asked = from_figures(self._need("identified")).anyway(), from_record(designed["demand"])
+        found, asked = from_figures(self._need("identified")).anyway(), msgspec.convert(designed["demand"], Demand)
         limits = self._need("limits")
         law = CompiledLaw(tuple(designed["taps_n_per_m"]))
         figures, edge, plan = predict(law, asked, found, limits["peak_n"], limits["slew_n"])

@@ -11,8 +11,8 @@ import pytest
 from nodes.arithmetic import deflection, fir, limit, one_sided, plane_distance, push, sections
 from nodes.laws import CompiledLaw
 from nodes.laws.pd import PD
-from sim.device.model import DeviceModel, Hand
-from sim.device.state import VirtualDevice
+from sim.device.model import DeviceModel, Hand, quantise
+from sim.device.state import VirtualDevice, device_tick
 from sim.scene.loop import PlannedSwap, Scene, SceneSurface, Trace, run
 from sim.scene.tick_loop import play_compiled
 
@@ -106,7 +106,7 @@ def test_bits_of_the_nodes_kernels_by_hand(name: str) -> None:
     flat = [c for section in law.sections for c in section]
     normal = here.surface.normal if here.surface.kind == "plane" else 0.0
     for k in range(200):
-        measured = device.measured()
+        measured = quantise(device.state.x, here.device.resolution)
         if here.surface.kind == "plane":
             distance = plane_distance(measured, here.surface.position, normal)
             contact = distance < 0.0
@@ -119,14 +119,14 @@ def test_bits_of_the_nodes_kernels_by_hand(name: str) -> None:
         if flat:
             asked += sections(flat, state, history[head], history[head + 1])
         force = limit(one_sided(asked, normal, asked * normal, contact, here.raw, here.clamp), force, here.peak, here.slew)
-        assert (device.position, measured, newest, force) == (
+        assert (device.state.x, measured, newest, force) == (
             trace.position[k],
             trace.measured[k],
             trace.deflection[k],
             trace.force[k],
         )
-        device.tick(force)
-    assert (device.position, device.velocity) == trace.final
+        device_tick(device.state, force)
+    assert (device.state.x, device.state.v) == trace.final
 
 
 def test_falls_as_a_parabola_and_lands_on_the_spring() -> None:

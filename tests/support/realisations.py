@@ -22,6 +22,14 @@ RECURSIVE = ("tustin_cfe", "al_alaoui_cfe", "oustaloup_tustin", "oustaloup_match
 LENGTH = {**dict.fromkeys(KINDS, 64), **dict.fromkeys(RECURSIVE, 11)}
 
 
+def apply(law: CompiledLaw, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Output of a law from rest, by scipy's filters rather than the loop's kernels."""
+    output: NDArray[np.float64] = np.asarray(lfilter(law.taps or (0.0,), [1.0], samples), dtype=np.float64)
+    for b0, b1, a1, a2 in law.sections:
+        output = output + lfilter([b0, b1], [1.0, a1, a2], samples)
+    return output
+
+
 def loop(law: CompiledLaw, samples: list[float]) -> list[float]:
     """Render as the coupling does: its own kernels over its own ring."""
     length = max(len(law.taps), 2)

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from sim.identify.counterfactual import Felt
     from sim.identify.recorded_scene import RecordedScene
 
-EXPLAINED = 1e-5
-"""A residual below this is explained even where the encoder is finer [m]."""
+EXPLAINED = 1e-5  # a residual below this is explained even where the encoder is finer [m]
 
 
 def add(parser: argparse.ArgumentParser) -> None:

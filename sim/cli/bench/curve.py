@@ -31,18 +31,16 @@ from messages.transport.sockets import Publisher, Subscription
 from messages.types import DeviceState, Force
 from nodes.base import realtime
 from nodes.base.setup import Scheduling, Setup
-from nodes.cli.main import add_json
 from nodes.cli.quantities import declare
 from nodes.launcher.child import PYTHON
 from nodes.recording.summary import quantile
-from sim.cli.answers import report
+from sim.cli.answers import add_answer, report
 from sim.measure.free_ports import free_ports
 
 if TYPE_CHECKING:
     from messages.transport.endpoints import Context
 
-PATIENCE_MS = 5000
-"""Longest wait for an answer [ms]."""
+PATIENCE_MS = 5000  # longest wait for an answer [ms]
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -50,8 +48,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     declare(parser, rate=500.0)
     parser.add_argument("--rounds", type=int, default=10, help="rounds of each kind (default: %(default)s)")
     parser.add_argument("--ticks", type=int, default=250, help="ticks of a round (default: %(default)s)")
-    add_json(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run, files=False)
 
 
 class _Loop:

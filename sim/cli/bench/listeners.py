@@ -10,12 +10,10 @@ import time
 from typing import Any
 
 from messages.topics import DEVICE_STATE
-from nodes.cli.main import add_json
 from nodes.cli.quantities import declare
 from nodes.recording.reader import Recording
-from nodes.recording.summary import quantile
-from sim.cli.answers import report
-from sim.measure.measured_launch import HAPTIC, Running, machine, wait_for
+from sim.cli.answers import add_answer, report
+from sim.measure.measured_launch import HAPTIC, Running, machine, responses_in, wait_for
 from sim.measure.stopwatch import Progress
 
 LISTENERS = 4
@@ -26,8 +24,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rounds", type=int, default=5, help="rounds of without and with (default 5)")
     parser.add_argument("--seconds", type=float, default=4.0, help="length of each half of a round (default 4 s)")
     declare(parser, rate=500.0)
-    add_json(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run, files=False)
 
 
 def _listen(launch: Running, count: int, label: str) -> list[subprocess.Popen[bytes]]:
@@ -50,21 +47,21 @@ def _listen(launch: Running, count: int, label: str) -> list[subprocess.Popen[by
 
 def measure(rounds: int, seconds: float, rate: float, progress: Progress) -> dict[str, Any]:
     """Run one launch and attach loggers in every second half of a round."""
-    halves: list[tuple[str, float, float]] = []
+    halves: dict[str, list[tuple[float, float]]] = {"without": [], "with": []}
     with Running("floor_drop", "duration:=0", f"rate:={rate}", "stiffness:=500") as launch:
         listeners: list[subprocess.Popen[bytes]] = []
         try:
             for i in range(rounds):
                 began = time.monotonic()
                 time.sleep(seconds)
-                halves.append(("without", began, time.monotonic()))
+                halves["without"].append((began, time.monotonic()))
                 progress.step("without listeners")
                 listeners = _listen(launch, LISTENERS, f"round{i}")
                 listeners[0].send_signal(signal.SIGSTOP)
                 listeners[1].kill()
                 began = time.monotonic()
                 time.sleep(seconds)
-                halves.append(("with", began, time.monotonic()))
+                halves["with"].append((began, time.monotonic()))
                 progress.step("with four, one stopped, one killed")
                 for listener in listeners:
                     listener.kill()
@@ -77,20 +74,15 @@ def measure(rounds: int, seconds: float, rate: float, progress: Progress) -> dic
         recording = Recording(launch.folder / figures["recording"])
         states = recording.messages(DEVICE_STATE)
         gaps = recording.topics[DEVICE_STATE].gaps - figures["overruns"]
-    quantiles: dict[str, list[tuple[float, float]]] = {"without": [], "with": []}
-    missed = dict.fromkeys(quantiles, 0)
-    for label, began, ended in halves:
-        part = [state for state in states if began <= state.stamp <= ended]
-        responses = sorted(state.response * 1e6 for state in part if state.response > 0.0)
-        quantiles[label].append((quantile(responses, 0.5), quantile(responses, 0.99)))
-        missed[label] += part[-1].missed - part[0].missed
-    (p50, quiet), (p50_busy, busy) = (tuple(zip(*quantiles[label], strict=True)) for label in ("without", "with"))
-    return {
-        "without_us": {"p50": statistics.median(p50), "p99": statistics.median(quiet)},
-        "with_us": {"p50": statistics.median(p50_busy), "p99": statistics.median(busy)},
+    found = {label: responses_in(states, spans) for label, spans in halves.items()}
+    quiet, busy = found["without"]["p99_us"], found["with"]["p99_us"]
+    middle = {
+        f"{label}_us": {name: statistics.median(one[f"{name}_us"]) for name in ("p50", "p99")} for label, one in found.items()
+    }
+    return middle | {
         "p99_ratio": statistics.median(with_ / without for with_, without in zip(busy, quiet, strict=True)),
         "spread_without": max(quiet) / min(quiet),
-        "missed": missed,
+        "missed": {label: one["missed"] for label, one in found.items()},
         "lost_by_own_logger": gaps,
     }
 

@@ -16,10 +16,9 @@ from typing import Any
 from messages.errors import UsageError
 from nodes.base.realtime import awake, quietest_processor
 from nodes.base.setup import Tick
-from nodes.cli.main import add_json
 from nodes.compiled.choose_tick import choose
 from nodes.launcher.launch_spec import AWAKE_RATE
-from sim.cli.answers import report
+from sim.cli.answers import add_answer, report
 from sim.measure import bare
 from sim.measure.bare import BARE, bare_loop, c_loop
 from sim.measure.measured_launch import fifo_granted, launch, machine
@@ -27,9 +26,9 @@ from sim.measure.stopwatch import Progress
 
 RATES = (500, 4000, 8000)
 
+# The compiled ticks of the loop.
 KERNELS = ("nodes.environment.kernel", "nodes.coupling.kernel", "nodes.driver.kernel", "sim.device.kernel")
-"""The compiled ticks of the loop."""
-
+# The loops compared; a bare one carries a logger when ours does.
 NAMES = {
     "compiled": "compiled",
     "plain": "plain",
@@ -37,10 +36,7 @@ NAMES = {
     "c": "bare C",
     **{f"{tick} {case}": f"{tick}, {label}" for case, label in bare.CASES.items() for tick in ("compiled", "plain")},
 }
-"""The loops compared; a bare one carries a logger when ours does."""
-
-Launches = Mapping[str, tuple[str, ...]]
-"""Arguments of each case, and of the ordinary launch, see sim/measure/bare.py."""
+Launches = Mapping[str, tuple[str, ...]]  # arguments of each case, and of the ordinary launch, see sim/measure/bare.py
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -64,8 +60,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="scenes in three axes against the floor at 500 Hz, in place of that: missed, response, the environment's time",
     )
     parser.add_argument("--finest", type=int, default=7, help="of --scenes: a ball of 20·4ⁿ triangles (default 7, 327 680)")
-    add_json(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run, files=False)
 
 
 def _loops(tick: Tick, launches: Launches) -> dict[str, Callable[[int, str, bool], float]]:

@@ -6,8 +6,7 @@ import argparse
 import statistics
 from typing import Any
 
-from nodes.cli.main import add_json
-from sim.cli.answers import report
+from sim.cli.answers import add_answer, report
 from sim.measure.measured_launch import launch, machine
 from sim.measure.stopwatch import Progress
 
@@ -18,8 +17,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("--rounds", type=int, default=5, help="rounds of with and without (default 5)")
     parser.add_argument("--seconds", type=float, default=4.0, help="length of each launch (default 4 s)")
-    add_json(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run, files=False)
 
 
 def measure(rounds: int, seconds: float, progress: Progress) -> dict[str, Any]:

@@ -5,16 +5,14 @@ from __future__ import annotations
 import argparse
 
 from messages.errors import UsageError
-from nodes.cli.main import add_json
-from sim.cli.answers import report
+from sim.cli.answers import add_answer, report
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("--rounds", type=int, default=101, help="interleaved rounds (default: %(default)s)")
     parser.add_argument("--ticks", type=int, default=2500, help="length of a run (default: %(default)s)")
-    add_json(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run, files=False)
 
 
 def run(arguments: argparse.Namespace) -> int:

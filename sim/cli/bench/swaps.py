@@ -17,22 +17,16 @@ from typing import Any
 from messages.topics import DEVICE_STATE, FORCE, RECEIPT
 from messages.transport.requests import ControlError
 from messages.types import DeviceState, Receipt
-from nodes.cli.main import add_json
 from nodes.cli.quantities import declare
 from nodes.recording.reader import Recording
 from nodes.recording.summary import quantile
-from sim.cli.answers import report
+from sim.cli.answers import add_answer, report
 from sim.measure.measured_launch import Running, machine
 
 LAWS = ("pd", "pd_alpha", "multi_term")
-SETTLED = 2500
-"""Ticks until the drop has come to rest to the last bit that matters."""
-
-MEMORY = 12
-"""Ticks that the longest of the laws looks back, and some more."""
-
-STILL = 1e-17
-"""Positions that differ by no more are at rest [m]: some fifty units of the last place of 1 mm."""
+SETTLED = 2500  # ticks until the drop has come to rest to the last bit that matters
+MEMORY = 12  # ticks that the longest of the laws looks back, and some more
+STILL = 1e-17  # positions that differ by no more are at rest [m]: some fifty units of the last place of 1 mm
 
 
 @dataclass
@@ -62,8 +56,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--duration", type=float, default=60.0, help="time for all [s], half of it idle (default %(default)s)")
     declare(parser, rate=500.0)
     parser.add_argument("--blocks", type=int, default=20, help="busy blocks, each with an idle one (default %(default)s)")
-    add_json(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run, files=False)
 
 
 def _ask_all(ask: Callable[..., Any], swaps: int, sets: int, blocks: int, duration: float) -> Asked:

@@ -21,28 +21,24 @@ from messages.errors import UsageError
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from messages.types import DeviceState, Force, Message, Proxy
 from nodes.base.realtime import memory_bytes, off
-from nodes.cli.main import add_json
 from nodes.cli.quantities import declare
 from nodes.recording.reader import Recording
-from nodes.recording.summary import quantile
 from nodes.view.live import Facts, LiveRun
-from sim.cli.answers import report
-from sim.measure.measured_launch import HAPTIC, Running, machine
+from sim.cli.answers import add_answer, report
+from sim.measure.measured_launch import HAPTIC, Running, machine, responses_in
 from sim.measure.page_pictures import take
 from sim.measure.stopwatch import Progress
 
 BROWSER = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync"]
 
-COMPILED = 180.0
-"""How long another law may take until it is played beside the launch [s]."""
-
+COMPILED = 180.0  # how long another law may take until it is played beside the launch [s]
+# In the page: when, since the browser set out for it, its scene, plots and laws are there [ms].
 FIRST = """function look() {
   if (document.body?.dataset.bins > 0 && document.querySelector("#laws input")) window.shown = performance.now();
   else requestAnimationFrame(look);
 }
 look();"""
-"""In the page: when, since the browser set out for it, its scene, plots and laws are there [ms]."""
-
+# In the page: choose a law, and wait until its receipt stands in the log [ms].
 SWITCH = """name => new Promise((done) => {
   const begun = performance.now(), before = document.querySelectorAll("#log li.receipt").length;
   new MutationObserver((_, observer) => {
@@ -52,7 +48,6 @@ SWITCH = """name => new Promise((done) => {
   }).observe(document.getElementById("log"), { childList: true });
   document.querySelector(`#laws input[value=${name}]`).click();
 })"""
-"""In the page: choose a law, and wait until its receipt stands in the log [ms]."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -65,8 +60,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--pictures", type=Path, metavar="FOLDER", help="take those of the project's pages instead of measuring (PNG)"
     )
     parser.add_argument("--minutes", type=float, default=30.0, help="of ticks for the memory (default 30)")
-    add_json(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run, files=False)
 
 
 def _drag(page: Any, seconds: float, picture: Path | None = None) -> None:
@@ -137,17 +131,7 @@ def loop_cost(rounds: int, seconds: float, rate: float, progress: Progress, pict
         states = recording.messages(DEVICE_STATE)
         lost = recording.topics[DEVICE_STATE].gaps - figures["overruns"]
     found: dict[str, Any] = {"rate_hz": rate, "lost": lost}
-    for label, spans in halves.items():
-        p50, p99, missed, ticks = [], [], 0, 0
-        for began, ended in spans:
-            part = [state for state in states if began <= state.stamp <= ended]
-            responses = sorted(state.response * 1e6 for state in part if state.response > 0.0)
-            p50.append(quantile(responses, 0.5))
-            p99.append(quantile(responses, 0.99))
-            missed += part[-1].missed - part[0].missed
-            ticks += len(part)
-        found[label] = {"p50_us": p50, "p99_us": p99, "missed": missed, "ticks": ticks}
-    without, with_ = found["without"], found["with"]
+    without, with_ = (found.setdefault(label, responses_in(states, halves[label])) for label in ("without", "with"))
     for name in ("p50", "p99"):
         pairs = zip(with_[f"{name}_us"], without[f"{name}_us"], strict=True)
         found[f"{name}_ratio"] = statistics.median(a / b for a, b in pairs)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from messages.errors import UsageError
 from sim.cli.answers import add_answer, report
 from sim.cli.sweeps import add_spread, spread
-from sim.measure.jobs import Runner, call
+from sim.measure.jobs import Runner
 from sim.results import fresh
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     diary = arguments.out / ("chart.quick.part" if arguments.quick else "chart.part")
 
     def beside(jobs: list[Callable[[], Any]], step: Callable[[str, int], None]) -> list[Any]:
-        return spread(arguments, call, jobs, step=step)
+        return spread(arguments, jobs, step=step)
 
     groups, failures = _measured(parts, arguments.quick, diary, beside)
     seconds, where = time.monotonic() - start, machine()

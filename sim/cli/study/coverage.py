@@ -14,8 +14,7 @@ from sim.cli.answers import add_answer, given, report
 from sim.cli.sweeps import add_sweep, swept
 from sim.results import fresh
 
-WANTED = 0.90
-"""Least coverage of a 95 % interval that counts as kept."""
+WANTED = 0.90  # least coverage of a 95 % interval that counts as kept
 
 
 def add(parser: argparse.ArgumentParser) -> None:

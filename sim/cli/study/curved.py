@@ -17,7 +17,6 @@ from nodes.laws.pd_alpha import PDAlpha
 from nodes.recording import figure_style as style
 from sim.cli.answers import add_answer, report
 from sim.cli.sweeps import add_spread, spread
-from sim.measure.jobs import call
 from sim.results import fresh
 
 if TYPE_CHECKING:
@@ -64,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
     lines += ["", f"K_max of a contact that slides over a sphere of 35 mm; in one axis {one_axis:.5g} N/m"]
     edges: list[dict[str, Any]] = []
     ways = [(speed, frame) for speed in slides for frame in FRAMES]
-    limits = spread(arguments, call, [partial(sliding_k_max, launch, speed, frame) for speed, frame in ways])
+    limits = spread(arguments, [partial(sliding_k_max, launch, speed, frame) for speed, frame in ways])
     for (speed, frame), edge in zip(ways, limits, strict=True):
         row: dict[str, Any] = {"speed_m_per_s": speed, "frame": frame, "k_max_n_per_m": edge, "over": edge / one_axis}
         text = f"at {speed:g} m/s, {frame:8}{edge:10.5g} N/m, {edge / one_axis:.4f} of it"

@@ -32,11 +32,9 @@ from sim.design.landing import best_pd_windowed, drops
 from sim.design.passive import Passive, stiffest_passive
 from sim.design.recorded_loop import Measured, replayed_radius
 from sim.experiments.terms import RESOLUTION
-from sim.measure.jobs import call
 from sim.results import fresh
 
-_REPLAYED = 2000
-"""Ticks of a recording that are replayed; a decay of 0.99 per tick is down to rounding by then."""
+_REPLAYED = 2000  # ticks of a recording that are replayed; a decay of 0.99 per tick is down to rounding by then
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -294,7 +292,7 @@ def _compare(arguments: argparse.Namespace, demand: Demand) -> int:
     rows, lines = [], []
     cases = [replace(demand, delay=(delay, delay + margin)) for margin in arguments.margins for delay in arguments.delays]
     jobs = [partial(_tuned, case, arguments.taps, arguments.resolution or RESOLUTION) for case in cases]
-    done = spread(arguments, call, jobs)
+    done = spread(arguments, jobs)
     for case, (laws, windowed) in zip(cases, done, strict=True):
         lines += [_describe(case), *(f"  {_line(law)}" for law in laws)]
         rows.append(_verdict(case, laws, lines) | {"pd_windowed": windowed})

@@ -11,7 +11,7 @@ from typing import Any
 
 from messages.errors import UsageError
 from nodes.cli.quantities import Interval, declare, not_negative
-from nodes.laws.parse import LawRefusedError, parse_law
+from nodes.laws.parse import parse_law
 from nodes.recording.figure_style import COLOURS, INK, MARKERS, new_figure, save_figure, styled, threshold
 from nodes.recording.writer import RecordError
 from nodes.stability.k_max import edge_of, k_max, without_spring
@@ -19,8 +19,8 @@ from nodes.stability.plant import Plant
 from sim.cli import arguments as shared
 from sim.cli.answers import add_answer, report
 from sim.cli.sweeps import add_spread, spread
-from sim.measure.jobs import call
 
+# The laws that are compared.
 LAWS: dict[str, dict[str, Any]] = {
     "pd": {"kind": "pd", "stiffness": 1.0},
     "pd_filtered 100 Hz": {"kind": "pd_filtered", "stiffness": 1.0, "cutoff": 100.0},
@@ -28,7 +28,6 @@ LAWS: dict[str, dict[str, Any]] = {
     "pd_alpha 1.5": {"kind": "pd_alpha", "stiffness": 1.0, "order": 1.5, "taps": 4, "gains": "paper"},
     "paper_optimum": {"kind": "paper_optimum"},
 }
-"""The laws that are compared."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -63,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--gain {low:g}..{high:g} --points {arguments.points}: needs 0 < LOW < HIGH and 2 points")
     device, period = shared.device(arguments), 1.0 / arguments.rate
     gains = [low * (high / low) ** (i / (arguments.points - 1)) for i in range(arguments.points)]
-    found = spread(arguments, call, [partial(_ring, name, gain, device) for name in LAWS for gain in gains], 4)
+    found = spread(arguments, [partial(_ring, name, gain, device) for name in LAWS for gain in gains], 4)
     rows = [row for row in found if row is not None]
     if not rows:
         raise UsageError(f"--gain {low:g}..{high:g}: no law rings at a limit here; take lower gains")
@@ -94,7 +93,7 @@ def _drops(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--drops {arguments.drops}: between 1 and 100000")
     named = [list(LAWS)[number % len(LAWS)] for number in range(arguments.drops)]
     jobs = [partial(dropped, number, name, LAWS[name], 1.0 / arguments.rate) for number, name in enumerate(named)]
-    rows = spread(arguments, call, jobs)
+    rows = spread(arguments, jobs)
     laws = {name: counted([row for row in rows if row["law"] == name]) for name in LAWS}
     lines = [f"{'law':20} {'drops':>6} {'told':>6} {'hold K_max':>11} {'worst miss':>11} {'median width':>13}"]
     for name, one in {**laws, "all": counted(rows)}.items():
@@ -113,7 +112,7 @@ def _predict(arguments: argparse.Namespace) -> int:
         swing = recorded_swing(arguments.recording, arguments.device_damping)
     except CannotTellError as error:
         return report(arguments, {"k_max_n_per_m": None, "why": str(error)}, f"cannot tell: {error}", held=False)
-    except (RecordError, LawRefusedError, ValueError, OSError) as error:
+    except (RecordError, ValueError, OSError) as error:
         raise UsageError(str(error)) from error
     low, high = swing.k_max_n_per_m
     mass, damping, k = swing.mass_kg, swing.damping_n_s_per_m, swing.stiffness_n_per_m

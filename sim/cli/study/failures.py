@@ -7,11 +7,9 @@ from dataclasses import asdict
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from nodes.cli.main import answer
 from nodes.recording.figure_style import COLOURS, GREY, new_figure, styled, threshold
-from sim.cli.answers import add_answer
+from sim.cli.answers import add_answer, report
 from sim.cli.sweeps import add_spread, spread
-from sim.measure.jobs import call
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,7 +31,7 @@ def run(arguments: argparse.Namespace) -> int:
     cases, steps = boundaries(), (2, 3, 4, 5, 7, 10, 20, 50)
     jobs: list[partial[Any]] = [partial(both_sides, case) for case in cases]
     jobs += [partial(traps), *(partial(euler_bias, n) for n in steps)]
-    done = spread(arguments, call, jobs)
+    done = spread(arguments, jobs)
     found: list[FailureEdge] = [edge for edge in done[: len(cases)] if edge is not None]
     claims = done[len(cases)]
     bias = dict(zip(steps, done[len(cases) + 1 :], strict=True))
@@ -50,8 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
             f"{edge.name:64.64} {edge.stiffness:9.1f}  {edge.inside - 1.0:+.1e} / {edge.outside - 1.0:+.1e}"
             f"        {simulated}{'' if edge.agreed else '   DISAGREE'}"
         )
-    answer(arguments.json, saved, "\n".join(lines) + f"\n\n{table(claims)}\n{saved['plot']}")
-    return 0 if all(edge.agreed for edge in found) else 1
+    return report(arguments, saved, [*lines, "", table(claims), saved["plot"]], held=all(edge.agreed for edge in found))
 
 
 @styled

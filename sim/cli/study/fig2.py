@@ -5,10 +5,9 @@ from __future__ import annotations
 import argparse
 
 from messages.errors import UsageError
-from nodes.cli.main import answer
 from nodes.cli.quantities import declare
 from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, OMEGA, new_figure, styled
-from sim.cli.answers import add_answer
+from sim.cli.answers import add_answer, report
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -46,5 +45,4 @@ def run(arguments: argparse.Namespace) -> int:
     figures = {"taps": arguments.taps, "frequency_nyquist": share.tolist(), "curves": curves}
     saved = save("fig2", figures, claims, figure, arguments.out)
     head = f"figure 2: f of one term, f(ω_N) = 1; {arguments.taps} taps (the paper prints no n), and unlimited memory"
-    answer(arguments.json, saved, f"{head}\n{table(claims)}\n{saved['plot']}\n{saved['data']}")
-    return 0
+    return report(arguments, saved, [head, table(claims), saved["plot"], saved["data"]])

@@ -5,10 +5,9 @@ from __future__ import annotations
 import argparse
 
 from messages.errors import UsageError
-from nodes.cli.main import answer
 from nodes.cli.quantities import declare
 from nodes.recording.figure_style import COLOURS, GREY, OMEGA, label_ends, new_figure, styled
-from sim.cli.answers import add_answer
+from sim.cli.answers import add_answer, report
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -39,10 +38,8 @@ def run(arguments: argparse.Namespace) -> int:
     axes.set_title(f"f of the paper's optimum, {arguments.taps} taps per term")
     axes.set_xlim(0.0, 1.0)
     label_ends(axes)
-    named = {"optimum": curves["optimum"], "pd": curves["pd"], "terms": curves["terms"]}
     figures = {"taps": arguments.taps, "frequency_nyquist": share.tolist()}
-    figures |= {f"f_{name}": curve.tolist() for name, curve in named.items()}
+    figures |= {f"f_{name}": curves[name].tolist() for name in ("optimum", "pd", "terms")}
     saved = save("fig3", figures, claims, figure, arguments.out)
     head = f"figure 3: f of the paper's optimum beside PD, {arguments.taps} taps per term; seconds as at {arguments.rate:g} Hz"
-    answer(arguments.json, saved, f"{head}\n{table(claims)}\n{saved['plot']}\n{saved['data']}")
-    return 0
+    return report(arguments, saved, [head, table(claims), saved["plot"], saved["data"]])

@@ -6,10 +6,9 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from messages.errors import UsageError
-from nodes.cli.main import answer
 from nodes.cli.quantities import Interval, declare, not_negative, positive
 from nodes.recording.figure_style import COLOURS, GREY, MARKERS, new_figure, styled, threshold
-from sim.cli.answers import add_answer
+from sim.cli.answers import add_answer, report
 from sim.cli.sweeps import add_sweep, begun, executor
 from sim.measure.jobs import SweepRow, read_ledger, sweep
 
@@ -86,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
         f"figure 4: drop of {setting.mass:g} kg, {setting.damping:g} N s/m, {arguments.rate:g} Hz, {arguments.points} gains B "
         f"of {setting.gains[0]:g} to {setting.gains[-1]:g} N s/m, {setting.criterion.ticks} ticks"
     )
-    answer(arguments.json, saved, f"{head}\n{text}\n{saved['plot']}\n{saved['data']}")
+    report(arguments, saved, [head, text, saved["plot"], saved["data"]])
     return 0 if complete else 130
 
 

@@ -10,18 +10,14 @@ from typing import Any
 
 from messages.errors import UsageError
 from nodes.cli.quantities import declare, not_negative, positive
-from nodes.driver.passivity import PassivityParameters
-from nodes.laws.pd import PD
 from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, new_figure, save_figure, styled, threshold
 from sim.cli.answers import add_answer, report
 from sim.cli.sweeps import add_spread, spread
 from sim.device.model import DeviceModel
 from sim.experiments.guarded_drop import Drop, compare
-from sim.measure.jobs import call
 from sim.results import fresh
 
-LEAST = 1e-6
-"""Where what is less is drawn, in mJ and mm: a nanojoule, a nanometre."""
+LEAST = 1e-6  # where what is less is drawn, in mJ and mm: a nanojoule, a nanometre
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -46,14 +42,11 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(
             f"--low {arguments.low:g} --high {arguments.high:g} --points {arguments.points}: expected a range and 2 points"
         )
-    period = 1.0 / arguments.rate
     ratio = (arguments.high / arguments.low) ** (1.0 / (arguments.points - 1))
     walls = [arguments.low * ratio**i for i in range(arguments.points)]
     device = DeviceModel(mass=arguments.mass, damping=arguments.damping, gravity=9.81, position=arguments.height)
-    guard, ticks = PassivityParameters(damping=arguments.guard_damping), round(arguments.duration * arguments.rate)
-    laws = [{wall: PD(stiffness=wall, damping=arguments.gain).compile(period)} for wall in walls]
-    jobs = [partial(compare, device, law, period, guard, arguments.next_tick, ticks) for law in laws]
-    found = spread(arguments, call, jobs)
+    told = (1.0 / arguments.rate, arguments.guard_damping, arguments.next_tick, round(arguments.duration * arguments.rate))
+    found = spread(arguments, [partial(compare, device, wall, arguments.gain, *told) for wall in walls])
     drops = [drop for pair in found for drop in pair]
     lines = [
         "            ----- without the guard -----   ------ with the guard -------",

@@ -6,9 +6,8 @@ import argparse
 from pathlib import Path
 
 from messages.errors import RefusedError, UsageError
-from nodes.cli.main import add_json
 from nodes.recording.writer import RecordError
-from sim.cli.answers import report
+from sim.cli.answers import add_answer, report
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -19,8 +18,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     hand.add_argument("--held", dest="held", action="store_true", default=None, help="a hand held the device")
     hand.add_argument("--free", dest="held", action="store_false", help="no hand did (default: finds out)")
     parser.add_argument("--window", type=int, default=100, help="length of a window [ticks] (default: %(default)s)")
-    add_json(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run, files=False)
 
 
 def run(arguments: argparse.Namespace) -> int:

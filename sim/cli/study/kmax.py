@@ -20,7 +20,6 @@ from sim.cli import arguments as shared
 from sim.cli.answers import add_answer, given, report
 from sim.cli.sweeps import add_spread, spread
 from sim.device.model import DeviceModel, Hand
-from sim.measure.jobs import call
 from sim.results import fresh
 
 if TYPE_CHECKING:
@@ -188,7 +187,7 @@ def _boundary(arguments: argparse.Namespace, device: Plant) -> int:
         raise UsageError(f"--points {arguments.points}: a range needs at least 2")
     gains = [low + (high - low) * i / (arguments.points - 1) for i in range(arguments.points)]
     laws = [shared.law(arguments, arguments.law, gain) for gain in gains]
-    found = spread(arguments, call, [partial(_found, _method(arguments), law, device) for law in laws])
+    found = spread(arguments, [partial(_found, _method(arguments), law, device) for law in laws])
     points = [{"gain": gain, **_figures(one)} for gain, one in zip(gains, found, strict=True)]
     stable = [point for point in points if point["k_max_n_per_m"] is not None]
     if not stable:

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from sim.experiments.needs import Needs
     from sim.scene.from_launch import LaunchedScene
 
-_ROUNDING = 1e-15
-"""Positions are a few centimetres in double precision [m]."""
+_ROUNDING = 1e-15  # positions are a few centimetres in double precision [m]
 
 
 def add(parser: argparse.ArgumentParser) -> None:

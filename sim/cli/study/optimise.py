@@ -14,13 +14,11 @@ from messages.errors import UsageError
 from nodes.cli.quantities import declare, interval, positive
 from nodes.laws import CompiledLaw
 from nodes.laws.multi_term import MultiTerm, Term
-from nodes.laws.presets import PRESETS
 from nodes.recording.figure_style import COLOURS, LINES, OMEGA, new_figure, save_figure, styled
 from nodes.stability.k_max import k_max, without_spring
 from sim.cli import arguments as shared
 from sim.cli.answers import add_answer, report
 from sim.cli.sweeps import add_spread, spread
-from sim.measure.jobs import call
 from sim.paper.descent import (
     Descent,
     Shaping,
@@ -33,6 +31,7 @@ from sim.paper.descent import (
     starting,
     steepest_descent,
 )
+from sim.paper.fig2_fig3 import optimum_terms
 from sim.results import fresh
 
 OUTCOMES = ("converged", "slow", "out_of_range", "diverged")
@@ -71,28 +70,23 @@ def run(arguments: argparse.Namespace) -> int:
         for orders in starts
     ]
     try:
-        done = spread(arguments, call, jobs)
+        done = spread(arguments, jobs)
     except ValueError as error:
         raise UsageError(str(error)) from error
     count = len(bounds)
     runs = done[2 * count :]
     descents = {rate: runs[i * len(starts) :][: len(starts)] for i, rate in enumerate(arguments.rates)}
-    paper = measured(*_paper_terms(), arguments.band, 4)
+    paper = measured(*optimum_terms(), arguments.band, 4)
     rows = [_row("paper_optimum", None, paper, arguments)] if arguments.terms == 2 else []
     for bound, (optimum, programmes), (taps, least) in zip(bounds, done[:count], done[count : 2 * count], strict=True):
         rows.append(_row("best orders", bound, optimum, arguments) | {"programmes": programmes})
         rows.append(_free_row(bound, taps, least, arguments))
     figures = {
         "descent": [{"rate": rate, **_counts(runs)} for rate, runs in descents.items()],
-        "paper_cost": cost(*_paper_terms(), targets, 4),
+        "paper_cost": cost(*optimum_terms(), targets, 4),
         "shapes": rows,
     }
     return report(arguments, figures, _text(figures), plot=_draw(arguments, descents, rows))
-
-
-def _paper_terms() -> tuple[np.ndarray[Any, np.dtype[np.float64]], np.ndarray[Any, np.dtype[np.float64]]]:
-    terms = PRESETS["paper_optimum"]["terms"]
-    return np.array([term["gain"] for term in terms]), np.array([term["order"] for term in terms])
 
 
 def _row(name: str, bound: float | None, shape: Shaping, arguments: argparse.Namespace) -> dict[str, Any]:

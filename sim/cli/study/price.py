@@ -17,8 +17,7 @@ from sim.cli.answers import add_answer, given, report
 from sim.cli.sweeps import add_sweep, swept
 from sim.results import fresh
 
-KNOWN = (0.0, 5.0, 20.0, 50.0)
-"""How far the frequency of the joint may be off in either direction [%]."""
+KNOWN = (0.0, 5.0, 20.0, 50.0)  # how far the frequency of the joint may be off in either direction [%]
 
 
 def add(parser: argparse.ArgumentParser) -> None:

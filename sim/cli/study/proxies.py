@@ -8,11 +8,9 @@ from functools import partial
 from typing import Any
 
 from messages.errors import UsageError
-from nodes.cli.main import add_json
 from nodes.cli.quantities import declare, not_negative, positive
-from sim.cli.answers import report
+from sim.cli.answers import add_answer, report
 from sim.cli.sweeps import add_spread, spread
-from sim.measure.jobs import call
 
 _MOST = 7
 
@@ -28,8 +26,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--steps", type=int, default=1_000_000, help="random steps through the plate (default: 1000000)")
     parser.add_argument("--seed", type=int, default=0, help="of the random steps (default: 0)")
     add_spread(parser)
-    add_json(parser)
-    parser.set_defaults(run=run)
+    add_answer(parser, run, files=False)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -48,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     # The finest mesh takes longest, and goes first; times are of this machine, wherever the rest was worked out.
     jobs: list[partial[Any]] = [partial(compared, way, arguments.stiffness) for way in reversed(ways)]
     jobs.append(partial(wrong_sides, arguments.steps, step, arguments.seed, arguments.tool))
-    *rows, (wrong, aside) = spread(arguments, call, jobs)
+    *rows, (wrong, aside) = spread(arguments, jobs)
     found = [timed(row, way) for row, way in zip(reversed(rows), ways, strict=True)]
     lines = [
         f"{'':28}{'force error [mN]':>24}{'':>12}{'proxy [µm] off':>24}{'drag':>10}{'µs a call':>18}",

@@ -19,10 +19,8 @@ from sim.cli.sweeps import add_sweep, swept
 from sim.results import fresh
 
 ORDERS = (0.3, 0.5, 0.7, 0.9, 1.0)
-RELAXATIONS = (0.5, 1.0, 2.0, 4.0)
-"""Relaxation times that are tried, in ticks."""
-SERVO = 4
-"""Ticks of the servo in one of the loop, where two rates apply."""
+RELAXATIONS = (0.5, 1.0, 2.0, 4.0)  # relaxation times that are tried, in ticks
+SERVO = 4  # ticks of the servo in one of the loop, where two rates apply
 FAMILIES = ("pd", "Kelvin-Voigt", "Maxwell", "standard linear solid", "passive FIR", "two rates", "designed")
 
 

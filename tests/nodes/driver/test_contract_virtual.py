@@ -146,7 +146,7 @@ def test_a_read_that_blocks_holds_up_nobody(virtual: VirtualBench) -> None:
     # So many ticks have passed when it comes back.
     virtual.device.read_position(round(0.1 / PERIOD))
     assert not any(virtual.acting())
-    moved = [part.velocity for part in virtual.sim.parts]
+    moved = [part.state.v for part in virtual.sim.parts]
     # It was pushed for its hold, and not longer: F/m t.
     assert moved == pytest.approx([1.0 / 0.1 * (HELD + 1) * PERIOD] * len(moved), rel=2.0 / HELD)
 

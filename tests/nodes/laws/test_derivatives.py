@@ -20,10 +20,10 @@ from nodes.laws.derivatives.gl import coefficients
 from nodes.laws.parse import compile_law, parse_law
 from nodes.stability.closed_loop import pole_radius, state_matrix
 from nodes.stability.plant import Plant
-from sim.chart.derivative_errors import apply, largest_pole, lengths_taken
+from sim.chart.derivative_errors import largest_pole, lengths_taken
 from sim.device.model import DeviceModel
 from sim.scene.loop import Scene, SceneSurface, run
-from tests.support.realisations import BDF, EPS, KINDS, LENGTH, RECURSIVE, T, at, loop, size, ticks
+from tests.support.realisations import BDF, EPS, KINDS, LENGTH, RECURSIVE, T, apply, at, loop, size, ticks
 
 CASES = [
     pytest.param(kind, order, id=f"{kind}-{order}")

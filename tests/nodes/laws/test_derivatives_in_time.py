@@ -11,8 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from nodes.laws.derivatives import realise
-from sim.chart.derivative_errors import apply
-from tests.support.realisations import BDF, KINDS, ticks
+from tests.support.realisations import BDF, KINDS, apply, ticks
 
 # --- time domain: Riemann-Liouville, lower terminal 0 ---------------------------------------------------------------
 

@@ -12,8 +12,8 @@ import pytest
 from nodes.laws.derivatives import realise
 from nodes.laws.derivatives.bdf import lubich
 from nodes.laws.derivatives.cfe import whole_order
-from sim.chart.derivative_errors import analyse, apply, largest_pole
-from tests.support.realisations import BDF, EPS, LENGTH, RECURSIVE, T, at, size
+from sim.chart.derivative_errors import analyse, largest_pole
+from tests.support.realisations import BDF, EPS, LENGTH, RECURSIVE, T, apply, at, size
 
 # --- leaks and start-up ----------------------------------------------------------------------------------------------
 
@@ -48,7 +48,7 @@ def test_integer_part_split_off_leaves_no_leak(kind: str) -> None:
 
 def test_leak_correction_pays_above_order_one_and_costs_below() -> None:
     def error(kind: str, order: float, taps: int) -> float:
-        return analyse(kind, order, taps, T).error()
+        return analyse(kind, order, taps, T)["error_aligned"]
 
     for taps in (4, 8, 16, 50):
         assert error("gl_leak_corrected", 1.5, taps) < error("gl", 1.5, taps)
@@ -115,7 +115,7 @@ def test_accuracy_near_nyquist_is_paid_with_gain_there(order: float) -> None:
     for degree, figure in zip(range(1, 7), figures, strict=True):
         exact = (sum(2.0**j / j for j in range(1, degree + 1)) / 2.0) ** order
         # Cut after 2000 taps: |c_n|/2 more or less.
-        assert figure.nyquist == pytest.approx(exact, rel=1e-3)
+        assert figure["nyquist_gain"] == pytest.approx(exact, rel=1e-3)
 
 
 def test_bdf7_would_grow_without_bound() -> None:

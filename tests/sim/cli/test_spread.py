@@ -22,7 +22,6 @@ import sim.cli.study
 from messages.errors import RefusedError, UsageError
 from nodes.cli.main import main
 from sim.cli.sweeps import add_spread, executor, spread
-from sim.measure.jobs import call
 from tests.support import ROOT
 from tests.support.dask_cluster import DaskCluster, dask_cluster, own_address
 from tests.support.launching import wait_for
@@ -161,7 +160,7 @@ def test_a_worker_that_is_killed_and_one_that_joins_change_nothing(
 
     jobs = [partial(marked, str(tmp_path), number) for number in range(6)]
     with ThreadPoolExecutor(1) as beside:
-        result = beside.submit(spread, arguments(*cluster.options()), call, jobs)
+        result = beside.submit(spread, arguments(*cluster.options()), jobs)
         wait_for(lambda: len(busy()) == 2, "both workers to be at work", 120.0)
         lost = next(worker for worker in cluster.workers if worker.pid in busy())
         lost.send_signal(signal.SIGKILL)
@@ -182,13 +181,13 @@ def test_a_worker_of_another_version_is_refused(tmp_path: Path) -> None:
         found.add_worker(root=other)
         wait_for(lambda: answers(found), "the scheduler", 120.0)
         with pytest.raises(RefusedError, match=r"another version of haptic-nodes in .*other.*install the same"):
-            spread(arguments(*found.options()), call, [partial(pow, 2, 3)])
+            spread(arguments(*found.options()), [partial(pow, 2, 3)])
 
 
 def test_a_scheduler_that_dies_is_told(tmp_path: Path) -> None:
     with dask_cluster(tmp_path, workers=1) as found, ThreadPoolExecutor(1) as beside:
         wait_for(lambda: answers(found), "the scheduler", 120.0)
-        result = beside.submit(spread, arguments(*found.options()), call, [partial(marked, str(tmp_path), 1)])
+        result = beside.submit(spread, arguments(*found.options()), [partial(marked, str(tmp_path), 1)])
         wait_for(lambda: any(tmp_path.glob("1-*")), "the job to begin", 120.0)
         found.scheduler.kill()
         (tmp_path / "go").touch()
@@ -201,4 +200,4 @@ def test_an_address_of_this_machine_that_others_reach_needs_tls() -> None:
     if host == "127.0.0.1":
         pytest.skip("this machine has no other address than loopback")
     with pytest.raises(UsageError, match=rf"TLS is required: tls://{host}:8786 with --tls-ca-file"):
-        spread(arguments("--cluster", f"tcp://{host}:8786"), call, [])
+        spread(arguments("--cluster", f"tcp://{host}:8786"), [])

@@ -10,7 +10,7 @@ from nodes.base.setup import Setup
 from nodes.parameters.store import ParameterError
 from sim.device.driver import SimDevice, SimDriver, along
 from sim.device.model import DeviceModel
-from sim.device.state import VirtualDevice
+from sim.device.state import VirtualDevice, device_tick, measured
 
 PERIOD = 0.002
 HAND = {"stiffness": 150.0, "mass": 0.05, "damping": 2.0, "path": [(0.0, 0.0), (0.1, 0.02)]}
@@ -50,11 +50,11 @@ def test_each_axis_moves_as_a_device_of_its_own() -> None:
     }
     parts = [VirtualDevice(device, PERIOD) for device in alone.values()]
     for seq in range(100):
-        assert whole.read_position(seq) == tuple(part.measured() for part in parts)
+        assert whole.read_position(seq) == tuple(measured(part.state) for part in parts)
         force = (0.1, -0.2, 1.0 if seq % 7 else -0.5)
         whole.write_force(force, seq, 0.0)
         for part, value in zip(parts, force, strict=True):
-            part.tick(value)
+            device_tick(part.state, value)
     assert len(set(whole.read_position(100))) == 3
 
 

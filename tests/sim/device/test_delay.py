@@ -23,7 +23,7 @@ def test_forces_under_way_arrive_as_they_would_have_and_none_overtakes() -> None
     speeds = []
     for seq in range(9):
         device.read_position(seq)
-        speeds.append(device.parts[0].velocity)
+        speeds.append(device.parts[0].state.v)
         if seq == 2:
             device.delay_by(0.0)
         # 1 N until then, 2 N from then on.

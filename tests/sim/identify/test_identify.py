@@ -83,7 +83,7 @@ def test_forces_count_from_the_instant_they_take_effect() -> None:
     offsets, forces = rng.uniform(0.0, 1.0, 300), rng.normal(0.0, 1.0, 300)
     positions, acting = [], 0.0
     for offset, force in zip(offsets.tolist(), forces.tolist(), strict=True):
-        positions.append(device.position)
+        positions.append(device.state.x)
         device_part(device.state, acting, offset * T)
         device_part(device.state, force, (1.0 - offset) * T)
         acting = force
@@ -110,13 +110,14 @@ def test_a_window_stuck_by_friction_stays() -> None:
 def test_encoder_step_is_read_off_the_grid(step: float) -> None:
     counts = np.random.default_rng(1).integers(-500, 500, 2000)
     found = encoder(np.asarray(counts * step + 0.0123, dtype=np.float64))
-    assert found.step == pytest.approx(step, rel=1e-12)
-    assert found.error < 1e-9 * step
+    value, low, high = found.known()
+    assert value == pytest.approx(step, rel=1e-12)
+    assert 0.0 < 0.5 * (high - low) < 1e-9 * step
 
 
 def test_no_grid_no_step() -> None:
     found = encoder(np.random.default_rng(1).normal(size=2000))
-    assert found.step is None
+    assert found.value is None
     assert "no even grid" in found.why
     assert "only 3" in encoder(np.array([0.0, 1e-5, 2e-5] * 100)).why
 

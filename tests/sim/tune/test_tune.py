@@ -8,21 +8,23 @@ import re
 import shutil
 import signal
 import subprocess
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from messages.transport.requests import ControlError
 from nodes.laws.parse import compile_law, parse_law
 from nodes.parameters.yaml_io import read_yaml
-from sim.design.demand import CONVENTIONS
+from sim.design.demand import CONVENTIONS, Demand
 from sim.design.landing import drops
 from sim.device.model import DeviceModel
 from sim.identify.identified_text import figures, from_figures
 from sim.identify.identify import identify
 from sim.population.virtual import excite
-from sim.tune.design import Wanted, demand, design, from_record, model, to_record
+from sim.tune.design import Wanted, demand, design, model
 from sim.tune.knocking import STEP
 from sim.tune.outcome import AGREES
 from tests.support.launching import HAPTIC, Running, haptic, launch_json, private_runtime_dir, processes_of, running, wait_for
@@ -52,7 +54,7 @@ def test_what_was_told_is_read_back() -> None:
     found = identify(excite(DEVICE, T, 5.0, seed=3))
     assert from_figures(json.loads(json.dumps(figures(found)))) == found
     asked = demand(found, Wanted())
-    assert from_record(json.loads(json.dumps(to_record(asked)))) == asked
+    assert msgspec.convert(json.loads(json.dumps(asdict(asked))), Demand) == asked
 
 
 def test_a_demand_holds_all_that_the_device_may_be() -> None:
