@@ -1,7 +1,5 @@
 """What arrays hold here: floats in SI units, or whole numbers."""
 
-from __future__ import annotations
-
 from typing import TypeAlias
 
 import numpy as np

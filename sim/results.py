@@ -1,7 +1,5 @@
 """Where a study's files go: what an earlier run left under the same name is set aside, never overwritten."""
 
-from __future__ import annotations
-
 import sys
 import time
 from pathlib import Path

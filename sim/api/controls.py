@@ -1,7 +1,5 @@
 """Parameters and laws of a running launch: read, listed, changed between two ticks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

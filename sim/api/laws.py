@@ -1,7 +1,5 @@
 """Laws by name, and wherever a law is meant: an object, a name, a mapping as in YAML, or taps; and what is installed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 

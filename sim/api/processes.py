@@ -1,32 +1,19 @@
-"""Commands beside a notebook: started, ended and interrupted in order."""
-
-from __future__ import annotations
+"""Commands beside a notebook, ended and interrupted in order."""
 
 import contextlib
 import os
 import signal
 import subprocess
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from types import FrameType
 from typing import Any
-
-from nodes.base.realtime import die_with_parent
-from nodes.launcher.child import PYTHON
-
-HAPTIC = (*PYTHON, "-m", "nodes.cli.command")
 
 ENDS_WITHIN = 60.0  # how long a launch may take to end [s]
 
 
-def started(words: Sequence[str], **pipes: Any) -> subprocess.Popen[Any]:
-    """Start a verb in a process group of its own: an interrupt of the notebook's cell is not one of the verb's."""
-    pipes = {"stdin": subprocess.DEVNULL, "process_group": 0, "preexec_fn": die_with_parent, **pipes}
-    return subprocess.Popen([*HAPTIC, *words], **pipes)
-
-
 def end(process: subprocess.Popen[Any]) -> None:
-    """End a command that was `started` as Ctrl-C does; what does not end is killed."""
+    """End a command beside this process as Ctrl-C does; what does not end is killed, and all that it has started."""
     process.send_signal(signal.SIGINT)
     try:
         process.wait(ENDS_WITHIN)

@@ -1,7 +1,5 @@
 """How far something is: a bar in a notebook or on a terminal, nothing elsewhere."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import sys

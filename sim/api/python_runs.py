@@ -4,8 +4,6 @@ A launch is started as ``haptic launch`` starts it, in processes of its own. How
 nothing is left behind.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import shutil
@@ -22,9 +20,10 @@ from nodes.client import launches
 from nodes.launcher.runs import RunInfo, alive, runs
 from sim.api.controls import Laws, Parameters
 from sim.api.laws import plain
-from sim.api.processes import HAPTIC, end, started, whole
+from sim.api.processes import end, whole
 from sim.api.progress import progress
 from sim.api.recordings import Recorded, RunSummary, read
+from sim.measure.measured_launch import HAPTIC, beside
 
 STARTS_WITHIN = 60.0  # when a launch that has not ticked is given up [s]
 
@@ -165,7 +164,7 @@ class Run:
         """
         path = Path(out) if out is not None else Path(f"recording-{time.strftime('%Y%m%dT%H%M%S')}.mcap")
         words = ["bag", "record", "--run", self.info.run, "--duration", str(duration), "--out", str(path), "--json"]
-        process = started(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        process = beside(*words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         try:
             printed = process.communicate()[1]
         except BaseException:
@@ -339,7 +338,7 @@ def launch(scenario: str, *, view: bool = False, out_dir: str | Path | None = No
         words += ["--out-dir", str(out_dir)]
     folder = Path(tempfile.mkdtemp(prefix="haptic-"))
     with open(folder / "stdout.txt", "wb") as out, open(folder / "stderr.txt", "wb") as errors:
-        process = started(["launch", scenario, *words, "--json", "--no-plot"], stdout=out, stderr=errors)
+        process = beside("launch", scenario, *words, "--json", "--no-plot", stdout=out, stderr=errors)
     try:
         return Run(_appeared(process, folder), process, folder)
     except BaseException:

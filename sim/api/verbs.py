@@ -17,9 +17,10 @@ from typing import IO, TYPE_CHECKING, Any
 
 from sim.api.laws import plain
 from sim.api.notebook_results import Result, bars, new_figure, pandas
-from sim.api.processes import end, started
+from sim.api.processes import end
 from sim.api.progress import progress
 from sim.api.python_runs import LaunchError
+from sim.measure.measured_launch import beside
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -96,7 +97,7 @@ def _words(options: dict[str, Any]) -> list[str]:
 
 def _run(*words: str) -> Answer:
     command = " ".join(("haptic", *words))
-    process = started([*words, "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = beside(*words, "--json", stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     out_pipe, error_pipe = process.stdout, process.stderr
     assert out_pipe is not None  # noqa: S101  # it is a pipe
     assert error_pipe is not None  # noqa: S101

@@ -5,8 +5,6 @@ errors are given raw and with the best pure delay removed, in the bands of a han
 an encoder's noise (Nyquist).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ the best pure delay removed; stiffness is the H(1) at which the loop with a know
 becomes unstable, with the same normalised gain for all.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, MutableSequence, Sequence
 from functools import partial
 from typing import Any

@@ -6,8 +6,6 @@ its own memory, so mere stability is asked for too. D^1 has the baselines PD and
 no poles (`sim.paper.fig4`).
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable, Iterator

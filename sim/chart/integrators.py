@@ -5,8 +5,6 @@ integrator approximates it; what it gets wrong it passes off as stability of the
 matrix exponential, which shares nothing with the closed forms of `sim.device.model`.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from importlib.util import find_spec

@@ -4,8 +4,6 @@ The reference solves for the pole on the unit circle to twelve digits. A formula
 simulation must run for as long as a loop near its limit takes to show what it does, and so reads low or high by its horizon.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

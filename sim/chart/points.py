@@ -4,10 +4,9 @@ Every choice of the project is a point: what it costs and how wrong it is. A poi
 group is both cheaper and better; all others are choices one need not make.
 """
 
-from __future__ import annotations
-
 import csv
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -50,17 +49,13 @@ class Group:
 
 def on_front(costs: Sequence[float], errors: Sequence[float]) -> list[bool]:
     """Mark the Pareto front."""
-    order = sorted(range(len(costs)), key=lambda i: (costs[i], errors[i]))
-    marks = [False] * len(costs)
-    best = float("inf")
-    for i in order:
-        if errors[i] < best:
-            best = errors[i]
-            marks[i] = True
-        elif errors[i] == best and any(marks[j] and costs[j] == costs[i] and errors[j] == errors[i] for j in range(len(costs))):
-            # An exact double of a point on the front is not beaten by it.
-            marks[i] = best < float("inf")
-    return marks
+    points = list(zip(costs, errors, strict=True))
+
+    def beaten(cost: float, error: float) -> bool:
+        # An exact double of a point is not beaten by it.
+        return any((c, e) != (cost, error) and c <= cost and e <= error for c, e in points)
+
+    return [error < math.inf and not beaten(cost, error) for cost, error in points]
 
 
 def with_front(group: Group) -> Group:

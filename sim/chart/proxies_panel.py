@@ -1,7 +1,5 @@
 """Where the proxy is, against what a call costs: closed forms, meshes by level of detail, and a tool that is a body."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from nodes.parameters.store import ParameterError

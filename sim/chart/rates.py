@@ -5,8 +5,6 @@ drop on a continuous spring and damper (200 kHz, one process, no delay). The sti
 from what the pole radius at the *measured* delay says.
 """
 
-from __future__ import annotations
-
 import math
 import statistics
 import tempfile

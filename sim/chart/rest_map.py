@@ -1,7 +1,5 @@
 """The map of stiffness that comes to rest: over dry friction and encoder step, for one law on one device (THEORY.md §5)."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

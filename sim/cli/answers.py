@@ -1,7 +1,5 @@
 """What most verbs end with: an answer, its files, an exit code. Light, because a verb imports it before it does anything."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import subprocess
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -76,9 +77,9 @@ def add_push(parser: argparse.ArgumentParser) -> None:
 
 
 def _list(arguments: argparse.Namespace) -> int:
-    from sim.hands_on.found import figures, text
+    from sim.hands_on.found import devices, text
 
-    return report(arguments, {"devices": figures()}, text())
+    return report(arguments, {"devices": [asdict(kind) for kind in devices()]}, text())
 
 
 def _info(arguments: argparse.Namespace) -> int:

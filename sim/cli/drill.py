@@ -1,7 +1,5 @@
 """Do faults to a real launch, one after the other, and tell what came of each."""
 
-from __future__ import annotations
-
 import argparse
 import signal
 import sys

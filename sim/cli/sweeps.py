@@ -1,7 +1,5 @@
 """Where the jobs of a study run: here, in processes of this machine, or on the workers of a Dask scheduler (``--cluster``)."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os

@@ -3,8 +3,6 @@
 A case is a mass, a delay, a hand and a damping of the ranges.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -8,8 +8,6 @@ many members and generations and the same compiled test of the poles, it takes a
 same 3356 N/m; seven: 6500 N/m, here 6700 N/m).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

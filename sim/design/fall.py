@@ -5,8 +5,6 @@ kernels of the nodes, and the verdict is `sim.experiments.drop`'s. A search may 
 close to its rest counts as settled there, and what a search finds is played to the end.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple

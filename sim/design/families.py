@@ -4,8 +4,6 @@ The comparison is at equal demand: same range of mass, same delay, same pole rad
 every PDα and the paper's optimum are then just narrower families than free taps of the same length.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -6,8 +6,6 @@ to twice the height, with masses 3 % outside the range. The search is differenti
 so far, every candidate dropped.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from typing import Any

@@ -6,8 +6,6 @@ where its solution needs most damping. What comes out is scaled by the damping t
 frequencies too: passive for certain. For d = 1 it must find 2/(1 + 1/cos(π/(n+3))) (THEORY.md §2).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Poles are those of a constant delay. A delay that changes from tick to tick can 
 for a recorded loop is replayed on that loop's own delays, with the exact device in between.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

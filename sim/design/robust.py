@@ -6,8 +6,6 @@ programmes: every pole near the bound is linearised in the taps, H(1) is raised 
 accepted only if its true poles keep the bound. The worst case between those of the search joins it until none is worse.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

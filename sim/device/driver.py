@@ -1,7 +1,5 @@
 """The sim driver node: the driver of the loop with the virtual device in place of hardware."""
 
-from __future__ import annotations
-
 import math
 from array import array
 from collections.abc import Callable, Mapping, Sequence

@@ -4,8 +4,6 @@ Between two zeros of the velocity friction is one more constant force, and the m
 the device sticks or turns. Kernels as those of `sim.device.model`: plain functions that are called as they stand, and compiled.
 """
 
-from __future__ import annotations
-
 import math
 
 from sim.device.model import Coefficients, advance, coefficients

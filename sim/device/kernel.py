@@ -1,7 +1,5 @@
 """The virtual device, compiled: the two calls that a compiled driver makes of a device (nodes/driver/device.py)."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import nodes.compiled.kernels.hop  # noqa: F401  # what a kernel does in place of the clock

@@ -4,8 +4,6 @@
 the scenario's. A value that is only remembered is a starting point: `haptic device identify` measures it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any

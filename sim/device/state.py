@@ -5,8 +5,6 @@ the same order, gives the same bits. The rules are plain functions: the interpre
 sim/device/kernel.py compiles them into the two calls that a compiled driver makes of a device.
 """
 
-from __future__ import annotations
-
 import ctypes
 import math
 from array import array

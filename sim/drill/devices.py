@@ -4,8 +4,6 @@ A hand holds the arm in a wall; at the fault its force must be gone within the d
 loop, device or service. Then the fault is mended, as by who plugs a cable in again, and the loop must go on by itself.
 """
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 import time

@@ -5,8 +5,6 @@ longest time for which an old force, or the damping that follows it, acted on th
 force or to the next fresh one.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The faults of the drill, each done to real processes from outside."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes.util
 import mmap

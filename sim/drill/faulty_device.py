@@ -1,7 +1,5 @@
 """The sim driver with a device that breaks down when it is told to, for the drill."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections import deque

@@ -5,8 +5,6 @@ subscriptions, heartbeats behind them, frames far too long, and gone. What libzm
 hundred connections meet every case.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import random

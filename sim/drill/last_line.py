@@ -1,7 +1,5 @@
 """Faults of what the driver stands on: its output, its device, its time, its parent."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

@@ -4,8 +4,6 @@ A node of its own that stands between the two (the driver listens to it instead 
 network does to forces happens to real messages on real sockets. Its parameters may be changed while it runs.
 """
 
-from __future__ import annotations
-
 import heapq
 import random
 import time

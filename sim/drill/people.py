@@ -1,7 +1,5 @@
 """Faults in which somebody pushes, or waits: a hand that goes on pushing, and verbs that hold the device when they end."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

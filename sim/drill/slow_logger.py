@@ -1,7 +1,5 @@
 """The logger with a disk that is slow when it is told to be, for the drill."""
 
-from __future__ import annotations
-
 import os
 import time
 from typing import Any, ClassVar

@@ -4,8 +4,6 @@ Led below a surface, a spring alone gives back on a closed way what it took. Wha
 the world's axes a deflection that only turns looks as if it changed (THEORY.md §15).
 """
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections.abc import Sequence

@@ -7,8 +7,6 @@ risen above where it started. Near the limit the decay is slow: one horizon for 
 and press read 70–99 % of the linear limit).
 """
 
-from __future__ import annotations
-
 import functools
 import math
 import os

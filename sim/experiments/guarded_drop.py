@@ -4,8 +4,6 @@ Without the guard, a wall beyond K_max gives out energy at every bounce; with it
 forces are lowered on the way out, so the wall felt at rest (mean force over mean penetration) is softer than nominal.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ The study in one process is only worth something if the loop renders the same. S
 processes too, and judged by the very criterion of the study. Both must end at the same stiffness of a common grid.
 """
 
-from __future__ import annotations
-
 import json
 import tempfile
 from collections.abc import Callable, Sequence

@@ -4,8 +4,6 @@ That is how the paper finds its K_max. The lowest interval of K that settles cou
 limit does not; and the swing of the last run that settled tells the frequency that really occurs there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ without which nothing moves by more than the tolerance is superfluous; a term th
 moves something, is missing.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ Each scene is launched as a user launches it. A ball of many triangles takes the
 environment's own time goes from the message in hand to the answer's stamp, as the node counts it.
 """
 
-from __future__ import annotations
-
 import statistics
 import struct
 import tempfile

@@ -4,8 +4,6 @@ The C loop is compiled here, from the source below: no contraction of multiply a
 bits as ours, and that is checked before it is timed.
 """
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import subprocess

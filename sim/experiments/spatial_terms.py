@@ -1,7 +1,5 @@
 """The terms of a scene with several axes, each an edit of the launch: the device, shapes, friction, the tool and bodies."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 

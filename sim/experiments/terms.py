@@ -4,8 +4,6 @@ Off means that the term does not exist (None, not a small number), on means what
 is declared, left out on purpose (``model.leaves_out`` of the launch file), or simply not there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar

@@ -4,15 +4,13 @@ Nothing is pushed before the axes are known to be right: a force along a wrong a
 and goes by a ramp, and ends at once when the handle moves faster than `FASTEST`.
 """
 
-from __future__ import annotations
-
-import itertools
 import math
 import sys
 import time
 from typing import Any, Final
 
 import msgspec
+import numpy as np
 
 from messages.errors import RefusedError, UsageError
 from messages.types import ZERO, Vector
@@ -76,16 +74,11 @@ def at_rest(device: MailboxDevice) -> SamplesAtRest:
         time.sleep(0.0002)
     if len(places) < 2:
         raise RefusedError(f"{device.TITLE}: {len(places)} positions in {REST:g} s: {device.condition() or 'it gives none'}")
-    columns = list(zip(*places, strict=True))
-    means = [sum(column) / len(column) for column in columns]
-    x, y, z = (
-        math.sqrt(sum((value - mean) ** 2 for value in column) / len(column))
-        for column, mean in zip(columns, means, strict=True)
-    )
-    steps = [abs(b - a) for column in columns for a, b in itertools.pairwise(column) if abs(b - a) > 1e-12]
+    x, y, z = np.std(places, axis=0).tolist()
+    changes = np.abs(np.diff(places, axis=0))
     return SamplesAtRest(
         noise=(x, y, z),
-        step=min(steps) if steps else None,
+        step=min(changes[changes > 1e-12].tolist(), default=None),
         rate=(seen - ticks) / (last - begun) if last > begun else 0.0,
         asked=device.servo_rate,
         missed=max(0, round((last - begun) * device.servo_rate) - (seen - ticks)),

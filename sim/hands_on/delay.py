@@ -4,8 +4,6 @@ A handle that is held loosely answers as a mass with a damper. Each pulse is fit
 d after the force was handed over; d is looked for, mass and damper are whatever suits. So a soft hand counts as no delay.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from typing import Final

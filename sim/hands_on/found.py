@@ -1,10 +1,8 @@
 """Which devices can be driven from here: what each needs, where that was looked for, and what its driver was tested against."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from messages.errors import UsageError
@@ -41,11 +39,6 @@ def devices() -> list[DeviceKind]:
         named = library or searched[-1].rpartition("/")[2]
         listed.append(DeviceKind(name, library is not None, named, searched, kind.checked))
     return listed
-
-
-def figures() -> list[dict[str, Any]]:
-    """Give all kinds as figures."""
-    return [{**asdict(kind), "searched": list(kind.searched)} for kind in devices()]
 
 
 def text() -> str:

@@ -1,7 +1,5 @@
 """Setting a device free: name the process that holds it; where there is none, switch its forces off and release it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What a device is: what it says of itself, its limits in the scene, and what its inertia means for a wall."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

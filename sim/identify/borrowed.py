@@ -4,8 +4,6 @@ The surface goes back first and the law after it: at no time does a stiff law me
 stands under leases, renewed from here several times a second; when this process is gone, the nodes put surface and law back.
 """
 
-from __future__ import annotations
-
 import contextlib
 import threading
 import time

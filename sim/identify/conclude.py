@@ -1,7 +1,5 @@
 """From a fit to what it tells: estimates with 95 % intervals, and reasons where there are none."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

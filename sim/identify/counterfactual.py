@@ -6,8 +6,6 @@ again. What is left are nudges: the least that keep the model in the encoder ste
 back to what was recorded; how far the model alone does not is the error of every prediction.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

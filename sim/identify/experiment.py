@@ -1,7 +1,5 @@
 """What a recording holds for identification: positions at ticks, the forces with the instant of each, the encoder's grid."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 from pathlib import Path

@@ -7,8 +7,6 @@ actuator by its exact mean, quadratic damping in the middle, a joint by the seri
 Everything compiled that calls each other stands in this file: kept code is looked up by the file of the outermost function.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """An identified device told: as figures with units in the keys, as a table, and as parameters of a launch."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

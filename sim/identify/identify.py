@@ -5,8 +5,6 @@ that vanishes with its slope at both ends, and integrate by parts: only φ is di
 unknowns but the delay, which is tried out. Encoder rounding biases it by some percent.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

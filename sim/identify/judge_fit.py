@@ -4,8 +4,6 @@ Rounding is not white where the device is slow. So what a model that holds would
 grids that lie anywhere, with as much white noise before as the residual asks for (THEORY.md §12).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

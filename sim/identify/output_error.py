@@ -6,8 +6,6 @@ linear in them, per unit of mass. Gauss–Newton steps with Levenberg's damping 
 window by window. THEORY.md §12.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

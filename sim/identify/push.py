@@ -4,8 +4,6 @@ The law goes first and the surface after it, the other way round at the end. Sho
 and surface back by itself (sim/identify/borrowed.py).
 """
 
-from __future__ import annotations
-
 import signal
 import subprocess
 from collections.abc import Callable, Sequence

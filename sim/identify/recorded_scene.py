@@ -1,7 +1,5 @@
 """The scene behind a recording, rebuilt from what was recorded with it: launch file, arguments, parameters, receipts."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -53,7 +51,7 @@ class RecordedScene:
 def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
     """Rebuild the scene of a recording."""
     recording = Recording(path)
-    launch = _launch(recording, {})
+    launch = _launch(recording)
     states = recording.messages(DEVICE_STATE)
     seq = np.array([state.seq for state in states], dtype=np.int64)
     if len(seq) < 8 or seq[0] != 0:
@@ -97,18 +95,17 @@ def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
     )
 
 
-def _launch(recording: Recording, changes: Mapping[str, Any]) -> Launch:
+def _launch(recording: Recording) -> Launch:
     """Read the recorded launch file with the recorded arguments, its nodes as they were started."""
     text = recording.metadata.get("launch_file", {}).get("yaml")
     arguments = recording.manifest.get("arguments")
     if text is None or arguments is None:
         raise ParameterError(f"{recording.path}: was recorded without its launch file, so its scene is not known")
-    given = {**msgspec.json.decode(arguments), **changes}
     # Its words are those of its writer: none of them may name a file here, to be written or to be read.
     with tempfile.TemporaryDirectory(prefix="haptic-replay-") as folder:
         file = Path(folder) / "recorded.yaml"
         file.write_bytes(msgspec.json.encode(_without_files(parse_yaml(text, "the recorded launch file"))))
-        launch = launch_file.read(str(file), given)
+        launch = launch_file.read(str(file), msgspec.json.decode(arguments))
     scenario = recording.manifest.get("scenario", "")
     launch = msgspec.structs.replace(launch, scenario=scenario or launch.scenario, text=text)
     nodes = {}
@@ -170,7 +167,7 @@ def another_law(recorded: RecordedScene, given: Mapping[str, Any]) -> tuple[Comp
 
 def refuse_law(path: Path, given: Mapping[str, Any]) -> None:
     """Refuse a law that is none before anything of the recording is rebuilt, which takes seconds."""
-    _wanted(_launch(Recording(path), {}), given)
+    _wanted(_launch(Recording(path)), given)
 
 
 def _wanted(launch: Launch, given: Mapping[str, Any]) -> Law:

@@ -1,7 +1,5 @@
 """Leaving in order: the first Ctrl-C, SIGTERM or SIGHUP lets a verb put back what it borrowed; no later one disturbs that."""
 
-from __future__ import annotations
-
 import contextlib
 import signal
 import threading

@@ -4,8 +4,6 @@ A term that acts as a force moves the device as any force does; one that the enc
 known up to a factor and a size or two, which are tried on a grid; `judge_fit` compares them with what a fit leaves.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

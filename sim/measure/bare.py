@@ -4,8 +4,6 @@ A guard, a cross-fade, a device behind its servo loop: each is the same launch a
 laid over it, or a stand-in of a real device in the place of the virtual one. So what differs is that one thing.
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import json

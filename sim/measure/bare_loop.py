@@ -8,8 +8,6 @@ a spring in place of a law. What haptic-nodes adds to this, it has to be worth. 
 A logger, which only receives, may be a fourth. The same loop in C is bare_loop.c.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -5,8 +5,6 @@ jobs, and one that dies loses none. A sweep keeps each result as a line of a led
 interrupted goes on where it stopped, and one that is complete is only read.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import hashlib

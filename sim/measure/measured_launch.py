@@ -4,8 +4,6 @@ Studies, benches, drills and tests start their launches here. ``with Running("fl
 once the driver ticks; ``launch("floor_drop", "pace:=lockstep")`` runs one to its end.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import json

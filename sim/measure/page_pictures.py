@@ -1,7 +1,5 @@
 """The pictures of the page that the project's pages show, taken of the real one: haptic bench view --pictures FOLDER."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable, Iterator

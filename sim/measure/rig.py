@@ -4,8 +4,6 @@ The rig listens as any listener does and strikes with signals and control reques
 drill.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

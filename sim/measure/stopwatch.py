@@ -4,8 +4,6 @@ A shared machine drifts while one candidate after another is timed, so every rou
 rotates; what is reported is the median over the rounds and the quartiles around it.
 """
 
-from __future__ import annotations
-
 import os
 import platform
 import statistics

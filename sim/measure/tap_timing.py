@@ -5,8 +5,6 @@ only to show what that costs. The choice of the coupling, `nodes.coupling.law_on
 Timed beside them: what a history that turns with the surface costs in three axes, by the kernel's own function.
 """
 
-from __future__ import annotations
-
 import ctypes
 import math
 import subprocess

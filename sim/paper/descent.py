@@ -10,8 +10,6 @@ The better way: for fixed orders f is linear in the gains, so the best are a lea
 one answer, and only the orders are left to search. There f is that of D − D(1), whose mean is zero: no negative spring helps.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import combinations
 

@@ -4,8 +4,6 @@ A boundary is only believed when two independent methods change their mind at th
 THEORY.md names: methods that look right and are not, each made to fail here.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from dataclasses import dataclass

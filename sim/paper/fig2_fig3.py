@@ -3,8 +3,6 @@
 Frequencies are in units of ω_N, f in units of a term's f(ω_N): the sum to n that renders, as in eq. (9) (THEORY.md §1).
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence

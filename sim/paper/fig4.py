@@ -6,8 +6,6 @@ and the Touch X's (resolution and friction, which only matter together). Stiffne
 felt; and the frequency at which the device really swings at the limit is measured.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence

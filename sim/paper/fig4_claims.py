@@ -1,7 +1,5 @@
 """What the paper and THEORY.md state about the drop test, against the boundaries that `sim.paper.fig4` finds."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

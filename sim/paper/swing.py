@@ -8,8 +8,6 @@ Windows of the contact are fitted one by one; how far they are apart is the inte
 refused. How often the interval holds K_max is counted on random devices with friction and an encoder.
 """
 
-from __future__ import annotations
-
 import cmath
 import math
 from collections.abc import Callable, Mapping, Sequence

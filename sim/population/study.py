@@ -1,7 +1,5 @@
 """Many random devices, identified and tuned without knowing them, compared with what they are; and what is told of others."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict

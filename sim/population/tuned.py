@@ -4,8 +4,6 @@ The chain is `haptic tune`'s own: push, identify, refuse a refuted model, design
 between law and device is played in one process. The judge knows the device: the poles of its loop, joint and lag included.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any

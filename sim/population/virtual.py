@@ -4,8 +4,6 @@ Those that the identified model does not fit (joints, lags, backlash and the res
 ones, so that what is told can be compared with what it is.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

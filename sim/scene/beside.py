@@ -4,8 +4,6 @@ A view calls `play_beside` in a process of its own, off the loop's processors, w
 It is the loop of `from_launch`, with that hand: the same bits as when the launch file is played with this law and this path.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any

@@ -5,8 +5,6 @@ fastmath, so compiled and interpreted runs give the same bits. Compiled code is 
 code (nodes/compiled/cache.py), each version of a function with the digests of all sources that it was made of.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import pickle

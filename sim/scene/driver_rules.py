@@ -3,8 +3,6 @@
 They are the nodes' own (nodes/driver), called in the order of the driver's tick in lockstep.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

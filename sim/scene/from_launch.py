@@ -4,8 +4,6 @@ This is what holds the project together: a lockstep run through four processes a
 give the same bits, for every scenario (tests/sim/scene/test_lockstep.py).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -4,8 +4,6 @@ It answers what the distributed loop will do, thousands of times faster. `play` 
 the test that compares the two) or compiled, over the very kernels that the nodes call.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Sequence

@@ -4,8 +4,6 @@ It is integrated in small steps, 64 to a tick (midpoint rule, Coulomb friction e
 knows all of this. `sim.device.model` is the rigid one, exact.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ It plays what nodes can: shapes, things that move, several axes, laws with code 
 driver's safety. It is interpreted, for few runs (`sim.scene.loop` is for thousands); no rule in it is its own.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple

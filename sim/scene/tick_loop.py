@@ -4,8 +4,6 @@ It is written as a plain function and compiled as it stands. What it needs comes
 lockstep each tick's force takes effect by the rule; in real time forces come when `Arrivals` says, late, or not at all.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 

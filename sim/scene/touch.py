@@ -1,7 +1,5 @@
 """A device led along a path over shapes, in one process: the very proxy of the environment node, compiled."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple

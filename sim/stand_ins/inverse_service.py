@@ -7,8 +7,6 @@ state; a force is forgotten soon after its message; forces of other sessions are
     python -m sim.stand_ins.inverse_service WORLD [--cold SECONDS] [--version 3.1]
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import signal

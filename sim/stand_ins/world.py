@@ -4,8 +4,6 @@ It lies in a file (world.h), which the stand-in in a node's process and what wat
 library is compiled into a folder, with its world beside it; so two of them are two devices.
 """
 
-from __future__ import annotations
-
 import ctypes
 import math
 import mmap

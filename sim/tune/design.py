@@ -5,8 +5,6 @@ hand, another pose), and over the whole range of delay that was seen. Unless tol
 What the law will do on the device as identified is predicted: its edge by poles and by knocks, drops, delays, rest.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -8,8 +8,6 @@ The steps begin far below the law and go up through it: large where the model se
 large step does not come to rest, those below it are tried from the last that did; when the first does not, they go down.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field

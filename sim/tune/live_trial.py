@@ -6,8 +6,6 @@ that gives out more is held within a tick. A driver that stopped the loop has gi
 forces again once the soft spring holds the device; with a real one only when the user has asked for it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

@@ -1,7 +1,5 @@
 """What the knocks on a device say of the law that was tried: whether it holds, where its edge is, and how sure that is."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """A tuning told to people: the same rows on the terminal and on the page, in words and units, with three digits."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What listeners cost the loop: four extra loggers, one of them stopped and one killed, against none, in one run."""
 
-from __future__ import annotations
-
 import argparse
 import signal
 import statistics

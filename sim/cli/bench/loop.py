@@ -4,8 +4,6 @@ Beside the ordinary launch the cases of sim/measure/bare.py, in turns with it: w
 whether a device behind its own servo loop misses more than the virtual one.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import statistics

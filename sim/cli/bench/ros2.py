@@ -1,7 +1,5 @@
 """What a ROS 2 graph costs the loop: launches with the node ros2 and without it, in turn, in one run."""
 
-from __future__ import annotations
-
 import argparse
 import statistics
 from typing import Any

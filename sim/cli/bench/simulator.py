@@ -1,7 +1,5 @@
 """Simulated ticks per second and core, against a plain C loop that gives the same bits, and over all cores."""
 
-from __future__ import annotations
-
 import argparse
 
 from messages.errors import UsageError

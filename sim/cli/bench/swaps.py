@@ -4,8 +4,6 @@ A machine misses ticks by itself. Whether the swaps do is told by comparison wit
 with idle blocks of the same length, and each missed tick is counted to the block it fell into.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import signal

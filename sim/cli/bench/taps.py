@@ -1,7 +1,5 @@
 """Time per tick against the number of taps: plain loop, written out, numpy, numba, and where each becomes the fastest."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What the page costs the loop: open in a real browser with somebody dragging, against no page, in one run; and its delays."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

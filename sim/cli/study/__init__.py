@@ -1,7 +1,5 @@
 """Study stability, designs and the paper's figures: one sub-verb per study."""
 
-from __future__ import annotations
-
 import argparse
 
 from nodes.cli.dispatch import dispatch

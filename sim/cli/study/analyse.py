@@ -1,7 +1,5 @@
 """What a law really renders: f(ω), leak, passivity limit, pole radius, K_max, and how far the device may be off."""
 
-from __future__ import annotations
-
 import argparse
 import math
 from dataclasses import asdict

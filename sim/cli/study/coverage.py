@@ -1,7 +1,5 @@
 """Identify and tune hundreds of random devices: whether the intervals hold the truth, and what the laws are worth."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path

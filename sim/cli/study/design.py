@@ -1,7 +1,5 @@
 """Design a law for the device and delay at hand: the stiffest at a pole radius over a range of mass, and the passive one."""
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import math

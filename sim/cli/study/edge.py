@@ -1,7 +1,5 @@
 """The frequency that occurs at the edge of stability: K_max by Colgate's condition there alone, and from a recorded swing."""
 
-from __future__ import annotations
-
 import argparse
 import math
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """The paper's figure 2: f(ω) of single fractional terms with f(ω_N) = 1, and the paper's claims about it, judged."""
 
-from __future__ import annotations
-
 import argparse
 
 from messages.errors import UsageError

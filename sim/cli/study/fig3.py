@@ -1,7 +1,5 @@
 """The paper's figure 3: f(ω) of its optimised two-term law beside PD, and what is claimed about it."""
 
-from __future__ import annotations
-
 import argparse
 
 from messages.errors import UsageError

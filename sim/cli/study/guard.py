@@ -1,7 +1,5 @@
 """What the passivity guard makes safe and what it costs in rendered stiffness: drops on ever stiffer walls."""
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import asdict
 from functools import partial

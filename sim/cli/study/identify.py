@@ -1,7 +1,5 @@
 """Identify the device of a recording: mass, damping, friction, delay, encoder, each with a 95 % interval."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Optimise a multi-term law: the paper's steepest descent and where it fails, then linear programmes over all orders."""
 
-from __future__ import annotations
-
 import argparse
 from collections import Counter
 from functools import partial

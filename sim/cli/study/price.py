@@ -1,7 +1,5 @@
 """The price of not knowing: how stiff a law may be, against how well joint, hand and mass of the device are known."""
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Compare proxies on shapes with closed forms: error of the force, noise, drag on closed ways, a thin plate, µs a call."""
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import asdict
 from functools import partial

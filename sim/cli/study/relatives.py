@@ -1,7 +1,5 @@
 """The nearest relatives of the designed laws at equal demand: fractional solids, passive taps and two rates beside PD."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path

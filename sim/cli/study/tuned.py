@@ -1,7 +1,5 @@
 """Tune many random devices from end to end, inside the model and outside: whether anything unstable is delivered."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path

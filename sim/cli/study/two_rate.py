@@ -1,7 +1,5 @@
 """How stiff a wall gets when the device's own servo damps it faster than the loop runs."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
