@@ -18,11 +18,7 @@ _SHOWN, _TOLD = 121, 13
 def rest_map(
     law: CompiledLaw, stiffness: float, device: Plant, resolution: float, friction: float, path: Path
 ) -> dict[str, Any]:
-    """Work out the largest K without a limit cycle over friction and encoder step, and draw it.
-
-    It is the lesser of ``K_rest``, up to which friction outweighs the encoder's error, and ``K_max``. Two lines belong to the
-    law at its own K: on their right every motion stops, by the bound and by the describing function's estimate.
-    """
+    """Draw the largest K without a limit cycle, the lesser of K_rest and K_max, over friction and encoder step; its figures."""
     import numpy as np
 
     derivative = with_spring(law, -stiffness)

@@ -6,12 +6,12 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 from messages.errors import RefusedError, UsageError
+from messages.transport.endpoints import is_remote
 from nodes.base.workers import Workers
 from sim.measure.jobs import RETRIES, Job, SweepRow, call, done_by, sweep
 from sim.measure.stopwatch import Progress
@@ -78,7 +78,7 @@ def check_cluster(arguments: argparse.Namespace) -> dict[str, Any]:
         raise UsageError(f"--cluster {arguments.cluster}: expected tcp://127.0.0.1:PORT or tls://HOST:PORT")
     given = {name: getattr(arguments, name.replace("-", "_")) for name in TLS}
     if address.scheme == "tcp":
-        if not _loopback(address.hostname):
+        if is_remote(f"tcp://{address.hostname}:{address.port}"):
             raise UsageError(
                 f"--cluster {arguments.cluster}: workers run what they are sent, so off this machine TLS is required: "
                 f"tls://{address.hostname}:{address.port} with --{', --'.join(TLS)}"
@@ -93,12 +93,6 @@ def check_cluster(arguments: argparse.Namespace) -> dict[str, Any]:
         "tls_client_cert": str(given["tls-cert"]),
         "tls_client_key": str(given["tls-key"]),
     }
-
-
-def _loopback(host: str) -> bool:
-    with contextlib.suppress(ValueError):
-        return host == "localhost" or ip_address(host).is_loopback
-    return False
 
 
 def swept(

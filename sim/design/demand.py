@@ -135,11 +135,7 @@ def _rational(
 
 
 def verified_cases(demand: Demand) -> Array:
-    """Cases that a design is verified on, shape (c, 4): mass [kg], delay [ticks], hand [N/m], damping [N s/m].
-
-    801 masses evenly spaced in the logarithm, or 101 with 11 delays and hands and 5 dampings where those are ranges too, fewer
-    for a device that is more than a rigid mass; all ends are among them.
-    """
+    """Cases of a verification, ends among them, (c, 4): mass [kg], delay [ticks], hand [N/m], damping [N s/m]."""
     ranges = (demand.delay, demand.stiffness, demand.dampings)
     if demand.beyond:
         # Each case is one of each: fewer masses, as close as the poles move smoothly.

@@ -182,10 +182,7 @@ def _latest(law: CompiledLaw, demand: Demand, mass: float, beyond: tuple[float, 
 
 
 def certificate(law: CompiledLaw, demand: Demand) -> bool | str | None:
-    """Certify a law for every sequence of the demanded delays: five masses, ends of hand and damping, joints and lags.
-
-    THEORY.md §10. True with a certificate everywhere, False where a sequence grows, None where it is not decided.
-    """
+    """Certify a law for every sequence of the demanded delays (THEORY.md §10); False where one grows, None where undecided."""
     if demand.delay[1] > demand.delay[0] + 1.0:
         return "too wide"
     worst: bool | None = True

@@ -103,11 +103,7 @@ def _settled(laws: list[CompiledLaw], scenes: list[Scene]) -> Array:
 def landed(
     demand: Demand, basis: Array, fine: LoopCase, starts: list[Array], free: bool, seed: int, effort: int
 ) -> Array | None:
-    """Search a family for the parameters (p,) of the stiffest law that keeps a demand and lands; None where none does.
-
-    `basis`, shape (p, n + 1): taps per unit of each parameter [N/m]; `fine`: the loop at all verified cases; `starts`: members
-    to begin with.
-    """
+    """Search a family, climbing from `starts` too, for the stiffest law that keeps a demand and lands; None where none does."""
     drops = falls(demand, _margin(demand), demand.lands, HEIGHTS)
     best, most = None, 0.0
     for start in [*starts, None]:

@@ -36,11 +36,7 @@ class Passive:
 def stiffest_passive(
     taps: int, period: float, damping: float, delay: tuple[float, float], nyquist: float = math.inf, tolerance: float = 1e-7
 ) -> Passive:
-    """Find the taps with the largest H(1) that are passive on a device with this damping at any delay of a range.
-
-    The certain bound holds at 33 delays [ticks] of a range; `nyquist` is the largest |H(−1)| allowed [N/m]; `tolerance` is
-    relative to the bound.
-    """
+    """Find the taps with the largest H(1) that are passive at any delay of a range, |H(−1)| at most `nyquist` [N/m]."""
     from scipy.optimize import linprog
 
     if not damping > 0.0:

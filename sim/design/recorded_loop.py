@@ -47,7 +47,7 @@ def measure(path: Path) -> Measured:
     rate = float(recording.manifest.get("rate_hz", 0.0))
     if not rate > 0.0:
         raise ValueError(f"{path}: its manifest tells no rate_hz")
-    device = _virtual_device(recording)
+    device = node_with(recording, "device").get("device", {})
     own = float(device.get("delay", 0.0))
     # Each state tells of the tick before it; the first one, and a loop without forces yet, have none. A tick that was not
     # answered in time has an older force instead, whose age it tells; its own force never acts.
@@ -63,12 +63,10 @@ def measure(path: Path) -> Measured:
     return Measured(1.0 / rate, *told, device.get("mass"), device.get("damping"))
 
 
-def _virtual_device(recording: Recording) -> dict[str, Any]:
-    for text in recording.metadata.get("parameters", {}).values():
-        node = parse_yaml(text, "parameters")
-        if isinstance(node, dict) and isinstance(node.get("device"), dict):
-            return dict(node["device"])
-    return {}
+def node_with(recording: Recording, name: str) -> dict[str, Any]:
+    """Find the recorded parameters of the node that has such a group of them; empty without one."""
+    nodes = (parse_yaml(text, "parameters") for text in recording.metadata.get("parameters", {}).values())
+    return next((node for node in nodes if isinstance(node, dict) and isinstance(node.get(name), dict)), {})
 
 
 GIVEN_UP = 1e200  # deflection from which on a loop is called unstable whatever comes [m]

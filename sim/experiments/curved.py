@@ -136,10 +136,7 @@ def along_ways(
 
 
 def sliding(launch: Launch, stiffness: float, speed: float, frame: str, radius: float = _RADIUS) -> Launch:
-    """Make a launch in which a hand draws the device over a sphere, with the chain's law at H(1) = `stiffness` [N/m].
-
-    It begins on the top, pressed in deeper by a fifth than where hand and contact balance.
-    """
+    """Make a launch in which a hand draws the device over a sphere, with the chain's law at H(1) = `stiffness` [N/m]."""
     deep = _GRIP * _PRESS / (_GRIP + stiffness)
     hand = {"mass": _MASS / 3.0, "damping": 2.0 * _DAMPING / 3.0, "stiffness": _GRIP}
     begin = -1.2 * deep

@@ -15,6 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from nodes.compiled.kernels.sources import kernel
@@ -44,7 +45,7 @@ class Criterion:
 def drop_scene(device: DeviceModel, period: float, raw: bool, clamp: bool, height: float = 0.01) -> Scene:
     """Let the device fall on a floor at 0 from a height [m]; it weighs 9.81 m/s² where it has no gravity of its own."""
     gravity = 9.81 if device.gravity is None else device.gravity
-    dropped = _changed(device, position=height, velocity=0.0, gravity=gravity)
+    dropped = msgspec.structs.replace(device, position=height, velocity=0.0, gravity=gravity)
     return Scene(device=dropped, surface=SceneSurface("plane"), period=period, raw=raw, clamp=clamp)
 
 
@@ -53,18 +54,14 @@ def press_scene(
 ) -> Scene:
     """Let a hand, by default of 100 N/m, press the device from so far before a wall at 0 to as far behind it [m]."""
     hand = Hand(stiffness=100.0, path=[(0.0, -depth)]) if hand is None else hand
-    pressed = _changed(device, position=depth, velocity=0.0, hand=hand)
+    pressed = msgspec.structs.replace(device, position=depth, velocity=0.0, hand=hand)
     return Scene(device=pressed, surface=SceneSurface("plane"), period=period, raw=raw, clamp=clamp)
 
 
 def free_scene(device: DeviceModel, period: float, amplitude: float = 0.01) -> Scene:
     """Let the device swing about an anchor at 0, from rest at an amplitude: no contact, no conventions."""
-    swung = _changed(device, position=amplitude, velocity=0.0)
+    swung = msgspec.structs.replace(device, position=amplitude, velocity=0.0)
     return Scene(device=swung, surface=SceneSurface("anchor"), period=period, raw=True, clamp=False)
-
-
-def _changed(device: DeviceModel, **fields: Any) -> DeviceModel:
-    return DeviceModel(**{name: getattr(device, name) for name in device.__struct_fields__} | fields)
 
 
 @kernel

@@ -42,15 +42,17 @@ def scenes(folder: Path, halvings: int) -> dict[str, list[str]]:
     return found | ({name: [name] for name in BODIES} if find_spec("mujoco") else {})
 
 
-def measure(found: dict[str, list[str]], rounds: int, seconds: float, tick: Tick, progress: Progress) -> list[dict[str, Any]]:
-    """Launch all scenes in turns, in an order that rotates; one row for each, medians over its launches."""
-    runs: dict[str, list[dict[str, Any]]] = {name: [] for name in found}
-    names = list(found)
-    for k in range(rounds):
-        for name in names[k % len(names) :] + names[: k % len(names)]:
-            runs[name].append(launch(*found[name], f"duration:={seconds}", "--tick", tick))
-            progress.step(name)
-    return [_row(name, taken) for name, taken in runs.items()]
+def compare_scenes(rounds: int, seconds: float, halvings: int, tick: Tick) -> dict[str, Any]:
+    """Launch floor and scenes in turns, in an order that rotates: rows of medians over the launches, and the machine."""
+    with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
+        found = scenes(Path(folder), halvings)
+        runs: dict[str, list[dict[str, Any]]] = {name: [] for name in found}
+        names, progress = list(found), Progress(rounds * len(found))
+        for k in range(rounds):
+            for name in names[k % len(names) :] + names[: k % len(names)]:
+                runs[name].append(launch(*found[name], f"duration:={seconds}", "--tick", tick))
+                progress.step(name)
+    return {"rows": [_row(name, taken) for name, taken in runs.items()], "machine": machine()}
 
 
 def _row(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
@@ -79,11 +81,3 @@ def text(rows: list[dict[str, Any]]) -> list[str]:
             f"{response['p99']:10.0f}{row['missed']:9d} ({row['missed_share']:.2%})"
         )
     return lines
-
-
-def compare_scenes(rounds: int, seconds: float, halvings: int, tick: Tick) -> dict[str, Any]:
-    """Launch the floor and the scenes in turns, with a ball of 20·4ⁿ triangles: rows of figures, and the machine."""
-    with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
-        found = scenes(Path(folder), halvings)
-        rows = measure(found, rounds, seconds, tick, Progress(rounds * len(found)))
-    return {"rows": rows, "machine": machine()}

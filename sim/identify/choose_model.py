@@ -53,10 +53,6 @@ class Windows:
     unseen: WholeArray
     length: int
 
-    def kept(self, kept: WholeArray) -> Windows:
-        """Leave out what is spoilt."""
-        return Windows(np.intersect1d(self.seen, kept), np.intersect1d(self.unseen, kept), self.length)
-
 
 def choose(experiment: Experiment, found: Fit, windows: Windows, scale: float, step: float | None) -> Choice:
     """Judge a rigid fit, and add terms while the data ask for them."""
@@ -89,7 +85,7 @@ def _judged(
     undisturbed = _undisturbed(model, scale)
     if not undisturbed.all():
         model = fit(experiment, model.starts[undisturbed], length, model.theta, free, scale, model.states[undisturbed])
-        windows = windows.kept(model.starts)
+        windows = Windows(*(np.intersect1d(one, model.starts) for one in (windows.seen, windows.unseen)), length)
     # The search may have stopped short: from where all windows lead, and again without those that judge.
     seen = np.isin(model.starts, windows.seen)
     again = fit(experiment, model.starts[seen], length, model.theta, free, scale, model.states[seen])

@@ -34,12 +34,9 @@ class Left:
     states: Array
     unknowns: Array
 
-    def freed(self, shapes: Array) -> Array:
-        """Free shapes (..., W, L) of what states and unknowns take up."""
-        return _freed(shapes, self.states, self.unknowns)
-
 
 def _freed(what: Array, states: Array, unknowns: Array) -> Array:
+    """Free shapes (..., W, L) of what states and unknowns take up."""
     what = what - np.einsum("wks,...ws->...wk", states, np.einsum("wks,...wk->...ws", states, what))
     if unknowns.size:
         flat = what.reshape(*what.shape[:-2], -1)
@@ -137,7 +134,7 @@ def scan(experiment: Experiment, found: Fit, what: Left) -> list[Evidence]:
     beyond = max(1.0 - (what.rounding / what.size) ** 2, 1.0 / what.residual.size) if what.size else 1.0
     power = float(np.sum(what.residual**2)) * beyond
     for suspect in Shapes(experiment, found, what.modelled).all():
-        shapes = what.freed(suspect.shapes).reshape(len(suspect.shapes), -1)
+        shapes = _freed(suspect.shapes, what.states, what.unknowns).reshape(len(suspect.shapes), -1)
         norms = np.linalg.norm(shapes, axis=1)
         raw = np.linalg.norm(suspect.shapes.reshape(len(shapes), -1), axis=1)
         if not np.all(norms > 1e-6 * raw) or not np.all(np.isfinite(norms)):

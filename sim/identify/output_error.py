@@ -114,10 +114,6 @@ def own_states(theta: Array) -> int:
     return STATES if theta[SHARE] > 0.0 else 2
 
 
-def _widths(theta: Array) -> Array:
-    return np.asarray(_STEPS * np.maximum(_SIZES, np.abs(theta)), dtype=np.float64)
-
-
 def left_over(experiment: Experiment, found: Fit, scale: float) -> tuple[Array, Array]:
     """Give what a fit leaves (W, L), and what each unknown and each window's own state moves (W, p + s, L)."""
     return _slopes(experiment, found.starts, found.length, found.theta, found.free, found.states, scale)
@@ -132,10 +128,10 @@ def _slopes(
     states: Array,
     scale: float,
 ) -> tuple[Array, Array]:
-    own = own_states(theta)
+    own, widths = own_states(theta), _STEPS * np.maximum(_SIZES, np.abs(theta))
     residuals, moved = np.empty((len(starts), length)), np.empty((len(starts), len(free) + own, length))
     slopes(
-        theta, free, _widths(theta), own, states, np.ascontiguousarray(starts), experiment.period, experiment.position,
+        theta, free, widths, own, states, np.ascontiguousarray(starts), experiment.period, experiment.position,
         experiment.missing, experiment.at, experiment.force, scale, residuals, moved,
     )  # fmt: skip
     return residuals, moved

@@ -22,13 +22,12 @@ from messages.errors import HapticError
 from messages.topics import DEVICE_STATE, FORCE
 from nodes.laws import CompiledLaw, Law
 from nodes.laws.parse import parse_law
-from nodes.parameters.yaml_io import parse_yaml
 from nodes.recording.reader import Recording
 from nodes.stability.k_max import edge_of, k_max, without_spring
 from nodes.stability.occurring import Edge, position_over_force
 from nodes.stability.plant import Plant
 from sim.arrays import Array
-from sim.design.recorded_loop import measure
+from sim.design.recorded_loop import measure, node_with
 from sim.device.model import DeviceModel
 from sim.experiments.drop import drop_scene
 from sim.scene.loop import run
@@ -226,11 +225,10 @@ def longest(contact: NDArray[np.bool_]) -> tuple[int, int]:
 
 
 def _law(recording: Recording, path: Path) -> Law:
-    for text in recording.metadata.get("parameters", {}).values():
-        node = parse_yaml(text, "parameters")
-        if isinstance(node, dict) and isinstance(node.get("laws"), dict):
-            return parse_law(node["laws"][node["law"]], f"laws.{node['law']}")
-    raise ValueError(f"{path}: holds no coupling, so no law")
+    node = node_with(recording, "laws")
+    if not node:
+        raise ValueError(f"{path}: holds no coupling, so no law")
+    return parse_law(node["laws"][node["law"]], f"laws.{node['law']}")
 
 
 TICKS = 500  # of a drop

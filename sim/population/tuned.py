@@ -12,7 +12,7 @@ from nodes.laws import CompiledLaw
 from nodes.stability.flexible import flexible_radius
 from sim.identify.identified import refusal
 from sim.identify.identify import identify
-from sim.population.virtual import KINDS, draw, draw_outside, excite, excite_outside
+from sim.population.virtual import draw, draw_outside, excite, excite_outside
 from sim.scene.richer import RicherModel
 from sim.tune.design import Wanted, design, predict
 from sim.tune.knocking import KnockVerdict, climb, knocked, scaled
@@ -20,11 +20,6 @@ from sim.tune.outcome import verified
 
 PEAK = 3.3  # largest force of every driver [N]
 INSIDE = "inside the model"
-
-
-def kinds() -> list[str]:
-    """List the kinds of devices: inside the model, and every one outside."""
-    return [INSIDE, *KINDS]
 
 
 def tune_device(job: Mapping[str, Any]) -> dict[str, Any]:

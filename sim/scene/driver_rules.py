@@ -43,25 +43,17 @@ class DriverRules:
         self._kept = set_motion(s, device.delay)
         set_guard(s, passivity)
 
-    def sample_all(self, tick: int, place: Vector) -> Vector:
+    def sample(self, tick: int, place: Vector) -> Vector:
         """Take a sample; the position that is published."""
         s = self.state
         s.place[:] = place
         take_sample(s, tick, tick * s.period)
         return s.position[0], s.position[1], s.position[2]
 
-    def command_all(self, tick: int, wanted: Vector) -> Vector:
+    def command(self, tick: int, wanted: Vector) -> Vector:
         """Turn the law's force into what the device gets."""
         s = self.state
         s.got_seq, s.got[:] = tick, wanted
         decide(s, tick)
         act(s, 1)
         return s.force[0], s.force[1], s.force[2]
-
-    def sample(self, tick: int, measured: float) -> float:
-        """Take a sample along the one axis of a scene."""
-        return self.sample_all(tick, (measured, 0.0, 0.0))[0]
-
-    def command(self, tick: int, wanted: float) -> float:
-        """Turn the law's force along the one axis of a scene into what the device gets."""
-        return self.command_all(tick, (wanted, 0.0, 0.0))[0]

@@ -150,21 +150,6 @@ def _push(
                 arrived += 1
 
 
-def knock_on(
-    device: RicherModel,
-    taps: Array,
-    step: float,
-    period: float,
-    ticks: int,
-    peak: float,
-    start: float = 0.0,
-    slew: float = math.inf,
-) -> Array:
-    """Let a law [N/m] feel a step of the deflection on such a device at rest: what the encoder reads [m]."""
-    place = start * (device.rigid.resolution or 0.0)
-    return pushed(device, period, np.zeros(ticks), taps, (step, math.inf, peak, place), 0, slew)[0]
-
-
 def pushed(
     device: RicherModel,
     period: float,

@@ -141,12 +141,12 @@ def play(
                 place[part.axis] = read_axis(part, k)
         else:
             place = path[k].tolist()
-        position = rules.sample_all(k, (place[0], place[1], place[2]))
+        position = rules.sample(k, (place[0], place[1], place[2]))
         proxy, normal, distance, contact = meet(k, position, force)
         wanted = coupling.answer(
             Proxy(seq=k, stamp=k * period, position=position, proxy=proxy, normal=normal, distance=distance, contact=contact)
         )
-        force = rules.command_all(k, wanted)
+        force = rules.command(k, wanted)
         for part in parts:
             write_axis(part, force[part.axis], k, 0.0)
         positions[k], proxies[k], normals[k], contacts[k], forces[k] = position, proxy, normal, contact, force

@@ -285,7 +285,7 @@ def play(
             if nudged is not None:
                 measured += float(nudged[k, 2])
             if rules is not None:
-                measured = rules.sample(k, measured)
+                measured = rules.sample(k, (measured, 0.0, 0.0))[0]
             head, newest, touches = respond(
                 measured, contact.kind, contact.surface, contact.normal, contact.raw, history, head, length
             )
@@ -308,7 +308,7 @@ def play(
             load = _load_at(motion.loads, motion.load, k)
             if arrivals is None:
                 if rules is not None:
-                    applied = rules.command(k, force)
+                    applied = rules.command(k, (force, 0.0, 0.0))[0]
                 else:
                     pending = applied
                     if guard is not None:

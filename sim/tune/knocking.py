@@ -20,7 +20,7 @@ from nodes.laws.knock import Knock
 from sim.arrays import Array
 from sim.device.model import DeviceModel
 from sim.scene.loop import Scene, SceneSurface, run
-from sim.scene.richer import RicherModel, knock_on
+from sim.scene.richer import RicherModel, pushed
 
 WINDOW = 400  # ticks that a knock is watched
 LONGEST = 4 * WINDOW  # ticks that a knock is watched whose motion dies slowly
@@ -161,9 +161,9 @@ def knocked(
 
         def on_richer(step: int) -> KnockVerdict:
             factor = factor_of(step)
-            taps = np.array(scaled(law, factor).taps)
-            played = (knock_on(richer, taps, knock, period, LONGEST, strongest, start, change) for start in starts)
-            return worst(judge(position, knock, factor) for position in played)
+            told = (period, np.zeros(LONGEST), np.array(scaled(law, factor).taps))
+            places = [(knock, math.inf, strongest, start * (richer.rigid.resolution or 0.0)) for start in starts]
+            return worst(judge(pushed(richer, *told, place, 0, change)[0], knock, factor) for place in places)
 
         return on_richer
 

@@ -13,8 +13,7 @@ import statistics
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from unittest import mock
@@ -143,20 +142,15 @@ def _round(loops: dict[str, _Loop], ticks: int, period: float) -> dict[str, list
     return found
 
 
-@contextmanager
-def _own_keys(folder: Path) -> Iterator[keys.Identity]:
-    """Keys for the length of the benchmark; the user's own are not touched."""
-    with mock.patch.dict(os.environ, HAPTIC_KEYS=str(folder / "keys")):
-        yield keys.new_identity()
-
-
 def measure(rate: float, rounds: int, ticks: int) -> dict[str, Any]:
     """Measure both kinds in turn."""
     period = 1.0 / rate
     responses: dict[str, list[list[float]]] = {"ipc": [], "curve": []}
     with tempfile.TemporaryDirectory(prefix="haptic-bench-") as text, ExitStack() as stack:
         folder = Path(text)
-        me = stack.enter_context(_own_keys(folder))
+        # The user's own keys are not touched.
+        stack.enter_context(mock.patch.dict(os.environ, HAPTIC_KEYS=str(folder / "keys")))
+        me = keys.new_identity()
         denied: list[str] = []
         context = new_context()
         stack.callback(context.term)

@@ -35,13 +35,14 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Sweep over the devices."""
-    from sim.population.tuned import kinds, summary, tune_device
+    from sim.population.tuned import INSIDE, summary, tune_device
+    from sim.population.virtual import KINDS
 
     if not 1 <= arguments.devices <= 100_000:
         raise UsageError(f"--devices {arguments.devices}: between 1 and 100000")
-    inside, *outside = kinds()
+    outside = list(KINDS)
     told = given(arguments, "seed", "seconds", "rate", "taps", "nyquist", "land", "refuted")
-    kind = [inside if number % 2 == 0 else outside[number // 2 % len(outside)] for number in range(arguments.devices)]
+    kind = [INSIDE if number % 2 == 0 else outside[number // 2 % len(outside)] for number in range(arguments.devices)]
     jobs = [{"number": number, "kind": one, **told} for number, one in enumerate(kind)]
     rows, ledger = swept(arguments, tune_device, jobs, "tuned")
     found = summary(rows)
