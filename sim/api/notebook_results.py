@@ -20,10 +20,7 @@ _LONGEST = 6
 
 
 class Result:
-    """Base of all results: a dataclass whose fields are figures, with units in their names.
-
-    What is an array is a column of `to_pandas`; everything else is a row of what a notebook shows.
-    """
+    """Base of results, dataclasses of figures with units in their names; an array is a column of `to_pandas`."""
 
     def figures(self) -> dict[str, Any]:
         """List what is no column: figure by name, with the unit at its end."""
@@ -105,10 +102,7 @@ def bars(values: Mapping[str, Any], label: str, title: str) -> Figure:
 
 
 def new_figure(rows: int = 1, width: float = 7.0, height: float = 3.2) -> tuple[Figure, list[Any]]:
-    """Make a figure of panels, one under the other, each of so many inches.
-
-    It shows itself in a notebook, whatever matplotlib's backend is, and no global state keeps it.
-    """
+    """Make a figure of panels, one under the other, each of so many inches, that shows itself in a notebook."""
     from matplotlib.figure import Figure
 
     class Picture(Figure):

@@ -31,8 +31,8 @@ def integrators() -> dict[str, Step]:
     """Collect the integrators of one tick."""
     exact = coefficients(MASS, DAMPING, 0.0, PERIOD)
     found: dict[str, Step] = {"exact map": lambda x, v, u: advance(x, v, u, exact)}
-    found |= {f"semi-implicit Euler {count}": _euler(count, implicit=True) for count in (1, 2, 4, 10, 40, 100)}
-    found |= {f"explicit Euler {count}": _euler(count, implicit=False) for count in (1, 10)}
+    found |= {f"semi-implicit Euler {count}": euler(count, implicit=True) for count in (1, 2, 4, 10, 40, 100)}
+    found |= {f"explicit Euler {count}": euler(count, implicit=False) for count in (1, 10)}
     found |= {f"RK4 {count}": _rk4(count) for count in (1, 2, 4)}
     found |= {f"solve_ivp {tolerance:g}": _solve_ivp(tolerance) for tolerance in (1e-3, 1e-6, 1e-9)}
     if find_spec("mujoco") is not None:
@@ -131,13 +131,14 @@ def integrator_steps(quick: bool = False) -> int:
     return (_QUICK_ROUNDS if quick else _ROUNDS) + len(integrators())
 
 
-def _euler(count: int, implicit: bool) -> Step:
+def euler(count: int, implicit: bool, mass: float = MASS, damping: float = DAMPING) -> Step:
+    """Give a tick of Euler's steps, semi-implicit or explicit."""
     h = PERIOD / count
 
     def step(x: float, v: float, u: float) -> tuple[float, float]:
         for _ in range(count):
             old = v
-            v += h * (u - DAMPING * v) / MASS
+            v += h * (u - damping * v) / mass
             x += h * (v if implicit else old)
         return x, v
 

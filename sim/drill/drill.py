@@ -79,41 +79,23 @@ def fault_of(made: Any, name: str, what: str, strike: Callable[[Rig], None] | No
 
 def scene() -> dict[str, Any]:
     """Write the launch file of the drill."""
-    again = {"respawn": True, "respawn_delay": 0.1, "respawn_max": -1}
-    return {
-        "summary": "A hand pressing into a wall, for drills",
-        "run": {"rate": RATE, "duration": 0.0},
-        "nodes": {
-            "driver": {
-                "kind": "sim_driver",
-                **again,
-                "parameters": {
-                    "device": {
-                        "mass": 0.1,
-                        "damping": 1.0,
-                        "hand": {"stiffness": 500.0, "damping": 5.0, "path": [[0.0, -0.005]]},
-                    },
-                    "hold": HOLD,
-                    "safety": {
-                        "watchdog": WATCHDOG,
-                        "damping_ticks": DAMPING_TICKS,
-                        "damping": DAMPING,
-                        "peak_force": PEAK,
-                        "slew": SLEW,
-                        "ramp": 0.02,
-                        "workspace": [[-0.05, 0.05]] * 3,
-                    },
-                },
-            },
-            "environment": {"kind": "environment", **again, "parameters": {"surface": {"kind": "plane", "axis": "z"}}},
-            "coupling": {
-                "kind": "coupling",
-                **again,
-                "parameters": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}}},
-            },
-            "logger": {"kind": "logger", "required": False, **again, "parameters": {"overwrite": True, "path": "run.mcap"}},
-        },
+    hand = {"stiffness": 500.0, "damping": 5.0, "path": [[0.0, -0.005]]}
+    safety: dict[str, Any] = {"watchdog": WATCHDOG, "damping_ticks": DAMPING_TICKS, "damping": DAMPING}
+    safety |= {"peak_force": PEAK, "slew": SLEW, "ramp": 0.02, "workspace": [[-0.05, 0.05]] * 3}
+    parameters = {
+        "driver": {"device": {"mass": 0.1, "damping": 1.0, "hand": hand}, "hold": HOLD, "safety": safety},
+        "environment": {"surface": {"kind": "plane", "axis": "z"}},
+        "coupling": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}}},
+        "logger": {"overwrite": True, "path": "run.mcap"},
     }
+    again = {"respawn": True, "respawn_delay": 0.1, "respawn_max": -1}
+    nodes: dict[str, dict[str, Any]] = {
+        name: {"kind": "sim_driver" if name == "driver" else name, **again, "parameters": given}
+        for name, given in parameters.items()
+    }
+    nodes["logger"]["required"] = False
+    run = {"rate": RATE, "duration": 0.0}
+    return {"summary": "A hand pressing into a wall, for drills", "run": run, "nodes": nodes}
 
 
 def with_link(content: dict[str, Any]) -> None:

@@ -21,6 +21,7 @@ import numpy as np
 from nodes.compiled.kernels.sources import kernel
 from nodes.laws import CompiledLaw
 from nodes.laws.pd_windowed import WindowedDamper
+from nodes.stability.plant import Plant
 from sim.arrays import Array
 from sim.device.model import DeviceModel, Hand
 from sim.scene.compiled import compiled
@@ -40,6 +41,12 @@ class Criterion:
             raise ValueError(f"criterion.ticks is {self.ticks}, expected at least 8: a quarter must be two ticks")
         if not self.tolerance > 0.0:
             raise ValueError(f"criterion.tolerance is {self.tolerance} m, expected more than 0")
+
+
+def held(plant: Plant) -> DeviceModel:
+    """Make a virtual device of a linear one, a hand held at 0."""
+    hand = Hand(stiffness=plant.stiffness, path=[(0.0, 0.0)]) if plant.stiffness > 0.0 else None
+    return DeviceModel(mass=plant.mass, damping=plant.damping, delay=plant.delay, hand=hand)
 
 
 def drop_scene(device: DeviceModel, period: float, raw: bool, clamp: bool, height: float = 0.01) -> Scene:

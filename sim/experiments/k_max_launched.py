@@ -131,7 +131,7 @@ def last_settling(verdict: Callable[[float], bool], grid: Sequence[float]) -> fl
 
 
 def same_k_max(
-    law: Law, scene: Scene, criterion: Criterion, grid: Sequence[float], step: Callable[[str, int], None] | None = None
+    law: Law, scene: Scene, criterion: Criterion, grid: Sequence[float], step: Callable[[str, int], None] = lambda *_: None
 ) -> SameKMax:
     """Find K_max of a law by the processes and in one process, independently."""
     launches = 0
@@ -140,8 +140,7 @@ def same_k_max(
         nonlocal launches
         launches += 1
         good = settles_launched(scene, with_stiffness(law, stiffness), criterion)
-        if step is not None:
-            step(f"K = {stiffness:.6g} N/m {'settles' if good else 'does not settle'}", 1)
+        step(f"K = {stiffness:.6g} N/m {'settles' if good else 'does not settle'}", 1)
         return good
 
     def in_one_process(stiffness: float) -> bool:

@@ -89,21 +89,25 @@ class Needs:
 
 def outcome(scene: LaunchedScene, trace: Trace) -> Outcome:
     """Work out what came of a run."""
-    position = np.asarray(trace.position)
-    force = np.asarray(trace.force)
-    tail = max(2, len(position) // _TAIL)
-    end = position[-tail:]
-    travel = float(np.ptp(position))
-    away = np.flatnonzero(~(np.abs(position - np.mean(end)) <= 0.01 * travel))
     law = scene.last_law
     poleless = scene.scene.surface.kind == "free" or law.evaluate is not None
+    stiffest = None if poleless else k_max(with_spring(law, -law.h1), scene.plant).h1_max_n_per_m
+    return _outcome(np.asarray(trace.position)[:, None], np.asarray(trace.force)[:, None], trace.period, stiffest)
+
+
+def _outcome(position: Array, force: Array, period: float, h1_max: float | None = None) -> Outcome:
+    """Work out what came of a run: positions and forces, (ticks, axes); lengths and forces are those in space."""
+    tail = max(2, len(position) // _TAIL)
+    end, rest = position[-tail:], force[-tail:].mean(axis=0)
+    travel = float(np.ptp(position, axis=0).max())
+    away = np.flatnonzero(~(np.linalg.norm(position - end.mean(axis=0), axis=1) <= 0.01 * travel))
     return Outcome(
-        settling_s=(int(away[-1]) + 1 if len(away) else 0) * trace.period,
-        peak_force_n=float(np.max(np.abs(force))),
-        rest_force_n=float(np.mean(force[-tail:])),
+        settling_s=(int(away[-1]) + 1 if len(away) else 0) * period,
+        peak_force_n=float(np.linalg.norm(force, axis=1).max()),
+        rest_force_n=float(rest[0] if len(rest) == 1 else np.linalg.norm(rest)),
         travel_m=travel,
-        limit_cycle_m=float(np.ptp(end)),
-        h1_max_n_per_m=None if poleless else k_max(with_spring(law, -law.h1), scene.plant).h1_max_n_per_m,
+        limit_cycle_m=float(np.ptp(end, axis=0).max()),
+        h1_max_n_per_m=h1_max,
     )
 
 
@@ -147,7 +151,11 @@ def here(plays: Sequence[Callable[[], R]]) -> list[R]:
 
 
 def needs(
-    scene: LaunchedScene, model: Model, rounds: int = 5, step: Callable[[str], None] | None = None, players: Play[Trace] = here
+    scene: LaunchedScene,
+    model: Model,
+    rounds: int = 5,
+    step: Callable[[str], None] = lambda _: None,
+    players: Play[Trace] = here,
 ) -> Needs:
     """Switch every term of a scene."""
 
@@ -175,7 +183,7 @@ def judge(
     ticks: int,
     model: Model,
     rounds: int,
-    step: Callable[[str], None] | None,
+    step: Callable[[str], None],
     players: Play[R] = here,
 ) -> tuple[tuple[Finding, ...], float | None]:
     """Play a scene and its variants: what each moves and, in turns, what it costs on this machine; time per tick [µs]."""
@@ -244,22 +252,6 @@ def _finding(variant: Variant[S], moved_by: dict[str, float], model: Model) -> F
     return Finding(" and ".join(terms), switched, verdict, moved, most, changes, None)
 
 
-def spatial_outcome(trace: SpatialTrace, period: float) -> Outcome:
-    """Work out what came of a run; lengths and forces in space."""
-    tail = max(2, len(trace.position) // _TAIL)
-    force, end = trace.force, trace.position[-tail:]
-    travel = float(np.ptp(trace.position, axis=0).max())
-    away = np.flatnonzero(~(np.linalg.norm(trace.position - end.mean(axis=0), axis=1) <= 0.01 * travel))
-    return Outcome(
-        settling_s=(int(away[-1]) + 1 if len(away) else 0) * period,
-        peak_force_n=float(np.linalg.norm(force, axis=1).max()),
-        rest_force_n=float(np.linalg.norm(force[-tail:].mean(axis=0))),
-        travel_m=travel,
-        limit_cycle_m=float(np.ptp(end, axis=0).max()),
-        h1_max_n_per_m=None,
-    )
-
-
 def apart(before: Array, after: Array, scale: Array) -> float:
     """Root mean square of a difference over that of what it is measured by."""
     size = float(np.sqrt(np.mean(np.sum(scale**2, axis=1))))
@@ -275,22 +267,18 @@ def _play_spatial(scene: SpatialScene) -> SpatialTrace:
 
 
 def spatial_needs(
-    launch: Launch, rounds: int = 5, step: Callable[[str], None] | None = None, players: Play[SpatialTrace] = here
+    launch: Launch, rounds: int = 5, step: Callable[[str], None] = lambda _: None, players: Play[SpatialTrace] = here
 ) -> Needs:
-    """Switch every term of a scene with several axes; without rounds nothing is timed.
-
-    ``force`` is the root mean square of its difference over that of the force, ``proxy`` that of the proxy's difference over
-    that of the deflection. Raises ParameterError when one process cannot play it, or it touches nothing.
-    """
+    """Switch every term of a scene with several axes, judged by force and proxy along its way too."""
     scene, period = spatial_scene(launch), launch.run.period
     with np.errstate(all="ignore"):
         first = scene.play()
-        before = spatial_outcome(first, period)
+        before = _outcome(first.position, first.force, period)
         variants = variants_of(scene, SPATIAL_TERMS, SPATIAL_CONVENTIONS, (("friction", "resolution"),))
 
         def changes(changed: SpatialScene, trace: SpatialTrace) -> dict[str, float]:
             del changed
-            return movement(before, spatial_outcome(trace, period), period) | {
+            return movement(before, _outcome(trace.position, trace.force, period), period) | {
                 "force": apart(first.force, trace.force, first.force),
                 "proxy": apart(first.proxy, trace.proxy, first.proxy - first.position),
             }

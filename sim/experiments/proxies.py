@@ -254,11 +254,7 @@ _SCENE = """<mujoco><option timestep="{step!r}" integrator="implicitfast" cone="
 def body_error(
     step: float, ticks: int, stiffness: float, depth: float, speed: float, period: float, stiff: bool = False
 ) -> ProxyError:
-    """Lead a tool that is a body along the sphere, so deep below it [m]; a call is a tick of the scene.
-
-    The coupling of K = `stiffness` [N/m] has a damper that makes it critical with the tool; `stiff` contacts are as stiff as
-    the step lets them be, else as MuJoCo makes them. Raises ParameterError without MuJoCo.
-    """
+    """Lead a tool that is a body along the sphere, so deep below it [m]; `stiff` contacts are as stiff as the step allows."""
     surface, normal = ring(ticks, speed, period, RADIUS)
     ideal = surface + _TIP * normal
     below = depth * np.minimum(np.arange(ticks) / (0.05 * ticks), 1.0)

@@ -56,11 +56,7 @@ def text() -> str:
 
 
 def device_of(kind: str, words: Sequence[str]) -> MailboxDevice:
-    """Make a device from the command line; it is not connected yet.
-
-    `words`: ``touch.library:=/opt/libHD.so``: parameters of the driver, by their dotted path. Raises UsageError when there is
-    no such kind, or no such parameter.
-    """
+    """Make a device from the command line, words as ``touch.library:=/opt/libHD.so``; it is not connected yet."""
     known = real_kinds()
     if kind not in known:
         virtual = "; the virtual device needs no check: haptic launch identify" if kind == "sim_driver" else ""

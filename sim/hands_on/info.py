@@ -14,11 +14,7 @@ from nodes.stability.plant import Plant
 
 
 def info(device: MailboxDevice, rate: float, delay: float, damping: float) -> dict[str, Any]:
-    """Connect to a device, forces off, and tell what it is.
-
-    `rate`: of the loop that the stability figures are for [Hz]. `delay`: of it [ticks]. Returns: facts, limits, and inertia
-    with the largest stable stiffness along each axis where the device knows it. Raises RefusedError when it cannot be reached.
-    """
+    """Connect to a device, forces off, and tell what it is: facts, limits, inertia, and how stiff PD may get on it."""
     try:
         device.connect()
         device.identify()

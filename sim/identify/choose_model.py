@@ -85,7 +85,7 @@ def _judged(
     undisturbed = _undisturbed(model, scale)
     if not undisturbed.all():
         model = fit(experiment, model.starts[undisturbed], length, model.theta, free, scale, model.states[undisturbed])
-        windows = Windows(*(np.intersect1d(one, model.starts) for one in (windows.seen, windows.unseen)), length)
+        windows = Windows(np.intersect1d(windows.seen, model.starts), np.intersect1d(windows.unseen, model.starts), length)
     # The search may have stopped short: from where all windows lead, and again without those that judge.
     seen = np.isin(model.starts, windows.seen)
     again = fit(experiment, model.starts[seen], length, model.theta, free, scale, model.states[seen])

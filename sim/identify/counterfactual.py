@@ -35,10 +35,7 @@ class Felt:
 def replay(
     recorded: RecordedScene, law: CompiledLaw | None = None, external: Array | None = None, nudged: Array | None = None
 ) -> Felt:
-    """Play a recorded scene again, with another law from the first tick on; None for what did render, its swaps included.
-
-    `external` is the force besides the law's [N], from `missing_force`; `nudged`, shape (N, 3), are the jumps from `nudges`.
-    """
+    """Play a recorded scene again, by default with what did render; `external` is of `missing_force`, `nudged` of `nudges`."""
     played, ticks = recorded.scene, len(recorded.position)
     first = played.law if law is None else law
     swaps = [swap for swap in played.swaps if swap.tick < ticks] if law is None else []
@@ -51,11 +48,7 @@ def replay(
 
 
 def nudges(recorded: RecordedScene, external: Array | None = None) -> Array:
-    """Find what keeps the model, under the recorded forces, in the encoder step that was read: shape (N, 3).
-
-    Jumps of position [m] and velocity [m/s], zero wherever the model reads what was read; and how far the recorded reading lies
-    off its grid [m].
-    """
+    """Find the least jumps of position [m], velocity [m/s] and reading [m] that keep the model in what was read: (N, 3)."""
     ticks = len(recorded.position)
     jumps = np.zeros((ticks, 3))
     arrivals = recorded.came, np.full(len(recorded.came), -1, dtype=np.int64), recorded.given
@@ -77,15 +70,12 @@ def _judged(recorded: RecordedScene, law: CompiledLaw, measured: Array, force: A
 
 
 def missing_force(recorded: RecordedScene, noise: float) -> Array:
-    """Estimate what moved the device besides the forces handed to it and the model's own load, tick by tick [N].
-
-    A random walk of an unknown force is smoothed over the whole recording (Kalman filter and Rauch–Tung–Striebel smoother), its
-    size chosen by likelihood. `noise` is the standard deviation of a measured position: an encoder step over √12 [m].
-    """
+    """Estimate the force that the model lacks, tick by tick [N]; `noise` is a measured position's standard deviation [m]."""
     device, y = recorded.scene.scene.device, recorded.position
     step = coefficients(device.moving_mass, device.moving_damping, device.grip, recorded.scene.scene.period)
     known = _known(recorded)
     best, chosen = -np.inf, np.zeros(len(y))
+    # A random walk of the force, smoothed over the whole recording (Kalman; Rauch, Tung and Striebel), its size by likelihood.
     for walk in np.geomspace(1e-5, 1.0, 11).tolist():
         likelihood, force = _smooth(y, known, step, noise, walk)
         if likelihood > best:

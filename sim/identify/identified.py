@@ -84,15 +84,9 @@ class Identified:
             joint = {name: getattr(self, name).known()[0] for name in ("share", "frequency", "loss")}
         return FlexiblePlant(mass, damping, delay, self.stiffness.value or 0.0, self.lag.value or 0.0, **joint)
 
-    @property
-    def residual_steps(self) -> float | None:
-        """Residual in encoder steps; None when the step is not known. 0.29 is what rounding alone leaves."""
-        return None if self.encoder.value is None else self.residual / self.encoder.value
-
-    @property
-    def held_out_steps(self) -> float | None:
-        """The same of the held-out windows."""
-        return None if self.encoder.value is None or self.held_out is None else self.held_out / self.encoder.value
+    def steps(self, residual: float | None) -> float | None:
+        """Give a residual in encoder steps; None when either is not known. 0.29 is what rounding alone leaves."""
+        return None if self.encoder.value is None or residual is None else residual / self.encoder.value
 
 
 def refusal(found: Identified) -> str | None:

@@ -37,11 +37,12 @@ def figures(found: Identified) -> dict[str, Any]:
         "rate_hz": 1.0 / found.period,
         **{key: _estimate(getattr(found, name)) for key, name, _, _ in ROWS},
         "delay_range_ticks": list(found.delay_range),
-        **{name: getattr(found, name) for name in ("held", "residual_steps", "refuted", "why", "windows")},
+        **{name: getattr(found, name) for name in ("held", "refuted", "why", "windows")},
+        "residual_steps": found.steps(found.residual),
         "residual_m": None if math.isnan(found.residual) else found.residual,
         "terms": list(found.terms),
         "unbelieved": {key: _estimate(found.unbelieved[name]) for key, name, _, _ in ROWS if name in found.unbelieved},
-        "held_out": {"residual_steps": found.held_out_steps, "residual_m": found.held_out, "whiteness": found.whiteness},
+        "held_out": {"residual_steps": found.steps(found.held_out), "residual_m": found.held_out, "whiteness": found.whiteness},
         "windows_dropped": found.dropped,
         "window_ticks": found.ticks,
     }
@@ -93,7 +94,7 @@ def text(found: Identified) -> str:
             lines.append(f"  {label:30} none seen; below {estimate.high:.2g} {unit} it would not show")
         else:
             lines.append(f"  {label:30} {estimate.value:10.5g}  ({estimate.low:.5g} to {estimate.high:.5g}) {unit}")
-    steps, unseen = found.residual_steps, found.held_out
+    steps, unseen = found.steps(found.residual), found.held_out
     residual = f"{found.residual * 1e6:.3g} µm" + ("" if steps is None else f" = {steps:.3g} encoder steps (rounding: 0.29)")
     held_out = "none" if unseen is None else f"{unseen * 1e6:.3g} µm"
     lines.append(f"  residual {residual}; in held-out windows {held_out}; {found.windows} windows of {found.ticks} ticks")

@@ -71,11 +71,7 @@ def fit(
     states: Array | None = None,
     steps: int = 60,
 ) -> Fit:
-    """Find the `free` unknowns from a first guess of all, in the order of `NAMES`, until no step lowers the error.
-
-    `starts`, shape (W,): first ticks of the windows; `scale`: a small error of position, an encoder step [m]; `states`, shape
-    (W, 4): first guess.
-    """
+    """Find the `free` unknowns from a first guess of all until no step lowers the error; `scale` is a small error [m]."""
     theta = np.array(theta, dtype=np.float64)
     chosen = np.array(free, dtype=np.int64)
     states = first_states(experiment, starts, length) if states is None else states.copy()

@@ -112,12 +112,12 @@ def sweep(
     pool: Executor,
     ledger: Path,
     chunk: int = 1,
-    step: Callable[[str, int], None] | None = None,
+    step: Callable[[str, int], None] = lambda *_: None,
 ) -> list[SweepRow]:
     """Do all jobs that the ledger has no result of."""
     done = read_ledger(ledger)
     left = [parameters for parameters in jobs if key_of(parameters) not in done]
-    if step is not None and len(left) < len(jobs):
+    if len(left) < len(jobs):
         step(f"{len(jobs) - len(left)} of {len(jobs)} were done before", len(jobs) - len(left))
     ledger.parent.mkdir(parents=True, exist_ok=True)
     whole = not ledger.exists() or ledger.read_bytes().endswith(b"\n") or not ledger.stat().st_size
@@ -129,6 +129,5 @@ def sweep(
                 file.write(json.dumps({"job": dict(left[i]), "row": row}) + "\n")
                 done[key_of(left[i])] = row
             file.flush()
-            if step is not None:
-                step(f"{len(done)} of {len(jobs)}", len(rows))
+            step(f"{len(done)} of {len(jobs)}", len(rows))
     return [done[key_of(parameters)] for parameters in jobs]

@@ -59,7 +59,7 @@ class Progress:
 
 
 def interleaved(
-    jobs: Mapping[str, tuple[Callable[[], object], int]], rounds: int, step: Callable[[str], None] | None = None
+    jobs: Mapping[str, tuple[Callable[[], object], int]], rounds: int, step: Callable[[str], None] = lambda _: None
 ) -> dict[str, Timing]:
     """Time several jobs against each other."""
     names = list(jobs)
@@ -73,8 +73,7 @@ def interleaved(
             start = time.perf_counter()
             run()
             seconds[name].append((time.perf_counter() - start) / units)
-        if step is not None:
-            step(f"timing, round {k + 1} of {rounds}")
+        step(f"timing, round {k + 1} of {rounds}")
     return {name: _summary(values) for name, values in seconds.items()}
 
 

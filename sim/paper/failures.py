@@ -20,8 +20,9 @@ from nodes.laws.pd_alpha import PDAlpha, combine
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
-from sim.device.model import DeviceModel, Hand
-from sim.experiments.drop import Criterion, drop_scene, free_scene, settles
+from sim.chart.integrators import euler, spring_limit
+from sim.device.model import DeviceModel
+from sim.experiments.drop import Criterion, drop_scene, free_scene, held, settles
 from sim.paper.claims import Claim, verdict
 from sim.paper.descent import paper_targets, starting, steepest_descent
 from sim.scene.loop import run
@@ -81,7 +82,7 @@ def both_sides(boundary: Boundary) -> FailureEdge | None:
         return None
     laws = [with_spring(derivative, limit * share) for share in (1.0 - MARGIN, 1.0 + MARGIN)]
     inside, outside = (pole_radius(law, device) for law in laws)
-    settled = settles(free_scene(model(device), PERIOD), laws, Criterion(HORIZON))
+    settled = settles(free_scene(held(device), PERIOD), laws, Criterion(HORIZON))
     return FailureEdge(
         f"{name}, m {device.mass:g} kg, d {device.delay:g} ticks", limit, inside, outside, settled[0], settled[1]
     )
@@ -181,41 +182,12 @@ def optimum(damping: float) -> CompiledLaw:
     return without_spring(parse_law({"kind": "paper_optimum", "damping": damping}), PERIOD)
 
 
-def model(device: Plant) -> DeviceModel:
-    """Virtual device of a linear one, a hand held where it is."""
-    hand = Hand(stiffness=device.stiffness, path=[(0.0, 0.0)]) if device.stiffness > 0.0 else None
-    return DeviceModel(mass=device.mass, damping=device.damping, delay=device.delay, hand=hand)
-
-
-def euler_k_max(substeps: int, mass: float, damping: float, period: float) -> float:
-    """K_max of a spring when the device is integrated by semi-implicit Euler: by the pole radius of its own recurrence."""
-    h = period / substeps
-    # v⁺ = v + h(u − b v)/m, x⁺ = x + h v⁺, u held over all sub-steps.
-    once = np.array([[1.0, h * (1.0 - h * damping / mass), h * h / mass], [0.0, 1.0 - h * damping / mass, h / mass], [0, 0, 1]])
-    whole = np.linalg.matrix_power(once, substeps)
-
-    def stable(stiffness: float) -> bool:
-        closed = whole[:2, :2] - np.outer(whole[:2, 2], [stiffness, 0.0])
-        return bool(np.abs(np.linalg.eigvals(closed)).max() < 1.0)
-
-    top = 4.0 * mass / period**2
-    rungs = np.geomspace(1e-6 * top, top, 400).tolist()
-    outside = next((i for i, stiffness in enumerate(rungs) if not stiffness or not stable(stiffness)), None)
-    if outside is None:
-        return math.inf
-    low, high = rungs[outside - 1], rungs[outside]
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if stable(middle) else (low, middle)
-    return float(low)
-
-
 def euler_bias(substeps: int) -> tuple[float, float]:
     """Overstatement of K_max by semi-implicit Euler on a heavy device, found and predicted."""
     mass, damping = 10.0, 1.0
     exact = k_max(CompiledLaw((0.0,)), Plant(PERIOD, mass, damping)).k_max_n_per_m
     assert exact is not None  # noqa: S101 - a spring on a damped mass always has a limit
-    return euler_k_max(substeps, mass, damping, PERIOD) / exact, 1.0 / (1.0 - 1.0 / substeps)
+    return spring_limit(euler(substeps, True, mass, damping)) / exact, 1.0 / (1.0 - 1.0 / substeps)
 
 
 def gamma_coefficient(order: float, m: int) -> float:
@@ -268,7 +240,7 @@ def fragility(damping: float = 30.0, share: float = 0.9) -> dict[str, dict[str, 
         law = with_spring(derivative, share * limit)
         results[name] = {}
         for loop, device in loops.items():
-            scene = free_scene(model(device), PERIOD)
+            scene = free_scene(held(device), PERIOD)
             results[name][loop] = pole_radius(law, device), settles(scene, [law], Criterion(20_000))[0]
     return results
 

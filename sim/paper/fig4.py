@@ -104,15 +104,12 @@ def demands(setting: Setting, delay: float) -> dict[str, Demand]:
 
 
 def _designed(setting: Setting, delay: float, name: str) -> list[float] | None:
-    """Search the taps of a designed law; None where none keeps the demand, or none has a damping to scale.
-
-    The stiffest laws of a drop differ by a percent, and which one a search ends at depends on its seed and on rounding. The
-    first of five whose damping is positive is taken.
-    """
+    """Search the taps of a designed law; None where none keeps the demand, or none has a damping to scale."""
     import numpy as np
 
     from sim.design.robust import stiffest
 
+    # The stiffest laws of a drop differ by a percent, and which one a search ends at depends on its seed and on rounding.
     for seed in range(1, 6):
         found = stiffest(demands(setting, delay)[name], np.eye(4), seed=seed)
         if found is None:

@@ -236,10 +236,7 @@ RESOLUTION = 2.3e-5  # of the encoder [m]
 
 
 def dropped(number: int, name: str, law: Mapping[str, Any], period: float) -> dict[str, Any]:
-    """Drop a random device on a floor of 0.3 to 0.9 K_max, and look for K_max in its swing.
-
-    50 to 320 g, 0.5 to 2 N s/m, friction up to 0.1 N, a delay of up to 1.5 ticks; B is 20 to 60 times the mass.
-    """
+    """Drop a random device on a floor of 0.3 to 0.9 K_max, and look for K_max in its swing."""
     random = np.random.default_rng([7, number])
     plant = Plant(period, 10.0 ** random.uniform(-1.3, -0.5), random.uniform(0.5, 2.0), random.uniform(0.0, 1.5))
     gained = {**law, "damping": random.uniform(20.0, 60.0) * plant.mass}

@@ -36,7 +36,7 @@ def study_device(job: Mapping[str, Any]) -> dict[str, Any]:
     told = zip(PARAMETERS, truths, strict=True)
     row: dict[str, Any] = {name: {"truth": truth, **asdict(getattr(found, name))} for name, truth in told}
     row |= {"held": job["held"], "refuted": found.refuted}
-    row |= {"residual_steps": found.residual_steps, "held_out_steps": found.held_out_steps}
+    row |= {"residual_steps": found.steps(found.residual), "held_out_steps": found.steps(found.held_out)}
     if job["tune"]:
         row["tuned"] = _tuned(model, found, period)
     return row
@@ -147,7 +147,7 @@ def study_outside(job: Mapping[str, Any]) -> dict[str, Any]:
         "refuted": found.refuted,
         "why": found.why,
         "terms": list(found.terms),
-        "residual_steps": found.residual_steps,
+        "residual_steps": found.steps(found.residual),
         "whiteness": found.whiteness,
         "off": {},
     }

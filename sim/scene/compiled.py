@@ -132,10 +132,7 @@ class _Making(threading.local):
 
 
 class _Kept:
-    """What a compiled function of numba's asks for its machine code: that of each combination of argument types is an entry.
-
-    Its pickles are read only after the cache has vouched for them.
-    """
+    """What a function of numba's asks for its machine code; its pickles are read once the cache has vouched for them."""
 
     _warned = False
 
@@ -193,10 +190,7 @@ class _Kept:
 
 
 def compiled() -> Callable[[Function], Function]:
-    """Decorate a function to be compiled on first use, for each combination of argument types (None is a type).
-
-    Compiled code runs without the interpreter's lock.
-    """
+    """Decorate a function to be compiled on first use, for each combination of argument types (None is a type)."""
 
     def decorate(function: Function) -> Function:
         # Of numba's options a type checker knows only the common ones. C does not call it.

@@ -5,8 +5,6 @@ over tcp on loopback with CURVE, as on two. This process is the driver of both i
 the machine does meets both.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import statistics
@@ -15,7 +13,7 @@ import tempfile
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from unittest import mock
 
 import msgspec
@@ -25,6 +23,7 @@ from messages.codec import Decoder, encode
 from messages.errors import RefusedError
 from messages.transport import keys
 from messages.transport.context import new_context
+from messages.transport.endpoints import Context
 from messages.transport.gate import Gate
 from messages.transport.sockets import Publisher, Subscription
 from messages.types import DeviceState, Force
@@ -35,9 +34,6 @@ from nodes.launcher.child import PYTHON
 from nodes.recording.summary import quantile
 from sim.cli.answers import add_answer, report
 from sim.measure.free_ports import free_ports
-
-if TYPE_CHECKING:
-    from messages.transport.endpoints import Context
 
 PATIENCE_MS = 5000  # longest wait for an answer [ms]
 

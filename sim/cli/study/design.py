@@ -253,16 +253,8 @@ def _passive_row(passive: Passive, demand: Demand, out: Path) -> dict[str, Any]:
     law = CompiledLaw(tuple(passive.taps.tolist()))
     loops = itertools.product(demand.mass, demand.delay, demand.stiffness)
     radius = max(pole_radius(law, Plant(demand.period, mass, demand.damping, delay, hand)) for mass, delay, hand in loops)
-    return {
-        "pole_radius": radius,
-        "taps_n_per_m": passive.taps.tolist(),
-        "h1_n_per_m": passive.h1_n_per_m,
-        "h_nyquist_n_per_m": passive.h_nyquist_n_per_m,
-        "damping_needed_n_s_per_m": passive.damping_needed_n_s_per_m,
-        "ratio": passive.ratio,
-        "bound_n_per_m": passive.bound_n_per_m,
-        "yaml": str(path),
-    }
+    figures = asdict(passive)
+    return {"pole_radius": radius, "taps_n_per_m": figures.pop("taps").tolist(), **figures, "yaml": str(path)}
 
 
 def _passive_line(passive: Passive, demand: Demand, row: dict[str, Any]) -> str:

@@ -147,18 +147,16 @@ def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Plant) 
 
 def _scene(arguments: argparse.Namespace, device: Plant) -> Scene:
     """Set up the experiment; a grip is held where the floor is, and behind the wall to press."""
-    from sim.experiments.drop import drop_scene, free_scene, press_scene
+    from sim.experiments.drop import drop_scene, free_scene, held, press_scene
 
     raw = arguments.history == "position"
     if arguments.scene == "press":
         pressed = DeviceModel(mass=device.mass, damping=device.damping, delay=device.delay)
         grip = Hand(stiffness=device.stiffness, path=[(0.0, -0.01)]) if device.stiffness > 0.0 else None
         return press_scene(pressed, device.period, raw=raw, clamp=True, hand=grip)
-    hand = Hand(stiffness=device.stiffness, path=[(0.0, 0.0)]) if device.stiffness > 0.0 else None
-    model = DeviceModel(mass=device.mass, damping=device.damping, delay=device.delay, hand=hand)
     if arguments.scene == "free":
-        return free_scene(model, device.period)
-    return drop_scene(model, device.period, raw=raw, clamp=True)
+        return free_scene(held(device), device.period)
+    return drop_scene(held(device), device.period, raw=raw, clamp=True)
 
 
 def _simulated(arguments: argparse.Namespace, derivative: CompiledLaw, device: Plant) -> KMax:

@@ -43,8 +43,8 @@ def test_a_known_device_comes_back(delay: float) -> None:
     assert found.delay.value == pytest.approx(delay, abs=0.01)
     assert found.encoder.value == pytest.approx(23e-6, rel=1e-9)
     assert not found.held
-    assert found.residual_steps == pytest.approx(ROUNDING, rel=0.05)
-    assert found.held_out_steps == pytest.approx(ROUNDING, rel=0.10)
+    assert found.steps(found.residual) == pytest.approx(ROUNDING, rel=0.05)
+    assert found.steps(found.held_out) == pytest.approx(ROUNDING, rel=0.10)
 
 
 def test_a_hand_is_found_and_told_apart() -> None:

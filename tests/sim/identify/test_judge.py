@@ -102,7 +102,7 @@ def test_no_more_than_the_scene_needs() -> None:
     noisy = pushed(noise=4e-5)
     assert noisy.terms == ()
     assert not noisy.refuted
-    assert noisy.residual_steps == pytest.approx((1.0 / 12.0 + (40.0 / 23.0) ** 2) ** 0.5, rel=0.05)
+    assert noisy.steps(noisy.residual) == pytest.approx((1.0 / 12.0 + (40.0 / 23.0) ** 2) ** 0.5, rel=0.05)
     assert max(far(getattr(noisy, name), truth) for name, truth in TRUTH.items()) < 2.0
 
 

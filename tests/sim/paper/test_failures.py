@@ -12,6 +12,7 @@ from nodes.laws.derivatives.gl import coefficients
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import k_max, with_spring
 from nodes.stability.plant import Plant
+from sim.chart.integrators import euler, spring_limit
 from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene, settles
 from sim.paper import failures
@@ -36,7 +37,7 @@ def test_one_euler_step_per_tick_hides_the_limit_of_a_spring() -> None:
     # n_sub = 1: the prediction is infinite; what limits it then is κ < 4 − O(β), sixteen times the damper's 2b/T here.
     exact = k_max(CompiledLaw((0.0,)), Plant(failures.PERIOD, 0.1, 1.0)).k_max_n_per_m
     assert exact is not None
-    assert failures.euler_k_max(1, 0.1, 1.0, failures.PERIOD) > 16.0 * exact
+    assert spring_limit(euler(1, True, 0.1, 1.0)) > 16.0 * exact
 
 
 @pytest.mark.parametrize("order", [0.5, 1.5, 3.47])
