@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nodes.recording.figure_style import COLOURS, GREY, INK, LINES, MARKERS, save_figure, styled, typeset
+from nodes.recording.figure_style import COLOURS, GREY, INK, LINES, MARKERS, new_figure, save_figure, styled, typeset
 from sim.axes import name_points
 from sim.chart.derivative_errors import lengths_taken
 from sim.chart.derivatives import GAIN, PERIOD, STIFFNESS
@@ -28,9 +28,7 @@ _FRONT, _REST, _SEED = COLOURS[0], "#B9BEC5", COLOURS[1]
 @styled
 def draw(group: Group, folder: Path) -> Path:
     """Draw one group: every choice as a dot, the front joined and named, the paper's Grünwald–Letnikov marked."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
+    figure = new_figure(7.2, 4.6)
     axes = figure.add_subplot()
     shown = [p for p in group.points if math.isfinite(p.error) and math.isfinite(p.cost)]
     words = {"title": group.title, "xlabel": group.cost_label, "ylabel": group.error_label}

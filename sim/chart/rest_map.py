@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from nodes.laws import CompiledLaw
-from nodes.recording.figure_style import COLOURS, save_figure, styled
+from nodes.recording.figure_style import COLOURS, new_figure, save_figure, styled
 from nodes.stability.k_max import k_max, with_spring
 from nodes.stability.plant import Plant
 from nodes.stability.rest import rest, stiffest_at_rest
@@ -49,13 +49,12 @@ def _draw(
 ) -> None:
     import numpy as np
     from matplotlib.colors import LogNorm
-    from matplotlib.figure import Figure
 
     from sim.axes import plain_log
 
     frictions, steps, k = grid
     resolution, friction = here
-    figure = Figure(figsize=(6.6, 4.6), layout="constrained")
+    figure = new_figure(6.6, 4.6)
     axes = figure.add_subplot(xlabel="dry friction [N]", ylabel="encoder step [µm]", xscale="log", yscale="log")
     axes.set_title("largest K whose every motion stops")
     axes.grid(visible=False)

@@ -5,6 +5,7 @@ bits as ours, and that is checked before it is timed.
 """
 
 import ctypes
+import os
 import shutil
 import subprocess
 import tempfile
@@ -13,9 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 
+from nodes.base.realtime import off
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.laws.pd import PD
@@ -155,10 +156,9 @@ def measure(ticks: int, rounds: int, step: Callable[[str], None] = lambda _: Non
                 jobs[f"c|{n}"] = in_c(play, law, ticks), ticks
                 if ours(law, ticks)().tobytes() != in_c(play, law, ticks)().tobytes():
                     raise RuntimeError(f"C and the simulator give different bits with {n} taps; the timing would mean nothing")
-        cores = numba.get_num_threads()
+        cores = len(os.sched_getaffinity(0))
         found = interleaved(jobs, rounds, step)
-        # As a search for K_max uses it: drops of the usual horizon, many at once. Apart from the others, because worker
-        # threads go on spinning for a while after each batch.
+        # As a search for K_max uses it: drops of the usual horizon, many at once.
         horizon = min(ticks, Criterion().ticks)
         many = [with_spring(laws()[4], 10.0 * k) for k in range(16 * cores)]
         work = horizon * len(many)
@@ -170,15 +170,11 @@ def measure(ticks: int, rounds: int, step: Callable[[str], None] = lambda _: Non
     return Speed(simulator, plain_c, spread["one"], spread["all"], cores, reason)
 
 
-def _spread(many: list[CompiledLaw], ticks: int, threads: int) -> Callable[[], object]:
+def _spread(many: list[CompiledLaw], ticks: int, cores: int) -> Callable[[], object]:
     here, criterion = scene(), Criterion(ticks)
 
     def play() -> object:
-        before = numba.get_num_threads()
-        numba.set_num_threads(threads)
-        try:
+        with off(sorted(os.sched_getaffinity(0))[cores:]):
             return settles(here, many, criterion)
-        finally:
-            numba.set_num_threads(before)
 
     return play

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from messages.errors import HapticError
-from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, styled, threshold
+from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, new_figure, styled, threshold
 from sim.identify.identified_text import ROWS
 from sim.tune.knocking import LEFT
 from sim.tune.tuning_text import SECTIONS, TextRow, number
@@ -114,8 +114,6 @@ def _fit(record: Mapping[str, Any]) -> Figure | None:
     identified = record.get("identified")
     if identified is None or identified["mass_kg"]["value"] is None:
         return None
-    from matplotlib.figure import Figure
-
     from sim.identify.experiment import read
     from sim.identify.identified_text import from_figures
     from sim.identify.identify import followed
@@ -126,7 +124,7 @@ def _fit(record: Mapping[str, Any]) -> Figure | None:
         # Removed since, or moved: the report is of what is still there.
         return None
     starts, positions = followed(experiment, from_figures(identified).anyway(), WINDOWS)
-    figure = Figure(figsize=(8.0, 4.4), layout="constrained")
+    figure = new_figure(8.0, 4.4)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
     for k, (start, modelled) in enumerate(zip(starts.tolist(), positions, strict=True)):
         time = (start + np.arange(len(modelled))) * experiment.period
@@ -152,8 +150,6 @@ def _felt(record: Mapping[str, Any]) -> Figure | None:
     """Draw force over depth as the identified device falls on the wall of the law, beside the stiffness felt at rest."""
     if "designed" not in record or "identified" not in record:
         return None
-    from matplotlib.figure import Figure
-
     from sim.design.fall import fallen
     from sim.design.landing import HEIGHTS
     from sim.identify.identified_text import from_figures
@@ -166,7 +162,7 @@ def _felt(record: Mapping[str, Any]) -> Figure | None:
     ticks = round(FALL / found.period)
     position, force = fallen(plant, found.period, designed["taps_n_per_m"], HEIGHTS[0], ticks)
     depth = -1e3 * position
-    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+    figure = new_figure(8.0, 3.6)
     axes = figure.subplots()
     axes.plot(depth, force, color=COLOURS[0], ls="-", lw=1.0, label="a fall from 10 mm")
     most = max(float(depth.max()), 0.1)
@@ -184,10 +180,8 @@ def _knocks(record: Mapping[str, Any]) -> Figure | None:
     """Draw what is left of each knock against the stiffness; nothing before anything was knocked on."""
     if "predicted" not in record:
         return None
-    from matplotlib.figure import Figure
-
     h1 = record["predicted"]["h1_n_per_m"]
-    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+    figure = new_figure(8.0, 3.6)
     axes = figure.subplots()
     runs = (("predicted", record["predicted_steps"]["steps"]), ("measured", record.get("verified", {}).get("steps")))
     for k, (name, steps) in enumerate(runs):
