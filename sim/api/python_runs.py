@@ -7,12 +7,15 @@ nothing is left behind.
 import contextlib
 import json
 import shutil
+import signal
 import subprocess
 import tempfile
+import threading
 import time
 import weakref
+from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import Any, Self
 
 from messages.errors import HapticError
@@ -20,10 +23,9 @@ from nodes.client import launches
 from nodes.launcher.runs import RunInfo, alive, runs
 from sim.api.controls import Laws, Parameters
 from sim.api.laws import plain
-from sim.api.processes import end, whole
 from sim.api.progress import progress
 from sim.api.recordings import Recorded, RunSummary, read
-from sim.measure.measured_launch import HAPTIC, beside
+from sim.measure.measured_launch import HAPTIC, beside, end
 
 STARTS_WITHIN = 60.0  # when a launch that has not ticked is given up [s]
 
@@ -214,10 +216,8 @@ class Run:
 
     def stop(self) -> None:
         """End it as Ctrl-C does: force to zero first, recordings complete."""
-        process = self._process
-        if process is not None:
-            if process.poll() is None:
-                end(process)
+        if self._process is not None:
+            end(self._process)
             return
         done = subprocess.run([*HAPTIC, "stop", self.info.run], capture_output=True, text=True, check=False)
         if done.returncode:
@@ -263,6 +263,28 @@ class Run:
         if path is None or not Path(path).exists():
             raise LaunchError(f"{self.info.run}: no recording on this machine ({path})")
         return read(path)
+
+
+@contextlib.contextmanager
+def whole() -> Iterator[None]:
+    """Do this block to its end; an interrupt that comes meanwhile is one at its end.
+
+    In the middle of a request libzmq's own clean-up would swallow it: a ``KeyboardInterrupt`` that is raised inside a
+    finaliser, as a socket or context has one, is printed and forgotten, and the cell would go on.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    # Only the main thread is interrupted; SIG_IGN and SIG_DFL run no Python.
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield
+        return
+    came: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: came.append((number, frame)))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if came:
+            before(*came[0])
 
 
 def _lines(folder: Path) -> list[str]:

@@ -17,10 +17,9 @@ from typing import IO, TYPE_CHECKING, Any
 
 from sim.api.laws import plain
 from sim.api.notebook_results import Result, bars, new_figure, pandas
-from sim.api.processes import end
 from sim.api.progress import progress
 from sim.api.python_runs import LaunchError
-from sim.measure.measured_launch import beside
+from sim.measure.measured_launch import beside, end
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -139,14 +139,18 @@ def launched(scenario: str, *assignments: str) -> Iterator[RunInfo]:
 
 
 def end(process: subprocess.Popen[Any], patience: float = DEADLINE) -> None:
-    """End a launch as Ctrl-C does, if it still goes on, and kill it if that takes too long [s]."""
+    """End a command, first of its process group, as Ctrl-C does; kill it and what it started if that takes too long [s]."""
     if process.poll() is None:
         process.send_signal(signal.SIGINT)
         try:
             process.wait(patience)
-        except subprocess.TimeoutExpired:
-            process.kill()
+        except BaseException as error:
+            # A cell that was interrupted leaves nothing behind, even one that is interrupted twice.
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
             process.wait()
+            if not isinstance(error, subprocess.TimeoutExpired):
+                raise
 
 
 class Running:
@@ -181,17 +185,8 @@ class Running:
     def __enter__(self) -> Self:
         """Start it, and wait for its first tick."""
         with open(self.folder / "stdout.txt", "wb") as out, open(self.folder / "stderr.txt", "wb") as errors:
-            self.process = subprocess.Popen(
-                [*HAPTIC, "launch", *self._words, "--json", "--no-plot"],
-                cwd=self.folder,
-                env=self.environment,
-                stdin=subprocess.DEVNULL,
-                stdout=out,
-                stderr=errors if self._stderr is None else self._stderr,
-                process_group=0,
-                # A killed test must not leave a launch behind.
-                preexec_fn=die_with_parent,
-            )
+            told = {"stdout": out, "stderr": errors if self._stderr is None else self._stderr}
+            self.process = beside("launch", *self._words, "--json", "--no-plot", cwd=self.folder, env=self.environment, **told)
         try:
             if self._ready:
                 if not within(lambda: self.process.poll() is not None or self.ticks() > 0, DEADLINE):

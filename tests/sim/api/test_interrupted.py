@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from jupyter_client.manager import KernelManager
 
-from sim.api.processes import whole
+from sim.api.python_runs import whole
 from tests.support.launching import assert_nothing_left, private_runtime_dir, processes_of, wait_for
 
 pytestmark = pytest.mark.filterwarnings("default")  # of the kernel client's own libraries
