@@ -197,16 +197,14 @@ def drop(law: LawLike, plant: Plant, height: float = 0.01, ticks: int = 1500) ->
     >>> drop({"kind": "pd", "stiffness": 1000, "damping": 3}, Plant(0.002, 0.1, 1.0)).settled
     True
     """
-    from sim.device.model import DeviceModel
-    from sim.experiments.drop import Criterion, drop_scene, settled
+    from sim.experiments.drop import Criterion, drop_scene, held, settled
     from sim.scene.loop import run
 
     if plant.stiffness:
         raise ValueError(f"plant.stiffness is {plant.stiffness:g} N/m, expected 0: no hand holds a dropped mass")
     if not 0.0 <= height < np.inf:
         raise ValueError(f"height is {height:g} m, expected at least 0: the floor is at 0")
-    device = DeviceModel(mass=plant.mass, damping=plant.damping, delay=plant.delay)
-    scene = drop_scene(device, plant.period, raw=False, clamp=False, height=height)
+    scene = drop_scene(held(plant), plant.period, raw=False, clamp=False, height=height)
     taps = compiled(law, plant.period)
     trace = run(scene, taps, ticks)
     rested = settled(scene, taps, trace.position, trace.force, Criterion(ticks))

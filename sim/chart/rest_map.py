@@ -4,11 +4,14 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from nodes.laws import CompiledLaw
 from nodes.recording.figure_style import COLOURS, new_figure, save_figure, styled
 from nodes.stability.k_max import k_max, with_spring
 from nodes.stability.plant import Plant
 from nodes.stability.rest import rest, stiffest_at_rest
+from sim.axes import plain_log
 from sim.results import fresh
 
 DECADES = 1.5  # how far the map reaches to either side of the device, in powers of ten
@@ -19,8 +22,6 @@ def rest_map(
     law: CompiledLaw, stiffness: float, device: Plant, resolution: float, friction: float, path: Path
 ) -> dict[str, Any]:
     """Draw the largest K without a limit cycle, the lesser of K_rest and K_max, over friction and encoder step; its figures."""
-    import numpy as np
-
     derivative = with_spring(law, -stiffness)
     limit = k_max(derivative, device).k_max_n_per_m
     top = math.inf if limit is None else limit
@@ -47,10 +48,7 @@ def rest_map(
 def _draw(
     path: Path, grid: tuple[Any, Any, Any], here: tuple[float, float], needed: tuple[float, float | None], stiffness: float
 ) -> None:
-    import numpy as np
     from matplotlib.colors import LogNorm
-
-    from sim.axes import plain_log
 
     frictions, steps, k = grid
     resolution, friction = here

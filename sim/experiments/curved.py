@@ -97,17 +97,10 @@ def forces(law: CompiledLaw, frame: str, positions: Array, proxies: Array, norma
     found = np.zeros_like(positions)
     rows = zip(positions.tolist(), proxies.tolist(), normals.tolist(), contact.tolist(), strict=True)
     for k, (position, proxy, normal, touched) in enumerate(rows):
-        found[k] = renderer.render(
-            Proxy(
-                seq=k,
-                stamp=0.0,
-                position=tuple(position),
-                proxy=tuple(proxy if touched else position),
-                normal=tuple(normal),
-                distance=-1.0 if touched else 1.0,
-                contact=touched,
-            )
-        )
+        place, away = (proxy, -1.0) if touched else (position, 1.0)
+        at, proxied, turned = tuple(position), tuple(place), tuple(normal)
+        met = Proxy(seq=k, stamp=0.0, position=at, proxy=proxied, normal=turned, distance=away, contact=touched)
+        found[k] = renderer.render(met)
     return found
 
 

@@ -1,9 +1,7 @@
 """Level of detail that proves itself: the same path through finer and coarser descriptions of a shape, forces compared.
 
-A mesh is decimated, cut into convex pieces, replaced by a primitive, and in the end by a plane; friction is left out. Each
-level meets the device on the path of a real run; what it renders is compared with the finest. The coarsest whose force differs
-by no more than the device can tell, or than a stated part of the largest force, is enough. Bodies that move are dynamic, led as
-they went (kinematic), held (fixed), or not touched at all.
+Each level meets the device on the path of a real run; what it renders is compared with the finest. The coarsest whose force
+differs by no more than the device can tell, or than a stated part of the largest force, is enough.
 """
 
 from __future__ import annotations
@@ -176,14 +174,14 @@ def decimated(whole: Solid, cells: int) -> Iterator[tuple[str, list[Solid] | str
         yield name, f"is no solid any more: {error}"
 
 
-def _hull(points: Array) -> Array:
+def hull(points: Array) -> Array:
     """Triangles of a convex hull, looking outwards; shape (n, 3, 3)."""
     from scipy.spatial import ConvexHull
 
-    hull = ConvexHull(points)
-    triangles = points[hull.simplices]
+    found = ConvexHull(points)
+    triangles = points[found.simplices]
     across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    inward = np.einsum("ij,ij->i", across, hull.equations[:, :3]) < 0.0
+    inward = np.einsum("ij,ij->i", across, found.equations[:, :3]) < 0.0
     triangles[inward] = triangles[inward][:, ::-1]
     return np.asarray(triangles, dtype=np.float64)
 
@@ -202,7 +200,7 @@ def _pieces(found: PreparedMesh, count: int, whole: Solid) -> list[Solid] | str:
     made = []
     for part in parts:
         try:
-            made.append(mesh(prepare_mesh(_hull(np.unique(part.reshape(-1, 3), axis=0)), False, "detail"), whole.friction))
+            made.append(mesh(prepare_mesh(hull(np.unique(part.reshape(-1, 3), axis=0)), False, "detail"), whole.friction))
         except (ParameterError, ValueError, RuntimeError) as error:
             return f"a piece is flat: {' '.join(str(error).split())[:120]}"
     return made

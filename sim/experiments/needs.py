@@ -1,16 +1,14 @@
 """No more model than a scene needs, and no less: switch every term and look whether the outcome moves.
 
 The outcome is what a scene is for (``model.outcome`` of its launch file): when it settles, how hard it pushes, how stiff it may
-get, whether it buzzes at rest; in several axes what is felt along a way, force and proxy at every tick, too. A declared term
-without which nothing moves by more than the tolerance is superfluous; a term that is neither there nor left out on purpose, and
-moves something, is missing.
+get, whether it buzzes at rest; in several axes what is felt along a way, force and proxy at every tick, too.
 """
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -163,16 +161,16 @@ def needs(
         return movement(before, outcome(changed, trace), scene.scene.period)
 
     contact = scene.scene.surface.kind == "plane"
-    variants = variants_of(scene, TERMS, CONVENTIONS if contact else {}, TOGETHER)
+    variants, play = variants_of(scene, TERMS, CONVENTIONS if contact else {}, TOGETHER), partial(_play, interpreted=True)
     with np.errstate(all="ignore"):
-        before = outcome(scene, _play(scene))
-        findings, tick = judge(scene, variants, _play, changes, scene.ticks, model, rounds, step, players)
+        before = outcome(scene, play(scene))
+        findings, tick = judge(scene, variants, play, changes, scene.ticks, model, rounds, step, players)
     return Needs(before, findings, tick)
 
 
-def _play(scene: LaunchedScene) -> Trace:
+def _play(scene: Any, **how: Any) -> Any:
     with np.errstate(all="ignore"):
-        return scene.play(interpreted=True)
+        return scene.play(**how)
 
 
 def judge(
@@ -261,11 +259,6 @@ def apart(before: Array, after: Array, scale: Array) -> float:
     return difference / size if size > 0.0 else 0.0 if difference == 0.0 else float("inf")
 
 
-def _play_spatial(scene: SpatialScene) -> SpatialTrace:
-    with np.errstate(all="ignore"):
-        return scene.play()
-
-
 def spatial_needs(
     launch: Launch, rounds: int = 5, step: Callable[[str], None] = lambda _: None, players: Play[SpatialTrace] = here
 ) -> Needs:
@@ -283,7 +276,5 @@ def spatial_needs(
                 "proxy": apart(first.proxy, trace.proxy, first.proxy - first.position),
             }
 
-        findings, tick = judge(
-            scene, variants, _play_spatial, changes, len(first.position), launch.model, rounds, step, players
-        )
+        findings, tick = judge(scene, variants, _play, changes, len(first.position), launch.model, rounds, step, players)
     return Needs(before, findings, tick)

@@ -25,6 +25,7 @@ from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.scene import Solid, box, capsule, mesh, plane, sphere
 from nodes.environment.shapes.tables import SKIN
 from sim.arrays import Array
+from sim.experiments.detail import hull
 from sim.scene.touch import Touched, call_times, touch
 
 RADIUS = 0.05  # of the sphere that is felt [m]
@@ -65,14 +66,10 @@ class ProxyError:
 
 def icosphere(halvings: int, radius: float) -> Array:
     """Make triangles of a sphere, 20·4ⁿ of them; shape (n, 3, 3)."""
-    from scipy.spatial import ConvexHull
-
     golden = (1.0 + 5.0**0.5) / 2.0
     corners = np.array([(a, b * golden, 0.0) for b in (-1.0, 1.0) for a in (-1.0, 1.0)])
     corners = np.concatenate([np.roll(corners, n, axis=1) for n in range(3)])
-    triangles = corners[ConvexHull(corners).simplices]
-    outward = np.einsum("ij,ij->i", np.cross(*(triangles[:, i] - triangles[:, 0] for i in (1, 2))), triangles[:, 0])
-    triangles[outward < 0.0] = triangles[outward < 0.0][:, ::-1]
+    triangles = hull(corners)
     triangles /= np.linalg.norm(triangles, axis=2, keepdims=True)
     for _ in range(halvings):
         middle = triangles + np.roll(triangles, -1, axis=1)

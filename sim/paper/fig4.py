@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
@@ -22,6 +23,7 @@ from nodes.laws.pd_windowed import PDWindowed
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
 from sim.design.demand import CONVENTIONS, Demand
+from sim.design.robust import stiffest
 from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene
 from sim.experiments.k_max_simulated import SimulatedKMax, simulated_k_max
@@ -105,10 +107,6 @@ def demands(setting: Setting, delay: float) -> dict[str, Demand]:
 
 def _designed(setting: Setting, delay: float, name: str) -> list[float] | None:
     """Search the taps of a designed law; None where none keeps the demand, or none has a damping to scale."""
-    import numpy as np
-
-    from sim.design.robust import stiffest
-
     # The stiffest laws of a drop differ by a percent, and which one a search ends at depends on its seed and on rounding.
     for seed in range(1, 6):
         found = stiffest(demands(setting, delay)[name], np.eye(4), seed=seed)

@@ -4,7 +4,10 @@ import itertools
 import math
 from dataclasses import replace
 
+import numpy as np
+
 from nodes.laws.pd import PD
+from nodes.stability.closed_loop import closed_loop
 from nodes.stability.k_max import edge_of, k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
 from sim.paper.claims import Claim, verdict
@@ -121,10 +124,6 @@ def _swing(setting: Setting, curves: list[Curve]) -> Claim:
 
 def _rings(setting: Setting, curves: list[Curve]) -> tuple[list[tuple[float, float]], list[float]]:
     """Measured swing over √(K/m), with its gain; and over the angle of the exact pole."""
-    import numpy as np
-
-    from nodes.stability.closed_loop import closed_loop
-
     rings, angles = [], []
     for curve in curves:
         family = published(setting)[curve.law]
@@ -221,8 +220,6 @@ _PERIODS = (0.0005, 0.001, 0.002, 0.004)
 
 def _top(setting: Setting, law: str) -> float:
     """Stiffest K_max of a law over gains from 0.1 to twice m/T."""
-    import numpy as np
-
     family = published(setting)[law]
     gains = np.geomspace(0.1, 2.0 * setting.mass / setting.period, 60).tolist()
     found = (k_max(family(gain), setting.held(0.0)).k_max_n_per_m for gain in gains)

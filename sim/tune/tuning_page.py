@@ -15,7 +15,7 @@ import numpy as np
 
 from messages.errors import HapticError
 from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, new_figure, styled, threshold
-from sim.identify.identified_text import ROWS
+from sim.identify.identified_text import ROWS, from_figures
 from sim.tune.knocking import LEFT
 from sim.tune.tuning_text import SECTIONS, TextRow, number
 
@@ -115,7 +115,6 @@ def _fit(record: Mapping[str, Any]) -> Figure | None:
     if identified is None or identified["mass_kg"]["value"] is None:
         return None
     from sim.identify.experiment import read
-    from sim.identify.identified_text import from_figures
     from sim.identify.identify import followed
 
     try:
@@ -152,7 +151,6 @@ def _felt(record: Mapping[str, Any]) -> Figure | None:
         return None
     from sim.design.fall import fallen
     from sim.design.landing import HEIGHTS
-    from sim.identify.identified_text import from_figures
 
     designed, found = record["designed"], from_figures(record["identified"]).anyway()
     if None in (found.mass.value, found.damping.value, found.delay.value):
