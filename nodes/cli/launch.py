@@ -26,7 +26,7 @@ from nodes.cli.status_line import StatusLine
 from nodes.compiled.choose_tick import compile_later
 from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
-from nodes.launcher.runs import STOPPED, ended_why, runs_dir
+from nodes.launcher.runs import STOPPED, ended_why, place_of
 from nodes.launcher.supervisor import LaunchFailedError, Supervisor
 from nodes.launcher.wiring import kernel_modules
 from nodes.parameters.store import ParameterError
@@ -314,7 +314,7 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
     supervisor = Supervisor(launch, say)
 
     def on_signal(number: int) -> None:
-        supervisor.stop(ended_why(str(runs_dir() / supervisor.run)) or signal.Signals(number).name)
+        supervisor.stop(ended_why(str(place_of(supervisor.run))) or signal.Signals(number).name)
 
     with heeding(on_signal):
         try:

@@ -9,7 +9,7 @@ import time
 from messages.errors import RefusedError, UsageError
 from nodes.cli.ask import chosen_run
 from nodes.cli.main import add_json, answer
-from nodes.launcher.runs import STOPPED, alive, runs, runs_dir, write_end
+from nodes.launcher.runs import STOPPED, alive, place_of, runs, write_end
 
 TIMEOUT = 60.0  # longest end of a launch [s]: a driver comes down from its largest force, a recorder writes what it holds
 
@@ -30,7 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
     for one in ending:
         # It may have ended by itself this moment.
         with contextlib.suppress(ProcessLookupError, FileNotFoundError):
-            write_end(runs_dir() / one.run, STOPPED)
+            write_end(place_of(one.run), STOPPED)
             os.kill(one.launcher, signal.SIGINT)
     deadline = time.monotonic() + TIMEOUT
     for one in ending:

@@ -149,8 +149,8 @@ def is_marked(path: Path) -> bool:
         return False
 
 
-def _place(run: str) -> Path:
-    """Directory of a run: its name, or a short one where the paths of sockets would be too long for the kernel."""
+def place_of(run: str) -> Path:
+    """Name the directory of a run: its name, or a short one where the paths of sockets would be too long for the kernel."""
     for name in (run, hashlib.sha256(run.encode()).hexdigest()[:8]):
         path = runs_dir() / name
         longest = len(os.fsencode(path / ("n" * LONGEST_NAME + ".listen")))
@@ -163,7 +163,7 @@ def _place(run: str) -> Path:
 
 def new_run_dir(run: str) -> Path:
     """Make the private directory of a run."""
-    path = _place(run)
+    path = place_of(run)
     try:
         path.mkdir(mode=0o700)
     except FileExistsError as error:
@@ -177,7 +177,7 @@ OWNER = "owner"  # file that tells which process keeps a directory here for a ru
 
 def new_node_dir(run: str) -> Path:
     """Make the private directory of a node whose launcher is elsewhere, or take over that of its killed predecessor."""
-    path = _place(run)
+    path = place_of(run)
     if not is_marked(path) or not (path / OWNER).exists() or _is_kept(path):
         new_run_dir(run)
     (path / OWNER).write_text(f"{os.getpid()} {started_at(os.getpid())}", encoding="ascii")
