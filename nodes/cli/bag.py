@@ -13,7 +13,7 @@ from datetime import datetime
 from pathlib import Path
 
 from messages.errors import UsageError
-from nodes.cli.main import VERBS, add_json, add_run_name, answer, complain, heeding, sub_verbs
+from nodes.cli.main import add_json, add_run_name, answer, complain, heeding
 from nodes.cli.quantities import above_zero, not_negative
 from nodes.recording.accounts import ClockRecord, Completeness, clocks, completeness
 from nodes.recording.reader import Recording
@@ -24,7 +24,7 @@ OWN = ("record", "info", "play", "cut", "filter", "recover", "export", "plot")
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
-    sub = parser.add_subparsers(dest="chosen", metavar="|".join([*OWN, *sub_verbs("bag")]), required=True)
+    sub = parser.add_subparsers(dest="chosen", metavar="|".join(OWN), required=True)
 
     def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
         own = sub.add_parser(name, help=text, description=text)
@@ -51,13 +51,6 @@ def add(parser: argparse.ArgumentParser) -> None:
         "ros2: a directory that ros2 bag play takes; foxglove: the recording with its scene in three dimensions. "
         "Taken from the ending of --out when left out",
     )
-    for name, full in sub_verbs("bag").items():
-        # Another package's sub-verb declares its own arguments and what runs.
-        module = VERBS.load(full)
-        text = (module.__doc__ or "").strip().partition("\n")[0]
-        own = sub.add_parser(name, help=text, description=text)
-        add_json(own)
-        module.add(own)
     plot = declare("plot", _plot, "Draw recordings: position, force, energy, response time; several as an overlay.")
     plot.add_argument("files", type=Path, nargs="+", metavar="file")
     plot.add_argument("--xy", action="store_true", help="draw force over position instead of both over time")
@@ -171,7 +164,7 @@ def _record_until(arguments: argparse.Namespace, ended: list[int]) -> int:
 
 def printable(text: str) -> str:
     """Write what a file says without what a terminal would obey: escape sequences, bells, a new title."""
-    return "".join(sign if sign.isprintable() or sign == "\n" else "\N{REPLACEMENT CHARACTER}" for sign in text)
+    return "".join(sign if sign.isprintable() or sign == "\n" else "\ufffd" for sign in text)
 
 
 def _counted(messages: Mapping[str, int]) -> str:

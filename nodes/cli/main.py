@@ -15,6 +15,7 @@ import re
 import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NoReturn
@@ -121,8 +122,32 @@ def parser_for(chosen: str | None) -> Parser:
             sub.add_parser(name, help=first_line(name).replace("%", "%%"))
     else:
         module = VERBS.load(chosen)
-        module.add(sub.add_parser(chosen, description=(module.__doc__ or "").strip().partition("\n")[0]))
+        own = sub.add_parser(chosen, description=(module.__doc__ or "").strip().partition("\n")[0])
+        module.add(own)
+        _add_registered(own, chosen)
     return parser
+
+
+def _add_registered(parser: argparse.ArgumentParser, verb: str) -> None:
+    """Add what is registered as ``"VERB.NAME"`` to a verb that declares sub-verbs of its own; these go before."""
+    places = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    for place in places:
+        for name, full in sub_verbs(verb).items():
+            if name in place.choices:
+                continue
+            place.metavar = f"{place.metavar}|{name}"
+            own = place.add_parser(name, help=first_line(full).replace("%", "%%"), description=first_line(full))
+            try:
+                VERBS.load(full).add(own)
+            except NotInstalledError as error:
+                own.add_argument("rest", nargs=argparse.REMAINDER)
+                own.set_defaults(run=partial(_refuse, error))
+
+
+def _refuse(error: NotInstalledError, arguments: argparse.Namespace) -> int:
+    """Say why a sub-verb cannot be run; the others of its verb can."""
+    del arguments
+    raise UsageError(str(error)) from error
 
 
 def first_line(name: str) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from messages.errors import RefusedError, UsageError
+from nodes.cli.main import add_json
 from nodes.launcher.launch_file import parse_assignments
 from nodes.parameters.store import ParameterError, convert
 from nodes.parameters.yaml_io import read_yaml
@@ -35,6 +36,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "from, or a YAML file of a device (default: declared where there is one, else identified)",
     )
     parser.add_argument("--out", type=Path, metavar="PNG", help="also draw both runs")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 

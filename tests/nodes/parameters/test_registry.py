@@ -119,3 +119,33 @@ def test_an_installed_law_is_taken_by_name_in_every_scenario(tmp_path: Path) -> 
     with running(tmp_path, "wall_press", "duration:=0", environment=environment) as launch:
         assert "soft" in launch.call("coupling", "law.list")["laws"]
         assert launch.call("coupling", "law.show", law="soft")["h1_n_per_m"] == 1000.0
+
+
+def test_a_sub_verb_that_does_not_import_leaves_those_beside_it_alone(tmp_path: Path, broken: dict[str, str]) -> None:
+    points = tmp_path / "site" / "half_finished-0.1.dist-info" / "entry_points.txt"
+    points.write_text(points.read_text(encoding="utf-8") + "bag.half = half_finished\n", encoding="utf-8")
+    told = haptic(tmp_path, "bag", "info", "absent.mcap", environment=broken, code=2).stderr
+    assert told == "haptic: absent.mcap: no such file\n"
+    told = haptic(tmp_path, "bag", "half", "a.mcap", "--more", environment=broken, code=2).stderr
+    assert told.startswith("haptic: 'bag.half': the verb cannot be imported: SystemExit: no licence server")
+
+
+@pytest.mark.parametrize("verb", ["bag", "law", "study"])
+def test_one_module_is_a_sub_verb_of_any_verb_that_has_some(verb: str, tmp_path: Path) -> None:
+    """`bag` took only modules without --json and `law` none: the page says the same module is a verb and a sub-verb."""
+    folder = tmp_path / "site"
+    info = folder / "counted-0.1.dist-info"
+    info.mkdir(parents=True)
+    (folder / "counted.py").write_text(
+        '"""Count 100 % of the words."""\n\nfrom nodes.cli.main import add_json, answer\n\n\n'
+        'def add(parser):\n    parser.add_argument("words", nargs="+")\n    add_json(parser)\n'
+        "    parser.set_defaults(run=run)\n\n\n"
+        'def run(arguments):\n    return answer(arguments.json, {"words": len(arguments.words)}, "")\n',
+        encoding="utf-8",
+    )
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: counted\nVersion: 0.1\n", encoding="utf-8")
+    (info / "entry_points.txt").write_text(f"[haptic.verbs]\n{verb}.count = counted\n", encoding="utf-8")
+    environment = {**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    told = haptic(tmp_path, verb, "count", "a", "b", "--json", environment=environment).stdout
+    assert json.loads(told) == {"words": 2}
+    assert "Count 100 % of the words." in haptic(tmp_path, verb, "--help", environment=environment).stdout
