@@ -9,6 +9,7 @@ refused. How often the interval holds K_max is counted on random devices with fr
 """
 
 import cmath
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -202,12 +203,14 @@ def _contact(recording: Recording) -> Array:
     states = recording.messages(DEVICE_STATE)
     force = np.array([state.force for state in states])
     axis = int(np.abs(force).max(axis=0).argmax())
-    first, last = longest(np.abs(force[:, axis]) > 0.0)
+    first, last = _contact_without_gaps(np.abs(force[:, axis]) > 0.0, np.array([state.seq for state in states]))
     inside = states[first:last]
-    forces = recording.messages(FORCE)
-    rendered = {message.seq: message for message in forces}
+    rendered = {message.seq: message for message in recording.messages(FORCE)}
     answers = [rendered[state.force_seq] for state in inside if state.force_seq in rendered]
-    if any(answer.revision != forces[0].revision for answer in answers):
+    if inside and not answers:
+        raise CannotTellError("the coupling's forces of the longest contact were not recorded, so the law is not known")
+    # The law that is known is the launch's own: changes are counted from its start, whenever a recording began.
+    if any(answer.revision != 0 for answer in answers):
         raise CannotTellError("the law changed before the end of the longest contact")
     fresh = [state for state in inside if state.force_seq in rendered and state.age == 0]
     pairs = [(state.force[axis], rendered[state.force_seq].force[axis]) for state in fresh]
@@ -215,6 +218,14 @@ def _contact(recording: Recording) -> Array:
     if limited or any(state.safety != "active" for state in inside):
         raise CannotTellError("the driver limited the force during the longest contact")
     return np.array([state.position[axis] for state in inside])
+
+
+def _contact_without_gaps(contact: NDArray[np.bool_], seq: NDArray[np.int64]) -> tuple[int, int]:
+    """Find the longest contact whose ticks were all recorded: the fit takes neighbours for one period apart."""
+    ends = [0, *(np.flatnonzero(np.diff(seq) != 1) + 1).tolist(), len(seq)]
+    runs = [(begin, longest(contact[begin:end])) for begin, end in itertools.pairwise(ends)]
+    begin, (first, last) = max(runs, key=lambda run: run[1][1] - run[1][0])
+    return begin + first, begin + last
 
 
 def longest(contact: NDArray[np.bool_]) -> tuple[int, int]:
