@@ -21,8 +21,8 @@ from zmq.utils import z85
 
 from messages.errors import HapticError
 
-_NAME = re.compile(r"^[A-Za-z0-9][A-Za-z0-9._-]{0,62}$")
-_KEY = re.compile(r"^[0-9a-f]{64}$")
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
+_KEY = re.compile(r"[0-9a-f]{64}")
 
 
 class KeyRefusedError(HapticError, ValueError):
@@ -91,7 +91,7 @@ def parse_key(text: str) -> str:
         except (ValueError, KeyError, struct.error) as error:
             raise KeyRefusedError(f"{text!r}: 40 characters that are not Z85") from error
     key = text.lower()
-    if not _KEY.match(key):
+    if not _KEY.fullmatch(key):
         raise KeyRefusedError(f"{text!r}: a key is 64 hexadecimal digits (or 40 characters of Z85); got {len(text)}")
     return key
 
@@ -109,7 +109,7 @@ def identity(folder: Path | None = None) -> Identity:
     if not path.exists():
         raise KeyRefusedError(f"{path}: no such file; this machine has no keys yet: haptic keys new")
     words = _read(path)
-    if len(words) != 2 or not all(_KEY.match(word) for word in words):
+    if len(words) != 2 or not all(_KEY.fullmatch(word) for word in words):
         raise KeyRefusedError(f"{path}: not a public and a secret key; make new ones: haptic keys new --replace")
     if bytes(z85.decode(zmq.curve_public(z85.encode(bytes.fromhex(words[1]))))).hex() != words[0]:
         raise KeyRefusedError(f"{path}: public and secret key do not belong together: haptic keys new --replace")
@@ -118,7 +118,7 @@ def identity(folder: Path | None = None) -> Identity:
 
 def allow(name: str, key: str, replace: bool = False) -> Path:
     """Let another machine in."""
-    if not _NAME.match(name):
+    if not _NAME.fullmatch(name):
         raise KeyRefusedError(f"{name!r}: a name is letters, digits, dots, - and _, at most 63")
     path = key_dir() / "allowed" / f"{name}.key"
     _write(path, f"{parse_key(key)}\n", replace)
@@ -154,7 +154,7 @@ def trusted(folder: Path | None = None) -> tuple[dict[str, str], str]:
 def revoke(name: str) -> Path:
     """Let a machine in no more; what runs ends its connections within a second."""
     path = key_dir() / "allowed" / f"{name}.key"
-    if not _NAME.match(name) or (not path.is_symlink() and not path.exists()):
+    if not _NAME.fullmatch(name) or (not path.is_symlink() and not path.exists()):
         there = sorted(found.stem for found in (key_dir() / "allowed").glob("*.key"))
         raise KeyRefusedError(f"no key of {name!r} is allowed here; there is: {', '.join(there) or 'none'}")
     path.unlink()

@@ -33,7 +33,7 @@ COLLECTIONS = Registry("haptic.launch", "collection of scenarios")
 _KINDS = {float: "a number", int: "a whole number", str: "text", bool: "true or false", list: "a list"}
 _WHOLE = re.compile(r"^\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)$")
 _WITHIN = re.compile(r"\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)")
-_NAME = re.compile(r"^(?=.{1,32}$)[a-z][a-z0-9_]*(/[a-z][a-z0-9_]*)*$")
+_NAME = re.compile(r"(?=.{1,32}$)[a-z][a-z0-9_]*(/[a-z][a-z0-9_]*)*")
 _RUN = "run."
 
 DEVICE = "device"  # argument that puts a real device in the place of a launch file's virtual one
@@ -248,14 +248,14 @@ def _nodes(
     for namespace, launch in included:
         for name, spec in launch.nodes.items():
             full = f"{namespace}/{name}" if namespace else name
-            if not _NAME.match(full) or full in nodes:
+            if not _NAME.fullmatch(full) or full in nodes:
                 why = "is there twice; give one a namespace" if full in nodes else "is longer than 32 letters"
                 raise ParameterError(f"{path.name}.include: {launch.scenario}: node {full!r} {why}")
             remap = {topic: within(namespace, instead) for topic, instead in spec.remap.items()}
             nodes[full] = msgspec.structs.replace(spec, remap=remap)
     for node, spec in file.nodes.items():
         where = f"{path.name}.nodes.{node}"
-        if not _NAME.match(node):
+        if not _NAME.fullmatch(node):
             raise ParameterError(
                 f"{where}: a node's name is lower-case letters, digits and _, with its namespace and / before it, at most 32"
             )
@@ -272,8 +272,10 @@ def _nodes(
 def _include(entry: Any, values: Mapping[str, Any], where: str, origins: Origins, including: Including) -> tuple[str, Launch]:
     """Read an included launch file; with its namespace."""
     made: Include = convert(_substitute(entry, values, where, origins), Include, where)
-    if made.namespace and not _NAME.match(made.namespace):
-        raise ParameterError(f"{where}.namespace: {made.namespace!r}: lower-case letters, digits and _, without a / around")
+    if made.namespace and not _NAME.fullmatch(made.namespace):
+        raise ParameterError(
+            f"{where}.namespace: {made.namespace!r}: lower-case letters, digits and _, without a / around, at most 32"
+        )
     try:
         launch = without(read(_beside(including.files[-1], made.launch), made.arguments, (), including), made.without)
     except ParameterError as error:

@@ -103,7 +103,7 @@ def test_nothing_is_replaced_unasked(me: Identity) -> None:
     assert keys.key_of("a") == me.public
 
 
-@pytest.mark.parametrize("name", ["", "../x", "a/b", ".hidden", "x" * 64, "a b", "-x"])
+@pytest.mark.parametrize("name", ["", "../x", "a/b", ".hidden", "x" * 64, "a b", "-x", "x\n"])
 def test_names_that_are_paths_are_refused(me: Identity, name: str) -> None:
     with pytest.raises(KeyRefusedError, match="name"):
         keys.allow(name, me.public)
