@@ -59,14 +59,26 @@ def _number(text: str) -> float:
     return value
 
 
+def _between(low: float, high: float, zero: bool = False) -> Callable[[str], float]:
+    """Read a number within the limits of what is a device or a loop: beyond them figures overflow, or fill the memory."""
+
+    def read(text: str) -> float:
+        value = not_negative(text) if zero else positive(text)
+        if value and not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text}: must be between {low:g} and {high:g}{', or 0' if zero else ''}")
+        return value
+
+    return read
+
+
 QUANTITIES: dict[str, tuple[Callable[[str], Any], str]] = {
-    "mass": (positive, "moving mass of the device [kg]"),
-    "damping": (not_negative, "viscous damping of the device [N s/m]"),
-    "delay": (not_negative, "delay of the loop [ticks], fractions allowed"),
-    "rate": (positive, "rate of the loop [Hz]"),
-    "hand": (not_negative, "stiffness of a hand on the device [N/m]"),
-    "stiffness": (positive, "nominal K of the law [N/m]"),
-    "gain": (not_negative, "damping gain B of the law [N s/m, or N s^α/m]"),
+    "mass": (_between(1e-6, 1e6), "moving mass of the device [kg]"),
+    "damping": (_between(1e-9, 1e9, zero=True), "viscous damping of the device [N s/m]"),
+    "delay": (_between(1e-9, 1000.0, zero=True), "delay of the loop [ticks], fractions allowed"),
+    "rate": (_between(1.0, 1e5), "rate of the loop [Hz]"),
+    "hand": (_between(1e-9, 1e9, zero=True), "stiffness of a hand on the device [N/m]"),
+    "stiffness": (_between(1e-9, 1e9), "nominal K of the law [N/m]"),
+    "gain": (_between(1e-9, 1e9, zero=True), "damping gain B of the law [N s/m, or N s^α/m]"),
     "order": (positive, "order α of the law"),
     "taps": (int, "length of the law's tap vector, n + 1"),
 }

@@ -67,6 +67,8 @@ def device_of(kind: str, words: Sequence[str]) -> MailboxDevice:
         *outer, last = path.split(".")
         for name in outer:
             at = at.setdefault(name, {})
+            if not isinstance(at, dict):
+                raise UsageError(f"{path}:={value}: {name}:={at} is given too; name the value that is meant")
         at[last] = value
     device = known[kind].hardware(convert(written, known[kind].Parameters, kind))
     device.say = lambda text: print(text, file=sys.stderr, flush=True)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from messages.errors import RefusedError
+from messages.errors import RefusedError, UsageError
 from nodes.client.launches import ask
 
 if TYPE_CHECKING:
@@ -50,6 +50,14 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
     command: str = ""  # what was typed
 
 
+def _kept(file: Path) -> dict[str, Any]:
+    """Read what an earlier tuning kept: what each step told."""
+    try:
+        return msgspec.json.decode(file.read_bytes(), type=dict[str, Any])
+    except msgspec.DecodeError as error:
+        raise UsageError(f"{file}: is not what haptic tune wrote ({error}); remove it, and begin with identify") from error
+
+
 class Tuning:
     """The steps, each a method; a launch is asked for when one needs it, and nothing earlier counts when it is `fresh`."""
 
@@ -66,7 +74,7 @@ class Tuning:
         self.files = {"html": str(options.out / "tune.html"), "json": str(self._file)}  # what was written
         self.record: dict[str, Any] = {}  # what is known
         if not fresh and self._file.exists():
-            self.record = json.loads(self._file.read_text(encoding="utf-8"))
+            self.record = _kept(self._file)
             for key in ("interrupted", "refused", "headline", "not_put_back"):
                 self.record.pop(key, None)
         self._loop: PushedLaunch | None = None

@@ -35,6 +35,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     if not 1 <= arguments.devices <= 100_000:
         raise UsageError(f"--devices {arguments.devices}: between 1 and 100000")
+    if arguments.seed < 0:
+        raise UsageError(f"--seed {arguments.seed}: at least 0")
     if arguments.outside:
         return _outside(arguments)
     told = given(arguments, "seed", "seconds", "rate", "tune")

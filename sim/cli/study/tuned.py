@@ -40,6 +40,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     if not 1 <= arguments.devices <= 100_000:
         raise UsageError(f"--devices {arguments.devices}: between 1 and 100000")
+    if arguments.seed < 0:
+        raise UsageError(f"--seed {arguments.seed}: at least 0")
     outside = list(KINDS)
     told = given(arguments, "seed", "seconds", "rate", "taps", "nyquist", "land", "refuted")
     kind = [INSIDE if number % 2 == 0 else outside[number // 2 % len(outside)] for number in range(arguments.devices)]

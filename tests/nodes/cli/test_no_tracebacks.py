@@ -151,3 +151,28 @@ def test_an_interrupt_while_the_command_starts_is_quiet(later: float, tmp_path: 
         _, told = process.communicate(timeout=DEADLINE)
     assert process.returncode in (130, -signal.SIGINT)
     assert "Traceback" not in told
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("study", "kmax", "--gain", "3", "--rate", "5e-324"), "argument --rate: 5e-324: must be between 1 and 100000"),
+        (("study", "price", "--mass", "1e308"), "argument --mass: 1e308: must be between 1e-06 and 1e+06"),
+        (("study", "edge", "--delay", "1e308"), "argument --delay: 1e308: must be between 1e-09 and 1000, or 0"),
+        (("study", "coverage", "--seed", "-1"), "--seed -1: at least 0"),
+        (("study", "tuned", "--seed", "-1"), "--seed -1: at least 0"),
+        (("device", "info", "touch_driver", "touch:=1", "touch.library:=a"), "touch.library:=a: touch:=1 is given too"),
+    ],
+)
+def test_numbers_and_words_that_fit_nothing_are_refused(words: tuple[str, ...], told: str, tmp_path: Path) -> None:
+    refused = haptic(tmp_path, *words, code=2).stderr
+    assert told in refused
+    assert "Traceback" not in refused
+
+
+@pytest.mark.parametrize("kept", [b'{"identified": ', b"[1]", b"\xff"])
+def test_a_tuning_that_was_cut_is_refused_with_its_file(kept: bytes, tmp_path: Path) -> None:
+    (tmp_path / "tuning").mkdir()
+    (tmp_path / "tuning" / "tune.json").write_bytes(kept)
+    refused = haptic(tmp_path, "tune", "--steps", "design", code=2).stderr
+    assert refused.startswith("haptic: tuning/tune.json: is not what haptic tune wrote (")
