@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 from nodes.compiled.memory import reals_at
@@ -139,8 +140,11 @@ def ending(samples: Sequence[float], force: float, period: float) -> Ending:
     if len(crossings) >= 3:
         frequency = 0.5 * (len(crossings) - 1) / ((crossings[-1] - crossings[0]) * period)
         return Ending("swinging", swing, frequency, velocity)
-    half = (len(samples) - 1) // 2
-    bend = samples[-1] - 2.0 * samples[-1 - half] + samples[-1 - 2 * half]
+    # The newer half alone: a bounce before it is no fall, nor is one within it, which turns the device round.
+    half = (len(samples) - 1) // 4
+    last = samples[-1 - 2 * half :]
+    bend = last[-1] - 2.0 * last[half] + last[0]
     acceleration = bend / (half * period) ** 2 if half else 0.0
-    falls = force == 0.0 and abs(acceleration) > _FALL and acceleration * velocity > 0.0
+    one_way = all((after - before) * velocity >= 0.0 for before, after in pairwise(last))
+    falls = force == 0.0 and abs(acceleration) > _FALL and acceleration * velocity > 0.0 and one_way
     return Ending("falling" if falls else "moving", swing, 0.0, velocity)
