@@ -7,6 +7,7 @@ print is read as well. A function that draws is decorated with `styled`; `save_f
 from __future__ import annotations
 
 import functools
+import io
 import re
 import warnings
 from collections.abc import Callable, Sequence
@@ -107,7 +108,10 @@ def save_figure(figure: Figure, path: Path, room: Callable[[Path], Path] = lambd
         engine.execute(figure)
         figure.set_layout_engine(None)
     for suffix in (".pdf", ".svg", path.suffix):
-        figure.savefig(room(path.with_suffix(suffix)), dpi=150)
+        # Drawn before it is written: on a full disk matplotlib's PDF loses the reason in an error of its own.
+        drawn = io.BytesIO()
+        figure.savefig(drawn, dpi=150, format=suffix.removeprefix("."))
+        room(path.with_suffix(suffix)).write_bytes(drawn.getbuffer())
     return path
 
 

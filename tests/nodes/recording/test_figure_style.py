@@ -111,3 +111,13 @@ def test_a_saved_picture_has_the_numbers_that_matplotlib_would_have(tmp_path: Pa
     assert {-4, 0, 6} <= powers <= set(range(-4, 7))
     assert ">×10⁻⁹<" in svg
     assert ">×10⁸<" in svg
+
+
+def test_a_full_disk_is_told_as_one(tmp_path: Path) -> None:
+    """Matplotlib's PDF lost the reason: an AttributeError with a traceback was all that was seen."""
+    for suffix in (".pdf", ".svg", ".png"):
+        (tmp_path / "full").with_suffix(suffix).symlink_to("/dev/full")
+    figure = new_figure(3.0, 2.0)
+    figure.add_subplot().plot([0.0, 1.0])
+    with pytest.raises(OSError, match="No space left on device"):
+        save_figure(figure, tmp_path / "full.png")
