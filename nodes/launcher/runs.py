@@ -129,7 +129,12 @@ def _private(path: Path) -> Path:
         raise RunError(
             f"{path}: the runtime directory cannot be made: {error.strerror}; set HAPTIC_RUNTIME_DIR to a directory of your own"
         ) from error
-    if found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077 or not stat.S_ISDIR(found.st_mode):
+    if found.st_uid != os.getuid():
+        raise RunError(
+            f"{path}: belongs to user {found.st_uid}, must be a directory of user {os.getuid()}; set HAPTIC_RUNTIME_DIR to one "
+            "of your own"
+        )
+    if stat.S_IMODE(found.st_mode) & 0o077 or not stat.S_ISDIR(found.st_mode):
         raise RunError(f"{path}: must be a directory of user {os.getuid()} with mode 0700; remove it or chmod 700 it")
     return path
 

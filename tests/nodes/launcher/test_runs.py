@@ -120,3 +120,11 @@ def test_a_run_in_a_short_directory_is_stopped_by_its_name(tmp_path: Path) -> No
         assert run.run_dir.name != run.run.run
         run.haptic("stop")
         assert run.finish(code=130)["exit_reason"] == "stopped by haptic stop"
+
+
+def test_nobody_is_told_to_remove_the_directory_of_another_user(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    owner = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: owner + 1)
+    with pytest.raises(RunError, match="set HAPTIC_RUNTIME_DIR to one of your own") as refused:
+        runs_dir()
+    assert "remove" not in str(refused.value)
