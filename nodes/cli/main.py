@@ -24,7 +24,7 @@ from messages.errors import HapticError, UsageError
 from nodes.base.stderr_queue import drain_stderr
 from nodes.cli.colour import coloured
 from nodes.parameters.installed import OURS, version
-from nodes.parameters.registry import Registry
+from nodes.parameters.registry import NotInstalledError, Registry
 from nodes.parameters.store import ParameterError
 
 VERBS = Registry("haptic.verbs", "verb")
