@@ -25,11 +25,7 @@ class LawRefusedError(ParameterError):
 
 
 def parse_law(data: object, path: str = "law") -> Law:
-    """Read a law's description: ``{kind: ..., <parameter>: ...}``, a registered kind or a preset, or a preset's bare name.
-
-    Its parameters are valid one by one then (`compile_law` judges them together). Raises LawRefusedError when the kind or a
-    parameter is unknown, missing, of the wrong type, out of its limits or not finite, with its path.
-    """
+    """Read a law's mapping, or a preset's bare name; its parameters are valid one by one then. LawRefusedError has the path."""
     if isinstance(data, str) and data in PRESETS:
         data = {"kind": data}
     if not isinstance(data, Mapping):

@@ -9,10 +9,9 @@ import msgspec
 from msgspec import inspect
 
 from messages.schema import attributes
-from nodes.parameters.refusals import choices
+from nodes.parameters.refusals import STEP, choices, look_up
 from nodes.parameters.store import ParameterError
 
-_STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 _UNIT = re.compile(r"\[([^\]]+)\]")
 
 _NAMES: dict[type[inspect.Type], str] = {
@@ -42,7 +41,7 @@ def described(target: type[Any], values: Any, path: str, struct_of: Callable[[st
     info: inspect.Type = inspect.type_info(target)
     found = Description(type=_words(info), meaning=(target.__doc__ or "").strip().partition("\n")[0])
     done = ""
-    for name, index in _STEP.findall(path):
+    for name, index in STEP.findall(path):
         if isinstance(info, inspect.AnyType) or (isinstance(info, inspect.DictType) and _kind(values)):
             own = struct_of(_kind(values))
             info = inspect.type_info(own) if own is not None else info
@@ -66,7 +65,7 @@ def described(target: type[Any], values: Any, path: str, struct_of: Callable[[st
             found = Description(type=_words(info), meaning=found.meaning)
         elif not isinstance(info, inspect.AnyType):
             raise ParameterError(f"{done}{step}: there is nothing below {done or 'it'}, which is {_words(info)}")
-        values = _down(values, name, index)
+        values, _ = look_up(values, name or step)
         done += step
     return found
 
@@ -76,13 +75,6 @@ def _kind(values: Any) -> str:
     if isinstance(values, dict):
         return str(values.get("kind", ""))
     return values if isinstance(values, str) else ""
-
-
-def _down(values: Any, name: str, index: str) -> Any:
-    try:
-        return values[name] if name else values[int(index)]
-    except (KeyError, IndexError, TypeError):
-        return None
 
 
 def _without_none(info: inspect.Type) -> inspect.Type:

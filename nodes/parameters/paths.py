@@ -22,12 +22,9 @@ LocalChoice: TypeAlias = Annotated[bool, msgspec.Meta(extra={_LOCAL: True})]  # 
 
 
 def check_paths(parameters: msgspec.Struct, allowed: Sequence[Path], where: str) -> None:
-    """Refuse parameters that name what was not allowed.
-
-    Declared paths may have their default. In any other text a slash makes a path, unless it is a topic: so a kind of
-    node that does not declare its paths is covered too.
-    """
+    """Refuse parameters that name what was not allowed: a declared path, or in any other text what a slash makes one."""
     folders = [folder.resolve() for folder in allowed]
+    # So a kind of node that does not declare its paths is covered too.
     for path, value, is_declared in _local(parameters, where):
         if isinstance(value, str):
             # Links are followed: what counts is where it leads.

@@ -12,11 +12,11 @@ from typing import Any
 from msgspec import inspect
 
 _AT = re.compile(r"^(?P<reason>.*?)(?: - at (?:`key(?:\[\.\.\.\])?` in )?`\$(?P<path>.*)`)?$", re.DOTALL)
-_STEP = re.compile(r"\.([^.\[\]]+)|\[(\d+|\.\.\.)\]")
+STEP = re.compile(r"([^.\[\]]+)|\[(\d+|\.\.\.)\]")
 _UNKNOWN = re.compile(r"Object contains unknown field `(?P<name>.*)`", re.DOTALL)
 _MISSING = re.compile(r"Object missing required field `(?P<name>.*)`", re.DOTALL)
 
-_NAMES: dict[type[inspect.Type], str] = {
+_NAMES: dict[type[inspect.Type], str] = {  # what a type is called, in the order in which alternatives are named
     inspect.BoolType: "true or false",
     inspect.IntType: "a whole number",
     inspect.FloatType: "a number",
@@ -28,9 +28,8 @@ _NAMES: dict[type[inspect.Type], str] = {
     inspect.StructType: "a mapping",
     inspect.NoneType: "nothing",
 }
-"""What a type is called, in the order in which alternatives are named."""
 
-_KINDS: dict[type[inspect.Type], tuple[type, ...]] = {
+_KINDS: dict[type[inspect.Type], tuple[type, ...]] = {  # values that are of a type, and may break its bounds
     inspect.IntType: (int,),
     inspect.FloatType: (int, float),
     inspect.StrType: (str,),
@@ -38,7 +37,6 @@ _KINDS: dict[type[inspect.Type], tuple[type, ...]] = {
     inspect.VarTupleType: (list, tuple),
     inspect.DictType: (dict,),
 }
-"""Values that are of a type, and may still break its bounds."""
 
 _BOUNDS: tuple[tuple[str, str, Callable[[Any, Any], bool]], ...] = (
     ("gt", "above", operator.gt),
@@ -73,7 +71,7 @@ def worded(refusal: str, data: Any, target: Any) -> tuple[str, str]:
         return f"{path}.{unknown['name']}", f"no such parameter; {choices(unknown['name'], fields)}"
     if missing := _MISSING.fullmatch(reason):
         return f"{path}.{missing['name']}", "is missing, and has no default"
-    value, known = _look_up(data, path)
+    value, known = look_up(data, path)
     shown = f", got {_called(value)}" if known else ""
     # What a type checks by itself says its own words.
     types = _types_at(target, path) if reason.startswith(("Expected ", "Invalid enum value ")) else []
@@ -115,9 +113,9 @@ def _called(value: Any) -> str:
     return kinds.get(type(value), type(value).__name__)
 
 
-def _look_up(data: Any, path: str) -> tuple[Any, bool]:
+def look_up(data: Any, path: str) -> tuple[Any, bool]:
     """Follow a path; the value, and whether it is known: msgspec does not say which of a mapping's values it means."""
-    for name, index in _STEP.findall(path):
+    for name, index in STEP.findall(path):
         try:
             data = data[name] if name else data[int(index)]
         except (KeyError, IndexError, TypeError, ValueError):
@@ -128,7 +126,7 @@ def _look_up(data: Any, path: str) -> tuple[Any, bool]:
 def _types_at(target: Any, path: str) -> list[inspect.Type]:
     """All types that a value may have at a path."""
     found = list(_members(inspect.type_info(target)))
-    for name, index in _STEP.findall(path):
+    for name, index in STEP.findall(path):
         found = [inner for info in found for below in _below(info, name, index) for inner in _members(below)]
     return found
 

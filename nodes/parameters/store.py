@@ -12,12 +12,11 @@ from typing import Any
 import msgspec
 
 from messages.errors import HapticError
-from nodes.parameters.refusals import choices, worded
+from nodes.parameters.refusals import STEP, choices, worded
 
 __all__ = ["ParameterError", "ParameterStore", "convert", "describe", "differences", "flattened", "merge", "of_node"]
 
 _PATH = re.compile(r"[^.\[\]]+(?:\.[^.\[\]]+|\[\d+\])*")
-_STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 
 
 class ParameterError(HapticError, ValueError):
@@ -212,7 +211,7 @@ class ParameterStore:
     def _steps(self, name: str) -> list[str | int]:
         if not (isinstance(name, str) and _PATH.fullmatch(name)):
             raise ParameterError(f"{self._node}: {name!r} is not a parameter's name, e.g. laws.pd.stiffness or axes[0]")
-        return [key if key else int(index) for key, index in _STEP.findall(name)]
+        return [key if key else int(index) for key, index in STEP.findall(name)]
 
     def _walk(self, value: Any, steps: Sequence[str | int]) -> Any:
         """Go down a tree."""

@@ -21,7 +21,7 @@ MAX_INT = 2**63 - 1  # integers travel between the processes as 64 bits
 
 _BREAKS = re.compile("[\x85\u2028\u2029]")
 
-_RESOLVED = (
+_RESOLVED = (  # plain scalars that are not text: those of YAML 1.2, and digits may be grouped with _
     ("bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), "tTfF"),
     ("null", re.compile(r"^(?:~|null|Null|NULL|)$"), ["~", "n", "N", ""]),
     ("int", re.compile(r"^(?:[-+]?[0-9][0-9_]*|0x[0-9a-fA-F]+)$"), "-+0123456789"),
@@ -34,7 +34,6 @@ _RESOLVED = (
         "-+0123456789.",
     ),
 )
-"""Plain scalars that are not text: those of YAML 1.2, and digits may be grouped with _."""
 
 
 class _Loader(yaml.SafeLoader):

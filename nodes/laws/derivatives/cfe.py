@@ -43,11 +43,7 @@ def mapped_fraction(order: float, taps: int, period: float, gain: float, left: f
 
 
 def whole_order(order: float, degree: int, left: float) -> tuple[list[complex], list[complex]]:
-    """Zeros and poles of the continued fraction of the whole ((z − 1)/(z + a))^α, integer part not split off.
-
-    Only for showing what goes wrong for α > 1: with a = 1 (Tustin) a pole lies outside the unit circle, with a = 1/7
-    (Al-Alaoui) all is stable, but no longer α-fold small at z = 1.
-    """
+    """Zeros and poles of the whole ((z − 1)/(z + a))^α, to show why it must not be expanded for α > 1 (see above)."""
     if degree > 12:
         raise ValueError(f"degree = {degree}: the expanded form is accurate up to 12 only; take a lower degree")
     import numpy as np
