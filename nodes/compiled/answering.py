@@ -24,9 +24,7 @@ from nodes.compiled.message_fields import key_blocks
 
 M = TypeVar("M")
 
-LOCKSTEP_TICKS: Final = 256
-"""After how many ticks a kernel stops in lockstep. In real time each stop costs a tick or two at 8 kHz: it does not."""
-
+LOCKSTEP_TICKS: Final = 256  # a kernel stops after so many in lockstep; each stop costs a tick or two at 8 kHz
 WAIT_MS: Final = 100  # longest wait for a message before it looks [ms]
 
 

@@ -25,21 +25,14 @@ from typing import Any, Final
 from nodes.compiled import cache
 from nodes.compiled.message_fields import NotCompilableError
 
-ENTRY: Final = "haptic_tick"
-"""Name of a kernel in its file."""
-
-TIMEOUT: Final = 300.0
-"""How long compiling may take [s]; about ten seconds are usual."""
-
+ENTRY: Final = "haptic_tick"  # name of a kernel in its file
+TIMEOUT: Final = 300.0  # how long compiling may take [s]; about ten seconds are usual
 _LINKERS: Final = ("cc", "gcc", "clang")
 _FAILED: Final = "Failed in nopython mode pipeline"
 
 
 def find(module: str) -> cache.CacheEntry | None:
-    """Find a kernel that was compiled before, from what is installed now.
-
-    Raises CacheRefusedError when it would not be this user's own.
-    """
+    """Find a kernel compiled from what is installed now; CacheRefusedError when it would not be this user's own."""
     return cache.read(f"{module}.tick")
 
 

@@ -32,15 +32,9 @@ import msgspec
 from messages.errors import HapticError
 from nodes.parameters.installed import version
 
-ROOT: Final = Path(__file__).parents[2]
-"""Where the packages are installed: sources are named from here."""
-
-LARGEST: Final = 256 * 2**20
-"""Longest entry that is read [bytes]; a kernel has some hundred thousand."""
-
-PATIENCE: Final = 30.0
-"""How long another process that makes an entry is waited for, before it is made twice [s]."""
-
+ROOT: Final = Path(__file__).parents[2]  # where the packages are installed: sources are named from here
+LARGEST: Final = 256 * 2**20  # longest entry that is read [bytes]; a kernel has some hundred thousand
+PATIENCE: Final = 30.0  # how long another process that makes an entry is waited for, before it is made twice [s]
 _DIGEST: Final = 64
 _BARE: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _SEALS: Final = fcntl.F_SEAL_SEAL | fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_WRITE
@@ -66,9 +60,6 @@ class CacheEntry(msgspec.Struct, frozen=True, kw_only=True):
 
     kind: str
     content: bytes
-
-
-# -- the folder ------------------------------------------------------------------------------------------------------
 
 
 @cache
@@ -152,9 +143,6 @@ def _enter(name: str, make: bool) -> int:
     return at
 
 
-# -- sources ---------------------------------------------------------------------------------------------------------
-
-
 def digest_of(path: Path) -> str:
     """Take the digest of a file."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
@@ -189,18 +177,8 @@ def sources_of(module: str) -> dict[str, str]:
     return sources
 
 
-def _fresh(sources: Mapping[str, str]) -> bool:
-    return all(digest_of(ROOT / name) == digest for name, digest in sources.items())
-
-
-# -- entries ---------------------------------------------------------------------------------------------------------
-
-
 def read(name: str) -> CacheEntry | None:
-    """Find an entry, whole and of today's sources; None when there is none.
-
-    Raises CacheRefusedError when somebody else could have written it.
-    """
+    """Find an entry, whole and of today's sources, or none; CacheRefusedError when somebody else could have written it."""
     try:
         at = _enter(name, make=False)
     except FileNotFoundError:
@@ -226,16 +204,14 @@ def read(name: str) -> CacheEntry | None:
     about, _, content = rest.partition(b"\n")
     try:
         known = msgspec.json.decode(about, type=_About)
-        return CacheEntry(kind=known.kind, content=content) if _fresh(known.sources) else None
+        fresh = all(digest_of(ROOT / name) == digest for name, digest in known.sources.items())
+        return CacheEntry(kind=known.kind, content=content) if fresh else None
     except (msgspec.DecodeError, OSError):
         return None
 
 
 def write(name: str, entry: CacheEntry, sources: Mapping[str, str]) -> None:
-    """Put an entry in place, all of it at once; the last one to do so counts.
-
-    Raises CacheRefusedError when it cannot be kept: a folder that is not the user's own, read-only, or a full disk.
-    """
+    """Put an entry in place, all of it at once; CacheRefusedError when it cannot be kept, on a full disk for one."""
     about = msgspec.json.encode(_About(kind=entry.kind, sources=dict(sources)))
     rest = about + b"\n" + entry.content
     at = _enter(name, make=True)
@@ -253,19 +229,12 @@ def write(name: str, entry: CacheEntry, sources: Mapping[str, str]) -> None:
         os.close(at)
 
 
-_made_here: set[str] = set()
-"""Entries that a thread of this process makes: for these nobody waits, as who waits may hold what that thread needs."""
+_made_here: set[str] = set()  # entries that this process's threads make: nobody waits here, who may hold what they need
 
 
 @contextlib.contextmanager
 def making(name: str) -> Iterator[None]:
-    """Make an entry while no other process makes it too: whoever waited looks for it again. None is waited for too long.
-
-    Raises
-    ------
-    CacheRefusedError
-        When it could not be kept.
-    """
+    """Make an entry while no other process makes it too, waited for not too long; CacheRefusedError when it cannot be kept."""
     if name in _made_here:
         yield
         return
@@ -291,7 +260,7 @@ def making(name: str) -> Iterator[None]:
 
 
 def _locked(at: int, lock: str) -> int | None:
-    """Take a lock that its holder removes in the end; None while another has it."""
+    """Take a lock, which its holder may remove in the end; None while another has it."""
     held = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600, dir_fd=at)
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -311,19 +280,12 @@ def alone() -> int | None:
     """Be the only one that compiles in the background, until the process ends or the descriptor is closed; None for another."""
     at = _enter("background.lock", make=True)
     try:
-        descriptor = os.open("background.lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600, dir_fd=at)
+        return _locked(at, "background.lock")
     finally:
         os.close(at)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(descriptor)
-        return None
-    return descriptor
 
 
-_open: list[int] = []
-"""Descriptors of loaded libraries: a loader that meets one of these names again would give the library that had it before."""
+_open: list[int] = []  # descriptors of libraries: by a name it has met, a loader would give the library it had before
 
 
 def load(library: bytes) -> Any:

@@ -16,10 +16,8 @@ LONGEST_TOPIC: Final = 256  # room for a first frame [bytes]; of a longer one on
 LONGEST_MAIL: Final = 4096  # room for a message that is not part of a tick [bytes]; a longer one makes the kernel stop
 LONGEST_TEXT: Final = 128  # longest text in a message sent, encoded [bytes]
 
-REALS: Final = 32
-WHOLES: Final = 16
-"""Room for a message's numbers, read or to be written."""
-
+REALS: Final = 32  # room for the numbers of a message, read or to be written
+WHOLES: Final = 16  # the same for its whole numbers
 TEXTS: Final = 12  # where among the wholes address and size of a message's text stand; size -1 for one that is absent
 
 
@@ -28,7 +26,7 @@ def named(kind: Any, *names: str) -> list[tuple[str, Any]]:
     return [(name, kind) for name in names]
 
 
-LOOP: Final[list[tuple[str, Any]]] = [
+LOOP: Final[list[tuple[str, Any]]] = [  # the part that all nodes have
     # C functions
     *named(c_int64, "zmq_recv", "zmq_send", "zmq_getsockopt", "clock_gettime", "clock_nanosleep", "ppoll", "sched_yield"),
     # sockets; ``aside`` is 0 where listeners have none of their own
@@ -59,7 +57,6 @@ LOOP: Final[list[tuple[str, Any]]] = [
     ("out_reals", c_double * REALS),
     ("out_wholes", c_int64 * WHOLES),
 ]
-"""The part that all nodes have."""
 
 
 @cache

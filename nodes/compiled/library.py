@@ -20,11 +20,8 @@ from nodes.compiled.message_fields import NotCompilableError
 _ZMQ: Final = ("zmq_recv", "zmq_send", "zmq_getsockopt")
 _LIBC: Final = ("clock_gettime", "clock_nanosleep", "ppoll", "sched_yield")
 
-Kernel: TypeAlias = Callable[[int], int]
-"""From the address of a node's state to the number of ticks done."""
-
-_kept: list[Any] = []
-"""What must live as long as its functions may be called."""
+Kernel: TypeAlias = Callable[[int], int]  # from the address of a node's state to the number of ticks done
+_kept: list[Any] = []  # what must live as long as its functions may be called
 
 
 def library_of_pyzmq() -> str:

@@ -9,8 +9,7 @@ from nodes.compiled.answering import CompiledTicks
 from nodes.compiled.library import Kernel
 from nodes.coupling.renderer import Renderer
 
-STANDBY_TICKS = 64
-"""After how many ticks the kernel stops for laws that stand by, whose sections run along before the history forgets."""
+STANDBY_TICKS = 64  # the kernel stops so often for laws that stand by: they run along before the history forgets
 
 
 class CouplingTicks(CompiledTicks):

@@ -106,8 +106,6 @@ class Judgement:
             f"damping {plant.damping:g} N s/m{hand} at a delay of {plant.delay:.3g} ticks: the loop is unstable"
         )
 
-    # -- what would be taken instead ---------------------------------------------------------------------------------
-
     def _remedy(self, now: CouplingParameters | None, wanted: CouplingParameters, name: str, verdict: Verdict) -> str:
         from nodes.stability.judge import between, furthest_stable, judge
 

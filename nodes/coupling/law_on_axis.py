@@ -17,8 +17,7 @@ from nodes.compiled.layout import state_of
 from nodes.coupling.state import LEAVING, CouplingState
 from nodes.laws import CompiledLaw
 
-UNROLLED_TAPS = 30
-"""Up to so many taps a written-out sum is fastest, beyond it numpy's multiply and running sum: ``haptic bench taps``."""
+UNROLLED_TAPS = 30  # of more, numpy's multiply and running sum are faster than a written-out sum: ``haptic bench taps``
 
 
 def _in_state(name: str) -> Any:
@@ -50,8 +49,7 @@ class History:
 
     def fill(self, value: float) -> None:
         """Take it that the deflection has always been the same."""
-        for i in range(len(self.values)):
-            self.values[i] = value
+        self.values[:] = array("d", [value]) * len(self.values)
 
     def snapshot(self) -> History:
         """Copy the history from another thread than the one that pushes."""
@@ -121,10 +119,6 @@ class LawOnAxis:
         self._own_force: float | None = None
         self._law, self._axis = law, axis
 
-    def of_taps(self, taps: tuple[float, ...]) -> LawOnAxis:
-        """Make another law over the same history."""
-        return LawOnAxis(CompiledLaw(taps), self._history)
-
     def warm_up(self, history: History) -> None:
         """Bring the sections to where they would be had the law run all the time."""
         if self.state:
@@ -180,7 +174,8 @@ def _joined(shares: list[Share]) -> list[Share]:
     if len(plain) > 1:
         total = math.fsum(share for _, share in plain)
         shares = [(law, share) for law, share in shares if not law.plain]
-        shares.append((plain[0][0].of_taps(weighted_taps([(law.taps, share / total) for law, share in plain])), total))
+        taps = weighted_taps([(law.taps, share / total) for law, share in plain])
+        shares.append((LawOnAxis(CompiledLaw(taps), plain[0][0]._history), total))
     shares.sort(key=lambda share: share[1], reverse=True)
     while len(shares) > LEAVING:
         _, least = shares.pop()

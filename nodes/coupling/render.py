@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, MutableSequence, Sequence
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple
 
 from nodes.arithmetic import cross_fade, deflection, fir, one_sided, push, sections
 from nodes.coupling.state import SLOTS
-
-Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def evaluate(
@@ -27,20 +25,14 @@ def evaluate(
 
 
 class LawPort(NamedTuple):
-    """What a tick needs of the laws; each takes the state first.
+    """What a tick needs of the laws; each takes the state first."""
 
-    `ring` gives the history of an axis; `force_of` renders the newest deflection with the law in a slot of that axis, `see`
-    lets its sections see a deflection that nobody renders.
-    """
-
-    ring: Callable[[Any, int], Any]
-    force_of: Callable[[Any, int, int, Any, int], float]
-    see: Callable[[Any, int, int, Any, int], None]
+    ring: Callable[[Any, int], Any]  # gives the history of an axis
+    force_of: Callable[[Any, int, int, Any, int], float]  # renders the newest deflection with the law in a slot of that axis
+    see: Callable[[Any, int, int, Any, int], None]  # lets that law's sections see a deflection that nobody renders
 
 
-LEAST_COSINE: Final = 0.9
-"""Of the angle by which a normal may turn in a tick: beyond some 25° it is an edge, and the history stays as it is."""
-
+LEAST_COSINE: Final = 0.9  # of how far a normal turns in a tick: beyond some 25° it is an edge, and the history stays
 _SHORTEST: Final = 0.5  # length below which a normal is none; 1 for all that surfaces give
 
 
@@ -56,10 +48,7 @@ def begin_turning(s: Any, frame: str) -> None:
 
 
 def turn(turned: MutableSequence[float], upright: MutableSequence[float], normal: Sequence[float], contact: bool) -> None:
-    """Turn axes (rows of a matrix) as a normal turns, by the shortest way; at an edge, and off the surface, leave them.
-
-    A deflection that keeps its angle to the surface keeps its components then: the history has seen nothing change.
-    """
+    """Turn axes (rows of a matrix) as a normal turns, so that a deflection keeps its components; at an edge, leave them."""
     a, b, c = upright[0], upright[1], upright[2]
     x, y, z = normal[0], normal[1], normal[2]
     if not contact or x * x + y * y + z * z < _SHORTEST:
@@ -80,11 +69,9 @@ def turn(turned: MutableSequence[float], upright: MutableSequence[float], normal
     upright[0], upright[1], upright[2] = x, y, z
 
 
-def _as_it_stands(function: Function) -> Function:
-    return function
-
-
-def make_render(port: LawPort, made: Callable[[Any], Any] = _as_it_stands) -> tuple[Callable[..., bool], Callable[..., None]]:
+def make_render(
+    port: LawPort, made: Callable[[Any], Any] = lambda function: function
+) -> tuple[Callable[..., bool], Callable[..., None]]:
     """Make the tick of a port, and the bridge over ticks that were left out."""
     ring, force_of, see = port
     slots = SLOTS
@@ -147,10 +134,7 @@ def make_render(port: LawPort, made: Callable[[Any], Any] = _as_it_stands) -> tu
 
     @made
     def bridge(s: Any, position: Any, proxy: Any, normal: Any, distance: float, contact: bool, missing: int) -> None:
-        """Fill ticks that were left out by a straight line up to the newest deflection, which is not yet rendered.
-
-        Laws assume evenly spaced deflections; leaving ticks out would read as a jump in velocity.
-        """
+        """Fill ticks that were left out by a straight line up to the newest deflection: a jump would read as velocity."""
         laws = 1 + s.leaving if s.fade_ramp > 0 else 1
         for n in range(s.axes):
             i = s.axis[n]

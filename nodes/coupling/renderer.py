@@ -25,12 +25,8 @@ class ActiveLaw:
 
     def __init__(self, name: str, text: str, compiled: CompiledLaw, histories: Sequence[History]) -> None:
         self.name, self.text, self.compiled = name, text, compiled
+        self.watched = compiled.evaluate is not None  # whether it has code of its own, which may raise or take its time
         self.axes = [LawOnAxis(compiled, history, n) for n, history in enumerate(histories)]
-
-    @property
-    def watched(self) -> bool:
-        """Whether it has code of its own, which may raise or take its time."""
-        return self.compiled.evaluate is not None
 
     def warm_up(self, histories: Sequence[History]) -> None:
         """Bring recursive sections up to date."""
@@ -55,10 +51,7 @@ class ActiveLaw:
 
 
 class Renderer:
-    """One deflection history per axis of the scene (0, 1, 2), the law that renders them, those that fade out, and the fallback.
-
-    `law` and `fallback` are set before the first tick. All of it stands in `state`; in one of its own when left out.
-    """
+    """A history per axis, the law that renders, those that fade out, and the fallback; all of it stands in one state."""
 
     fallback: ActiveLaw  # what renders when the law fails
 

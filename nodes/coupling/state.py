@@ -10,9 +10,7 @@ from typing import Final
 
 from nodes.compiled.layout import LOOP, named
 
-LEAVING: Final = 8
-"""Laws that may fade out together when swaps come faster than their ramps; then some are joined, to bound a tick's work."""
-
+LEAVING: Final = 8  # laws that may fade out together, to bound a tick's work: of faster swaps some are joined
 SLOTS: Final = 1 + LEAVING
 
 

@@ -12,8 +12,7 @@ import math
 import resource
 import time
 
-FORGIVEN = 1.0
-"""How long one overrun alone is remembered [s]."""
+FORGIVEN = 1.0  # how long one overrun alone is remembered [s]
 
 
 class Budget:

@@ -8,9 +8,7 @@ from typing import Final
 from nodes.compiled.layout import LOOP, named
 from nodes.environment.spent import BINS
 
-FREE, PLANE, ANCHOR, SHAPES = range(4)
-"""Kinds of surface that are numbers."""
-
+FREE, PLANE, ANCHOR, SHAPES = range(4)  # kinds of surface that are numbers
 UNKNOWN: Final = -1  # a surface that only its own code knows
 MET: Final = 7  # numbers of an answer: proxy (3) [m], outward normal (3), signed distance [m]
 

@@ -34,8 +34,7 @@ __all__ = [
 
 SURFACES = Registry("haptic.surfaces", "surface")
 
-Meeting: TypeAlias = tuple[Vector, Vector, float, bool]
-"""Proxy [m], outward normal, signed distance [m], contact."""
+Meeting: TypeAlias = tuple[Vector, Vector, float, bool]  # proxy [m], outward normal, distance [m], contact
 
 
 class AxisSurface(NamedTuple):

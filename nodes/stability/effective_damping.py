@@ -33,7 +33,8 @@ def _effective(
     law: CompiledLaw, period: float, theta: NDArray[np.float64], delay: int, power_sum: PowerSum
 ) -> NDArray[np.float64]:
     w = np.exp(-1j * theta)
-    total = (power_sum(_tails(law), w) + _section_tails(law, w)) * w ** (delay + 1)
+    tails = np.cumsum(np.array(law.taps[::-1]))[::-1][1:]  # t_j = Σ_{m>j} h_m, the quotient of the taps by w − 1
+    total = (power_sum(tails, w) + _section_tails(law, w)) * w ** (delay + 1)
     # (w^d − 1)/(1 − z) = w + … + w^d is what the delay does to the spring.
     for j in range(1, delay + 1):
         total = total + law.h1 * w**j
@@ -74,11 +75,6 @@ def _needed_at(
     return np.asarray(0.5 * (s + np.sqrt(s * s + spread)), dtype=np.float64)
 
 
-def _tails(law: CompiledLaw) -> NDArray[np.float64]:
-    """t_j = Σ_{m>j} h_m, the quotient of the taps by w − 1."""
-    return np.cumsum(np.array(law.taps[::-1]))[::-1][1:]
-
-
 def _section_tails(law: CompiledLaw, w: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Take the same quotient of the sections, (R(w) − R(1))/(w − 1), exact at w = 1 too."""
     total = np.zeros_like(w)
@@ -106,17 +102,13 @@ def _power_sum(c: NDArray[np.float64], w: NDArray[np.complex128]) -> NDArray[np.
     return np.asarray(total.reshape(w.shape), dtype=np.complex128)
 
 
-def _on_the_half_circle(c: NDArray[np.float64], w: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Σ c_j w^j where w goes from 1 to −1 in equal angles: a Fourier transform."""
-    return np.fft.rfft(c, 2 * (w.size - 1))
-
-
 def _lowest(law: CompiledLaw, function: Callable[[NDArray[np.float64], PowerSum], NDArray[np.float64]]) -> tuple[float, float]:
     """Least value over 0 ≤ θ ≤ π: a grid finer than the fastest cosine, then zooms into the lowest cells."""
     theta = np.linspace(0.0, np.pi, max(256, 8 * len(law.taps)) + 1)
     if law.sections:
         theta = np.union1d(theta, np.geomspace(1e-6, np.pi, 2001)[:-1])  # slow sections live in the lowest decades
-    value = function(theta, _power_sum if law.sections else _on_the_half_circle)
+    # Where w goes from 1 to −1 in equal angles, a sum of powers is a Fourier transform.
+    value = function(theta, _power_sum if law.sections else lambda c, w: np.fft.rfft(c, 2 * (w.size - 1)))
     padded = np.concatenate([[np.inf], value, [np.inf]])
     dips = np.flatnonzero((value <= padded[:-2]) & (value <= padded[2:]))
     dips = dips[np.argsort(value[dips])][:8]

@@ -247,10 +247,7 @@ def _norm(hull: Matrix) -> Matrix:
 
 
 def _close(family: Matrix, off: float) -> tuple[int, int, float] | None:
-    """Follow all products until their norm is below 1: number of words, longest word, slowest rate; None when too many.
-
-    Each matrix may be off by so much in norm, and a product by what that adds up to.
-    """
+    """Follow all products, each off by so much, until their norm is below 1: words, longest, slowest rate; None: too many."""
     words, slowest = 0, 0.0
     single = np.linalg.norm(family, ord=2, axis=(1, 2))
     front, doubt = family, np.full(len(family), off)

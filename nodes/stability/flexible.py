@@ -52,10 +52,7 @@ class FlexiblePlant:
         return reduced * pulse * pulse, 2.0 * self.loss * reduced * pulse
 
     def continuous(self) -> tuple[Matrix, Matrix]:
-        """Give A and B of the state: position and velocity on the motor's side, beyond the joint, and the actuator's force.
-
-        In m, m/s and N; the last three only where the device has them.
-        """
+        """Give A and B of position and velocity on both sides of the joint and the actuator's force [m, m/s, N]."""
         own, states = self.mass, 2
         matrix = np.zeros((5, 5))
         matrix[0, 1] = 1.0

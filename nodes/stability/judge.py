@@ -18,9 +18,7 @@ MARGINAL = 1e-6  # how far outside the unit circle rounding may put the pole tha
 
 _POINTS = 64
 _POINTS_OF_LONG = 12
-_LONG = 100
-"""A law of more taps than this takes up to a second a point, so that fewer are looked at."""
-
+_LONG = 100  # a law of more taps takes up to a second a point, so that fewer are looked at
 _BISECTIONS = 24
 
 
@@ -45,11 +43,16 @@ def judge(law: CompiledLaw, plant: Plant) -> Verdict | None:
     return Verdict(radius, plant, radius < 1.0 or (free and radius < 1.0 + MARGINAL))
 
 
-def furthest_stable(way: Callable[[float], CompiledLaw], plant: Plant) -> float | None:
-    """Find the largest share of a way to an unstable law at which the loop is stable; None where none that is looked at is.
+def last_inside(holds: Callable[[float], bool], inside: float, outside: float, halvings: int) -> float:
+    """Narrow down by bisection where something ceases to hold; the last value found at which it does."""
+    for _ in range(halvings):
+        middle = 0.5 * (inside + outside)
+        inside, outside = (middle, outside) if holds(middle) else (inside, middle)
+    return inside
 
-    `way`: from a share, 0 to 1, to the law there; a `ValueError` says that there is none. To 2⁻²⁴ of the distance of points.
-    """
+
+def furthest_stable(way: Callable[[float], CompiledLaw], plant: Plant) -> float | None:
+    """Find the largest share (0 to 1) of a way to an unstable law at which the loop is stable; None where none looked at is."""
 
     def stable(share: float) -> bool:
         try:
@@ -69,10 +72,7 @@ def furthest_stable(way: Callable[[float], CompiledLaw], plant: Plant) -> float 
         beyond = i / points
     else:
         return None
-    for _ in range(_BISECTIONS if points == _POINTS else _BISECTIONS // 3):
-        middle = 0.5 * (inside + beyond)
-        inside, beyond = (middle, beyond) if stable(middle) else (inside, middle)
-    return inside
+    return last_inside(stable, inside, beyond, _BISECTIONS if points == _POINTS else _BISECTIONS // 3)
 
 
 def between(start: float, end: float, share: float) -> float:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw, Law
 from nodes.stability.closed_loop import pole_radius
+from nodes.stability.judge import last_inside
 from nodes.stability.occurring import Edge, edge_at
 from nodes.stability.plant import Plant, held_plant
 
@@ -184,16 +185,9 @@ def tolerance(law: CompiledLaw, plant: Plant, radius: float = 1.0) -> Tolerance 
         """First limit along the steps, by bisection between the last one inside and the first outside."""
         inside: float = getattr(plant, field)
         for step in steps.tolist():
-            if within(replace(plant, **{field: step})):
-                inside = step
-                continue
-            outside = step
-            for _ in range(40):
-                middle = 0.5 * (inside + outside)
-                if middle in (inside, outside):
-                    break
-                inside, outside = (middle, outside) if within(replace(plant, **{field: middle})) else (inside, middle)
-            return inside
+            if not within(replace(plant, **{field: step})):
+                return last_inside(lambda value: within(replace(plant, **{field: value})), inside, step, 40)
+            inside = step
         return None
 
     return Tolerance(

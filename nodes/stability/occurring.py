@@ -36,10 +36,7 @@ def damping_shown(plant: Plant, theta: float) -> float:
 
 
 def edge_at(derivative: CompiledLaw, plant: Plant, omega: float, light: bool = False) -> Edge:
-    """Tell the stiffness that Colgate's condition allows at one frequency at which the device swings, 0 < ω < π/T [rad/s].
-
-    `light`: take the damping as light, b ≪ m/T: the mass then plays no part, and R = 1 + tan²(ωT/2)/3.
-    """
+    """Tell what Colgate's condition allows at one frequency [rad/s]; `light`: b ≪ m/T, and the mass plays no part."""
     period, damping = plant.period, plant.damping
     theta = omega * period
     if not 0.0 < theta < math.pi:

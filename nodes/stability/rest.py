@@ -38,10 +38,7 @@ class Rest:
     buzz_hz: float | None  # frequency of that swing [Hz]; None where there is none
 
     def free(self, friction: float) -> Literal[True, False, "estimated"]:
-        """Tell whether Coulomb friction [N], of a measured device the low end of its interval, keeps it free of limit cycles.
-
-        True from the bound on where that is a proof, ``"estimated"`` where it is none and from the estimate on.
-        """
+        """Tell whether Coulomb friction [N] keeps it at rest: True by proof, ``"estimated"`` from the estimate on."""
         if friction >= self.friction_bound_n:
             return True if self.certain else "estimated"
         return "estimated" if self.friction_estimated_n is not None and friction >= self.friction_estimated_n else False

@@ -19,18 +19,14 @@ from messages.types import Vector
 from nodes.parameters.store import ParameterError
 
 EXTRA = "pip install 'haptic-nodes[mujoco]'"
-LARGEST = 64_000_000
-"""Largest MJCF file that is read [bytes]."""
-
+LARGEST = 64_000_000  # largest MJCF file that is read [bytes]
 WIDEST = 1.0  # largest radius around a geom of the tool [m]: what is larger was probably drawn in millimetres
 
 _MOST_STEPS = 1000
 _LIGHTEST = 1e-6
 
 _OF_CONTACT = ("solref", "solimp", "friction", "solmix", "priority", "condim")
-_LOADS = (0.5, 1.5)
-"""Two forces by which a contact is pressed [N]."""
-
+_LOADS = (0.5, 1.5)  # two forces by which a contact is pressed [N]
 _FINE = 5e-4
 _PRESS = """<mujoco><option timestep="{step!r}" cone="{cone}" impratio="{ratio!r}" gravity="0 0 0"/><worldbody>
 <geom type="plane" size="1 1 0.1" {wall}/>
@@ -55,10 +51,7 @@ def load_mujoco(where: str) -> Any:
 
 
 class MovingScene:
-    """A scene and its tool, a child of the world on three slide joints; `held`: all but the tool is held where it begins.
-
-    Raises ParameterError when MuJoCo is not installed, the file cannot be read, or the tool is none.
-    """
+    """A scene and its tool on three slide joints; `held`: all else is held. ParameterError says why it cannot be had."""
 
     def __init__(self, file: Path, tool: str, period: float, where: str, held: bool = False) -> None:
         self._mujoco = mujoco = load_mujoco(f"{where}.scene")
@@ -185,11 +178,7 @@ class MovingScene:
         return new
 
     def stiffness(self) -> list[PairStiffness]:
-        """Measure what the tool's contacts are in N/m: the parameters of a pair do not tell it.
-
-        The tool's first geom that touches is pressed by two loads on a wall that has each other geom's parameters, and is
-        let come to rest: what both give is the pair's static stiffness with that geom held.
-        """
+        """Measure the tool's contacts in N/m: its first geom is pressed by two loads on each other one, held."""
         model, mujoco = self.model, self._mujoco
         of_tool = [i for i in range(model.ngeom) if self._of_tool(i)]
         tip = next((i for i in of_tool if model.geom_contype[i] or model.geom_conaffinity[i]), None)

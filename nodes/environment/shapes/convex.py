@@ -93,10 +93,7 @@ def _from_box(scene: Table, at: int, px: float, py: float, pz: float) -> Vector4
 def core(
     scene: Table, row: int, face: float, x: float, y: float, z: float, nx: float, ny: float, nz: float
 ) -> tuple[bool, float, float, float]:
-    """Whether the part that a point pulls to is round, and the centre of its curvature beside the point [m].
-
-    `nx`, `ny`, `nz`: outward normal where the proxy touches: it tells the part.
-    """
+    """Whether the part at a normal that a point pulls to is round, and the centre of its curvature beside the point [m]."""
     kind, at = scene[row + t.KIND], row + t.GIVEN
     cx, cy, cz = scene[at], scene[at + 1], scene[at + 2]
     if kind == t.SPHERE:

@@ -32,11 +32,7 @@ class PreparedMesh(NamedTuple):
 
 
 def prepare_mesh(corners: Corners, both_sides: bool, where: str) -> PreparedMesh:
-    """Check triangles [m], and build what a proxy needs of a surface felt from both sides, or the closed border of a solid.
-
-    Raises ParameterError when a coordinate is not finite, the extent is not that of something to touch, or the mesh is open or
-    its faces disagree about where outside is.
-    """
+    """Check triangles [m], and build what a proxy needs of a sheet or a solid; ParameterError says what is wrong with them."""
     repairs = []
     if not np.isfinite(corners).all():
         bad = int(np.flatnonzero(~np.isfinite(corners).all(axis=(1, 2)))[0])

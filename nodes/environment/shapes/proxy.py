@@ -25,16 +25,12 @@ from nodes.environment.shapes.triangle import triangle_gap
 _STILL = 1e-14  # a shorter step is none [m]
 _MOST_ROUNDS = 200
 
-_TRUSTED = 50
-"""Rounds in which a leap may lead away from the device, as it does deep in a round part; what takes more goes in circles."""
-
+_TRUSTED = 50  # rounds in which a leap may lead away from the device, as deep in a round part; then it is a circle
 _FAR = 1e3  # a device that says it is further away than this is lost [m]: it touches nothing, and is met anew when it returns
 _FACING = 0.2  # cosine from which on the centre of a round part shows the way
 
 _PARALLEL = 1e-9
-_BIT = 1e-6
-"""How far along a crease its bend is looked for [m]."""
-
+_BIT = 1e-6  # how far along a crease its bend is looked for [m]
 _FLATTEST = 0.1  # a step along a crease is lengthened up to ten times
 _TURNS = 9  # descents in a call: the first, and two for each patch that is tried
 

@@ -105,7 +105,7 @@ def scene_table(solids: Sequence[Solid], tool_radius: float, period: float) -> a
 
 def new_memory(solids: int) -> array[float]:
     """Make the memory of a proxy that has not touched anything yet."""
-    return array("d", [0.0]) * t.memory_size(solids)
+    return array("d", [0.0]) * (t.LAST + solids)
 
 
 def _direction(start: Vector, end: Vector) -> Vector:

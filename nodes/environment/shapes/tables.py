@@ -66,8 +66,3 @@ SEEN: Final = CONTACTS + MOST * CONTACT  # scratch: triangles seen by a search a
 PATCH: Final = 96  # how many triangles such a search looks at, at most
 BACK: Final = SEEN + PATCH  # scratch: where the proxy was (3) [m] and what it touched before it tried another triangle
 LAST: Final = BACK + 3 + CONTACT  # nearest triangle of the last call, for each shape
-
-
-def memory_size(shapes: int) -> int:
-    """Count the floats that a proxy on so many shapes remembers."""
-    return LAST + shapes
