@@ -61,8 +61,7 @@ class DeviceCalls:
         self.calls = own or Calls(read, write, 0)  # its two calls
         self._error: BaseException | None = None
 
-    def _read(self, context: int, seq: int, out: Any) -> int:
-        del context
+    def _read(self, _context: int, seq: int, out: Any) -> int:
         try:
             out[0], out[1], out[2] = numbers_of(self._device.read_position(seq), type(self._device).__name__)
             out[3], out[4], out[5] = self._target()
@@ -71,8 +70,7 @@ class DeviceCalls:
             return -1
         return 0
 
-    def _write(self, context: int, force: Any, seq: int, offset: float) -> int:
-        del context
+    def _write(self, _context: int, force: Any, seq: int, offset: float) -> int:
         try:
             self._device.write_force((force[0], force[1], force[2]), seq, offset)
         except BaseException as error:  # noqa: BLE001  # nothing can be raised through compiled code

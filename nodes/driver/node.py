@@ -45,17 +45,10 @@ if TYPE_CHECKING:
 
 __all__ = ["ASK_AGAIN", "SOFT_STOP", "Driver"]
 
-ASK_AGAIN = 0.5
-"""In lockstep, a tick without an answer for so long is published again: its answer was lost with a node [s]."""
-
-STAND_STILL = 60.0
-"""Longest that a loop in lockstep stands still at one request [s]."""
-
-LOOK_UP = 0.01
-"""How often it looks meanwhile at what waits between two ticks [s]."""
-
-SOFT_STOP = STOP_TIME + 1.0
-"""After so long on the way down to zero force the device is taken to hang [s]."""
+ASK_AGAIN = 0.5  # in lockstep, an unanswered tick is published again: its answer was lost with a node [s]
+STAND_STILL = 60.0  # longest that a loop in lockstep stands still at one request [s]
+LOOK_UP = 0.01  # how often it looks meanwhile at what waits between two ticks [s]
+SOFT_STOP = STOP_TIME + 1.0  # after so long on the way down to zero force the device is taken to hang [s]
 
 
 def _kept(name: str) -> Any:
@@ -163,8 +156,6 @@ class Driver(Node):
         waits = self.virtual or parameters.safety.hang is None
         self._watch = Watch(self, limits, None if waits else LastResort(self.setup))
         self._open = False
-
-    # -- the loop ----------------------------------------------------------------------------------------------------
 
     def loop(self) -> None:
         """Tick until stopped or done."""

@@ -8,9 +8,7 @@ from typing import Any, Final, NamedTuple
 from nodes.driver.state import NOTE, REFUSED, SAFETY
 
 FIRST_FORCE, FRESH_FORCE, DONE_RAMP, SILENT, STILL_SILENT, LET_GO, NO_POSITION, OUTSIDE, BACK_INSIDE, SWINGS = range(10)
-CONTINUOUS, HELD_UP, REARMED, REFUSED_FIRST = range(10, 14)
-"""What is noted; the last is the first of four: future, replayed, stale, not finite."""
-
+CONTINUOUS, HELD_UP, REARMED, REFUSED_FIRST = range(10, 14)  # the last: future, replayed, stale, not finite
 _WORDS: Final[tuple[Callable[..., str], ...]] = (
     lambda *_: "the first force",
     lambda *_: "fresh forces again",

@@ -27,7 +27,15 @@ class PlainTicks:
         self._what = f"{node.setup.name}: {type(device).__name__}"
         self.payload = b""  # the state that was published last
         lockstep, paced = make_ticks(
-            Port(_sleep_until, self._read, self._write, self.publish, self.receive, self.aside, self._called)
+            Port(
+                sleep_until=lambda _, deadline: realtime.sleep_until(deadline),
+                read=self._read,
+                write=self._write,
+                publish=self.publish,
+                receive=self.receive,
+                aside=self.aside,
+                called=lambda _: bool(self._events.waiting or node.stopping),
+            )
         )
         # Ticks until something waits; why it ended, as of nodes/driver/tick.py.
         self.run = paced if node.driving.realtime else lockstep
@@ -107,12 +115,3 @@ class PlainTicks:
         del s
         if self._publisher.apart:
             self._publisher.send_aside(self._topic, self.payload)
-
-    def _called(self, s: Any) -> bool:
-        del s
-        return bool(self._events.waiting or self._node.stopping)
-
-
-def _sleep_until(s: Any, deadline: float) -> float:
-    del s
-    return realtime.sleep_until(deadline)

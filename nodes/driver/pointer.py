@@ -30,22 +30,15 @@ sim/device/state.py reads it too.
 _COUNT = struct.Struct("<Q")
 _TARGET = struct.Struct("<dddd")
 
-
-SILENCE = 2.0
-"""After so long without a new value a pointer counts as let go: its view has ended, or stands still [s]."""
+SILENCE = 2.0  # after so long without a new value a pointer counts as let go: its view has ended, or stands still [s]
 
 
 class PointerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """How a hand follows a pointer.
 
-    Attributes
-    ----------
-    speed : float
-        Fastest movement of the hand's target [m/s].
-    silence : float
-        Without a new value for so long the hand lets go: its target goes back to its path [s].
-    beyond : bool
-        Whether a page may make the loop unstable on purpose, and start the driver again when it has stopped. Only a virtual
+    speed: Fastest movement of the hand's target [m/s].
+    silence: Without a new value for so long the hand lets go: its target goes back to its path [s].
+    beyond: Whether a page may make the loop unstable on purpose, and start the driver again when it has stopped. Only a virtual
         driver has a pointer: nothing breaks, and nobody is pushed.
     """
 

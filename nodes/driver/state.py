@@ -13,9 +13,7 @@ from typing import Any, Final
 from nodes.compiled.layout import LOOP, named
 
 BETWEEN: Final = 0
-WAITING: Final = 1
-"""Where in a tick it stands: before its sample, or after it, waiting for the force that answers it."""
-
+WAITING: Final = 1  # stands after its sample, for the force that answers it; 0: before it
 IDLE, RAMP, ACTIVE, DAMPING, NOTHING, FAULT, STOPPED = range(7)
 SAFETY: Final = ("waiting", "ramp", "active", "damping", "zero", "fault", "stopped")
 """What the safety does with forces: its states, and their names in messages."""
@@ -24,15 +22,11 @@ REFUSED: Final = ("future", "replayed", "stale", "not_finite")
 LIMITED: Final = ("peak", "slew", "continuous")
 
 BINS: Final = 50_000
-RECENT: Final = 512
-"""Newest response times that are kept as they are, for the status line."""
-
+RECENT: Final = 512  # newest response times that are kept as they are, for the status line
 PEAKS: Final = 64  # room for the moments at which the force came to its limit
 
 NOTES: Final = 32
-NOTE: Final = 8
-"""Room for what the rules have to say within a tick, and the numbers of each: code, tick, change of state, and five more."""
-
+NOTE: Final = 8  # numbers of a note on what the rules do in a tick: code, tick, change of state, and five more
 _VECTORS = (
     # the position just read, and the message just taken
     *("place", "got"),

@@ -8,7 +8,7 @@ with a reason; whoever called it mends that and calls it again, and the tick goe
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from nodes.driver.motion import act, sample, split
 from nodes.driver.notes import HELD_UP
@@ -17,30 +17,20 @@ from nodes.driver.response_times import note_response
 from nodes.driver.safety import admit, command, let_go, missed, watch_position, watch_swings
 from nodes.driver.state import BETWEEN, FAULT, WAITING, note
 
-Function = TypeVar("Function", bound=Callable[..., Any])
-
-GOT, NONE, REFUSED, UNREAD = range(4)
-"""What came of waiting for a message: one, none in time, one that was refused, one that the port cannot judge."""
-
-GO_ON, SILENT, BROKEN = range(3)
-"""Why `ticks` ended, beside `UNREAD`: nothing unusual; in lockstep no answer for a while; the device did not do as asked."""
+GOT, NONE, REFUSED, UNREAD = range(4)  # of waiting for a message: one; none in time; refused; the port cannot judge it
+GO_ON, SILENT, BROKEN = range(3)  # why `ticks` ended: nothing unusual; no answer for a while; the device did not do as asked
 
 
 class Port(NamedTuple):
-    """What a tick needs of the world; each takes the state first.
+    """What a tick needs of the world; each takes the state first."""
 
-    `sleep_until` gives the time on waking; `read` fills `place`, `write` hands over `handed`, and both tell whether the device
-    did it; `publish` sends the state of a tick; `receive` waits for a message until a time, or in lockstep for a while; `aside`
-    sends what listeners get when nothing waits for it any more; `called` tells whether something waits between two ticks.
-    """
-
-    sleep_until: Callable[[Any, float], float]
-    read: Callable[[Any, int], bool]
-    write: Callable[[Any, int, float], bool]
-    publish: Callable[[Any, int, float], None]
-    receive: Callable[[Any, float], int]
-    aside: Callable[[Any], None]
-    called: Callable[[Any], bool]
+    sleep_until: Callable[[Any, float], float]  # gives the time on waking
+    read: Callable[[Any, int], bool]  # fills `place`; this and the next tell whether the device did it
+    write: Callable[[Any, int, float], bool]  # hands over `handed`
+    publish: Callable[[Any, int, float], None]  # sends the state of a tick
+    receive: Callable[[Any, float], int]  # waits for a message until a time, or in lockstep for a while
+    aside: Callable[[Any], None]  # sends what listeners get when nothing waits for it any more
+    called: Callable[[Any], bool]  # tells whether something waits between two ticks
 
 
 def lost(s: Any, seq: int, late: float) -> None:
@@ -91,11 +81,9 @@ def close(s: Any) -> None:
     s.phase = BETWEEN
 
 
-def _as_it_stands(function: Function) -> Function:
-    return function
-
-
-def make_ticks(port: Port, made: Callable[[Any], Any] = _as_it_stands) -> tuple[Callable[[Any], int], Callable[[Any], int]]:
+def make_ticks(
+    port: Port, made: Callable[[Any], Any] = lambda function: function
+) -> tuple[Callable[[Any], int], Callable[[Any], int]]:
     """Make the ticks of a port, in lockstep and in real time: they go on until something waits, and tell why they ended."""
     sleep_until, read, write, publish, receive, aside, called = port
 

@@ -23,16 +23,15 @@ REMEDY: Final = (
 )
 WHAT: Final = "Force Dimension's library (libdhd, libdrd)"
 
-ERRORS: Final = (
+ERRORS: Final = (  # by number, as dhdc.h numbers them
     *("no error", "error", "communication error", "device controller busy", "no driver found", "no device found"),
     *("operation not available", "operation timed out", "geometry error", "expert mode disabled", "not implemented"),
     *("out of memory", "device not ready", "file not found", "configuration error", "invalid index", "deprecated"),
     *("null argument", "redundant encoder integrity test failed", "feature is not enabled", "device is in use"),
     *("invalid value", "robotic regulation is not running"),
 )
-"""By number, as dhdc.h numbers them."""
 
-CONDITIONS: Final = {
+CONDITIONS: Final = {  # why forces are off, as the device's own status says (DHD_FORCE_OFF_*)
     1: "the device's FORCE button is off: press it",
     2: "the handle moved faster than the device allows and it braked: let it rest, then press its FORCE button",
     3: "its watchdog cut the forces, because none came in time: press its FORCE button",
@@ -40,18 +39,15 @@ CONDITIONS: Final = {
     5: "the USB connection was cut",
     6: "nobody holds its dead-man's switch",
 }
-"""Why forces are off, as the device's own status says (DHD_FORCE_OFF_*)."""
 
 STATUS: Final = 17
-RESET: Final = 3
-"""In the status: whether the device must be calibrated."""
-
+RESET: Final = 3  # in the status: whether the device must be calibrated
 WATCHDOG_UNIT: Final = 125e-6  # unit of the firmware's watchdog [s]; at most 255 of them
 
 _ID: Final = c_char
 _D: Final = POINTER(c_double)
 
-FUNCTIONS: Final[Functions] = {
+FUNCTIONS: Final[Functions] = {  # all that is used of it
     **dict.fromkeys(("dhdErrorGetLast", "dhdGetDeviceCount", "dhdEnableExpertMode"), (c_int, [])),
     **dict.fromkeys(("dhdOpenID", "dhdClose", "dhdStop"), (c_int, [_ID])),
     **dict.fromkeys(("dhdEnableForce", "dhdSetWatchdog"), (c_int, [c_ubyte, _ID])),
@@ -71,10 +67,9 @@ FUNCTIONS: Final[Functions] = {
     "dhdSetForce": (c_int, [c_double, c_double, c_double, _ID]),
     "dhdJointAnglesToInertiaMatrix": (c_int, [_D, _D, _ID]),
 }
-"""All that is used of it."""
 
 
-SERVO_CALLS: Final = {
+SERVO_CALLS: Final = {  # what the servo loop calls, by its name there
     "get_position": "dhdGetPosition",
     "get_velocity": "dhdGetLinearVelocity",
     "get_orientation": "dhdGetOrientationFrame",
@@ -85,7 +80,6 @@ SERVO_CALLS: Final = {
     "last_error": "dhdErrorGetLast",
     "get_joints": "dhdGetJointAngles",
 }
-"""What the servo loop calls, by its name there."""
 
 
 class DhdServo(ctypes.Structure):

@@ -13,11 +13,13 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import msgspec
+import numpy as np
+from numpy.typing import ArrayLike
 
-from messages.types import Vector
 from nodes.driver.device import Workspace
 from nodes.driver.forcedimension import dhd as sdk
 from nodes.driver.hardware.driver import HardwareDriver
+from nodes.driver.hardware.inertia import Inertia
 from nodes.driver.hardware.mailbox import HardwareParameters, MailboxDevice, ServoParameters
 from nodes.parameters.paths import LocalPath
 
@@ -74,8 +76,6 @@ class ForceDimensionDevice(MailboxDevice):
     def __init__(self, parameters: ForceDimensionDriverParameters) -> None:
         super().__init__(parameters)
         self._id: bytes | None = None
-
-    # -- finding it --------------------------------------------------------------------------------------------------
 
     def connect(self) -> None:
         """Load the vendor's library, take hold of the device that is meant, and read what it is; no force yet."""
@@ -153,8 +153,6 @@ class ForceDimensionDevice(MailboxDevice):
             raise OSError(f"Force Dimension: {name}: {self._last()}")
         return result
 
-    # -- the way in and out ------------------------------------------------------------------------------------------
-
     def open(self) -> None:
         """Wait for the calibration, start the servo loop, then let forces through, at zero."""
         wants, dhd = self._wants, self._dhd
@@ -176,7 +174,6 @@ class ForceDimensionDevice(MailboxDevice):
         if error := self._code.servo_start(ctypes.byref(servo)):
             raise OSError(error, "Force Dimension: the servo loop cannot be started")
         self.await_samples()
-        self.write_force((0.0, 0.0, 0.0), 0, 0.0)
         self._call("dhdEnableForce", 1)
         self._box.condition = 0  # the status of before said that they were off
 
@@ -206,8 +203,6 @@ class ForceDimensionDevice(MailboxDevice):
         self._dhd.dhdClose(self._id)
         self._id = None
 
-    # -- words -------------------------------------------------------------------------------------------------------
-
     def error_text(self, code: int) -> str:
         """Put an error of DHD in words."""
         return sdk.error_text(code)
@@ -217,7 +212,7 @@ class ForceDimensionDevice(MailboxDevice):
         cause = int(self._box.condition)
         return sdk.CONDITIONS.get(cause, f"the device says that forces are off (cause {cause})") if cause else ""
 
-    def inertia(self) -> tuple[Vector, Vector, Vector] | None:
+    def inertia(self) -> Inertia | None:
         """Tell the inertia that forces of the scene move where the device stands [kg]."""
         if self._id is None:
             return None
@@ -229,21 +224,14 @@ class ForceDimensionDevice(MailboxDevice):
             known = self._dhd.dhdGetJointAngles(joints, self._id) >= 0
         if not known or self._dhd.dhdJointAnglesToInertiaMatrix(joints, matrix, self._id) < 0:
             return None
-        return inertia_in_scene([list(matrix[6 * i : 6 * i + 3]) for i in range(3)], self._turn)
+        return inertia_in_scene(np.reshape(matrix, (6, 6))[:3, :3], self.turn)
 
 
-def inertia_in_scene(theirs: list[list[float]], turn: tuple[Vector, Vector, Vector]) -> tuple[Vector, Vector, Vector]:
-    """Turn an inertia of the device into that of the scene [kg]: a scene twice as large moves a quarter of the mass.
-
-    The kinetic energy is the same on both sides: v = T u gives M = T⁻ᵀ m T⁻¹, and T is a turn times the scale.
-    """
-    squared = sum(turn[0][j] ** 2 for j in range(3))
-
-    def entry(i: int, j: int) -> float:
-        return sum(turn[i][k] * theirs[k][m] * turn[j][m] for k in range(3) for m in range(3)) / squared**2
-
-    first, second, third = ((entry(i, 0), entry(i, 1), entry(i, 2)) for i in range(3))
-    return first, second, third
+def inertia_in_scene(theirs: ArrayLike, turn: Inertia) -> Inertia:
+    """Turn a device's inertia m into the scene's, T⁻ᵀ m T⁻¹ [kg]: the same energy for v = T u, T a turn times the scale."""
+    rows = np.array(turn)
+    ours: Inertia = msgspec.convert((rows @ theirs @ rows.T / (rows[0] @ rows[0]) ** 2).tolist(), Inertia)
+    return ours
 
 
 class ForceDimensionDriver(HardwareDriver):

@@ -87,7 +87,6 @@ class Inverse3Device(MailboxDevice):
         self._remark = ""
         self._others: Vector = ZERO
         self._withheld = False
-        self.round_trip = 0.0
 
     @classmethod
     def find(cls, parameters: Any) -> Search:
@@ -172,7 +171,6 @@ class Inverse3Device(MailboxDevice):
             thread.start()
             self._threads.append(thread)
         self.await_samples()
-        self.write_force(ZERO, 0, 0.0)
 
     def _failed(self, error: int, fatal: bool = False) -> None:
         self._code.mailbox_failed(self._at, error, int(fatal))
@@ -207,7 +205,7 @@ class Inverse3Device(MailboxDevice):
                 self._failed(NO_STATE)
                 owed, blind = False, True
                 continue
-            self.round_trip, first, owed = time.monotonic() - begun, False, False
+            first = owed = False
             state = next((device.state for device in answered.inverse3 if device.device_id == self._id), None)
             blind = state is None
             if state is None:

@@ -28,10 +28,7 @@ class _Vector(msgspec.Struct):
         return self.x, self.y, self.z
 
 
-class _Quaternion(msgspec.Struct):
-    x: float = 0.0
-    y: float = 0.0
-    z: float = 0.0
+class _Quaternion(_Vector):
     w: float = 1.0
 
 
@@ -68,7 +65,6 @@ class ServiceMessage(msgspec.Struct):
 
     inverse3: list[Inverse3] = []
     wireless_verse_grip: list[Grip] = []
-    session_id: int | str | None = None
     error: Any = None
 
 
@@ -115,12 +111,11 @@ def ask(host: str, port: int, path: str) -> Any:
     return service_state.get("data") if isinstance(service_state, dict) and service_state.get("ok") else None
 
 
-EVENTS: Final = {
+EVENTS: Final = {  # what the service's events mean, by the word that is in them; those in `ENDS` end it
     "device-disconnected": "the Inverse3 was unplugged",
     "device-busy": "another program has the Inverse3",
     "ebrake_triggered": "the emergency brake of the Inverse3 is on",
     "stall_detected": "the Inverse3 has found a motor stalled and gives no force",
     "stability_ceiling": "the Inverse3 has found the loop unstable and lowers forces",
 }
-"""What the service's events mean, by the word that is in them; ``ebrake_released`` and ``device-connected`` end it."""
 ENDS: Final = ("ebrake_released", "device-connected")

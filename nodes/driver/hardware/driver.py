@@ -17,8 +17,7 @@ from nodes.driver.hardware.mailbox import HardwareParameters, MailboxDevice
 from nodes.driver.node import Driver
 from nodes.parameters.store import ParameterError
 
-HANDLE_PERIOD: Final = 0.02
-"""How often buttons, gripper and orientation are looked at [s]; they are published when they have changed, and each second."""
+HANDLE_PERIOD: Final = 0.02  # how often the handle is looked at; published when it has changed, and each second [s]
 
 
 class HardwareDriver(Driver):

@@ -15,26 +15,24 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, NamedTuple
 
 import msgspec
+import numpy as np
 
-from messages.types import Vector
+from messages.types import ZERO, Vector
 from nodes.compiled.layout import named
 from nodes.driver.calls import Calls
 from nodes.driver.device import DeviceLimits, Workspace
 from nodes.driver.hardware.compile import servo_library
 from nodes.driver.hardware.libraries import Search, find
-from nodes.driver.hardware.mapping import Mapping, Turn, limits_in_scene, matrix
+from nodes.driver.hardware.mapping import Mapping, limits_in_scene, matrix
 from nodes.driver.parameters import DriverParameters
 
 FAULT, STALLED, UNREAD = 1, 2, 3  # what ``device_read`` of mailbox.h fails with, as negative numbers
 
-LOST: Final = 0.8
-"""After so long without a sample a device is given up [s]; until then its position counts as unknown, and there is no force."""
-
+LOST: Final = 0.8  # after so long without a sample a device is given up; until then there is no force [s]
 SAMPLE: Final = 12
 SILENCE: Final = 0.1  # longest watchdog that a launch file may ask for on these devices [s]
 
-_kept: Final[list[Any]] = []
-"""Mailboxes that a servo loop may still use: one whose thread hangs must not write into freed memory."""
+_kept: Final[list[Any]] = []  # mailboxes of servo loops that may hang: they must not write into freed memory
 
 
 class Mailbox(ctypes.Structure):
@@ -110,16 +108,11 @@ class MailboxDevice(ABC):
         # Told what is waited for while it is opened, which may take long; its maker sets it.
         self.say: Callable[[str], Any] = str
         self._waits = ""
-        self._limits = DeviceLimits()
-        self._turn = matrix(parameters.mapping, self.AXES)
+        self.limits = DeviceLimits()  # what a scene may ask for, by what the device says it bears; known after `connect`
+        self.turn = matrix(parameters.mapping, self.AXES)  # from the device's axes into the scene's
         self._code: Any = None
         self._shared: Any = None
         self._box: Any = None
-
-    @property
-    def limits(self) -> DeviceLimits:
-        """What a scene may ask for, by what the device itself says it bears; known after `connect`."""
-        return self._limits
 
     @property
     def let_go(self) -> int:
@@ -136,18 +129,11 @@ class MailboxDevice(ABC):
         """How many ticks of the servo loop have read a position."""
         return int(self._box.ticks)
 
-    @property
-    def turn(self) -> Turn:
-        """The matrix from the device's axes into the scene's."""
-        return self._turn
-
     def wait_for(self, what: str) -> None:
         """Say what is waited for, once until it is something else."""
         if what != self._waits:
             self._waits = what
             self.say(f"{self.TITLE}: {what}")
-
-    # -- what a kind defines -----------------------------------------------------------------------------------------
 
     @abstractmethod
     def connect(self) -> None:
@@ -168,19 +154,15 @@ class MailboxDevice(ABC):
     def error_text(self, code: int) -> str:
         """Put an error of the device in words."""
 
-    @abstractmethod
     def condition(self) -> str:
         """Say why the device gives no force although it is asked to; empty when nothing keeps it from it."""
-
-    # -- for kinds ---------------------------------------------------------------------------------------------------
+        fault = self._box.fault
+        return f"the device reported {self.error_text(fault)}: forces are off until the node is started again" if fault else ""
 
     def prepare(
         self, peak: float, continuous: float, workspace: Workspace, hold: float | None = None, opening: float | None = None
     ) -> None:
-        """Make the mailbox, with what the device bears along its own axes [N], [m], and how long it holds a force [s].
-
-        It holds one for the servo loop's own deadline where nothing else is told.
-        """
+        """Make the mailbox, with what the device bears along its axes [N, m], and how long it holds a force [s]."""
         mapping: Mapping = self.parameters.mapping
         theirs = DeviceLimits(
             peak_force=peak,
@@ -205,16 +187,16 @@ class MailboxDevice(ABC):
         self._shared = self.Shared()
         _kept.append(self._shared)
         box = self._box = self._shared if self.Shared is Mailbox else self._shared.box
-        box.turn[:] = [number for row in self._turn for number in row]
+        box.turn[:] = [number for row in self.turn for number in row]
         box.unit, box.origin[:] = self.UNIT, mapping.centre
         box.deadline = box.patience = self.deadline
         box.peak = peak
         box.clutch = 0 if mapping.clutch is None else 1 << mapping.clutch
         box.reach, box.back = mapping.reach, mapping.clutch_ramp
-        self._limits = limits_in_scene(theirs, mapping, self._turn)
+        self.limits = limits_in_scene(theirs, mapping, self.turn)
 
     def await_samples(self) -> None:
-        """Wait until the servo loop runs; where asked for, the device stands in the middle of the scene then."""
+        """Wait until the servo loop runs, and set its force to zero; where asked for, the device stands in the middle then."""
         until = time.monotonic() + 2.0
         while self._box.ticks < 2:
             if self._box.fault or time.monotonic() > until:
@@ -224,6 +206,7 @@ class MailboxDevice(ABC):
             time.sleep(0.001)
         if self.parameters.mapping.recentre:
             self.recentre()
+        self.write_force(ZERO, 0, 0.0)
 
     def recentre(self) -> Vector:
         """Put the device into the middle of the scene, wherever it stands; by how much that moved it [m]."""
@@ -238,8 +221,6 @@ class MailboxDevice(ABC):
     @property
     def _at(self) -> int:
         return ctypes.addressof(self._box)
-
-    # -- a device, as the driver node sees it ------------------------------------------------------------------------
 
     def read_position(self, seq: int) -> Vector:
         """Take the newest sample; one that is too old is no position, and a device that goes on giving none is lost."""
@@ -265,25 +246,16 @@ class MailboxDevice(ABC):
         read, write = (ctypes.cast(function, ctypes.c_void_p).value or 0 for function in both)
         return Calls(read, write, self._at)
 
-    def raw(self) -> list[float] | None:
-        """Take the newest sample as the device gives it, in its own axes and units; None when there is none."""
-        sample = (ctypes.c_double * SAMPLE)()
-        return None if self._code.mailbox_sample(self._at, sample) else list(sample)
-
     def handle(self) -> HandleSample | None:
         """Tell what the device gives beside its position."""
-        sample = self.raw()
-        if sample is None:
+        sample = (ctypes.c_double * SAMPLE)()
+        if self._code.mailbox_sample(self._at, sample):
             return None
-        unit = self.UNIT
-        x, y, z = (sum(turn * v * unit for turn, v in zip(row, sample[3:6], strict=True)) for row in self._turn)
-        return HandleSample(self._turned(sample[6:10]), sample[10], int(sample[11]), (x, y, z))
-
-    def _turned(self, q: Sequence[float]) -> tuple[float, float, float, float]:
-        """Turn an orientation of the device into the scene: the axis of the turn goes as a position does."""
-        scale = self.parameters.mapping.scale
-        x, y, z = (sum(turn / scale * part for turn, part in zip(row, q[:3], strict=True)) for row in self._turn)
-        return x, y, z, q[3]
+        rows = np.array(self.turn)
+        x, y, z = (self.UNIT * rows @ sample[3:6]).tolist()
+        # The axis of a turn goes into the scene as a position does.
+        a, b, c = (rows @ sample[6:9] / self.parameters.mapping.scale).tolist()
+        return HandleSample((a, b, c, sample[9]), sample[10], int(sample[11]), (x, y, z))
 
     def inertia(self) -> tuple[Vector, Vector, Vector] | None:
         """Tell the inertia that forces of the scene move where the device stands [kg]; None where that is not known."""

@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Final, Literal
+from typing import Annotated, Literal
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from messages.types import Vector
-from nodes.driver.device import Bounds, DeviceLimits, Workspace
+from nodes.driver.device import DeviceLimits, Workspace
 
 AxisName = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Turn = tuple[Vector, Vector, Vector]
-_LETTERS: Final = "xyz"
 
 
 class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -47,26 +48,12 @@ class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     def __post_init__(self) -> None:
         if self.axes is not None and len({name[1] for name in self.axes}) != 3:
             raise ValueError(f"axes is {list(self.axes)}: each of x, y and z must stand in it once")
-        if self.axes is not None and _handed(self.axes) < 0.0:
+        if self.axes is not None and np.linalg.det(_rows(self.axes)) < 0.0:
             raise ValueError(f"axes is {list(self.axes)}: a mirror of the scene; turn one sign round, or swap two")
 
 
-def _rows(names: Sequence[str]) -> Turn:
-    x, y, z = (tuple((1.0 if name[0] == "+" else -1.0) * (letter == name[1]) for letter in _LETTERS) for name in names)
-    return x, y, z  # type: ignore[return-value]  # each is three long
-
-
-def _handed(names: Sequence[str]) -> float:
-    (a, b, c), (d, e, f), (g, h, i) = _rows(names)
-    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-
-
-def _product(a: Turn, b: Turn) -> Turn:
-    def row(i: int) -> Vector:
-        x, y, z = (sum(a[i][k] * b[k][j] for k in range(3)) for j in range(3))
-        return x, y, z
-
-    return row(0), row(1), row(2)
+def _rows(names: Sequence[str]) -> NDArray[np.float64]:
+    return np.array([[(1.0 if name[0] == "+" else -1.0) * (letter == name[1]) for letter in "xyz"] for name in names])
 
 
 def _cosine_sine(degrees: float) -> tuple[float, float]:
@@ -83,37 +70,28 @@ def matrix(mapping: Mapping, usual: Sequence[str]) -> Turn:
     for axis, degrees in enumerate(mapping.rotation):
         cosine, sine = _cosine_sine(degrees)
         j, k = (axis + 1) % 3, (axis + 2) % 3
-        rows = [[1.0 if m == n else 0.0 for n in range(3)] for m in range(3)]
-        rows[j][j], rows[j][k], rows[k][j], rows[k][k] = cosine, -sine, sine, cosine
-        turned = _product(tuple(map(tuple, rows)), turned)  # type: ignore[arg-type]  # each is three long
-    s = mapping.scale
-    first, second, third = ((s * row[0], s * row[1], s * row[2]) for row in turned)
-    return first, second, third
+        turn = np.eye(3)
+        turn[j, j], turn[j, k], turn[k, j], turn[k, k] = cosine, -sine, sine, cosine
+        turned = turn @ turned
+    made: Turn = msgspec.convert((mapping.scale * turned).tolist(), Turn)
+    return made
 
 
 def limits_in_scene(limits: DeviceLimits, mapping: Mapping, turn: Turn) -> DeviceLimits:
-    """Turn what the device bears along its own axes into what a scene may ask for.
-
-    `turn`, shape (3, 3): as from `matrix`. Returns: forces: so low that no axis of the device gets more than it bears,
-    whatever the direction. Workspace: the box round the device's own, and where there is a clutch what it can reach beyond.
-    """
+    """Turn what the device bears along its own axes into what a scene may ask for, whatever the direction of a force."""
+    rows = np.array(turn)
     # On axis j of the device acts Σ turn[i][j] F[i].
-    worst = max(sum(abs(turn[i][j]) for i in range(3)) for j in range(3))
-    clutched = mapping.reach if mapping.clutch is not None else 0.0
-    bounds: list[Bounds] = []
-    for i in range(3):
-        low = high = mapping.centre[i]
-        for j in range(3):
-            ends = [turn[i][j] * end if turn[i][j] else 0.0 for end in limits.workspace[j]]
-            low, high = low + min(ends), high + max(ends)
-        # Where the device stands when it is opened is not known yet.
-        beyond = clutched + (high - low if mapping.recentre else 0.0)
-        bounds.append((low - beyond, high + beyond))
-    workspace: Workspace = (bounds[0], bounds[1], bounds[2])
+    worst = float(np.abs(rows).sum(axis=0).max())
+    # An axis that plays no part adds nothing, not even where it has no end.
+    ends = np.multiply(rows[:, :, None], limits.workspace, out=np.zeros((3, 3, 2)), where=rows[:, :, None] != 0.0)
+    low, high = ends.min(axis=2).sum(axis=1), ends.max(axis=2).sum(axis=1)
+    # Where the device stands when it is opened is not known yet.
+    beyond = (mapping.reach if mapping.clutch is not None else 0.0) + (high - low if mapping.recentre else 0.0)
+    workspace = np.stack([low - beyond, high + beyond], axis=1) + np.array(mapping.centre)[:, None]
     return msgspec.structs.replace(
         limits,
         peak_force=limits.peak_force / worst,
         continuous_force=limits.continuous_force / worst,
         slew=limits.slew / worst,
-        workspace=workspace,
+        workspace=msgspec.convert(workspace.tolist(), Workspace),
     )

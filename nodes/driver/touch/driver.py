@@ -142,7 +142,6 @@ class TouchDevice(MailboxDevice):
         self._check("the scheduler cannot be started")
         self._calibrate()
         self.await_samples()
-        self.write_force((0.0, 0.0, 0.0), 0, 0.0)
         hd.hdEnable(hdapi.FORCE_OUTPUT)
         self._check("forces cannot be switched on")
         if error := self._code.servo_watch(ctypes.byref(servo)):
@@ -174,12 +173,6 @@ class TouchDevice(MailboxDevice):
     def error_text(self, code: int) -> str:
         """Put an error of HDAPI in words."""
         return hdapi.error_text(code)
-
-    def condition(self) -> str:
-        """Say what keeps forces off."""
-        if self._box.fault:
-            return f"the device reported {hdapi.error_text(self._box.fault)}: forces are off until the node is started again"
-        return ""
 
     def close(self) -> None:
         """Switch forces off, stop the servo loop and give the device back; also after a failure half-way."""

@@ -15,9 +15,7 @@ FORCE_OUTPUT = 0x4000
 CALIBRATION_OK, CALIBRATION_NEEDS_UPDATE, CALIBRATION_NEEDS_MANUAL = 0x5000, 0x5001, 0x5002
 MODEL_TYPE, DRIVER_VERSION, SERIAL_NUMBER = 0x2501, 0x2502, 0x2504
 MAX_WORKSPACE, MAX_FORCE, MAX_CONTINUOUS_FORCE = 0x2550, 0x2603, 0x2604
-CALIBRATION_STYLE = 0x2555
-"""Which ways of calibrating the device has, one bit each."""
-
+CALIBRATION_STYLE = 0x2555  # which ways of calibrating the device has, one bit each
 AUTOMATIC, INKWELL, ENCODER_RESET = 2, 4, 1  # the ways, the best first, as the vendor's examples prefer them
 
 INVALID_HANDLE = 0xFFFFFFFF
@@ -41,7 +39,7 @@ class ErrorInfo(ctypes.Structure):
     ]
 
 
-SERVO_CALLS = {
+SERVO_CALLS = {  # what the servo loop calls, by its name there
     "begin_frame": "hdBeginFrame",
     "end_frame": "hdEndFrame",
     "make_current": "hdMakeCurrentDevice",
@@ -52,7 +50,6 @@ SERVO_CALLS = {
     "enable": "hdEnable",
     "disable": "hdDisable",
 }
-"""What the servo loop calls, by its name there."""
 
 
 class TouchServo(ctypes.Structure):
