@@ -24,10 +24,7 @@ LAST_MS = 50  # how long no message may come at the end before all have [ms]
 class ForwarderParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of a forwarder.
 
-    Attributes
-    ----------
-    ports : dict of str to int
-        Node to the tcp port on loopback at which everybody may listen to it.
+    ports: Node to the tcp port on loopback at which everybody may listen to it.
     """
 
     ports: dict[str, Annotated[int, msgspec.Meta(ge=1, le=65535)]]
@@ -43,12 +40,6 @@ class Forwarder(Node):
     def hears(cls, parameters: Any, nodes: Iterable[str]) -> frozenset[str]:
         """Tell whom it listens to."""
         return frozenset(parameters.ports).intersection(nodes)
-
-    @classmethod
-    def subscribes(cls, parameters: Any) -> tuple[str, ...]:
-        """Take everything of a node."""
-        del parameters
-        return ("",)
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)

@@ -13,11 +13,7 @@ M = TypeVar("M", bound=Message)
 
 
 def _follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> Callable[[], M | None]:
-    """Follow one loop topic.
-
-    In real time a message that is older than a period when it arrives is skipped if a newer one is already there: a
-    node that was stalled goes on with the present, not with what piled up. In lockstep every message is taken.
-    """
+    """Follow one loop topic; in real time a node that was stalled goes on with the present, not with what piled up."""
     expected = topic.encode()
     ticks = node.make_compiled()
     counters = node.counters

@@ -34,14 +34,11 @@ class Stopwatch:
 
 
 class Change:
-    """Something prepared off the hot path, to be applied between two ticks.
-
-    `apply`: called on the main thread with the tick number; its return value, or what it raises, goes back in the reply.
-    """
+    """Something prepared off the hot path; `apply` runs on the main thread between two ticks, and gives the reply."""
 
     def __init__(self, apply: Callable[[int], Any]) -> None:
         self._apply = apply
-        self._done = threading.Event()
+        self.applied = threading.Event()
         self._result: Any = None
         self._error: Exception | None = None
 
@@ -51,14 +48,10 @@ class Change:
             self._result = self._apply(seq)
         except Exception as error:  # noqa: BLE001  # a change that fails must not end the loop; the reply says why
             self._error = error
-        self._done.set()
-
-    def wait(self, timeout: float | None) -> bool:
-        """Wait until it was applied (control thread)."""
-        return self._done.wait(timeout)
+        self.applied.set()
 
     def result(self) -> Any:
-        """Give what came of it (control thread, after `wait`)."""
+        """Give what came of it (control thread, once it was `applied`)."""
         if self._error is not None:
             raise self._error
         return self._result
@@ -89,14 +82,14 @@ class Changes:
             self._waiting.append(change)
             self._notify()
             deadline = time.monotonic() + timeout
-            while not change.wait(0.05):
+            while not change.applied.wait(0.05):
                 if time.monotonic() < deadline and self._lives():
                     continue
                 try:
                     self._waiting.remove(change)
                 except ValueError:
                     # Taken up just now: it is being applied.
-                    change.wait(None)
+                    change.applied.wait()
                 else:
                     raise ParameterError(
                         f"{self._setup.name}: not taken up by the loop within {timeout:g} s; nothing was changed; "
@@ -107,11 +100,8 @@ class Changes:
             self.serving.start()
 
     def change(self, make: Callable[[], Any], prepare: Callable[[Any], Callable[[int], Any]]) -> dict[str, Any]:
-        """Make new parameters from those in the store, check, prepare and apply them, all or nothing (control thread).
-
-        Should they change in between (a scheduled swap), all is made again from the newer ones. `prepare` gives what is applied
-        between two ticks. The receipt's ``changed`` holds, for each path that changed, the value before and after.
-        """
+        """Make new parameters, check, prepare and apply them, all or nothing; a receipt with what changed (control thread)."""
+        # Should they change in between (a scheduled swap), all is made again from the newer ones.
         while True:
             base = self._store.current
             parameters = make()

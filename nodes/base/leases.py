@@ -17,9 +17,8 @@ MOST = 16  # leases of one node at a time
 class Leases:
     """The leases of one node; everything runs on its control thread."""
 
-    def __init__(self, node: str, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, node: str) -> None:
         self._node = node
-        self._clock = clock
         self._held: dict[str, tuple[float, float, str, dict[str, Any]]] = {}
 
     def operations(self) -> dict[str, Callable[..., Any]]:
@@ -31,7 +30,7 @@ class Leases:
             raise ParameterError(f"{self._node}: lease {name!r} of {seconds!r} s, expected more than 0, at most {LONGEST:g} s")
         if name not in self._held and len(self._held) >= MOST:
             raise ParameterError(f"{self._node}: {MOST} leases are held already; end one first")
-        self._held[name] = (self._clock() + seconds, seconds, then, dict(args))
+        self._held[name] = (time.monotonic() + seconds, seconds, then, dict(args))
         return {"held": True}
 
     def _renew(self, names: list[str]) -> dict[str, Any]:
@@ -40,7 +39,7 @@ class Leases:
         for name in names:
             if name in self._held:
                 _, seconds, then, args = self._held[name]
-                self._held[name] = (self._clock() + seconds, seconds, then, args)
+                self._held[name] = (time.monotonic() + seconds, seconds, then, args)
         return {"run_out": gone}
 
     def _end(self, names: list[str]) -> dict[str, Any]:
@@ -49,6 +48,6 @@ class Leases:
 
     def run_out(self) -> list[tuple[str, str, dict[str, Any]]]:
         """Take out what has run out, the oldest first: name, operation and its arguments."""
-        now = self._clock()
+        now = time.monotonic()
         over = sorted((until, name) for name, (until, *_) in self._held.items() if until <= now)
         return [(name, *self._held.pop(name)[2:]) for _, name in over]

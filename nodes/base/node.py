@@ -45,6 +45,8 @@ class Node:
         The struct of the node's parameters.
     publishes, listens_to : tuple of str
         The loop topics that the kind binds and takes; ``"*"`` listens to everything.
+    queue : int
+        Messages that may wait to be taken in.
     answers : bool
         Whether each tick is one message taken and one sent; ``sent`` and ``received`` count only what comes on top.
     answer : bytes
@@ -77,6 +79,7 @@ class Node:
     publishes: ClassVar[tuple[str, ...]] = ()
     listens_to: ClassVar[tuple[str, ...]] = ()
     relays: ClassVar[tuple[str, ...]] = ()
+    queue: ClassVar[int] = 1000
     answers: ClassVar[bool] = False
     kernel_module: ClassVar[str] = ""
 
@@ -187,7 +190,7 @@ class Node:
             Topics.
         """
         del parameters
-        return cls.listens_to
+        return ("",) if cls.listens_to == ("*",) else cls.listens_to
 
     @classmethod
     def hears(cls, parameters: Any, nodes: Iterable[str]) -> frozenset[str]:
@@ -219,9 +222,11 @@ class Node:
 
     def connect(self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]) -> None:
         """Connect to the publishers of what the kind listens to; `subscribe` takes endpoints, topics and queue length."""
-        if self.listens_to:
+        if self.listens_to == ("*",):
+            self.inbox = subscribe(set(self.setup.sources.values()), self.subscribes(self.store.current), self.queue)
+        elif self.listens_to:
             wanted = [self.setup.topic(topic) for topic in self.listens_to]
-            self.inbox = subscribe({self.setup.sources[topic] for topic in self.listens_to}, wanted, 1000)
+            self.inbox = subscribe({self.setup.sources[topic] for topic in self.listens_to}, wanted, self.queue)
 
     def loop(self) -> None:
         """Tick until `stopping` (main thread)."""

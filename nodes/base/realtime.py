@@ -43,10 +43,7 @@ def apply(scheduling: Scheduling) -> list[str]:
 
 
 def quietest_processor(interrupts: str = "/proc/interrupts") -> int:
-    """Find the processor for the chain: of those this process may use, the one that devices interrupt least.
-
-    A disk to which a logger writes, or a network card, interrupts one processor all the time; a tick there waits for it.
-    """
+    """Find the processor that devices interrupt least, of those this process may use: a tick waits for every interrupt."""
     available = os.sched_getaffinity(0)
     counts = dict.fromkeys(sorted(available), 0)
     try:
@@ -66,10 +63,7 @@ def quietest_processor(interrupts: str = "/proc/interrupts") -> int:
 
 @contextlib.contextmanager
 def off(processors: Collection[int]) -> Iterator[None]:
-    """Keep the calling thread, and what it starts, off processors on which a loop runs.
-
-    Priorities alone do not: on most kernels a system call is not interrupted, whoever waits for the processor.
-    """
+    """Keep the calling thread, and what it starts, off a loop's processors: no priority interrupts a system call of others."""
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, before - set(processors) or before)
     try:
@@ -94,11 +88,7 @@ def awake() -> Iterator[str]:
 
 
 def step_aside() -> None:
-    """Take the calling thread off the chain's core and below its priority, but not below the rest of the machine.
-
-    For the control thread: were it a normal one, anything could hold it up while it holds the interpreter's lock, and the
-    loop would wait for both.
-    """
+    """Take the calling thread off the chain's core and below its priority, above others: it may hold the interpreter's lock."""
     others = set(range(os.cpu_count() or 1)) - os.sched_getaffinity(0)
     if others:
         os.sched_setaffinity(0, others)

@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 
 from nodes.base.node import Node
+from nodes.base.status_report import write_whole
 from nodes.parameters.store import ParameterError, convert
 
 
@@ -29,9 +30,7 @@ def keep(node: Node) -> None:
     if current is node.kept or not node.setup.run_dir:
         return
     node.kept = current
-    draft = _path(node).with_suffix(".keeping")
-    draft.write_bytes(msgspec.json.encode(Kept(seq=node.counted().seq, parameters=msgspec.to_builtins(current))))
-    draft.replace(_path(node))
+    write_whole(_path(node), Kept(seq=node.counted().seq, parameters=msgspec.to_builtins(current)))
 
 
 def resume(node: Node) -> None:

@@ -10,8 +10,7 @@ from pathlib import Path
 
 from nodes.base.setup import Setup
 
-PATIENCE = 10.0
-"""How long a file that another node makes in its start is waited for [s]."""
+PATIENCE = 10.0  # how long a file that another node makes in its start is waited for [s]
 
 
 def mapped(path: Path, size: int, make: bool) -> mmap.mmap:

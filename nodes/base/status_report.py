@@ -64,9 +64,14 @@ def report_of(node: Any, figures: Mapping[str, Any]) -> dict[str, Any]:
     return {"status": status, "tick": tick, "ticks_compiled": node.ticks_compiled, **figures}
 
 
+def write_whole(path: Path, content: Any) -> None:
+    """Write something as JSON so that whoever reads the file finds all of it, or what was there before."""
+    draft = path.with_name(f"{path.name}.draft")
+    draft.write_bytes(msgspec.json.encode(content))
+    draft.replace(path)
+
+
 def write_report(node: Any, figures: Mapping[str, Any] | None = None) -> None:
     """Write a node's last status and its report."""
-    path = Path(node.setup.run_dir) / f"{node.setup.name}.report.json"
-    draft = path.with_suffix(".draft")
-    draft.write_bytes(msgspec.json.encode(report_of(node, node.report() if figures is None else figures)))
-    draft.replace(path)
+    report = report_of(node, node.report() if figures is None else figures)
+    write_whole(Path(node.setup.run_dir) / f"{node.setup.name}.report.json", report)

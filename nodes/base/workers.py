@@ -18,7 +18,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from types import TracebackType
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 from messages.errors import RefusedError
@@ -82,9 +81,8 @@ class Workers(Executor):
                 threading.Thread(target=worker.process.wait, name="reap", daemon=True).start()
             self._there.clear()
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         """Wait for them; after an exception, Ctrl-C for one, nobody wants their answers."""
-        del error, trace
         if kind is None:
             self.shutdown()
         else:

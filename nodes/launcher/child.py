@@ -20,24 +20,20 @@ from nodes.base.node_kinds import load
 from nodes.base.processor_wait import ProcessorWait, state_of
 from nodes.base.setup import Setup
 
-PYTHON = (sys.executable, "-P")
-"""The interpreter that our processes run in: without the working directory on its path, where a ``sim.py`` may be anybody's."""
-
+PYTHON = (sys.executable, "-P")  # our processes': without the working directory, where a ``sim.py`` may be anybody's
 START_TIMEOUT = 90.0  # until a node is ready [s]: eight launches at once on two processors take more than 30 s
 
 
 class Child:
-    """One node's process, which may be started again so often (-1: for ever); the launch ends with one that is `required`.
+    """One node's process, started again so often (-1: for ever); the launch ends with one that is `required`."""
 
-    `patience`: how long the launcher waits for it to be ready [s]. `distance`: how long the first answer over a new connection
-    takes longer than on this machine [s].
-    """
-
-    patience = START_TIMEOUT
-    distance = 0.0
+    patience = START_TIMEOUT  # how long the launcher waits for it to be ready [s]
+    distance = 0.0  # how much longer than on this machine the first answer over a new connection takes [s]
 
     def __init__(self, setup: Setup, respawns: int, delay: float, required: bool) -> None:
         self.setup = setup
+        self.drives = DEVICE_STATE in load(setup.factory).publishes  # whether it is the driver
+        self.listens = bool(setup.manifest)  # whether it only listens (a logger)
         self.respawns = respawns
         self.delay = delay
         self.required = required
@@ -60,11 +56,7 @@ class Child:
 
     @property
     def code(self) -> int | None:
-        """Exit code of the process; negative for a signal, None while it runs.
-
-        A thread takes the process from the kernel's table: Linux 6.18 was seen to spend a minute on it, with nobody looked
-        after.
-        """
+        """Exit code of the process, which a thread takes from the kernel's table; negative for a signal, None while it runs."""
         if self._exit is None and self.process is not None:
             try:
                 ended = os.waitid(os.P_PID, self.process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)
@@ -97,16 +89,6 @@ class Child:
     def end_patience(self) -> float:
         """How long it has to end, beside what any node has: what its device declares [s]."""
         return self.closing + max(0.0, self.ready_at + self.opening - time.monotonic())
-
-    @property
-    def drives(self) -> bool:
-        """Whether it is the driver: it publishes the device's state."""
-        return DEVICE_STATE in load(self.setup.factory).publishes
-
-    @property
-    def listens(self) -> bool:
-        """Whether it only listens (a logger)."""
-        return bool(self.setup.manifest)
 
     def _write_setup(self, run_dir: Path) -> Path:
         path = run_dir / f"{self.setup.name}.json"

@@ -42,11 +42,7 @@ def start_here(run: runs.RunInfo, name: str) -> int:
 
 
 class Starter:
-    """Waits for the launcher on another machine and takes the setup of the node `name` from it, and no other's.
-
-    Messages go by `port`, requests by the next one. It becomes a node of this `kind` only (the name's, if left out), and its
-    parameters may name files in `allow_paths` only.
-    """
+    """Waits for the launcher of the node `name` on another machine and takes its setup, within `kind` and `allow_paths`."""
 
     def __init__(self, name: str, host: str, port: int, kind: str = "", allow_paths: Sequence[Path] = ()) -> None:
         self._name = name

@@ -27,9 +27,7 @@ from nodes.parameters.registry import Registry
 from nodes.parameters.store import ParameterError, convert, merge, of_node
 from nodes.parameters.yaml_io import parse_yaml, read_yaml
 
-COLLECTIONS = Registry("haptic.launch", "collection of scenarios")
-"""What adds scenarios: each names a package with launch files in it, which is not imported."""
-
+COLLECTIONS = Registry("haptic.launch", "collection of scenarios")  # names packages with launch files; none is imported
 _KINDS = {float: "a number", int: "a whole number", str: "text", bool: "true or false", list: "a list"}
 _WHOLE = re.compile(r"^\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)$")
 _WITHIN = re.compile(r"\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)")

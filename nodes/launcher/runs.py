@@ -21,6 +21,7 @@ import msgspec
 from messages import topics
 from messages.errors import UsageError
 from nodes.base.setup import Setup
+from nodes.base.status_report import write_whole
 
 MAX_IPC_PATH = 107  # longest path of a Unix socket [bytes]
 LONGEST_NAME = 32  # longest name of a node [letters]
@@ -225,20 +226,22 @@ def belongs(pid: int, run_dir: Path) -> bool:
 
 def write_run(path: Path, info: RunInfo) -> None:
     """Publish what a run consists of."""
-    draft = path / "run.draft"
-    draft.write_bytes(msgspec.json.encode(info))
-    draft.replace(path / "run.json")
+    write_whole(path / "run.json", info)
 
 
-def read_run(run_dir: str, given_up: Callable[[], bool], patience: float = 10.0) -> RunInfo:
-    """Read what the run of a node consists of, once its launcher has told it."""
-    path = Path(run_dir) / "run.json"
+def read_chain(setup: Setup, given_up: Callable[[], bool], patience: float = 10.0) -> RunInfo:
+    """Read what the run of a node consists of, once its launcher has told it: the chain of its namespace, or the only one."""
+    path = Path(setup.run_dir) / "run.json"
     deadline = time.monotonic() + patience
     while not path.exists():
         if time.monotonic() > deadline or given_up():
             raise OSError(f"{path}: the launcher has not listed the run's nodes within {patience:g} s")
         time.sleep(0.005)
-    return msgspec.json.decode(path.read_bytes(), type=RunInfo)
+    run = msgspec.json.decode(path.read_bytes(), type=RunInfo)
+    try:
+        return run.within(setup.namespace) if setup.namespace else run.only_chain()
+    except RunError as error:
+        raise OSError(f"{error}: a {setup.kind} node has one chain; give {setup.name} its namespace") from error
 
 
 STOPPED = "stopped by haptic stop"  # why a run ends that was not interrupted at its own terminal

@@ -126,8 +126,6 @@ class Supervisor:
             if hasattr(self, "_reaper"):
                 self._dismiss_reaper()
 
-    # -- processes ---------------------------------------------------------------------------------------------------
-
     def _start_child(self, child: Child) -> None:
         child.start(self.run_dir)
         self._write_down(child)
@@ -267,8 +265,6 @@ class Supervisor:
                 call(self.context, child.setup.control, "start", timeout=0.5 + child.distance)
             # A lost answer shows as a driver that runs.
             child.to_start = state not in ("ready", "running")
-
-    # -- the end -----------------------------------------------------------------------------------------------------
 
     def _end_all(self) -> None:
         runs.write_end(self.run_dir, self.exit_reason or self._stop_asked)

@@ -31,10 +31,7 @@ def chains_of(launch: Launch) -> list[str]:
 
 
 def _cores(launch: Launch) -> dict[str, int | None]:
-    """Choose each chain's processor by its namespace, None for no pinning.
-
-    Once for all nodes, for the counts it goes by move on. Several chains share one where that leaves none for the rest.
-    """
+    """Choose each chain's processor, once for all nodes; chains share one where that leaves none for the rest."""
     chains = dict.fromkeys([*chains_of(launch), *(name.rpartition("/")[0] for name in launch.nodes)])
     available = sorted(os.sched_getaffinity(0))
     cpu = launch.run.cpu
@@ -112,12 +109,6 @@ def _full(name: str, names: Iterable[str]) -> Iterator[str]:
 def _takes(launch: Launch, name: str, topic: str) -> str:
     """Full name of the topic that a node takes for one inside its chain."""
     return launch.nodes[name].remap.get(topic) or next(_full(name, [topic]))
-
-
-def _source(name: str, topic: str, publisher: dict[str, str], relays: dict[str, str]) -> str:
-    """Name the node from which another one gets a topic: a relay stands between the publisher and everybody else."""
-    relay = relays.get(topic, name)
-    return publisher[topic] if relay == name else relay
 
 
 class _Places:
@@ -219,7 +210,9 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
         return local[source]
 
     def taken(listener: str, topic: str) -> str:
-        return _source(listener, _takes(launch, listener, topic), publisher, relays)
+        full = _takes(launch, listener, topic)
+        relay = relays.get(full, listener)  # it stands between the publisher and everybody else
+        return publisher[full] if relay == listener else relay
 
     def takes(listener: str, source: str) -> bool:
         topics = (topic for topic in classes[listener].listens_to if topic != "*")
@@ -242,7 +235,6 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
                 f"{launch.scenario}.nodes.{name}.respawn: a respawned node has lost its state, so a lockstep run would no "
                 "longer be deterministic; use pace realtime"
             )
-        everything = kind.listens_to == ("*",)
         if everything:
             sources = {other: endpoint(other, listen, name) for other in launch.nodes if other in heard[name]}
         else:

@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,9 +29,7 @@ if TYPE_CHECKING:
 
     Arrays = dict[str, np.ndarray[Any, Any]]
 
-TICKS = "ticks"
-"""Name of the table with one row per tick."""
-
+TICKS = "ticks"  # name of the table with one row per tick
 _UNIT = re.compile(r"\[([^\]]+)\]")
 _ROWS = 65536
 
@@ -224,21 +223,12 @@ def export_parquet(recording: Recording, out: str | Path, *, overwrite: bool = F
         name, _, unit = column.partition(" ")
         fields.append(pa.field(name, types.get(name, pa.float64()), metadata={"unit": unit.strip("[]")}))
     layout = pa.schema(fields, metadata={"parameters": json.dumps(parameters(recording))})
-
-    def write(writer: Any, block: list[list[Any]]) -> None:
-        arrays = [pa.array(values, field.type) for values, field in zip(zip(*block, strict=True), layout, strict=True)]
-        writer.write_table(pa.table(arrays, schema=layout))
-
+    ticks = (_tick(row, begin) for row in rows(recording))
     try:
         with parquet.ParquetWriter(out, layout, compression="zstd") as writer:
-            block: list[list[Any]] = []
-            for row in rows(recording):
-                block.append(_tick(row, begin))
-                if len(block) == _ROWS:
-                    write(writer, block)
-                    block.clear()
-            if block:
-                write(writer, block)
+            while block := list(islice(ticks, _ROWS)):
+                arrays = [pa.array(values, field.type) for values, field in zip(zip(*block, strict=True), layout, strict=True)]
+                writer.write_table(pa.table(arrays, schema=layout))
     except OSError as error:
         discard(out)
         raise RecordError(f"{out}: {error}") from error
@@ -248,10 +238,9 @@ def export_parquet(recording: Recording, out: str | Path, *, overwrite: bool = F
     return [out, _save_parameters(recording, _beside(out), overwrite)]
 
 
-FORMATS: dict[str, Callable[..., list[Path]]] = {
+FORMATS: dict[str, Callable[..., list[Path]]] = {  # how to write each format
     "csv": export_csv,
     "npz": export_npz,
     "mat": export_mat,
     "parquet": export_parquet,
 }
-"""How to write each format."""

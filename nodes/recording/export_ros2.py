@@ -20,7 +20,7 @@ from nodes.recording.ros2_messages import RosMessages
 from nodes.recording.wall_clock import CLOCK, read_offsets
 from nodes.recording.writer import RecordError
 
-DESCRIPTION = (
+DESCRIPTION = (  # topics of the bag, and their types
     ("/haptic/device/pose", "geometry_msgs/msg/PoseStamped"),
     ("/haptic/device/force", "geometry_msgs/msg/WrenchStamped"),
     ("/haptic/device/joints", "sensor_msgs/msg/JointState"),
@@ -29,7 +29,6 @@ DESCRIPTION = (
     ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
     ("/haptic/parameters", "std_msgs/msg/String"),
 )
-"""Topics of the bag, and their types."""
 
 
 def _of(make: RosMessages, topic: str, message: Message, at: int) -> Iterator[tuple[str, Any]]:

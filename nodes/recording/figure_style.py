@@ -25,14 +25,10 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6, 1.5, 1, 1.5, 1, 1.5)), (0, (3, 1)), (0, (8, 2)))
 """Line styles in the same order."""
 
-MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-"""Markers in the same order."""
-
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")  # markers in the same order
 BAD, GREY, INK = "#B22222", "#8A8F98", "#1D252C"
 
-OMEGA = r"$\omega/\omega_\mathrm{N}$  [1]"
-"""Label of an axis of frequency in units of the Nyquist frequency."""
-
+OMEGA = r"$\omega/\omega_\mathrm{N}$  [1]"  # label of an axis of frequency in units of the Nyquist frequency
 _RAISED = str.maketrans("0123456789-−", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁻")
 
 _SYMBOLS = ((re.compile(r"\bD\^([\d.]+)"), r"$D^{\1}$"), (re.compile(r"\bK_max\b"), r"$K_\\mathrm{max}$"))
@@ -188,14 +184,11 @@ def label_ends(axes: Axes, size: float = 8.0) -> None:
         end = axes.transAxes.inverted().transform(axes.transData.transform((x[seen[-1]], y[seen[-1]])))
         ends.append((float(np.clip(end[1], 0.0, 1.0)), float(end[0]), name, line.get_color()))
     ends.sort(key=lambda end: end[0])
-    for (_, at, name, colour), height in zip(ends, _apart([end[0] for end in ends], _height(axes, size)), strict=True):
+    # A line of text, in parts of the panel's height.
+    least = 1.25 * size / 72.0 * axes.get_figure(root=True).dpi / axes.get_window_extent().height  # type: ignore[union-attr]
+    for (_, at, name, colour), height in zip(ends, _apart([end[0] for end in ends], least), strict=True):
         place: Any = {"xycoords": "axes fraction", "xytext": (5, 0), "textcoords": "offset points", "va": "center"}
         axes.annotate(name, (min(at, 1.0), height), **place, color=colour, fontsize=size, annotation_clip=False)
-
-
-def _height(axes: Axes, size: float) -> float:
-    """Height of a line of text, in parts of the panel's."""
-    return 1.25 * size / 72.0 * axes.get_figure(root=True).dpi / axes.get_window_extent().height  # type: ignore[union-attr]
 
 
 def _apart(heights: Sequence[float], least: float) -> list[float]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any, ClassVar, NoReturn
 
@@ -17,41 +17,29 @@ import msgspec
 
 from messages.codec import Decoder, MessageRefusedError
 from messages.topics import FIXED, message_type, split
-from messages.transport.context import new_context
-from messages.transport.links import Links, say_link
 from messages.transport.sockets import Subscription
 from messages.types import Message
-from nodes.base import realtime
 from nodes.base.node import Node
 from nodes.base.processor_wait import ProcessorWait
 from nodes.base.setup import Setup
+from nodes.client.listen import listening
 from nodes.launcher.runs import RunInfo
 from nodes.parameters.paths import LocalChoice, LocalPath
 from nodes.parameters.store import ParameterError
 from nodes.recording.parts import next_part
 from nodes.recording.writer import RecordError, RecordWriter
 
-FLUSH_PERIOD = 0.5
-"""What a killed logger loses at most [s]."""
-
-QUEUE = 200_000
-"""Messages that wait in the logger's process while its disk is busy."""
-
-QUIET_MS = 200
-"""How long no message may come before a stopped logger believes that all have [ms]."""
+FLUSH_PERIOD = 0.5  # what a killed logger loses at most [s]
+QUEUE = 200_000  # messages that wait in the logger's process while its disk is busy
+QUIET_MS = 200  # how long no message may come before a stopped logger believes that all have [ms]
 
 
 class LoggerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of a logger node.
 
-    Attributes
-    ----------
-    path : str
-        The file; ``{run}`` stands for the name of the run, and of the logger's namespace if it has one.
-    topics : list of str
-        Topics to record; empty for all.
-    overwrite : bool
-        Whether an existing file may be replaced.
+    path: The file; ``{run}`` stands for the name of the run, and of the logger's namespace if it has one.
+    topics: Topics to record; empty for all.
+    overwrite: Whether an existing file may be replaced.
     """
 
     path: LocalPath = "recordings/{run}.mcap"
@@ -120,14 +108,12 @@ class Recorder:
         self.recorded += 1
 
     def drain(self, end: float = math.inf) -> None:
-        """Record what is still under way, until nothing comes any more, or what comes was sent after an `end` [s].
-
-        A while without a message counts only where this process had a processor: else its I/O thread may hold them all.
-        """
+        """Record what is still under way, until nothing comes any more, or what comes was sent after an `end` [s]."""
         wait, pid = ProcessorWait(), os.getpid()
         while self.latest <= end:
             if self.take(0):
                 continue
+            # A while counts only where this process had a processor: else its I/O thread may hold messages.
             began, before = time.monotonic(), wait.look(pid)
             if not self.take(QUIET_MS) and time.monotonic() - began - (wait.look(pid) - before) > 0.5e-3 * QUIET_MS:
                 return
@@ -155,6 +141,7 @@ class Logger(Node):
 
     Parameters: ClassVar[type[msgspec.Struct]] = LoggerParameters
     listens_to: ClassVar[tuple[str, ...]] = ("*",)
+    queue: ClassVar[int] = QUEUE
 
     @classmethod
     def subscribes(cls, parameters: Any) -> tuple[str, ...]:
@@ -188,12 +175,6 @@ class Logger(Node):
             raise OSError(str(error)) from error
         self._recorder: Recorder | None = None
 
-    def connect(self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]) -> None:
-        """Listen to all publishers of the run."""
-        parameters: LoggerParameters = self.store.current
-        self._listening = subscribe(set(self.setup.sources.values()), self.subscribes(parameters), QUEUE)
-        self._recorder = Recorder(self._listening, self._writer, parameters.topics)
-
     def report(self) -> dict[str, Any]:
         """Tell what was recorded."""
         recorder = self._recorder
@@ -206,8 +187,8 @@ class Logger(Node):
     def loop(self) -> None:
         """Record until stopped, then what is still under way."""
         self.state = "running"
-        recorder = self._recorder
-        assert recorder is not None  # noqa: S101  # connect() came first
+        assert self.inbox is not None  # noqa: S101  # every kind that listens has one
+        recorder = self._recorder = Recorder(self.inbox, self._writer, self.store.current.topics)
         try:
             while not self.stopping:
                 recorder.clock_offset = self.clock.offset
@@ -231,8 +212,6 @@ class Logger(Node):
 
     def finish(self) -> None:
         """Close the file, so that it is complete."""
-        if self._recorder is not None:
-            self._listening.close()
         try:
             self._writer.close()
         except RecordError as error:
@@ -241,26 +220,15 @@ class Logger(Node):
 
 def record(run: RunInfo, path: str, topics: list[str], ended: Callable[[], bool], overwrite: bool = False) -> int:
     """Record a running launch from beside it, until that ends, or somebody ends this; how many messages were recorded."""
-    # The socket's threads inherit it.
-    with realtime.off(run.processors):
-        return _record(run, path, topics, ended, overwrite)
-
-
-def _record(run: RunInfo, path: str, topics: list[str], ended: Callable[[], bool], overwrite: bool) -> int:
-    context = new_context()
-    links = Links(context, say_link, say_link)
-    inbox = Subscription(context, set(run.publishers().values()), topics or [""], QUEUE, links)
-    try:
-        with open_writer(path, run.manifest, overwrite) as writer:
-            recorder = Recorder(inbox, writer, topics)
-            while not ended() and run.lives:
-                recorder.take(100)
-                links.keep()
-            # While the run lives there is no end to wait for.
-            if not run.lives:
-                recorder.drain()
-            return recorder.recorded
-    finally:
-        links.close()
-        inbox.close()
-        context.term()
+    with (
+        listening(run, set(run.publishers().values()), topics or [""], QUEUE) as (inbox, links),
+        open_writer(path, run.manifest, overwrite) as writer,
+    ):
+        recorder = Recorder(inbox, writer, topics)
+        while not ended() and run.lives:
+            recorder.take(100)
+            links.keep()
+        # While the run lives there is no end to wait for.
+        if not run.lives:
+            recorder.drain()
+        return recorder.recorded

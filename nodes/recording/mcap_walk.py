@@ -22,19 +22,13 @@ MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, METADATA, DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0C, 0x0F
 """Opcodes of the MCAP specification that are read here; others are stepped over."""
 
-MAX_RECORD = 1 << 28
-"""Largest record that is read [bytes]."""
-
+MAX_RECORD = 1 << 28  # largest record that is read [bytes]
 MAX_CHUNK, MAX_RATIO = 8 << 20, 1000
 """Largest chunk that is unpacked [bytes], and how often its size in the file: this project writes chunks of 64 KiB, MCAP's own
 tools of up to 4 MiB; what is packed tighter than any measurement is made to fill memory."""
 
-FRAME = struct.Struct("<BQ")
-"""Opcode and length in front of each record."""
-
-CHUNK_HEAD = struct.Struct("<QQQI")
-"""First and last log time, uncompressed size and checksum, in front of a chunk's compression and data."""
-
+FRAME = struct.Struct("<BQ")  # opcode and length in front of each record
+CHUNK_HEAD = struct.Struct("<QQQI")  # a chunk's first and last log time, uncompressed size and checksum
 _MESSAGE = struct.Struct("<HIQQ")
 _U16 = struct.Struct("<H")
 _U32 = struct.Struct("<I")

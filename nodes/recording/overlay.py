@@ -22,9 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-RUNS = 10
-"""Most runs in one picture: as many as there are colours that can be told apart."""
-
+RUNS = 10  # most runs in one picture: as many as there are colours that can be told apart
 _CELLS = 2000
 
 

@@ -26,14 +26,10 @@ if TYPE_CHECKING:
 
 __all__ = ["RECOVERY", "Entry", "M", "Recording", "TopicFigures"]
 
-RECOVERY = "recovery"
-"""Name of the metadata record that `nodes.recording.recover.recover` leaves in the file it writes."""
-
+RECOVERY = "recovery"  # metadata that `nodes.recording.recover.recover` leaves in what it writes
 _NANO = 1e9
 
-_OWN_NUMBERS = 1 << 16
-"""MCAP's numbers of channels and schemas are smaller; each part of a recording has its own."""
-
+_OWN_NUMBERS = 1 << 16  # MCAP's numbers of channels are smaller; each part of a recording has its own
 M = TypeVar("M", bound=Message)
 
 
@@ -115,6 +111,10 @@ class Recording:
         First receipt, on the clock of the recording host [s].
     wall_duration : float
         Time from the first to the last receipt [s].
+    channels, schemas : dict of int to Channel, dict of int to Schema
+        Channels by the numbers that `raw` gives, and schemas by those that the channels name.
+    publish_offset : int
+        What to take from a publish time of `raw` to get the stamp [ns].
 
     Raises
     ------
@@ -132,31 +132,16 @@ class Recording:
         self.first_log = 0.0
         self.wall_duration = 0.0
         self.namespace = ""
-        self._channels: dict[int, Channel] = {}
-        self._schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.schemas: dict[int, Schema] = {}
         # Without a clock's record (a foreign writer's) the times stand as they are.
-        self._log_offset = self._publish_offset = 0
+        self._log_offset = self.publish_offset = 0
         self._scan()
 
     @property
     def manifest(self) -> dict[str, str]:
         """What identifies the run; empty when the recording has no manifest."""
         return self.metadata.get(MANIFEST, {})
-
-    @property
-    def publish_offset(self) -> int:
-        """What to take from a publish time of `raw` to get the stamp [ns]."""
-        return self._publish_offset
-
-    @property
-    def channels(self) -> dict[int, Channel]:
-        """Channels by the numbers that `raw` gives."""
-        return self._channels
-
-    @property
-    def schemas(self) -> dict[int, Schema]:
-        """Schemas by the numbers that the channels name."""
-        return self._schemas
 
     @property
     def recovered(self) -> bool:
@@ -175,7 +160,7 @@ class Recording:
         """Check a channel: JSON, and one number for one topic throughout."""
         if channel.encoding != "json":
             raise RecordError(f"{self.path}: {channel.topic} is encoded as {channel.encoding!r}; only json is read here")
-        if self._channels.setdefault(channel.number, channel) != channel:
+        if self.channels.setdefault(channel.number, channel) != channel:
             raise RecordError(f"{self.path}: damaged at byte {offset}: channel {channel.number} changes its topic")
         return channel
 
@@ -202,7 +187,7 @@ class Recording:
                 first_log, last_log = min(first_log, raw.log_time), max(last_log, raw.log_time)
             elif record.opcode == mcap_walk.SCHEMA:
                 schema = mcap_walk.parse_schema(self.path, record)
-                self._schemas[schema.number + shift] = schema
+                self.schemas[schema.number + shift] = schema
             elif record.opcode == mcap_walk.CHANNEL:
                 channel = mcap_walk.parse_channel(self.path, record)
                 if shift:
@@ -229,8 +214,8 @@ class Recording:
         if len(spaces) == 1 and (namespace := spaces.pop()):
             self.namespace = namespace
             self.topics = {split(topic)[1]: figures for topic, figures in self.topics.items()}
-            self._channels = {
-                number: channel._replace(topic=split(channel.topic)[1]) for number, channel in self._channels.items()
+            self.channels = {
+                number: channel._replace(topic=split(channel.topic)[1]) for number, channel in self.channels.items()
             }
 
     def _message(self, shift: int, record: Record) -> RawMessage:
@@ -239,15 +224,15 @@ class Recording:
 
     def _set_clock(self, values: dict[str, str], offset: int) -> None:
         try:
-            self._log_offset, self._publish_offset = read_offsets(values)
+            self._log_offset, self.publish_offset = read_offsets(values)
         except ValueError as error:
             raise RecordError(f"{self.path}: damaged at byte {offset}: {error}") from error
 
     def _count(self, raw: RawMessage, offset: int) -> None:
-        channel = self._channels.get(raw.channel)
+        channel = self.channels.get(raw.channel)
         if channel is None:
             raise RecordError(f"{self.path}: damaged at byte {offset}: a message on channel {raw.channel}, which is unknown")
-        stamp = (raw.publish_time - self._publish_offset) / _NANO
+        stamp = (raw.publish_time - self.publish_offset) / _NANO
         figures = self.topics.get(channel.topic)
         if figures is None:
             self.topics[channel.topic] = TopicFigures(1, 0, 0, raw.sequence, raw.sequence, stamp, stamp)
@@ -271,8 +256,8 @@ class Recording:
         known = {f"haptic.{t.__name__}": t for t in vars(messages.types).values() if isinstance(t, type)}
         found: dict[int, type[Message]] = {}
         by_topic: dict[str, type[Message]] = {}
-        for number, channel in self._channels.items():
-            schema = self._schemas.get(channel.schema)
+        for number, channel in self.channels.items():
+            schema = self.schemas.get(channel.schema)
             kind = known.get(schema.name if schema else "") or message_type(channel.topic)
             if kind is not None and issubclass(kind, Message):
                 found[number] = kind
@@ -296,7 +281,7 @@ class Recording:
         for shift, record in self._records():
             if record.opcode == mcap_walk.MESSAGE:
                 raw = self._message(shift, record)
-                channel = self._channels.get(raw.channel)
+                channel = self.channels.get(raw.channel)
                 if channel is None:
                     raise RecordError(f"{self.path}: has changed while it was read")
                 yield channel.topic, raw, record.offset
@@ -326,7 +311,7 @@ class Recording:
         try:
             return decoder.decode(raw.data)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            topic = self._channels[raw.channel].topic
+            topic = self.channels[raw.channel].topic
             raise RecordError(f"{self.path}: {topic} seq {raw.sequence} (chunk at byte {offset}): {error}") from error
 
     def entries(self, topics: Iterable[str] | None = None) -> Iterator[Entry]:
@@ -352,7 +337,7 @@ class Recording:
             raise RecordError(f"{self.path}: no topic {topic!r}; there are {', '.join(self.topics) or 'none'}")
         types = self._types()
         decoders: dict[int, msgspec.json.Decoder[Message]] = {}
-        for number, channel in self._channels.items():
+        for number, channel in self.channels.items():
             if channel.topic in wanted:
                 if number not in types:
                     raise RecordError(f"{self.path}: the type of {channel.topic} is not known here")

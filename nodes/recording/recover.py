@@ -27,9 +27,7 @@ from nodes.recording.writer import RecordError, mcap_writer, written
 
 T = TypeVar("T")
 
-EXTRACT = "extract"
-"""Name of the metadata record that tells which part of which file a part is."""
-
+EXTRACT = "extract"  # name of the metadata record that tells which part of which file a part is
 _U64 = struct.Struct("<Q")
 
 
@@ -58,11 +56,7 @@ def _summary(data: mmap.mmap) -> Iterator[Record]:
 
 
 def _search(path: Path) -> Iterator[Record]:
-    """Find what is sound wherever it stands: the summary, which repeats schemas and channels, then every chunk.
-
-    Chunks are found by the pattern of their header and believed by their checksum. Following the lengths instead would
-    lose all that a damaged length strides over.
-    """
+    """Find what is sound wherever it stands: the summary, then every chunk, by its header's pattern and its checksum."""
     mark = b"\x04\x00\x00\x00zstd"
     lead = FRAME.size + mcap_walk.CHUNK_HEAD.size
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:

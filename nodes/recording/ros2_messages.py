@@ -10,11 +10,8 @@ from typing import Any
 
 from messages.types import DeviceState, NodeStatus, Vector
 
-FRAME = "haptic"
-"""Frame of all positions and forces."""
-
-CUBE, SPHERE = 1, 2
-"""Shapes of a marker."""
+FRAME = "haptic"  # frame of all positions and forces
+CUBE, SPHERE = 1, 2  # shapes of a marker
 
 
 class RosMessages:

@@ -19,12 +19,8 @@ from nodes.recording.writer import RecordError
 
 AnyArray = np.ndarray[Any, Any]
 
-POINTS = 4000
-"""Longest line that is kept as it was recorded."""
-
-BINS = POINTS // 2
-"""Stretches of time that a longer line is divided into; about two per pixel."""
-
+POINTS = 4000  # longest line that is kept as it was recorded
+BINS = POINTS // 2  # stretches of time that a longer line is divided into; about two per pixel
 _BLOCK = 8192
 
 

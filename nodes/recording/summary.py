@@ -12,8 +12,7 @@ from messages.topics import DEVICE_STATE
 from messages.types import DeviceState
 from nodes.recording.reader import Recording
 
-QUANTILES = {"p50": 0.5, "p99": 0.99, "p999": 0.999, "max": 1.0}
-"""Which quantiles of the response time are given."""
+QUANTILES = {"p50": 0.5, "p99": 0.99, "p999": 0.999, "max": 1.0}  # which quantiles of the response time are given
 
 
 class Summary(msgspec.Struct):

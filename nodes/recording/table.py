@@ -49,8 +49,7 @@ COLUMNS: dict[str, tuple[str, str, Callable[[Row], Any]]] = {
 What answers a tick but was not recorded is NaN, an empty text, or −1 for a count.
 """
 
-_WINDOW = 4096
-"""Ticks that wait for what answers them: more than the driver ever looks back."""
+_WINDOW = 4096  # ticks that wait for what answers them: more than the driver ever looks back
 
 
 def rows(recording: Recording) -> Iterator[Row]:

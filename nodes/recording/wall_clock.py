@@ -9,15 +9,11 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 
-CLOCK = "clock"
-"""Name of the metadata record."""
-
+CLOCK = "clock"  # name of the metadata record
 LOG_OFFSET, PUBLISH_OFFSET = "log_time_offset_ns", "publish_time_offset_ns"
 """What it holds: how far MCAP's times are ahead of the host's monotonic clock, and of the stamps [ns]."""
 
-_LATEST = 1.8e10
-"""Latest time that 64 bits of nanoseconds hold [s], rounded down."""
-
+_LATEST = 1.8e10  # latest time that 64 bits of nanoseconds hold [s], rounded down
 _LATEST_NS = (1 << 64) - 1
 
 

@@ -22,9 +22,7 @@ from messages.types import Message
 from nodes.parameters.installed import version
 from nodes.recording import wall_clock
 
-CHUNK_SIZE = 65536
-"""Uncompressed size at which a chunk is finished [bytes]."""
-
+CHUNK_SIZE = 65536  # uncompressed size at which a chunk is finished [bytes]
 MANIFEST, LAUNCH_FILE, PARAMETERS, VERSIONS = "manifest", "launch_file", "parameters", "versions"
 """Names of the metadata records."""
 
@@ -44,10 +42,7 @@ def versions() -> dict[str, str]:
 
 
 class Output:
-    """The file under the MCAP writer: each write goes whole to the operating system, or leaves no trace.
-
-    The MCAP writer hands over whole records only, so the file ends between two records whenever no write is under way.
-    """
+    """The file under the MCAP writer: each write goes whole to the operating system, or leaves no trace."""
 
     def __init__(self, path: Path, overwrite: bool) -> None:
         self.path = path
@@ -239,10 +234,7 @@ class RecordWriter:
             raise self._failure(error) from error
 
     def flush(self) -> None:
-        """Finish the chunk and hand it to the operating system: a kill of this process loses nothing written before.
-
-        Call it every half second. (It does not wait for the disk: a power cut may still lose the last seconds.)
-        """
+        """Hand the chunk to the operating system, every half second: then a kill loses nothing, though a power cut may."""
         self._usable()
         try:
             self._writer.flush()

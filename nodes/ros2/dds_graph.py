@@ -12,20 +12,18 @@ from typing import Any
 
 QUEUE = 10
 
-_LENIENT = (
+_LENIENT = (  # types with sequences match other vendors' by their names only, not as described
     "<CycloneDDS><Domain><Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility></Domain>"
     "</CycloneDDS>"
 )
-"""Types with sequences match those of other vendors only so: their names count, not how they are described."""
 
-_ON_THIS_MACHINE = (
+_ON_THIS_MACHINE = (  # as the vendors do it for ROS: no multicast, which a loopback may lack, but every port asked
     "<CycloneDDS><Domain>"
     '<General><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces></General>'
     "<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
     '<Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
     "</Domain></CycloneDDS>"
 )
-"""As the vendors do it for ROS: no multicast, which a loopback may not have, but everybody's port asked."""
 
 
 class DdsGraph:
@@ -42,8 +40,6 @@ class DdsGraph:
         self._participant = import_module("cyclonedds.domain").DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0")))
         self._classes: dict[str, Any] = {}
         self._readers: list[tuple[Any, Callable[[Any], None]]] = []
-
-    # -- types -------------------------------------------------------------------------------------------------------
 
     def _field(self, description: Any) -> Any:
         """Give the type of a field, as rosbags describes it."""
@@ -83,8 +79,6 @@ class DdsGraph:
             return made(**{field: given[field] if field in given else self._empty(kind) for field, kind in fields})
 
         return build
-
-    # -- topics ------------------------------------------------------------------------------------------------------
 
     def _topic(self, topic: str, name: str) -> Any:
         return import_module("cyclonedds.topic").Topic(self._participant, f"rt{topic}", self._class(name))

@@ -10,8 +10,7 @@ from nodes.parameters.store import ParameterError
 
 Backend = Literal["auto", "rclpy", "cyclonedds"]
 
-SetParameter = Callable[[str, Any], str]
-"""Sets a parameter by its full name; answers why it was refused, or nothing."""
+SetParameter = Callable[[str, Any], str]  # sets a parameter by its full name; answers why it was refused, or nothing
 
 
 class Graph(Protocol):

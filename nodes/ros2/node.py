@@ -9,7 +9,7 @@ driver states.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Annotated, Any, ClassVar
 
@@ -20,53 +20,35 @@ from messages.codec import Decoder, MessageRefusedError
 from messages.errors import HapticError
 from messages.transport.context import new_context
 from messages.transport.requests import Connection
-from messages.transport.sockets import Subscription
 from messages.types import DeviceState, Force, Proxy
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.client.launches import roles
 from nodes.driver.pointer import PointerWriter, awaited_pointer
-from nodes.launcher.runs import RunError, RunInfo, read_run
-from nodes.parameters.store import ParameterError, convert
+from nodes.launcher.runs import RunInfo, read_chain
+from nodes.parameters.store import ParameterError, convert, flattened
 from nodes.recording.ros2_messages import CUBE, FRAME, SPHERE, RosMessages
 from nodes.ros2.graph import Backend, Graph, choose, join
 
-QUEUE = 10_000
-"""Messages that wait while the graph is busy."""
-
 POSE, WRENCH = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped"
 
-SELDOM = 1.0
-"""How often what seldom changes is published [s]: the law, the wall."""
-
-ASKING = 0.5
-"""Longest wait for a node's answer [s]."""
-
-ACROSS, THICK = 0.3, 0.002
-"""How large and how thick a plane is drawn [m]."""
+SELDOM = 1.0  # how often what seldom changes is published [s]: the law, the wall
+ASKING = 0.5  # longest wait for a node's answer [s]
+ACROSS, THICK = 0.3, 0.002  # how large and how thick a plane is drawn [m]
 
 
 class Ros2Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of a ros2 node.
 
-    Attributes
-    ----------
-    rate : float
-        How often the newest of each is published [Hz].
-    prefix : str
-        What stands before the topics, behind the namespace of the chain: ``/left/haptic/device/pose``.
-    frame : str
-        Frame of positions and forces.
-    backend : str
-        ``rclpy``, ``cyclonedds``, or ``auto``: rclpy where it imports.
-    wrench : str
-        Topic of a WrenchStamped, behind the namespace of the chain, whose force is handed to the driver on top of the law's;
-        empty for none. The driver must allow it (``external``).
-    target : str
-        Topic of a PoseStamped, behind that namespace too, where the hand of a virtual device is pulled to; empty for none. It
-        needs a ``pointer``.
-    age_limit : float
-        What is stamped so much before its arrival, or after it, is refused [s]. A stamp of 0 is not looked at.
+    rate: How often the newest of each is published [Hz].
+    prefix: What stands before the topics, behind the namespace of the chain: ``/left/haptic/device/pose``.
+    frame: Frame of positions and forces.
+    backend: ``rclpy``, ``cyclonedds``, or ``auto``: rclpy where it imports.
+    wrench: Topic of a WrenchStamped, behind the namespace of the chain, whose force is handed to the driver on top of the
+        law's; empty for none. The driver must allow it (``external``).
+    target: Topic of a PoseStamped, behind that namespace too, where the hand of a virtual device is pulled to; empty for none.
+        It needs a ``pointer``.
+    age_limit: What is stamped so much before its arrival, or after it, is refused [s]. A stamp of 0 is not looked at.
     """
 
     rate: Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)] = 100.0
@@ -83,6 +65,7 @@ class Ros2(Node):
 
     Parameters: ClassVar[type[msgspec.Struct]] = Ros2Parameters
     listens_to: ClassVar[tuple[str, ...]] = ("*",)
+    queue: ClassVar[int] = 10_000
 
     @classmethod
     def check(cls, setup: Setup) -> None:
@@ -96,12 +79,6 @@ class Ros2(Node):
                     f"leave {name} out"
                 )
 
-    @classmethod
-    def subscribes(cls, parameters: Any) -> tuple[str, ...]:
-        """Take everything of a node."""
-        del parameters
-        return ("",)
-
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
         self._simulated = setup.pace == "lockstep"
@@ -113,12 +90,6 @@ class Ros2(Node):
         self._roles: dict[str, str] = {}
         self._hand: PointerWriter | None = None
         self._wrench: Any = None  # the newest force from the graph that was not handed on yet
-
-    def connect(self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]) -> None:
-        """Listen to the nodes of the chain."""
-        self._listening = subscribe(set(self.setup.sources.values()), [""], QUEUE)
-
-    # -- out ---------------------------------------------------------------------------------------------------------
 
     def configure(self) -> None:
         """Join the graph, which may take seconds, before the loop is waited for."""
@@ -195,8 +166,6 @@ class Ros2(Node):
             return CUBE, tuple(surface.get("position", (0.0, 0.0, 0.0))), tuple(surface["size"])
         return None
 
-    # -- in ----------------------------------------------------------------------------------------------------------
-
     def _ask(self, role: str, op: str, **args: object) -> Any:
         if role not in self._lines:
             self._lines[role] = Connection(self._context, self._run.nodes[self._roles.get(role, role)].control)
@@ -267,20 +236,10 @@ class Ros2(Node):
     def _parameters(self) -> dict[str, Any]:
         """All parameters of driver, environment and coupling that ROS has a type for, by full name."""
         found: dict[str, Any] = {}
-
-        def add(name: str, value: Any) -> None:
-            if isinstance(value, dict):
-                for inner, deeper in value.items():
-                    add(f"{name}.{inner}", deeper)
-            elif isinstance(value, (bool, int, float, str)):
-                found[name] = value
-
         for node in self._roles.values():
             with suppress(HapticError):
-                add(node, self._ask(node, "param.dump"))
-        return found
-
-    # -- the loop ----------------------------------------------------------------------------------------------------
+                found |= flattened(self._ask(node, "param.dump"), node)
+        return {name: value for name, value in found.items() if isinstance(value, (bool, int, float, str))}
 
     def loop(self) -> None:
         """Publish until stopped."""
@@ -289,33 +248,27 @@ class Ros2(Node):
         names = {self.setup.topic(topic).encode(): topic for topic in topics.LOOP}
         self._context = new_context()
         try:
-            self._run: RunInfo = self._chain()
+            self._run: RunInfo = read_chain(self.setup, lambda: self.stopping)
             self._roles = roles(self._run)
             self._listen(parameters)
             self._serve(names, 1.0 / parameters.rate)
         finally:
             self._context.destroy(linger=0)
 
-    def _chain(self) -> RunInfo:
-        run = read_run(self.setup.run_dir, lambda: self.stopping)
-        try:
-            return run.within(self.setup.namespace) if self.setup.namespace else run.only_chain()
-        except RunError as error:
-            raise ParameterError(f"{error}: a ros2 node has one chain; give {self.setup.name} its namespace") from error
-
     def _serve(self, names: dict[bytes, str], period: float) -> None:
         newest: dict[str, bytes] = {}
-        following = time.monotonic()
+        following, inbox = time.monotonic(), self.inbox
+        assert inbox is not None  # noqa: S101  # every kind that listens has one
         while not self.stopping:
             left = following - time.monotonic()
-            frames = self._listening.receive(max(0, min(50, int(left * 1e3 + 1.0))))
+            frames = inbox.receive(max(0, min(50, int(left * 1e3 + 1.0))))
             now = time.monotonic()
             due = now >= following
             # When it is time, whatever waits is taken first: what the graph gets is the newest.
             while frames is not None:
                 if (topic := names.get(frames[0])) is not None:
                     newest[topic] = frames[1]
-                frames = self._listening.receive(0) if due else None
+                frames = inbox.receive(0) if due else None
             if due:
                 # What is late by a period or more is left out: never more than the rate.
                 following = following + period if now < following + period else now + period
@@ -327,6 +280,5 @@ class Ros2(Node):
                 self.between_ticks(0)
 
     def finish(self) -> None:
-        """Stop listening, and leave the graph."""
-        self._listening.close()
+        """Leave the graph."""
         self._graph.close()

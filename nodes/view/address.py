@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from nodes.parameters.store import ParameterError
 
-ADDRESS = "127.0.0.1"
-"""The one address that is bound."""
-
-LOCAL = ("127.0.0.1", "localhost")
-"""Names under which a browser of this machine, or behind an ssh tunnel, asks for it."""
+ADDRESS = "127.0.0.1"  # the one address that is bound
+LOCAL = ("127.0.0.1", "localhost")  # names under which a browser of this machine, or behind an ssh tunnel, asks for it
 
 
 def check_address(address: str, port: int) -> None:

@@ -22,54 +22,24 @@ import msgspec
 import zmq
 
 from messages.errors import HapticError
-from messages.topics import DEVICE_STATE, FORCE
 from messages.transport.context import new_context
 from messages.transport.requests import Connection, call
 from nodes.base.node_kinds import load
-from nodes.base.setup import Setup
+from nodes.client.launches import roles
 from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunInfo
 from nodes.parameters.store import convert
 
-TIMEOUT = 10.0
-"""Longest wait for an answer [s]: judging a law of thousands of taps takes seconds."""
-
-TOGETHER = 1.0
-"""Changes of the same parameters in so short a time are one step of undo: a slider that is drawn [s]."""
-
-STEPS = 100
-"""Steps of undo that are kept."""
+TIMEOUT = 10.0  # longest wait for an answer [s]: judging a law of thousands of taps takes seconds
+TOGETHER = 1.0  # changes of the same parameters in so short a time are one step of undo: a slider that is drawn [s]
+STEPS = 100  # steps of undo that are kept
 
 
-JUDGES = ("stability", "fallback", "budget", "plant")
-"""Parameters that decide what a law may be: a page cannot turn its own judge off; ``haptic param set`` can."""
+JUDGES = ("stability", "fallback", "budget", "plant")  # a page cannot turn its own judge off
 
 
 class CommandError(HapticError):
     """A request that was refused; the text is for the page."""
-
-
-def publisher(run: RunInfo, topic: str) -> str:
-    """Name of the node that publishes a topic; empty for none."""
-    return next((name for name, setup in run.nodes.items() if topic in load(setup.factory).publishes), "")
-
-
-def _is_virtual(driver: Setup) -> bool:
-    return bool(getattr(load(driver.factory), "virtual", False))
-
-
-def _may_go_beyond(driver: Setup) -> bool:
-    """Whether the driver is virtual, and its launch file lets a page drive it to its stop."""
-    pointer = driver.parameters.get("pointer") or {}
-    return _is_virtual(driver) and bool(pointer.get("beyond"))
-
-
-def _has_delay(driver: Setup) -> bool:
-    """Whether the driver's device answers as late as it is told to, in time that passes by itself."""
-    if not _is_virtual(driver) or driver.pace != "realtime":
-        return False
-    parameters = convert(driver.parameters, load(driver.factory).Parameters, driver.name)
-    return hasattr(getattr(parameters, "device", None), "delay")
 
 
 class Commander:
@@ -82,15 +52,19 @@ class Commander:
         self._undo: list[tuple[str, dict[str, Any], dict[str, Any], float]] = []
         self._recorder: subprocess.Popen[bytes] | None = None
         self._recordings = 0
-        # Names of the nodes that publish position and force; empty for a run without.
-        self.driver = publisher(run, DEVICE_STATE)
-        self.coupling = publisher(run, FORCE)
-        # Whether pages may go past the edge of stability.
-        self.beyond = bool(self.driver) and _may_go_beyond(run.nodes[self.driver])
-        self.again = again and self.beyond  # whether they may have the driver started again
-        # Whether they may turn the device's delay.
-        self.delays = bool(self.driver and self.coupling) and _has_delay(run.nodes[self.driver])
-        self._tells_inertia = bool(self.driver) and hasattr(load(run.nodes[self.driver].factory), "hardware")
+        known = roles(run)
+        self.driver, self.coupling = known.get("driver", ""), known.get("coupling", "")  # empty for a run without
+        # Whether pages may go past the edge of stability, turn the device's delay, have the driver started again.
+        self.beyond = self.delays = self._tells_inertia = False
+        if self.driver:
+            driver = run.nodes[self.driver]
+            kind = load(driver.factory)
+            self._tells_inertia = hasattr(kind, "hardware")
+            if getattr(kind, "virtual", False):
+                self.beyond = bool((driver.parameters.get("pointer") or {}).get("beyond"))
+                device = getattr(convert(driver.parameters, kind.Parameters, driver.name), "device", None)
+                self.delays = bool(self.coupling) and driver.pace == "realtime" and hasattr(device, "delay")
+        self.again = again and self.beyond
 
     def _endpoint(self, node: str) -> str:
         if node not in self._run.nodes:
@@ -107,8 +81,6 @@ class Commander:
         except (HapticError, ValueError, OverflowError, TypeError, zmq.ZMQError) as error:
             # Beside refusals: an endpoint or key that cannot be used, a value that no message can carry, the end.
             raise CommandError(str(error)) from error
-
-    # -- what a page can ask -----------------------------------------------------------------------------------------
 
     def do(self, request: Mapping[str, Any]) -> Any:
         """Do what a page asks."""

@@ -22,17 +22,10 @@ from nodes.parameters.registry import Registry
 PLAYERS = Registry("haptic.beside", "player")
 """By kind of driver: position and force from the nodes, a law, the targets of the hand, its beginning and a delay."""
 
-PERIOD = 0.05
-"""How often B is played on [s]."""
-
-FREE = 0.4
-"""Both free for so long, B starts again from where A is [s]."""
-
-LONGEST = 30.0
-"""After so long it does so in any case [s]."""
-
-SHOWN = 1.0
-"""How much of B each message holds: a page that is slow loses none [s]."""
+PERIOD = 0.05  # how often B is played on [s]
+FREE = 0.4  # both free for so long, B starts again from where A is [s]
+LONGEST = 30.0  # after so long it does so in any case [s]
+SHOWN = 1.0  # how much of B each message holds: a page that is slow loses none [s]
 
 
 class Comparison:
@@ -45,6 +38,7 @@ class Comparison:
         self._period = setup.period if setup else 1.0
         self._axis = AXIS_INDEX[setup.axes[0]] if setup else 0
         self._kind = setup.kind if setup and len(setup.axes) == 1 else ""
+        self.there = self._kind in PLAYERS.names()  # whether this launch can be compared: a virtual device on one axis
         self._late = 1.0 if setup and setup.apply == "next_tick" else 0.0
         self._pool: Workers | None = None
         self._described: Mapping[str, Any] = {}
@@ -54,11 +48,6 @@ class Comparison:
         self._played_at = 0.0
         self.law = ""  # name of B; empty for none
         self.later = 0.0  # how much later the device answers by now than the launch file says [ticks]
-
-    @property
-    def there(self) -> bool:
-        """Whether this launch can be compared: a virtual device on one axis."""
-        return self._kind in PLAYERS.names()
 
     def choose(self, law: str, described: Mapping[str, Any]) -> None:
         """Play another law beside the launch, or none."""

@@ -42,11 +42,7 @@ def met_ticks(recording: Recording, topic: str = PROXY) -> Container[int] | None
 
 
 class RecordedBodies:
-    """The bodies of a recording: its scene stepped again by what was recorded, as the node stepped it.
-
-    `met`: see `met_ticks`; the node stepped over the other ticks at once. Raises ParameterError when MuJoCo or the scene's file
-    is not there.
-    """
+    """The bodies of a recording: its scene stepped again as the node stepped it, by the ticks that it `met` (`met_ticks`)."""
 
     def __init__(self, parameters: dict[str, Any], period: float, name: str, met: Container[int] | None = None) -> None:
         self._met = met

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
+from bisect import bisect_right
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,23 +18,12 @@ from messages import topics
 from messages.types import DeviceState, Force, Message, Proxy, Vector
 from nodes.base.setup import AXIS_INDEX
 
-BINS_PER_SECOND = 500.0
-"""Most bins in a second of the run: more than a screen has columns in the shortest useful span."""
-
-GRACE = 0.06
-"""How long a bin waits for messages that are still on their way [s]."""
-
-HEAD = struct.Struct("<4I22d")
-"""Kind 1, bins, series, 1 when earlier bins are void; then what the scene shows now, see `Feed.now`."""
-
+BINS_PER_SECOND = 500.0  # most bins in a second of the run: more than a screen has columns in the shortest useful span
+GRACE = 0.06  # how long a bin waits for messages that are still on their way [s]
+HEAD = struct.Struct("<4I22d")  # kind 1, bins, series, 1 when earlier bins are void; the scene now: `Feed.now`
 _FIELDS = ("position", "proxy", "target", "law_force", "force")
 _SCALARS = ("energy", "response")
 _EMPTY = float("inf")
-
-
-def series_names(axes: Sequence[str]) -> list[str]:
-    """List what is plotted."""
-    return [f"{field}.{axis}" for field in _FIELDS for axis in axes] + list(_SCALARS)
 
 
 class Feed:
@@ -42,7 +32,7 @@ class Feed:
     def __init__(
         self, axes: Sequence[str], period: float, seconds: float = 60.0, bins_per_second: float = BINS_PER_SECOND
     ) -> None:
-        self.names = series_names(axes)  # series, see `series_names`
+        self.names = [*(f"{field}.{axis}" for field in _FIELDS for axis in axes), *_SCALARS]  # what is plotted
         self.per_bin = max(1, math.ceil(1.0 / (period * bins_per_second) - 1e-9))  # ticks in a bin
         self._period = period
         self._axes = [AXIS_INDEX[axis] for axis in axes]
@@ -137,14 +127,8 @@ class Feed:
 
     def until(self, time: float) -> int:
         """Find the number of the first bin after a time."""
-        low, high = self.oldest(), self.head
-        while low < high:
-            middle = (low + high) // 2
-            if self._times[middle % self._size] <= time:
-                low = middle + 1
-            else:
-                high = middle
-        return low
+        kept = range(self.oldest(), self.head)
+        return kept.start + bisect_right(kept, time, key=lambda number: self._times[number % self._size])
 
     def frame(self, first: int, end: int, void: bool = False, now: Sequence[float] | None = None) -> bytes:
         """Encode bins for the page: little endian, times as float64, then each series' least and largest values as float32."""

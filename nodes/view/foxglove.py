@@ -23,8 +23,7 @@ from nodes.parameters.store import ParameterError
 from nodes.view.commands import CommandError
 from nodes.view.foxglove_scene import SCENE, SCHEMA, DrawnScene
 
-MOST = 60.0
-"""Most messages per second and topic: Lichtblick warns beyond."""
+MOST = 60.0  # most messages per second and topic: Lichtblick warns beyond
 
 
 def load() -> Any:
@@ -37,11 +36,7 @@ def load() -> Any:
 
 
 class Bridge:
-    """Publishes a run to clients of Foxglove's protocol.
-
-    `do`: asks a node on a thread of its own: from operation, node and arguments to the answer, see `Commander`. `port`: port
-    on 127.0.0.1; 0 takes a free one. Raises ParameterError when the library is not installed, or the port is taken.
-    """
+    """Publishes a run to clients of Foxglove's protocol on 127.0.0.1; `do` asks a node on a thread of its own."""
 
     def __init__(self, run: RunInfo, do: Callable[..., Any], port: int) -> None:
         self._library = library = load()
@@ -131,16 +126,11 @@ class Bridge:
             except CommandError:
                 # A node that is gone has no parameters.
                 continue
-            found += [
-                self._parameter(f"{node}.{path}", value)
-                for path, value in values.items()
-                if value is not None and (not wanted or f"{node}.{path}" in wanted)
-            ]
+            for path, value in values.items():
+                if value is not None and (not wanted or f"{node}.{path}" in wanted):
+                    kind = self._library.websocket.ParameterType.Float64 if isinstance(value, float) else None
+                    found.append(self._library.Parameter(f"{node}.{path}", value=value, type=kind))
         return found
-
-    def _parameter(self, name: str, value: Any) -> Any:
-        kind = self._library.websocket.ParameterType.Float64 if isinstance(value, float) else None
-        return self._library.Parameter(name, value=value, type=kind)
 
     def refuse(self, names: list[str]) -> list[Any]:
         """Tell the clients that nothing is set here, and how it is; the parameters as they are."""

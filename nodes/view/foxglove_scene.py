@@ -25,15 +25,9 @@ from nodes.view.shape import shape_of
 
 SCENE, FRAME = "/scene", "haptic"
 
-MOST = 60.0
-"""Updates of the scene per second of the run."""
-
-LATE = 50
-"""Ticks that bodies which move may have been at before they are first seen: a hand has not reached them."""
-
-PER_NEWTON = 0.01
-"""Length at which a force of 1 N is drawn [m]."""
-
+MOST = 60.0  # updates of the scene per second of the run
+LATE = 50  # ticks that bodies which move may have been at before they are first seen: a hand has not reached them
+PER_NEWTON = 0.01  # length at which a force of 1 N is drawn [m]
 _SMALLEST = 0.001
 _NO_TURN = (0.0, 0.0, 0.0, 1.0)
 _LISTS = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models", "metadata")
@@ -51,7 +45,7 @@ _ENTITY = {
     },
     "required": ["timestamp", "frame_id", "id", "lifetime", "frame_locked", *_LISTS],
 }
-SCHEMA: dict[str, Any] = {
+SCHEMA: dict[str, Any] = {  # the part of Foxglove's schema that is used here
     "title": "foxglove.SceneUpdate",
     "type": "object",
     "properties": {
@@ -60,21 +54,15 @@ SCHEMA: dict[str, Any] = {
     },
     "required": ["deletions", "entities"],
 }
-"""The part of Foxglove's schema that is used here."""
 
 _STATE: msgspec.json.Decoder[DeviceState | Proxy] = msgspec.json.Decoder(DeviceState)
 _PROXY: msgspec.json.Decoder[DeviceState | Proxy] = msgspec.json.Decoder(Proxy)
 
-Colour = tuple[float, float, float, float]
 # Okabe and Ito's blue, orange, green and grey: they are told apart by all eyes, as in the project's figures.
-_SURFACE: Colour = (0.34, 0.71, 0.91, 0.6)
-_DEVICE: Colour = (0.3, 0.3, 0.3, 1.0)
-_TOOL: Colour = (0.9, 0.62, 0.0, 1.0)
-_FORCE: Colour = (0.0, 0.62, 0.45, 1.0)
-
-
-def _colour(of: Colour) -> dict[str, float]:
-    return dict(zip("rgba", of, strict=True))
+_SURFACE = {"r": 0.34, "g": 0.71, "b": 0.91, "a": 0.6}
+_DEVICE = {"r": 0.3, "g": 0.3, "b": 0.3, "a": 1.0}
+_TOOL = {"r": 0.9, "g": 0.62, "b": 0.0, "a": 1.0}
+_FORCE = {"r": 0.0, "g": 0.62, "b": 0.45, "a": 1.0}
 
 
 def _point(place: Any) -> dict[str, float]:
@@ -94,13 +82,13 @@ def _entity(at: int, name: str, **primitives: list[dict[str, Any]]) -> dict[str,
     return {**whole, **none, **primitives}
 
 
-def _ball(place: Any, radius: float, colour: Colour) -> dict[str, Any]:
-    return {"pose": _pose(place), "size": _point([2.0 * max(radius, _SMALLEST)] * 3), "color": _colour(colour)}
+def _ball(place: Any, radius: float, colour: dict[str, float]) -> dict[str, Any]:
+    return {"pose": _pose(place), "size": _point([2.0 * max(radius, _SMALLEST)] * 3), "color": colour}
 
 
 def _surface(at: int, name: str, triangles: list[float]) -> dict[str, Any]:
     points = [_point(triangles[i : i + 3]) for i in range(0, len(triangles), 3)]
-    drawn = {"pose": _pose((0.0, 0.0, 0.0)), "points": points, "color": _colour(_SURFACE), "colors": [], "indices": []}
+    drawn = {"pose": _pose((0.0, 0.0, 0.0)), "points": points, "color": _SURFACE, "colors": [], "indices": []}
     return _entity(at, name, triangles=[drawn])
 
 
@@ -117,7 +105,7 @@ class _Bodies(RecordedBodies):
         for i in range(model.ngeom):
             mujoco.mju_mat2Quat(turn, data.geom_xmat[i])
             size, kind = model.geom_size[i].tolist(), kinds(int(model.geom_type[i]))
-            drawn = {"pose": _pose(data.geom_xpos[i], (*turn[1:], turn[0])), "color": _colour(_SURFACE)}
+            drawn = {"pose": _pose(data.geom_xpos[i], (*turn[1:], turn[0])), "color": _SURFACE}
             if kind == kinds.mjGEOM_BOX:
                 found["cubes"].append({**drawn, "size": _point([2.0 * side for side in size])})
             elif kind == kinds.mjGEOM_PLANE:
@@ -202,7 +190,7 @@ class DrawnScene:
 
 
 def _text(text: str) -> dict[str, Any]:
-    style = {"billboard": True, "font_size": 12.0, "scale_invariant": True, "color": _colour(_DEVICE)}
+    style = {"billboard": True, "font_size": 12.0, "scale_invariant": True, "color": _DEVICE}
     return {"pose": _pose((0.0, 0.0, 0.05)), "text": text, **style}
 
 
@@ -214,18 +202,14 @@ def _line(begin: Vector, force: Vector) -> dict[str, Any]:
         "thickness": _SMALLEST,
         "scale_invariant": False,
         "points": [_point(begin), _point(end)],
-        "color": _colour(_FORCE),
+        "color": _FORCE,
         "colors": [],
         "indices": [],
     }
 
 
 def export_foxglove(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
-    """Write the recording once more, with its scene.
-
-    `recording`: of any scene; one without a surface or bodies has device, proxy and force in it. Raises RecordError when it
-    cannot be written, or the recording cannot be read.
-    """
+    """Write the recording once more, with its scene; one without a surface or bodies has device, proxy and force in it."""
     out = Path(out)
     if out.exists() and out.samefile(recording.path):
         raise RecordError(f"{out}: is the recording itself; give another name")

@@ -18,26 +18,13 @@ from nodes.recording.summary import quantile
 from nodes.view.feed import BINS_PER_SECOND, Feed
 from nodes.view.why_force import Ringing, explain, stop_in_words
 
-STATUS_PERIOD = 0.2
-"""How often pages get the status [s]."""
-
-RECENT = 5.0
-"""How far back percentiles go [s]."""
-
-SILENT_NODE = 1.5
-"""A node that has said nothing for so long is shown as silent: it sends its status twice a second [s]."""
-
-LATELY = 10.0
-"""Ticks missed within so long are a present trouble; older ones are history [s]."""
-
-HISTORY = 30.0
-"""How much a page that opens sees of what was before [s]."""
-
-KEPT = 60.0
-"""How much is kept for pages that are slow [s]."""
-
-LOGGED = 500
-"""Entries of the log that a page which opens later still sees."""
+STATUS_PERIOD = 0.2  # how often pages get the status [s]
+RECENT = 5.0  # how far back percentiles go [s]
+SILENT_NODE = 1.5  # a node that has said nothing for so long is shown as silent: it sends its status twice a second [s]
+LATELY = 10.0  # ticks missed within so long are a present trouble; older ones are history [s]
+HISTORY = 30.0  # how much a page that opens sees of what was before [s]
+KEPT = 60.0  # how much is kept for pages that are slow [s]
+LOGGED = 500  # entries of the log that a page which opens later still sees
 
 
 class Board:

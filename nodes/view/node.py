@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import msgspec
 
-from messages.transport.sockets import Subscription
 from nodes.base.node import Node
 from nodes.base.setup import Setup
-from nodes.launcher.runs import RunError, RunInfo, read_run
+from nodes.base.status_report import write_whole
+from nodes.launcher.runs import read_chain
 from nodes.parameters.store import convert
 from nodes.recording.logger import QUEUE
 from nodes.view.address import ADDRESS, check_address
@@ -23,16 +22,10 @@ if TYPE_CHECKING:
 class ViewParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of a view node.
 
-    Attributes
-    ----------
-    address : str
-        Where the page is served: 127.0.0.1, and nothing else.
-    port : int
-        Port; 0 takes a free one.
-    foxglove : int or None
-        Port on which Foxglove and Lichtblick find the run live (nodes/view/foxglove.py); None for no such port.
-    again : bool
-        Whether a page may have a virtual driver that has stopped the loop started again, because the launcher respawns it;
+    address: Where the page is served: 127.0.0.1, and nothing else.
+    port: Port; 0 takes a free one.
+    foxglove: Port on which Foxglove and Lichtblick find the run live (nodes/view/foxglove.py); None for no such port.
+    again: Whether a page may have a virtual driver that has stopped the loop started again, because the launcher respawns it;
         ``launch --view`` says so.
     """
 
@@ -68,6 +61,7 @@ class View(Node):
 
     Parameters: ClassVar[type[msgspec.Struct]] = ViewParameters
     listens_to: ClassVar[tuple[str, ...]] = ("*",)
+    queue: ClassVar[int] = QUEUE
 
     @classmethod
     def check(cls, setup: Setup) -> None:
@@ -85,53 +79,31 @@ class View(Node):
 
         self._make_pages = run_pages.RunPages
 
-    def connect(self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]) -> None:
-        """Listen to all publishers of the run."""
-        self._listening = subscribe(set(self.setup.sources.values()), [""], QUEUE)
-
-    def _run_info(self) -> RunInfo:
-        run = read_run(self.setup.run_dir, lambda: self.stopping)
-        try:
-            return run.within(self.setup.namespace) if self.setup.namespace else run.only_chain()
-        except RunError as error:
-            raise OSError(f"{error}: a page shows one chain; give {self.setup.name} its namespace") from error
-
     def loop(self) -> None:
         """Serve until stopped."""
         self.state = "running"
         import asyncio
 
-        again = self.store.current.again
-        asyncio.run(
-            self._serve(self._make_pages(self._run_info(), self._listening, self._token(), again, lambda: self.stopping))
-        )
-
-    def _token(self) -> str:
-        place = read_place(self.setup.run_dir, self.setup.name)
-        return place.token if place else ""
-
-    async def _serve(self, pages: RunPages) -> None:
-        self._pages = pages
+        run = read_chain(self.setup, lambda: self.stopping)
         before = read_place(self.setup.run_dir, self.setup.name)
+        token = before.token if before else ""
+        assert self.inbox is not None  # noqa: S101  # every kind that listens has one
+        self._pages = self._make_pages(run, self.inbox, token, self.store.current.again, lambda: self.stopping)
+        asyncio.run(self._serve(self._pages, before.port if before else 0))
+
+    async def _serve(self, pages: RunPages, port: int) -> None:
         parameters: ViewParameters = self.store.current
-        await pages.server.start(parameters.port or (before.port if before else 0))
+        await pages.server.start(parameters.port or port)
         server = pages.server
         if parameters.foxglove is not None:
             self.events.log(f"Foxglove and Lichtblick find the run at ws://{ADDRESS}:{pages.bridge(parameters.foxglove)}")
         place = Place(url=server.url, port=server.port, token=server.token)
-        path = place_file(self.setup.run_dir, self.setup.name)
-        draft = path.with_suffix(".draft")
-        draft.write_bytes(msgspec.json.encode(place))
-        draft.replace(path)
+        write_whole(place_file(self.setup.run_dir, self.setup.name), place)
         await pages.run(lambda: self.stopping, self._between)
 
     def _between(self) -> None:
         self.received = self.counters.ticks = self._pages.live.feed.head
         self.between_ticks(0)
-
-    def finish(self) -> None:
-        """Stop listening."""
-        self._listening.close()
 
     def report(self) -> dict[str, Any]:
         """Tell what was served."""

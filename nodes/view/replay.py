@@ -38,23 +38,12 @@ from nodes.view.why_force import delay_in
 if TYPE_CHECKING:
     from nodes.view.drawn_bodies import RecordedBodies
 
-AHEAD = 30.0
-"""How far past its place in the recording a page's plots go, so that a moment can be picked that is still to come [s]."""
-
-OVER = 20_000
-"""Most points of another recording that is drawn over this one."""
-
-SCENES = 60.0
-"""Pictures of the scene that are kept per second of the run."""
-
-MOST_BINS, MOST_SCENES = 400_000.0, 40_000.0
-"""Most bins and pictures that a recording is kept in: of a longer one, each holds more ticks."""
-
-FOREVER = 1e9
-"""No recording is so long [s]."""
-
-IDLE = 0.05
-"""How often the server looks whether to end [s]."""
+AHEAD = 30.0  # how far past its place a page's plots go, so that a moment still to come can be picked [s]
+OVER = 20_000  # most points of another recording that is drawn over this one
+SCENES = 60.0  # pictures of the scene that are kept per second of the run
+MOST_BINS, MOST_SCENES = 400_000.0, 40_000.0  # of a recording; of a longer one each holds more ticks
+FOREVER = 1e9  # no recording is so long [s]
+IDLE = 0.05  # how often the server looks whether to end [s]
 
 
 class Timeline:
@@ -89,11 +78,7 @@ def _facts(recording: Recording) -> Facts:
 
 
 class ReplayPages:
-    """A recording behind pages.
-
-    `over`: another one, whose position and force are drawn over it, both from their first tick on. Raises RecordError when it
-    cannot be read, or holds no ticks.
-    """
+    """A recording behind pages, and `over` it another one, from their first ticks on; RecordError when it has no ticks."""
 
     def __init__(self, path: Path, over: Path | None = None) -> None:
         recording = Recording(path)
@@ -132,8 +117,6 @@ class ReplayPages:
         self.server = PageServer(lambda: ReplayPage(self))  # serves the pages
         self._mapping = ThreadPoolExecutor(1, "map")
         self._maps: dict[str, dict[str, Any]] = {}
-
-    # -- reading -----------------------------------------------------------------------------------------------------
 
     def _read(self, recording: Recording) -> None:
         self._read_parameters(recording)
@@ -236,8 +219,6 @@ class ReplayPages:
         if (ticks := delay_in(event.reason)) is not None and self.laws.items:
             self.laws.add(event.seq * self._facts.period, {**self.laws.items[-1], "device_delay": ticks})
 
-    # -- serving -----------------------------------------------------------------------------------------------------
-
     async def run(self, stopping: Callable[[], bool]) -> None:
         """Serve until told to stop; the server is started by the caller."""
         try:
@@ -304,9 +285,6 @@ class ReplayPage:
         self._status = self._law = 0
         self._outbox.append('{"type":"reset"}')
 
-    def _tell(self, text: str) -> None:
-        self._outbox.append(text)
-
     def _time(self) -> float:
         now = time.monotonic()
         if self._playing:
@@ -327,7 +305,7 @@ class ReplayPage:
         if law != self._law and law:
             laws = pages.laws.items[law - 1]
             found.append(msgspec.json.encode({"type": "laws", **laws}).decode())
-            pages.map_of(laws, self._tell)
+            pages.map_of(laws, lambda text: self._outbox.append(text))
         self._status, self._law = status, law
         end, scene = pages.live.feed.until(at + AHEAD), pages.scenes.until(at)
         if (at != self._shown or end > self._cursor or self._void) and scene:

@@ -10,14 +10,14 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from messages.topics import PROXY
 from messages.transport.sockets import Subscription
 from messages.types import Message
 from nodes.base.setup import AXIS_INDEX
+from nodes.client.launches import roles
 from nodes.driver.pointer import awaited_pointer
 from nodes.launcher.runs import RunInfo
 from nodes.parameters.store import ParameterError
-from nodes.view.commands import Commander, CommandError, publisher
+from nodes.view.commands import Commander, CommandError
 from nodes.view.comparison import Comparison
 from nodes.view.law_fields import all_law_fields
 from nodes.view.live import HISTORY, LiveRun, facts_of
@@ -29,23 +29,12 @@ if TYPE_CHECKING:
     from nodes.view.drawn_bodies import RunningBodies
     from nodes.view.foxglove import Bridge
 
-DRAIN_PERIOD = 1.0 / 60.0
-"""Messages are taken in as often as a screen shows them: being woken for each would cost the machine more [s]."""
-
-AT_ONCE = 5000
-"""Most messages that are taken in before pages have their turn."""
-
-MAP_PERIOD = 0.25
-"""Shortest time between two maps of stability [s]."""
-
-PICTURE_FIRST = 0.5
-"""How long the first page draws before the first map is computed, which takes longest: they may share a processor [s]."""
-
-ASK_AGAIN = 0.2
-"""How soon nodes that did not answer are asked for their laws again [s]."""
-
-FINAL = 0.5
-"""How long pages may take to receive the end of a run [s]."""
+DRAIN_PERIOD = 1.0 / 60.0  # a screen's: being woken for each message would cost the machine more [s]
+AT_ONCE = 5000  # most messages that are taken in before pages have their turn
+MAP_PERIOD = 0.25  # shortest time between two maps of stability [s]
+PICTURE_FIRST = 0.5  # the first page draws so long before the slow first map: they may share a processor [s]
+ASK_AGAIN = 0.2  # how soon nodes that did not answer are asked for their laws again [s]
+FINAL = 0.5  # how long pages may take to receive the end of a run [s]
 
 
 class RunPage:
@@ -134,7 +123,7 @@ class RunPages:
 
     def _shape(self, stopping: Callable[[], bool]) -> dict[str, Any]:
         """Describe what a scene of several axes looks like; once, for it stays."""
-        name = publisher(self._run, PROXY)
+        name = roles(self._run).get("environment", "")
         if not name or len(self._run.nodes[name].axes) < 2:
             return {}
         environment = self._run.nodes[name]
@@ -254,8 +243,6 @@ class RunPages:
         self.live.tick(time.monotonic())
         if self.server.pages:
             await asyncio.sleep(FINAL)
-
-    # -- laws and map ------------------------------------------------------------------------------------------------
 
     def _refresh(self) -> None:
         """Start what is due and not under way."""

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import importlib.resources
 import logging
 import mimetypes
 import secrets
 from collections.abc import Callable
 from http import HTTPStatus
+from pathlib import Path
 from typing import Any, Protocol
 from urllib.parse import urlsplit
 
@@ -27,21 +27,11 @@ from nodes.view.address import ADDRESS, LOCAL
 from nodes.view.bundle import bundle
 from nodes.view.commands import CommandError
 
-SEND_PERIOD = 1.0 / 50.0
-"""Pause between two messages to a page [s]."""
-
-FAR = 1e6
-"""No target of a hand is so far away [m]."""
-
-MAX_REQUEST = 1 << 18
-"""Longest request of a page [bytes]: a law of thousands of taps fits."""
-
-MAX_PAGES = 16
-"""Most pages that are served at once."""
-
-MAX_WAITING = 8
-"""Most requests of one page that wait for their answers."""
-
+SEND_PERIOD = 1.0 / 50.0  # pause between two messages to a page [s]
+FAR = 1e6  # no target of a hand is so far away [m]
+MAX_REQUEST = 1 << 18  # longest request of a page [bytes]: a law of thousands of taps fits
+MAX_PAGES = 16  # most pages that are served at once
+MAX_WAITING = 8  # most requests of one page that wait for their answers
 _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'self'; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'",
@@ -82,17 +72,11 @@ def _hostname(host: str) -> str:
 
 def _files() -> dict[str, tuple[str, bytes]]:
     """Read the page's files: a few, and small; those of its first screen in as few as can be, for each costs a connection."""
+    web = Path(__file__).with_name("web")
     found: dict[str, tuple[str, bytes]] = {}
-
-    def walk(folder: Any, prefix: str) -> None:
-        for entry in folder.iterdir():
-            if entry.is_dir():
-                walk(entry, f"{prefix}{entry.name}/")
-            else:
-                kind = mimetypes.guess_type(entry.name)[0] or "text/plain"
-                found[prefix + entry.name] = (f"{kind}; charset=utf-8", entry.read_bytes())
-
-    walk(importlib.resources.files("nodes.view") / "web", "")
+    for path in filter(Path.is_file, web.rglob("*")):
+        kind = mimetypes.guess_type(path.name)[0] or "text/plain"
+        found[path.relative_to(web).as_posix()] = (f"{kind}; charset=utf-8", path.read_bytes())
     kind = found["main.js"][0]
     modules = {name: body.decode() for name, (_, body) in found.items() if name.endswith(".js")}
     found["main.js"] = kind, bundle(modules, "main").encode()
@@ -153,23 +137,21 @@ class PageServer:
             self._server.close(code=1001, reason="the run has ended")
             await self._server.wait_closed()
 
-    # -- one request -------------------------------------------------------------------------------------------------
-
-    def _request(self, connection: ServerConnection, request: Request) -> Response | None:
-        del connection
+    def _request(self, _connection: ServerConnection, request: Request) -> Response | None:
         host = _one(request, "Host") or ""
+        origin = _one(request, "Origin")
+        token, slash, name = request.path.partition("?")[0].lstrip("/").partition("/")
+        refused = ""
         if _hostname(host) not in LOCAL:
             # A name of somebody else's that leads here: DNS rebinding.
+            refused = f"haptic view is served to {ADDRESS} only, not to {host[:100]}\n"
+        elif origin is not None and origin != f"http://{host}":
+            refused = f"haptic view takes no requests from {origin[:100]}\n"
+        elif not secrets.compare_digest(token.encode(), self.token.encode()):
+            refused = "Wrong or missing token: open the whole URL that haptic has printed.\n"
+        if refused:
             self.turned_away += 1
-            return _text(HTTPStatus.FORBIDDEN, f"haptic view is served to {ADDRESS} only, not to {host[:100]}\n")
-        origin = _one(request, "Origin")
-        if origin is not None and origin != f"http://{host}":
-            self.turned_away += 1
-            return _text(HTTPStatus.FORBIDDEN, f"haptic view takes no requests from {origin[:100]}\n")
-        token, slash, name = request.path.partition("?")[0].lstrip("/").partition("/")
-        if not secrets.compare_digest(token.encode(), self.token.encode()):
-            self.turned_away += 1
-            return _text(HTTPStatus.FORBIDDEN, "Wrong or missing token: open the whole URL that haptic has printed.\n")
+            return _text(HTTPStatus.FORBIDDEN, refused)
         if not slash:
             moved = _text(HTTPStatus.PERMANENT_REDIRECT, "")
             moved.headers["Location"] = f"/{self.token}/"

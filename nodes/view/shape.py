@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,27 +19,16 @@ if TYPE_CHECKING:
 
 Points = NDArray[np.float64]
 
-AROUND, ACROSS = 28, 14
-"""A round shape in parts around its axis, and from pole to pole."""
-
-REACH = 0.08
-"""A plane has no end; so much of it is drawn on each side [m]."""
-
+AROUND, ACROSS = 28, 14  # a round shape in parts around its axis, and from pole to pole
+REACH = 0.08  # a plane has no end; so much of it is drawn on each side [m]
 _UP = np.array([0.0, 0.0, 1.0])
-
-MOST = 20_000
-"""Triangles that are sent: of a finer mesh, every so many-th."""
+MOST = 20_000  # triangles that are sent: of a finer mesh, every so many-th
 
 
-def _grid(at: Callable[[float, float], Points], around: int = AROUND, across: int = ACROSS) -> Points:
-    """Triangles of a surface over two parameters from 0 to 1."""
-    found = []
-    for i in range(across):
-        for j in range(around):
-            a, b = i / across, (i + 1) / across
-            c, d = j / around, (j + 1) / around
-            found += [[at(a, c), at(b, c), at(b, d)], [at(a, c), at(b, d), at(a, d)]]
-    return np.array(found)
+def _grid(points: Points) -> Points:
+    """Triangles of a surface, two for each cell of a grid of points, shape (m, n, 3)."""
+    a, b, c, d = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
+    return np.stack([a, b, c, a, c, d], axis=2).reshape(-1, 3, 3)
 
 
 def _frame(axis: Points) -> tuple[Points, Points]:
@@ -50,46 +38,30 @@ def _frame(axis: Points) -> tuple[Points, Points]:
     return first, np.cross(axis, first)
 
 
-def _round(
-    profile: Callable[[float], tuple[float, float]], centre: Points, axis: Points, around: int = AROUND, across: int = ACROSS
-) -> Points:
-    """Triangles of what is round about an axis: from 0 to 1, how far along it and how far from it [m]."""
+def _round(outline: Points, centre: Points, axis: Points, around: int = AROUND) -> Points:
+    """Triangles of what is round about an axis; each point of its outline: how far along it and how far from it [m]."""
     first, second = _frame(axis)
-
-    def at(part: float, turn: float) -> Points:
-        along, out = profile(part)
-        angle = 2.0 * math.pi * turn
-        return np.asarray(centre + along * axis + out * (math.cos(angle) * first + math.sin(angle) * second))
-
-    return _grid(at, around, across)
+    turn = np.linspace(0.0, 2.0 * np.pi, around + 1)[:, None]
+    circle = np.cos(turn) * first + np.sin(turn) * second
+    return _grid(centre + outline[:, :1, None] * axis + outline[:, 1:, None] * circle)
 
 
 def _plane(point: Points, normal: Points, reach: float = REACH) -> Points:
     first, second = _frame(normal)
-
-    def at(a: float, b: float) -> Points:
-        return np.asarray(point + reach * ((2.0 * a - 1.0) * first + (2.0 * b - 1.0) * second))
-
-    return _grid(at, 8, 8)
+    side = np.linspace(-reach, reach, 9)[:, None]
+    return _grid(point + (side * first)[:, None] + side * second)
 
 
-def _sphere(radius: float) -> Callable[[float], tuple[float, float]]:
-    return lambda part: (-radius * math.cos(math.pi * part), radius * math.sin(math.pi * part))
+def _capsule(length: float, radius: float, across: int = ACROSS) -> Points:
+    """Outline of a capsule that begins at the centre of its lower end; of a ball, without a length."""
+    turn = np.linspace(0.0, np.pi, across + 1)
+    ends = np.where(np.arange(across + 1) > across // 2, length, 0.0)
+    return np.stack([ends - radius * np.cos(turn), radius * np.sin(turn)], axis=1)
 
 
-def _capsule(length: float, radius: float) -> Callable[[float], tuple[float, float]]:
-    """Outline of a capsule that begins at the centre of its lower end."""
-
-    def profile(part: float) -> tuple[float, float]:
-        angle = math.pi * part
-        return (length if part > 0.5 else 0.0) - radius * math.cos(angle), radius * math.sin(angle)
-
-    return profile
-
-
-def _cylinder(half: float, radius: float) -> Callable[[float], tuple[float, float]]:
-    outline = ((-half, 0.0), (-half, radius), (half, radius), (half, 0.0))
-    return lambda part: outline[min(3, int(part * 3.0 + 1e-9))]
+def _cylinder(half: float, radius: float) -> Points:
+    """Outline of a cylinder: two discs and what is between them."""
+    return np.array([(-half, 0.0), (-half, radius), (half, radius), (half, 0.0)])
 
 
 def _box(centre: Points, axes: Points, half: Points) -> Points:
@@ -103,12 +75,11 @@ def _triangles(solid: Solid) -> Points:
     if solid.kind == PLANE:
         return _plane(n[:3], n[3:6])
     if solid.kind == SPHERE:
-        return _round(_sphere(float(n[3])), n[:3], _UP)
+        return _round(_capsule(0.0, n[3]), n[:3], _UP)
     if solid.kind == CAPSULE:
-        return _round(_capsule(float(n[6]), float(n[7])), n[:3], n[3:6])
+        return _round(_capsule(n[6], n[7]), n[:3], n[3:6])
     if solid.kind == CYLINDER:
-        # Two discs and what is between them.
-        return _round(_cylinder(float(n[6]), float(n[7])), n[:3], n[3:6], across=3)
+        return _round(_cylinder(n[6], n[7]), n[:3], n[3:6])
     if solid.kind == BOX:
         return _box(n[:3], n[3:12].reshape(3, 3), n[12:15])
     assert solid.mesh is not None  # noqa: S101  # what is left is a mesh
@@ -156,13 +127,13 @@ def _geom(model: Any, i: int, kinds: Any) -> Points:
     if kind == kinds.mjGEOM_PLANE:
         return _plane(centre, _UP, min(REACH, a or REACH))
     if kind == kinds.mjGEOM_SPHERE:
-        return _round(_sphere(a), centre, _UP, 16, 8)
+        return _round(_capsule(0.0, a, 8), centre, _UP, 16)
     if kind == kinds.mjGEOM_ELLIPSOID:
-        return np.asarray(_round(_sphere(1.0), centre, _UP, 16, 8) * [a, b, c])
+        return np.asarray(_round(_capsule(0.0, 1.0, 8), centre, _UP, 16) * [a, b, c])
     if kind == kinds.mjGEOM_CAPSULE:
-        return _round(_capsule(2.0 * b, a), np.array([0.0, 0.0, -b]), _UP, 16, 9)
+        return _round(_capsule(2.0 * b, a, 9), np.array([0.0, 0.0, -b]), _UP, 16)
     if kind == kinds.mjGEOM_CYLINDER:
-        return _round(_cylinder(b, a), centre, _UP, 20, 3)
+        return _round(_cylinder(b, a), centre, _UP, 20)
     if kind == kinds.mjGEOM_BOX:
         return _box(centre, np.eye(3), np.array([a, b, c]))
     if kind == kinds.mjGEOM_MESH:

@@ -15,17 +15,10 @@ from pathlib import Path
 from messages.types import ZERO, Vector
 from nodes.driver.pointer import PointerWriter
 
-PATIENCE = 2.0
-"""How long the target stays where a page that has fallen silent held it [s]."""
-
-SLOWLY = 0.05
-"""How fast the target goes home then, and comes back [m/s]."""
-
-EVERY, PRESS, DEPTH = 3.0, 0.9, 0.004
-"""A hand that nobody has taken taps so often, so long [s], and pulls so far behind the surface [m]."""
-
-REST = 1.0
-"""It begins when its path has come to rest for so long [s]."""
+PATIENCE = 2.0  # how long the target stays where a page that has fallen silent held it [s]
+SLOWLY = 0.05  # how fast the target goes home then, and comes back [m/s]
+EVERY, PRESS, DEPTH = 3.0, 0.9, 0.004  # a hand nobody has taps so often, so long [s], so deep [m]
+REST = 1.0  # it begins when its path has come to rest for so long [s]
 
 
 def _towards(here: Vector, there: Vector, way: float) -> Vector:
@@ -44,6 +37,7 @@ class SharedHand:
             self._writer: PointerWriter | None = PointerWriter(path)
         except FileNotFoundError:
             self._writer = None
+        self.there = self._writer is not None  # whether there is a hand that can be dragged
         self.taken = False  # whether any page has taken it so far
         self._owner = 0
         self._lapsed = 0
@@ -52,11 +46,6 @@ class SharedHand:
         self._wanted = self._at = self._home = self._present = ZERO
         self._still = math.inf
         self._taps = -math.inf
-
-    @property
-    def there(self) -> bool:
-        """Whether there is a hand that can be dragged."""
-        return self._writer is not None
 
     def move(self, owner: int, target: Sequence[float] | None) -> str:
         """Move the target, or let go of it."""

@@ -19,20 +19,14 @@ from nodes.coupling.parameters import PlantParameters
 from nodes.laws import Law
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
+from nodes.stability.judge import last_inside
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
 
-NEAR, FAR = 33, 24
-"""Points of the edge: evenly spaced around the present gain, then in equal ratios to where nothing is stable any more."""
-
-FARTHEST = 4096.0
-"""How far beyond the near part the far end is looked for, as a ratio."""
-
-MOST_DELAY = 20.0
-"""Longest delay that the margin is looked for [ticks]."""
-
-DELAYS = 25
-"""Points of the edge over the delay."""
+NEAR, FAR = 33, 24  # points of the edge: evenly spaced around the gain, then in equal ratios
+FARTHEST = 4096.0  # how far beyond the near part the far end is looked for, as a ratio
+MOST_DELAY = 20.0  # longest delay that the margin is looked for [ticks]
+DELAYS = 25  # points of the edge over the delay
 
 
 def plant_of(declared: Any, driver: Mapping[str, Any]) -> PlantParameters | None:
@@ -81,13 +75,7 @@ def _end(law: Law, devices: Sequence[Plant], near: float) -> float:
     while inside < near * FARTHEST:
         outside = 2.0 * inside
         if _edges(_at(law, outside), devices) is None:
-            for _ in range(10):
-                middle = 0.5 * (inside + outside)
-                if _edges(_at(law, middle), devices) is not None:
-                    inside = middle
-                else:
-                    outside = middle
-            break
+            return last_inside(lambda damping: _edges(_at(law, damping), devices) is not None, inside, outside, 10)
         inside = outside
     return inside
 
@@ -104,11 +92,7 @@ def delay_margin(law: Law, devices: Sequence[Plant]) -> float | None:
     inside = begin
     for delay in np.arange(1, round(MOST_DELAY / 0.1) + 1) * 0.1 + begin:
         if not stable(float(delay)):
-            outside = float(delay)
-            for _ in range(30):
-                middle = 0.5 * (inside + outside)
-                inside, outside = (middle, outside) if stable(middle) else (inside, middle)
-            return inside - begin
+            return last_inside(stable, inside, float(delay), 30) - begin
         inside = float(delay)
     return None
 

@@ -9,12 +9,8 @@ from typing import NamedTuple
 
 from messages.types import DeviceState, Force, Proxy
 
-SILENT = 0.5
-"""Without a state for so long the driver counts as silent [s]."""
-
-LITTLE = 1e-9
-"""A force below this is none [N]."""
-
+SILENT = 0.5  # without a state for so long the driver counts as silent [s]
+LITTLE = 1e-9  # a force below this is none [N]
 _STATES = {
     "waiting": "the driver waits for the first force of the coupling",
     "damping": "the coupling is late; the driver damps the device meanwhile",
@@ -22,14 +18,9 @@ _STATES = {
     "fault": "the device is outside its workspace; bring it back inside",
 }
 
-WINDOW = 0.3
-"""Of a force that may ring so much is looked at [s]."""
-
-TURNS = 10
-"""A hand, and a contact that settles, turn the force back less often than so in the window."""
-
-LEAST, SHARE = 0.1, 0.25
-"""What counts as turning back: by so much [N], and by such a part of the strongest force of late."""
+WINDOW = 0.3  # of a force that may ring so much is looked at [s]
+TURNS = 10  # a hand, and a contact that settles, turn the force back less often than so in the window
+LEAST, SHARE = 0.1, 0.25  # what counts as turning back: by so much [N], and by such a part of the strongest force of late
 
 
 class Ring(NamedTuple):
