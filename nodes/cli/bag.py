@@ -138,28 +138,23 @@ def _record(arguments: argparse.Namespace) -> int:
     # First: who ends it while it starts gets a recording that is complete, too.
     ended: list[int] = []
     with heeding(ended.append):
-        return _record_until(arguments, ended)
+        from nodes.cli.ask import chosen_run
+        from nodes.client.launches import known_topic
+        from nodes.recording.logger import record
 
-
-def _record_until(arguments: argparse.Namespace, ended: list[int]) -> int:
-
-    from nodes.cli.ask import chosen_run
-    from nodes.client.launches import known_topic
-    from nodes.recording.logger import record
-
-    run = chosen_run(arguments)
-    if arguments.all and arguments.topics:
-        raise UsageError(f"bag record: --all and topics ({' '.join(arguments.topics)}) at once; choose one")
-    for topic in arguments.topics:
-        known_topic(run, topic)
-    patterns = arguments.regex or arguments.exclude_regex
-    topics = _chosen(run.endpoints(), arguments) if patterns else arguments.topics
-    # Several recorders beside one launch each get a file of their own.
-    out = _free(arguments.out or arguments.out_dir / f"{run.run}-{os.getpid()}.mcap", arguments.force)
-    print(f"recording {run.run} into {out}; Ctrl-C ends", file=sys.stderr, flush=True)
-    until = time.monotonic() + (arguments.duration or math.inf)
-    count = record(run, str(out), topics, lambda: bool(ended) or time.monotonic() > until, arguments.force)
-    return answer(arguments.json, {"recording": str(out), "messages": count}, f"{out}: {count} messages")
+        run = chosen_run(arguments)
+        if arguments.all and arguments.topics:
+            raise UsageError(f"bag record: --all and topics ({' '.join(arguments.topics)}) at once; choose one")
+        for topic in arguments.topics:
+            known_topic(run, topic)
+        patterns = arguments.regex or arguments.exclude_regex
+        topics = _chosen(run.endpoints(), arguments) if patterns else arguments.topics
+        # Several recorders beside one launch each get a file of their own.
+        out = _free(arguments.out or arguments.out_dir / f"{run.run}-{os.getpid()}.mcap", arguments.force)
+        print(f"recording {run.run} into {out}; Ctrl-C ends", file=sys.stderr, flush=True)
+        until = time.monotonic() + (arguments.duration or math.inf)
+        count = record(run, str(out), topics, lambda: bool(ended) or time.monotonic() > until, arguments.force)
+        return answer(arguments.json, {"recording": str(out), "messages": count}, f"{out}: {count} messages")
 
 
 def printable(text: str) -> str:
@@ -205,7 +200,6 @@ def _info_text(recording: Recording, verdict: Completeness, remote: Mapping[str,
 
 
 def _info(arguments: argparse.Namespace) -> int:
-
     recording = Recording(arguments.file)
     verdict, times = completeness(recording), clocks(recording)
     remote = {node: clock for node, clock in times.items() if clock.error}
@@ -241,7 +235,6 @@ def _info(arguments: argparse.Namespace) -> int:
 
 
 def _play(arguments: argparse.Namespace) -> int:
-
     from messages.transport.context import new_context
     from nodes.cli.relay import local_publisher
     from nodes.recording.play import play

@@ -11,7 +11,7 @@ from nodes.launcher.runs import RunError, RunInfo, find_run
 from nodes.parameters.registry import NotInstalledError
 from nodes.parameters.store import ParameterError
 
-SCRIPTS = {
+SCRIPTS = {  # what to evaluate, by shell; each asks ``haptic completion words`` at every TAB
     "bash": """\
 _haptic() {
     local words
@@ -42,7 +42,6 @@ end
 complete -c haptic -a '(__haptic)'
 """,
 }
-"""What to evaluate, by shell; each asks ``haptic completion words`` at every TAB."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -145,8 +144,7 @@ def _assignments(given: list[str]) -> list[str]:
     return [f"{name}:=" for name in launch_file.read_arguments(launch_file.find(given[0]))[1]] if given else []
 
 
-def _laws(given: list[str]) -> list[str]:
-    del given
+def _laws(_given: list[str]) -> list[str]:
     for setup in _run().nodes.values():
         if "laws" in setup.parameters:
             return list(setup.parameters["laws"])

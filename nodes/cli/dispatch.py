@@ -4,12 +4,15 @@ The sub-verb NAME of a verb is registered beside the verbs, as ``"VERB.NAME"``, 
 """
 
 import argparse
+import errno
+import os
 import sys
+import tempfile
 from pathlib import Path
 
+from messages.errors import UsageError
 from nodes.base.kept_line import erased
 from nodes.cli.main import VERBS, Parser, complain, first_line, sub_verbs
-from nodes.cli.places import refuse_unwritable
 
 
 def dispatch(parser: argparse.ArgumentParser, verb: str, noun: str) -> None:
@@ -40,3 +43,19 @@ def dispatch(parser: argparse.ArgumentParser, verb: str, noun: str) -> None:
             raise
 
     parser.set_defaults(run=run, sub_verbs=known)
+
+
+def refuse_unwritable(path: Path, option: str = "--out") -> None:
+    """Refuse a place that cannot be written to before the work is done, and name the option that chooses another."""
+    there = next(place for place in (path, *path.absolute().parents) if place.exists() or place.is_symlink())
+    if there != path and not there.is_dir():
+        raise UsageError(f"{path}: {there} is not a directory; choose another {option}")
+    try:
+        if there.is_dir():
+            # Asked by doing it: root may do what the mode forbids, and nobody may write to a read-only disk.
+            with tempfile.TemporaryFile(dir=there):
+                pass
+        elif not os.access(there, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    except OSError as error:
+        raise UsageError(f"{path}: {there} cannot be written to: {error.strerror}; choose another {option}") from error

@@ -131,10 +131,6 @@ def _preemption() -> Diagnosis:
     return Diagnosis("ok", f"{platform.release()}, {models[0] if models else unknown}")
 
 
-def _memlock() -> Diagnosis:
-    return Diagnosis("ok", f"{_limit(resource.RLIMIT_MEMLOCK)} bytes; nodes lock none")
-
-
 def _open_files() -> Diagnosis:
     soft, limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0], _limit(resource.RLIMIT_NOFILE)
     if soft != resource.RLIM_INFINITY and soft < OPEN_FILES:
@@ -251,7 +247,7 @@ def _punctuality(measured: dict[str, dict[str, float]]) -> Diagnosis:
     return Diagnosis("limited", text, "stop what else runs on this machine, and see SCHED_FIFO, CPU governor and kernel above")
 
 
-CHECKS: dict[str, Callable[[], Diagnosis]] = {
+CHECKS: dict[str, Callable[[], Diagnosis]] = {  # what is looked at, in this order, before wake-ups are measured
     "Python": interpreter,
     "ZeroMQ": _zeromq,
     "other packages": _packages,
@@ -264,9 +260,8 @@ CHECKS: dict[str, Callable[[], Diagnosis]] = {
     "CPU governor": _governor,
     "idle processors": _sleep,
     "kernel": _preemption,
-    "locked memory": _memlock,
+    "locked memory": lambda: Diagnosis("ok", f"{_limit(resource.RLIMIT_MEMLOCK)} bytes; nodes lock none"),
 }
-"""What is looked at, in this order, before wake-ups are measured."""
 
 
 def _findings(measured: dict[str, dict[str, float]]) -> dict[str, Diagnosis]:

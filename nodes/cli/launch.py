@@ -17,11 +17,10 @@ from messages.transport.requests import ControlError
 from nodes.base import realtime
 from nodes.base.setup import Setup
 from nodes.base.stderr_queue import drain_stderr, instead_of_stderr
-from nodes.cli.colour import coloured
 from nodes.cli.debugging import Debugging
-from nodes.cli.main import add_json, answer, heeding
+from nodes.cli.dispatch import refuse_unwritable
+from nodes.cli.main import add_json, answer, coloured, heeding
 from nodes.cli.page import PageAnnouncer, with_view
-from nodes.cli.places import refuse_unwritable
 from nodes.cli.status_line import StatusLine
 from nodes.compiled.choose_tick import compile_later
 from nodes.launcher import launch_file

@@ -14,12 +14,14 @@ from nodes.client.launches import ask
 from nodes.parameters.store import ParameterError
 
 OF_LAW = ("stiffness", "gain", "order", "taps", "gains", "derivative")
-OF_LOOP = ("rate", "mass", "heaviest", "damping", "delay", "hand", "launch")
-"""Options of ``law show`` that describe a law, and a loop, which need not run."""
-
-DEFAULTS = {"rate": 500.0, "mass": 0.1, "damping": 1.0, "delay": 0.0, "hand": 0.0}
-"""The paper's experiment, as in the studies: [Hz], [kg], [N s/m], [ticks], [N/m]."""
-
+OF_LOOP = ("rate", "mass", "heaviest", "damping", "delay", "hand", "launch")  # describe a law and a loop that need not run
+DEFAULTS = {
+    "rate": 500.0,
+    "mass": 0.1,
+    "damping": 1.0,
+    "delay": 0.0,
+    "hand": 0.0,
+}  # the paper's experiment [Hz, kg, N s/m, ticks, N/m]
 ROWS = (
     ("h1_n_per_m", "H(1), stiffness felt at rest", "N/m"),
     ("h_nyquist_n_per_m", "H(−1), gain of encoder noise", "N/m"),
@@ -29,6 +31,8 @@ ROWS = (
     ("delay_ticks", "delay of the loop", "ticks"),
     ("pole_radius", "pole radius (stable below 1)", ""),
 )
+
+_NO_PARAMETERS = ("run", "law", "kind", "rate_hz", "plant", "taps_n_per_m", "sections", "passive_scale")
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -121,19 +125,7 @@ def _show(arguments: argparse.Namespace) -> int:
             figures |= ask(run, node, "law.show", law=arguments.law or "")
     except ParameterError as error:
         raise UsageError(str(error)) from error
-    skipped = {
-        "run",
-        "law",
-        "kind",
-        "rate_hz",
-        "taps_n_per_m",
-        "sections",
-        "plant",
-        "worst_mass_kg",
-        "masses_kg",
-        "passive_scale",
-    }
-    skipped |= {key for key, _, _ in ROWS}
+    skipped = {*_NO_PARAMETERS, "masses_kg", "worst_mass_kg", *(key for key, _, _ in ROWS)}
     parameters = ", ".join(
         f"{key} {_short(value)}" for key, value in figures.items() if key not in skipped and not key.startswith("f_")
     )

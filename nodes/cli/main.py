@@ -18,17 +18,18 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TextIO
 
 from messages.errors import HapticError, UsageError
+from nodes.base.kept_line import is_smart
 from nodes.base.stderr_queue import drain_stderr
-from nodes.cli.colour import coloured
 from nodes.parameters.installed import OURS, version
 from nodes.parameters.registry import NotInstalledError, Registry
 from nodes.parameters.store import ParameterError
 
 VERBS = Registry("haptic.verbs", "verb")
 ASKING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # signals that ask for an end
+_COLOURS = {"red": 31, "green": 32, "yellow": 33, "bold": 1, "dim": 2}
 
 _CHOICE = re.compile(r"invalid choice: '(?P<given>[^']*)' \((?:maybe you meant '[^']*', )?choose from (?P<known>.*)\)")
 
@@ -103,6 +104,11 @@ def heeding(heed: Callable[[int], Any], numbers: Iterable[signal.Signals] = ASKI
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def coloured(text: str, colour: str, stream: TextIO) -> str:
+    """Colour a text for people: on a terminal only, and not where NO_COLOR is set (no-color.org)."""
+    return text if not is_smart(stream) or os.environ.get("NO_COLOR") else f"\x1b[{_COLOURS[colour]}m{text}\x1b[0m"
 
 
 def complain(error: object) -> None:

@@ -71,7 +71,7 @@ def _between(low: float, high: float, zero: bool = False) -> Callable[[str], flo
     return read
 
 
-QUANTITIES: dict[str, tuple[Callable[[str], Any], str]] = {
+QUANTITIES: dict[str, tuple[Callable[[str], Any], str]] = {  # how each is read, and what it is
     "mass": (_between(1e-6, 1e6), "moving mass of the device [kg]"),
     "damping": (_between(1e-9, 1e9, zero=True), "viscous damping of the device [N s/m]"),
     "delay": (_between(1e-9, 1000.0, zero=True), "delay of the loop [ticks], fractions allowed"),
@@ -82,7 +82,6 @@ QUANTITIES: dict[str, tuple[Callable[[str], Any], str]] = {
     "order": (positive, "order α of the law"),
     "taps": (int, "length of the law's tap vector, n + 1"),
 }
-"""How each is read, and what it is."""
 
 
 def declare(parser: argparse.ArgumentParser, **defaults: float | Interval | None) -> None:

@@ -14,7 +14,7 @@ from messages.transport.requests import ControlError, call
 from messages.types import ZERO, Vector
 from nodes.base.kept_line import columns, erased, is_smart, keep
 from nodes.base.node_kinds import load
-from nodes.cli.colour import coloured
+from nodes.cli.main import coloured
 from nodes.environment.surfaces import Meeting, parse_surface
 from nodes.launcher.launch_spec import Launch
 from nodes.launcher.supervisor import Supervisor

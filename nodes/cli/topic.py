@@ -8,7 +8,7 @@ import math
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -43,9 +43,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     echo.add_argument("--field", metavar="NAME", help="print only this field, e.g. position or position[2]")
     add_publish(declare("pub", publish, "Give a force or a hand's target from outside, as far as the driver allows it."))
     figures = [
-        declare("hz", _hz, "Measure rate and intervals of a topic, as received."),
-        declare("bw", _bw, "Measure the bandwidth of a topic."),
-        declare("delay", _delay, "Measure the time from a message's stamp to its receipt (realtime runs)."),
+        declare("hz", partial(_measure, _Measure), "Measure rate and intervals of a topic, as received."),
+        declare("bw", partial(_measure, _Bandwidth), "Measure the bandwidth of a topic."),
+        declare("delay", partial(_measure, _Delay), "Measure the time from a message's stamp to its receipt (realtime runs)."),
     ]
     for own in figures:
         own.add_argument(
@@ -268,7 +268,10 @@ class _Delay(_Measure):
         )
 
 
-def _measure(arguments: argparse.Namespace, run: RunInfo, kind: Callable[[], _Measure]) -> int:
+def _measure(kind: type[_Measure], arguments: argparse.Namespace) -> int:
+    run = chosen_run(arguments)
+    if kind is _Delay and any(setup.pace == "lockstep" for setup in run.nodes.values()):
+        raise UsageError(f"{run.run}: stamps are simulated time in lockstep, so they have no delay; pace:=realtime has")
     known_topic(run, arguments.topic)
     measure = kind()
     window: deque[Heard] = deque(maxlen=arguments.window)
@@ -293,18 +296,3 @@ def _measure(arguments: argparse.Namespace, run: RunInfo, kind: Callable[[], _Me
             shown = measure.count
     answer(arguments.json, {"topic": arguments.topic, **now().figures()}, now().line())
     return 0 if measure.count else 1
-
-
-def _hz(arguments: argparse.Namespace) -> int:
-    return _measure(arguments, chosen_run(arguments), _Measure)
-
-
-def _bw(arguments: argparse.Namespace) -> int:
-    return _measure(arguments, chosen_run(arguments), _Bandwidth)
-
-
-def _delay(arguments: argparse.Namespace) -> int:
-    run = chosen_run(arguments)
-    if any(setup.pace == "lockstep" for setup in run.nodes.values()):
-        raise UsageError(f"{run.run}: stamps are simulated time in lockstep, so they have no delay; pace:=realtime has")
-    return _measure(arguments, run, _Delay)

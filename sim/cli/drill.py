@@ -7,7 +7,7 @@ import sys
 import msgspec
 
 from messages.errors import UsageError
-from nodes.cli.colour import coloured
+from nodes.cli.main import coloured
 from sim.cli.answers import add_answer, report
 from sim.drill.drill import HOLD, LIMIT, RATE, DrillOutcome, drill
 from sim.drill.faults import faults

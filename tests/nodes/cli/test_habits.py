@@ -26,8 +26,8 @@ from hypothesis import strategies as st
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.base.kept_line import ERASE
 from nodes.cli import main
-from nodes.cli.colour import coloured
 from nodes.cli.completion import candidates
+from nodes.cli.main import coloured
 from nodes.cli.status_line import KEEP, ORDER, fitted
 from nodes.recording.reader import Recording
 from tests.support.launching import HAPTIC, Running, private_runtime_dir, running, typed, wait_for
