@@ -269,6 +269,20 @@ def test_a_quantity_is_declared_once() -> None:
     assert found == OTHER_QUANTITIES
 
 
+def test_each_number_of_a_command_line_has_its_limits() -> None:
+    """A bare int or float lets through what no figure survives: nothing, everything, infinity."""
+    found = [
+        f"{module}: {ast.unparse(node.args[0])}"
+        for module, path in MODULES.items()
+        if module not in WITH_ARGUMENTS
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "add_argument"
+        for word in node.keywords
+        if word.arg == "type" and ast.unparse(word.value) in ("int", "float")
+    ]
+    assert found == []
+
+
 TICK = "the tick of one player, compiled as one function: calls across it would cost what it saves"
 LONG = {
     "nodes.compiled.kernels.scan.make_scan": TICK,

@@ -7,6 +7,7 @@ inherited by threads made later, so they are set before the ZeroMQ context.
 
 import contextlib
 import ctypes
+import functools
 import gc
 import os
 import signal
@@ -125,6 +126,11 @@ def sleep_until(deadline: float) -> float:
     return now
 
 
+@functools.cache
+def _statm() -> int:
+    return os.open("/proc/self/statm", os.O_RDONLY | os.O_CLOEXEC)
+
+
 def memory_bytes() -> int:
-    """Resident memory of this process."""
-    return int(Path("/proc/self/statm").read_text("ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    """Resident memory of this process; its file stays open, so that one without a descriptor left can still report."""
+    return int(os.pread(_statm(), 256, 0).split()[1]) * os.sysconf("SC_PAGE_SIZE")

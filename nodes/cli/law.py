@@ -9,7 +9,7 @@ from nodes.cli.ask import chosen_node, sub_verb
 from nodes.cli.main import answer
 from nodes.cli.param import FORCE, forced, receipt_text
 from nodes.cli.quantities import declare as declare_quantities
-from nodes.cli.quantities import declare_law, positive
+from nodes.cli.quantities import declare_law, positive, whole
 from nodes.client.launches import ask
 from nodes.parameters.store import ParameterError
 
@@ -47,7 +47,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     declare("list", _list, "List the laws that a running coupling can switch to; the active one is marked.")
     switch = declare("switch", _switch, "Switch the law between two ticks; tells what both really render.")
     switch.add_argument("law")
-    switch.add_argument("--ramp", type=int, metavar="TICKS", help="cross-fade (default: the coupling's own)")
+    switch.add_argument("--ramp", type=whole(0, 100_000), metavar="TICKS", help="cross-fade (default: the coupling's own)")
     switch.add_argument("--force", action="store_true", help=FORCE)
     show = declare(
         "show",

@@ -10,6 +10,7 @@ from messages.topics import LOOP
 from messages.types import Vector
 from nodes.cli.ask import chosen_chain
 from nodes.cli.main import answer
+from nodes.cli.quantities import between, whole
 from nodes.client.launches import ask, roles
 from nodes.driver.pointer import PointerWriter, pointer_file
 from nodes.launcher.runs import RunInfo
@@ -23,9 +24,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("topic", help=f"{WRENCH} (a force on top of the law's) or {TARGET} (of a virtual device's hand)")
     parser.add_argument("values", help="{force: [0, 0, 1]} in N, {position: [0.02, 0, 0]} in m; or the three numbers alone")
-    parser.add_argument("--rate", "-r", type=float, default=50.0, metavar="HZ", help="how often (default: %(default)g)")
+    parser.add_argument(
+        "--rate", "-r", type=between(1e-3, 1000.0), default=50.0, metavar="HZ", help="how often (default: %(default)g)"
+    )
     parser.add_argument("--once", "-1", action="store_true", help="once, and end")
-    parser.add_argument("--times", "-t", type=int, default=0, metavar="N", help="so often, and end")
+    parser.add_argument("--times", "-t", type=whole(0, 10**9), default=0, metavar="N", help="so often, and end")
 
 
 def _vector(text: str, name: str) -> Vector:
@@ -60,8 +63,6 @@ def publish(arguments: argparse.Namespace) -> int:
     if arguments.topic not in (WRENCH, TARGET):
         why = ": each tick has one, of its own node" if arguments.topic in LOOP else ""
         raise UsageError(f"{arguments.topic} cannot be published from outside{why}; there are {WRENCH} and {TARGET}")
-    if not 0.0 < arguments.rate <= 1000.0:
-        raise UsageError(f"--rate {arguments.rate:g}: above 0, at most 1000 Hz")
     run = chosen_chain(arguments)
     send = _sender(run, arguments)
     count, most = 0, 1 if arguments.once else arguments.times

@@ -10,6 +10,7 @@ from messages.errors import RefusedError, UsageError
 from nodes.cli.ask import chosen_chain
 from nodes.cli.main import add_run_name, answer, heeding
 from nodes.cli.page import announce
+from nodes.cli.quantities import PORT
 from nodes.client.listen import listening
 from nodes.launcher.runs import RunInfo, alive
 from nodes.parameters.store import ParameterError
@@ -20,11 +21,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_run_name(parser)
     parser.add_argument("--replay", type=Path, metavar="FILE", help="a recording instead of a running launch")
     parser.add_argument("--over", type=Path, metavar="FILE", help="with --replay: another recording, drawn over it")
-    parser.add_argument("--port", type=int, default=0, help="port of the page (default: a free one)")
+    parser.add_argument("--port", type=PORT, default=0, help="port of the page (default: a free one)")
     parser.add_argument("--address", default="127.0.0.1", help="only 127.0.0.1; others are refused with what to do instead")
     parser.add_argument(
         "--foxglove",
-        type=int,
+        type=PORT,
         nargs="?",
         const=8765,
         metavar="PORT",

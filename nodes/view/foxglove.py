@@ -84,7 +84,9 @@ class Bridge:
 
     def subscribed(self, topic: str) -> None:
         """Have the shape sent again for one who sees the scene from now on."""
-        self._asked = self._asked or topic == SCENE
+        # On the library's thread: what is drawn meanwhile must not be asked for again.
+        if topic == SCENE:
+            self._asked = True
 
     def _draw(self, topic: str, message: DeviceState | Proxy) -> None:
         at = self._wall(message)

@@ -212,12 +212,15 @@ class RunPages:
         self.hand.step(state.target)
         self._comparison.step(time.monotonic(), self.live.delay)
         if self.server.pages:
-            poses = self._bodies.news() if self._bodies is not None else None
-            if poses is not None:
-                self.live.board.put("poses", poses)
+            self._show_bodies()
             side = proxy.normal[axis] if proxy is not None else 0.0
             surface = proxy.position[axis] - side * proxy.distance if proxy is not None and side else None
             self.hand.tap(axis, surface, side)
+
+    def _show_bodies(self) -> None:
+        poses = self._bodies.news() if self._bodies is not None else None
+        if poses is not None:
+            self.live.board.put("poses", poses)
 
     async def _drain(self) -> int:
         taken = 0
@@ -240,6 +243,8 @@ class RunPages:
             await asyncio.sleep(DRAIN_PERIOD)
         if not self.live.ended:
             self.live.end("the view was stopped")
+        # The environment has ended before this: where the bodies are they stay.
+        self._show_bodies()
         self.live.tick(time.monotonic())
         if self.server.pages:
             await asyncio.sleep(FINAL)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from messages.errors import RefusedError
 from nodes.cli.ask import add_run, chosen_run, sub_verb
-from nodes.cli.quantities import declare
+from nodes.cli.quantities import SECONDS, declare, number, positive
 from nodes.laws.parse import parse_law
 from sim.cli.answers import add_answer, given, report
 from sim.measure.stopwatch import say
@@ -60,16 +60,16 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def add_push(parser: argparse.ArgumentParser) -> None:
     """Declare how the device is pushed."""
-    parser.add_argument("--duration", type=float, default=8.0, help="of one push [s] (default: %(default)s)")
-    parser.add_argument("--amplitude", type=float, default=0.7, help="largest push [N] (default: %(default)s)")
-    parser.add_argument("--reach", type=float, default=0.03, help="how far it is pushed [m] (default: %(default)s)")
+    parser.add_argument("--duration", type=SECONDS, default=8.0, help="of one push [s] (default: %(default)s)")
+    parser.add_argument("--amplitude", type=positive, default=0.7, help="largest push [N] (default: %(default)s)")
+    parser.add_argument("--reach", type=positive, default=0.03, help="how far it is pushed [m] (default: %(default)s)")
     text = "push at each of these distances from here, along every axis [m] (default: -0.02 0 0.02 of three axes, else 0)"
-    parser.add_argument("--places", type=float, nargs="+", metavar="OFFSET", help=text)
+    parser.add_argument("--places", type=number, nargs="+", metavar="OFFSET", help=text)
     text = (
         "the force that carries the device's weight [N] (default: what acts on it at rest, refused above --amplitude: it may "
         "be a hand's)"
     )
-    parser.add_argument("--load", type=float, metavar="FORCE", help=text)
+    parser.add_argument("--load", type=number, metavar="FORCE", help=text)
     hand = parser.add_mutually_exclusive_group()
     hand.add_argument("--held", dest="held", action="store_true", default=None, help="a hand holds the device")
     hand.add_argument("--free", dest="held", action="store_false", help="no hand does (default: finds out)")

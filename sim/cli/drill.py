@@ -8,6 +8,7 @@ import msgspec
 
 from messages.errors import UsageError
 from nodes.cli.main import coloured
+from nodes.cli.quantities import not_negative, positive
 from sim.cli.answers import add_answer, report
 from sim.drill.drill import HOLD, LIMIT, RATE, DrillOutcome, drill
 from sim.drill.faults import faults
@@ -19,9 +20,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "faults", nargs="*", help='faults by name, e.g. "kill coupling"; all when left out; or soak: a long run under use'
     )
-    parser.add_argument("--minutes", type=float, default=10.0, help="length of a soak [min] (default: %(default)s)")
+    parser.add_argument("--minutes", type=positive, default=10.0, help="length of a soak [min] (default: %(default)s)")
     parser.add_argument(
-        "--miss-limit", type=float, default=MISS_LIMIT, help="share of ticks that a soak may miss (default: %(default)s)"
+        "--miss-limit", type=not_negative, default=MISS_LIMIT, help="share of ticks that a soak may miss (default: %(default)s)"
     )
     parser.add_argument("--list", action="store_true", help="list the faults")
     parser.add_argument("--markdown", action="store_true", help="write the table as Markdown, for a page")

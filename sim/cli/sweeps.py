@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 from messages.errors import RefusedError, UsageError
 from messages.transport.endpoints import is_remote
 from nodes.base.workers import Workers
+from nodes.cli.quantities import whole
 from sim.measure.jobs import RETRIES, Job, SweepRow, call, done_by, sweep
 from sim.measure.stopwatch import Progress
 
@@ -29,7 +30,7 @@ def add_sweep(parser: argparse.ArgumentParser) -> None:
 
 def add_spread(parser: argparse.ArgumentParser, alone: str = "none: one job after another, here") -> None:
     """Declare where the jobs of a study run."""
-    parser.add_argument("--workers", type=int, default=0, help=f"processes on this machine (default: {alone})")
+    parser.add_argument("--workers", type=whole(0, 10_000), default=0, help=f"processes on this machine (default: {alone})")
     parser.add_argument("--cluster", metavar="ADDRESS", help="Dask scheduler instead, tcp://127.0.0.1:8786 or tls://HOST:8786")
     for option in TLS:
         parser.add_argument(f"--{option}", type=Path, help="of a scheduler on another machine")
@@ -38,8 +39,6 @@ def add_spread(parser: argparse.ArgumentParser, alone: str = "none: one job afte
 @contextlib.contextmanager
 def executor(arguments: argparse.Namespace) -> Iterator[Executor]:
     """Open what the jobs run on."""
-    if arguments.workers < 0:
-        raise UsageError(f"--workers {arguments.workers}: at least 0")
     if arguments.cluster is None:
         with Workers(arguments.workers or os.cpu_count() or 1) as pool:
             yield pool

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from messages.errors import RefusedError, UsageError
 from nodes.cli.ask import add_run, chosen_run
 from nodes.cli.main import answer
-from nodes.cli.quantities import declare
+from nodes.cli.quantities import between, declare, positive
 from sim.cli.answers import given
 from sim.cli.device import add_push, excitation, identify_running
 from sim.measure.stopwatch import say
@@ -30,10 +30,12 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--steps", nargs="+", choices=STEPS, default=list(STEPS), help="only these; what comes before is read from --out"
     )
     declare(parser, taps=4)
-    parser.add_argument("--spread", type=float, default=1.25, help="factor the mass may be off by (default: %(default)s)")
-    parser.add_argument("--radius", type=float, default=0.99, help="pole radius allowed (default: %(default)s)")
     parser.add_argument(
-        "--nyquist", type=float, help="|H(-1)| allowed [N/m] (default: what friction quiets, 2 f_c/Δ, 1000 to 10000)"
+        "--spread", type=between(1.0, 100.0), default=1.25, help="factor the mass may be off by (default: %(default)s)"
+    )
+    parser.add_argument("--radius", type=between(1e-3, 1.0), default=0.99, help="pole radius allowed (default: %(default)s)")
+    parser.add_argument(
+        "--nyquist", type=positive, help="|H(-1)| allowed [N/m] (default: what friction quiets, 2 f_c/Δ, 1000 to 10000)"
     )
     parser.add_argument(
         "--land",
@@ -54,8 +56,8 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Go through the steps; whatever happens, leave the device safe and write what is known."""
-    if not (1 <= arguments.taps <= 12 and arguments.spread >= 1.0 and 0.0 < arguments.radius <= 1.0):
-        raise UsageError("--taps 1 to 12, --spread at least 1, --radius above 0 and at most 1")
+    if not 1 <= arguments.taps <= 12:
+        raise UsageError(f"--taps {arguments.taps}: between 1 and 12; the search is over each of them")
     excitation(arguments)
     arguments.out.mkdir(parents=True, exist_ok=True)
     from sim.identify.borrowed import PushedLaunch

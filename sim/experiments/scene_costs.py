@@ -18,7 +18,6 @@ from sim.measure.stopwatch import Progress
 
 FLOOR = "floor_drop"  # what all others are compared with
 BODIES = ("puck_push", "stack_boxes")  # scenes in which things move; their environment is MuJoCo's, called from Python
-FINEST = 7  # most halvings of the ball: 327 680 triangles
 _BALL = {"radius": 0.035, "position": [0.05, 0.01, -0.03]}  # the sphere of ``sphere_feel`` [m]
 _SURFACE = """environment: {{surface: {{kind: mesh, file: {file}, position: {position}, tool_radius: 0.001}}}}
 """

@@ -52,10 +52,15 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
 
 def _kept(file: Path) -> dict[str, Any]:
     """Read what an earlier tuning kept: what each step told."""
+    from sim.identify.identified_text import from_figures
+
     try:
-        return msgspec.json.decode(file.read_bytes(), type=dict[str, Any])
-    except msgspec.DecodeError as error:
+        record = msgspec.json.decode(file.read_bytes(), type=dict[str, Any])
+        if "identified" in record:
+            from_figures(record["identified"])
+    except (msgspec.DecodeError, LookupError, TypeError, ValueError) as error:
         raise UsageError(f"{file}: is not what haptic tune wrote ({error}); remove it, and begin with identify") from error
+    return record
 
 
 class Tuning:

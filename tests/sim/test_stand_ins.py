@@ -79,7 +79,7 @@ def _compared(table: Table, virtual: Forces, drop: int) -> tuple[float, float, i
     first = int(np.searchsorted(table["seq"], drop))
     force = table["force"][first : first + len(virtual[0.0]), 2]
     known = np.flatnonzero(np.isfinite(force))  # where no tick was lost
-    if known.size < 0.9 * force.size:
+    if force.size < len(virtual[0.0]) or known.size < 0.9 * force.size:
         return math.inf, 0.0, first
     # The device's own latency is not told: it is the delay at which the virtual device renders the same.
     error, delay = min((float(np.sqrt(np.mean((force - of)[known] ** 2))), delay) for delay, of in virtual.items())

@@ -29,7 +29,7 @@ from messages.transport.sockets import Publisher, Subscription
 from messages.types import DeviceState, Force
 from nodes.base import realtime
 from nodes.base.setup import Scheduling, Setup
-from nodes.cli.quantities import declare
+from nodes.cli.quantities import ROUNDS, declare, whole
 from nodes.launcher.child import PYTHON
 from nodes.recording.summary import quantile
 from sim.cli.answers import add_answer, report
@@ -41,8 +41,8 @@ PATIENCE_MS = 5000  # longest wait for an answer [ms]
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     declare(parser, rate=500.0)
-    parser.add_argument("--rounds", type=int, default=10, help="rounds of each kind (default: %(default)s)")
-    parser.add_argument("--ticks", type=int, default=250, help="ticks of a round (default: %(default)s)")
+    parser.add_argument("--rounds", type=ROUNDS, default=10, help="rounds of each kind (default: %(default)s)")
+    parser.add_argument("--ticks", type=whole(1, 10**8), default=250, help="ticks of a round (default: %(default)s)")
     add_answer(parser, run, files=False)
 
 

@@ -8,7 +8,7 @@ import time
 from typing import Any
 
 from messages.topics import DEVICE_STATE
-from nodes.cli.quantities import declare
+from nodes.cli.quantities import ROUNDS, SECONDS, declare
 from nodes.recording.reader import Recording
 from sim.cli.answers import add_answer, report
 from sim.measure.measured_launch import HAPTIC, Running, machine, responses_in, wait_for
@@ -19,8 +19,8 @@ LISTENERS = 4
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--rounds", type=int, default=5, help="rounds of without and with (default 5)")
-    parser.add_argument("--seconds", type=float, default=4.0, help="length of each half of a round (default 4 s)")
+    parser.add_argument("--rounds", type=ROUNDS, default=5, help="rounds of without and with (default 5)")
+    parser.add_argument("--seconds", type=SECONDS, default=4.0, help="length of each half of a round (default 4 s)")
     declare(parser, rate=500.0)
     add_answer(parser, run, files=False)
 

@@ -11,9 +11,9 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from messages.errors import UsageError
 from nodes.base.realtime import awake, quietest_processor
 from nodes.base.setup import Tick
+from nodes.cli.quantities import COUNT, ROUNDS, SECONDS, whole
 from nodes.compiled.choose_tick import choose
 from nodes.launcher.launch_spec import AWAKE_RATE
 from sim.cli.answers import add_answer, report
@@ -39,11 +39,11 @@ Launches = Mapping[str, tuple[str, ...]]  # arguments of each case, and of the o
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--rounds", type=int, default=3, help="interleaved rounds of each (default 3)")
-    parser.add_argument("--ticks", type=int, default=20000, help="ticks of a lockstep round (default 20000)")
-    parser.add_argument("--seconds", type=float, default=10.0, help="length of a real-time round (default 10 s)")
+    parser.add_argument("--rounds", type=ROUNDS, default=3, help="interleaved rounds of each (default 3)")
+    parser.add_argument("--ticks", type=whole(1, 10**8), default=20000, help="ticks of a lockstep round (default 20000)")
+    parser.add_argument("--seconds", type=SECONDS, default=10.0, help="length of a real-time round (default 10 s)")
     parser.add_argument(
-        "--rates", type=int, nargs="+", default=RATES, metavar="HZ", help="of the real-time rounds (default 500 4000 8000)"
+        "--rates", type=COUNT, nargs="+", default=RATES, metavar="HZ", help="of the real-time rounds (default 500 4000 8000)"
     )
     parser.add_argument(
         "--cases",
@@ -57,7 +57,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="scenes in three axes against the floor at 500 Hz, in place of that: missed, response, the environment's time",
     )
-    parser.add_argument("--finest", type=int, default=7, help="of --scenes: a ball of 20·4ⁿ triangles (default 7, 327 680)")
+    parser.add_argument("--finest", type=whole(2, 7), default=7, help="of --scenes: a ball of 20·4ⁿ triangles (default 7)")
     add_answer(parser, run, files=False)
 
 
@@ -220,13 +220,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _run_scenes(arguments: argparse.Namespace) -> int:
     """Compare scenes with the floor."""
-    from sim.experiments.scene_costs import FINEST, compare_scenes
+    from sim.experiments.scene_costs import compare_scenes
     from sim.experiments.scene_costs import text as scenes_text
 
-    if not 2 <= arguments.finest <= FINEST:
-        raise UsageError(f"--finest {arguments.finest}: 2 to {FINEST}")
-    if arguments.rounds < 1 or arguments.seconds <= 0.0:
-        raise UsageError(f"--rounds {arguments.rounds}, --seconds {arguments.seconds:g}: at least 1, and above 0")
     kernels = (*KERNELS, "nodes.environment.shapes.kernel")
     tick = choose("compiled", kernels, lambda text: print(text, file=sys.stderr))
     figures = compare_scenes(arguments.rounds, arguments.seconds, arguments.finest, tick)

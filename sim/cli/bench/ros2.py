@@ -4,6 +4,7 @@ import argparse
 import statistics
 from typing import Any
 
+from nodes.cli.quantities import ROUNDS, SECONDS
 from sim.cli.answers import add_answer, report
 from sim.measure.measured_launch import launch, machine
 from sim.measure.stopwatch import Progress
@@ -13,8 +14,8 @@ WITH, WITHOUT = "with", "without"
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--rounds", type=int, default=5, help="rounds of with and without (default 5)")
-    parser.add_argument("--seconds", type=float, default=4.0, help="length of each launch (default 4 s)")
+    parser.add_argument("--rounds", type=ROUNDS, default=5, help="rounds of with and without (default 5)")
+    parser.add_argument("--seconds", type=SECONDS, default=4.0, help="length of each launch (default 4 s)")
     add_answer(parser, run, files=False)
 
 

@@ -2,23 +2,19 @@
 
 import argparse
 
-from messages.errors import UsageError
+from nodes.cli.quantities import ROUNDS, whole
 from sim.cli.answers import add_answer, report
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--rounds", type=int, default=101, help="interleaved rounds (default: %(default)s)")
-    parser.add_argument("--ticks", type=int, default=2500, help="length of a run (default: %(default)s)")
+    parser.add_argument("--rounds", type=ROUNDS, default=101, help="interleaved rounds (default: %(default)s)")
+    parser.add_argument("--ticks", type=whole(100, 10**8), default=2500, help="length of a run (default: %(default)s)")
     add_answer(parser, run, files=False)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure, and print the ratios of the same run."""
-    if arguments.rounds < 1:
-        raise UsageError(f"--rounds {arguments.rounds}: at least 1")
-    if arguments.ticks < 100:
-        raise UsageError(f"--ticks {arguments.ticks}: at least 100, or mostly the call is timed")
     from sim.experiments.simulator_speed import FLAGS, measure
     from sim.measure.stopwatch import Progress, machine
 

@@ -15,7 +15,7 @@ from typing import Any
 from messages.topics import DEVICE_STATE, FORCE, RECEIPT
 from messages.transport.requests import ControlError
 from messages.types import DeviceState, Receipt
-from nodes.cli.quantities import declare
+from nodes.cli.quantities import COUNT, SECONDS, declare
 from nodes.recording.reader import Recording
 from nodes.recording.summary import quantile
 from sim.cli.answers import add_answer, report
@@ -49,11 +49,11 @@ class Asked:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--swaps", type=int, default=1000, help="swaps of laws (default %(default)s)")
-    parser.add_argument("--sets", type=int, default=1000, help="sets of parameters (default %(default)s)")
-    parser.add_argument("--duration", type=float, default=60.0, help="time for all [s], half of it idle (default %(default)s)")
+    parser.add_argument("--swaps", type=COUNT, default=1000, help="swaps of laws (default %(default)s)")
+    parser.add_argument("--sets", type=COUNT, default=1000, help="sets of parameters (default %(default)s)")
+    parser.add_argument("--duration", type=SECONDS, default=60.0, help="time for all [s], half of it idle (default 60)")
     declare(parser, rate=500.0)
-    parser.add_argument("--blocks", type=int, default=20, help="busy blocks, each with an idle one (default %(default)s)")
+    parser.add_argument("--blocks", type=COUNT, default=20, help="busy blocks, each with an idle one (default %(default)s)")
     add_answer(parser, run, files=False)
 
 

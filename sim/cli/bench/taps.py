@@ -4,8 +4,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from messages.errors import UsageError
 from nodes.cli.main import add_json
+from nodes.cli.quantities import ROUNDS
 from nodes.recording.figure_style import new_figure, save_figure, styled, threshold
 from sim.cli.answers import report
 from sim.results import fresh
@@ -13,7 +13,7 @@ from sim.results import fresh
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--rounds", type=int, default=25, help="interleaved rounds (default: %(default)s)")
+    parser.add_argument("--rounds", type=ROUNDS, default=25, help="interleaved rounds (default: %(default)s)")
     parser.add_argument("--taps", type=_lengths, help="numbers of taps, separated by commas (default: 4 to 2000)")
     add_json(parser)
     parser.add_argument("--out", type=Path, help="also write bench_taps.json, .png, .pdf and .svg to this directory")
@@ -32,8 +32,6 @@ def _lengths(text: str) -> tuple[int, ...]:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure, and say which way is fastest from where on."""
-    if arguments.rounds < 1:
-        raise UsageError(f"--rounds {arguments.rounds}: at least 1")
     from sim.measure.stopwatch import Progress, machine
     from sim.measure.tap_timing import LENGTHS, WAYS, as_json, time_laws, time_taps, time_turning
 

@@ -19,7 +19,7 @@ from messages.errors import UsageError
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from messages.types import DeviceState, Force, Message, Proxy
 from nodes.base.realtime import memory_bytes, off
-from nodes.cli.quantities import declare
+from nodes.cli.quantities import ROUNDS, SECONDS, declare, positive
 from nodes.recording.reader import Recording
 from nodes.view.live import Facts, LiveRun
 from sim.cli.answers import add_answer, report
@@ -50,14 +50,14 @@ SWITCH = """name => new Promise((done) => {
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--rounds", type=int, default=4, help="rounds of without and with (default 4)")
-    parser.add_argument("--seconds", type=float, default=4.0, help="length of each half of a round (default 4 s)")
+    parser.add_argument("--rounds", type=ROUNDS, default=4, help="rounds of without and with (default 4)")
+    parser.add_argument("--seconds", type=SECONDS, default=4.0, help="length of each half of a round (default 4 s)")
     declare(parser, rate=500.0)
     parser.add_argument("--picture", type=Path, metavar="FILE", help="take one of the page while the wall is pushed (PNG)")
     parser.add_argument(
         "--pictures", type=Path, metavar="FOLDER", help="take those of the project's pages instead of measuring (PNG)"
     )
-    parser.add_argument("--minutes", type=float, default=30.0, help="of ticks for the memory (default 30)")
+    parser.add_argument("--minutes", type=positive, default=30.0, help="of ticks for the memory (default 30)")
     add_answer(parser, run, files=False)
 
 

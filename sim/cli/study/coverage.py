@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from messages.errors import UsageError
-from nodes.cli.quantities import declare, positive
+from nodes.cli.quantities import COUNT, SECONDS, SEED, declare
 from nodes.recording.figure_style import COLOURS, INK, new_figure, save_figure, styled, threshold
 from sim.cli.answers import add_answer, given, report
 from sim.cli.sweeps import add_sweep, swept
@@ -17,10 +17,10 @@ WANTED = 0.90  # least coverage of a 95 % interval that counts as kept
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--devices", type=int, default=200, help="how many, half of them held (default: %(default)s)")
-    parser.add_argument("--seconds", type=positive, default=8.0, help="of each push (default: %(default)s)")
+    parser.add_argument("--devices", type=COUNT, default=200, help="how many, half of them held (default: %(default)s)")
+    parser.add_argument("--seconds", type=SECONDS, default=8.0, help="of each push (default: %(default)s)")
     declare(parser, rate=500.0)
-    parser.add_argument("--seed", type=int, default=1, help="of the population (default: %(default)s)")
+    parser.add_argument("--seed", type=SEED, default=1, help="of the population (default: %(default)s)")
     parser.add_argument(
         "--outside", action="store_true", help="devices that are not rigid: joints, lags, backlash and more, kind by kind"
     )
@@ -33,10 +33,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Sweep over the devices."""
     from sim.population.study import study_device, summary
 
-    if not 1 <= arguments.devices <= 100_000:
-        raise UsageError(f"--devices {arguments.devices}: between 1 and 100000")
-    if arguments.seed < 0:
-        raise UsageError(f"--seed {arguments.seed}: at least 0")
     if arguments.outside:
         return _outside(arguments)
     told = given(arguments, "seed", "seconds", "rate", "tune")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from messages.errors import UsageError
-from nodes.cli.quantities import Interval, declare, not_negative, positive
+from nodes.cli.quantities import Interval, declare, not_negative, positive, whole
 from nodes.laws import CompiledLaw
 from nodes.recording.figure_style import OMEGA, new_figure, save_figure, styled, threshold
 from nodes.stability.closed_loop import pole_radius
@@ -49,7 +49,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--radius", type=positive, default=0.99, help="pole radius allowed (default: %(default)s)")
     parser.add_argument("--nyquist", type=positive, default=1e4, help="|H(-1)| allowed [N/m] (default: 10000)")
     parser.add_argument("--from-run", type=Path, metavar="RECORDING", help="take rate, delay and jitter from a recording")
-    parser.add_argument("--effort", type=int, default=1, help="multiplies the search (default: %(default)s)")
+    parser.add_argument("--effort", type=whole(1, 1000), default=1, help="multiplies the search (default: %(default)s)")
     parser.add_argument(
         "--land",
         action=argparse.BooleanOptionalAction,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from messages.errors import UsageError
-from nodes.cli.quantities import Interval, declare, not_negative
+from nodes.cli.quantities import COUNT, Interval, declare, not_negative, whole
 from nodes.laws.parse import parse_law
 from nodes.recording.figure_style import COLOURS, INK, MARKERS, new_figure, save_figure, styled, threshold
 from nodes.recording.writer import RecordError
@@ -38,9 +38,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     declare(parser, gain=Interval(1.0, 40.0))
     parser.add_argument(
-        "--drops", type=int, help="of random devices instead: how often the interval of a swing holds the true K_max"
+        "--drops", type=COUNT, help="of random devices instead: how often the interval of a swing holds the true K_max"
     )
-    parser.add_argument("--points", type=int, default=24, help="gains, in geometric steps (default: %(default)s)")
+    parser.add_argument("--points", type=whole(2, 100_000), default=24, help="gains, in geometric steps (default: %(default)s)")
     parser.add_argument(
         "--device-damping", type=not_negative, help="of the recorded device, when it is real [N s/m]; narrows the interval"
     )
@@ -56,8 +56,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.drops is not None:
         return _drops(arguments)
     low, high = arguments.gain
-    if not 0.0 < low < high or arguments.points < 2:
-        raise UsageError(f"--gain {low:g}..{high:g} --points {arguments.points}: needs 0 < LOW < HIGH and 2 points")
+    if not 0.0 < low < high:
+        raise UsageError(f"--gain {low:g}..{high:g}: needs 0 < LOW < HIGH")
     device, period = shared.device(arguments), 1.0 / arguments.rate
     gains = [low * (high / low) ** (i / (arguments.points - 1)) for i in range(arguments.points)]
     found = spread(arguments, [partial(_ring, name, gain, device) for name in LAWS for gain in gains], 4)
@@ -87,8 +87,6 @@ def _ring(name: str, gain: float, device: Plant) -> dict[str, Any] | None:
 def _drops(arguments: argparse.Namespace) -> int:
     from sim.paper.swing import counted, dropped
 
-    if not 1 <= arguments.drops <= 100_000:
-        raise UsageError(f"--drops {arguments.drops}: between 1 and 100000")
     named = [list(LAWS)[number % len(LAWS)] for number in range(arguments.drops)]
     jobs = [partial(dropped, number, name, LAWS[name], 1.0 / arguments.rate) for number, name in enumerate(named)]
     rows = spread(arguments, jobs)

@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from messages.errors import UsageError
-from nodes.cli.quantities import Interval, declare, not_negative, positive
+from nodes.cli.quantities import Interval, declare, not_negative, positive, whole
 from nodes.recording.figure_style import COLOURS, GREY, MARKERS, new_figure, styled, threshold
 from sim.cli.answers import add_answer, report
 from sim.cli.sweeps import add_sweep, begun, executor
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     declare(parser, mass=0.1, damping=1.0, rate=500.0, gain=Interval(0.5, 60.0))
-    parser.add_argument("--points", type=int, default=24, help="gains, in geometric steps (default: %(default)s)")
+    parser.add_argument("--points", type=whole(2, 100_000), default=24, help="gains, in geometric steps (default: %(default)s)")
     parser.add_argument("--resolution", type=positive, default=2.3e-5, help="Touch X's resolution [m]")
     parser.add_argument("--friction", type=not_negative, default=0.06, help="its friction [N], a remembered figure")
-    parser.add_argument("--horizon", type=int, default=2500, help="of a drop [ticks] (default: %(default)s)")
+    parser.add_argument("--horizon", type=whole(1, 10**8), default=2500, help="of a drop [ticks] (default: %(default)s)")
     add_sweep(parser)
     add_answer(parser, run)
 
@@ -36,8 +36,8 @@ def _setting(arguments: argparse.Namespace) -> Setting:
     from sim.paper.fig4 import Setting
 
     low, high = arguments.gain
-    if not 0.0 < low < high or arguments.points < 2:
-        raise UsageError(f"--gain {low:g}..{high:g} --points {arguments.points}: needs 0 < LOW < HIGH and 2 points")
+    if not 0.0 < low < high:
+        raise UsageError(f"--gain {low:g}..{high:g}: needs 0 < LOW < HIGH")
     try:
         criterion = Criterion(arguments.horizon)
     except ValueError as error:

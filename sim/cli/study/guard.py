@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from messages.errors import UsageError
-from nodes.cli.quantities import declare, not_negative, positive
+from nodes.cli.quantities import SECONDS, declare, not_negative, positive, whole
 from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, new_figure, save_figure, styled, threshold
 from sim.cli.answers import add_answer, report
 from sim.cli.sweeps import add_spread, spread
@@ -28,8 +28,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--low", type=positive, default=500.0, help="softest wall [N/m] (default: %(default)s)")
     parser.add_argument("--high", type=positive, default=16000.0, help="stiffest wall [N/m] (default: %(default)s)")
-    parser.add_argument("--points", type=int, default=21, help="walls between them (default: %(default)s)")
-    parser.add_argument("--duration", type=positive, default=6.0, help="length of a drop [s] (default: %(default)s)")
+    parser.add_argument("--points", type=whole(1, 100_000), default=21, help="walls between them (default: %(default)s)")
+    parser.add_argument("--duration", type=SECONDS, default=6.0, help="length of a drop [s] (default: %(default)s)")
     add_spread(parser)
     add_answer(parser, run)
 

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from messages.errors import RefusedError, UsageError
+from nodes.cli.quantities import whole
 from nodes.recording.writer import RecordError
 from sim.cli.answers import add_answer, report
 
@@ -15,7 +16,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     hand = parser.add_mutually_exclusive_group()
     hand.add_argument("--held", dest="held", action="store_true", default=None, help="a hand held the device")
     hand.add_argument("--free", dest="held", action="store_false", help="no hand did (default: finds out)")
-    parser.add_argument("--window", type=int, default=100, help="length of a window [ticks] (default: %(default)s)")
+    parser.add_argument("--window", type=whole(20, 5000), default=100, help="length of a window [ticks] (default: %(default)s)")
     add_answer(parser, run, files=False)
 
 
@@ -25,8 +26,6 @@ def run(arguments: argparse.Namespace) -> int:
     from sim.identify.identified_text import figures, text
     from sim.identify.identify import identify
 
-    if not 20 <= arguments.window <= 5000:
-        raise UsageError(f"--window {arguments.window}: between 20 and 5000 ticks")
     try:
         experiment = read(arguments.recording, arguments.axis)
     except (RecordError, OSError) as error:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from messages.errors import UsageError
-from nodes.cli.quantities import Interval, declare, declare_law
+from nodes.cli.quantities import Interval, declare, declare_law, whole
 from nodes.laws import CompiledLaw, Law
 from nodes.recording.figure_style import label_ends, new_figure, save_figure, styled
 from nodes.stability.k_max import KMax, k_max, with_spring, without_spring
@@ -30,7 +30,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("--law", default="pd", help="kind, preset or YAML mapping (default: %(default)s)")
     declare(parser, gain=Interval())
-    parser.add_argument("--points", type=int, default=41, help="points of a range of gains (default: %(default)s)")
+    parser.add_argument("--points", type=whole(2, 100_000), default=41, help="of a range of gains (default: %(default)s)")
     parser.add_argument(
         "--method",
         choices=("closed_form", "pole_radius", "simulation", "lockstep"),
@@ -45,9 +45,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         default="penetration",
         help="what feeds the law outside contact in a simulated drop (default: %(default)s)",
     )
-    parser.add_argument("--horizon", type=int, default=2500, help="ticks of a simulated run (default: %(default)s)")
+    parser.add_argument("--horizon", type=whole(1, 10**8), default=2500, help="ticks of a simulated run (default: %(default)s)")
     parser.add_argument(
-        "--grid", type=int, default=257, help="stiffnesses that lockstep bisects, K_max/2 to 2 K_max (default: %(default)s)"
+        "--grid", type=whole(2, 10**6), default=257, help="stiffnesses that lockstep bisects, K_max/2 to 2 K_max (default: 257)"
     )
     declare_law(parser)
     shared.add_device(parser)
@@ -110,8 +110,6 @@ def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Plant) 
     from sim.measure.measured_launch import MeasurementError
     from sim.measure.stopwatch import Progress
 
-    if arguments.grid < 2:
-        raise UsageError(f"--grid {arguments.grid}: expected at least 2")
     law = shared.law(arguments, arguments.law, gain)
     try:
         guess = _simulated(arguments, without_spring(law, device.period), device).k_max_n_per_m
@@ -181,8 +179,6 @@ def _figures(found: KMax) -> dict[str, Any]:
 
 def _boundary(arguments: argparse.Namespace, device: Plant) -> int:
     low, high = arguments.gain
-    if arguments.points < 2:
-        raise UsageError(f"--points {arguments.points}: a range needs at least 2")
     gains = [low + (high - low) * i / (arguments.points - 1) for i in range(arguments.points)]
     laws = [shared.law(arguments, arguments.law, gain) for gain in gains]
     found = spread(arguments, [partial(_found, _method(arguments), law, device) for law in laws])

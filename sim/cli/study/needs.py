@@ -7,7 +7,7 @@ from dataclasses import asdict
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from messages.errors import UsageError
+from nodes.cli.quantities import whole
 from sim.cli.answers import add_answer, report
 from sim.cli.sweeps import add_spread, spread
 
@@ -25,7 +25,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scenario", help="name of a launch file, or the path of one")
     parser.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
     parser.add_argument(
-        "--rounds", type=int, default=5, help="interleaved rounds of timing; 0 times nothing (default: %(default)s)"
+        "--rounds", type=whole(0, 10_000), default=5, help="interleaved rounds of timing; 0 times nothing (default: 5)"
     )
     add_spread(parser)
     add_answer(parser, run)
@@ -33,8 +33,6 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Say whether a scene models enough and no more."""
-    if arguments.rounds < 0:
-        raise UsageError(f"--rounds {arguments.rounds}: at least 0")
     from nodes.launcher import launch_file
     from sim.experiments.needs import needs, spatial_needs
     from sim.measure.stopwatch import Progress

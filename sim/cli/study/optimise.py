@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from messages.errors import UsageError
-from nodes.cli.quantities import declare, interval, positive
+from nodes.cli.quantities import declare, interval, positive, whole
 from nodes.laws import CompiledLaw
 from nodes.laws.multi_term import MultiTerm, Term
 from nodes.recording.figure_style import COLOURS, LINES, OMEGA, new_figure, save_figure, styled
@@ -38,11 +38,11 @@ OUTCOMES = ("converged", "slow", "out_of_range", "diverged")
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     declare(parser, taps=4, gain=3.0)
-    parser.add_argument("--terms", type=int, default=2, help="number of terms (default: %(default)s)")
-    parser.add_argument("--at", type=float, nargs="+", default=[0.1, 0.5], help="frequencies of the targets [ω_N]")
+    parser.add_argument("--terms", type=whole(1, 8), default=2, help="number of terms (default: %(default)s)")
+    parser.add_argument("--at", type=positive, nargs="+", default=[0.1, 0.5], help="frequencies of the targets [ω_N]")
     parser.add_argument("--rates", type=positive, nargs="*", default=[0.003, 0.03, 0.3], help="of the descent")
-    parser.add_argument("--steps", type=int, default=2000, help="of each descent (default: %(default)s)")
-    parser.add_argument("--starts", type=int, default=8, help="orders per axis to start from (default: %(default)s)")
+    parser.add_argument("--steps", type=whole(1, 10**7), default=2000, help="of each descent (default: %(default)s)")
+    parser.add_argument("--starts", type=whole(1, 1000), default=8, help="orders per axis to start from (default: %(default)s)")
     parser.add_argument("--band", type=interval, default=(0.02, 0.55), help="where f = -1 is wanted [ω_N]")
     parser.add_argument("--nyquist", type=positive, nargs="+", default=[1.0, 2.0, 3.05, 4.0], help="bounds on f at Nyquist")
     shared.add_device(parser)

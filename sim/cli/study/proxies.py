@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from messages.errors import UsageError
-from nodes.cli.quantities import declare, not_negative, positive
+from nodes.cli.quantities import SEED, declare, not_negative, positive, whole
 from sim.cli.answers import add_answer, report
 from sim.cli.sweeps import add_spread, spread
 
@@ -15,24 +15,22 @@ _MOST = 7
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--finest", type=int, default=5, help="finest mesh: 20·4ⁿ triangles (default: 5, 20 480)")
-    parser.add_argument("--ticks", type=int, default=5000, help="length of each way (default: 5000)")
+    parser.add_argument("--finest", type=whole(2, _MOST), default=5, help="finest mesh: 20·4ⁿ triangles (default: 5, 20 480)")
+    parser.add_argument("--ticks", type=whole(100, 10_000_000), default=5000, help="length of each way (default: 5000)")
     declare(parser, stiffness=500.0, rate=1000.0)
     parser.add_argument("--depth", type=positive, default=0.004, help="below the surface [m] (default: 0.004)")
     parser.add_argument("--speed", type=positive, default=0.2, help="along the surface [m/s] (default: 0.2)")
     parser.add_argument("--tool", type=not_negative, default=0.0, help="radius of the tool [m] (default: 0)")
-    parser.add_argument("--steps", type=int, default=1_000_000, help="random steps through the plate (default: 1000000)")
-    parser.add_argument("--seed", type=int, default=0, help="of the random steps (default: 0)")
+    parser.add_argument(
+        "--steps", type=whole(1, 10**9), default=1_000_000, help="random steps through the plate (default: 10⁶)"
+    )
+    parser.add_argument("--seed", type=SEED, default=0, help="of the random steps (default: 0)")
     add_spread(parser)
     add_answer(parser, run, files=False)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Compare, and fail when a proxy changed sides."""
-    if not 2 <= arguments.finest <= _MOST:
-        raise UsageError(f"--finest {arguments.finest}: 2 to {_MOST}")
-    if arguments.ticks < 100 or arguments.steps < 1:
-        raise UsageError(f"--ticks {arguments.ticks}, --steps {arguments.steps}: at least 100 and 1")
     if arguments.depth > 0.01:
         raise UsageError(f"--depth {arguments.depth}: at most 0.01 m, in a sphere of 0.05 m")
     from sim.experiments.proxies import PLATE, Way, compared, count, timed, wrong_sides

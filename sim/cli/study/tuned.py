@@ -5,8 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from messages.errors import UsageError
-from nodes.cli.quantities import declare, positive
+from nodes.cli.quantities import COUNT, SECONDS, SEED, declare, positive
 from nodes.recording.figure_style import BAD, COLOURS, MARKERS, legend_above, new_figure, save_figure, styled, threshold
 from sim.cli.answers import add_answer, given, report
 from sim.cli.sweeps import add_sweep, swept
@@ -15,10 +14,10 @@ from sim.results import fresh
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--devices", type=int, default=40, help="how many, half of them inside (default: %(default)s)")
-    parser.add_argument("--seconds", type=positive, default=8.0, help="of each push (default: %(default)s)")
+    parser.add_argument("--devices", type=COUNT, default=40, help="how many, half of them inside (default: %(default)s)")
+    parser.add_argument("--seconds", type=SECONDS, default=8.0, help="of each push (default: %(default)s)")
     declare(parser, rate=500.0, taps=4)
-    parser.add_argument("--seed", type=int, default=1, help="of the population (default: %(default)s)")
+    parser.add_argument("--seed", type=SEED, default=1, help="of the population (default: %(default)s)")
     parser.add_argument("--nyquist", type=positive, default=1e4, help="|H(-1)| allowed [N/m] (default: %(default)g)")
     parser.add_argument(
         "--land",
@@ -38,10 +37,6 @@ def run(arguments: argparse.Namespace) -> int:
     from sim.population.tuned import INSIDE, summary, tune_device
     from sim.population.virtual import KINDS
 
-    if not 1 <= arguments.devices <= 100_000:
-        raise UsageError(f"--devices {arguments.devices}: between 1 and 100000")
-    if arguments.seed < 0:
-        raise UsageError(f"--seed {arguments.seed}: at least 0")
     outside = list(KINDS)
     told = given(arguments, "seed", "seconds", "rate", "taps", "nyquist", "land", "refuted")
     kind = [INSIDE if number % 2 == 0 else outside[number // 2 % len(outside)] for number in range(arguments.devices)]

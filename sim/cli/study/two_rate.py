@@ -5,8 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from messages.errors import UsageError
-from nodes.cli.quantities import declare, not_negative
+from nodes.cli.quantities import declare, not_negative, whole
 from nodes.laws import CompiledLaw
 from nodes.recording.figure_style import label_ends, new_figure, save_figure, styled
 from sim.cli.answers import add_answer, report
@@ -17,7 +16,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     declare(parser, mass=0.1, damping=1.0, delay=1.0, rate=500.0)
     parser.add_argument("--servo", type=not_negative, default=3.0, help="damper of the servo [N s/m] (default: 3)")
-    parser.add_argument("--ratios", type=int, nargs="+", default=[1, 2, 4, 8], help="servo ticks per tick of the loop")
+    parser.add_argument("--ratios", type=whole(1, 1000), nargs="+", default=[1, 2, 4, 8], help="servo ticks a tick of the loop")
     add_answer(parser, run)
 
 
@@ -25,8 +24,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Compare servo rates."""
     from nodes.stability.two_rate import TwoRate, heavy_limit, two_rate_k_max
 
-    if min(arguments.ratios) < 1:
-        raise UsageError(f"--ratios {min(arguments.ratios)}: at least 1")
     period = 1.0 / arguments.rate
     rows = []
     for ratio in arguments.ratios:

@@ -245,15 +245,18 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
     assert len(trail) > begun
     left = [each for each in trail[begun:] if each == pytest.approx([3.0, k], rel=0.02)]
     assert left, "where it was"
-    # Drawn with the trail and without it; beside the dashed way from the dot to the edge, which crosses it.
-    drawn = """([b, k]) => { const { map } = haptic, { canvas, frame: { left, end, right, bottom, top, most }, trail } = map;
-      const place = [left + b / right * (end - left) + 1.5, bottom - k / most * (bottom - top)];
-      const [u, v] = place.map((each) => Math.round(each * devicePixelRatio));
+    # Drawn with the trail and without it, and the dot out of the way, which may be near.
+    drawn = """([b, k]) => { const it = haptic.map, { canvas, trail, map } = it;
       const seen = (trail) => {
-        Object.assign(map, { trail }).draw();
+        Object.assign(it, { trail, map: { ...map, b_n_s_per_m: 0 } }).draw();
+        const { left, end, right, bottom, top, most } = it.frame;
+        const place = [left + b / right * (end - left), bottom - k / most * (bottom - top)];
+        const [u, v] = place.map((each) => Math.round(each * devicePixelRatio));
         return [...canvas.getContext("2d").getImageData(u, v, 1, 1).data];
       };
-      return [[], trail].map(seen); }"""
+      const both = [[], trail].map(seen);
+      Object.assign(it, { map }).draw();
+      return both; }"""
     (red_below, _, blue_below, _), (red, _, blue, _) = page.evaluate(drawn, left[0])
     assert blue - red > blue_below - red_below + 5, "in the device's colour"
     launch.call("driver", "param.set", values={"device.delay": 0.0})

@@ -318,31 +318,29 @@ def test_a_recording_is_looked_at_in_three_dimensions_too(browser: Browser, laun
 def test_bodies_are_where_the_environment_has_them_and_where_a_replay_finds_them(browser: Browser, tmp_path: Path) -> None:
     """A box that is pushed: live from the environment, in a replay from the scene stepped again, which is the same."""
     pytest.importorskip("mujoco")
-    with running(tmp_path, "stack_boxes", "--view", "duration:=0") as launch:
-        with OpenPage(browser, url_of(launch)) as page:
-            wait_for(lambda: page.evaluate("haptic.space.solids?.poses?.length === 4"), "table, tool and two boxes")
-            wait_for(lambda: page.evaluate("haptic.space.solids.poses[2][0]") > 0.055, "the lower box is pushed")
-            wait_for(lambda: page.evaluate("haptic.space.pixels > 0"), "the picture")
-            tool = "Math.hypot(...haptic.space.now.proxy.map((each, k) => each - haptic.space.solids.poses[1][k]))"
-            wait_for(lambda: page.evaluate(tool) < 2e-3, "the tool is the proxy")
-            figures = launch.finish(signal.SIGINT)
-            # A busy page is behind: what came before this line it has drawn.
-            wait_for(lambda: "The run has ended" in shown(page, "#words"), "the end is told")
-            last = page.evaluate("haptic.space.solids.poses.map((pose) => [...pose])")
-        path = tmp_path / figures["recording"]
-    with viewing(tmp_path, "--replay", str(path)) as url, OpenPage(browser, url) as page:
-        end = """() => { const slider = document.getElementById("seek");
-          slider.value = slider.max;
-          slider.dispatchEvent(new Event("input")); }"""
-        page.evaluate(end)
-        wait_for(lambda: page.evaluate("haptic.space.solids?.poses?.[2][0]") > 0.055, "the box where it was pushed to")
+    with running(tmp_path, "stack_boxes", "--view", "duration:=0") as launch, OpenPage(browser, url_of(launch)) as page:
+        wait_for(lambda: page.evaluate("haptic.space.solids?.poses?.length === 4"), "table, tool and two boxes")
+        wait_for(lambda: page.evaluate("haptic.space.solids.poses[2][0]") > 0.055, "the lower box is pushed")
+        wait_for(lambda: page.evaluate("haptic.space.pixels > 0"), "the picture")
+        tool = "Math.hypot(...haptic.space.now.proxy.map((each, k) => each - haptic.space.solids.poses[1][k]))"
+        wait_for(lambda: page.evaluate(tool) < 2e-3, "the tool is the proxy")
+        figures = launch.finish(signal.SIGINT)
+        # A busy page is behind: what came before this line it has drawn.
+        wait_for(lambda: "The run has ended" in shown(page, "#words"), "the end is told")
+        path, poses = tmp_path / figures["recording"], "haptic.space.solids.poses.map((pose) => [...pose])"
+        with viewing(tmp_path, "--replay", str(path)) as url, OpenPage(browser, url) as replayed:
+            end = """() => { const slider = document.getElementById("seek");
+                  slider.value = slider.max;
+                  slider.dispatchEvent(new Event("input")); }"""
+            replayed.evaluate(end)
+            pushed = "haptic.space.solids?.poses?.[2][0]"
+            wait_for(lambda: replayed.evaluate(pushed) > 0.055, "the box where it was pushed to")
 
-        def near() -> bool:
-            found = page.evaluate("haptic.space.solids.poses.map((pose) => [...pose])")
-            # Poses of moments that are at most some ticks apart, of bodies slower than 0.1 m/s.
-            return all(
-                math.dist(a[:3], b[:3]) < 5e-3 and max(abs(x - y) for x, y in zip(a[3:], b[3:], strict=True)) < 0.05
-                for a, b in zip(found, last, strict=True)
-            )
+            def near() -> bool:
+                # Poses of moments that are at most some ticks apart, of bodies slower than 0.1 m/s.
+                return all(
+                    math.dist(a[:3], b[:3]) < 5e-3 and max(abs(x - y) for x, y in zip(a[3:], b[3:], strict=True)) < 0.05
+                    for a, b in zip(replayed.evaluate(poses), page.evaluate(poses), strict=True)
+                )
 
-        wait_for(near, "the same poses")
+            wait_for(near, "the same poses")
