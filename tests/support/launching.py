@@ -25,6 +25,7 @@ __all__ = [
     "HAPTIC",
     "Running",
     "assert_nothing_left",
+    "exit_code",
     "haptic",
     "launch_json",
     "private_runtime_dir",
@@ -71,6 +72,14 @@ def launch_json(
         return launch.finish(code=code)
 
 
+def exit_code(*words: str) -> int:
+    """Run a verb in this process; its exit code, also the parser's for words that it does not take."""
+    try:
+        return main(list(words))
+    except SystemExit as ended:
+        return ended.code if isinstance(ended.code, int) else 1
+
+
 def typed(launch: Running, *words: str, code: int | None = 0) -> subprocess.CompletedProcess[str]:
     """Run a verb in this process, as `Running.haptic` does in one of its own: starting one costs half a second.
 
@@ -86,11 +95,7 @@ def typed(launch: Running, *words: str, code: int | None = 0) -> subprocess.Comp
     ):
         for name, value in launch.environment.items():
             patched.setenv(name, value)
-        try:
-            found = main(list(words))
-        except SystemExit as ended:
-            # The parser's, for words that it does not take.
-            found = ended.code if isinstance(ended.code, int) else 1
+        found = exit_code(*words)
     done = subprocess.CompletedProcess(["haptic", *words], found, out.getvalue(), err.getvalue())
     assert code is None or found == code, f"{done.args}: exit code {found}, expected {code}\n{done.stderr}"
     return done

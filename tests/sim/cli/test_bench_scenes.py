@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from nodes.cli.main import main
+from tests.support.launching import exit_code
 
 
 def test_what_makes_no_sense_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     for words in (["--finest", "8"], ["--rounds", "0"], ["--seconds", "0"]):
-        assert main(["bench", "loop", "--scenes", *words]) == 2
+        assert exit_code("bench", "loop", "--scenes", *words) == 2
         assert words[0] in capsys.readouterr().err

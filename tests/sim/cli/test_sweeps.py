@@ -25,6 +25,7 @@ from sim.population.tuned import summary, true_edge, true_radius
 from sim.population.virtual import KINDS, draw
 from sim.scene.richer import RicherModel
 from sim.tune.knocking import scaled
+from tests.support.launching import exit_code
 from tests.support.pictures import assert_drawn
 
 T = 0.002
@@ -63,7 +64,7 @@ def test_a_joint_that_nobody_knows_of_costs_the_wall(tmp_path: Path, capsys: pyt
 
 @pytest.mark.parametrize("words", [("--share", "1"), ("--taps", "0"), ("--taps", "13")])
 def test_a_device_that_cannot_be_has_no_price(words: tuple[str, ...], tmp_path: Path) -> None:
-    assert main(["study", "price", *words, "--out", str(tmp_path)]) == 2
+    assert exit_code("study", "price", *words, "--out", str(tmp_path)) == 2
 
 
 def recorded(folder: Path, delay: float) -> Path:

@@ -9,6 +9,7 @@ import pytest
 
 from nodes.cli.main import main
 from nodes.environment.shapes.tables import SKIN
+from tests.support.launching import exit_code
 
 # The first run on a machine compiles the geometry.
 pytestmark = pytest.mark.timeout(900)
@@ -39,5 +40,5 @@ def test_the_study_tells_exact_shapes_from_meshes(capsys: pytest.CaptureFixture[
 
 @pytest.mark.parametrize("words", [["--finest", "9"], ["--ticks", "3"], ["--depth", "0.04"]])
 def test_what_makes_no_sense_is_refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["study", "proxies", *words]) == 2
+    assert exit_code("study", "proxies", *words) == 2
     assert words[0] in capsys.readouterr().err

@@ -12,6 +12,7 @@ import pytest
 from nodes.cli.main import main
 from sim.experiments.simulator_speed import NoCompilerError, compile_c, in_c, laws, ours, scene
 from sim.scene.loop import run
+from tests.support.launching import exit_code
 
 
 def test_c_and_nodes_kernels_give_the_same_bits(tmp_path: Path) -> None:
@@ -46,5 +47,5 @@ def test_a_broken_compiler_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_senseless_requests_are_refused() -> None:
-    assert main(["bench", "simulator", "--rounds", "0"]) == 2
-    assert main(["bench", "simulator", "--ticks", "10"]) == 2
+    assert exit_code("bench", "simulator", "--rounds", "0") == 2
+    assert exit_code("bench", "simulator", "--ticks", "10") == 2

@@ -23,7 +23,7 @@ from sim.device.model import DeviceModel
 from sim.experiments.drop import free_scene
 from sim.paper.swing import CannotTellError, _law, counted, dropped, recorded_swing, ringing, windows
 from sim.scene.loop import run
-from tests.support.launching import launch_json
+from tests.support.launching import exit_code, launch_json
 
 T = 0.002
 
@@ -88,7 +88,7 @@ def test_drops_are_counted_law_by_law(capsys: pytest.CaptureFixture[str]) -> Non
     held = {"between_n_per_m": [98.0, 102.0], "k_max_n_per_m": 100.0}
     told = counted([missed, held, {"between_n_per_m": None, "k_max_n_per_m": 100.0}])
     assert (told["drops"], told["told"], told["hold"], told["worst_miss"]) == (3, 2, 1, pytest.approx(0.02))
-    assert main(["study", "edge", "--drops", "0"]) == 2
+    assert exit_code("study", "edge", "--drops", "0") == 2
 
 
 @pytest.mark.parametrize(("theta", "decay"), [(0.2, 0.98), (1.0, 0.999), (0.4, 1.01)])
