@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from nodes.base.setup import Setup
@@ -26,3 +28,19 @@ _USUAL: dict[str, Any] = {
 def setup_of(**given: Any) -> Setup:
     """Make a node's setup."""
     return Setup(**{**_USUAL, **given})
+
+
+class MadeLater:
+    """A file that another node makes while it is waited for: there first, and what is in it later; `asked` counts the looks."""
+
+    def __init__(self, path: Path, make: Callable[[], None]) -> None:
+        self._path, self._make, self.asked = path, make, 0
+
+    def __call__(self) -> bool:
+        """Whether who waits has given up: never."""
+        self.asked += 1
+        if self.asked == 2:
+            self._path.touch()
+        elif self.asked == 3:
+            self._make()
+        return False

@@ -11,7 +11,7 @@ import pytest
 
 from nodes.driver.pointer import PointerReader, PointerWriter, awaited_pointer, pointer_file
 from tests.support.launching import wait_for
-from tests.support.setups import setup_of
+from tests.support.setups import MadeLater, setup_of
 
 
 def test_what_is_written_is_read_and_let_go(tmp_path: Path) -> None:
@@ -29,17 +29,8 @@ def test_what_is_written_is_read_and_let_go(tmp_path: Path) -> None:
 
 
 def test_a_hand_that_the_launch_promises_is_waited_for_and_no_other(tmp_path: Path) -> None:
-    path, asked = pointer_file(tmp_path, "driver"), 0
-
-    def given_up() -> bool:
-        # The file is there first, and what is in it later: as a driver makes it.
-        nonlocal asked
-        asked += 1
-        if asked == 2:
-            path.touch()
-        elif asked == 3:
-            PointerReader(path, 60.0).close()
-        return False
+    path = pointer_file(tmp_path, "driver")
+    given_up = MadeLater(path, lambda: PointerReader(path, 60.0).close())
 
     def awaited(**changed: object) -> Path:
         return awaited_pointer(
@@ -54,9 +45,9 @@ def test_a_hand_that_the_launch_promises_is_waited_for_and_no_other(tmp_path: Pa
     ]
     for none in others:
         assert awaited(**none) == path
-    assert asked == 0
+    assert given_up.asked == 0
     PointerWriter(awaited()).close()
-    assert asked == 3
+    assert given_up.asked == 3
 
 
 def test_a_value_expires(tmp_path: Path) -> None:

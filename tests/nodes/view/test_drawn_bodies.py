@@ -22,7 +22,7 @@ from nodes.recording.writer import RecordWriter
 from nodes.view.drawn_bodies import RecordedBodies, RunningBodies
 from nodes.view.foxglove_scene import SCENE, export_foxglove
 from nodes.view.shape import bodies_of
-from tests.support.setups import setup_of
+from tests.support.setups import MadeLater, setup_of
 
 STATES = [
     DeviceState(
@@ -58,20 +58,11 @@ def test_positions_that_never_reached_the_environment_move_nothing(parameters: d
 def test_bodies_of_an_environment_that_starts_later_are_waited_for(parameters: dict[str, Any], tmp_path: Path) -> None:
     """A page had no bodies for a whole run, where its view was up before the environment had loaded its scene."""
     setup = setup_of(name="environment", run_dir=str(tmp_path), control="ipc:///c", parameters=parameters)
-    path, count, asked = poses_file(tmp_path, "environment"), len(bodies_of(load_world_of(parameters))["bodies"]), 0
-
-    def given_up() -> bool:
-        # The file is there first, and what is in it later: as an environment makes it.
-        nonlocal asked
-        asked += 1
-        if asked == 2:
-            path.touch()
-        elif asked == 3:
-            Poses(path, count, make=True).write(np.ones((count, 3)), np.ones((count, 9)))
-        return False
+    path, count = poses_file(tmp_path, "environment"), len(bodies_of(load_world_of(parameters))["bodies"])
+    given_up = MadeLater(path, lambda: Poses(path, count, make=True).write(np.ones((count, 3)), np.ones((count, 9))))
 
     found = RunningBodies(setup, given_up).news()
-    assert asked == 3
+    assert given_up.asked == 3
     assert found == {"poses": np.ones((count, 12)).tolist()}
 
 
