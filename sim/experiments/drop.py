@@ -177,8 +177,7 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
     bounds = [len(laws) * i // cores for i in range(cores + 1)]
 
     def play(part: int) -> None:
-        sections = recursive if most else None
-        _trials_compiled(bounds[part], bounds[part + 1], ticks, motion, contact, taps, sections, windows, results)
+        _trials_compiled(bounds[part], bounds[part + 1], ticks, motion, contact, taps, recursive, windows, results)
 
     if cores == 1:
         play(0)
