@@ -101,7 +101,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     worker = getattr(item.config, "workerinput", None)
     if worker is None:
         return (yield)
-    with machine(worker["testrunuid"], worker["workerid"], alone=item.get_closest_marker("realtime") is not None):
+    with machine(worker["testrunuid"], alone=item.get_closest_marker("realtime") is not None):
         return (yield)
 
 

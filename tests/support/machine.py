@@ -4,14 +4,26 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import itertools
 import os
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import IO
+
+
+def _either(halves: tuple[IO[str], ...]) -> None:
+    """Hold the half that is free first."""
+    for half in itertools.cycle(halves):
+        with contextlib.suppress(BlockingIOError):
+            fcntl.flock(half, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        time.sleep(0.02)
 
 
 @contextlib.contextmanager
-def machine(run: str, worker: str, alone: bool) -> Iterator[None]:
+def machine(run: str, alone: bool) -> Iterator[None]:
     """Share the machine with the tests of the other workers of a run, or have half of it alone."""
     # Who waits to be alone holds the queue, so that no test begins before it: without it, others would never let it in.
     place = Path(tempfile.gettempdir()) / f"haptic-tests-{os.getuid()}-{run}"
@@ -19,7 +31,7 @@ def machine(run: str, worker: str, alone: bool) -> Iterator[None]:
         fcntl.flock(queue, fcntl.LOCK_EX)
         if alone:
             # A loop in real time sleeps for most of a tick: two of them share the machine, but not with what computes.
-            fcntl.flock((one, other)[int(worker.removeprefix("gw")) % 2], fcntl.LOCK_EX)
+            _either((one, other))
         else:
             fcntl.flock(one, fcntl.LOCK_SH)
             fcntl.flock(other, fcntl.LOCK_SH)
