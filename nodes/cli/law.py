@@ -11,7 +11,6 @@ from nodes.cli.param import FORCE, forced, receipt_text
 from nodes.cli.quantities import declare as declare_quantities
 from nodes.cli.quantities import declare_law, positive, whole
 from nodes.client.launches import ask
-from nodes.parameters.store import ParameterError
 
 OF_LAW = ("stiffness", "gain", "order", "taps", "gains", "derivative")
 OF_LOOP = ("rate", "mass", "heaviest", "damping", "delay", "hand", "launch")  # describe a law and a loop that need not run
@@ -114,17 +113,14 @@ def _show(arguments: argparse.Namespace) -> int:
         # ``law show --launch floor_drop stiffness:=900``: no law named, the first word is an assignment.
         arguments.assignments.insert(0, arguments.law)
         arguments.law = None
-    try:
-        if arguments.launch is not None:
-            figures = _of_launch(arguments)
-        elif arguments.law is not None and _describes(arguments):
-            figures = _described(arguments)
-        else:
-            run, node = chosen_node(arguments)
-            figures = {"run": run.run, "rate_hz": 1.0 / run.nodes[node].period}
-            figures |= ask(run, node, "law.show", law=arguments.law or "")
-    except ParameterError as error:
-        raise UsageError(str(error)) from error
+    if arguments.launch is not None:
+        figures = _of_launch(arguments)
+    elif arguments.law is not None and _describes(arguments):
+        figures = _described(arguments)
+    else:
+        run, node = chosen_node(arguments)
+        figures = {"run": run.run, "rate_hz": 1.0 / run.nodes[node].period}
+        figures |= ask(run, node, "law.show", law=arguments.law or "")
     skipped = {*_NO_PARAMETERS, "masses_kg", "worst_mass_kg", *(key for key, _, _ in ROWS)}
     parameters = ", ".join(
         f"{key} {_short(value)}" for key, value in figures.items() if key not in skipped and not key.startswith("f_")

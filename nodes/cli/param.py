@@ -81,10 +81,7 @@ def _set(arguments: argparse.Namespace) -> int:
     for name, text in zip(words[::2], words[1::2], strict=True):
         if name in values:
             raise UsageError(f"param set {node}: {name} stands twice")
-        try:
-            values[name] = parse_yaml(text, f"{node}.{name}")
-        except ParameterError as error:
-            raise UsageError(str(error)) from error
+        values[name] = parse_yaml(text, f"{node}.{name}")
     receipt = ask(run, node, "param.set", values=values, **forced(arguments))
     return answer(
         arguments.json, {"run": run.run, "node": node, "values": values, "receipt": receipt}, receipt_text(node, receipt)

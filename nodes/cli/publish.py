@@ -14,7 +14,7 @@ from nodes.cli.quantities import between, whole
 from nodes.client.launches import ask, roles
 from nodes.driver.pointer import PointerWriter, pointer_file
 from nodes.launcher.runs import RunInfo
-from nodes.parameters.store import ParameterError, convert
+from nodes.parameters.store import convert
 from nodes.parameters.yaml_io import parse_yaml
 
 WRENCH, TARGET = "/external/wrench", "/external/target"  # a force on top of the law's [N]; where a virtual hand pulls to [m]
@@ -32,14 +32,11 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def _vector(text: str, name: str) -> Vector:
-    try:
-        given = parse_yaml(text, "values")
-        if isinstance(given, dict) and set(given) != {name}:
-            raise UsageError(f"{text}: expected {{{name}: [x, y, z]}}")
-        found: Vector = convert(given[name] if isinstance(given, dict) else given, Vector, name)
-        return found
-    except ParameterError as error:
-        raise UsageError(str(error)) from error
+    given = parse_yaml(text, "values")
+    if isinstance(given, dict) and set(given) != {name}:
+        raise UsageError(f"{text}: expected {{{name}: [x, y, z]}}")
+    found: Vector = convert(given[name] if isinstance(given, dict) else given, Vector, name)
+    return found
 
 
 def _sender(run: RunInfo, arguments: argparse.Namespace) -> Callable[[], Any]:

@@ -13,7 +13,6 @@ from nodes.cli.page import announce
 from nodes.cli.quantities import PORT
 from nodes.client.listen import listening
 from nodes.launcher.runs import RunInfo, alive
-from nodes.parameters.store import ParameterError
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -39,10 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
     from nodes.view.address import check_address
 
-    try:
-        check_address(arguments.address, arguments.port)
-    except ParameterError as error:
-        raise UsageError(str(error)) from error
+    check_address(arguments.address, arguments.port)
     ended: list[int] = []
     try:
         with heeding(ended.append):
@@ -50,8 +46,6 @@ def run(arguments: argparse.Namespace) -> int:
                 return _replay(arguments, ended)
             found = chosen_chain(arguments)
             return _beside(found, arguments, ended)
-    except ParameterError as error:
-        raise UsageError(str(error)) from error
     except OSError as error:
         raise RefusedError(f"port {arguments.port}: {error.strerror or error}") from error
 
