@@ -203,8 +203,8 @@ def _apart(heights: Sequence[float], least: float) -> list[float]:
     return found
 
 
-def threshold(axes: Axes, value: float, name: str, vertical: bool = False) -> None:
-    """Draw a line that decides something, and name it, value and unit included."""
+def threshold(axes: Axes, value: float, name: str, vertical: bool = False, before: bool = False) -> None:
+    """Draw a line that decides something, and name it, value and unit included; the name of a vertical one stands after it."""
     draw = axes.axvline if vertical else axes.axhline
     draw(value, color=INK, lw=0.9, ls=(0, (1, 1.5)))
     place: tuple[float, float] = (value, 0.99) if vertical else (0.01, value)
@@ -214,8 +214,9 @@ def threshold(axes: Axes, value: float, name: str, vertical: bool = False) -> No
         name,
         place,
         xycoords=("data", "axes fraction") if vertical else ("axes fraction", "data"),
-        xytext=(3, -3) if vertical else (0, -3 if high else 3),
+        xytext=(-3 if before else 3, -3) if vertical else (0, -3 if high else 3),
         textcoords="offset points",
+        ha="right" if before else "left",
         fontsize=7.5,
         color=INK,
         va="top" if vertical or high else "bottom",

@@ -100,11 +100,12 @@ class PushedLaunch:
         if self.run.nodes[self.driver].pace != "lockstep":
             yield
             return
-        ask(self.run, self.driver, "stand", seconds=STAND_STILL)
         try:
+            # A launch that has ended is told of by whoever asks it next.
+            with contextlib.suppress(RefusedError):
+                self.change(self.driver, "stand", seconds=STAND_STILL)
             yield
         finally:
-            # A launch that has ended is told of by whoever asks it next.
             with contextlib.suppress(RefusedError), undisturbed():
                 ask(self.run, self.driver, "stand", seconds=0.0)
 

@@ -256,7 +256,8 @@ class Tuning:
         from sim.tune.tuning_page import page
 
         self.keep()
-        (self._options.out / "tune.html").write_text(page(self.record), encoding="utf-8")
+        with contextlib.nullcontext() if self._loop is None else self._loop.standing():
+            (self._options.out / "tune.html").write_text(page(self.record), encoding="utf-8")
 
     @property
     def came_through(self) -> bool:

@@ -190,9 +190,12 @@ def _knocks(record: Mapping[str, Any]) -> Figure | None:
     axes.set(yscale="log", xlabel="stiffness H(1)  [N/m]", ylabel="left of a knock  [1]")
     axes.set_title("what is left of each knock after its window")
     edge = record["predicted"]["edge_linear_h1_n_per_m"]
-    axes.set_xlim(right=1.25 * max(axes.get_xlim()[1], edge))
+    low, high = axes.get_xlim()
+    axes.set_xlim(min(low, 0.8 * h1), 1.25 * max(high, edge))
     threshold(axes, LEFT, f"{LEFT:g}: more is no rest")
-    threshold(axes, h1, "the law", vertical=True)
+    # An edge lies at the law or above it: the names never meet.
+    threshold(axes, h1, "the law", vertical=True, before=True)
     threshold(axes, edge, "pole on the unit circle", vertical=True)
-    axes.legend(loc="center left")
+    if any(steps for _, steps in runs):
+        axes.legend(loc="best")
     return figure
