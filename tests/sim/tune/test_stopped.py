@@ -6,6 +6,7 @@ import itertools
 import json
 import signal
 import threading
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from sim.drill.faults import SteppedClock
 from sim.drill.faulty_device import LATE, SCALE
 from sim.tune.knocking import STRIDE, factor_of
 from sim.tune.live_trial import STOPPED
-from tests.support.launching import running, wait_for
+from tests.support.launching import running, typed, wait_for
 
 T = 0.002
 PEAK = 3.0
@@ -45,8 +46,10 @@ SCENE = {
 }
 
 
-def designed(folder: Path, taps: list[float], edge: float | None = None, first: int = 0, near: int = 60) -> None:
-    """Leave a design and a prediction: a law that rests just so, to be tried from `first` on, in large steps up to `near`."""
+def designed(
+    folder: Path, taps: list[float], edge: float | None = None, first: int = 0, near: int = 60, last: int = 60
+) -> None:
+    """Leave a design and a prediction: a law to be tried from `first` to `last`, in large steps up to `near`."""
     h1 = sum(taps)
     known = None if edge is None else edge * h1
     edges = {"edge_h1_n_per_m": known, "edge_factor": edge, "edge_linear_h1_n_per_m": h1, "edge_linear_factor": 1.0}
@@ -70,7 +73,7 @@ def designed(folder: Path, taps: list[float], edge: float | None = None, first: 
             "every_delay_stable": None,
             "limit_cycle_free": None,
         },
-        "predicted_steps": {"steps": [], "ended": "", "plan": {"first": first, "near": near, "last": 60}},
+        "predicted_steps": {"steps": [], "ended": "", "plan": {"first": first, "near": near, "last": last}},
     }
     (folder / "tuning").mkdir()
     (folder / "tuning" / "tune.json").write_text(json.dumps(told))
@@ -81,7 +84,7 @@ def test_a_trial_that_the_driver_stops_is_a_verdict_and_the_launch_goes_on(tmp_p
     (tmp_path / "held.yaml").write_text(json.dumps(SCENE))
     designed(tmp_path, [20000.0, -19500.0])
     with running(tmp_path, "held.yaml") as launch:
-        launch.haptic("tune", "--steps", "verify", "--json", code=1)
+        typed(launch, "tune", "--steps", "verify", "--json", code=1)
         # It takes forces again, and the launch has its own law back.
         wait_for(lambda: launch.call("driver", "progress")["safety"] == "active", "forces to be back")
         assert launch.call("coupling", "law.list")["active"] == "pd"
@@ -107,17 +110,26 @@ def test_a_trial_that_the_driver_stops_is_a_verdict_and_the_launch_goes_on(tmp_p
             assert all(abs(one.force[0]) <= PEAK * (one.seq - before.seq + 1) / ramp * (1.0 + 1e-15) for one in back)
 
 
-def verified_with(order: str, folder: Path, taps: list[float], edge: float | None = None, first: int = 0) -> str:
+def unrecorded() -> dict[str, Any]:
+    """Make the scene anew, without a recording that nobody reads."""
+    scene: dict[str, Any] = json.loads(json.dumps(SCENE))
+    del scene["nodes"]["logger"]
+    return scene
+
+
+def verified_with(
+    order: str, folder: Path, taps: list[float], edge: float | None = None, first: int = 0, last: int = 60
+) -> str:
     """Try a law on a device that lies about its position; nothing may be delivered. What the verb prints."""
-    scene = json.loads(json.dumps(SCENE))
+    scene = unrecorded()
     driver = scene["nodes"]["driver"]
     driver["kind"] = "faulty_driver"
     driver["parameters"]["order"] = "order"
     (folder / "held.yaml").write_text(json.dumps(scene))
-    designed(folder, taps, edge, first)
+    designed(folder, taps, edge, first, last=last)
     with running(folder, "held.yaml") as launch:
         (folder / "order").write_text(order)
-        done = launch.haptic("tune", "--steps", "verify", code=1)
+        done = typed(launch, "tune", "--steps", "verify", code=1)
         assert launch.call("coupling", "law.list")["active"] == "pd"
         launch.finish(signal.SIGINT)
     assert not (folder / "tuning" / "tuned.yaml").exists()
@@ -126,27 +138,33 @@ def verified_with(order: str, folder: Path, taps: list[float], edge: float | Non
 
 def test_an_encoder_that_is_stuck_is_not_a_device_at_rest(tmp_path: Path) -> None:
     """A position that stands still has nothing left of any knock: every law came to rest, and the stiffest was delivered."""
-    assert "the encoder is stuck" in verified_with("0.0", tmp_path, [800.0, -700.0])
+    assert "the encoder is stuck" in verified_with("0.0", tmp_path, [800.0, -700.0], last=2 * STRIDE)
+
+
+NO = "the law holds                                      NO"
 
 
 @pytest.mark.parametrize(
-    ("lie", "told", "first"),
+    ("lie", "told", "taps", "first"),
     [
-        # A sign: every spring pushes away. A gain: ten times the law that was designed. A delay that jumps by ten ticks.
-        (f"{SCALE}-1", "the law holds                                      NO", 0),
-        (f"{SCALE}10", "the law holds                                      NO", 40),
-        (f"{LATE}10", "the law holds                                      NO", 0),
+        # A sign: every spring pushes away. A gain: ten times the law that was designed, whose edge is a little below it then.
+        # A delay that jumps by ten ticks: the edge is a little below the law, too.
+        (f"{SCALE}-1", NO, [800.0, -700.0], 0),
+        (f"{SCALE}10", NO, [2000.0, -1750.0], -3),
+        (f"{LATE}10", NO, [800.0, -700.0], -6),
         # A quarter of it: every knock rests, far beyond where the model has the edge.
-        (f"{SCALE}0.25", "the device is not the one that was identified", 0),
+        (f"{SCALE}0.25", "the device is not the one that was identified", [800.0, -700.0], 0),
     ],
 )
-def test_a_device_that_lies_while_its_law_is_tried_gets_none(lie: str, told: str, first: int, tmp_path: Path) -> None:
-    assert told in verified_with(lie, tmp_path, [800.0, -700.0], edge=1.5, first=first)
+def test_a_device_that_lies_while_its_law_is_tried_gets_none(
+    lie: str, told: str, taps: list[float], first: int, tmp_path: Path
+) -> None:
+    assert told in verified_with(lie, tmp_path, taps, edge=1.5, first=first, last=3 * STRIDE)
 
 
 def test_a_wall_clock_that_is_set_in_mid_trial_changes_no_verdict(tmp_path: Path) -> None:
     """An hour back, two hours on, five times a second, in every process of the launch and in the verb."""
-    (tmp_path / "held.yaml").write_text(json.dumps(SCENE))
+    (tmp_path / "held.yaml").write_text(json.dumps(unrecorded()))
     designed(tmp_path, [8000.0, -7600.0], first=45, near=45)
     clock, over = SteppedClock(), threading.Event()
 
@@ -164,14 +182,15 @@ def test_a_wall_clock_that_is_set_in_mid_trial_changes_no_verdict(tmp_path: Path
                 if environment:
                     stepping.start()
                 try:
-                    launch.haptic("tune", "--steps", "verify", "--json", code=None)
+                    # The clock is stepped in what starts with it.
+                    verify = launch.haptic if environment else partial(typed, launch)
+                    verify("tune", "--steps", "verify", "--json", code=None)
                 finally:
                     over.set()
                     if environment:
                         stepping.join()
                 launch.finish(signal.SIGINT)
             told = json.loads((tmp_path / "tuning" / "tune.json").read_text())["verified"]
-            (tmp_path / "run.mcap").unlink()
             steps.append([(step["factor"], step["rests"]) for step in told["steps"]])
             over.clear()
     finally:
