@@ -232,10 +232,10 @@ def test_files_of_the_user_beside_the_recording_are_not_imported(tmp_path: Path)
     assert json.loads(done.stdout.splitlines()[-1])["exit_reason"] == "done"
 
 
-LAUNCHES = 8
+LAUNCHES = 5
 
 
-def test_eight_launches_at_once_keep_apart_and_safe(tmp_path: Path) -> None:
+def test_five_launches_at_once_keep_apart_and_safe(tmp_path: Path) -> None:
     """More than the machine has processors for, in one runtime directory: each has its own run, limits and recording."""
     peak = 3.0
     processes = []
