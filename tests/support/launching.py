@@ -32,6 +32,7 @@ __all__ = [
     "processes_of",
     "running",
     "typed",
+    "typed_in",
     "wait_for",
 ]
 
@@ -81,7 +82,14 @@ def exit_code(*words: str) -> int:
 
 
 def typed(launch: Running, *words: str, code: int | None = 0) -> subprocess.CompletedProcess[str]:
-    """Run a verb in this process, as `Running.haptic` does in one of its own: starting one costs half a second.
+    """Run a verb beside a launch in this process, as `Running.haptic` does in one of its own; see `typed_in`."""
+    return typed_in(launch.folder, *words, code=code, environment=launch.environment)
+
+
+def typed_in(
+    folder: Path, *words: str, code: int | None = 0, environment: Mapping[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run a verb in this process, as `haptic` does in one of its own: starting one costs half a second.
 
     For what a verb says, asks and returns. What is of a process (signals, pipes, how it starts) needs one, and so does a
     launch, which writes to the process's own standard error.
@@ -89,11 +97,11 @@ def typed(launch: Running, *words: str, code: int | None = 0) -> subprocess.Comp
     out, err = io.StringIO(), io.StringIO()
     with (
         pytest.MonkeyPatch.context() as patched,
-        contextlib.chdir(launch.folder),
+        contextlib.chdir(folder),
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
     ):
-        for name, value in launch.environment.items():
+        for name, value in (environment or {}).items():
             patched.setenv(name, value)
         found = exit_code(*words)
     done = subprocess.CompletedProcess(["haptic", *words], found, out.getvalue(), err.getvalue())

@@ -7,7 +7,7 @@ import signal
 import subprocess
 from pathlib import Path
 
-from tests.support.launching import DEADLINE, HAPTIC, Running, haptic, running, wait_for
+from tests.support.launching import DEADLINE, HAPTIC, Running, running, typed, typed_in, wait_for
 
 SCENE = """\
 summary: A coupling started by hand
@@ -67,9 +67,9 @@ def test_a_node_started_by_hand_ends_without_its_launcher(tmp_path: Path) -> Non
 
 def test_only_nodes_that_are_waited_for_are_started_by_hand(tmp_path: Path) -> None:
     with running(tmp_path, "floor_drop", "duration:=0") as launch:
-        told = launch.haptic("node", "start", "coupling", code=2).stderr
+        told = typed(launch, "node", "start", "coupling", code=2).stderr
         assert "by_hand: true" in told
-    assert "HOST:PORT" in haptic(tmp_path, "node", "start", "coupling", "--bind", "nowhere", code=2).stderr
+    assert "HOST:PORT" in typed_in(tmp_path, "node", "start", "coupling", "--bind", "nowhere", code=2).stderr
     environment = {**os.environ, "HAPTIC_KEYS": str(tmp_path / "none")}
-    told = haptic(tmp_path, "node", "start", "coupling", "--bind", "10.9.8.7:5600", code=2, environment=environment).stderr
+    told = typed_in(tmp_path, "node", "start", "coupling", "--bind", "10.9.8.7:5600", code=2, environment=environment).stderr
     assert "haptic keys new" in told

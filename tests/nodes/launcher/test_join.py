@@ -22,7 +22,7 @@ from nodes.parameters.paths import LocalPath, check_paths, needed
 from nodes.parameters.store import ParameterError
 from nodes.recording.logger import LoggerParameters
 from sim.measure.free_ports import free_ports
-from tests.support.launching import DEADLINE, HAPTIC, haptic, private_runtime_dir, wait_for
+from tests.support.launching import DEADLINE, HAPTIC, haptic, private_runtime_dir, typed_in, wait_for
 from tests.support.setups import setup_of
 
 if TYPE_CHECKING:
@@ -169,7 +169,7 @@ def test_a_file_of_mine_is_not_overwritten_from_the_wire(
 
 
 def test_a_name_that_is_no_kind_says_which_there_are(tmp_path: Path, me: Identity) -> None:
-    told = haptic(tmp_path, "node", "start", "driver", "--bind", "127.0.0.1:5790", code=2).stderr
+    told = typed_in(tmp_path, "node", "start", "driver", "--bind", "127.0.0.1:5790", code=2).stderr
     assert "--kind" in told
     assert "sim_driver" in told
 

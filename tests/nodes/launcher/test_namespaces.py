@@ -66,7 +66,7 @@ def test_verbs_name_nodes_and_topics_with_their_namespace(two_hands: Running) ->
     found = json.loads(typed(two_hands, "topic", "list", "--json").stdout)["topics"]
     assert {"/left/device/state", "/right/coupling/force", "/left/driver/status"} <= set(found)
     assert typed(two_hands, "topic", "echo", "/right/device/state", "--once").stdout.startswith("seq: ")
-    assert two_hands.haptic("param", "get", "left/coupling", "usual.stiffness").stdout
+    assert typed(two_hands, "param", "get", "left/coupling", "usual.stiffness").stdout
     refused = typed(two_hands, "law", "switch", "pd_alpha", code=2).stderr
     assert "left/coupling, right/coupling" in refused
     assert "--run /left" in refused

@@ -12,7 +12,7 @@ import pytest
 
 from nodes.launcher.runs import MARK, RunError, RunInfo, find_run, is_marked, new_run_dir, runs_dir, sweep, write_run
 from tests.support import ROOT
-from tests.support.launching import haptic, private_runtime_dir, running
+from tests.support.launching import haptic, private_runtime_dir, running, typed
 
 LONG_AGO = 3600.0
 """Age of a directory that no launch is still setting up [s]."""
@@ -118,7 +118,7 @@ def test_a_run_in_a_short_directory_is_stopped_by_its_name(tmp_path: Path) -> No
     file.write_text((ROOT / "launch" / "free_space.yaml").read_text(encoding="utf-8"), encoding="utf-8")
     with running(tmp_path, str(file), "duration:=600") as run:
         assert run.run_dir.name != run.run.run
-        run.haptic("stop")
+        typed(run, "stop")
         assert run.finish(code=130)["exit_reason"] == "stopped by haptic stop"
 
 

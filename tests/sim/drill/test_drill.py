@@ -26,7 +26,7 @@ from sim.drill.soak import UNEXPLAINED, largest, soak
 from sim.measure.measured_launch import within
 from sim.measure.rig import Rig
 from tests.support.devices import real_devices
-from tests.support.launching import HAPTIC, haptic, wait_for
+from tests.support.launching import HAPTIC, typed_in, wait_for
 from tests.support.setups import setup_of
 
 HELD = (0.0, 0.0, 1.0)
@@ -271,11 +271,11 @@ def test_a_launch_that_does_not_recover_fails_the_drill() -> None:
 
 
 def test_verb_lists_refuses_and_answers(tmp_path: Path) -> None:
-    listed = json.loads(haptic(tmp_path, "drill", "--list", "--json").stdout)["faults"]
+    listed = json.loads(typed_in(tmp_path, "drill", "--list", "--json").stdout)["faults"]
     assert {"kill driver", "flood", "clock step", "starvation", "blocked stderr", "hung device"} <= set(listed)
-    refused = haptic(tmp_path, "drill", "earthquake", code=2)
+    refused = typed_in(tmp_path, "drill", "earthquake", code=2)
     assert "no fault is named 'earthquake'" in refused.stderr
-    figures = json.loads(haptic(tmp_path, "drill", "full disk", "--json").stdout.splitlines()[-1])
+    figures = json.loads(typed_in(tmp_path, "drill", "full disk", "--json").stdout.splitlines()[-1])
     assert figures["passed"] is True
     assert figures["drills"][0]["skipped"] or figures["drills"][0]["safe_ticks"] <= figures["limit_ticks"]
 

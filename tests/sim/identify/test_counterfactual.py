@@ -23,7 +23,7 @@ from sim.identify.identify import identify
 from sim.identify.recorded_scene import another_law, rebuild
 from sim.scene.from_launch import from_launch
 from sim.scene.loop import Given, run
-from tests.support.launching import haptic, launch_json
+from tests.support.launching import launch_json, typed_in
 
 STEP = 2.3e-5
 """The encoder step of floor_buzz [m]."""
@@ -40,7 +40,7 @@ def buzz(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 def figures(recording: Path, *words: str) -> dict[str, Any]:
-    done = haptic(recording.parent, "bag", "replay", str(recording), *words, "--json")
+    done = typed_in(recording.parent, "bag", "replay", str(recording), *words, "--json")
     told: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return told
 
@@ -188,15 +188,15 @@ def test_the_hand_that_moved_the_device_is_estimated(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("words", "message"), [(("law:=nothing",), "nothing"), (("stifness:=3",), "stifness")])
 def test_what_cannot_be_replayed_is_refused(buzz: tuple[Path, Path], words: tuple[str, ...], message: str) -> None:
-    done = haptic(buzz[0].parent, "bag", "replay", str(buzz[0]), *words, code=2)
+    done = typed_in(buzz[0].parent, "bag", "replay", str(buzz[0]), *words, code=2)
     assert message in done.stderr
 
 
 def test_a_law_that_is_none_is_refused_before_the_scene_is_rebuilt(buzz: tuple[Path, Path], tmp_path: Path) -> None:
     part = tmp_path / "part.mcap"
-    haptic(tmp_path, "bag", "cut", str(buzz[0]), "--from", "0.1", "--out", str(part), code=0)
+    typed_in(tmp_path, "bag", "cut", str(buzz[0]), "--from", "0.1", "--out", str(part), code=0)
     # Without its first ticks it cannot be rebuilt at all: who hears of the law has not tried.
-    assert "'nope' is not an installed law" in haptic(tmp_path, "bag", "replay", str(part), "law:=nope", code=2).stderr
+    assert "'nope' is not an installed law" in typed_in(tmp_path, "bag", "replay", str(part), "law:=nope", code=2).stderr
 
 
 def test_nothing_read_from_a_recording_names_a_file(buzz: tuple[Path, Path], tmp_path: Path) -> None:

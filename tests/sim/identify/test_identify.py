@@ -19,7 +19,7 @@ from sim.identify.identified import Estimate
 from sim.identify.identified_motion import window
 from sim.identify.identify import identify
 from sim.population.virtual import draw, excite
-from tests.support.launching import haptic, launch_json
+from tests.support.launching import launch_json, typed_in
 
 T = 0.002
 ROUNDING = 1.0 / math.sqrt(12.0)
@@ -178,7 +178,7 @@ def test_ticks_that_were_slept_through_are_bridged() -> None:
 
 def test_study_identify_reads_a_launch(tmp_path: Path) -> None:
     run = launch_json(tmp_path, "identify", "pace:=lockstep", "apply:=next_tick", "delay:=0.4", "duration:=5")
-    done = haptic(tmp_path, "study", "identify", run["recording"], "--json")
+    done = typed_in(tmp_path, "study", "identify", run["recording"], "--json")
     figures = json.loads(done.stdout.splitlines()[-1])
     truth = {
         "mass_kg": 0.1,
@@ -199,7 +199,7 @@ def test_study_identify_reads_a_launch(tmp_path: Path) -> None:
 
 def test_study_identify_of_a_run_without_force(tmp_path: Path) -> None:
     run = launch_json(tmp_path, "free_space", "pace:=lockstep", "duration:=3")
-    done = haptic(tmp_path, "study", "identify", run["recording"], "--json", code=1)
+    done = typed_in(tmp_path, "study", "identify", run["recording"], "--json", code=1)
     figures = json.loads(done.stdout.splitlines()[-1])
     assert figures["mass_kg"]["value"] is None
     assert "force never changed" in figures["mass_kg"]["why"]

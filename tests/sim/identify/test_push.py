@@ -15,7 +15,7 @@ from messages.transport.requests import ControlError
 from nodes.laws import CompiledLaw
 from nodes.laws.excitation import ASTRAY, Excitation, held_back
 from nodes.laws.parse import parse_law
-from tests.support.launching import Running, haptic, running, typed, wait_for
+from tests.support.launching import Running, running, typed, typed_in, wait_for
 
 T = 0.002
 
@@ -59,7 +59,7 @@ def test_three_axes_are_identified_in_three_places_held_by_a_hand(tmp_path: Path
 
 
 def test_device_list_tells_where_it_looked(tmp_path: Path) -> None:
-    listed = json.loads(haptic(tmp_path, "device", "list", "--json").stdout.splitlines()[-1])["devices"]
+    listed = json.loads(typed_in(tmp_path, "device", "list", "--json").stdout.splitlines()[-1])["devices"]
     kinds = {entry["kind"]: entry for entry in listed}
     assert kinds["sim_driver"]["found"] is True
     assert kinds["touch_driver"]["library"]
@@ -69,7 +69,7 @@ def test_device_list_tells_where_it_looked(tmp_path: Path) -> None:
 
 
 def test_a_wrong_push_is_refused_by_its_path(tmp_path: Path) -> None:
-    done = haptic(tmp_path, "device", "identify", "identify", "--amplitude", "-1", "--run", "none", code=2)
+    done = typed_in(tmp_path, "device", "identify", "identify", "--amplitude", "-1", "--run", "none", code=2)
     assert "amplitude" in done.stderr
 
 

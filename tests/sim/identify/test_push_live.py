@@ -39,7 +39,7 @@ def test_identify_on_a_running_launch_and_put_everything_back(tmp_path: Path) ->
         short = typed(launch, "device", "identify", "--duration", "1.2", "--load", "0.981", code=None)
         assert "pushing again, for longer" in short.stderr
         assert parameters(launch) == before
-        done = launch.haptic("device", "identify", "--duration", "6", "--load", "0.981", "--json")
+        done = typed(launch, "device", "identify", "--duration", "6", "--load", "0.981", "--json")
         figures = json.loads(done.stdout.splitlines()[-1])
         assert parameters(launch) == before
         assert before[0] == "pd"
