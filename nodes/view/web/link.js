@@ -10,6 +10,8 @@ export class Link {
     this.number = 0;
     this.pause = 250;
     this.over = false;
+    // When the last message came.
+    this.heard = -Infinity;
     this.connect();
   }
 
@@ -19,7 +21,10 @@ export class Link {
     const socket = this.socket = new WebSocket(url);
     socket.binaryType = "arraybuffer";
     socket.onopen = () => { this.pause = 250; this.handlers.open(); };
-    socket.onmessage = ({ data }) => typeof data === "string" ? this.text(JSON.parse(data)) : this.handlers.frame(decode(data));
+    socket.onmessage = ({ data }) => {
+      this.heard = performance.now();
+      if (typeof data === "string") this.text(JSON.parse(data)); else this.handlers.frame(decode(data));
+    };
     socket.onclose = () => {
       for (const settle of this.waiting.values()) settle({ ok: false, error: "The connection was lost before the answer came." });
       this.waiting.clear();

@@ -273,24 +273,33 @@ addEventListener("keydown", (event) => {
 
 // -- drawing ------------------------------------------------------------------------------------------------------
 
-let plotted = 0, read = 0;
+// As often as the screen while somebody moves something or slow motion runs; else half as often, and not at all where nothing comes.
+const LIVELY = 500, HALF = 30;
+let drawn = 0, plotted = 0, read = 0, touched = 0;
+for (const event of ["pointerdown", "pointermove", "wheel", "keydown", "click", "input", "change", "resize"]) {
+  addEventListener(event, () => { touched = performance.now(); }, { capture: true, passive: true });
+}
+
 function draw(time) {
-  const past = slow.window();
+  requestAnimationFrame(draw);
+  const past = slow.window(), held = scene.held !== null || space.held !== null;
+  const lively = held || (past && past.at < past.sight[1]) || time - touched < LIVELY;
+  if (!lively && (time - link.heard > LIVELY || time - drawn < HALF)) return;
+  drawn = time;
   if (past) { const then = slow.now(past.at); scene.show(then); space.show(then); }
   if ($("space").hidden) scene.draw();
   else {
     space.draw();
     if (space.section) section.draw(space.now, space.turn);
   }
-  // Half as often as the scene: nobody reads a plot faster.
-  if (time - plotted > 30) {
+  // Half as often as the screen: nobody reads a plot faster.
+  if (time - plotted >= HALF) {
     strip.draw(past, beside, scene.now?.t);
     if ($("lab").open) plots.draw();
     plotted = time;
   }
   // In slow motion the figures keep up with the picture.
-  if (time - read > (past ? 30 : 120)) { if ($("space").hidden) scene.read(); else space.read($("reading")); read = time; }
-  requestAnimationFrame(draw);
+  if (time - read > (past ? HALF : 120)) { if ($("space").hidden) scene.read(); else space.read($("reading")); read = time; }
 }
 requestAnimationFrame(draw);
 setInterval(() => { scene.tell(); space.tell(); }, 100);

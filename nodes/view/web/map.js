@@ -1,5 +1,6 @@
 // The map of stability: which K and B of the present kind of law the loop bears, and where the law stands.
 import { digits, figure, fixed, step, unbroken } from "./format.js";
+import { blank } from "./strokes.js";
 import { colour, onTheme } from "./theme.js";
 
 export class StabilityMap {
@@ -94,11 +95,7 @@ export class StabilityMap {
   draw() {
     const { canvas, map } = this;
     if (!map?.edge || !canvas.clientWidth) return;
-    const width = canvas.clientWidth, height = canvas.clientHeight, ratio = devicePixelRatio || 1;
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
-    const g = canvas.getContext("2d");
-    g.setTransform(ratio, 0, 0, ratio, 0, 0);
+    const width = canvas.clientWidth, height = canvas.clientHeight, g = blank(canvas);
     const rows = map.edge.filter(([b]) => this.whole || b <= map.near * 1.0001);
     const most = Math.max(map.k_n_per_m * 1.25, ...rows.map(([, , high]) => (high ?? 0) * 1.12));
     const right = this.whole ? Math.max(...rows.map(([b]) => b)) : map.near;

@@ -1,7 +1,7 @@
 // Draws one axis of the scene on a canvas: wall, trail, hand, coupling, forces. Along the axis u, across it v, in pixels.
 import { colour } from "./theme.js";
 import { digits, fixed, step } from "./format.js";
-import { line } from "./strokes.js";
+import { blank, line } from "./strokes.js";
 
 const ARROW = 110;
 const TRACE_SECONDS = 1.6;
@@ -9,13 +9,9 @@ const STILL = matchMedia("(prefers-reduced-motion: reduce)");
 
 // `view` is what is in sight: upright, middle and half of the axis [m], and whether it is the lens. `it` is what is shown.
 export function paint(canvas, view, it) {
-  const width = canvas.clientWidth, height = canvas.clientHeight, ratio = devicePixelRatio || 1;
+  const width = canvas.clientWidth, height = canvas.clientHeight;
   if (!width || !height) return;
-  if (canvas.width !== Math.round(width * ratio)) canvas.width = Math.round(width * ratio);
-  if (canvas.height !== Math.round(height * ratio)) canvas.height = Math.round(height * ratio);
-  const g = canvas.getContext("2d"), { upright } = view;
-  g.setTransform(ratio, 0, 0, ratio, 0, 0);
-  g.clearRect(0, 0, width, height);
+  const g = blank(canvas), { upright } = view;
   const length = upright ? height : width, breadth = upright ? width : height, scale = length / (2 * view.half);
   const p = { g, upright, length, breadth, scale, lens: view.lens, at: (value) => (value - view.middle) * scale };
   g.translate(width / 2, height / 2);

@@ -1,7 +1,7 @@
 // A plane of section through the device: what it cuts, and device, proxy and force as they lie in it. It says what the plots show.
 import { fixed, step } from "./format.js";
 import { colour } from "./theme.js";
-import { dotAt, line, ring, zigzag } from "./strokes.js";
+import { blank, dotAt, line, ring, zigzag } from "./strokes.js";
 
 const LETTERS = "xyz", ARROW = 0.01;
 
@@ -30,13 +30,11 @@ export class Section {
   // `reach` is half of what is in sight [m], about the middle of the scene; what is nearer goes with the device.
   draw(now, { reach: whole, scale, middle: centre }) {
     const reach = (0.8 * whole) / scale;
-    const { canvas } = this, width = canvas.clientWidth, height = canvas.clientHeight, ratio = devicePixelRatio || 1;
+    const { canvas } = this, width = canvas.clientWidth, height = canvas.clientHeight;
     if (!width || !this.solids || !now?.position.every(Number.isFinite)) return;
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
-    const g = canvas.getContext("2d"), [across, up] = this.axes, pixels = Math.min(width, height) / (2 * reach), middle = scale > 1.2 ? now.position : centre;
+    const g = blank(canvas), [across, up] = this.axes, pixels = Math.min(width, height) / (2 * reach), middle = scale > 1.2 ? now.position : centre;
     const at = (point) => [(point[across] - middle[across]) * pixels, -(point[up] - middle[up]) * pixels];
-    g.setTransform(ratio, 0, 0, ratio, (width * ratio) / 2, (height * ratio) / 2);
+    g.translate(width / 2, height / 2);
     for (const [from, to] of this.lines(now)) line(g, "wall-edge", 2, [at(from), at(to)]);
     dotAt(g, "target", at(now.target), 5);
     line(g, "target", 1, [at(now.position), at(now.target)], [4, 3]);

@@ -1,6 +1,7 @@
 // The force under the scene: the last seconds, with the driver's limit, and the moments at which the limit held it back in red.
 import { colour, onTheme } from "./theme.js";
 import { fixed } from "./format.js";
+import { blank } from "./strokes.js";
 
 const SPAN = 4;
 
@@ -25,12 +26,9 @@ export class Strip {
   // A window of the past and the time in it that the scene shows; without one, what is now. And B, where there is one.
   draw(window = null, beside = null, now = null) {
     const { canvas, store } = this;
-    const width = canvas.clientWidth, height = canvas.clientHeight, ratio = devicePixelRatio || 1;
+    const width = canvas.clientWidth, height = canvas.clientHeight;
     if (!store || !width) return;
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
-    const g = canvas.getContext("2d");
-    g.setTransform(ratio, 0, 0, ratio, 0, 0);
+    const g = blank(canvas);
     // A recording's bins go on past the moment that is shown.
     const last = this.replayed && Number.isFinite(now) ? now : store.end, [from, to] = window ? window.sight : [last - SPAN, last];
     const left = 66, right = width - 10, top = 16, bottom = height - 8;

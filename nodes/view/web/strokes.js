@@ -1,5 +1,15 @@
-// What both pictures of a scene of several axes are drawn with: lines, dots, rings and springs, in pixels.
+// What pictures are drawn with: an empty canvas, lines, dots, rings and springs, in pixels.
 import { colour } from "./theme.js";
+
+// An empty canvas whose unit is a pixel of the page. To give it a size costs a new one: only where it is shown in another.
+export function blank(canvas) {
+  const { clientWidth: width, clientHeight: height } = canvas, ratio = devicePixelRatio || 1;
+  for (const [side, long] of [["width", width], ["height", height]]) if (canvas[side] !== Math.round(long * ratio)) canvas[side] = Math.round(long * ratio);
+  const g = canvas.getContext("2d");
+  g.setTransform(ratio, 0, 0, ratio, 0, 0);
+  g.clearRect(0, 0, width, height);
+  return g;
+}
 
 export function line(g, tint, width, points, dash = []) {
   g.strokeStyle = colour(tint);
