@@ -27,10 +27,17 @@ def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
         yield found
 
 
-@pytest.fixture
-def page(browser: Browser, launch: Running) -> Iterator[Page]:
+@pytest.fixture(scope="module")
+def opened(browser: Browser, launch: Running) -> Iterator[Page]:
     with lab(browser, launch) as found:
         yield found
+
+
+@pytest.fixture
+def page(opened: Page) -> Page:
+    """Give the one page of all tests as it is seen first, though what was looked at before lay farther down."""
+    opened.evaluate("scrollTo(0, 0)")
+    return opened
 
 
 def lab(browser: Browser, launch: Running) -> OpenPage:
@@ -49,6 +56,66 @@ def drag_into_the_wall(page: Page) -> None:
     page.mouse.move(box["x"] + box["width"] / 2, y)
     page.mouse.down()
     page.mouse.move(box["x"] + box["width"] - 8.0, y, steps=10)
+
+
+# Tests with a launch of their own come first: the one that is shared, and its page, would only go on beside them.
+
+
+def test_a_killed_node_is_told_and_a_killed_view_is_found_again(browser: Browser, tmp_path: Path) -> None:
+    """The view comes back at its port with its token, so an open page finds it; a dead coupling is called by its name."""
+    content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
+    content["nodes"]["environment"] |= {"respawn": True, "respawn_delay": 0.0}
+    (tmp_path / "touch.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    words = (str(tmp_path / "touch.yaml"), "--view", "--without", "logger")
+    with running(tmp_path, *words) as launch, lab(browser, launch) as page:
+        wait_for(lambda: "nothing is touched" in shown(page, "#words"), "the loop runs")
+        environment = launch.pid("environment")
+        os.kill(environment, signal.SIGSTOP)
+        wait_for(lambda: "the watchdog has let go" in shown(page, "#words"), "the page tells why there is no force")
+        os.kill(environment, signal.SIGKILL)
+        wait_for(lambda: "nothing is touched" in shown(page, "#words"), "the new environment is seen to answer")
+        view = int(launch.call("view", "status")["pid"])
+        os.kill(view, signal.SIGKILL)
+        wait_for(lambda: "lost its connection" in shown(page, "#notice"), "the page tells that it is alone")
+        wait_for(lambda: not page.locator("#notice").is_visible(), "the page is back")
+        before = bins(page)
+        wait_for(lambda: bins(page) != before, "and sees again")
+        # Nodes say twice a second how they are; a new view has heard nothing of them yet.
+        wait_for(lambda: "coupling" in shown(page, "#nodes"), "the new view has heard of the coupling")
+        os.kill(int(launch.call("coupling", "status")["pid"]), signal.SIGKILL)
+        wait_for(lambda: "coupling: ended with SIGKILL" in shown(page, "#notice"), "the end is told, with its reason")
+        assert "coupling" in shown(page, "#nodes li.silent")
+        assert page.locator("#nodes li.ended").count() == 2
+        assert "Hz" not in shown(page, "#figures")
+        assert "stays here" in shown(page, "#notice")
+        assert page.evaluate("document.getElementById('dial').inert"), "there is no wall to turn any more"
+        assert launch.process.wait(60.0) == 1
+
+
+def test_a_scene_of_several_axes_is_looked_at_along_each(browser: Browser, tmp_path: Path) -> None:
+    words = ("floor_drop", "--view", "--without", "logger", "duration:=0")
+    content = yaml.safe_load(launch_file.find("floor_drop").read_text(encoding="utf-8"))
+    content["run"]["axes"] = ["x", "z"]
+    (tmp_path / "two.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    with running(tmp_path, str(tmp_path / "two.yaml"), *words[1:]) as launch, lab(browser, launch) as page:
+        page.select_option("#axis", "z")
+        wait_for(lambda: "0.00 mm" not in shown(page, "#reading"), "how far it has come along z")
+        page.select_option("#axis", "x")
+        wait_for(lambda: "0.00 mm" in shown(page, "#reading"), "it does not move along x")
+
+
+def test_stop_ends_the_run_and_the_page_keeps_what_it_has(browser: Browser, tmp_path: Path) -> None:
+    with running(tmp_path, "touch_wall", "--view") as launch, lab(browser, launch) as page:
+        page.locator("#stop").click()
+        assert shown(page, "#stop") == "End the run?"
+        page.locator("#stop").click()
+        wait_for(lambda: "The run has ended: stop requested" in shown(page, "#words"), "the end is told")
+        kept = bins(page)
+        figures = launch.finish()
+        assert figures["exit_reason"] == "stop requested"
+        assert bins(page) >= kept > 0
+        replayed = figures["recording"]
+    assert (tmp_path / replayed).exists()
 
 
 def test_it_loads_moves_and_tells_the_map(page: Page, launch: Running) -> None:
@@ -192,22 +259,21 @@ def test_a_wrong_token_and_a_foreign_origin_get_nothing(page: Page, browser: Bro
     assert page.evaluate(script, url.replace("http", "ws") + "live") == "open"
 
 
-def test_a_page_that_is_stopped_costs_the_others_nothing_and_lets_go(browser: Browser, launch: Running) -> None:
-    with lab(browser, launch) as watching:
-        context = browser.new_context()
-        stopped = context.new_page()
-        stopped.goto(url_of(launch))
-        wait_for(lambda: bins(stopped) > 10, "the first picture")
-        drag_into_the_wall(stopped)
-        wait_for(lambda: state(launch)["f"] < -0.2, "the wall pushes back")
-        # As a debugger or a sleeping laptop does: no script runs, nothing is read.
-        session = context.new_cdp_session(stopped)
-        session.send("Debugger.enable")
-        session.send("Debugger.pause")
-        wait_for(lambda: abs(state(launch)["x"]) < 0.003, "the silent page's hand lets go")
-        before = bins(watching)
-        wait_for(lambda: bins(watching) > before + 200, "the other page goes on")
-        context.close()
+def test_a_page_that_is_stopped_costs_the_others_nothing_and_lets_go(page: Page, browser: Browser, launch: Running) -> None:
+    context = browser.new_context()
+    stopped = context.new_page()
+    stopped.goto(url_of(launch))
+    wait_for(lambda: bins(stopped) > 10, "the first picture")
+    drag_into_the_wall(stopped)
+    wait_for(lambda: state(launch)["f"] < -0.2, "the wall pushes back")
+    # As a debugger or a sleeping laptop does: no script runs, nothing is read.
+    session = context.new_cdp_session(stopped)
+    session.send("Debugger.enable")
+    session.send("Debugger.pause")
+    wait_for(lambda: abs(state(launch)["x"]) < 0.003, "the silent page's hand lets go")
+    before = bins(page)
+    wait_for(lambda: bins(page) > before + 200, "the other page goes on")
+    context.close()
 
 
 def test_record_and_undo_buttons_and_pause(page: Page, launch: Running) -> None:
@@ -281,68 +347,10 @@ def test_plots_are_read_and_zoomed_by_mouse_and_fingers(page: Page, browser: Bro
 
 @pytest.mark.parametrize("size", [(390, 844), (1440, 900)])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_it_fits_a_phone_and_the_dark(size: tuple[int, int], scheme: str, browser: Browser, launch: Running) -> None:
-    with lab(browser, launch) as page:
-        page.set_viewport_size({"width": size[0], "height": size[1]})
-        page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
-        wait_for(lambda: page.locator("html").get_attribute("data-theme") == scheme, scheme)
-        assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
-        red, *_ = page.evaluate("getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number)")
-        assert (red < 60) == (scheme == "dark")
-
-
-def test_a_killed_node_is_told_and_a_killed_view_is_found_again(browser: Browser, tmp_path: Path) -> None:
-    """The view comes back at its port with its token, so an open page finds it; a dead coupling is called by its name."""
-    content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
-    content["nodes"]["environment"] |= {"respawn": True, "respawn_delay": 0.0}
-    (tmp_path / "touch.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
-    words = (str(tmp_path / "touch.yaml"), "--view", "--without", "logger")
-    with running(tmp_path, *words) as launch, lab(browser, launch) as page:
-        wait_for(lambda: "nothing is touched" in shown(page, "#words"), "the loop runs")
-        environment = launch.pid("environment")
-        os.kill(environment, signal.SIGSTOP)
-        wait_for(lambda: "the watchdog has let go" in shown(page, "#words"), "the page tells why there is no force")
-        os.kill(environment, signal.SIGKILL)
-        wait_for(lambda: "nothing is touched" in shown(page, "#words"), "the new environment is seen to answer")
-        view = int(launch.call("view", "status")["pid"])
-        os.kill(view, signal.SIGKILL)
-        wait_for(lambda: "lost its connection" in shown(page, "#notice"), "the page tells that it is alone")
-        wait_for(lambda: not page.locator("#notice").is_visible(), "the page is back")
-        before = bins(page)
-        wait_for(lambda: bins(page) != before, "and sees again")
-        # Nodes say twice a second how they are; a new view has heard nothing of them yet.
-        wait_for(lambda: "coupling" in shown(page, "#nodes"), "the new view has heard of the coupling")
-        os.kill(int(launch.call("coupling", "status")["pid"]), signal.SIGKILL)
-        wait_for(lambda: "coupling: ended with SIGKILL" in shown(page, "#notice"), "the end is told, with its reason")
-        assert "coupling" in shown(page, "#nodes li.silent")
-        assert page.locator("#nodes li.ended").count() == 2
-        assert "Hz" not in shown(page, "#figures")
-        assert "stays here" in shown(page, "#notice")
-        assert page.evaluate("document.getElementById('dial').inert"), "there is no wall to turn any more"
-        assert launch.process.wait(60.0) == 1
-
-
-def test_a_scene_of_several_axes_is_looked_at_along_each(browser: Browser, tmp_path: Path) -> None:
-    words = ("floor_drop", "--view", "--without", "logger", "duration:=0")
-    content = yaml.safe_load(launch_file.find("floor_drop").read_text(encoding="utf-8"))
-    content["run"]["axes"] = ["x", "z"]
-    (tmp_path / "two.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
-    with running(tmp_path, str(tmp_path / "two.yaml"), *words[1:]) as launch, lab(browser, launch) as page:
-        page.select_option("#axis", "z")
-        wait_for(lambda: "0.00 mm" not in shown(page, "#reading"), "how far it has come along z")
-        page.select_option("#axis", "x")
-        wait_for(lambda: "0.00 mm" in shown(page, "#reading"), "it does not move along x")
-
-
-def test_stop_ends_the_run_and_the_page_keeps_what_it_has(browser: Browser, tmp_path: Path) -> None:
-    with running(tmp_path, "touch_wall", "--view") as launch, lab(browser, launch) as page:
-        page.locator("#stop").click()
-        assert shown(page, "#stop") == "End the run?"
-        page.locator("#stop").click()
-        wait_for(lambda: "The run has ended: stop requested" in shown(page, "#words"), "the end is told")
-        kept = bins(page)
-        figures = launch.finish()
-        assert figures["exit_reason"] == "stop requested"
-        assert bins(page) >= kept > 0
-        replayed = figures["recording"]
-    assert (tmp_path / replayed).exists()
+def test_it_fits_a_phone_and_the_dark(size: tuple[int, int], scheme: str, page: Page) -> None:
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
+    wait_for(lambda: page.locator("html").get_attribute("data-theme") == scheme, scheme)
+    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    red, *_ = page.evaluate("getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number)")
+    assert (red < 60) == (scheme == "dark")

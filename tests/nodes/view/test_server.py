@@ -63,6 +63,93 @@ def texts(page: ClientConnection, kind: str, **wanted: Any) -> dict[str, Any]:
                 return document
 
 
+# Tests with a launch of their own, or none, come first: the one that is shared would only go on beside them.
+
+
+def test_stop_waits_for_no_node_that_does_not_answer(tmp_path: Path) -> None:
+    """Neither does the end: nobody has to kill a view that still waits for an answer."""
+    with running(tmp_path, "touch_wall", "--view", "--without", "logger") as launch:
+        os.kill(launch.pid("coupling"), signal.SIGSTOP)
+        with live(url_of(launch)) as page:
+            page.send(json.dumps({"id": 1, "op": "law", "field": "stiffness", "value": 900.0}))
+            page.send(json.dumps({"id": 2, "op": "stop"}))
+            answer = texts(page, "answer")
+            assert (answer["id"], answer["ok"]) == (2, True)
+        assert launch.finish()["exit_reason"] == "stop requested"
+        assert "does not end" not in launch.errors
+
+
+def test_other_addresses_are_refused_with_the_ssh_line(tmp_path: Path) -> None:
+    told = haptic(tmp_path, "view", "--address", "0.0.0.0", "--port", "8080", code=2).stderr  # noqa: S104
+    assert "ssh -L 8080:127.0.0.1:8080" in told
+
+
+def test_a_view_hears_a_node_again_after_a_message_above_the_limit(tmp_path: Path) -> None:
+    """The only word that a page has of this node are its statuses, over the connection that breaks."""
+    content = drill_scene()
+    content["nodes"]["link"] = {"kind": "link"}
+    (tmp_path / "linked.yaml").write_text(json.dumps(content), encoding="utf-8")
+    told = tmp_path / "told"
+
+    def heard(status: dict[str, Any]) -> bool:
+        return bool(status["nodes"]["link"]["silent_s"] == 0.0)
+
+    with (
+        running(tmp_path, "./linked.yaml", "--without", "logger") as launch,
+        told.open("w") as file,
+        viewing(tmp_path, environment=launch.environment, stderr=file) as url,
+        live(url) as page,
+    ):
+        wait_for(lambda: "link" in texts(page, "status")["nodes"], "the node")
+        launch.call("link", "param.set", values={"oversize": MAX_MESSAGE + 1})
+        wait_for(lambda: texts(page, "status") and "longer than" in told.read_text(), "the link is connected anew")
+        after = texts(page, "status")["t"] + SILENT_NODE + 1.0
+        wait_for(lambda: (status := texts(page, "status"))["t"] > after and heard(status), "the node again")
+
+
+def test_a_recording_is_replayed_with_a_time_slider(tmp_path: Path) -> None:
+    figures = launch_json(tmp_path, "floor_swap", "pace:=lockstep")
+    with viewing(tmp_path, "--replay", figures["recording"]) as url, live(url) as page:
+        hello = texts(page, "hello")
+        assert (hello["replay"], hello["hand"]) == (True, False)
+        assert (hello["begin_s"], hello["end_s"]) == (0.0, pytest.approx(6.0))
+        assert texts(page, "laws")["active"] == "pd"
+        assert texts(page, "map")["stable"]
+
+        def ask(**request: Any) -> dict[str, Any]:
+            page.send(json.dumps({"id": 1, **request}))
+            return texts(page, "answer")
+
+        # At 3 s PDα renders, at 5 s multi-term, and back again.
+        for t, law in ((3.0, "pd_alpha"), (5.0, "multi_term"), (1.0, "pd")):
+            assert ask(op="seek", t=t)["ok"]
+            assert texts(page, "laws")["active"] == law
+        assert ask(op="pause")["ok"]
+        assert ask(op="speed", factor=4.0)["ok"]
+        assert "this is a recording" in ask(op="law", field="stiffness", value=1.0)["error"]
+        assert "this is a recording" in ask(op="stop")["error"]
+        ask(op="seek", t=6.0)
+        frame = wait_for(lambda: found if isinstance(found := page.recv(timeout=20.0), bytes) else None, "a frame")
+        time, _, _, z = struct.unpack_from("<4d", frame, 16)
+        # At rest under the softer law: the recording's own last position.
+        assert time == pytest.approx(6.0)
+        assert z == pytest.approx(figures["final"]["position_m"], abs=1e-6)
+
+
+def test_a_replay_knows_its_driver_whatever_its_name(tmp_path: Path) -> None:
+    text = (ROOT / "launch" / "floor_drop.yaml").read_text(encoding="utf-8")
+    (tmp_path / "named.yaml").write_text(text.replace("  driver:", "  left_arm:"), encoding="utf-8")
+    figures = launch_json(tmp_path, "named.yaml", "pace:=lockstep", "duration:=0.1")
+    pages = ReplayPages(tmp_path / figures["recording"])
+    assert pages.live.ended == "done"
+
+
+def test_what_cannot_be_replayed_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "text.mcap").write_text("not a recording", encoding="utf-8")
+    assert "text.mcap" in haptic(tmp_path, "view", "--replay", "text.mcap", code=2).stderr
+    assert "none.mcap" in haptic(tmp_path, "view", "--replay", "none.mcap", code=2).stderr
+
+
 def test_only_who_has_the_token_gets_anything(launch: Running) -> None:
     url = url_of(launch)
     root = url.split("/", 3)[0] + "//" + url.split("/")[2]
@@ -148,24 +235,6 @@ def test_a_client_that_reads_nothing_is_dropped_and_costs_no_memory(launch: Runn
         assert memory() - before < 4e6
 
 
-def test_stop_waits_for_no_node_that_does_not_answer(tmp_path: Path) -> None:
-    """Neither does the end: nobody has to kill a view that still waits for an answer."""
-    with running(tmp_path, "touch_wall", "--view", "--without", "logger") as launch:
-        os.kill(launch.pid("coupling"), signal.SIGSTOP)
-        with live(url_of(launch)) as page:
-            page.send(json.dumps({"id": 1, "op": "law", "field": "stiffness", "value": 900.0}))
-            page.send(json.dumps({"id": 2, "op": "stop"}))
-            answer = texts(page, "answer")
-            assert (answer["id"], answer["ok"]) == (2, True)
-        assert launch.finish()["exit_reason"] == "stop requested"
-        assert "does not end" not in launch.errors
-
-
-def test_other_addresses_are_refused_with_the_ssh_line(tmp_path: Path) -> None:
-    told = haptic(tmp_path, "view", "--address", "0.0.0.0", "--port", "8080", code=2).stderr  # noqa: S104
-    assert "ssh -L 8080:127.0.0.1:8080" in told
-
-
 def test_no_command_line_holds_the_token(launch: Running, tmp_path: Path) -> None:
     """Every user of the machine reads the command lines of all others; a browser gets a file that only its own user reads."""
     browser, seen = tmp_path / "browser", tmp_path / "seen"
@@ -239,69 +308,3 @@ def test_a_view_beside_a_launch_sees_the_same(launch: Running) -> None:
         assert texts(page, "hello")["hand"]
         assert texts(page, "laws")["active"] == launch.call("coupling", "law.list")["active"]
         assert texts(page, "status", level="rest")["rate_hz"] >= 0.0
-
-
-def test_a_view_hears_a_node_again_after_a_message_above_the_limit(tmp_path: Path) -> None:
-    """The only word that a page has of this node are its statuses, over the connection that breaks."""
-    content = drill_scene()
-    content["nodes"]["link"] = {"kind": "link"}
-    (tmp_path / "linked.yaml").write_text(json.dumps(content), encoding="utf-8")
-    told = tmp_path / "told"
-
-    def heard(status: dict[str, Any]) -> bool:
-        return bool(status["nodes"]["link"]["silent_s"] == 0.0)
-
-    with (
-        running(tmp_path, "./linked.yaml", "--without", "logger") as launch,
-        told.open("w") as file,
-        viewing(tmp_path, environment=launch.environment, stderr=file) as url,
-        live(url) as page,
-    ):
-        wait_for(lambda: "link" in texts(page, "status")["nodes"], "the node")
-        launch.call("link", "param.set", values={"oversize": MAX_MESSAGE + 1})
-        wait_for(lambda: texts(page, "status") and "longer than" in told.read_text(), "the link is connected anew")
-        after = texts(page, "status")["t"] + SILENT_NODE + 1.0
-        wait_for(lambda: (status := texts(page, "status"))["t"] > after and heard(status), "the node again")
-
-
-def test_a_recording_is_replayed_with_a_time_slider(tmp_path: Path) -> None:
-    figures = launch_json(tmp_path, "floor_swap", "pace:=lockstep")
-    with viewing(tmp_path, "--replay", figures["recording"]) as url, live(url) as page:
-        hello = texts(page, "hello")
-        assert (hello["replay"], hello["hand"]) == (True, False)
-        assert (hello["begin_s"], hello["end_s"]) == (0.0, pytest.approx(6.0))
-        assert texts(page, "laws")["active"] == "pd"
-        assert texts(page, "map")["stable"]
-
-        def ask(**request: Any) -> dict[str, Any]:
-            page.send(json.dumps({"id": 1, **request}))
-            return texts(page, "answer")
-
-        # At 3 s PDα renders, at 5 s multi-term, and back again.
-        for t, law in ((3.0, "pd_alpha"), (5.0, "multi_term"), (1.0, "pd")):
-            assert ask(op="seek", t=t)["ok"]
-            assert texts(page, "laws")["active"] == law
-        assert ask(op="pause")["ok"]
-        assert ask(op="speed", factor=4.0)["ok"]
-        assert "this is a recording" in ask(op="law", field="stiffness", value=1.0)["error"]
-        assert "this is a recording" in ask(op="stop")["error"]
-        ask(op="seek", t=6.0)
-        frame = wait_for(lambda: found if isinstance(found := page.recv(timeout=20.0), bytes) else None, "a frame")
-        time, _, _, z = struct.unpack_from("<4d", frame, 16)
-        # At rest under the softer law: the recording's own last position.
-        assert time == pytest.approx(6.0)
-        assert z == pytest.approx(figures["final"]["position_m"], abs=1e-6)
-
-
-def test_a_replay_knows_its_driver_whatever_its_name(tmp_path: Path) -> None:
-    text = (ROOT / "launch" / "floor_drop.yaml").read_text(encoding="utf-8")
-    (tmp_path / "named.yaml").write_text(text.replace("  driver:", "  left_arm:"), encoding="utf-8")
-    figures = launch_json(tmp_path, "named.yaml", "pace:=lockstep", "duration:=0.1")
-    pages = ReplayPages(tmp_path / figures["recording"])
-    assert pages.live.ended == "done"
-
-
-def test_what_cannot_be_replayed_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "text.mcap").write_text("not a recording", encoding="utf-8")
-    assert "text.mcap" in haptic(tmp_path, "view", "--replay", "text.mcap", code=2).stderr
-    assert "none.mcap" in haptic(tmp_path, "view", "--replay", "none.mcap", code=2).stderr

@@ -47,6 +47,40 @@ def page(browser: Browser, launch: Running) -> Iterator[Page]:
         yield found
 
 
+# A test with a launch of its own comes first: the one that is shared, and its page, would only go on beside it.
+
+
+def test_bodies_are_where_the_environment_has_them_and_where_a_replay_finds_them(browser: Browser, tmp_path: Path) -> None:
+    """A box that is pushed: live from the environment, in a replay from the scene stepped again, which is the same."""
+    pytest.importorskip("mujoco")
+    with running(tmp_path, "stack_boxes", "--view", "duration:=0") as launch, OpenPage(browser, url_of(launch)) as page:
+        wait_for(lambda: page.evaluate("haptic.space.solids?.poses?.length === 4"), "table, tool and two boxes")
+        wait_for(lambda: page.evaluate("haptic.space.solids.poses[2][0]") > 0.055, "the lower box is pushed")
+        wait_for(lambda: page.evaluate("haptic.space.pixels > 0"), "the picture")
+        tool = "Math.hypot(...haptic.space.now.proxy.map((each, k) => each - haptic.space.solids.poses[1][k]))"
+        wait_for(lambda: page.evaluate(tool) < 2e-3, "the tool is the proxy")
+        figures = launch.finish(signal.SIGINT)
+        # A busy page is behind: what came before this line it has drawn.
+        wait_for(lambda: "The run has ended" in shown(page, "#words"), "the end is told")
+        path, poses = tmp_path / figures["recording"], "haptic.space.solids.poses.map((pose) => [...pose])"
+        with viewing(tmp_path, "--replay", str(path)) as url, OpenPage(browser, url) as replayed:
+            end = """() => { const slider = document.getElementById("seek");
+                  slider.value = slider.max;
+                  slider.dispatchEvent(new Event("input")); }"""
+            replayed.evaluate(end)
+            pushed = "haptic.space.solids?.poses?.[2][0]"
+            wait_for(lambda: replayed.evaluate(pushed) > 0.055, "the box where it was pushed to")
+
+            def near() -> bool:
+                # Poses of moments that are at most some ticks apart, of bodies slower than 0.1 m/s.
+                return all(
+                    math.dist(a[:3], b[:3]) < 5e-3 and max(abs(x - y) for x, y in zip(a[3:], b[3:], strict=True)) < 0.05
+                    for a, b in zip(replayed.evaluate(poses), page.evaluate(poses), strict=True)
+                )
+
+            wait_for(near, "the same poses")
+
+
 def test_the_ball_is_where_and_as_large_as_the_geometry_says(page: Page) -> None:
     """Parallel projection: a ball is a disc of its radius about the image of its centre, whatever the camera."""
     for yaw, pitch in ((-0.7, 0.45), (0.9, -0.8)):
@@ -278,7 +312,7 @@ def test_keys_move_the_hand_in_three_dimensions_too(page: Page) -> None:
 def test_it_touches_with_a_cone_and_a_spring(page: Page) -> None:
     """What is drawn when the ball is touched; the hand taps by itself along the first axis, or is pulled there."""
     page.evaluate("haptic.space.held = [0.03, 0.012, 0.0]; haptic.space.tell()")
-    page.evaluate("setInterval(() => { haptic.space.held = [0.03, 0.012, 0.0]; haptic.space.tell(); }, 50)")
+    page.evaluate("window.holding = setInterval(() => { haptic.space.held = [0.03, 0.012, 0.0]; haptic.space.tell(); }, 50)")
 
     def touched() -> Any:
         contact, proxy, normal = page.evaluate(
@@ -293,54 +327,22 @@ def test_it_touches_with_a_cone_and_a_spring(page: Page) -> None:
     before = page.locator("#space").screenshot()
     page.evaluate("haptic.space.turn.yaw += 0.5")
     wait_for(lambda: page.locator("#space").screenshot() != before, "the camera turns")
+    page.evaluate("clearInterval(window.holding); haptic.space.letGo()")
 
 
-def test_a_recording_is_looked_at_in_three_dimensions_too(browser: Browser, launch: Running) -> None:
+def test_a_recording_is_looked_at_in_three_dimensions_too(page: Page, browser: Browser, launch: Running) -> None:
     """The same shape as over the launch, and the poses that were recorded; the run goes on meanwhile."""
     folder = launch.folder
     path = next((folder / "recordings").glob("*.mcap"))
-    with viewing(folder, "--replay", str(path)) as url, OpenPage(browser, url) as page:
-        wait_for(lambda: page.evaluate("haptic.space.pixels > 0"), "the picture")
-        assert page.locator("#space").is_visible()
-        with OpenPage(browser, url_of(launch)) as running_page:
-            wait_for(lambda: running_page.evaluate("haptic.space.pixels > 0"), "the picture")
-            same = [each.evaluate("JSON.stringify(haptic.space.shape)") for each in (page, running_page)]
+    with viewing(folder, "--replay", str(path)) as url, OpenPage(browser, url) as replayed:
+        wait_for(lambda: replayed.evaluate("haptic.space.pixels > 0"), "the picture")
+        assert replayed.locator("#space").is_visible()
+        same = [each.evaluate("JSON.stringify(haptic.space.shape)") for each in (page, replayed)]
         assert same[0] == same[1]
         states = {state.seq: state.position for state in Recording(path).messages(DEVICE_STATE)}
         moment = "({ t: haptic.space.now.t, position: [...haptic.space.now.position] })"
-        page.evaluate("document.getElementById('play').click()")
-        now = wait_for(lambda: page.evaluate(f"haptic.space.now && {moment}"), "a pose")
+        replayed.evaluate("document.getElementById('play').click()")
+        now = wait_for(lambda: replayed.evaluate(f"haptic.space.now && {moment}"), "a pose")
         # One picture of the scene for 60 in a second: its pose is that of a tick just before, of which some may be lost.
         until = round(now["t"] / 0.002)
         assert tuple(now["position"]) in [states.get(seq) for seq in range(until - 20, until + 1)]
-
-
-def test_bodies_are_where_the_environment_has_them_and_where_a_replay_finds_them(browser: Browser, tmp_path: Path) -> None:
-    """A box that is pushed: live from the environment, in a replay from the scene stepped again, which is the same."""
-    pytest.importorskip("mujoco")
-    with running(tmp_path, "stack_boxes", "--view", "duration:=0") as launch, OpenPage(browser, url_of(launch)) as page:
-        wait_for(lambda: page.evaluate("haptic.space.solids?.poses?.length === 4"), "table, tool and two boxes")
-        wait_for(lambda: page.evaluate("haptic.space.solids.poses[2][0]") > 0.055, "the lower box is pushed")
-        wait_for(lambda: page.evaluate("haptic.space.pixels > 0"), "the picture")
-        tool = "Math.hypot(...haptic.space.now.proxy.map((each, k) => each - haptic.space.solids.poses[1][k]))"
-        wait_for(lambda: page.evaluate(tool) < 2e-3, "the tool is the proxy")
-        figures = launch.finish(signal.SIGINT)
-        # A busy page is behind: what came before this line it has drawn.
-        wait_for(lambda: "The run has ended" in shown(page, "#words"), "the end is told")
-        path, poses = tmp_path / figures["recording"], "haptic.space.solids.poses.map((pose) => [...pose])"
-        with viewing(tmp_path, "--replay", str(path)) as url, OpenPage(browser, url) as replayed:
-            end = """() => { const slider = document.getElementById("seek");
-                  slider.value = slider.max;
-                  slider.dispatchEvent(new Event("input")); }"""
-            replayed.evaluate(end)
-            pushed = "haptic.space.solids?.poses?.[2][0]"
-            wait_for(lambda: replayed.evaluate(pushed) > 0.055, "the box where it was pushed to")
-
-            def near() -> bool:
-                # Poses of moments that are at most some ticks apart, of bodies slower than 0.1 m/s.
-                return all(
-                    math.dist(a[:3], b[:3]) < 5e-3 and max(abs(x - y) for x, y in zip(a[3:], b[3:], strict=True)) < 0.05
-                    for a, b in zip(replayed.evaluate(poses), page.evaluate(poses), strict=True)
-                )
-
-            wait_for(near, "the same poses")
