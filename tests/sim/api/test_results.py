@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import doctest
+import functools
 import importlib
 import io
 import pkgutil
@@ -40,13 +41,19 @@ def run(place: Path) -> haptic.Run:
     return started
 
 
+@functools.cache
+def studied() -> Answer:
+    """Ask for the study of all tests once: the slowest of the results, and each of them only looks at it."""
+    return haptic.study("kmax", law="pd", gain="1..5", points=3)
+
+
 MAKERS: dict[str, Callable[[haptic.Run], Result]] = {
     "KMaxResult": lambda _: haptic.k_max(LAW, PLANT),
     "Poles": lambda _: haptic.poles(LAW, PLANT),
     "Played": lambda _: haptic.drop(LAW, PLANT),
     "Recorded": lambda run: run.recording,
     "RunSummary": lambda run: run.summary,
-    "Answer": lambda _: haptic.study("kmax", law="pd", gain="1..5", points=3),
+    "Answer": lambda _: studied(),
 }
 
 
@@ -82,7 +89,7 @@ def test_a_result_shows_draws_and_tabulates_itself(name: str, run: haptic.Run) -
 
 
 def test_an_answer_is_the_rows_of_its_study_and_its_picture(place: Path) -> None:
-    found = haptic.study("kmax", law="pd", gain="1..5", points=3)
+    found = studied()
     assert list(found.to_pandas()["gain"]) == [1.0, 3.0, 5.0]
     assert Path(found["plot"]).exists()
     assert len(found.plot().axes[0].images) == 1
