@@ -31,6 +31,7 @@ from nodes.launcher.runs import RunInfo
 from nodes.parameters.store import convert
 
 TIMEOUT = 10.0  # longest wait for an answer [s]: judging a law of thousands of taps takes seconds
+READ_TIMEOUT = 2.0  # and for what is only read [s]: a node that is started again never answers what its predecessor was asked
 TOGETHER = 1.0  # changes of the same parameters in so short a time are one step of undo: a slider that is drawn [s]
 STEPS = 100  # steps of undo that are kept
 
@@ -71,13 +72,13 @@ class Commander:
             raise CommandError(f"{self._run.run}: no node is named {node!r}; there is: {', '.join(self._run.nodes)}")
         return self._run.nodes[node].control
 
-    def ask(self, node: str, op: str, **args: object) -> Any:
+    def ask(self, node: str, op: str, timeout: float = TIMEOUT, **args: object) -> Any:
         """Ask one node."""
         endpoint = self._endpoint(node)
         if node not in self._lines:
             self._lines[node] = Connection(self._context, endpoint)
         try:
-            return self._lines[node].call(op, TIMEOUT, **args)
+            return self._lines[node].call(op, timeout, **args)
         except (HapticError, ValueError, OverflowError, TypeError, zmq.ZMQError) as error:
             # Beside refusals: an endpoint or key that cannot be used, a value that no message can carry, the end.
             raise CommandError(str(error)) from error
@@ -158,7 +159,9 @@ class Commander:
 
     def device_delay(self) -> float | None:
         """Ask how late the device answers [ticks]; None for one that nobody can tell."""
-        return float(self.ask(self.driver, "param.get", name="device.delay")) if self.delays else None
+        if not self.delays:
+            return None
+        return float(self.ask(self.driver, "param.get", READ_TIMEOUT, name="device.delay"))
 
     def _set_delay(self, ticks: float, beyond: bool = False) -> dict[str, Any]:
         before = self.device_delay()

@@ -39,8 +39,10 @@ def opened(browser: Browser, launch: Running) -> Iterator[Page]:
 
 @pytest.fixture
 def page(opened: Page) -> Page:
-    """Give the one page of all tests as it is seen first, though the lab was open before."""
-    opened.evaluate("document.getElementById('lab').open = false; scrollTo(0, 0)")
+    """Give the one page of all tests as it is seen first, though the lab was open before, or something refused."""
+    opened.evaluate(
+        "document.getElementById('lab').open = false; document.getElementById('refusal').hidden = true; scrollTo(0, 0)"
+    )
     return opened
 
 
@@ -260,6 +262,7 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
         # The map of the delay that was dragged back may come meanwhile, and has another scale.
         dot = """() => { const { map, frame } = haptic.map, { left, end, right, bottom, top, most } = frame;
           return [left + map.b_n_s_per_m / right * (end - left), bottom - map.k_n_per_m / most * (bottom - top)]; }"""
+        box: Any = page.locator("#map").bounding_box()
         u, v = page.evaluate(dot)
         page.mouse.move(box["x"] + u, box["y"] + v)
         page.mouse.down()
