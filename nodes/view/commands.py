@@ -72,7 +72,7 @@ class Commander:
             raise CommandError(f"{self._run.run}: no node is named {node!r}; there is: {', '.join(self._run.nodes)}")
         return self._run.nodes[node].control
 
-    def ask(self, node: str, op: str, timeout: float = TIMEOUT, **args: object) -> Any:
+    def ask(self, node: str, op: str, timeout: float = TIMEOUT, /, **args: object) -> Any:
         """Ask one node."""
         endpoint = self._endpoint(node)
         if node not in self._lines:
