@@ -46,6 +46,13 @@ def page(opened: Page) -> Page:
     return opened
 
 
+@pytest.fixture
+def fresh(browser: Browser, launch: Running) -> Iterator[Page]:
+    """Open a page that nobody has touched yet: what a tour leads through."""
+    with OpenPage(browser, url_of(launch)) as found:
+        yield found
+
+
 def target(launch_page: Page) -> float:
     return float(launch_page.evaluate("haptic.scene.now.target[haptic.scene.axis]"))
 
@@ -396,7 +403,8 @@ def _act(page: Page, by: str) -> None:
 
 
 @pytest.mark.parametrize("by", ["mouse", "keyboard"])
-def test_the_tour_goes_on_when_what_it_asks_for_is_done(by: str, page: Page, launch: Running) -> None:
+def test_the_tour_goes_on_when_what_it_asks_for_is_done(by: str, fresh: Page, launch: Running) -> None:
+    page = fresh
     launch.call("driver", "param.set", values={"device.delay": 0.0})
     launch.call("coupling", "param.set", values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0})
     launch.call("coupling", "law.switch", law="pd")
