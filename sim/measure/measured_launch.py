@@ -44,7 +44,7 @@ def within(condition: Callable[[], Any], longest: float) -> Any:
     """Poll until a condition is true, or the time is over [s]; its last result."""
     until = time.monotonic() + longest
     while not (found := condition()) and time.monotonic() < until:
-        time.sleep(0.01)
+        time.sleep(0.02)
     return found
 
 
