@@ -86,8 +86,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: (item.path in alone, order[item.path]))
 
 
-WORKERS = len(os.sched_getaffinity(0)) + 1
-"""One more than there are processors: a good part of the suite waits, for processes and for real time."""
+WORKERS = len(os.sched_getaffinity(0)) + 2
+"""Two more than there are processors: a good part of the suite waits, for processes and for real time."""
 
 
 def pytest_xdist_auto_num_workers() -> int:
