@@ -18,7 +18,7 @@ import { Space } from "./space.js";
 import { Status } from "./status.js";
 import { Store } from "./store.js";
 import { Strip } from "./strip.js";
-import { startTheme } from "./theme.js";
+import { onTheme, startTheme } from "./theme.js";
 import { Tour } from "./tour.js";
 
 const $ = (id) => document.getElementById(id);
@@ -279,6 +279,7 @@ let drawn = 0, plotted = 0, read = 0, touched = 0;
 for (const event of ["pointerdown", "pointermove", "wheel", "keydown", "click", "input", "change", "resize"]) {
   addEventListener(event, () => { touched = performance.now(); }, { capture: true, passive: true });
 }
+onTheme(() => { touched = performance.now(); });
 
 function draw(time) {
   requestAnimationFrame(draw);
