@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 from unittest import mock
+from weakref import WeakSet
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -71,7 +72,7 @@ def overlaps(figure: Figure) -> list[str]:
 
 @contextmanager
 def checked_figures() -> Iterator[list[str]]:
-    """Check every figure that is saved within a with block.
+    """Check every figure that is saved within a with block, once for all formats: `save_figure` lays it out once, too.
 
     Yields
     ------
@@ -79,11 +80,14 @@ def checked_figures() -> Iterator[list[str]]:
         What `overlaps` found, figure by figure, each line with the name of its file.
     """
     found: list[str] = []
+    looked_at: WeakSet[Figure] = WeakSet()
     save = Figure.savefig
 
     def check(self: Figure, fname: Any, **kwargs: Any) -> None:
         save(self, fname, **kwargs)
-        found.extend(f"{fname}: {line}" for line in overlaps(self))
+        if self not in looked_at:
+            found.extend(f"{fname}: {line}" for line in overlaps(self))
+            looked_at.add(self)
 
     with mock.patch.object(Figure, "savefig", check):
         yield found
