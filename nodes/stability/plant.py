@@ -6,6 +6,7 @@ way, by the series of the matrix exponential, so that each can be tested against
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, replace
 
@@ -126,6 +127,7 @@ def held_plant(plant: Plant) -> HeldPlant:
     return HeldPlant(whole, (new_1, new_0 + old_1, old_0), (1.0, -trace, determinant))
 
 
+@functools.lru_cache(maxsize=1024)  # a search asks for the same few devices thousands of times
 def held_step(plant: Plant) -> tuple[int, tuple[float, float, float, float], tuple[float, float], tuple[float, float]]:
     """Give one tick of m x'' + b x' + k x = u in position and velocity.
 
