@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from nodes.stability.plant import Plant, held_plant
 from sim.arrays import Array
@@ -78,6 +77,8 @@ class Shapes:
 
     def _moved_by(self, force: Array) -> Array:
         """Motion of the model by a force per mass (W, L), from rest in each window."""
+        from scipy.signal import lfilter
+
         plant = held_plant(Plant(self._period, 1.0, float(self._theta[DAMPING]), 0.0, float(self._theta[STIFFNESS])))
         return np.asarray(lfilter([0.0, *plant.numerator[:2]], plant.denominator, force, axis=-1))
 
@@ -87,6 +88,8 @@ class Shapes:
             yield from part()
 
     def _modes(self) -> Iterator[Suspect]:
+        from scipy.signal import lfilter
+
         highest = HIGHEST * 0.5 / self._period
         # 3 % apart: a joint that rings for some ten periods is not missed between two of them.
         for frequency in np.geomspace(LOWEST, highest, 1 + int(np.log(highest / LOWEST) / 0.03)).tolist():
@@ -97,6 +100,8 @@ class Shapes:
                 yield Suspect("flexible mode", frequency, swing[self._rows][None], (0.3, frequency, loss))
 
     def _lags(self) -> Iterator[Suspect]:
+        from scipy.signal import lfilter
+
         for lag in LAGS:
             decay = np.exp(-1.0 / lag)
             mean = (1.0 - decay) * lag
