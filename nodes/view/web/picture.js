@@ -1,7 +1,7 @@
 // Draws one axis of the scene on a canvas: wall, trail, hand, coupling, forces. Along the axis u, across it v, in pixels.
 import { colour } from "./theme.js";
 import { digits, fixed, step } from "./format.js";
-import { blank, line } from "./strokes.js";
+import { blank, line, strokes } from "./strokes.js";
 
 const ARROW = 110;
 const TRACE_SECONDS = 1.6;
@@ -101,9 +101,10 @@ function wall(p, { now, axis, surface, forceScale }) {
   g.fillStyle = colour("wall");
   g.fillRect(-length, -breadth, 2 * length, 2 * breadth);
   g.globalAlpha = 0.22;
-  // Each line goes all the way through what is in sight.
-  const far = length + breadth;
-  for (let v = -breadth - far; v < breadth + far; v += 14) line(g, "wall-edge", 1.5, [[at - 60 * inward, v], [at + inward * far, v + far + 60]]);
+  // As many as cross what is in sight, each all the way through it, and all in one stroke.
+  const far = Math.max(0, length / 2 - inward * at), cross = [];
+  for (let v = 14 * Math.ceil((-breadth / 2 - far) / 14); v < breadth / 2; v += 14) cross.push([[at, v], [at + inward * far, v + far]]);
+  strokes(g, "wall-edge", 1.5, cross);
   g.globalAlpha = 1;
   const push = touches ? Math.min(1, Math.abs(now.force[axis]) / forceScale) : 0;
   if (push > 0) {

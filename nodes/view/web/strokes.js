@@ -12,11 +12,16 @@ export function blank(canvas) {
 }
 
 export function line(g, tint, width, points, dash = []) {
+  strokes(g, tint, width, [points], dash);
+}
+
+// Many lines at the price of one.
+export function strokes(g, tint, width, lines, dash = []) {
   g.strokeStyle = colour(tint);
   g.lineWidth = width;
   g.setLineDash(dash);
   g.beginPath();
-  points.forEach(([u, v], n) => g[n ? "lineTo" : "moveTo"](u, v));
+  for (const points of lines) points.forEach(([u, v], n) => g[n ? "lineTo" : "moveTo"](u, v));
   g.stroke();
   g.setLineDash([]);
 }
