@@ -20,7 +20,7 @@ from nodes.launcher import launch_file
 from nodes.launcher.runs import alive
 from nodes.parameters.store import convert
 from sim.device.driver import SimDevice, SimDriverParameters
-from sim.drill import devices, drill, people
+from sim.drill import devices, drill, intruders, people
 from sim.drill.faults import faults
 from sim.drill.soak import UNEXPLAINED, largest, soak
 from sim.measure.measured_launch import within
@@ -215,7 +215,9 @@ def test_faults_end_safe_recover_and_leave_nothing(name: str) -> None:
         *("hand sinks in", "tune ended", "pressed device"),
     ],
 )
-def test_intruders_libraries_and_people_do_no_harm_and_the_loop_goes_on(name: str) -> None:
+def test_intruders_libraries_and_people_do_no_harm_and_the_loop_goes_on(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    # tests/messages/transport/test_gate.py comes some hundred times to each kind of socket; here it is a whole launch's.
+    monkeypatch.setattr(intruders, "VISITS", 60)
     outcome = drill.drill(next(fault for fault in faults() if fault.name == name))
     assert outcome.passed, outcome.reasons
     assert outcome.left == []
@@ -282,7 +284,7 @@ def test_verb_lists_refuses_and_answers(tmp_path: Path) -> None:
 
 def test_soak_accounts_for_every_message_and_keeps_its_memory() -> None:
     # The short form of haptic drill soak; a busy test machine misses ticks, so that they are not judged.
-    found = soak(10.0, round_seconds=5.0, miss_limit=1.0)
+    found = soak(7.0, round_seconds=3.0, miss_limit=1.0)
     assert found.passed, found.reasons
     assert found.rounds == found.respawns >= 2
     assert found.loggers == 2 * found.rounds
