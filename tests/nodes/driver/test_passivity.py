@@ -368,9 +368,7 @@ def test_credit_of_dissipated_energy_does_not_feed_an_instability() -> None:
 # -- four processes ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("apply", "latency"), [("on_arrival", 0.0), ("next_tick", 0.0), ("on_arrival", 1.0), ("next_tick", 0.3)]
-)
+@pytest.mark.parametrize(("apply", "latency"), [("on_arrival", 0.0), ("on_arrival", 1.0), ("next_tick", 0.3)])
 def test_lockstep_equals_one_process_and_publishes_its_energy(tmp_path: Path, apply: str, latency: float) -> None:
     words = {"pace": "lockstep", "duration": 0.6, "apply": apply, "height": 0.002, "latency": latency}
     figures = launch_json(tmp_path, "floor_guarded", *(f"{name}:={value}" for name, value in words.items()))

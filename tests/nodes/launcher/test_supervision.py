@@ -51,7 +51,6 @@ def reaper(launch: Running) -> int:
         (signal.SIGINT, True, 130),
         (signal.SIGTERM, False, 143),
         # A run without an end of its own is not cut short by whoever ends it.
-        (signal.SIGTERM, False, 0),
         (signal.SIGHUP, False, 0),
     ],
 )
