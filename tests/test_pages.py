@@ -48,7 +48,7 @@ SHORTER = {
     "haptic bench curve": "--rounds 1 --ticks 50",
     "haptic drill": "flood",
     "haptic drill --list": "",
-    "haptic drill soak": "--minutes 0.17 --miss-limit 1",
+    "haptic drill soak": "--minutes 0.17 --miss-limit 1 --json",
     "haptic study kmax --law pd --gain 3 --method lockstep": "--grid 3 --horizon 600",
     "haptic study chart": "--quick --parts kmax",
     "haptic study curved": "--slides 0.02",
@@ -98,6 +98,8 @@ def test_commands_run_as_they_are_written(
                 assert isinstance(figures, dict)
                 if "--scenes" in wanted.words:
                     every_scene_has_its_row(figures["rows"])
+                if wanted.words[:3] == ["haptic", "drill", "soak"]:
+                    every_message_is_accounted_for(figures)
     assert promised(block.prints, said) == [], said
 
 
@@ -110,6 +112,19 @@ def every_scene_has_its_row(rows: list[dict[str, Any]]) -> None:
         assert 0.0 < row["spent_us"]["p50"] <= row["spent_us"]["p99"]
         assert 0.0 < row["response_us"]["p50"] <= row["response_us"]["p99"]
         assert 0 <= row["missed"] <= row["ticks"]
+
+
+def every_message_is_accounted_for(found: dict[str, Any]) -> None:
+    """Judge what the page's soak of ten seconds says, so that no other test soaks; how many ticks are missed is not judged."""
+    assert found["passed"], found["reasons"]
+    assert found["rounds"] == found["respawns"] >= 2
+    assert found["loggers"] == 2 * found["rounds"]
+    assert found["changes"] == 8 * found["rounds"]
+    assert {"driver", "environment", "coupling"} <= set(found["accounts"])
+    assert all(one["lost"] == 0 for one in found["accounts"].values())
+    assert found["accounts"]["driver"]["sent"] > 1000
+    assert found["shared"] > 1000
+    assert sum(found["missed_after"].values()) == sum(found["causes"].values()) == found["missed"] >= found["held_up"]
 
 
 def test_the_pasted_lines_install_launch_and_test() -> None:
