@@ -13,7 +13,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 
 from nodes.arithmetic import fir
@@ -190,7 +189,7 @@ def _play(address: int, normals: Any, position: Any, proxy: Any, force: Any) -> 
     return felt
 
 
-_played: Any = numba.njit(_play)
+_played: Any = compiled()(_play)
 
 
 def time_turning(rounds: int, step: Callable[[str], None]) -> dict[str, Timing]:
