@@ -61,13 +61,12 @@ graph is touch_wall's own; two devices on one law live in real time."""
 WORDS = [(name,) for name in PLAYED] + list(VARIANTS)
 ALIKE = {
     ("two_loggers",),
-    ("floor_drop_fast",),
     ("floor_drop", "law:=designed_d0"),
     ("floor_drop", "law:=designed_d1", "apply:=next_tick"),
     ("floor_drop", "law:=pd_alpha", "rate:=1000"),
 }
-"""Of these the plain tick alone: compiled they run the code of floor_drop and its multi_term, beside two loggers, at another
-rate, and with taps of other values; pd_alpha is compiled in floor_buzz."""
+"""Of these the plain tick alone: compiled they run the code of floor_drop and its multi_term, beside two loggers and with taps
+of other values; pd_alpha is compiled in floor_buzz, another rate in floor_drop_fast."""
 
 pytestmark = pytest.mark.timeout(600)  # the kernels are compiled once, which takes minutes on a busy machine
 
