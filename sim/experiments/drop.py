@@ -108,12 +108,13 @@ def _trials(
     first: int, last: int, ticks: int, motion: Motion, contact: Contact, taps: Any, recursive: Any, windows: Any, results: Any
 ) -> None:
     length = taps.shape[1]
-    width = recursive.shape[1]
+    width = 0 if recursive is None else recursive.shape[1]
     for p in range(first, last):
+        own = _row(recursive, p)
         positions = np.empty(ticks)
         forces = np.empty(ticks)
         none = np.empty(0, dtype=np.int64)
-        laws = LawTables(taps[p], np.array([0, length]), recursive[p], np.array([0, width // 2]), none, none)
+        laws = LawTables(taps[p], np.array([0, length]), own, np.array([0, width // 2]), none, none)
         states, history, commands = np.zeros(width // 2), np.zeros(2 * max(length, 2)), np.zeros(motion.waiting)
         records = Records(positions, None, None, None, forces, None)
         play_compiled(ticks, motion, contact, laws, states, history, commands, records, None, _row(windows, p))
@@ -176,7 +177,8 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
     bounds = [len(laws) * i // cores for i in range(cores + 1)]
 
     def play(part: int) -> None:
-        _trials_compiled(bounds[part], bounds[part + 1], ticks, motion, contact, taps, recursive, windows, results)
+        sections = recursive if most else None
+        _trials_compiled(bounds[part], bounds[part + 1], ticks, motion, contact, taps, sections, windows, results)
 
     if cores == 1:
         play(0)

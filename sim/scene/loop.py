@@ -201,6 +201,7 @@ def _played(
         numbered = None if interpreted else numbers_of(own, ticks)
         interpreted, own = numbered is None, own if numbered is None else numbered
     laws = [law, *(swap.law for swap in swaps)]
+    recursive = any(candidate.sections for candidate in laws)
     ring = max(2, memory, *(len(candidate.taps) for candidate in laws))
     taps_from = list(itertools.accumulate((len(candidate.taps) for candidate in laws), initial=0))
     states_from = list(itertools.accumulate((2 * len(candidate.sections) for candidate in laws), initial=0))
@@ -233,8 +234,7 @@ def _played(
         LawTables(
             numbers([tap for candidate in laws for tap in candidate.taps]),
             numbers(taps_from, np.int64),
-            # No sections are a count of none: None is a type, for which all this would be compiled once more.
-            numbers([c for candidate in laws for s in candidate.sections for c in s]),
+            numbers([c for candidate in laws for s in candidate.sections for c in s]) if recursive else None,
             numbers(states_from, np.int64),
             numbers([swap.tick for swap in swaps], np.int64),
             numbers([swap.ramp for swap in swaps], np.int64),
