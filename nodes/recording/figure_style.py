@@ -99,12 +99,8 @@ def save_figure(figure: Figure, path: Path, room: Callable[[Path], Path] = lambd
     """Write a picture as PNG, and beside it as PDF and SVG; `room` makes room for a file, see `sim.results.fresh`."""
     path.parent.mkdir(parents=True, exist_ok=True)
     _write_numbers_plainly(figure)
-    engine = figure.get_layout_engine()
-    if engine is not None:
-        # Once for all formats: each would lay out the panels anew, which took the half of what a picture costs.
-        figure.set_dpi(150)
-        engine.execute(figure)
-        figure.set_layout_engine(None)
+    figure.set_dpi(150)
+    settle_layout(figure)
     for suffix in (".pdf", ".svg", path.suffix):
         # Drawn before it is written: on a full disk matplotlib's PDF loses the reason in an error of its own.
         drawn = io.BytesIO()
@@ -112,6 +108,14 @@ def save_figure(figure: Figure, path: Path, room: Callable[[Path], Path] = lambd
             figure.savefig(drawn, dpi=150, format=suffix.removeprefix("."))
         room(path.with_suffix(suffix)).write_bytes(drawn.getbuffer())
     return path
+
+
+def settle_layout(figure: Figure) -> None:
+    """Lay out a figure once: each file that is written of it would draw all of it once more, for nothing but the layout."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine(None)
 
 
 _fonts = threading.Lock()

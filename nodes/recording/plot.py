@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nodes.recording.accounts import completeness
+from nodes.recording.figure_style import settle_layout
 from nodes.recording.reader import Recording
 from nodes.recording.series import Line, Lines
 from nodes.recording.summary import Summary, summarise
@@ -213,11 +214,7 @@ def figure_of(recording: Recording, start: float | None = None, stop: float | No
 
 def render(figure: Figure, form: str) -> bytes:
     """Write a figure as a file's content; its layout is settled from then on."""
-    engine = figure.get_layout_engine()
-    if engine is not None:
-        # Else matplotlib draws all of it once more, for nothing but the layout: a quarter of what a picture costs.
-        engine.execute(figure)
-        figure.set_layout_engine(None)
+    settle_layout(figure)
     buffer = io.BytesIO()
     figure.savefig(buffer, format=form)
     return buffer.getvalue()

@@ -4,7 +4,7 @@ A term that acts as a force moves the device as any force does; one that the enc
 known up to a factor and a size or two, which are tried on a grid; `judge_fit` compares them with what a fit leaves.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,6 +53,13 @@ def describe(term: str, size: float) -> str:
     return words.format(size * factor)
 
 
+def _filtered(numerator: Sequence[float], denominator: Sequence[float], what: Array) -> Array:
+    """Filter along the last axis; scipy's filters take half a second to load, and a report of a fit needs none."""
+    from scipy.signal import lfilter
+
+    return np.asarray(lfilter(numerator, denominator, what))
+
+
 class Shapes:
     """Shapes of all suspects for one fit."""
 
@@ -77,10 +84,8 @@ class Shapes:
 
     def _moved_by(self, force: Array) -> Array:
         """Motion of the model by a force per mass (W, L), from rest in each window."""
-        from scipy.signal import lfilter
-
         plant = held_plant(Plant(self._period, 1.0, float(self._theta[DAMPING]), 0.0, float(self._theta[STIFFNESS])))
-        return np.asarray(lfilter([0.0, *plant.numerator[:2]], plant.denominator, force, axis=-1))
+        return _filtered([0.0, *plant.numerator[:2]], plant.denominator, force)
 
     def all(self) -> Iterator[Suspect]:
         """Give every suspect at every size."""
@@ -88,24 +93,20 @@ class Shapes:
             yield from part()
 
     def _modes(self) -> Iterator[Suspect]:
-        from scipy.signal import lfilter
-
         highest = HIGHEST * 0.5 / self._period
         # 3 % apart: a joint that rings for some ten periods is not missed between two of them.
         for frequency in np.geomspace(LOWEST, highest, 1 + int(np.log(highest / LOWEST) / 0.03)).tolist():
             pulse = 2.0 * np.pi * frequency
             for loss in LOSSES:
                 plant = held_plant(Plant(self._period, 1.0, 2.0 * loss * pulse, 0.0, pulse * pulse))
-                swing = lfilter([0.0, *plant.numerator[:2]], plant.denominator, self._net)
+                swing = _filtered([0.0, *plant.numerator[:2]], plant.denominator, self._net)
                 yield Suspect("flexible mode", frequency, swing[self._rows][None], (0.3, frequency, loss))
 
     def _lags(self) -> Iterator[Suspect]:
-        from scipy.signal import lfilter
-
         for lag in LAGS:
             decay = np.exp(-1.0 / lag)
             mean = (1.0 - decay) * lag
-            late = lfilter([1.0 - mean, mean - decay], [1.0, -decay], self._force)
+            late = _filtered([1.0 - mean, mean - decay], [1.0, -decay], self._force)
             # The same mean delay without a lag is what the model has already.
             shape = self._moved_by((late - self._force)[self._rows])
             yield Suspect("actuator lag", lag * self._period * 1e3, shape[None], (lag,))
