@@ -117,6 +117,7 @@ def forces_of(place: Path, figures: dict[str, Any]) -> list[float]:
     return [float(state.force[2]) for state in Recording(place / figures["recording"]).messages(DEVICE_STATE)][1:]
 
 
+@pytest.mark.slow
 def test_the_second_launch_runs_compiled_and_every_player_keeps_the_changed_rule(changed: Changed) -> None:
     first, said = changed.launch("pace:=lockstep")
     assert first["tick"] == "plain"

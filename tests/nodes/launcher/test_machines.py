@@ -323,6 +323,7 @@ def assert_clock_told(text: str, ahead: float) -> None:
     assert abs(float(told[1]) - ahead) <= (int(told[2]) + 1) * 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("node", ["driver", "coupling"])
 def test_a_killed_node_is_taken_back_by_the_same_command(pair: Pair, node: str) -> None:
     with launched(pair, node, {"duration": 0.0}, respawn=True) as launch:
@@ -387,6 +388,7 @@ def test_a_cable_cut_for_a_moment_costs_forces_but_no_node(pair: Pair) -> None:
     pair.assert_nothing_left()
 
 
+@pytest.mark.slow
 def test_forces_over_a_slow_cable_are_as_old_as_the_cable_makes_them(pair: Pair) -> None:
     pair.cable.delay, pair.cable.jitter, pair.cable.loss = 0.03, 0.005, 0.01
     figures, _ = launch(pair)
@@ -403,6 +405,7 @@ def test_forces_over_a_slow_cable_are_as_old_as_the_cable_makes_them(pair: Pair)
     assert max(told) >= 6.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("node", ["coupling", "driver"] if "HAPTIC_ROUND_TRIP" in os.environ else ["driver"])
 def test_a_launch_starts_over_a_cable_with_a_long_round_trip(pair: Pair, node: str, monkeypatch: pytest.MonkeyPatch) -> None:
     # A first answer takes six of them: more than the second after which it was once given up, each time anew.

@@ -204,6 +204,7 @@ def ice() -> Iterator[Path]:
     group.rmdir()
 
 
+@pytest.mark.slow
 def test_what_not_even_sigkill_ends_does_not_hold_up_the_end(tmp_path: Path, ice: Path) -> None:
     with running(tmp_path, scenario(tmp_path)) as launch:
         (ice / "cgroup.procs").write_text(str(launch.pid("logger")))

@@ -119,6 +119,7 @@ def test_figures_without_a_picture_are_bars() -> None:
     np.testing.assert_array_equal([bar.get_bbox().width for bar in axes.patches], [1.0, 2.0])  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_the_examples_run_and_there_is_one_for_each(place: Path) -> None:
     finder, runner = doctest.DocTestFinder(), doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
     run = set()

@@ -253,6 +253,7 @@ def chart(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
     return folder, answer
 
 
+@pytest.mark.slow
 def test_chart_answers_with_points_and_fronts(chart: tuple[Path, dict[str, Any]]) -> None:
     _, answer = chart
     points = answer["points"]
@@ -265,6 +266,7 @@ def test_chart_answers_with_points_and_fronts(chart: tuple[Path, dict[str, Any]]
     assert answer["machine"]["cpu"]
 
 
+@pytest.mark.slow
 def test_chart_has_every_realisation(chart: tuple[Path, dict[str, Any]]) -> None:
     from nodes.laws.derivatives import derivative_kinds
 
@@ -274,6 +276,7 @@ def test_chart_has_every_realisation(chart: tuple[Path, dict[str, Any]]) -> None
         assert families == set(derivative_kinds())
 
 
+@pytest.mark.slow
 def test_chart_conclusions_are_true_to_the_data(chart: tuple[Path, dict[str, Any]]) -> None:
     folder, answer = chart
     page = (folder / "chart.md").read_text()
@@ -293,6 +296,7 @@ def test_chart_conclusions_are_true_to_the_data(chart: tuple[Path, dict[str, Any
     assert f"{best['name']} is the most accurate" in answer["conclusions"][0]
 
 
+@pytest.mark.slow
 def test_chart_is_drawn(chart: tuple[Path, dict[str, Any]]) -> None:
     folder, answer = chart
     groups = {p["group"] for p in answer["points"]}
@@ -361,6 +365,7 @@ def test_a_stopped_chart_leaves_what_it_has_and_goes_on(
     assert done == ["integrators"]
 
 
+@pytest.mark.slow
 def test_the_panel_of_proxies_has_closed_forms_meshes_and_bodies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["study", "chart", "--parts", "proxies", "--quick", "--json", "--out", str(tmp_path)]) == 0
     answer = json.loads(capsys.readouterr().out.splitlines()[-1])

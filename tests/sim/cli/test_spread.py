@@ -111,7 +111,7 @@ def test_every_study_is_known_to_sweep_or_not() -> None:
         assert ("--cluster" in parser.format_help()) == (name not in ALONE), name
 
 
-@pytest.mark.parametrize("name", TINY)
+@pytest.mark.parametrize("name", [name if name == "kmax" else pytest.param(name, marks=pytest.mark.slow) for name in TINY])
 def test_a_study_gives_the_same_bits_on_a_cluster(
     name: str, cluster: DaskCluster, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -128,6 +128,7 @@ def test_a_study_gives_the_same_bits_on_a_cluster(
     assert study(capsys, *words, *beside, *cluster.options()) == here
 
 
+@pytest.mark.slow
 def test_two_clients_from_python_give_the_same_bits_at_once(
     cluster: DaskCluster, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

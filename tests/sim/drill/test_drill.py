@@ -194,6 +194,10 @@ def test_the_virtual_device_lets_go_after_its_deadline(hold: float | None, let_g
 # -- on real processes ------------------------------------------------------------------------------------------------
 
 
+def slowly(*names: str) -> list[Any]:
+    return [pytest.param(name, marks=pytest.mark.slow) for name in names]
+
+
 @pytest.mark.parametrize("name", ["kill coupling", "stop driver", "dead link", "ticks lost by quota", "killed in start-up"])
 def test_faults_end_safe_recover_and_leave_nothing(name: str) -> None:
     fault = next(fault for fault in faults() if fault.name == name)
@@ -210,9 +214,8 @@ def test_faults_end_safe_recover_and_leave_nothing(name: str) -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        *("oversize message", "impostor", "revoked key", "fd exhaustion", "unruly listeners"),
-        *("driver exits", "slow logger", "stopped reaper"),
-        *("hand sinks in", "tune ended", "pressed device"),
+        *("oversize message", "impostor", "fd exhaustion", "driver exits", "stopped reaper", "hand sinks in"),
+        *slowly("revoked key", "unruly listeners", "slow logger", "tune ended", "pressed device"),
     ],
 )
 def test_intruders_libraries_and_people_do_no_harm_and_the_loop_goes_on(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -226,8 +229,8 @@ def test_intruders_libraries_and_people_do_no_harm_and_the_loop_goes_on(name: st
 @pytest.mark.parametrize(
     "name",
     [
-        *("Touch read blocks", "Touch swapped", "Force Dimension unplugged", "Force Dimension read fails"),
-        *("Inverse3 service dies", "Inverse3 read fails"),
+        *("Touch swapped", "Force Dimension read fails", "Inverse3 service dies"),
+        *slowly("Touch read blocks", "Force Dimension unplugged", "Inverse3 read fails"),
     ],
 )
 def test_faults_of_real_devices_leave_no_force_on_the_arm(name: str) -> None:

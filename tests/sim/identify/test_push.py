@@ -37,6 +37,7 @@ def stands_still(launch: Running) -> None:
     wait_for(lambda: launch.call("driver", "progress")["tick"] > ticks[0], "the loop to go on")
 
 
+@pytest.mark.slow
 def test_three_axes_are_identified_in_three_places_held_by_a_hand(tmp_path: Path) -> None:
     hand = "hand: {mass: 0.1, damping: 3.0, stiffness: 150.0, path: [[0.0, 0.0]]}"
     (tmp_path / "held.yaml").write_text(f"driver: {{device: {{{hand}}}}}", encoding="utf-8")

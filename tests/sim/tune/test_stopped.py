@@ -150,8 +150,8 @@ NO = "the law holds                                      NO"
         # A sign: every spring pushes away. A gain: ten times the law that was designed, whose edge is a little below it then.
         # A delay that jumps by ten ticks: the edge is a little below the law, too.
         (f"{SCALE}-1", NO, [800.0, -700.0], 0),
-        (f"{SCALE}10", NO, [2000.0, -1750.0], -3),
-        (f"{LATE}10", NO, [800.0, -700.0], -6),
+        pytest.param(f"{SCALE}10", NO, [2000.0, -1750.0], -3, marks=pytest.mark.slow),
+        pytest.param(f"{LATE}10", NO, [800.0, -700.0], -6, marks=pytest.mark.slow),
         # A quarter of it: every knock rests, far beyond where the model has the edge.
         (f"{SCALE}0.25", "the device is not the one that was identified", [800.0, -700.0], 0),
     ],
@@ -162,6 +162,7 @@ def test_a_device_that_lies_while_its_law_is_tried_gets_none(
     assert told in verified_with(lie, tmp_path, taps, edge=1.5, first=first, last=3 * STRIDE)
 
 
+@pytest.mark.slow
 def test_a_wall_clock_that_is_set_in_mid_trial_changes_no_verdict(tmp_path: Path) -> None:
     """An hour back, two hours on, five times a second, in every process of the launch and in the verb."""
     (tmp_path / "held.yaml").write_text(json.dumps(unrecorded()))

@@ -51,6 +51,7 @@ def last_line(text: str) -> dict[str, Any]:
     return told
 
 
+@pytest.mark.slow
 def test_other_poses_widen_the_masses_that_a_law_is_designed_for() -> None:
     found = identify(excite(DEVICE, T, 5.0, seed=3))
     _, lightest, heaviest = found.mass.known()
@@ -157,6 +158,7 @@ def test_the_report_and_the_parameters_are_there(tuned: tuple[Path, dict[str, An
     assert run["exit_reason"] == "done"
 
 
+@pytest.mark.slow
 def test_a_new_design_drops_what_was_measured_of_another_law(
     tuned: tuple[Path, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -196,6 +198,7 @@ def softer(folder: Path, factor: float) -> None:
     file.write_text(json.dumps(told), encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_law_that_does_not_rest_is_not_delivered(tuned: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     shutil.copytree(tuned[0] / "tuning", tmp_path / "tuning")
     edge = tuned[1]["verified"]["edge_factor"]
@@ -224,6 +227,7 @@ def state(launch: Running) -> tuple[Any, Any, Any]:
     )
 
 
+@pytest.mark.slow
 def test_a_signal_while_a_law_is_tried_leaves_the_launch_as_it_was(tuned: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     """Here what is told of it; SIGTERM, SIGHUP and SIGKILL are those of the drill, ``tune ended``."""
     shutil.copytree(tuned[0] / "tuning", tmp_path / "tuning")
