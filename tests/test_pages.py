@@ -67,6 +67,9 @@ INSTALLING = [line for block in blocks(README) for line in block.lines if line.s
 SLOW = {
     "nodes/README.md: haptic bench loop",
     "nodes/README.md: haptic drill --list",
+    "nodes/README.md: haptic launch floor_guarded guard:=off",
+    "nodes/ros2/README.md: haptic bench ros2",
+    "sim/README.md: haptic device list",
     "sim/README.md: haptic study chart",
     "sim/README.md: haptic study coverage --outside --devices 2 --seconds 4",
     "sim/README.md: haptic study design --mass 0.05..0.2 --damping 1 --delay 1 --taps 4",

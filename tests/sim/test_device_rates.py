@@ -80,6 +80,7 @@ def turns(request: pytest.FixtureRequest) -> Iterator[Turns]:
     made.show()
 
 
+@pytest.mark.slow
 @pytest.mark.realtime
 @pytest.mark.parametrize("kind", [kind.kind for kind in KINDS])
 def test_a_real_device_misses_no_more_ticks_than_the_virtual_one(kind: str, turns: Turns) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from sim.hands_on.delay import measure
+from tests.support import slowly
 from tests.support.devices import Bench, bench, real_devices
 
 REST = 0.06
@@ -21,7 +22,7 @@ def stand(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("late", [0.0, 0.01])
+@pytest.mark.parametrize("late", slowly([0.0, 0.01], but=[0.01]))
 def test_the_delay_from_force_to_effect_is_told_with_its_uncertainty(
     stand: Bench, late: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,9 +1,18 @@
 """What the tests share."""
 
 import os
+from collections.abc import Container, Iterable
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 FIXTURES = ROOT / "tests" / "fixtures"
 INSTALLED = {"PYTHONPATH": os.pathsep.join([str(FIXTURES / "installed"), os.environ.get("PYTHONPATH", "")])}
 """The environment in which the package of tests/fixtures/installed is installed."""
+
+
+def slowly(values: Iterable[Any], but: Container[Any] = ()) -> list[Any]:
+    """Parametrize a test with values of which all but some are slow: what they try differs in degree."""
+    return [value if value in but else pytest.param(value, marks=pytest.mark.slow) for value in values]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -97,19 +98,32 @@ def test_a_launch_that_could_not_record_is_refused_before_it_starts(tmp_path: Pa
 
 
 def test_an_interrupt_while_the_plot_is_drawn_keeps_the_summary(tmp_path: Path) -> None:
+    # matplotlib reads this when it is loaded, and waits for whoever writes it: so long is the plot being drawn.
+    settings = tmp_path / "matplotlibrc"
+    os.mkfifo(settings)
+    writers: list[int] = []
+
+    def is_read() -> bool:
+        try:
+            writers.append(os.open(settings, os.O_WRONLY | os.O_NONBLOCK))
+        except OSError as error:
+            if error.errno != errno.ENXIO:
+                raise
+        return bool(writers)
+
     with private_runtime_dir() as runtime_dir:
         process = subprocess.Popen(
             [*HAPTIC, "launch", "floor_drop", "pace:=lockstep", "--json"],
             cwd=tmp_path,
-            env={**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime_dir)},
+            env={**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime_dir), "MATPLOTLIBRC": str(settings)},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
         )
-        # The libraries for it are loaded when all the computing is done.
-        maps = Path(f"/proc/{process.pid}/maps")
-        wait_for(lambda: process.poll() is not None or "matplotlib" in maps.read_text(encoding="utf-8"), "the plot")
+        wait_for(is_read, "the plot")
         process.send_signal(signal.SIGINT)
+        # A signal that comes just before the read does not end the read; the end of the file does.
+        os.close(*writers)
         out, told = process.communicate(timeout=DEADLINE)
     figures = json.loads(out.splitlines()[-1])
     assert (process.returncode, figures["ticks"], figures["exit_reason"]) == (0, 1500, "done")

@@ -20,7 +20,7 @@ from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant, held_plant
 from tests.nodes.driver.test_touch import needs_cc, scenario
 from tests.sim.test_stand_ins import SOFT, through
-from tests.support import ROOT
+from tests.support import ROOT, slowly
 from tests.support.devices import Bench, bench
 from tests.support.launching import running, typed, wait_for
 
@@ -115,7 +115,9 @@ def two(tmp_path: Path, stack: ExitStack, kinds: tuple[str, str]) -> list[Bench]
 
 @needs_cc
 @pytest.mark.parametrize(
-    "kinds", [("force_dimension_driver", "force_dimension_driver"), ("inverse3_driver", "touch_driver")], ids="+".join
+    "kinds",
+    [*slowly([("force_dimension_driver", "force_dimension_driver")]), ("inverse3_driver", "touch_driver")],
+    ids="+".join,
 )
 def test_two_chains_of_real_devices_in_one_launch(kinds: tuple[str, str], tmp_path: Path) -> None:
     content = written("summary: Two devices at two walls")
@@ -220,6 +222,7 @@ def _exact(stiffness: float, damping: float, first: Plant, second: Plant) -> flo
     return float(np.abs(poles).max())
 
 
+@pytest.mark.slow
 @needs_cc
 def test_two_launches_with_a_device_each(tmp_path: Path) -> None:
     folders = [tmp_path / name for name in ("a", "b")]

@@ -22,6 +22,7 @@ from nodes.launcher.external_child import DRIFT, ClockOffset
 from nodes.launcher.runs import RunInfo
 from nodes.recording.accounts import accounts, clocks
 from nodes.recording.reader import Recording
+from tests.support import slowly
 from tests.support.launching import DEADLINE, HAPTIC, assert_nothing_left, private_runtime_dir, wait_for
 from tests.support.twohosts import Cable, Host, NoRightsError, two_hosts
 
@@ -287,7 +288,7 @@ def test_lockstep_over_two_machines_answers_every_tick(pair: Pair) -> None:
     assert figures["missed"] == 0
 
 
-@pytest.mark.parametrize("node", ["driver", "environment", "logger"])
+@pytest.mark.parametrize("node", slowly(["driver", "environment", "logger"], but=["driver"]))
 def test_any_other_node_alone_on_another_machine(pair: Pair, node: str) -> None:
     pair.cable.loss = 0.005
     figures, _ = launch(pair, node, rate=50.0, duration=3.0)
@@ -356,7 +357,7 @@ def test_a_killed_node_is_taken_back_by_the_same_command(pair: Pair, node: str) 
     assert abs(answer["clocks"][node]["offset_s"] + pair.far.ahead) <= answer["clocks"][node]["error_s"]
 
 
-@pytest.mark.parametrize("node", ["driver", "coupling"])
+@pytest.mark.parametrize("node", slowly(["driver", "coupling"], but=["coupling"]))
 def test_a_cut_cable_leaves_the_device_safe_and_ends_what_is_behind_it(pair: Pair, node: str) -> None:
     with launched(pair, node, {"duration": 0.0}) as launch:
         launch.await_safety("active")

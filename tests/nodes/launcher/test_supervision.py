@@ -167,6 +167,7 @@ def test_a_logger_that_stops_waits_for_what_its_own_transport_still_holds(tmp_pa
     assert Recording(tmp_path / "run.mcap").topics["/device/state"].messages == figures["ticks"] + 1
 
 
+@pytest.mark.slow
 def test_what_others_keep_from_running_is_waited_for(tmp_path: Path) -> None:
     with running(tmp_path, scenario(tmp_path)) as launch:
         logger = launch.pid("logger")

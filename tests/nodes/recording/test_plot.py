@@ -310,6 +310,7 @@ def test_no_text_lies_over_another_with_several_runs(tmp_path: Path, count: int)
 # -- memory ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_long_recording_is_drawn_in_bounded_memory(tmp_path: Path) -> None:
     peaks = []
     for name, ticks in (("short", 4000), ("long", 40_000)):

@@ -98,6 +98,7 @@ def test_the_shape_comes_once_to_each_who_subscribes_then_what_moves(tmp_path: P
             assert np.ptp(places, axis=0).max() > 0.02
 
 
+@pytest.mark.slow
 def test_bodies_move_for_who_heard_the_beginning(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     # It is pushed away once: only when a client has had the time to come.
@@ -111,6 +112,7 @@ def test_bodies_move_for_who_heard_the_beginning(tmp_path: Path) -> None:
     assert not [one for one in drawn if one["id"] == "left out"]
 
 
+@pytest.mark.slow
 def test_who_comes_late_is_told_that_bodies_are_not_drawn(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     with running(tmp_path, "puck_push", "duration:=0", "--without", "logger") as launch:

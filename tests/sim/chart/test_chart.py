@@ -312,6 +312,7 @@ def test_unknown_part_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--parts speed" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_bench_taps_answers(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["bench", "taps", "--taps", "4,300", "--rounds", "2", "--json", "--out", str(tmp_path)]) == 0
     answer = json.loads(capsys.readouterr().out.splitlines()[-1])

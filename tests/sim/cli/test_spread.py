@@ -22,7 +22,7 @@ import sim.cli.study
 from messages.errors import RefusedError, UsageError
 from nodes.cli.main import main
 from sim.cli.sweeps import add_spread, executor, spread
-from tests.support import ROOT
+from tests.support import ROOT, slowly
 from tests.support.dask_cluster import DaskCluster, dask_cluster, own_address
 from tests.support.launching import wait_for
 
@@ -111,7 +111,7 @@ def test_every_study_is_known_to_sweep_or_not() -> None:
         assert ("--cluster" in parser.format_help()) == (name not in ALONE), name
 
 
-@pytest.mark.parametrize("name", [name if name == "kmax" else pytest.param(name, marks=pytest.mark.slow) for name in TINY])
+@pytest.mark.parametrize("name", slowly(TINY, but=["kmax"]))
 def test_a_study_gives_the_same_bits_on_a_cluster(
     name: str, cluster: DaskCluster, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

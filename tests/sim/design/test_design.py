@@ -34,6 +34,7 @@ from sim.design.passive import certain_damping, stiffest_passive
 from sim.design.recorded_loop import measure, replayed_radius
 from sim.design.robust import stiffest
 from sim.experiments.drop import Criterion, settles
+from tests.support import slowly
 
 T = 0.002
 
@@ -84,7 +85,7 @@ def test_best_pd_is_the_best_of_a_grid(delay: float) -> None:
     assert best >= 0.95 * found.h1_n_per_m
 
 
-@pytest.mark.parametrize("delay", [0.0, 1.0, 2.0])
+@pytest.mark.parametrize("delay", slowly([0.0, 1.0, 2.0], but=[1.0]))
 def test_free_taps_beat_what_they_contain(delay: float) -> None:
     """Four free taps contain PD and the paper's optimum: never softer, and at these delays much stiffer."""
     wanted = demand(delay)
@@ -292,6 +293,7 @@ def test_design_for_a_recorded_run(tmp_path: Path, capsys: pytest.CaptureFixture
     assert figures["replayed_radius"] < 1.0
 
 
+@pytest.mark.slow
 def test_compare_says_who_wins(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sim.design.families.ORDERS", (1.0,))
     monkeypatch.setattr("sim.design.families.CUTOFFS", (0.8,))
@@ -353,6 +355,7 @@ def test_landing_gives_up_where_nothing_keeps_the_demand() -> None:
     assert pd(demand(2.0, mass=(0.01, 5.0), radius=0.9, lands=CONVENTIONS)).found is None
 
 
+@pytest.mark.slow
 def test_more_taps_are_never_worse() -> None:
     """A shorter law with a zero behind it is a longer one; the search starts from there too."""
     wanted = Demand((0.1, 0.1), 1.0, (1.0, 1.0), 0.002, 0.97, 4e3)

@@ -25,6 +25,7 @@ from sim.drill.faults import faults
 from sim.drill.soak import UNEXPLAINED, largest
 from sim.measure.measured_launch import within
 from sim.measure.rig import Rig
+from tests.support import slowly
 from tests.support.devices import real_devices
 from tests.support.launching import HAPTIC, typed_in, wait_for
 from tests.support.setups import setup_of
@@ -194,10 +195,6 @@ def test_the_virtual_device_lets_go_after_its_deadline(hold: float | None, let_g
 # -- on real processes ------------------------------------------------------------------------------------------------
 
 
-def slowly(*names: str) -> list[Any]:
-    return [pytest.param(name, marks=pytest.mark.slow) for name in names]
-
-
 @pytest.mark.parametrize("name", ["kill coupling", "stop driver", "dead link", "ticks lost by quota", "killed in start-up"])
 def test_faults_end_safe_recover_and_leave_nothing(name: str) -> None:
     fault = next(fault for fault in faults() if fault.name == name)
@@ -215,7 +212,7 @@ def test_faults_end_safe_recover_and_leave_nothing(name: str) -> None:
     "name",
     [
         *("oversize message", "impostor", "fd exhaustion", "driver exits", "stopped reaper", "hand sinks in"),
-        *slowly("revoked key", "unruly listeners", "slow logger", "tune ended", "pressed device"),
+        *slowly(["revoked key", "unruly listeners", "slow logger", "tune ended", "pressed device"]),
     ],
 )
 def test_intruders_libraries_and_people_do_no_harm_and_the_loop_goes_on(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -230,7 +227,7 @@ def test_intruders_libraries_and_people_do_no_harm_and_the_loop_goes_on(name: st
     "name",
     [
         *("Touch swapped", "Force Dimension read fails", "Inverse3 service dies"),
-        *slowly("Touch read blocks", "Force Dimension unplugged", "Inverse3 read fails"),
+        *slowly(["Touch read blocks", "Force Dimension unplugged", "Inverse3 read fails"]),
     ],
 )
 def test_faults_of_real_devices_leave_no_force_on_the_arm(name: str) -> None:

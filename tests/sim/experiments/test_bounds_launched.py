@@ -55,6 +55,7 @@ def swing(folder: Path, law: CompiledLaw, delays: list[float], ticks: int) -> np
     return np.asarray(Recording(folder / figures["recording"]).arrays("/device/state")["position"][:ticks, 2])
 
 
+@pytest.mark.slow
 def test_certified_jitter_decays_and_its_counterexample_grows(tmp_path: Path) -> None:
     """A launch at 97 % of the stiffness of the worse delay, certified, and one at 102 %, over the sequence that grows there."""
     delays = (0.6, 1.4)
@@ -82,6 +83,7 @@ def resting(friction: float, height: float = 1e-4) -> Scene:
     return drop_scene(DeviceModel(mass=0.1, damping=1.0, friction=friction, resolution=STEP), T, False, True, height=height)
 
 
+@pytest.mark.slow
 def test_a_launch_stops_at_the_bounds_friction_and_buzzes_just_below_the_edge() -> None:
     """PD through an encoder: a dead stop with the friction of the bound; the edge itself by simulation, then by launches."""
     law = PD(stiffness=2500.0, damping=12.0)
@@ -135,6 +137,7 @@ def test_launches_keep_the_equal_demand_just_inside_and_break_it_just_outside() 
     assert rate(described | {"stiffness": 1.03 * stiffness}, worst, 1.0) > 0.99 + 1e-4
 
 
+@pytest.mark.slow
 def test_launches_land_within_the_margin_and_not_just_beyond() -> None:
     """A law designed to land: the drop that fails just beyond the margin of its masses settles within it."""
     demand = Demand((0.05, 0.2), 1.0, (1.0, 1.0), T, 0.99, 1e4)

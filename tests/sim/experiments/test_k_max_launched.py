@@ -50,6 +50,7 @@ def test_settles_just_inside_and_not_just_outside() -> None:
     assert not settles_launched(scene, with_stiffness(law, found.unsettled_n_per_m), SHORT)
 
 
+@pytest.mark.slow
 def test_both_bisect_to_the_same_stiffness() -> None:
     """The paper's optimum, half a tick late: four taps of history, and two forces in one tick."""
     law, scene = parse_law({"kind": "paper_optimum", "stiffness": 1.0}), dropped(delay=0.5)
@@ -109,6 +110,7 @@ def test_what_the_launch_does_not_play_is_refused() -> None:
         settled(dropped(), PD(stiffness=900.0).compile(T), short.position, short.force, SHORT)
 
 
+@pytest.mark.slow
 def test_study_tells_both(tmp_path: Path) -> None:
     words = ("--law", "pd", "--gain", "3", "--method", "lockstep", "--horizon", "600", "--grid", "3", "--json")
     figures = json.loads(haptic(tmp_path, "study", "kmax", *words).stdout.splitlines()[-1])

@@ -20,6 +20,7 @@ from sim.experiments.needs import Needs, Outcome, movement, needs, outcome, spat
 from sim.experiments.terms import TERMS
 from sim.scene.from_launch import LaunchedScene, from_launch
 from sim.scene.loop import Trace
+from tests.support import slowly
 
 
 def judge(name: str, **arguments: Any) -> Needs:
@@ -57,7 +58,7 @@ def test_what_one_process_cannot_play_is_refused_by_name(scenario: str, capsys: 
     assert "one process" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("scenario", SPATIAL)
+@pytest.mark.parametrize("scenario", slowly(SPATIAL, but=["sphere_feel"]))
 def test_scenes_in_three_axes_model_enough_and_no_more(scenario: str) -> None:
     if "mujoco" in kinds(scenario):
         pytest.importorskip("mujoco")
@@ -136,6 +137,7 @@ def test_delay_is_brought_by_the_loop_and_moves_k_max() -> None:
     assert finding.changes["k_max"] == pytest.approx(0.2, abs=0.01)
 
 
+@pytest.mark.slow
 def test_long_memory_that_nothing_depends_on_is_superfluous(tmp_path: Path) -> None:
     def edit(data: dict[str, Any]) -> None:
         coupling = data["nodes"]["coupling"]["parameters"]

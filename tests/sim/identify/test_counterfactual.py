@@ -137,6 +137,7 @@ def test_forces_that_arrive_as_in_lockstep_give_its_run_guard_and_limits_include
     assert set(held.force) == {held.force[0]}
 
 
+@pytest.mark.slow
 def test_a_guarded_run_in_real_time_comes_back(tmp_path: Path) -> None:
     recorded = rebuild(undisturbed(tmp_path, "floor_guarded", "apply:=next_tick", "duration:=0.5"))
     assert np.max(np.abs(replay(recorded).measured - recorded.position)) < 1e-3

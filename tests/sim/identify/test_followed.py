@@ -18,6 +18,7 @@ DEVICES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("term", DEVICES)
 def test_what_is_left_in_the_picture_is_what_the_fit_left(term: str) -> None:
     experiment = excite_outside(DEVICES[term], 0.002, 6.0, 5)

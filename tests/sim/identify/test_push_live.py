@@ -21,6 +21,7 @@ def parameters(launch: Running) -> tuple[str, Any]:
     return launch.call("coupling", "law.list")["active"], launch.call("environment", "param.get", name="surface")
 
 
+@pytest.mark.slow
 @pytest.mark.realtime
 def test_identify_on_a_running_launch_and_put_everything_back(tmp_path: Path) -> None:
     # A mass that falls while the machine stalls comes back from anywhere.

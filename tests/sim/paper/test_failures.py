@@ -19,6 +19,7 @@ from sim.paper import failures
 from sim.paper.claims import FAILS
 
 
+@pytest.mark.slow
 def test_both_methods_put_every_boundary_in_the_same_place() -> None:
     found = [edge for edge in map(failures.both_sides, failures.boundaries()) if edge is not None]
     assert len(found) == 11

@@ -117,6 +117,7 @@ def curves(everything: list[Curve]) -> list[Curve]:
     return [curve for curve in everything if curve.convention == 0]
 
 
+@pytest.mark.slow
 def test_figure_4_has_every_law_delay_and_sensor(setting: Setting, curves: list[Curve]) -> None:
     assert [(c.law, c.delay, c.touch) for c in curves] == [
         (law, delay, touch) for delay in (0.0, 1.0) for law in LAWS for touch in (False, True)
@@ -132,6 +133,7 @@ def test_figure_4_has_every_law_delay_and_sensor(setting: Setting, curves: list[
         assert best(by[law, 1.0], felt=True)[0] < 0.5 * best(by[law, 0.0], felt=True)[0]
 
 
+@pytest.mark.slow
 def test_designed_law_has_the_damping_of_the_axis(setting: Setting, ledger: Path) -> None:
     rows = read_ledger(ledger)
     for job in designs(setting):
@@ -141,6 +143,7 @@ def test_designed_law_has_the_damping_of_the_axis(setting: Setting, ledger: Path
             assert -setting.period * sum(m * tap for m, tap in enumerate(taps)) == pytest.approx(gain, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_claims_of_figure_4(setting: Setting, everything: list[Curve], curves: list[Curve]) -> None:
     claims = claims_4(setting, curves, spread_of_conventions(setting, everything))
     by = {claim.claim: claim.verdict for claim in claims}
@@ -157,6 +160,7 @@ def test_claims_of_figure_4(setting: Setting, everything: list[Curve], curves: l
     assert felt == ONLY_IF
 
 
+@pytest.mark.slow
 def test_an_interrupted_figure_keeps_its_points_and_goes_on(setting: Setting, ledger: Path, tmp_path: Path) -> None:
     rows = read_ledger(ledger)
     jobs = drops(setting, [rows[key_of(job)] for job in designs(setting)])
@@ -190,6 +194,7 @@ def test_verbs_answer_people_and_machines(name: str, tmp_path: Path, capsys: pyt
     assert "at least 2" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_figure_4_verb(ledger: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     # What was found before is read, not found again.
     shutil.copy(ledger, tmp_path / "fig4.jsonl")

@@ -165,6 +165,7 @@ def test_impossible_bounds_are_refused() -> None:
         free_taps(4, BAND, -1.0)
 
 
+@pytest.mark.slow
 def test_optimise_answers_for_machines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = "study optimise --rates 0.03 --steps 30 --starts 3 --nyquist 3.05 --json --out".split()  # noqa: SIM905
     assert main([*words, str(tmp_path)]) == 0

@@ -68,6 +68,9 @@ ALIKE = {
 """Of these the plain tick alone: compiled they run the code of floor_drop and its multi_term, beside two loggers and with taps
 of other values; pd_alpha is compiled in floor_buzz, another rate in floor_drop_fast."""
 
+QUICK = {("floor_drop",), ("touch_wall",), ("floor_guarded",), *ALIKE}
+"""Of these the plain tick is tried in every run, of all in CI's."""
+
 pytestmark = pytest.mark.timeout(600)  # the kernels are compiled once, which takes minutes on a busy machine
 
 
@@ -85,7 +88,9 @@ def bits(values: list[float]) -> list[int]:
 @pytest.mark.parametrize(
     ("words", "tick"),
     [
-        pytest.param(words, tick, id=f"{' '.join(words)}-{tick}")
+        pytest.param(
+            words, tick, id=f"{' '.join(words)}-{tick}", marks=[pytest.mark.slow] * (tick == "plain" and words not in QUICK)
+        )
         for words in WORDS
         for tick in ("plain", "compiled")
         if tick == "plain" or words not in ALIKE

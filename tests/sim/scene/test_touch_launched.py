@@ -19,6 +19,7 @@ from nodes.recording.reader import Recording
 from sim.cli.bench.loop import KERNELS
 from sim.scene.spatial import SpatialTrace, play
 from sim.scene.touch import touch
+from tests.support import slowly
 from tests.support.launching import launch_json
 
 pytestmark = pytest.mark.timeout(900)  # the kernels are compiled once, which takes minutes on a busy machine
@@ -33,7 +34,7 @@ SHAPES = [
     if "environment" in one.nodes and one.nodes["environment"].kind == "environment" and len(one.run.axes) == 3
 ]
 MOVING = [name for name, one in LAUNCHES.items() if "environment" in one.nodes and one.nodes["environment"].kind == "mujoco"]
-TICKS = pytest.mark.parametrize("tick", ["plain", "compiled"])
+TICKS = pytest.mark.parametrize("tick", slowly(["plain", "compiled"], but=["compiled"]))
 
 
 def test_no_scenario_is_left_out() -> None:

@@ -153,7 +153,9 @@ NO = "the law holds                                      NO"
         pytest.param(f"{SCALE}10", NO, [2000.0, -1750.0], -3, marks=pytest.mark.slow),
         pytest.param(f"{LATE}10", NO, [800.0, -700.0], -6, marks=pytest.mark.slow),
         # A quarter of it: every knock rests, far beyond where the model has the edge.
-        (f"{SCALE}0.25", "the device is not the one that was identified", [800.0, -700.0], 0),
+        pytest.param(
+            f"{SCALE}0.25", "the device is not the one that was identified", [800.0, -700.0], 0, marks=pytest.mark.slow
+        ),
     ],
 )
 def test_a_device_that_lies_while_its_law_is_tried_gets_none(

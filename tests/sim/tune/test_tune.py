@@ -111,6 +111,7 @@ def tuned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
     return folder, last_line(done.stdout)
 
 
+@pytest.mark.slow
 def test_the_law_itself_was_tried_from_below_and_the_edge_is_the_predicted_one(tuned: tuple[Path, dict[str, Any]]) -> None:
     _, told = tuned
     verified = told["verified"]
@@ -126,6 +127,7 @@ def test_the_law_itself_was_tried_from_below_and_the_edge_is_the_predicted_one(t
     assert low < told["predicted"]["edge_linear_h1_n_per_m"] < high < (1.0 + AGREES) * STEP**2 * low
 
 
+@pytest.mark.slow
 def test_what_does_not_land_says_so_everywhere_and_is_compared_with_nothing(tuned: tuple[Path, dict[str, Any]]) -> None:
     folder, told = tuned
     if told["designed"]["lands"]:
@@ -136,6 +138,7 @@ def test_what_does_not_land_says_so_everywhere_and_is_compared_with_nothing(tune
     assert "does NOT survive a landing" in Path(folder / told["files"]["params"]).read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_report_and_the_parameters_are_there(tuned: tuple[Path, dict[str, Any]]) -> None:
     folder, told = tuned
     page = (folder / told["files"]["html"]).read_text(encoding="utf-8")
