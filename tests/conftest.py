@@ -73,6 +73,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     both processors of a small machine: two at once, each beside a launch in real time, would test nothing but the load.
     """
     alone = {item.path for item in items if item.get_closest_marker("realtime") is not None}
+    for item in items:
+        # Whatever stands in a file of theirs would hold up those of all files: it needs the whole machine, each of them half.
+        if item.path in alone:
+            item.add_marker("realtime")
     drawn = {item.path for item in items if "browser" in getattr(item, "fixturenames", ())} - alone
 
     def length(item: pytest.Item) -> int:

@@ -68,6 +68,8 @@ SLOW = {
     "nodes/README.md: haptic bench loop",
     "nodes/README.md: haptic drill --list",
     "nodes/README.md: haptic launch floor_guarded guard:=off",
+    "nodes/README.md: haptic launch touch_wall --view",
+    "nodes/README.md: haptic launch wall_press duration:=0 &",
     "nodes/ros2/README.md: haptic bench ros2",
     "sim/README.md: haptic device list",
     "sim/README.md: haptic study chart",

@@ -94,6 +94,7 @@ def test_check_ends_with_a_line_to_paste(stand: Bench, tmp_path: Path) -> None:
     assert not any(stand.world.force())
 
 
+@pytest.mark.slow
 def test_check_finds_wrong_axes_before_any_force(tmp_path: Path) -> None:
     with bench("inverse3_driver", tmp_path) as stand:
         code, _, said = checked(stand, tmp_path, felt, 'mapping.axes:=["+x", "+y", "+z"]')

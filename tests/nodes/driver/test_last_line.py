@@ -275,7 +275,11 @@ WEIGHT = "gravity: 9.81"
 @pytest.mark.realtime
 @pytest.mark.parametrize(
     ("tick", "pushes", "strength"),
-    [("plain", HAND, 150.0 * 0.06), ("compiled", HAND, 150.0 * 0.06), ("compiled", WEIGHT, 0.981)],
+    [
+        ("compiled", HAND, 150.0 * 0.06),
+        pytest.param("plain", HAND, 150.0 * 0.06, marks=pytest.mark.slow),
+        pytest.param("compiled", WEIGHT, 0.981, marks=pytest.mark.slow),
+    ],
 )
 def test_what_has_sunk_in_meets_a_force_that_grows_by_the_ramp_and_is_not_thrown(
     tmp_path: Path, tick: str, pushes: str, strength: float

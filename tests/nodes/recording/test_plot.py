@@ -26,6 +26,7 @@ from nodes.recording.overlay import RUNS, force_over_position, overlay
 from nodes.recording.reader import Recording
 from nodes.recording.series import BINS, POINTS, Line, Lines, Spans
 from nodes.recording.writer import RecordWriter
+from tests.support import slowly
 from tests.support.overlap import overlaps
 from tests.support.recorded import PERIOD, PUBLISHES, drop
 
@@ -298,7 +299,7 @@ def test_no_text_lies_over_another(tmp_path: Path, window: tuple[float | None, f
     assert overlaps(plot.figure_of(Recording(path), *window)) == []
 
 
-@pytest.mark.parametrize("count", [1, 2, 7, RUNS])
+@pytest.mark.parametrize("count", slowly([1, 2, 7, RUNS], but=[2, RUNS]))
 def test_no_text_lies_over_another_with_several_runs(tmp_path: Path, count: int) -> None:
     paths = [tmp_path / f"crowded_run_with_a_long_name_of_its_own_{number}.mcap" for number in range(count)]
     sent = list(crowded())

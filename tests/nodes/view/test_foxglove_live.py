@@ -78,6 +78,7 @@ def at(point: dict[str, float]) -> list[float]:
     return [point["x"], point["y"], point["z"]]
 
 
+@pytest.mark.slow
 def test_the_shape_comes_once_to_each_who_subscribes_then_what_moves(tmp_path: Path) -> None:
     with shown(tmp_path, "sphere_feel") as place:
         for _ in range(2):

@@ -335,6 +335,7 @@ def test_the_best_gain_at_equal_demand_is_not_lost_between_two_tries() -> None:
     assert best == pytest.approx(1966.5, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_stopped_chart_leaves_what_it_has_and_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

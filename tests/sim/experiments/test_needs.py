@@ -98,7 +98,7 @@ def test_needs_in_three_axes_by_command(capsys: pytest.CaptureFixture[str]) -> N
     assert "touches nothing" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("scenario", PLAYED)
+@pytest.mark.parametrize("scenario", slowly(PLAYED, but=["floor_drop", "floor_buzz", "touch_wall"]))
 def test_shipped_scenarios_model_enough_and_no_more(scenario: str) -> None:
     found = judge(scenario)
     assert found.superfluous == ()

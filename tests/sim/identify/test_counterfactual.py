@@ -107,6 +107,7 @@ def undisturbed(folder: Path, *words: str) -> Path:
     return folder / str(told["recording"])
 
 
+@pytest.mark.slow
 def test_a_real_time_recording_is_replayed_on_its_own_delays(tmp_path: Path) -> None:
     told = figures(undisturbed(tmp_path, "floor_drop", "duration:=0.5"), "stiffness:=500")
     assert told["lockstep"] is False

@@ -178,6 +178,7 @@ def test_two_grids_of_two_per_cent_are_told_as_what_they_are() -> None:
     assert compared(None, 1.27)["edge_error"] is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("preset", "delay"), [("designed_d0", 0.0), ("designed_d1", 1.0)])
 def test_knocking_finds_the_edge_that_the_poles_have(preset: str, delay: float) -> None:
     """Without friction and encoder the loop is linear, and pole radii tell the edge by another method."""

@@ -79,6 +79,7 @@ def designed(
     (folder / "tuning" / "tune.json").write_text(json.dumps(told))
 
 
+@pytest.mark.slow
 def test_a_trial_that_the_driver_stops_is_a_verdict_and_the_launch_goes_on(tmp_path: Path) -> None:
     """Without it every later trial met a dead driver, and whoever tuned a running launch had to start it anew."""
     (tmp_path / "held.yaml").write_text(json.dumps(SCENE))
