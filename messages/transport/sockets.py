@@ -98,6 +98,16 @@ class Subscription:
         """Let the next ones be these frames, which were taken off the socket before."""
         self._returned.extend(frames)
 
+    def has_returned(self) -> bool:
+        """Whether frames that were put back are still to be taken; compiled code, which looks at the socket, misses them.
+
+        Returns
+        -------
+        bool
+            False as soon as what comes next is on the socket.
+        """
+        return bool(self._returned)
+
     def _next_frame(self, flags: int = 0) -> bytes:
         return self._returned.popleft() if self._returned else self._socket.recv(flags)
 

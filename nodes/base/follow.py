@@ -60,7 +60,8 @@ def _follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) ->
         except MessageRefusedError as error:
             node.events.refuse(str(error))
             return None
-        if realtime and clock() + node.clock.offset - message.stamp > period:
+        # A newer message that compiled ticks have put back must not stay there: they go on at the socket.
+        if realtime and (clock() + node.clock.offset - message.stamp > period or inbox.has_returned()):
             message = newest(message)
         seq, last = message.seq, counters.seq
         if seq != last + 1:

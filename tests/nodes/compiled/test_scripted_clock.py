@@ -252,6 +252,11 @@ COMING: dict[str, list[tuple[int, float]]] = {
     "a driver that is started again, in a stall": [
         (seq % 23, max(100.0, 2000.0 * (26 - seq)) if seq > 18 else 100.0) for seq in range(40)
     ],
+    "a driver that is started again, right after a stall": [
+        # The last one before it is not late at all.
+        *((seq, 100.0 if seq < 10 else 2000.0 * (15 - seq) + 100.0) for seq in range(16)),
+        *((seq, -1900.0 if seq == 3 else 100.0) for seq in range(3, 27)),
+    ],
     "asked again": [(seq // 2, 100.0) for seq in range(40)],
     "asked again, in a stall": [(seq // 2, max(100.0, 2000.0 * (20 - seq))) for seq in range(40)],
     "jumps to the end of all ticks": [(seq, 100.0) for seq in (0, 1, MAX_COUNT - 1, MAX_COUNT, 0, 1, MAX_COUNT)],
