@@ -39,6 +39,7 @@ sys.dont_write_bytecode = False
 
 LONGEST = (
     "tests/test_pages.py",
+    "tests/test_extending.py",
     "tests/sim/tune",
     "tests/nodes/launcher/test_machines.py",
     "tests/nodes/view",
@@ -53,6 +54,9 @@ LONGEST = (
     "tests/sim/cli",
     "tests/sim/test_hands_on.py",
     "tests/nodes/cli",
+    "tests/test_package.py",
+    "tests/test_house.py",
+    "tests/test_fuzz.py",
 )
 """What takes minutes comes first: a long file that begins last is waited for by one processor alone."""
 

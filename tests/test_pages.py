@@ -65,6 +65,9 @@ INSTALLING = [line for block in blocks(README) for line in block.lines if line.s
 """The two pasted lines: `.ci/run` takes the second one from README.md, and any user's fresh clone the first."""
 
 SLOW = {
+    ".github/CONTRIBUTING.md: pytest --collect-only -q tests/nodes/laws",
+    "launch/README.md: haptic launch --list",
+    "nodes/README.md: haptic launch floor_drop pace:=lockstep duration:=1 --json --out-dir lockstep",
     "nodes/README.md: haptic bench loop",
     "nodes/README.md: haptic drill --list",
     "nodes/README.md: haptic launch floor_guarded guard:=off",

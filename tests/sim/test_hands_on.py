@@ -79,6 +79,7 @@ def checked(stand: Bench, folder: Path, answer: Callable[[Bench, str], str], *mo
         return process.wait(timeout=30), process.stdout.read(), said + line
 
 
+@pytest.mark.slow
 def test_check_ends_with_a_line_to_paste(stand: Bench, tmp_path: Path) -> None:
     stand.world.state.resolution = 2e-5
     stand.world.state.peak = 8.0

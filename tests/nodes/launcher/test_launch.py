@@ -20,11 +20,18 @@ from nodes.launcher import launch_file
 from nodes.launcher.wiring import wire
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
+from tests.support import slowly
 from tests.support.launching import DEADLINE, HAPTIC, assert_nothing_left, haptic, launch_json, private_runtime_dir
 
 PROMISED = {
     "scenario", "ticks", "missed", "rate_hz", "response_us", "age_ticks_max", "recording", "plot", "exit_reason", "final",
 }  # fmt: skip
+
+IN_LOCKSTEP = {
+    *("box_edges", "floor_buzz", "floor_guarded", "floor_swap", "identify"),
+    *("rough_plane", "sphere_feel", "touch_wall", "two_loggers"),
+}
+"""Scenarios that every run of the tests launches in lockstep (tests/sim/scene)."""
 
 
 def assert_summary_is_true(figures: dict[str, Any], states: list[Any]) -> None:
@@ -43,7 +50,7 @@ def assert_summary_is_true(figures: dict[str, Any], states: list[Any]) -> None:
     assert final in (*states[-1].position, list(states[-1].position))
 
 
-@pytest.mark.parametrize("scenario", launch_file.scenarios())
+@pytest.mark.parametrize("scenario", [*slowly(sorted(IN_LOCKSTEP)), *sorted(launch_file.scenarios().keys() - IN_LOCKSTEP)])
 def test_every_scenario_runs_in_real_time(scenario: str, tmp_path: Path) -> None:
     _, arguments = launch_file.read_arguments(launch_file.find(scenario))
     # Some run until they are stopped. One swaps its law, which it does here within the half second.

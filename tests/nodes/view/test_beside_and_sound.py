@@ -21,7 +21,7 @@ from tests.support.launching import Running, launch_json, running, wait_for
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-pytestmark = needs_browser
+pytestmark = [needs_browser, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")

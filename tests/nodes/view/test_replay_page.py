@@ -17,7 +17,7 @@ from tests.support.launching import launch_json, running, wait_for
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-pytestmark = needs_browser
+pytestmark = [needs_browser, pytest.mark.slow]
 
 PERIOD = 0.002
 

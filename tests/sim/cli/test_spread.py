@@ -111,7 +111,7 @@ def test_every_study_is_known_to_sweep_or_not() -> None:
         assert ("--cluster" in parser.format_help()) == (name not in ALONE), name
 
 
-@pytest.mark.parametrize("name", slowly(TINY, but=["kmax"]))
+@pytest.mark.parametrize("name", slowly(TINY))
 def test_a_study_gives_the_same_bits_on_a_cluster(
     name: str, cluster: DaskCluster, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -195,7 +195,9 @@ def test_the_virtual_device_lets_go_after_its_deadline(hold: float | None, let_g
 # -- on real processes ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["kill coupling", "stop driver", "dead link", "ticks lost by quota", "killed in start-up"])
+@pytest.mark.parametrize(
+    "name", ["kill coupling", "stop driver", *slowly(["dead link", "ticks lost by quota", "killed in start-up"])]
+)
 def test_faults_end_safe_recover_and_leave_nothing(name: str) -> None:
     fault = next(fault for fault in faults() if fault.name == name)
     outcome = drill.drill(fault)
