@@ -30,7 +30,7 @@ SOFT = ("stiffness:=150", "damping:=0.5")
 
 HEIGHT, WEIGHT = 0.01, 0.1 * 9.81
 
-DROPS, NEAR = 5, 0.01
+DROPS, NEAR = 20, 0.01
 """A machine that stalls in mid-drop renders something else: so many drops, until one is so near [share]."""
 
 
