@@ -11,7 +11,7 @@ A small machine of states, the same for the virtual device and for hardware::
 ``stopped`` is for good: damping, then no force, until somebody asks for it (`rearm`) or the driver is started again.
 While there is no force, a hand that keeps pushing sinks in, and the law then asks for far more than before. So every force
 that was away comes back by a ramp: each tick away takes `REGAIN` ticks of ramp, up to the whole one (`recovery`). A ramp that
-pushes the device faster than `RETURN_SPEED` goes back, so that whoever has sunk in is let out, not thrown.
+pushes the device fast grows slowly, and goes back beyond `RETURN_SPEED`: whoever has sunk in is let out, not thrown.
 Limits come from the device and from the launch file, whichever is lower; one that asks for more gets an event that says so.
 Whatever messages come in whatever order: on each axis the force stays within the peak, all changes made during one tick
 add up to no more than the slew, and the mean square of the force stays within the continuous limit, see motor_heat.py.
@@ -68,11 +68,11 @@ def enter(s: Any, state: int, seq: int, why: int, a: float = 0.0, b: float = 0.0
     if state == before or before == STOPPED:
         return
     if before == ACTIVE:
-        s.regained = s.recovery_ticks
+        s.regained = float(s.recovery_ticks)
     if before in (ACTIVE, RAMP):
         s.away_from = float(seq)
     if state == FAULT:
-        s.regained = 0
+        s.regained = 0.0
     s.safety = state
     s.entered[state] += 1
     note(s, why, seq, 8 * before + state, a, b, c, d)
@@ -84,7 +84,7 @@ def rearm(s: Any, seq: int) -> bool:
         return False
     # Swings are counted anew; what the motor has been heated by, and energy, are not forgotten.
     s.peaks_count = s.peaked = 0
-    s.regained, s.away_from = 0, float(seq)
+    s.regained, s.away_from = 0.0, float(seq)
     for i in range(3):
         s.brake[i], s.sides[i] = 0.0, 0
     s.safety = NOTHING
@@ -142,7 +142,7 @@ def _become_active(s: Any, seq: int) -> None:
         if s.safety != IDLE:
             why = notes.FRESH_FORCE
             s.ramp_ticks = s.recovery_ticks
-            s.regained = max(s.regained - REGAIN * math.ceil(seq - s.away_from), 0)
+            s.regained = max(s.regained - REGAIN * math.ceil(seq - s.away_from), 0.0)
         enter(s, RAMP if s.ramp_ticks > 0 else ACTIVE, seq, why)
     if s.safety == ACTIVE:
         return
@@ -154,16 +154,24 @@ def _become_active(s: Any, seq: int) -> None:
         squared += s.wanted[i] * s.wanted[i]
     if seq != s.ramp_seq:
         s.ramp_seq = seq
-        if pushed > RETURN_SPEED * math.sqrt(squared):
-            s.regained = max(s.regained - REGAIN, 0)
-        else:
-            s.regained += 1
+        s.regained = max(s.regained + _regrowth(pushed, math.sqrt(squared)), 0.0)
     if s.regained >= s.ramp_ticks:
         enter(s, ACTIVE, seq, notes.DONE_RAMP, float(s.ramp_ticks))
         return
     share = s.regained / s.ramp_ticks
     for i in range(3):
         s.wanted[i] = s.wanted[i] * share
+
+
+def _regrowth(pushed: float, size: float) -> float:
+    """Tell by how many ticks a ramp grows in one, by the power of the whole force [W] and its size [N].
+
+    It slows down from half of `RETURN_SPEED` on. With whole steps, forth below that speed and `REGAIN` back above it, a hand
+    could swing around it without an end: one in thirty did, of three thousand with other springs, devices and laws.
+    """
+    if size <= 0.0:
+        return 1.0
+    return max(min(2.0 - 2.0 * pushed / (RETURN_SPEED * size), 1.0), -float(REGAIN))
 
 
 def missed(s: Any, seq: int) -> bool:

@@ -47,7 +47,7 @@ _NUMBERS = (
     # where in the tick the mean force stands, and after how many ticks the device lets go by itself
     *("split", "device_hold_ticks"),
     # safety
-    *("peak", "slew", "damping", "away_from", "reach"),
+    *("peak", "slew", "damping", "away_from", "regained", "reach"),
     # the motor's heat: continuous force, share kept per tick and over a gap, mean square, largest square of this tick
     *("continuous", "heat_keep", "heat_reserve", "heat", "heat_largest"),
     # motion
@@ -66,7 +66,7 @@ _COUNTERS = (
     *("age", "oldest_age", "missed", "overruns", "taken", "states_sent", "asked"),
     # safety
     *("safety", "force_seq", "since", "limited_at", "max_age", "watchdog", "damping_ticks", "start_ticks", "recovery_ticks"),
-    *("ramp_ticks", "regained", "ramp_seq", "unlimited", "bounded"),
+    *("ramp_ticks", "ramp_seq", "unlimited", "bounded"),
     # swings
     *("stop_after", "peaked", "peaks_count", "stopped_at"),
     # motion: where the newest samples are, and forces under way

@@ -8,7 +8,7 @@ import pytest
 
 from messages.types import ZERO, Force
 from nodes.driver.passivity import PassivityParameters
-from nodes.driver.safety import REGAIN, let_go
+from nodes.driver.safety import REGAIN, RETURN_SPEED, let_go
 from tests.support.safety import UP, Port, T, force
 
 # -- watchdog --------------------------------------------------------------------------------------------------------
@@ -157,10 +157,45 @@ def test_a_ramp_that_pushes_too_fast_goes_back_and_a_hand_that_pushes_in_does_no
     for tick in range(20):
         port.answer(force(tick), tick)
     assert port.force[2] == 0.2
-    for tick, (speed, share) in enumerate([(0.25, 0.21), (0.26, 0.16), (0.26, 0.11), (-1.0, 0.12), (0.0, 0.13)], 20):
+    speeds = [(0.125, 0.21), (0.1875, 0.215), (0.25, 0.215), (0.375, 0.205), (9.0, 0.155), (-1.0, 0.165), (0.0, 0.175)]
+    for tick, (speed, share) in enumerate(speeds, 20):
         port.moves((0.0, 0.0, speed))
         port.answer(force(tick), tick)
-        assert port.force[2] == share
+        assert port.force[2] == pytest.approx(share, rel=1e-15)  # a sum of shares of ticks
+
+
+@pytest.mark.parametrize(
+    ("mass", "damping", "spring", "path", "stiffness", "law_damping", "depth", "speed"),
+    [
+        # They swung around the speed for good when the ramp went forth and back by whole steps.
+        (0.158, 1.75, 154.0, -0.0659, 1851.0, 2.37, -0.0286, 0.24),
+        (0.245, 1.87, 329.0, -0.0965, 968.0, 3.1, -0.0652, 0.0116),
+        (0.569, 2.73, 280.0, -0.0947, 2341.0, 3.97, -0.0226, 0.227),
+        (0.154, 3.11, 537.0, -0.0699, 1613.0, 2.17, -0.0541, 0.227),
+        (0.164, 3.98, 275.0, -0.0989, 2263.0, 0.729, -0.0725, 0.278),
+    ],
+)
+def test_a_hand_that_has_sunk_in_comes_out_and_is_not_shaken(
+    mass: float, damping: float, spring: float, path: float, stiffness: float, law_damping: float, depth: float, speed: float
+) -> None:
+    """A device in a hand with a spring to a point below the surface, in steps of a hundredth of a tick."""
+    port = Port(watchdog=1, damping_ticks=0, recovery=0.15, peak_force=40.0)
+    port.answer(force(0), 0)
+    for tick in range(1, 100):
+        port.missed(tick, ZERO)
+    tick, before, fastest = 100, depth, speed
+    while port.state != "active":
+        velocity, before = (depth - before) / T, depth
+        wanted = min(max(-stiffness * depth - law_damping * velocity, 0.0), 40.0) if depth < 0.0 else 0.0
+        port.moves((0.0, 0.0, velocity))
+        port.answer(force(tick, wanted), tick)
+        for _ in range(100):
+            speed += (port.force[2] - damping * speed - spring * (depth - path)) / mass * 0.01 * T
+            depth += speed * 0.01 * T
+        fastest = max(fastest, speed)
+        tick += 1
+        assert tick < 100 + 1.0 / T, "no force after a second"
+    assert fastest < 4.0 * RETURN_SPEED
 
 
 def test_a_force_that_is_late_does_not_hurry_the_ramp() -> None:
