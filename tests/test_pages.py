@@ -81,14 +81,19 @@ SLOW = {
     "sim/README.md: haptic study fig4",
     "sim/README.md: haptic study kmax --law pd --gain 3 --mass 0.1 --damping 1 --delay 0 --rate 500",
 }
-"""Blocks that measure or study, by their first commands: a quarter of what all pages cost."""
+"""Blocks that measure or study, or launch what other blocks launch too, by their first commands."""
 
-BLOCKS = {  # tests/test_extending.py runs those of nodes/EXTENDING.md
-    f"{name}: {block.lines[0].partition('#')[0].strip()}": (name, block)
+BLOCKS = [  # tests/test_extending.py runs those of nodes/EXTENDING.md
+    pytest.param(
+        name,
+        block,
+        id=(first := f"{name}: {block.lines[0].partition('#')[0].strip()}"),
+        marks=[pytest.mark.slow] * (first in SLOW),
+    )
     for name, text in PAGES.items()
     for block in blocks(text)
     if name != "nodes/EXTENDING.md" and not set(block.lines) & set(INSTALLING)
-}
+]
 
 
 @pytest.fixture(scope="module")
@@ -98,10 +103,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[dict[str,
         yield {name: tmp_path_factory.mktemp("page") for name in PAGES}, runtime_dir
 
 
-@pytest.mark.parametrize(
-    ("name", "block"),
-    [pytest.param(*block, id=first, marks=[pytest.mark.slow] * (first in SLOW)) for first, block in BLOCKS.items()],
-)
+@pytest.mark.parametrize(("name", "block"), BLOCKS)
 def test_commands_run_as_they_are_written(
     name: str, block: Block, places: tuple[dict[str, Path], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -213,4 +215,4 @@ def test_nothing_is_shortened_that_is_not_there() -> None:
     typed = [command(line, {}).words for text in PAGES.values() for block in blocks(text) for line in block.lines]
     for start in SHORTER:
         assert any(words[: len(start.split())] == start.split() for words in typed), f"no command starts with {start}"
-    assert BLOCKS.keys() >= SLOW
+    assert {block.id for block in BLOCKS} >= SLOW
