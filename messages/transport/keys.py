@@ -44,7 +44,10 @@ def key_dir() -> Path:
 
 
 def _private_dir(path: Path) -> None:
-    path.mkdir(mode=0o700, parents=True, exist_ok=True)
+    try:
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError as error:
+        raise KeyRefusedError(f"{path}: cannot be made: {error.strerror}; name a folder of your own in $HAPTIC_KEYS") from error
     found = path.lstat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077:
         raise KeyRefusedError(f"{path}: must be a directory of user {os.getuid()} with mode 0700; chmod 700 it")

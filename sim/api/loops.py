@@ -77,7 +77,7 @@ class Played(Result):
 
     name: str  # what was played
     rate_hz: float  # of the loop [Hz]
-    # Whether a drop came to rest in the wall (sim.experiments.drop.Criterion); None where nothing was dropped.
+    # Whether a drop came to rest in the wall (sim.experiments.drop.Criterion); None where nothing falls, or not for long.
     settled: bool | None
     peak_force_n: float  # largest force [N]
     final_position_m: float  # where the device ended [m]
@@ -242,7 +242,14 @@ def play(scenario: str, **arguments: Any) -> Played:
     -0.000654
     """
     from nodes.launcher import launch_file
+    from sim.experiments.drop import SHORTEST, Criterion, settled
     from sim.scene.from_launch import from_launch
 
     launch = launch_file.read(scenario, plain(arguments))
-    return _played(launch.scenario, launch.run.rate, from_launch(launch).play(), None)
+    launched = from_launch(launch)
+    scene, trace = launched.scene, launched.play()
+    falls = bool(scene.device.gravity) and scene.device.hand is None and scene.surface.kind == "plane"
+    rested = None
+    if falls and launched.ticks >= SHORTEST:
+        rested = settled(scene, launched.last_law, trace.position, trace.force, Criterion(launched.ticks))
+    return _played(launch.scenario, launch.run.rate, trace, rested)

@@ -28,6 +28,8 @@ from sim.scene.compiled import compiled
 from sim.scene.loop import Scene, SceneSurface, contact_of, in_numbers, motion_of, run
 from sim.scene.tick_loop import Contact, LawTables, Motion, Records, play_compiled
 
+SHORTEST = 8  # horizon of which a quarter is two ticks [ticks]
+
 
 @dataclass(frozen=True)
 class Criterion:
@@ -37,8 +39,8 @@ class Criterion:
     tolerance: float = 1e-4  # largest motion, peak to peak, over the last quarter of the horizon [m]
 
     def __post_init__(self) -> None:
-        if self.ticks < 8:
-            raise ValueError(f"criterion.ticks is {self.ticks}, expected at least 8: a quarter must be two ticks")
+        if self.ticks < SHORTEST:
+            raise ValueError(f"criterion.ticks is {self.ticks}, expected at least {SHORTEST}: a quarter must be two ticks")
         if not self.tolerance > 0.0:
             raise ValueError(f"criterion.tolerance is {self.tolerance} m, expected more than 0")
 

@@ -82,9 +82,10 @@ def test_keys_that_cannot_be_written_are_told_in_words(tmp_path: Path) -> None:
     in_the_way.write_text("")
     environment = {**os.environ, "HAPTIC_KEYS": str(in_the_way / "keys")}
     done = subprocess.run([*HAPTIC, "keys", "new"], env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert "Errno" not in done.stderr
     assert str(in_the_way) in done.stderr
+    assert "in $HAPTIC_KEYS" in done.stderr
 
 
 def test_a_verb_waits_for_a_launch_that_was_just_started(tmp_path: Path) -> None:

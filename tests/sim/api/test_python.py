@@ -119,6 +119,14 @@ def test_results_show_themselves() -> None:
         haptic.read(".")
 
 
+def test_a_played_drop_tells_whether_it_settles() -> None:
+    assert haptic.play("floor_drop").settled
+    # K T / 2 = 9 N s/m, far above b + B = 4: the edge of PD on a mass is near 3 800 N/m.
+    assert haptic.play("floor_drop", stiffness=9000).settled is False
+    assert haptic.play("wall_press").settled is None
+    assert haptic.play("floor_drop", duration=0.014).settled is None
+
+
 def test_a_launch_is_the_run_in_one_process(place: Path) -> None:
     with haptic.launch("floor_drop", stiffness=1500, pace="lockstep", duration=0.4, out_dir=place / "r") as run:
         summary = run.wait()
