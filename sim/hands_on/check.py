@@ -15,6 +15,7 @@ import numpy as np
 from messages.errors import RefusedError, UsageError
 from messages.types import ZERO, Vector
 from nodes.driver.hardware.mailbox import MailboxDevice
+from nodes.driver.hardware.mapping import AxisName, Mapping
 from sim.hands_on.delay import FORCE, PULSES, MeasuredDelay, measure
 
 REST: Final = 1.0  # how long a device at rest is looked at [s]
@@ -180,6 +181,13 @@ def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
         right, found = axes(device)
         if not right:
             written = ", ".join(f'"{name}"' for name in found)
+            try:
+                Mapping(axes=msgspec.convert(found, tuple[AxisName, AxisName, AxisName]))
+            except ValueError as error:
+                raise RefusedError(
+                    f"as the handle was moved, {error}; nothing was pushed: check again; forward is away from you, left is "
+                    "your left"
+                ) from error
             raise RefusedError(
                 f"the axes are others than the driver takes: nothing was pushed. Give it mapping: {{axes: [{written}]}} and "
                 "check again"

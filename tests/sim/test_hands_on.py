@@ -108,6 +108,29 @@ def test_check_finds_wrong_axes_before_any_force(tmp_path: Path) -> None:
         assert json.loads(out.splitlines()[-1])["axes_right"] is True
 
 
+@pytest.mark.parametrize(
+    ("move", "told"),
+    [((0.0, -0.05, 0.0), "a mirror of the scene"), ((0.05, 0.0, 0.0), "each of x, y and z must stand in it once")],
+)
+def test_a_handle_that_is_moved_otherwise_gives_no_axes(move: tuple[float, float, float], told: str, tmp_path: Path) -> None:
+    """To the right where left was asked for, or forward again: a mapping of that would be refused, so none is offered."""
+
+    def otherwise(stand: Bench, question: str) -> str:
+        if "to the left" not in question:
+            return felt(stand, question)
+        w = stand.world.state
+        w.position[:] = [a + b for a, b in zip(w.position, move, strict=True)]
+        return ""
+
+    with bench("inverse3_driver", tmp_path) as stand:
+        code, _, said = checked(stand, tmp_path, otherwise, 'mapping.axes:=["+x", "+y", "+z"]')
+        assert code == 1
+        assert told in said
+        assert "left is your left" in said
+        assert "Give it mapping" not in said
+        assert stand.world.state.largest == 0.0
+
+
 def test_no_force_is_explained(tmp_path: Path) -> None:
     with bench("force_dimension_driver", tmp_path) as stand:
         stand.world.state.cause = 1

@@ -9,7 +9,7 @@ and damping b are to the law one of m/2 and b/2, which is the `plant` of its sta
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from typing import Any, ClassVar
 
@@ -108,14 +108,20 @@ class PairedDriver(Driver):
     Parameters: ClassVar[type[msgspec.Struct]] = PairedDriverParameters
 
     @classmethod
+    def check(cls, setup: Setup) -> None:
+        """Check the pair, and each of the two as a driver of its own, before anything is started."""
+        super().check(setup)
+        for kind, own in _members(setup):
+            kind.check(own)
+
+    @classmethod
     def substitute_device(
         cls, parameters: Mapping[str, Any], name: str, device: str
     ) -> tuple[dict[str, Any], dict[str, Any]] | None:
         """Put a preset in the place of both devices, where they are virtual ones."""
         changed, plants = dict(parameters), []
-        for which in ("first", "second"):
-            member: PairedMember = convert(parameters[which], PairedMember, f"{name}.{which}")
-            stood = load(node_kinds()[member.kind]).substitute_device(member.parameters, f"{name}.{which}", device)
+        for which, member in _both(convert(parameters, PairedDriverParameters, name)):
+            stood = _kind_of(member, f"{name}.{which}")[1].substitute_device(member.parameters, f"{name}.{which}", device)
             if stood is None:
                 return None
             changed[which] = {"kind": member.kind, "parameters": stood[0]}
@@ -125,29 +131,13 @@ class PairedDriver(Driver):
         facts = {"mass": pair.mass, "damping": pair.damping, "stiffness": pair.stiffness, "device_delay": pair.delay}
         return changed, {"heaviest": None, **facts}
 
-    def _member(self, name: str) -> Driver:
-        parameters: PairedMember = getattr(self.store.current, name)
-        where = f"{self.setup.name}.{name}"
-        kinds = node_kinds()
-        if parameters.kind not in kinds:
-            raise ParameterError(f"{where}.kind: {parameters.kind!r} is no installed kind of driver")
-        factory = kinds[parameters.kind]
-        kind = load(factory)
-        if not issubclass(kind, Driver) or issubclass(kind, PairedDriver):
-            raise ParameterError(f"{where}.kind: {parameters.kind!r} drives no single device")
-        changed: dict[str, Any] = {"name": where, "kind": parameters.kind, "parameters": parameters.parameters}
-        # Each is called as one that is written in Python.
-        setup: Setup = msgspec.structs.replace(self.setup, factory=factory, tick="plain", **changed)
-        kind.check(setup)
-        return kind(setup)
-
     def make_device(self) -> Device:
         """Take hold of both, forces off."""
-        self._members = [self._member(name) for name in ("first", "second")]
+        self._drivers = [kind(own) for kind, own in _members(self.setup)]
         with ExitStack() as held:
             made = []
-            for member in self._members:
-                made.append(member.make_device())
+            for driver in self._drivers:
+                made.append(driver.make_device())
                 held.callback(made[-1].close)
             held.pop_all()
         self.pair = PairedDevice(*made)
@@ -167,3 +157,28 @@ class PairedDriver(Driver):
 
         pair = (("first", self.pair.first), ("second", self.pair.second))
         return [(name, device) for name, device in pair if isinstance(device, MailboxDevice)]
+
+
+def _both(parameters: PairedDriverParameters) -> tuple[tuple[str, PairedMember], tuple[str, PairedMember]]:
+    return ("first", parameters.first), ("second", parameters.second)
+
+
+def _kind_of(member: PairedMember, where: str) -> tuple[str, type[Driver]]:
+    """Find the driver of one of the two: where its class is, and the class."""
+    factory = node_kinds().get(member.kind)
+    if factory is None:
+        raise ParameterError(f"{where}.kind: {member.kind!r} is no installed kind of driver")
+    kind = load(factory)
+    if not issubclass(kind, Driver) or issubclass(kind, PairedDriver):
+        raise ParameterError(f"{where}.kind: {member.kind!r} drives no single device")
+    return factory, kind
+
+
+def _members(setup: Setup) -> Iterator[tuple[type[Driver], Setup]]:
+    """Give for each of the two its driver, and the setup that it has as a node of its own."""
+    for which, member in _both(convert(setup.parameters, PairedDriverParameters, setup.name)):
+        where = f"{setup.name}.{which}"
+        factory, kind = _kind_of(member, where)
+        changed: dict[str, Any] = {"name": where, "kind": member.kind, "parameters": member.parameters}
+        # Each is called as one that is written in Python.
+        yield kind, msgspec.structs.replace(setup, factory=factory, tick="plain", **changed)

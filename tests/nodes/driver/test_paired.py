@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
+import subprocess
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -18,11 +19,11 @@ from nodes.driver.paired.driver import PairedDevice
 from nodes.laws.parse import parse_law
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant, held_plant
-from tests.nodes.driver.test_touch import needs_cc, scenario
+from tests.nodes.driver.test_touch import needs_cc
 from tests.sim.test_stand_ins import SOFT, through
 from tests.support import ROOT, slowly
 from tests.support.devices import Bench, bench
-from tests.support.launching import running, typed, wait_for
+from tests.support.launching import HAPTIC, running, typed, wait_for
 
 
 def test_two_hands_are_coupled_and_judged_at_the_measured_delay(tmp_path: Path) -> None:
@@ -244,12 +245,27 @@ def test_two_launches_with_a_device_each(tmp_path: Path) -> None:
             assert json.loads(typed(other, "node", "list", "--json").stdout.splitlines()[-1])["nodes"]["driver"]
 
 
-def test_a_member_that_is_no_device_is_refused(tmp_path: Path) -> None:
-    content = json.loads(Path(scenario(tmp_path, "none")).read_text(encoding="utf-8"))
-    member = {"kind": "sim_driver", "parameters": {"device": {"mass": 0.1}}}
-    content["nodes"]["driver"] = {"kind": "paired_driver", "parameters": {"first": member, "second": {"kind": "coupling"}}}
+@pytest.mark.parametrize(
+    ("second", "told"),
+    [
+        ({"kind": "coupling"}, "driver.second.kind: 'coupling' drives no single device"),
+        ({"kind": "sim_drivr"}, "driver.second.kind: 'sim_drivr' is no installed kind of driver"),
+        ({"kind": "sim_driver", "parameters": {"device": {"mas": 0.1}}}, "driver.second.device.mas"),
+        (None, "driver.second: "),
+    ],
+)
+@pytest.mark.parametrize("device", [(), ("device:=touch_x",)])
+def test_a_member_that_is_no_device_is_refused_before_anything_starts(
+    second: dict[str, Any] | None, told: str, device: tuple[str, ...], tmp_path: Path
+) -> None:
+    content = yaml.safe_load((ROOT / "launch/hands_coupled.yaml").read_text(encoding="utf-8"))
+    parameters = content["nodes"]["driver"]["parameters"]
+    parameters |= {"second": second} if second is not None else {}
+    if second is None:
+        del parameters["second"]
     path = tmp_path / "wrong.yaml"
-    path.write_text(json.dumps(content), encoding="utf-8")
-    with running(tmp_path, str(path), ready=False) as launch:
-        launch.finish(code=1)
-        assert "driver.second.kind: 'coupling' drives no single device" in launch.errors
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    done = subprocess.run([*HAPTIC, "launch", str(path), *device], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert told in done.stderr
+    assert "Traceback" not in done.stderr
