@@ -77,9 +77,11 @@ def _offered(path: Path, file: LaunchText, including: Including) -> dict[str, Ar
     """Arguments that a launch file has without naming them: `DEVICE`, where it or one that it includes has a virtual device."""
     kinds = node_kinds()
     for node in file.nodes.values():
-        # A kind that is not installed, or does not import, is refused when the launch is read.
-        with contextlib.suppress(ParameterError, AttributeError, KeyError):
-            if load(kinds[node["kind"]]).substitute_device.__func__ is not Node.substitute_device.__func__:  # type: ignore[attr-defined]
+        kind = node.get("kind") if isinstance(node, dict) else None
+        factory = kinds.get(kind) if isinstance(kind, str) else None
+        # What is no kind, is not installed or does not import is refused when the launch is read.
+        with contextlib.suppress(ParameterError, AttributeError):
+            if factory and load(factory).substitute_device.__func__ is not Node.substitute_device.__func__:  # type: ignore[attr-defined]
                 return {DEVICE: _DEVICE}
     # So is what cannot be included.
     with contextlib.suppress(ParameterError):

@@ -39,7 +39,7 @@ class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     rate: Annotated[float, msgspec.Meta(ge=1.0, le=100_000.0)] = 500.0  # sampling rate [Hz]
     pace: Pace = "realtime"  # this and the next: see nodes/base/setup.py
     apply: Apply = "on_arrival"
-    duration: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0  # how long [s]; 0 runs until stopped
+    duration: Annotated[float, msgspec.Meta(ge=0.0, le=1e9)] = 0.0  # how long [s]; 0 runs until stopped
     # Axes that the scene computes; when left out, those along which its surface pushes, or z where that is not known.
     axes: Annotated[list[Axis], msgspec.Meta(max_length=3)] = []
     # Core of the chain; ``auto`` takes the one that devices interrupt least where there are several, ``any`` does not pin.

@@ -9,7 +9,7 @@ from typing import Any
 from nodes.parameters.yaml_io import lines_of
 
 _PATH = re.compile(r"^(?P<path>[^\s:\[\]]+(?:\[\d+\][^\s:\[\]]*)*): ")
-_LAST = re.compile(r"(?:^|\.)[^.\[\]]+$|\[\d+\]$")
+_LAST = re.compile(r"(?:^|\.)[^.\[\]]*$|\[\d+\]$")
 
 
 class Origins:
@@ -56,9 +56,9 @@ class Origins:
         if argument is not None:
             given = argument in self._given
             behind = f" (given as {argument}:={self._given[argument]})" if given else f" (the default of {argument})"
-        while place and place not in self._lines:
-            place = _LAST.sub("", place, count=1)
-        if not place:
-            return text
+        while place not in self._lines:
+            place, whole = _LAST.sub("", place, count=1), place
+            if place == whole:
+                return text
         file, line = self._lines[place]
         return f"{file}:{line}: {text.removeprefix(f'{self._name}.')}{behind}"

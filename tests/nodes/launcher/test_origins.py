@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from nodes.launcher import launch_file
+from nodes.parameters.store import ParameterError
 from tests.support.launching import haptic
 
 
@@ -67,3 +68,36 @@ def test_a_directory_is_no_launch_file(tmp_path: Path) -> None:
 
 def test_an_unknown_option_shows_the_usage_of_its_own_verb(tmp_path: Path) -> None:
     assert haptic(tmp_path, "param", "set", "--jsn", "coupling", "a", "1", code=2).stderr.startswith("usage: haptic param set")
+
+
+@pytest.mark.parametrize("name", ["run.", "run..", "run.[", "run.a]", "run.rate.", "run.[0]"])
+def test_a_name_of_run_without_a_name_is_refused(name: str) -> None:
+    with pytest.raises(ParameterError, match=r"run\..*no such parameter"):
+        launch_file.read("floor_drop", {name: 3})
+
+
+@pytest.mark.parametrize("name", ["", ".", "a.", "[", "a]"])
+def test_a_parameter_without_a_name_is_refused(name: str, tmp_path: Path) -> None:
+    text = launch_file.find("floor_drop").read_text(encoding="utf-8").replace("gravity:", f"'{name}':")
+    (tmp_path / "mine.yaml").write_text(text, encoding="utf-8")
+    told = haptic(tmp_path, "launch", "./mine.yaml", code=2).stderr
+    assert f"driver.device.{name}: no such parameter" in told
+    # A bracket is read as a place in a list, which no line has.
+    assert told.startswith("haptic: mine.yaml:") or "[" in name or "]" in name
+
+
+@pytest.mark.parametrize("node", ["", "[1]", "{kind: [a]}", "{kind: }", "text"])
+def test_what_is_no_node_offers_no_device(node: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"summary: x\nnodes: {{driver: {node}}}\n", encoding="utf-8")
+    assert launch_file.read_arguments(path) == ("x", {})
+    with pytest.raises(ParameterError, match="no argument 'device'"):
+        launch_file.read(str(path), {"device": "touch_x"})
+    with pytest.raises(ParameterError, match=r"mine\.yaml:2: nodes\.driver"):
+        launch_file.read(str(path), {})
+
+
+def test_a_run_ends_within_what_a_counter_holds() -> None:
+    with pytest.raises(ParameterError, match=r"run\.duration: expected a number of at most 1000000000"):
+        launch_file.read("floor_drop", {"duration": 1e300})
+    assert launch_file.read("floor_drop", {"duration": 1e9, "rate": 20000.0}).run.ticks < 2**53
