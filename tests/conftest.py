@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 # As ``haptic`` does for its own processes, before numpy is there.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import hypothesis
 import pytest
 
 from messages.transport import keys
@@ -35,6 +36,10 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 # Nor are the tests themselves rewritten by every worker of every run.
 sys.dont_write_bytecode = False
+# No test asserts an absolute time, as hypothesis does unasked: 200 ms for an example. Examples may share their test's folder.
+UNCHECKED = [hypothesis.HealthCheck.too_slow, hypothesis.HealthCheck.function_scoped_fixture]
+hypothesis.settings.register_profile("untimed", deadline=None, suppress_health_check=UNCHECKED)
+hypothesis.settings.load_profile("untimed")
 
 
 LONGEST = (

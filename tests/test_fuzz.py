@@ -27,7 +27,7 @@ from typing import NamedTuple, cast
 
 import msgspec
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from messages import topics
@@ -369,12 +369,7 @@ def test_the_valid_inputs_are_valid(target: Target) -> None:
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
 @given(luck=st.randoms(use_true_random=False))
-@settings(
-    max_examples=EXAMPLES,
-    deadline=None,
-    database=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
+@settings(max_examples=EXAMPLES, database=None)
 def test_damaged_input_raises_the_documented_error_only(target: Target, luck: random.Random) -> None:
     attempt(target, luck)
 

@@ -21,7 +21,12 @@ if TYPE_CHECKING:
 
 def hand(text: str) -> tuple[float, float]:
     """Read a range of stiffness, or the name of a published hand: from none to its stiffness."""
-    return (0.0, HANDS[text].model["stiffness"].value) if text in HANDS else interval(text)
+    if text in HANDS:
+        return 0.0, HANDS[text].model["stiffness"].value
+    try:
+        return interval(text)
+    except argparse.ArgumentTypeError as error:
+        raise argparse.ArgumentTypeError(f"{error}; hands with a name are {', '.join(HANDS)}") from error
 
 
 def add_device(parser: argparse.ArgumentParser, delay: float = 0.0, hand: float = 0.0) -> None:

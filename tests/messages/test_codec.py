@@ -30,7 +30,7 @@ GOOD: dict[str, Any] = {"seq": 3, "stamp": 0.006, "force": [0.0, 0.0, 1.5]}
 
 @pytest.mark.parametrize("kind", TYPES, ids=lambda kind: kind.__name__)
 @given(data=st.data())
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_what_is_encoded_is_decoded(kind: type[Message], data: st.DataObject) -> None:
     message = data.draw(messages(kind))
     payload = encode(message)
@@ -98,7 +98,7 @@ def test_deep_nesting_is_refused_not_followed() -> None:
 
 @pytest.mark.parametrize("kind", TYPES, ids=lambda kind: kind.__name__)
 @given(data=st.data())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_every_truncation_is_refused(kind: type[Message], data: st.DataObject) -> None:
     payload = encode(data.draw(messages(kind)))
     cut = data.draw(st.integers(0, len(payload) - 1))

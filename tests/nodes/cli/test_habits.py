@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY
@@ -233,7 +233,6 @@ def test_completion_of_nonsense_is_nothing() -> None:
     assert candidates(["bag", "info", ""]) == []
 
 
-@settings(deadline=None)
 @given(st.lists(st.text(max_size=8), max_size=4))
 def test_completion_never_fails(words: list[str]) -> None:
     last = words[-1] if words else ""
@@ -274,7 +273,6 @@ def test_scripts_are_taken_by_their_shells(shell: str, capsys: pytest.CaptureFix
 # -- the status line, and colours ------------------------------------------------------------------------------------
 
 
-@settings(deadline=None)
 @given(st.integers(1, 200), st.dictionaries(st.sampled_from(ORDER), st.text(max_size=30)))
 def test_what_is_shown_fits(width: int, parts: dict[str, str]) -> None:
     shown = fitted(parts, width)

@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from messages.codec import MAX_PAYLOAD, encode
@@ -169,7 +169,7 @@ coming = st.lists(
 )
 
 
-@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=80)
 @given(kind=st.sampled_from(ALL), stream=coming)
 def test_late_repeated_overtaken_and_damaged_messages_in_any_order(
     kind: str, stream: list[tuple[int, int, int, str]], tmp_path: Path

@@ -103,7 +103,6 @@ messages = st.one_of(
 )
 
 
-@settings(deadline=None)  # the first one is compiled
 @given(messages)
 def test_what_the_nodes_send_is_read(message: Message) -> None:
     assert assert_read_alike(type(message), encode(message))
@@ -134,7 +133,6 @@ def encoder(message: type[Message]) -> Callable[[Message], bytes]:
     return made
 
 
-@settings(deadline=None)  # the first one is compiled
 @given(messages)
 def test_what_is_written_is_msgspecs_byte_for_byte(message: Message) -> None:
     assert encoder(type(message))(message) == encode(message)
@@ -191,7 +189,7 @@ codes = st.one_of(
 )
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 @given(
     st.permutations(["seq", "stamp", "force", "law", "revision"]),
     st.tuples(whole_codes, real_codes, st.tuples(real_codes, real_codes, real_codes), names, whole_codes),
@@ -218,7 +216,6 @@ def test_in_any_order_with_any_width_and_unknown_keys(
     assert right or not read
 
 
-@settings(deadline=None)
 @given(messages, st.data())
 def test_a_damaged_payload_is_never_read_otherwise(message: Message, data: Any) -> None:
     payload = bytearray(encode(message))

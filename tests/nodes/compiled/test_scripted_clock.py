@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from messages import topics
@@ -283,7 +283,7 @@ answers = st.lists(
     st.tuples(st.integers(0, 40), st.integers(-2_500, 9_000), st.integers(-6, 1), st.floats(-9.0, 9.0), st.booleans()),
     max_size=60,
 )
-quick = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+quick = settings(max_examples=60)
 
 
 @quick

@@ -48,7 +48,6 @@ def filled(values: list[float], length: int) -> History:
 finite = st.floats(-1e6, 1e6)
 
 
-@settings(deadline=None)
 @given(st.lists(finite, max_size=80), st.lists(finite, max_size=90))
 def test_taps_written_out_and_added_by_numpy_have_the_bits_of_the_kernel(taps: list[float], values: list[float]) -> None:
     history = filled(values, 80)
@@ -218,7 +217,7 @@ def test_a_fade_is_the_kernels_and_ends_after_its_ramp() -> None:
 
 
 @given(st.lists(st.tuples(st.floats(100.0, 5000.0), st.integers(0, 30), st.integers(1, 12)), min_size=1, max_size=14))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_swap_during_a_fade_does_not_make_the_force_jump(swaps: list[tuple[float, int, int]]) -> None:
     # Held at 1 mm every law's force is constant, so a fade's largest step is the whole difference over its ramp; a hard
     # swap's is the difference itself. More than LEAVING laws are joined, which must not show either.

@@ -144,7 +144,7 @@ ticks = st.tuples(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     run=st.lists(ticks, min_size=1, max_size=60),
     peak=st.floats(0.1, 10.0),

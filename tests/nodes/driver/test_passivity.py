@@ -153,7 +153,7 @@ def test_a_guard_leaves_alone_what_makes_no_energy_along_a_surface(scenario: str
 
 
 @given(data=st.data())
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_no_more_leaves_in_space_than_the_change_of_a_step_explains(data: st.DataObject) -> None:
     """E_{k+1} ≤ max(E_k, 0) + F_k·(Δ_{k+1} − Δ_k), and the force keeps its direction."""
     s = state_of((0, 1, 2))
@@ -256,7 +256,6 @@ def given_out(trace: Trace, delay: float = 0.0) -> Any:
     return np.concatenate(([0.0], np.cumsum(acting * np.diff(trace.measured))))
 
 
-@settings(deadline=None)  # the first example compiles
 @given(ratio=st.floats(0.1, 0.5), damping=st.floats(0.0, 5.0), mass=st.floats(0.05, 0.5), credit=st.booleans())
 def test_a_dropped_mass_never_gains_more_than_one_tick_allows(ratio: float, damping: float, mass: float, credit: bool) -> None:
     stiffness = ratio * mass / T**2

@@ -174,7 +174,7 @@ def test_at_rest_the_deflection_is_carried_by_what_is_touched(name: str, tool: f
     assert found.rounds.max() < 50
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=25, derandomize=True)
 @given(
     seed=st.integers(0, 2**32 - 1),
     tool=st.sampled_from([0.0, 2e-4, 2e-3]),

@@ -55,7 +55,7 @@ def test_loop_renders_what_taps_and_sections_say(kind: str, order: float) -> Non
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(data=st.data(), left=st.floats(-2.0, 2.0), right=st.floats(-2.0, 2.0), seed=st.integers(0, 99))
 def test_linear(kind: str, data: st.DataObject, left: float, right: float, seed: int) -> None:
     law = realise(kind, data.draw(orders_of(kind)), LENGTH[kind], T)
@@ -67,7 +67,7 @@ def test_linear(kind: str, data: st.DataObject, left: float, right: float, seed:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(data=st.data(), period=st.floats(1e-4, 0.1))
 def test_gain_goes_as_period_to_the_minus_order(kind: str, data: st.DataObject, period: float) -> None:
     order = data.draw(orders_of(kind))
@@ -83,7 +83,7 @@ def test_gain_goes_as_period_to_the_minus_order(kind: str, data: st.DataObject, 
         assert (a1, a2) == pytest.approx((c1, c2), abs=4 * EPS)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     kind=st.sampled_from(KINDS),
     order=st.floats(min_value=0.0, max_value=4.0, exclude_min=True, exclude_max=True),

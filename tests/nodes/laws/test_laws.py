@@ -304,7 +304,7 @@ laws = st.one_of(
 
 
 @given(laws)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_any_law_survives_dump_and_load(data: dict[str, Any]) -> None:
     law = parse_law(data)
     assert parse_law(yaml.safe_load(yaml.safe_dump(law_to_dict(law)))) == law
@@ -312,7 +312,7 @@ def test_any_law_survives_dump_and_load(data: dict[str, Any]) -> None:
 
 
 @given(laws, st.floats(0.25, 4.0))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_laws_scale_with_their_gains(data: dict[str, Any], factor: float) -> None:
     scaled = dict(data)
     for name in ("stiffness", "damping"):
@@ -327,7 +327,7 @@ def test_laws_scale_with_their_gains(data: dict[str, Any], factor: float) -> Non
 
 
 @given(laws, laws, st.integers(0, 30))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_swap_over_the_shared_history_has_no_start_up(first: dict[str, Any], second: dict[str, Any], at: int) -> None:
     """From the swap on, the force has the bits of a loop which had run the second law all along."""
     a, b = parse_law(first).compile(T), parse_law(second).compile(T)

@@ -129,7 +129,6 @@ def bits(value: Any) -> Any:
     return type(value), value
 
 
-@settings(deadline=None)
 @given(trees)
 def test_what_is_written_reads_back_to_the_bit(tree: Any) -> None:
     assert bits(parse_yaml(write_yaml(tree), "test")) == bits(tree)
@@ -283,7 +282,7 @@ def couplings(draw: st.DrawFn) -> dict[str, Any]:
 
 
 @given(couplings(), couplings())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_dump_then_load_is_the_identity(one: dict[str, Any], other: dict[str, Any]) -> None:
     store = ParameterStore("coupling", CouplingParameters, one)
     dumped = parse_yaml(write_yaml({"coupling": store.dump()}), "dump")
@@ -297,7 +296,7 @@ def test_dump_then_load_is_the_identity(one: dict[str, Any], other: dict[str, An
 
 
 @given(couplings(), st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_what_is_set_is_what_is_got(tree: dict[str, Any], data: st.DataObject) -> None:
     store = ParameterStore("coupling", CouplingParameters, tree)
     flat = store.flat()

@@ -52,7 +52,7 @@ def texts(figure: Any) -> str:
 # -- lines in bounded memory -----------------------------------------------------------------------------------------
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=50), st.integers(POINTS, 3 * POINTS))
 def test_a_long_line_keeps_every_extreme_where_it_was(spikes: list[float], count: int) -> None:
     rng = np.random.default_rng(1)

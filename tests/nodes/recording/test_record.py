@@ -14,7 +14,7 @@ from typing import Any
 import jsonschema
 import msgspec
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
@@ -88,7 +88,7 @@ def test_schema_refuses_types_it_cannot_flatten() -> None:
 # -- round trips -----------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30)
 @given(written=st.lists(st.tuples(st.sampled_from(TYPES).flatmap(messages), st.floats(0.0, 1e9)), min_size=1, max_size=20))
 def test_round_trip_to_the_bit(tmp_path: Path, written: list[tuple[Message, float]]) -> None:
     path = tmp_path / "r.mcap"

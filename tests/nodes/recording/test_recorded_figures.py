@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
@@ -31,7 +31,7 @@ OFFSETS = (LOG_OFFSET, PUBLISH_OFFSET)
 
 @given(seqs=st.sets(st.integers(0, 2**34), min_size=1, max_size=30))
 @example(seqs={2**32 - 1, 2**32, 2**32 + 2})
-@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=50)
 def test_gaps_are_the_missing_numbers(tmp_path: Path, seqs: set[int]) -> None:
     path = tmp_path / "r.mcap"
     ordered = sorted(seqs)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import zstandard
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
@@ -25,11 +25,7 @@ from tests.support.whole import Whole
 
 MAGIC = b"\x89MCAP0\r\n"
 # HAPTIC_FUZZ=50 makes a long run of it.
-FUZZ = settings(
-    max_examples=60 * int(os.environ.get("HAPTIC_FUZZ", "1")),
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+FUZZ = settings(max_examples=60 * int(os.environ.get("HAPTIC_FUZZ", "1")))
 
 
 def read(path: Path) -> list[tuple[str, Message]]:

@@ -65,7 +65,7 @@ def test_damping_shown_is_the_series_for_light_damping() -> None:
         assert shown == pytest.approx(1.0 + math.tan(0.5 * theta) ** 2 / 3.0, rel=1e-5 * (1.0 + math.tan(0.5 * theta) ** 2))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     taps=st.lists(st.floats(-3000.0, 3000.0), min_size=1, max_size=5),
     mass=st.floats(0.02, 1.0),

@@ -136,7 +136,7 @@ def test_passivity_at_fractional_delay_against_the_lifted_loop(delay: float, tap
     st.floats(-3.0, 1.0),
     st.floats(0.0, 1e4),
 )
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_a_passive_law_is_stable_with_any_mass_and_any_hand(
     taps: list[float], delay: float, decade: float, hand: float
 ) -> None:
@@ -273,7 +273,7 @@ def test_thousands_of_taps(order: float, taps: int) -> None:
 
 
 @given(st.lists(st.floats(-3.0, 3.0), min_size=2, max_size=30), st.floats(0.3, 3.0))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_count_outside_a_circle(coefficients: list[float], radius: float) -> None:
     c = np.array([1.0, *coefficients])
     moduli = np.abs(np.roots(c))

@@ -88,7 +88,7 @@ def test_frictionless_undamped_free_device_is_a_parabola() -> None:
 
 
 @given(mass_values, damping_values, stiffness_values, durations, durations, states)
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_two_steps_are_one(m: float, b: float, k: float, h1: float, h2: float, state: tuple[float, float, float]) -> None:
     x, v, u = state
     once = advance(x, v, u, coefficients(m, b, k, h1 + h2))
@@ -101,7 +101,7 @@ def test_two_steps_are_one(m: float, b: float, k: float, h1: float, h2: float, s
 
 
 @given(mass_values, stiffness_values, durations, st.floats(-0.1, 0.1), st.floats(-1.0, 1.0))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_energy_is_kept_without_damping(m: float, k: float, h: float, x: float, v: float) -> None:
     def energy(x: float, v: float) -> float:
         return 0.5 * m * v * v + 0.5 * k * x * x
@@ -112,7 +112,7 @@ def test_energy_is_kept_without_damping(m: float, k: float, h: float, x: float, 
 
 
 @given(mass_values, damping_values, stiffness_values, durations, states, st.floats(0.0, 5.0))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_nothing_but_the_force_adds_energy(
     m: float, b: float, k: float, h: float, state: tuple[float, float, float], friction: float
 ) -> None:
@@ -199,7 +199,7 @@ def _integrate(
 
 
 @given(mass_values, damping_values, stiffness_values, durations, durations, states, st.floats(0.0, 5.0))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_two_sliding_steps_are_one(
     m: float, b: float, k: float, h1: float, h2: float, state: tuple[float, float, float], friction: float
 ) -> None:
