@@ -243,9 +243,10 @@ class Run:
                 raise LaunchError(f"{self.info.run}: still running; wait() or stop() first")
             assert self._folder is not None  # noqa: S101  # a process has one
             lines = _lines(self._folder)
-            if not lines or process.returncode == 1:
+            printed = json.loads(lines[-1]) if lines else {}
+            # Of one that was killed the URL of its page may be all that it printed.
+            if process.returncode == 1 or "exit_reason" not in printed:
                 raise LaunchError(f"{self.info.run}: exit code {process.returncode}: {_errors(self._folder)}")
-            printed = json.loads(lines[-1])
             keys = ("scenario", "exit_reason", "ticks", "missed", "rate_hz", "response_us", "final", "recording")
             self._summary = RunSummary(**{key: printed[key] for key in keys}, all=printed)
         return self._summary

@@ -170,6 +170,18 @@ def test_a_scenario_that_does_not_start_says_why(place: Path) -> None:
         haptic.launch("no_such")
 
 
+@pytest.mark.parametrize("view", [False, True])
+def test_a_launcher_that_is_killed_leaves_no_summary(place: Path, view: bool) -> None:
+    with haptic.launch("wall_press", duration=0, view=view) as run:
+        os.kill(run.info.launcher, signal.SIGKILL)
+        with pytest.raises(haptic.LaunchError, match=r"exit code -9"):
+            run.wait(timeout=60.0)
+        assert not run.running
+        with pytest.raises(haptic.LaunchError, match=r"exit code -9"):
+            _ = run.recording
+    wait_for(lambda: not processes_of(place), "the end of its nodes")
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["interrupted", "killed"])
 def test_a_program_that_ends_leaves_nothing(place: Path, number: signal.Signals) -> None:
     code = """
