@@ -242,7 +242,7 @@ class ReplayPages:
                 plant, driver = self._with(later)
                 work = partial(drawn_map, described, self._facts.period, plant, driver, self._delay)
                 self._maps[key] = await asyncio.get_running_loop().run_in_executor(self._mapping, work)
-            tell(msgspec.json.encode({"type": "map", "law": active, **self._maps[key]}).decode())
+            tell(msgspec.json.encode({"type": "map", "law": active, "device_delay": later, **self._maps[key]}).decode())
 
         self._job = asyncio.get_running_loop().create_task(draw())
 

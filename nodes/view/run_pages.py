@@ -291,11 +291,12 @@ class RunPages:
     async def _read_laws(self) -> None:
         def ask() -> dict[str, Any]:
             node = self._commander.coupling
+            # First: the plant is set before it, so that a new delay never stands beside the plant of an old one.
+            delay = self._commander.device_delay()
             parameters = self._commander.ask(node, "param.dump")
             chosen = {name: parameters.get(name) for name in ("ramp", "plant", "stability")}
             named = list(parameters.get("laws", {}))
-            chosen["device_delay"] = self._commander.device_delay()
-            return {"node": node, **self._commander.ask(node, "law.list"), "named": named, **chosen}
+            return {"node": node, **self._commander.ask(node, "law.list"), "named": named, **chosen, "device_delay": delay}
 
         try:
             self._laws = await asyncio.get_running_loop().run_in_executor(self._asking, ask)
@@ -310,11 +311,12 @@ class RunPages:
             self.live.changed = True
 
     async def _draw_map(self) -> None:
-        described, delay = self._laws["laws"][self._laws["active"]], self.live.delay
+        laws, delay = self._laws, self.live.delay
+        described, own = laws["laws"][laws["active"]], laws["device_delay"]
         driver = dict(self._run.nodes[self._commander.driver].parameters)
-        if self._laws["device_delay"] is not None:
-            driver["device"] = {**driver["device"], "delay": self._laws["device_delay"]}
+        if own is not None:
+            driver["device"] = {**driver["device"], "delay": own}
         inertia = await asyncio.get_running_loop().run_in_executor(self._asking, self._commander.inertia)
-        draw = partial(drawn_map, described, self._period, self._laws.get("plant"), driver, delay, inertia)
+        draw = partial(drawn_map, described, self._period, laws.get("plant"), driver, delay, inertia)
         found = await asyncio.get_running_loop().run_in_executor(self._mapping, draw)
-        self.live.board.put("map", {"law": self._laws["active"], **found})
+        self.live.board.put("map", {"law": laws["active"], "device_delay": own, **found})

@@ -132,7 +132,7 @@ const link = new Link({
   poses({ poses }) { space.pose(poses); },
   beside(found) { beside.show(found); },
   over(found) { overlaid = found; plots.dirty = true; },
-  map(found) { map.show(found, laws.state?.device_delay ?? 0); laws.edge = found.k_max_n_per_m ?? null; laws.fill(); turn(); },
+  map(found) { map.show(found); laws.edge = found.k_max_n_per_m ?? null; laws.fill(); turn(); },
   log(entry) {
     log.add(entry);
     if (entry.kind === "receipt") plots.mark(entry.t, entry.switched ? entry.law : "");

@@ -55,10 +55,10 @@ export class StabilityMap {
     return n < 0 ? null : own - map.delay_ticks + (n ? rows[n - 1][0] + part * (rows[n][0] - rows[n - 1][0]) : 0);
   }
 
-  // And how much of the delay is the device's own.
-  show(map, own = this.own) {
+  show(map) {
     const before = this.map;
-    this.own = own;
+    // How much of the delay that it was drawn for is the device's own: by now that may be another.
+    this.own = map.device_delay ?? 0;
     this.map = map;
     if (before?.edge && map.edge && (before.k_n_per_m !== map.k_n_per_m || before.b_n_s_per_m !== map.b_n_s_per_m)) this.trail = [...this.trail.slice(-40), [before.b_n_s_per_m, before.k_n_per_m]];
     this.canvas.hidden = !map.edge;
