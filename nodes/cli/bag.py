@@ -333,7 +333,13 @@ def _export(arguments: argparse.Namespace) -> int:
         raise UsageError(f"{arguments.out}: {ending!r} is no format; take one of {', '.join(formats)} with --format")
     ending = {"csv": "_csv", "ros2": "_ros2", "foxglove": ".foxglove.mcap"}.get(form, f".{form}")
     out = _free(arguments.out or source.with_name(f"{source.stem}{ending}"), arguments.force)
-    files = formats[form](Recording(source), out, overwrite=arguments.force)
+    recording = Recording(source)
+    files = formats[form](recording, out, overwrite=arguments.force)
+    if form in TABLES:
+        try:
+            recording.require_ticks()
+        except RecordError as error:
+            complain(error)  # the other tables are written all the same
     return answer(arguments.json, {"files": [str(file) for file in files]}, "\n".join(map(str, files)))
 
 

@@ -19,6 +19,7 @@ from nodes.base.hang_watchdog import held_in
 from nodes.base.node_kinds import load
 from nodes.base.processor_wait import ProcessorWait, state_of
 from nodes.base.setup import Setup
+from nodes.base.status_report import write_whole
 
 PYTHON = (sys.executable, "-P")  # our processes': without the working directory, where a ``sim.py`` may be anybody's
 START_TIMEOUT = 90.0  # until a node is ready [s]: eight launches at once on two processors take more than 30 s
@@ -93,7 +94,7 @@ class Child:
     def _write_setup(self, run_dir: Path) -> Path:
         path = run_dir / f"{self.setup.name}.json"
         path.parent.mkdir(mode=0o700, exist_ok=True, parents=True)
-        path.write_bytes(msgspec.json.encode(self.setup))
+        write_whole(path, self.setup)  # a program that somebody started by hand may be waiting for it
         return path
 
     def start(self, run_dir: Path) -> None:

@@ -73,9 +73,11 @@ def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
         raise LawRefusedError(f"{path}: cannot be compiled: {type(error).__name__}: {error}") from error
     if not isinstance(compiled, CompiledLaw):
         raise LawRefusedError(f"{path}: compiles to {type(compiled).__name__}, expected CompiledLaw (law kind {law.kind})")
-    if not compiled.finite:
+    # The sum of the taps is only known to rounding: what is below it has no sign.
+    rounding = 2.0**-52 * sum(map(abs, compiled.taps))
+    if not (compiled.finite and math.isfinite(rounding)):
         raise LawRefusedError(
-            f"{path}: taps are not finite at T = {period:g} s (limit: below 1.8e308); lower the gains or the order"
+            f"{path}: taps or their sum are not finite at T = {period:g} s (limit: below 1.8e308); lower the gains or the order"
         )
     if not compiled.stable_sections():
         raise LawRefusedError(
@@ -91,8 +93,6 @@ def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
             ) from error
         return compiled  # it adds a force that no transfer function tells; the coupling watches it at run time
     h1 = compiled.h1
-    # The sum of the taps is only known to rounding: what is below it has no sign.
-    rounding = 2.0**-52 * sum(map(abs, compiled.taps))
     if not h1 > rounding:
         raise LawRefusedError(
             f"{path}: renders H(1) = {h1:.6g} N/m to a held deflection (limit: > {rounding:.2g}), it would pull "

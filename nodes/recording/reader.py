@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import msgspec
 
 import messages.types
-from messages.topics import LOOP, message_type, split
+from messages.topics import DEVICE_STATE, LOOP, message_type, split
 from messages.types import Message
 from nodes.recording import mcap_walk
 from nodes.recording.mcap_walk import Channel, CutError, RawMessage, Record, Schema
@@ -217,6 +217,16 @@ class Recording:
             self.channels = {
                 number: channel._replace(topic=split(channel.topic)[1]) for number, channel in self.channels.items()
             }
+
+    def require_ticks(self) -> None:
+        """Raise RecordError where it has no ticks of one chain; of several chains it says how to take one out."""
+        if DEVICE_STATE in self.topics:
+            return
+        chains = sorted(space for space, topic in map(split, self.topics) if topic == DEVICE_STATE)
+        text = f"{self.path}: no message on {DEVICE_STATE}, so there are no ticks"
+        if chains:
+            text += f"; of its chains ({', '.join(chains)}) haptic bag filter {self.path} -e ^/{chains[0]}/ takes one out"
+        raise RecordError(text)
 
     def _message(self, shift: int, record: Record) -> RawMessage:
         raw = mcap_walk.parse_message(self.path, record)

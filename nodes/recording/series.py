@@ -96,8 +96,9 @@ class Lines:
     """What a picture of a run is drawn from; `start`, `stop`: from and up to which time after the first state [s]."""
 
     def __init__(self, recording: Recording, start: float = 0.0, stop: float = math.inf) -> None:
-        figures = recording.topics.get(DEVICE_STATE)
-        if figures is None or figures.messages < 2:
+        recording.require_ticks()
+        figures = recording.topics[DEVICE_STATE]
+        if figures.messages < 2:
             raise RecordError(f"{recording.path}: fewer than two messages on {DEVICE_STATE}; a plot needs at least two")
         self.begin = figures.first_stamp  # stamp of the recording's first state: time 0 of the picture [s]
         # The stretch, as stamps [s].

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from messages.types import ZERO, DeviceState, Force, Proxy
 from nodes.recording.reader import Recording
-from nodes.recording.writer import RecordError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -71,8 +70,7 @@ def rows(recording: Recording) -> Iterator[Row]:
     RecordError
         When no state was recorded, or a message does not fit its type.
     """
-    if DEVICE_STATE not in recording.topics:
-        raise RecordError(f"{recording.path}: no message on {DEVICE_STATE}, so there are no ticks")
+    recording.require_ticks()
     waiting: list[DeviceState] = []
     proxies: dict[int, Proxy] = {}
     forces: dict[int, Force] = {}

@@ -82,8 +82,7 @@ class ReplayPages:
 
     def __init__(self, path: Path, over: Path | None = None) -> None:
         recording = Recording(path)
-        if DEVICE_STATE not in recording.topics:
-            raise RecordError(f"{path}: holds nothing on {DEVICE_STATE}, so there is nothing to replay")
+        recording.require_ticks()
         self._facts = _facts(recording)
         span = recording.topics[DEVICE_STATE]
         ticks = span.last_seq - span.first_seq + 1
@@ -154,8 +153,7 @@ class ReplayPages:
 
     def _read_over(self, path: Path) -> str:
         recording = Recording(path)
-        if DEVICE_STATE not in recording.topics:
-            raise RecordError(f"{path}: holds nothing on {DEVICE_STATE}, so there is nothing to draw over")
+        recording.require_ticks()
         facts, axis = _facts(recording), AXIS_INDEX[self._facts.axes[0]]
         states = [one for one in recording.messages(DEVICE_STATE) if isinstance(one, DeviceState)]
         shown = states[:: 1 + len(states) // OVER]

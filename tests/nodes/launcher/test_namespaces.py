@@ -85,6 +85,18 @@ def test_a_verb_takes_one_chain_as_if_it_were_alone(two_hands: Running) -> None:
     assert "no namespace 'middle'; there is: left, right" in refused
 
 
+def test_a_recording_of_several_chains_says_how_to_take_one_out(two_hands: Running, tmp_path: Path) -> None:
+    both, one = tmp_path / "both.mcap", tmp_path / "both.filter.mcap"
+    typed(two_hands, "bag", "record", "--duration", "0.3", "--out", str(both))
+    remedy = f"haptic bag filter {both} -e ^/left/"
+    assert remedy in typed(two_hands, "bag", "plot", str(both), code=1).stderr
+    assert remedy in typed(two_hands, "bag", "export", str(both)).stderr
+    typed(two_hands, *remedy.split()[1:])
+    assert typed(two_hands, "bag", "export", str(one)).stderr == ""
+    assert (tmp_path / "both.filter_csv" / "ticks.csv").is_file()
+    typed(two_hands, "bag", "plot", str(one))
+
+
 def test_a_node_can_take_another_chains_topic(tmp_path: Path) -> None:
     """A second environment and coupling follow the first chain's device: the shadow computes the same force."""
     file = tmp_path / "shadow.yaml"

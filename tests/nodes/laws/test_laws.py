@@ -206,7 +206,8 @@ def test_refusals_name_path_value_and_limit(data: object, message: str) -> None:
     [
         ({"kind": "fir", "taps": [1.0, -1.0]}, r"^laws\.a: renders H\(1\) = 0 N/m"),
         ({"kind": "fir", "taps": [1.0, -1.5]}, r"^laws\.a: renders H\(1\) = -0\.5 N/m"),
-        ({"kind": "pd", "stiffness": 1e308, "damping": 1e308}, r"^laws\.a: taps are not finite"),
+        ({"kind": "pd", "stiffness": 1e308, "damping": 1e308}, r"^laws\.a: taps or their sum are not finite"),
+        ({"kind": "fir", "taps": [1e308, 1e308]}, r"^laws\.a: taps or their sum are not finite"),
         ({"kind": "fir", "taps": [1.0], "period": 0.001}, r"^laws\.a\.period: .*T = 0\.001 s .*T = 0\.002 s"),
         ({"kind": "paper_optimum", "derivative": "none"}, r"^laws\.a.*derivative = 'none'"),
     ],
