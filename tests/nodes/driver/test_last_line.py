@@ -253,7 +253,7 @@ def test_positions_outside_the_workspace_are_a_fault_and_no_data(tmp_path: Path)
 
 PUSHED = """
 summary: Something pushes against a floor
-run: {{duration: 0.0, cpu: any, fifo: 0, tick: {tick}}}
+run: {{duration: 0.0, tick: {tick}}}
 nodes:
   driver:
     kind: sim_driver
