@@ -6,6 +6,7 @@ needs no more memory than a minute. A file whose writer was killed opens like an
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -225,7 +226,8 @@ class Recording:
         chains = sorted(space for space, topic in map(split, self.topics) if topic == DEVICE_STATE)
         text = f"{self.path}: no message on {DEVICE_STATE}, so there are no ticks"
         if chains:
-            text += f"; of its chains ({', '.join(chains)}) haptic bag filter {self.path} -e ^/{chains[0]}/ takes one out"
+            take = f"haptic bag filter {shlex.quote(str(self.path))} -e ^/{chains[0]}/"
+            text += f"; of its chains ({', '.join(chains)}) {take} takes one out"
         raise RecordError(text)
 
     def _message(self, shift: int, record: Record) -> RawMessage:

@@ -8,8 +8,10 @@
 
 #define _GNU_SOURCE
 #include <dlfcn.h>
+#include <errno.h>
 #include <fcntl.h>
 #include <math.h>
+#include <signal.h>
 #include <stdio.h>
 #include <stdint.h>
 #include <stdlib.h>
@@ -45,7 +47,7 @@ typedef struct {
     double tool_mass, base[2];
     int32_t carries, spare;
     char fail[32];
-    int32_t lock;
+    int32_t lock; /* 0, or the process that holds it */
 } world;
 
 static inline double world_now(void) {
@@ -55,7 +57,13 @@ static inline double world_now(void) {
 }
 
 static inline void world_lock(world *w) {
-    while (__atomic_exchange_n(&w->lock, 1, __ATOMIC_ACQUIRE)) usleep(10);
+    int32_t holder = 0, self = (int32_t) getpid();
+    while (!__atomic_compare_exchange_n(&w->lock, &holder, self, 0, __ATOMIC_ACQUIRE, __ATOMIC_RELAXED)) {
+        /* Who is killed while it holds the lock never gives it back: it is taken from a process that is gone. */
+        if (kill(holder, 0) && errno == ESRCH) continue;
+        usleep(10);
+        holder = 0;
+    }
 }
 
 static inline void world_unlock(world *w) { __atomic_store_n(&w->lock, 0, __ATOMIC_RELEASE); }
