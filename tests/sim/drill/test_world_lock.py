@@ -39,5 +39,6 @@ def test_a_lock_whose_holder_lives_is_waited_for(tmp_path: Path) -> None:
     state.lock = os.getpid()
     with pytest.raises(subprocess.TimeoutExpired):
         _touch(path, 3.0)
+    assert state.lock == os.getpid()
     state.lock = 0
     assert _touch(path, 60.0) == "(0.0, 0.0, 0.0)\n"
