@@ -65,7 +65,10 @@ def test_before_the_first_tick() -> None:
 
 
 def test_a_stop_is_told_by_its_strokes() -> None:
-    reason = "the loop's force came to the limit of 10 N 6 times within 0.25 s and gave out 65.3 mJ; no force until"
+    reason = (
+        "the loop gives out energy: its force came to the limit of 10 N 6 times within 0.25 s and gave out 65.3 mJ; "
+        "no force until"
+    )
     assert stop_in_words(reason) == ("6 strokes to the limit of 10 N within 0.25 s, 65.3 mJ given out", 0.25)
     assert stop_in_words("put otherwise") == ("put otherwise", 0.0)
 
