@@ -20,8 +20,9 @@ _WORDS: Final[tuple[Callable[..., str], ...]] = (
     lambda _, axis, at, low, high, *__: f"{'xyz'[int(axis)]} = {at:.4g} m, workspace {low:.4g} to {high:.4g} m",
     lambda *_: "back inside the workspace",
     lambda _, peak, times, span, gained, *__: (
-        f"the loop gives out energy: its force came to the limit of {peak:g} N {times:.0f} times within {span:.2g} s and "
-        f"gave out {gained * 1e3:.3g} mJ; no force until it is asked for: a softer law first, then haptic node rearm, or launch again"
+        f"the loop gives out energy: its force came to the limit of {peak:g} N {times:.0f} times within {span:.2g} s "
+        f"and gave out {gained * 1e3:.3g} mJ; no force until it is asked for: a softer law first, then haptic node rearm, "
+        "or launch again"
     ),
     lambda tick, _, most, *__: f"continuous force at tick {tick}: limit {most:.3g} N reached",
     lambda tick, written, *_: f"no force from tick {written:.0f} to {tick}; the device let go by itself",
