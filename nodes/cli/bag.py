@@ -80,7 +80,7 @@ def _add_record(own: argparse.ArgumentParser) -> None:
     )
     own.add_argument("--force", action="store_true", help="replace a file that is there already")
     add_run_name(own)
-    own.add_argument("--duration", type=above_zero, default=0.0, metavar="S", help="stop after so many seconds")
+    own.add_argument("--duration", type=above_zero, default=0.0, metavar="S", help="stop so long after the first message")
 
 
 def _add_play(own: argparse.ArgumentParser) -> None:
@@ -152,8 +152,7 @@ def _record(arguments: argparse.Namespace) -> int:
         # Several recorders beside one launch each get a file of their own.
         out = _free(arguments.out or arguments.out_dir / f"{run.run}-{os.getpid()}.mcap", arguments.force)
         print(f"recording {run.run} into {out}; Ctrl-C ends", file=sys.stderr, flush=True)
-        until = time.monotonic() + (arguments.duration or math.inf)
-        count = record(run, str(out), topics, lambda: bool(ended) or time.monotonic() > until, arguments.force)
+        count = record(run, str(out), topics, lambda: bool(ended), arguments.duration or math.inf, arguments.force)
         return answer(arguments.json, {"recording": str(out), "messages": count}, f"{out}: {count} messages")
 
 

@@ -31,6 +31,7 @@ from nodes.recording.writer import RecordError, RecordWriter
 
 FLUSH_PERIOD = 0.5  # what a killed logger loses at most [s]
 QUEUE = 200_000  # messages that wait in the logger's process while its disk is busy
+CONNECTING = 5.0  # after so long whoever records for a while has heard what there is to hear [s]
 QUIET_MS = 200  # how long no message may come before a stopped logger believes that all have [ms]
 
 
@@ -218,15 +219,25 @@ class Logger(Node):
             self._give_up(error)
 
 
-def record(run: RunInfo, path: str, topics: list[str], ended: Callable[[], bool], overwrite: bool = False) -> int:
-    """Record a running launch from beside it, until that ends, or somebody ends this; how many messages were recorded."""
+def record(
+    run: RunInfo, path: str, topics: list[str], ended: Callable[[], bool], duration: float = math.inf, overwrite: bool = False
+) -> int:
+    """Record a running launch from beside it, until that ends, or somebody ends this; how many messages were recorded.
+
+    The `duration` [s] begins with the first message, or when one that is sent must have come: connecting takes as long as the
+    machine is slow.
+    """
     with (
         listening(run, set(run.publishers().values()), topics or [""], QUEUE) as (inbox, links),
         open_writer(path, run.manifest, overwrite) as writer,
     ):
         recorder = Recorder(inbox, writer, topics)
-        while not ended() and run.lives:
+        until = time.monotonic() + CONNECTING + duration
+        while not ended() and run.lives and time.monotonic() < until:
+            heard = recorder.recorded
             recorder.take(100)
+            if not heard and recorder.recorded:
+                until = time.monotonic() + duration
             links.keep()
         # While the run lives there is no end to wait for.
         if not run.lives:

@@ -27,7 +27,7 @@ from nodes.cli.topic import Spread
 from nodes.launcher.runs import RunInfo, new_run_dir, write_run
 from nodes.recording.reader import Recording
 from sim.measure.rig import full_pipe
-from tests.support.launching import HAPTIC, Running, private_runtime_dir, running, typed, wait_for
+from tests.support.launching import DEADLINE, HAPTIC, Running, private_runtime_dir, running, typed, wait_for
 from tests.support.setups import setup_of
 
 RATE = 250.0
@@ -201,6 +201,26 @@ def test_record_for_a_while(launch: Running) -> None:
     assert "exists already" in typed(launch, "bag", "record", "--out", str(path), code=2).stderr
     told(launch, "bag", "record", FORCE, "--duration", "0.3", "--out", str(path), "--force")
     assert list(Recording(path).topics) == [FORCE]
+
+
+def test_the_duration_begins_with_the_first_message(tmp_path: Path) -> None:
+    """On a machine that needs longer to connect than is to be recorded, nothing was recorded."""
+    path = tmp_path / "late.mcap"
+    with running(tmp_path, "floor_drop", "duration:=0", "--without", "logger") as launch:
+        launch.wait_ticks(10)
+        nodes = [launch.pid(name) for name in ("driver", "environment", "coupling")]
+        for pid in nodes:
+            os.kill(pid, signal.SIGSTOP)
+        with subprocess.Popen(
+            [*HAPTIC, "bag", "record", "--duration", "0.3", "--out", str(path)], env=launch.environment
+        ) as process:
+            wait_for(path.exists, "the recorder listens")
+            with pytest.raises(subprocess.TimeoutExpired):
+                process.wait(0.6)
+            for pid in nodes:
+                os.kill(pid, signal.SIGCONT)
+            assert process.wait(DEADLINE) == 0
+    assert Recording(path).topics[DEVICE_STATE].messages
 
 
 @contextlib.contextmanager

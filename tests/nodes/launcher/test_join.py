@@ -134,7 +134,7 @@ def test_it_becomes_only_what_it_was_started_for(
 ) -> None:
     node = waiting("coupling")
     with pytest.raises(ControlError, match="--kind touch_driver"):
-        call(context, node.control, "configure", setup=node.setup("touch_driver", touch={"library": str(evil[0])}))
+        call(context, node.control, "configure", DEADLINE, setup=node.setup("touch_driver", touch={"library": str(evil[0])}))
     assert not evil[1].exists()
 
 
@@ -146,13 +146,13 @@ def test_a_library_from_the_wire_is_loaded_only_where_the_command_line_allows_it
     setup = node.setup("touch_driver", touch={"library": str(library)})
     setup["sources"] = {"/coupling/force": f"tcp://127.0.0.1:{free_ports(1)}#{'ab' * 32}"}
     with pytest.raises(ControlError, match=f"--allow-path {library.parent}"):
-        call(context, node.control, "configure", setup=setup)
+        call(context, node.control, "configure", DEADLINE, setup=setup)
     assert not mark.exists()
     assert call(context, node.control, "status")["state"] == "unconfigured"
     # The same setup where it is allowed: what was refused above would have been executed.
     node = waiting("driver", "--kind", "touch_driver", "--allow-path", str(library.parent))
     setup |= {"publish": node.publish, "control": node.control}
-    call(context, node.control, "configure", setup=setup)
+    call(context, node.control, "configure", DEADLINE, setup=setup)
     wait_for(mark.exists, "the library is loaded")
 
 
@@ -164,7 +164,7 @@ def test_a_file_of_mine_is_not_overwritten_from_the_wire(
     node = waiting("logger")
     for parameters in ({"path": str(precious), "overwrite": True}, {"overwrite": True}, {"path": "../x.mcap"}):
         with pytest.raises(ControlError, match="--allow-path"):
-            call(context, node.control, "configure", setup=node.setup("logger", **parameters))
+            call(context, node.control, "configure", DEADLINE, setup=node.setup("logger", **parameters))
     assert precious.read_text() == "mine"
 
 

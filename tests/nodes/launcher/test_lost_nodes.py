@@ -101,10 +101,10 @@ def test_a_loop_that_hears_nothing_takes_changes_and_ends_when_asked(tmp_path: P
     with running(tmp_path, "floor_drop", "duration:=0") as launch:
         launch.wait_ticks(10)
         os.kill(launch.pid("driver"), signal.SIGSTOP)
-        for stiffness in (900.0, 1100.0):
+        for stiffness in (300.0, 350.0):  # stable at 4 ticks of delay too, which a busy machine may measure
             receipt = launch.call("coupling", "param.set", values={"laws.pd.stiffness": stiffness})
             assert receipt["action"] == "set"
-        assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == 1100.0
+        assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == 350.0
         for node in ("environment", "coupling"):
             os.kill(launch.pid(node), signal.SIGTERM)
         launch.finish(signal.SIGINT, code=None)
