@@ -141,17 +141,30 @@ def export_csv(recording: Recording, out: str | Path, *, overwrite: bool = False
 
 
 def _save_parameters(recording: Recording, path: Path, overwrite: bool) -> Path:
-    save(path, json.dumps(parameters(recording), indent=2, ensure_ascii=False).encode() + b"\n", overwrite)
+    if not _stand(recording, path):
+        save(path, _text(recording), overwrite)
     return path
+
+
+def _text(recording: Recording) -> bytes:
+    return json.dumps(parameters(recording), indent=2, ensure_ascii=False).encode() + b"\n"
+
+
+def _stand(recording: Recording, path: Path) -> bool:
+    """Tell whether a recording's parameters are there already: NPZ, MAT and Parquet of it share their file."""
+    try:
+        return path.read_bytes() == _text(recording)
+    except OSError:
+        return False
 
 
 def _beside(out: Path) -> Path:
     return out.with_name(f"{out.stem}.parameters.json")
 
 
-def _refuse_existing(*paths: Path) -> None:
-    for path in paths:
-        if path.exists():
+def _refuse_existing(recording: Recording, out: Path) -> None:
+    for path in (out, _beside(out)):
+        if path.exists() and (path == out or not _stand(recording, path)):
             raise RecordError(f"{path}: exists already; give another name or ask for it to be overwritten")
 
 
@@ -181,7 +194,7 @@ def export_npz(recording: Recording, out: str | Path, *, overwrite: bool = False
 
 def _save_with_parameters(recording: Recording, out: Path, data: bytes, overwrite: bool) -> list[Path]:
     if not overwrite:
-        _refuse_existing(_beside(out))
+        _refuse_existing(recording, out)
     save(out, data, overwrite)
     return [out, _save_parameters(recording, _beside(out), overwrite)]
 
@@ -214,7 +227,7 @@ def export_parquet(recording: Recording, out: str | Path, *, overwrite: bool = F
         raise RecordError("Parquet needs pyarrow: pip install 'haptic-nodes[parquet]', or export CSV") from error
     out = Path(out)
     if not overwrite:
-        _refuse_existing(out, _beside(out))
+        _refuse_existing(recording, out)
     begin = begin_of(recording)
     types = {"law": pa.string(), "safety": pa.string(), "contact": pa.int8()}
     types |= dict.fromkeys(("seq", "revision", "age", "missed", "overruns"), pa.int64())

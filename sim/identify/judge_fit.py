@@ -15,6 +15,7 @@ from sim.identify.output_error import Fit, left_over, own_states
 from sim.identify.suspects import Shapes, Suspect
 
 DRAWS = 40  # how often a model that holds is drawn
+FINEST = 1e-9  # grid of an encoder whose own is not seen: what is left below its rounding tells of arithmetic, not of a device [m]
 LAGS = 20  # of the autocorrelation [ticks]
 SURE = 5.0  # so many standard deviations are no chance, among some hundred suspects
 IMPROBABLE = 1e-4  # whiteness below which a model does not hold
@@ -66,8 +67,10 @@ def left(experiment: Experiment, found: Fit, step: float | None, seed: int = 1) 
     clean = _freed(residual, states, unknowns)
     samples = max(int((~unread).sum()) - own * len(residual) - unknowns.shape[1], 1)
     size = math.sqrt(float(np.sum(clean**2)) / samples)
+    if step is None and size <= FINEST / math.sqrt(12.0):
+        clean, size = np.zeros_like(clean), 0.0
     rng = np.random.default_rng(seed)
-    grid = step or 1e-9
+    grid = step or FINEST
     true = modelled + rng.uniform(0.0, grid, (DRAWS, 1, 1))
 
     def drawn(noise: float) -> Array:

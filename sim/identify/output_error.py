@@ -20,6 +20,7 @@ from sim.identify.identified_motion import SHARE, STATES, slopes
 LEAST = np.array([1e-3, 0.0, 0.0, 0.0, -math.inf, 0.0, 0.0, 0.0, 1e-3, 1.0, 0.0])
 # Largest value of each.
 MOST = np.array([1e5, math.inf, math.inf, math.inf, math.inf, 100.0, math.inf, 50.0, 0.98, 1000.0, 2.0])
+_DIVERGED = 1e100  # of a position [m]: its square can still be added up
 # Differences that slopes are taken over, as a part of `_SIZES` or of the value, whichever is larger.
 _STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-3, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-5, 1e-3])
 _SIZES = np.array([1.0, 1.0, 0.1, 100.0, 1.0, 1.0, 1.0, 1.0, 0.1, 10.0, 0.01])
@@ -137,11 +138,15 @@ def _normal(residuals: Array, moved: Array, own: int, period: float) -> tuple[Ar
     """Errors (W,), normal equations (W, p, p), (W, p) freed of initial states, and what moves those: (W, 4), (W, 4, p)."""
     windows, length = residuals.shape
     unknowns, initial, error = moved[:, :-own], moved[:, -own:], residuals[:, :, None]
+    alone, along = np.zeros((windows, STATES)), np.zeros((windows, STATES, unknowns.shape[1]))
+    # What diverges has no slopes: a step that leads there is taken back, a term that begins there is left out.
+    if not (np.abs(residuals).max() < _DIVERGED and np.abs(moved).max() < _DIVERGED):
+        p = unknowns.shape[1]
+        return np.full(windows, np.inf), np.zeros((windows, p, p)), np.zeros((windows, p)), alone, along
     # The states' own block, a hair away from singular where friction holds the device all the time.
     hair = np.where(np.arange(own) % 2 == 0, 1.0, (length * period) ** 2)
     block = initial @ initial.swapaxes(1, 2) + 1e-9 * length * np.diag(hair)
     cross = initial @ unknowns.swapaxes(1, 2)
-    alone, along = np.zeros((windows, STATES)), np.zeros((windows, STATES, unknowns.shape[1]))
     alone[:, :own] = np.linalg.solve(block, initial @ error)[:, :, 0]
     along[:, :own] = np.linalg.solve(block, cross)
     sides = (unknowns @ error)[:, :, 0] - (cross.swapaxes(1, 2) @ alone[:, :own, None])[:, :, 0]

@@ -21,6 +21,7 @@ from nodes.parameters.yaml_io import parse_yaml
 from nodes.recording.reader import Recording
 from sim.arrays import Array
 from sim.device.model import DeviceModel
+from sim.experiments.drop import SHORTEST
 from sim.scene.from_launch import LaunchedScene, from_launch
 from sim.scene.loop import PlannedSwap
 
@@ -54,12 +55,14 @@ def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
     launch = _launch(recording)
     states = recording.messages(DEVICE_STATE)
     seq = np.array([state.seq for state in states], dtype=np.int64)
-    if len(seq) < 8 or seq[0] != 0:
-        raise ValueError(f"{path}: {len(seq)} ticks from tick {seq[0] if len(seq) else 0} on; a replay needs them from 0 on")
     whole = np.flatnonzero(np.diff(seq) != 1)
     if len(whole):
         # What the driver slept through cannot be replayed; what came before can.
         states = states[: int(whole[0]) + 1]
+    if len(states) < SHORTEST or seq[0] != 0:
+        slept = " before one that the driver slept through" if len(whole) else ""
+        first = seq[0] if len(seq) else 0
+        raise ValueError(f"{path}: {len(states)} ticks from tick {first} on{slept}; a replay needs {SHORTEST} from 0 on")
     launch, left_out, dragged = _playable(launch, device)
     played = from_launch(launch)
     receipts = [one for one in recording.messages(RECEIPT) if one.action in ("switch", "set")]

@@ -202,6 +202,8 @@ def _contact(recording: Recording) -> Array:
     """Positions of the longest contact along the axis that pushes most; one law, no limit of the driver in between."""
     states = recording.messages(DEVICE_STATE)
     force = np.array([state.force for state in states])
+    if not force.any():
+        raise CannotTellError("nothing was touched: there was no force")
     axis = int(np.abs(force).max(axis=0).argmax())
     first, last = _contact_without_gaps(np.abs(force[:, axis]) > 0.0, np.array([state.seq for state in states]))
     inside = states[first:last]

@@ -17,7 +17,7 @@ from scipy.io import loadmat
 from messages import topics
 from messages.types import DeviceState, Force, Message
 from nodes.cli import main
-from nodes.recording.export import columns, export_npz, plain_names
+from nodes.recording.export import columns, export_mat, export_npz, plain_names
 from nodes.recording.reader import Recording
 from nodes.recording.table import COLUMNS, read
 from nodes.recording.writer import RecordError, RecordWriter
@@ -199,3 +199,7 @@ def test_parameters_beside_a_file_are_not_replaced_unasked(bag: Path) -> None:
         export_npz(Recording(bag), bag.with_name("x.npz"))
     assert beside.read_text() == "mine"
     assert not bag.with_name("x.npz").exists()
+    # Those of the same recording are the same: another format of it shares them.
+    beside.unlink()
+    assert beside in export_npz(Recording(bag), bag.with_name("x.npz"))
+    assert beside in export_mat(Recording(bag), bag.with_name("x.mat"))

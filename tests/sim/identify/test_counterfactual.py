@@ -201,6 +201,26 @@ def test_a_law_that_is_none_is_refused_before_the_scene_is_rebuilt(buzz: tuple[P
     assert "'nope' is not an installed law" in typed_in(tmp_path, "bag", "replay", str(part), "law:=nope", code=2).stderr
 
 
+@pytest.mark.parametrize("missing", [7, 8])
+def test_ticks_before_the_driver_slept_are_replayed_where_they_are_enough(
+    buzz: tuple[Path, Path], tmp_path: Path, missing: int
+) -> None:
+    """Of five ticks the error was that of a drop's criterion, and named no recording."""
+    whole, slept = Recording(buzz[0]), tmp_path / "slept.mcap"
+    written = whole.metadata
+    with RecordWriter(
+        slept, whole.manifest, launch_file=written["launch_file"]["yaml"], parameters=written["parameters"]
+    ) as writer:
+        for entry in whole.entries():
+            if entry.message.seq != missing or entry.topic != DEVICE_STATE:
+                writer.write(entry.topic, entry.message, entry.log_time)
+    if missing >= 8:
+        assert len(replay(rebuild(slept)).measured) == missing
+        return
+    refused = typed_in(tmp_path, "bag", "replay", str(slept), code=1).stderr
+    assert f"{slept}: 7 ticks from tick 0 on before one that the driver slept through; a replay needs 8" in refused
+
+
 def test_nothing_read_from_a_recording_names_a_file(buzz: tuple[Path, Path], tmp_path: Path) -> None:
     """Its scenario was a path, written with its bytes; a watched file in its launch file was read."""
     precious = tmp_path / "precious.yaml"

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 
 from nodes.laws import CompiledLaw
 from nodes.stability.flexible import flexible_radius
 from sim.device.model import DeviceModel
+from sim.identify.experiment import lockstep
 from sim.identify.identified import Estimate, Identified, refusal
 from sim.identify.identified_text import figures, from_figures, text
 from sim.identify.identify import identify
@@ -128,3 +131,22 @@ def test_the_edge_of_what_is_seen() -> None:
     assert not beyond.refuted
     # What is not seen hides in nothing that is told.
     assert far(beyond.mass, 0.2) < 2.0
+
+
+@pytest.mark.parametrize(("ripple", "refuted"), [(0.0, False), (0.27e-9, False), (0.31e-9, True)])
+def test_what_no_encoder_would_show_is_no_evidence(ripple: float, refuted: bool) -> None:
+    """A mass in closed form, read to the last bit: what is left is arithmetic, or a ripple around 0.29 nm (1 nm / √12)."""
+    m, b, ticks = TRUTH["mass"], TRUTH["damping"], 2000
+    # Half periods of 10 to 60 ticks, as identification pushes; each push is paid back at once, so that it stays near.
+    held = np.repeat(np.random.default_rng(1).integers(5, 30, 100), 2)
+    force = np.repeat(np.resize([0.5, -0.5, -0.5, 0.5], held.size), held)[:ticks]
+    decay = math.exp(-b * T / m)
+    position, velocity = np.zeros(ticks), 0.0
+    for n in range(1, ticks):
+        end = force[n - 1] / b
+        position[n] = position[n - 1] + end * T + (velocity - end) * (1.0 - decay) * m / b
+        velocity = end + (velocity - end) * decay
+    position += math.sqrt(2.0) * ripple * np.sin(2.0 * math.pi * 0.07 * np.arange(ticks))
+    found = identify(lockstep(T, position, force))
+    assert found.refuted == refuted
+    assert found.residual == pytest.approx(ripple, abs=0.01e-9)

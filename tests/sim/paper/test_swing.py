@@ -138,6 +138,11 @@ def test_off_the_ringing_pole_it_cannot_tell(
     assert capsys.readouterr().out.startswith("cannot tell: ")
 
 
+def test_where_nothing_was_touched_nothing_swings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["study", "edge", str(recorded(tmp_path, "stiffness:=1000 height:=0.3 duration:=0.2"))]) == 1
+    assert capsys.readouterr().out.startswith("cannot tell: nothing was touched")
+
+
 def test_study_edge_compares_laws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["study", "edge", "--points", "4", "--gain", "3..25", "--out", str(tmp_path), "--json"]) == 0
     figures = json.loads(capsys.readouterr().out.splitlines()[-1])
