@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY, RECEIPT, status
 from messages.types import DeviceState, Force, Message, NodeStatus, Proxy, Receipt
 from nodes.arithmetic import deflection, one_sided, plane_distance
+from nodes.recording.reader import Recording
+from nodes.recording.writer import RecordWriter
 from sim.device.model import advance, coefficients
 
 PERIOD = 0.002
@@ -86,3 +89,16 @@ def drop(ticks: int, *, missed: tuple[int, ...] = (), switch: int | None = None)
             status(node),
             NodeStatus(seq=ticks, stamp=ticks * PERIOD, node=node, kind=kind, state="finished", pid=1, sent=sent),
         )
+
+
+def rewritten(path: Path, keep: Callable[[str, int], bool]) -> Path:
+    """Copy what is to be kept of a recording, by topic and seq, with all that was recorded beside the messages."""
+    recording, out = Recording(path), path.with_suffix(".less.mcap")
+    written = recording.metadata
+    with RecordWriter(
+        out, recording.manifest, launch_file=written["launch_file"]["yaml"], parameters=written["parameters"], overwrite=True
+    ) as writer:
+        for entry in recording.entries():
+            if keep(entry.topic, entry.message.seq):
+                writer.write(entry.topic, entry.message, entry.log_time)
+    return out

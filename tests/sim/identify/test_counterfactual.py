@@ -24,6 +24,7 @@ from sim.identify.recorded_scene import another_law, rebuild
 from sim.scene.from_launch import from_launch
 from sim.scene.loop import Given, run
 from tests.support.launching import launch_json, typed_in
+from tests.support.recorded import rewritten
 
 STEP = 2.3e-5
 """The encoder step of floor_buzz [m]."""
@@ -206,14 +207,7 @@ def test_ticks_before_the_driver_slept_are_replayed_where_they_are_enough(
     buzz: tuple[Path, Path], tmp_path: Path, missing: int
 ) -> None:
     """Of five ticks the error was that of a drop's criterion, and named no recording."""
-    whole, slept = Recording(buzz[0]), tmp_path / "slept.mcap"
-    written = whole.metadata
-    with RecordWriter(
-        slept, whole.manifest, launch_file=written["launch_file"]["yaml"], parameters=written["parameters"]
-    ) as writer:
-        for entry in whole.entries():
-            if entry.message.seq != missing or entry.topic != DEVICE_STATE:
-                writer.write(entry.topic, entry.message, entry.log_time)
+    slept = rewritten(buzz[0], lambda topic, seq: topic != DEVICE_STATE or seq != missing)
     if missing >= 8:
         assert len(replay(rebuild(slept)).measured) == missing
         return

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from messages.topics import DEVICE_STATE, FORCE
 from nodes.cli.main import main
 from nodes.laws.parse import parse_law
 from nodes.recording.reader import Recording
-from nodes.recording.writer import RecordWriter
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
 from sim.cli.study.edge import LAWS
@@ -24,6 +22,7 @@ from sim.experiments.drop import free_scene
 from sim.paper.swing import CannotTellError, _law, counted, dropped, recorded_swing, ringing, windows
 from sim.scene.loop import run
 from tests.support.launching import exit_code, launch_json
+from tests.support.recorded import rewritten
 
 T = 0.002
 
@@ -157,33 +156,20 @@ def test_study_edge_compares_laws(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert main(["study", "edge", str(tmp_path / "none.mcap")]) == 2
 
 
-def _rewritten(path: Path, keep: Callable[[str, int], bool]) -> Path:
-    """Copy what is to be kept of a recording, by topic and seq, with all that was recorded beside the messages."""
-    recording, out = Recording(path), path.with_suffix(".less.mcap")
-    written = recording.metadata
-    with RecordWriter(
-        out, recording.manifest, launch_file=written["launch_file"]["yaml"], parameters=written["parameters"], overwrite=True
-    ) as writer:
-        for entry in recording.entries():
-            if keep(entry.topic, entry.message.seq):
-                writer.write(entry.topic, entry.message, entry.log_time)
-    return out
-
-
 def test_a_contact_with_ticks_that_are_missing_is_not_taken_for_a_faster_swing(tmp_path: Path) -> None:
     """With one tick in ten lost, late in the contact, the interval did not hold K_max."""
     path = recorded(tmp_path, "law:=pd stiffness:=2500 duration:=2")
     limit = limit_of(path)
-    later = _rewritten(path, lambda topic, seq: topic != DEVICE_STATE or seq < 300 or seq % 10 != 0)
+    later = rewritten(path, lambda topic, seq: topic != DEVICE_STATE or seq < 300 or seq % 10 != 0)
     low, high = recorded_swing(later).k_max_n_per_m
     assert low < limit < high
     with pytest.raises(CannotTellError, match="ticks of contact before it bounces"):
-        recorded_swing(_rewritten(path, lambda topic, seq: topic != DEVICE_STATE or seq % 10 != 0))
+        recorded_swing(rewritten(path, lambda topic, seq: topic != DEVICE_STATE or seq % 10 != 0))
 
 
 def test_a_law_that_changed_before_the_recording_began_is_not_taken_for_the_launch_file_s(tmp_path: Path) -> None:
     path = recorded(tmp_path, "law:=pd stiffness:=2500", "{schedule: [{at: 0.01, law: pd_alpha}]}")
-    late = _rewritten(path, lambda _, seq: seq > 10)
+    late = rewritten(path, lambda _, seq: seq > 10)
     with pytest.raises(CannotTellError, match="the law changed"):
         recorded_swing(late)
 
@@ -191,4 +177,4 @@ def test_a_law_that_changed_before_the_recording_began_is_not_taken_for_the_laun
 def test_without_the_coupling_s_forces_nothing_tells_the_law(tmp_path: Path) -> None:
     path = recorded(tmp_path, "law:=pd stiffness:=2500")
     with pytest.raises(CannotTellError, match="were not recorded"):
-        recorded_swing(_rewritten(path, lambda topic, _: topic != FORCE))
+        recorded_swing(rewritten(path, lambda topic, _: topic != FORCE))
