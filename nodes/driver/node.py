@@ -286,8 +286,8 @@ class Driver(Node):
         name = self.setup.name
         if not (self.virtual or beside):
             raise ParameterError(
-                f"{name}: a real device, whose driver has stopped a loop that swings; choose a softer law, stand beside "
-                "the device, and ask for forces again: haptic node rearm"
+                f"{name}: a real device, whose driver has stopped a loop that gave out energy; choose a softer law, "
+                "stand beside the device, and ask for forces again: haptic node rearm"
             )
 
         def apply(seq: int) -> dict[str, Any]:

@@ -35,7 +35,7 @@ from nodes.driver.state import ACTIVE, DAMPING, FAULT, IDLE, NOTHING, RAMP, STOP
 
 REACH: Final = 1e6  # farther than this no device is: a position beyond is a fault of whoever measured it [m]
 
-STOP_WINDOW: Final = 2.0  # a loop that swings gives out energy and reaches the largest force `stop_after` times in it [s]
+STOP_WINDOW: Final = 2.0  # a loop is stopped that reaches the largest force `stop_after` times in it, and gives out energy [s]
 REGAIN: Final = 5  # ticks of ramp that one tick without a force costs: after a fifth of `recovery` the whole ramp is due
 RETURN_SPEED: Final = 0.25  # faster than this a force that comes back must not push [m/s]: the reduced speed of ISO 10218-1
 
