@@ -15,9 +15,7 @@ from sim.identify.output_error import Fit, left_over, own_states
 from sim.identify.suspects import Shapes, Suspect
 
 DRAWS = 40  # how often a model that holds is drawn
-FINEST = (
-    1e-9  # grid of an encoder whose own is not seen: what is left below its rounding tells of arithmetic, not of a device [m]
-)
+FINEST = 1e-9  # grid of an encoder whose own is not seen; what is left below its rounding is arithmetic [m]
 LAGS = 20  # of the autocorrelation [ticks]
 SURE = 5.0  # so many standard deviations are no chance, among some hundred suspects
 IMPROBABLE = 1e-4  # whiteness below which a model does not hold
