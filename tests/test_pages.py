@@ -29,7 +29,6 @@ PAGES = {
 }
 README = PAGES["README.md"]
 
-pytestmark = pytest.mark.timeout(600)  # its commands compile what they need once, beside other tests that do
 
 SHORTER = {
     "haptic launch": "duration:=1",

@@ -21,8 +21,9 @@ OWN_RATE = 1000.0
 SECONDS, ROUNDS = 1.5, 3
 """Of a turn [s]: 1500 ticks, of which `MORE` are 15; and how many turns each device has where one does not decide."""
 
-MORE = 0.01
-"""What a real device may miss more than the virtual one [share of ticks]: two turns of one device differ by so much."""
+MORE, TIMES = 0.01, 3
+"""What a real device may miss more than the virtual one [share of ticks]: two turns of one device differ by so much. Where the
+machine is too slow for the rate, and the virtual device misses ticks too, as many times: the stand-in takes its part of it."""
 
 
 VIRTUAL = "sim_driver"
@@ -85,4 +86,4 @@ def turns(request: pytest.FixtureRequest) -> Iterator[Turns]:
 @pytest.mark.parametrize("kind", [kind.kind for kind in KINDS])
 def test_a_real_device_misses_no_more_ticks_than_the_virtual_one(kind: str, turns: Turns) -> None:
     # One turn decides most of the time; where it does not, the machine may have stalled in it, and the median of more decides.
-    assert any(turns.missed(kind, n) <= turns.missed(VIRTUAL, n) + MORE for n in (1, ROUNDS))
+    assert any(turns.missed(kind, n) <= TIMES * turns.missed(VIRTUAL, n) + MORE for n in (1, ROUNDS))

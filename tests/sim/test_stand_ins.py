@@ -31,8 +31,9 @@ SOFT = ("stiffness:=150", "damping:=0.5")
 HEIGHT, WEIGHT = 0.01, 0.1 * 9.81
 
 DROPS, NEAR = 20, 0.02
-"""A machine that stalls in mid-drop renders something else: so many drops, until one is so near [share]. With both processors
-busy the stand-in's own loop is late by parts of a tick all the time, and the best of twenty was off by 1.3 %."""
+"""A machine that stalls in mid-drop renders something else: so many drops, until one is so near [share], and late by less
+than a tick. With both processors busy the stand-in's own loop is late by parts of a tick all the time, and the best of
+twenty was off by 1.3 %."""
 
 
 def through(stand: Bench, folder: Path, **parameters: Any) -> str:
@@ -88,6 +89,11 @@ def _compared(table: Table, virtual: Forces, drop: int) -> tuple[float, float, i
     return max(error / peak, abs(np.nanmax(force) / peak - 1.0), abs(rest / WEIGHT - 1.0)), delay, first
 
 
+def _latency(table: Table, delay: float, first: int, ticks: int) -> float:
+    """Find by how much a drop is later than its driver measures [ticks]: the device's own latency, which nobody tells."""
+    return delay - float(np.nanmean(table["delay"][first : first + ticks]))
+
+
 def _recorded(path: Path, tick: int) -> Table | None:
     """Read what is there of a recording that goes on, once it has a tick."""
     table = read(path)
@@ -106,7 +112,8 @@ def test_the_drop_renders_through_the_device(stand: Bench, virtual: Forces, tmp_
             stand.world.drop(HEIGHT, at=epoch + drops[-1] * period)
             time.sleep((ticks + 110) * period)  # the drop itself, in real time
             table = wait_for(lambda: _recorded(tmp_path / "run.mcap", drops[-1] + ticks), "the drop to be recorded")
-            if _compared(table, virtual, drops[-1])[0] < NEAR:
+            error, delay, first = _compared(table, virtual, drops[-1])
+            if error < NEAR and _latency(table, delay, first, ticks) < 1.0:
                 break
         # Then somebody holds the arm where it rests, and it gives no position for a while: no force, and back by a ramp.
         stand.world.state.free_from = math.inf
@@ -123,8 +130,8 @@ def test_the_drop_renders_through_the_device(stand: Bench, virtual: Forces, tmp_
     recording = Recording(tmp_path / "run.mcap")
     assert "fault" in {state.safety for state in recording.messages("/device/state")}
     table = read(tmp_path / "run.mcap")
-    error, delay, first = min(_compared(table, virtual, drop) for drop in drops)
-    measured = float(np.nanmean(table["delay"][first : first + ticks]))
-    told = f"delay {delay:.3f} ticks, up to the driver {measured:.3f}; off {error:.2%}; missed {int(table['missed'][-1])}"
-    assert measured - 0.1 < delay < measured + 1.0, told
+    error, delay, first = _compared(table, virtual, drops[-1])
+    latency = _latency(table, delay, first, ticks)
+    told = f"delay {delay:.3f} ticks, {latency:.3f} of them the device's; off {error:.2%}; missed {int(table['missed'][-1])}"
+    assert -0.1 < latency < 1.0, told
     assert error < NEAR, told

@@ -25,8 +25,6 @@ from tests.support.scripts import KINDS, answer, driver, follower, question
 ALL = ["driver", *KINDS]
 TOO_LONG = [MAX_PAYLOAD + n for n in (1, 2, 32, 63, 64, 65, 66)]
 
-pytestmark = pytest.mark.timeout(600)  # the kernels are compiled once, which takes minutes on a busy machine
-
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled_before() -> None:

@@ -30,8 +30,6 @@ from tests.support.scripts import BOX, KINDS, TICKS, answer, answers_but, driver
 
 KERNELS = [Driver.kernel_module, Environment.kernel_module, Coupling.kernel_module]
 
-pytestmark = pytest.mark.timeout(600)  # the kernels are compiled once, which takes minutes on a busy machine
-
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled_before() -> None:

@@ -48,8 +48,6 @@ forces = {"one process": scene.play().force, "replay": replay(rebuild(Path(sys.a
 print(json.dumps({name: [float(value) for value in row] for name, row in forces.items()}))
 """
 
-pytestmark = pytest.mark.timeout(900)  # up to four kernels are compiled, beside the other tests
-
 
 class Changed(NamedTuple):
     """A copy of this project with another rule, a folder to launch in, and an empty cache of its own."""

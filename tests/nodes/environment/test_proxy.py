@@ -17,7 +17,6 @@ from sim.experiments.proxies import icosphere, ideal_proxy
 from sim.scene.touch import Touched, touch
 from tests.support.shapes import Array, box_triangles, distance_to, out_of_balance, turned, wander
 
-pytestmark = pytest.mark.timeout(900)
 # The first run on a machine compiles the geometry: some 25 s of one processor.
 
 EXACT = 1e-12

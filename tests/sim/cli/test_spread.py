@@ -28,7 +28,6 @@ from tests.support.launching import wait_for
 
 STUDIES = {found.name: f"sim.cli.study.{found.name}" for found in pkgutil.iter_modules(sim.cli.study.__path__)}
 
-pytestmark = pytest.mark.timeout(600)  # a dozen studies are compiled and played twice, on a machine that others use too
 
 TINY: dict[str, list[str]] = {
     "chart": ["--quick", "--parts", "demand"],

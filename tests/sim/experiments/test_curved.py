@@ -13,7 +13,6 @@ from sim.experiments.curved import growth_launched, sliding_k_max, theory
 from tests.support.pictures import assert_drawn
 
 # The first run on a machine compiles the geometry.
-pytestmark = pytest.mark.timeout(900)
 
 PERIOD, DEPTH, SPEED, GAIN, STIFFNESS, RADIUS = 0.002, 2e-3, 0.2, 2.0, 800.0, 0.035
 

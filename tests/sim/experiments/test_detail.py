@@ -18,7 +18,6 @@ from tests.support.pictures import assert_drawn
 from tests.support.shapes import Array, box_triangles, turned
 
 # The first run on a machine compiles the geometry.
-pytestmark = pytest.mark.timeout(900)
 
 PERIOD, STIFFNESS, RESOLUTION = 1e-3, 1000.0, 1e-5
 

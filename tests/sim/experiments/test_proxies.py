@@ -12,7 +12,6 @@ from nodes.environment.shapes.tables import SKIN
 from tests.support.launching import exit_code
 
 # The first run on a machine compiles the geometry.
-pytestmark = pytest.mark.timeout(900)
 
 
 def test_the_study_tells_exact_shapes_from_meshes(capsys: pytest.CaptureFixture[str]) -> None:

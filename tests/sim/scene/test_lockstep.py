@@ -71,8 +71,6 @@ of other values; pd_alpha is compiled in floor_buzz, another rate in floor_drop_
 QUICK = {("floor_drop",), ("touch_wall",), ("floor_guarded",), *ALIKE}
 """Of these the plain tick is tried in every run, of all in CI's."""
 
-pytestmark = pytest.mark.timeout(600)  # the kernels are compiled once, which takes minutes on a busy machine
-
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled_before() -> None:

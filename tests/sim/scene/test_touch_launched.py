@@ -22,8 +22,6 @@ from sim.scene.touch import touch
 from tests.support import slowly
 from tests.support.launching import launch_json
 
-pytestmark = pytest.mark.timeout(900)  # the kernels are compiled once, which takes minutes on a busy machine
-
 WORDS = {"rough_plane": ("friction:=0.4",), "knob_turn": ("apply:=next_tick",)}
 """Beyond each scenario as it stands."""
 

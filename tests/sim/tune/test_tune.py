@@ -43,8 +43,6 @@ T = 0.002
 DEVICE = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=1.3, resolution=2.3e-5)
 SCENE = ("identify", "apply:=next_tick", "delay:=0.3")
 
-pytestmark = pytest.mark.timeout(600)  # what identifies and designs is compiled once, on a machine that others use too
-
 
 def last_line(text: str) -> dict[str, Any]:
     told: dict[str, Any] = json.loads(text.splitlines()[-1])
