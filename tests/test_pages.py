@@ -145,8 +145,8 @@ def every_message_is_accounted_for(found: dict[str, Any]) -> None:
     assert found["changes"] == 8 * found["rounds"]
     assert {"driver", "environment", "coupling"} <= set(found["accounts"])
     assert all(one["lost"] == 0 for one in found["accounts"].values())
-    assert found["accounts"]["driver"]["sent"] > 1000
-    assert found["shared"] > 1000
+    assert found["accounts"]["driver"]["sent"] > 100
+    assert found["shared"] > 100
     assert sum(found["missed_after"].values()) == sum(found["causes"].values()) == found["missed"] >= found["held_up"]
 
 

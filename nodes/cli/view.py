@@ -4,6 +4,7 @@ import argparse
 import asyncio
 import json
 import sys
+import time
 from pathlib import Path
 
 from messages.errors import RefusedError, UsageError
@@ -13,6 +14,8 @@ from nodes.cli.page import announce
 from nodes.cli.quantities import PORT
 from nodes.client.listen import listening
 from nodes.launcher.runs import RunInfo, alive
+
+TELL = 2.0  # how often it is told how much of a long recording is read [s]
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -75,8 +78,18 @@ def _replay(arguments: argparse.Namespace, ended: list[int]) -> int:
     from nodes.recording.writer import RecordError
     from nodes.view.replay import ReplayPages
 
+    told = time.monotonic()
+
+    def progress(share: float) -> None:
+        nonlocal told
+        if ended:
+            raise KeyboardInterrupt
+        if time.monotonic() - told > TELL:
+            told = time.monotonic()
+            print(f"reading {arguments.replay}: {100.0 * share:.0f} %", file=sys.stderr, flush=True)
+
     try:
-        pages = ReplayPages(arguments.replay, arguments.over)
+        pages = ReplayPages(arguments.replay, arguments.over, progress)
     except RecordError as error:
         raise UsageError(str(error)) from error
 

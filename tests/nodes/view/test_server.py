@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import os
 import pty
@@ -28,7 +29,7 @@ from nodes.view.replay import ReplayPages
 from sim.drill.drill import scene as drill_scene
 from tests.support import ROOT
 from tests.support.browser import url_of, viewing
-from tests.support.launching import HAPTIC, Running, haptic, launch_json, running, wait_for
+from tests.support.launching import HAPTIC, Running, exit_code, haptic, launch_json, running, wait_for
 
 
 @pytest.fixture(scope="module")
@@ -142,6 +143,35 @@ def test_a_replay_knows_its_driver_whatever_its_name(tmp_path: Path) -> None:
     figures = launch_json(tmp_path, "named.yaml", "pace:=lockstep", "duration:=0.1")
     pages = ReplayPages(tmp_path / figures["recording"])
     assert pages.live.ended == "done"
+
+
+def test_reading_a_recording_is_told_and_can_be_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    figures = launch_json(tmp_path, "floor_drop", "pace:=lockstep", "duration:=1")
+    path = tmp_path / figures["recording"]
+    shares: list[float] = []
+    ReplayPages(path, progress=shares.append)
+    # Five times a second of the run, and only forward.
+    assert len(shares) == 5
+    assert shares == sorted(set(shares))
+    assert shares[0] == 0.0
+    assert shares[-1] < 1.0
+
+    class Impatient(io.StringIO):
+        """Standard error before somebody who presses Ctrl-C at the first line."""
+
+        def write(self, text: str) -> int:
+            if text.startswith("reading"):
+                os.kill(os.getpid(), signal.SIGINT)
+            return super().write(text)
+
+    monkeypatch.setattr("nodes.cli.view.TELL", 0.0)
+    monkeypatch.setattr("sys.stderr", error := Impatient())
+    assert exit_code("view", "--replay", str(path)) == 130
+    assert error.getvalue() == f"reading {path}: 0 %\n"
+    # No page was offered.
+    assert capsys.readouterr().out == ""
 
 
 def test_what_cannot_be_replayed_is_refused(tmp_path: Path) -> None:
