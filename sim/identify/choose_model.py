@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.arrays import WholeArray
+from sim.arrays import Array, WholeArray
 from sim.identify.experiment import Experiment
 from sim.identify.identified_motion import FREQUENCY, LAG, LOSS, QUADRATIC, SHARE
-from sim.identify.judge_fit import IMPROBABLE, SURE, Evidence, left, scan, unsteady, whiteness
+from sim.identify.judge_fit import FINEST, IMPROBABLE, SURE, Evidence, left, scan, unsteady, whiteness
 from sim.identify.output_error import Fit, fit
 from sim.identify.suspects import describe
 
@@ -25,6 +25,8 @@ TERMS = {"quadratic damping": (QUADRATIC,), "actuator lag": (LAG,), "flexible mo
 QUARTER = 1.0 / 3.0  # a quarter of the mass beyond a joint, as a ratio of the two: what a bound on joints is told for
 EXPLAINS = 0.27  # part of what is left that a suspect must take up to be named
 FLEXIBLE = 0.6  # a suspect of several shapes fits anything a little: so much of its part counts when one is named
+HELD_OUT = 4  # every so many windows one is held out, to judge the fit by what it has not seen
+LEAST = 6  # fewer windows without a late answer are too few to leave out the others
 PROMISES = 0.15  # part that a term must take up by the scan to be fitted in full
 
 
@@ -53,6 +55,12 @@ class Windows:
     unseen: WholeArray
     length: int
 
+    @classmethod
+    def of(cls, starts: WholeArray, length: int) -> Windows:
+        """Hold some of them out."""
+        unseen = starts[HELD_OUT - 1 :: HELD_OUT]
+        return cls(np.setdiff1d(starts, unseen), unseen, length)
+
 
 def choose(experiment: Experiment, found: Fit, windows: Windows, scale: float, step: float | None) -> Choice:
     """Judge a rigid fit, and add terms while the data ask for them."""
@@ -64,7 +72,7 @@ def choose(experiment: Experiment, found: Fit, windows: Windows, scale: float, s
             break
         choice, evidence, kept = _judged(experiment, richer[0], kept, (*choice.terms, richer[1]), scale, step)
     if _doubted(choice, evidence):
-        return replace(rigid, why=_why(rigid.model, first, step))
+        return replace(rigid, why=_why(experiment, rigid.model, first, step))
     return choice
 
 
@@ -82,10 +90,11 @@ def _judged(
     order = np.argsort(starts)
     # All windows together for what is reported: the held-out ones have judged.
     model = fit(experiment, starts[order], length, found.theta, free, scale, np.concatenate([found.states, test.states])[order])
-    undisturbed = _undisturbed(model, scale)
+    undisturbed = _undisturbed(experiment, model, scale, step)
     if not undisturbed.all():
         model = fit(experiment, model.starts[undisturbed], length, model.theta, free, scale, model.states[undisturbed])
-        windows = Windows(np.intersect1d(windows.seen, model.starts), np.intersect1d(windows.unseen, model.starts), length)
+        # Divided anew: what a stall spoilt may have been all that was held out.
+        windows = Windows.of(model.starts, length)
     # The search may have stopped short: from where all windows lead, and again without those that judge.
     seen = np.isin(model.starts, windows.seen)
     again = fit(experiment, model.starts[seen], length, model.theta, free, scale, model.states[seen])
@@ -113,11 +122,32 @@ def _mode_bound(evidence: list[Evidence]) -> float:
     return seen
 
 
-def _undisturbed(found: Fit, scale: float) -> NDArray[np.bool_]:
-    """Tell which windows to keep: none with four times the error of the middle one, or of rounding; all if a third has it."""
-    errors = np.sqrt(found.errors)
-    kept = np.asarray(errors <= 4.0 * max(float(np.median(errors)), scale * math.sqrt(found.length / 12.0)))
-    return kept if np.mean(kept) > 2.0 / 3.0 else np.ones_like(kept)
+def _undisturbed(experiment: Experiment, found: Fit, scale: float, step: float | None) -> NDArray[np.bool_]:
+    """Tell which windows to keep: none with four times the error of the middle one, or of rounding; all if a third has it.
+
+    Nor one with a late answer, whose force is not told whole, that does not fit a model of those without.
+    """
+
+    def fits(errors: Array, middle: float, grid: float) -> NDArray[np.bool_]:
+        return np.asarray(errors <= (4.0 * max(middle, grid * math.sqrt(found.length / 12.0))) ** 2)
+
+    kept = fits(found.errors, math.sqrt(float(np.median(found.errors))), scale)
+    if np.mean(kept) <= 2.0 / 3.0:
+        kept = np.ones_like(kept)
+    late = _late(experiment, found)
+    whole = kept & ~late
+    if not late.any() or np.count_nonzero(whole) < LEAST:
+        return kept
+    free, length = tuple(found.free.tolist()), found.length
+    theta = fit(experiment, found.starts[whole], length, found.theta, free, scale, found.states[whole]).theta
+    errors = fit(experiment, found.starts, length, theta, (), scale, found.states).errors
+    return kept & (whole | fits(errors, math.sqrt(float(np.median(errors[whole]))), step or FINEST))
+
+
+def _late(experiment: Experiment, found: Fit) -> NDArray[np.bool_]:
+    """Tell which windows have a late answer."""
+    rows = found.starts[:, None] + np.arange(found.length)
+    return np.zeros(len(rows), dtype=bool) if experiment.late is None else experiment.late[rows].any(axis=1)
 
 
 def _richer(
@@ -154,7 +184,7 @@ def _start(asked: Evidence) -> tuple[float, ...]:
     return (min(ratio / (1.0 + ratio), 0.7), *asked.suspect.start[1:])
 
 
-def _why(found: Fit, evidence: list[Evidence], step: float | None) -> str:
+def _why(experiment: Experiment, found: Fit, evidence: list[Evidence], step: float | None) -> str:
     """Say what refutes a model and what the data ask for."""
     size = f"{found.rms * 1e6:.3g} µm" if step is None else f"{found.rms / step:.2f} encoder steps (rounding: 0.29)"
     strong = [one for one in evidence if one.strength > SURE]
@@ -165,4 +195,7 @@ def _why(found: Fit, evidence: list[Evidence], step: float | None) -> str:
             cause += f" (nearest: {describe(asked.suspect.term, asked.suspect.size)}, {100 * asked.share:.0f} % of it)"
     else:
         cause = f"the data ask for {describe(asked.suspect.term, asked.suspect.size)}"
+    late = int(np.count_nonzero(_late(experiment, found)))
+    if late:
+        cause += f"; in {late} of {len(found.starts)} windows an answer came late, and not all of the force is recorded"
     return f"it leaves {size} that are not white noise; {cause}"

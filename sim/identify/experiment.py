@@ -34,6 +34,9 @@ class Experiment:
     # Ticks whose position was not sampled: filled in for a first guess, never compared with a model, shape (N,), or None. None
     # for none.
     unread: NDArray[np.bool_] | None = None
+    # Ticks in which the answer of an earlier one may have been handed over too: the driver tells a tick's last force, not those
+    # before it, shape (N,), or None for none.
+    late: NDArray[np.bool_] | None = None
 
     @property
     def missing(self) -> NDArray[np.bool_]:
@@ -87,7 +90,11 @@ def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**5
         raise ValueError(f"{path}: no {SHORTEST} ticks without gaps between them; record by a faster disk or a shorter run")
     delays = measured[fresh & (age == 0)]
     missing = ~np.isin(ticks, seq - seq[0])
-    return Experiment(1.0 / rate, whole, segments, at, forces[used, column], delays, axis, missing)
+    # Of the ticks sampled between two answers none was answered in its own time.
+    skipped = np.searchsorted(seq, answers[1:]) - np.searchsorted(seq, answers[:-1], "right") > 0
+    late = np.zeros(len(ticks), dtype=bool)
+    late[seq[1:][skipped & fresh[1:] & (answers[:-1] >= 0)] - 1 - seq[0]] = True
+    return Experiment(1.0 / rate, whole, segments, at, forces[used, column], delays, axis, missing, late)
 
 
 LEAST_VALUES = 8  # fewer different positions could lie on many grids

@@ -97,7 +97,9 @@ def text(found: Identified) -> str:
     steps, unseen = found.steps(found.residual), found.held_out
     residual = f"{found.residual * 1e6:.3g} µm" + ("" if steps is None else f" = {steps:.3g} encoder steps (rounding: 0.29)")
     held_out = "none" if unseen is None else f"{unseen * 1e6:.3g} µm"
-    lines.append(f"  residual {residual}; in held-out windows {held_out}; {found.windows} windows of {found.ticks} ticks")
+    left_out = f", {found.dropped} left out: a stall or a knock spoilt them" if found.dropped else ""
+    windows = f"{found.windows} windows of {found.ticks} ticks{left_out}"
+    lines.append(f"  residual {residual}; in held-out windows {held_out}; {windows}")
     return "\n".join(lines)
 
 

@@ -19,7 +19,6 @@ from sim.identify.identified_motion import DAMPING, DELAY, FRICTION, LAG, LOAD, 
 from sim.identify.output_error import Fit, fit, windows
 
 WINDOW = 100  # ticks of a window
-HELD_OUT = 4  # every so many windows one is held out, to judge the fit by what it has not seen
 
 
 def identify(experiment: Experiment, held: bool | None = None, length: int = WINDOW) -> Identified:
@@ -38,10 +37,9 @@ def identify(experiment: Experiment, held: bool | None = None, length: int = WIN
         within[first:end] = True
     grid = encoder(experiment.position[within & ~experiment.missing])
     scale = grid.value or 1e-6
-    unseen = starts[HELD_OUT - 1 :: HELD_OUT]
-    seen = np.setdiff1d(starts, unseen)
-    found = _search(experiment, seen, length, scale, held)
-    return conclude(experiment, choose(experiment, found, Windows(seen, unseen, length), scale, grid.value), grid)
+    cut = Windows.of(starts, length)
+    found = _search(experiment, cut.seen, length, scale, held)
+    return conclude(experiment, choose(experiment, found, cut, scale, grid.value), grid)
 
 
 def initial_state(experiment: Experiment, found: Identified) -> tuple[float, float]:

@@ -7,19 +7,23 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from scipy import stats
 
+from messages.types import DeviceState
+from nodes.recording.writer import RecordWriter
 from sim.device.friction import slide
 from sim.device.model import DeviceModel, Hand, coefficients
 from sim.device.state import VirtualDevice, device_part
-from sim.identify.experiment import Experiment, encoder, lockstep
+from sim.identify.experiment import Experiment, encoder, lockstep, read
 from sim.identify.identified import Estimate
 from sim.identify.identified_motion import window
 from sim.identify.identify import identify
 from sim.population.virtual import draw, excite
 from tests.support.launching import launch_json, typed_in
+from tests.support.recorded import PUBLISHES, drop
 
 T = 0.002
 ROUNDING = 1.0 / math.sqrt(12.0)
@@ -174,6 +178,21 @@ def test_ticks_that_were_slept_through_are_bridged() -> None:
     found = identify(replace(whole, position=position, unread=missing))
     assert found.mass.value == pytest.approx(0.1, rel=1e-3)
     assert found.encoder.value == pytest.approx(23e-6, rel=1e-9)
+
+
+def test_a_record_tells_where_an_answer_came_late(tmp_path: Path) -> None:
+    """Unanswered, ticks 100 and 101 hold the force of 99; from 200 to 209 the driver sleeps, and nothing is asked."""
+    path = tmp_path / "late.mcap"
+    answered = {101: 99, 102: 99}
+    with RecordWriter(path, {"rate_hz": "500", "publishes": PUBLISHES}) as writer:
+        for topic, message in drop(600):
+            if isinstance(message, DeviceState) and not 200 <= message.seq < 210:
+                seq = 199 if message.seq == 210 else answered.get(message.seq, message.force_seq)
+                writer.write(topic, msgspec.structs.replace(message, force_seq=seq), message.stamp)
+    late = read(path, "z").late
+    assert late is not None
+    # In 102 the answers of 100 and 101 may have come before its own, which is the one that state 103 tells.
+    assert np.flatnonzero(late).tolist() == [102]
 
 
 def test_study_identify_reads_a_launch(tmp_path: Path) -> None:

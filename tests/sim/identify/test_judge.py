@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 from nodes.laws import CompiledLaw
 from nodes.stability.flexible import flexible_radius
+from sim.arrays import Array
 from sim.device.model import DeviceModel
 from sim.identify.experiment import lockstep
 from sim.identify.identified import Estimate, Identified, refusal
@@ -133,12 +135,11 @@ def test_the_edge_of_what_is_seen() -> None:
     assert far(beyond.mass, 0.2) < 2.0
 
 
-@pytest.mark.parametrize(("ripple", "refuted"), [(0.0, False), (0.27e-9, False), (0.31e-9, True)])
-def test_what_no_encoder_would_show_is_no_evidence(ripple: float, refuted: bool) -> None:
-    """A mass in closed form, read to the last bit: what is left is arithmetic, or a ripple around 0.29 nm (1 nm / √12)."""
-    m, b, ticks = TRUTH["mass"], TRUTH["damping"], 2000
+def closed_form(ticks: int) -> tuple[Array, Array]:
+    """Move a mass with a damper, read to the last bit: positions [m], and the force of each tick [N]."""
+    m, b = TRUTH["mass"], TRUTH["damping"]
     # Half periods of 10 to 60 ticks, as identification pushes; each push is paid back at once, so that it stays near.
-    held = np.repeat(np.random.default_rng(1).integers(5, 30, 100), 2)
+    held = np.repeat(np.random.default_rng(1).integers(5, 30, ticks // 20), 2)
     force = np.repeat(np.resize([0.5, -0.5, -0.5, 0.5], held.size), held)[:ticks]
     decay = math.exp(-b * T / m)
     position, velocity = np.zeros(ticks), 0.0
@@ -146,7 +147,30 @@ def test_what_no_encoder_would_show_is_no_evidence(ripple: float, refuted: bool)
         end = force[n - 1] / b
         position[n] = position[n - 1] + end * T + (velocity - end) * (1.0 - decay) * m / b
         velocity = end + (velocity - end) * decay
-    position += math.sqrt(2.0) * ripple * np.sin(2.0 * math.pi * 0.07 * np.arange(ticks))
+    return position, force
+
+
+@pytest.mark.parametrize(("ripple", "refuted"), [(0.0, False), (0.27e-9, False), (0.31e-9, True)])
+def test_what_no_encoder_would_show_is_no_evidence(ripple: float, refuted: bool) -> None:
+    """What is left is arithmetic, or a ripple around 0.29 nm (1 nm / √12)."""
+    position, force = closed_form(2000)
+    position += math.sqrt(2.0) * ripple * np.sin(2.0 * math.pi * 0.07 * np.arange(len(position)))
     found = identify(lockstep(T, position, force))
     assert found.refuted == refuted
     assert found.residual == pytest.approx(ripple, abs=0.01e-9)
+
+
+@pytest.mark.parametrize(("stalls", "told", "refuted"), [(3, False, True), (3, True, False), (14, True, False), (15, True, True)])
+def test_a_window_with_a_late_answer_need_not_fit(stalls: int, told: bool, refuted: bool) -> None:
+    """Of 20 windows some hold a tick of which 0.1 mN are not recorded, 0.1 µm later; six others are enough."""
+    position, force = closed_form(2000)
+    late = np.zeros(len(position), dtype=bool)
+    late[50 : 100 * stalls : 100] = True
+    found = identify(replace(lockstep(T, position, force - 1e-4 * late), late=late if told else None))
+    assert found.refuted == refuted
+    assert found.dropped == (0 if refuted else stalls)
+    assert (f"in {stalls} of 20 windows an answer came late" in found.why) == (told and refuted)
+    assert (f"{stalls} left out" in text(found)) == (not refuted)
+    if not refuted:
+        # Arithmetic alone: no window that is left knows of a stall.
+        assert found.mass.value == pytest.approx(TRUTH["mass"], rel=1e-9)
