@@ -160,7 +160,9 @@ def test_what_no_encoder_would_show_is_no_evidence(ripple: float, refuted: bool)
     assert found.residual == pytest.approx(ripple, abs=0.01e-9)
 
 
-@pytest.mark.parametrize(("stalls", "told", "refuted"), [(3, False, True), (3, True, False), (14, True, False), (15, True, True)])
+@pytest.mark.parametrize(
+    ("stalls", "told", "refuted"), [(3, False, True), (3, True, False), (14, True, False), (15, True, True)]
+)
 def test_a_window_with_a_late_answer_need_not_fit(stalls: int, told: bool, refuted: bool) -> None:
     """Of 20 windows some hold a tick of which 0.1 mN are not recorded, 0.1 µm later; six others are enough."""
     position, force = closed_form(2000)
