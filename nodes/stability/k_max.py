@@ -169,11 +169,11 @@ class Tolerance:
     delay_max_ticks: float | None  # largest delay, fractions included; searched up to 100 ticks
 
 
-def tolerance(law: CompiledLaw, plant: Plant, radius: float = 1.0) -> Tolerance | None:
+def tolerance(law: CompiledLaw, plant: Plant) -> Tolerance | None:
     """Tell how far mass, damping, a hand and delay may be from what is declared; None when that is beyond the limit itself."""
 
     def within(other: Plant) -> bool:
-        return pole_radius(law, other) < radius
+        return pole_radius(law, other) < 1.0
 
     if not within(plant):
         return None

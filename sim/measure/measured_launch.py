@@ -32,7 +32,7 @@ from nodes.recording.summary import quantile
 from sim.measure import stopwatch
 
 HAPTIC = (*PYTHON, "-m", "nodes.cli.command")  # the command ``haptic`` with this interpreter
-DEADLINE = 60.0  # when a condition that must come about is given up [s]: a bound for what hangs, not a measure of anything
+DEADLINE = 180.0  # when a condition that must come about is given up [s]: a bound for what hangs, not a measure of anything
 PATIENCE = 3.0 * DEADLINE  # how long a command may take that compiles its loop first, on a busy machine [s]
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.support.launching import HAPTIC, Running, wait_for
+from tests.support.launching import DEADLINE, HAPTIC, Running, wait_for
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -166,6 +166,7 @@ class OpenPage:
 
     def __init__(self, browser: Browser, url: str, **context: Any) -> None:
         self._context = browser.new_context(**{"viewport": {"width": 1366, "height": 768}, **context})
+        self._context.set_default_timeout(1e3 * DEADLINE)
         self._page = self._context.new_page()
         self._errors: list[str] = []
         self._page.on("pageerror", lambda error: self._errors.append(str(error)))
