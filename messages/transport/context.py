@@ -1,16 +1,43 @@
 """The context of a process: its I/O threads, of which the second one serves listeners, off the loop's processor."""
 
 import os
+import traceback
 from pathlib import Path
+from typing import Any
 
 import zmq
 
 from messages.transport.endpoints import Context
 
 
+class _Socket(zmq.Socket[bytes]):
+    def close(self, linger: int | None = None) -> None:
+        try:
+            super().close(linger)
+        except BaseException:
+            # The context may have forgotten it already.
+            super().close(linger)
+            raise
+
+
+class _Context(zmq.Context[zmq.Socket[bytes]]):
+    """A context that can be ended after a signal's exception has interrupted the making or closing of a socket."""
+
+    _socket_class = _Socket
+
+    def socket(self, *what: Any, **options: Any) -> Any:
+        try:
+            return super().socket(*what, **options)
+        except BaseException as error:
+            # What a signal's handler raises meanwhile leaves a socket that the context does not know, in the frames of the
+            # traceback: nobody could close it, and the context's end would wait for it for ever.
+            traceback.clear_frames(error.__traceback__)
+            raise
+
+
 def new_context(aside: bool = False) -> Context:
     """Make a context whose sockets never delay its end; its I/O threads inherit affinity and priority of the calling thread."""
-    context: Context = zmq.Context(io_threads=2 if aside else 1)
+    context = _Context(io_threads=2 if aside else 1)
     context.linger = 0
     return context
 

@@ -254,7 +254,7 @@ def _play(arguments: argparse.Namespace) -> int:
     try:
         publisher = local_publisher(context, arguments.endpoint)
     except UsageError:
-        context.term()
+        context.destroy(linger=0)
         raise
     before = signal.signal(signal.SIGINT, interrupt)
     try:
@@ -276,7 +276,7 @@ def _play(arguments: argparse.Namespace) -> int:
     finally:
         signal.signal(signal.SIGINT, before)
         publisher.close()
-        context.term()
+        context.destroy(linger=0)
     pace = "without a pause" if math.isinf(arguments.rate) else f"at {arguments.rate:g} times the original pace"
     return answer(arguments.json, {"published": counts}, f"published {pace}:\n{_counted(counts)}")
 

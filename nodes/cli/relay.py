@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
         finally:
             publisher.close()
     finally:
-        context.term()
+        context.destroy(linger=0)
     counted = "".join(f"\n  {topic}: {count}" for topic, count in relayed.items())
     figures = {"endpoint": arguments.endpoint, "runs": names, "relayed": dict(relayed)}
     return answer(arguments.json, figures, f"relayed {', '.join(names) or 'nothing'}{counted}")

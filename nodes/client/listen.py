@@ -42,7 +42,7 @@ def listening(
         finally:
             links.close()
             inbox.close()
-            context.term()
+            context.destroy(linger=0)
 
 
 def listen(run: RunInfo, topics: Collection[str], duration: float = 0.0) -> Iterator[Heard | None]:

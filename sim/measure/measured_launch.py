@@ -18,10 +18,10 @@ from types import TracebackType
 from typing import Any, Self
 
 import msgspec
-import zmq
 
 from messages import topics
 from messages.errors import HapticError
+from messages.transport.context import new_context
 from messages.transport.requests import ControlError, call
 from messages.types import DeviceState
 from nodes.base.realtime import die_with_parent
@@ -176,7 +176,7 @@ class Running:
         self.runtime_dir.mkdir(mode=0o700)
         # Variables that lead another ``haptic`` command to this launch.
         self.environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(self.runtime_dir), **(environment or {})}
-        self.context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()  # for sockets beside the launch; ended with it
+        self.context = new_context()  # for sockets beside the launch; ended with it
         self._words = words
         self._run_dir: Path | None = None
         self._ready = ready
