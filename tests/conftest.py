@@ -106,8 +106,8 @@ WORKERS = len(os.sched_getaffinity(0)) + 2
 
 
 SLOW = 0.04
-"""Time of a million additions, above which the suite computes more than it waits [s]. Usual are 0.025 s; where they took 0.05
-to 0.11 s, four workers on two processors were slower than two, and 21 tests ran into deadlines that they keep by two."""
+"""Time of a million additions, above which the suite computes more than it waits [s]. Usual are some 0.025 s; where they took
+0.05 to 0.11 s, four workers on two processors were slower than two, and 21 tests ran into deadlines that they keep by two."""
 
 
 def _million_additions() -> float:
