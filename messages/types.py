@@ -69,6 +69,8 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
         Position of the device's end point at the tick, as its encoders give it [m].
     force : tuple of float, shape (3,)
         Force handed to the device when the previous tick closed, after all limits [N].
+    mean_force : tuple of float, shape (3,)
+        Mean of the forces that were on the device since the position before this one, where they changed within a tick too [N].
     force_seq : int
         Tick that this force answers; -1 before the first one.
     age : int
@@ -97,6 +99,7 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
 
     position: Vector
     force: Vector = ZERO
+    mean_force: Vector = ZERO
     force_seq: Annotated[int, msgspec.Meta(ge=-1, le=MAX_COUNT)] = -1
     age: Count = 0
     response: Real = 0.0

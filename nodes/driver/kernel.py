@@ -34,8 +34,9 @@ _encode = make_encode(DeviceState)
 _IN, _OUT = fields_of(Force), fields_of(DeviceState)
 _SEQ, _FORCE = slots(_IN, "seq", "force")
 _TO_SEQ, _TO_FORCE_SEQ, _TO_AGE, _TO_MISSED, _TO_OVERRUNS = slots(_OUT, "seq", "force_seq", "age", "missed", "overruns")
-_TO_STAMP, _TO_POSITION, _TO_FORCE, _TO_RESPONSE, _TO_LATENESS, _TO_ENERGY, _TO_DELAY, _TO_GUARD, _TO_TARGET = slots(
-    _OUT, "stamp", "position", "force", "response", "lateness", "energy", "delay", "guard", "target"
+_TO_POSITION, _TO_FORCE, _TO_MEAN, _TO_TARGET = slots(_OUT, "position", "force", "mean_force", "target")
+_TO_STAMP, _TO_RESPONSE, _TO_LATENESS, _TO_ENERGY, _TO_DELAY, _TO_GUARD = slots(
+    _OUT, "stamp", "response", "lateness", "energy", "delay", "guard"
 )
 _TIMER_ABSTIME = 1
 # As long as ZeroMQ waits at least in `Subscription.receive_soon` [s].
@@ -77,7 +78,8 @@ def _write(s: Any, seq: int, offset: float) -> bool:
 def _publish(s: Any, seq: int, stamp: float) -> None:
     out, whole = s.out_reals, s.out_wholes
     for i in range(3):
-        out[_TO_POSITION + i], out[_TO_FORCE + i], out[_TO_TARGET + i] = s.position[i], s.force[i], s.target[i]
+        out[_TO_POSITION + i], out[_TO_FORCE + i], out[_TO_MEAN + i] = s.position[i], s.force[i], s.acting[i]
+        out[_TO_TARGET + i] = s.target[i]
     out[_TO_STAMP], out[_TO_RESPONSE], out[_TO_LATENESS] = stamp, s.response, s.lateness
     out[_TO_ENERGY], out[_TO_DELAY] = s.energy, s.delay
     out[_TO_GUARD] = s.guard_energy[0] + s.guard_energy[1] + s.guard_energy[2]

@@ -58,6 +58,7 @@ class PlainTicks:
                 stamp=stamp,
                 position=tuple(s.position),
                 force=tuple(s.force),
+                mean_force=tuple(s.acting),
                 force_seq=s.force_seq,
                 age=s.age,
                 response=s.response,

@@ -125,7 +125,7 @@ def _mode_bound(evidence: list[Evidence]) -> float:
 def _undisturbed(experiment: Experiment, found: Fit, scale: float, step: float | None) -> NDArray[np.bool_]:
     """Tell which windows to keep: none with four times the error of the middle one, or of rounding; all if a third has it.
 
-    Nor one with a late answer, whose force is not told whole, that does not fit a model of those without.
+    Nor one with a late answer, of whose forces only the mean is told, that does not fit a model of those without.
     """
 
     def fits(errors: Array, middle: float, grid: float) -> NDArray[np.bool_]:
@@ -197,5 +197,5 @@ def _why(experiment: Experiment, found: Fit, evidence: list[Evidence], step: flo
         cause = f"the data ask for {describe(asked.suspect.term, asked.suspect.size)}"
     late = int(np.count_nonzero(_late(experiment, found)))
     if late:
-        cause += f"; in {late} of {len(found.starts)} windows an answer came late, and not all of the force is recorded"
+        cause += f"; in {late} of {len(found.starts)} windows an answer came late, and of the force before it only the mean is known"
     return f"it leaves {size} that are not white noise; {cause}"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from messages.topics import DEVICE_STATE
 from nodes.base.setup import AXIS_INDEX
 from nodes.recording.reader import Recording
-from sim.arrays import Array
+from sim.arrays import Array, WholeArray
 from sim.identify.identified import Estimate
 
 # So many ticks that the driver slept through do not end a stretch: forces held meanwhile, and the motion is known [ticks].
@@ -34,8 +34,8 @@ class Experiment:
     # Ticks whose position was not sampled: filled in for a first guess, never compared with a model, shape (N,), or None. None
     # for none.
     unread: NDArray[np.bool_] | None = None
-    # Ticks in which the answer of an earlier one may have been handed over too: the driver tells a tick's last force, not those
-    # before it, shape (N,), or None for none.
+    # Ticks in which the answer of an earlier one may have been handed over too: the driver tells a tick's last force and the
+    # mean of all, not when each came, shape (N,), or None for none.
     late: NDArray[np.bool_] | None = None
 
     @property
@@ -68,14 +68,17 @@ def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**5
     seq = np.array([state.seq for state in states], dtype=np.int64)
     age = np.array([state.age for state in states], dtype=np.float64)
     measured = np.array([state.delay for state in states])
-    # A state tells of the tick before it. Its force was handed over `delay − age` into that tick; one that answers nothing
-    # new (the driver's own damping after a silence) at the end of it.
     answers = np.array([state.force_seq for state in states], dtype=np.int64)
     fresh = np.concatenate([[False], answers[1:] != answers[:-1]])
+    mean = np.array([state.mean_force[column] for state in states])
+    if np.any(forces[:, column]) and not np.any(mean):
+        raise ValueError(f"{path}: its driver tells no mean_force, so what acted within a tick is not known; record it again")
     changed = np.concatenate([[True], np.any(forces[1:] != forces[:-1], axis=1)])
-    took = seq - 1 + np.where(fresh, measured - age, 1.0)
-    used = fresh | changed
-    at = np.maximum.accumulate(took[used]) - seq[0]
+    # A state tells of the tick before it. Its force was handed over `delay − age` into that tick; one that answers nothing
+    # new (the driver's own damping after a silence) at the end of it.
+    took = seq - 1 + np.where(fresh, measured - age, 1.0) - seq[0]
+    overruns = np.array([state.overruns for state in states], dtype=np.int64)
+    at, force = _in_turn(seq - seq[0], overruns, took, forces[:, column], mean, fresh | changed)
     breaks = np.flatnonzero(np.diff(seq) > BRIDGED) + 1
     ends = [0, *breaks.tolist(), len(seq)]
     # Indices of `position` are ticks.
@@ -94,7 +97,29 @@ def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**5
     skipped = np.searchsorted(seq, answers[1:]) - np.searchsorted(seq, answers[:-1], "right") > 0
     late = np.zeros(len(ticks), dtype=bool)
     late[seq[1:][skipped & fresh[1:] & (answers[:-1] >= 0)] - 1 - seq[0]] = True
-    return Experiment(1.0 / rate, whole, segments, at, forces[used, column], delays, axis, missing, late)
+    return Experiment(1.0 / rate, whole, segments, at, force, delays, axis, missing, late)
+
+
+SAME = 1e-9  # forces closer than this part of the largest are one force: a mean is rounded
+
+
+def _in_turn(
+    ticks: WholeArray, overruns: WholeArray, took: Array, last: Array, mean: Array, new: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Put the forces of all ticks in turn: what must have acted before the last of a tick for its mean, and that last one.
+
+    The mean is over the ticks that the driver slept through too, which are overruns; ticks that only the recording lacks had
+    states of their own. When each is handed over [ticks], and the force [N], each of shape (M,).
+    """
+    begin = ticks - np.concatenate([[1], np.minimum(np.diff(ticks), 1 + np.diff(overruns))])
+    held = np.concatenate([last[:1], last[:-1]])
+    span = took - begin
+    before = held.copy()
+    np.divide(mean * (ticks - begin) - last * (ticks - took), span, out=before, where=span > SAME)
+    other = np.abs(before - held) > SAME * float(np.max(np.abs(last))) / np.maximum(span, SAME)
+    used = np.stack([other, new], axis=1).ravel()
+    at = np.maximum.accumulate(np.stack([begin, took], axis=1).ravel()[used])
+    return at, np.stack([before, last], axis=1).ravel()[used]
 
 
 LEAST_VALUES = 8  # fewer different positions could lie on many grids

@@ -49,6 +49,7 @@ def drop(ticks: int, *, missed: tuple[int, ...] = (), switch: int | None = None)
                 stamp=k * PERIOD,
                 position=(0.0, 0.0, x),
                 force=(0.0, 0.0, force),
+                mean_force=(0.0, 0.0, force),
                 force_seq=k - 1,
                 response=0.0 if k == 0 or k - 1 in missed else 160e-6 + 40e-6 * ((k * 7919) % 13) / 13,
                 missed=late,

@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from messages.topics import DEVICE_STATE
 from messages.types import DeviceState
 from nodes.recording.writer import RecordWriter
+from sim.arrays import Array
 from sim.device.friction import slide
 from sim.device.model import DeviceModel, Hand, coefficients
 from sim.device.state import VirtualDevice, device_part
@@ -193,6 +195,57 @@ def test_a_record_tells_where_an_answer_came_late(tmp_path: Path) -> None:
     assert late is not None
     # In 102 the answers of 100 and 101 may have come before its own, which is the one that state 103 tells.
     assert np.flatnonzero(late).tolist() == [102]
+
+
+def impulse(at: Array, force: Array, ticks: Array) -> Array:
+    """Add up forces, each of which holds from when it was handed over, until ticks [N ticks]."""
+    total = np.concatenate([[0.0], np.cumsum(force[:-1] * np.diff(at))])
+    last = np.searchsorted(at, ticks, "right") - 1
+    return np.where(last >= 0, total[last] + force[last] * (ticks - at[last]), 0.0)
+
+
+@pytest.mark.parametrize("slept", [0, 1, 7])
+def test_the_forces_of_a_tick_are_rebuilt_from_its_mean(slept: int, tmp_path: Path) -> None:
+    """Each answer comes in its own tick but every seventh, in the next before that one's; from 300 on the driver sleeps."""
+    rng = np.random.default_rng(3)
+    answered = np.array([k for k in range(600) if not 300 <= k < 300 + slept])
+    late = answered % 7 == 3
+    at = answered + np.where(late, 1.2, rng.uniform(0.3, 0.9, len(answered)))
+    force = rng.uniform(-1.0, 1.0, len(answered))
+    sampled = np.concatenate([answered, [600]]).astype(np.float64)
+    between = np.diff(impulse(at, force, sampled), prepend=0.0)
+    with RecordWriter(tmp_path / "run.mcap", {"rate_hz": "500", "publishes": PUBLISHES}) as writer:
+        for seq, before, given in zip(sampled.tolist(), [-1.0, *sampled.tolist()[:-1]], between.tolist(), strict=True):
+            newest = int(np.searchsorted(at, seq, "right")) - 1
+            state = DeviceState(
+                seq=int(seq),
+                stamp=seq * T,
+                position=(0.0, 0.0, 1e-3 * math.sin(0.1 * seq)),
+                force=(0.0, 0.0, float(force[newest]) if newest >= 0 else 0.0),
+                mean_force=(0.0, 0.0, given / (seq - before)),
+                force_seq=int(answered[newest]) if newest >= 0 else -1,
+                age=int(seq) - 1 - int(answered[newest]) if newest >= 0 else 0,
+                delay=float(at[newest] - answered[newest]) if newest >= 0 else 0.0,
+                overruns=slept if seq >= 300 + slept else 0,
+            )
+            writer.write(DEVICE_STATE, state, seq * T)
+    found = read(tmp_path / "run.mcap", "z")
+    # Sums of 600 terms of up to 1, and a mean that is divided by a third of a tick at least.
+    assert np.allclose(impulse(found.at, found.force, sampled), impulse(at, force, sampled), rtol=0.0, atol=1e-12)
+    alone = np.flatnonzero(~late[1:-1] & ~late[:-2] & (np.diff(answered)[:-1] == 1)) + 1
+    assert len(alone) > 400
+    for k in alone:
+        assert found.force[np.searchsorted(found.at, at[k] + 1e-9) - 1] == pytest.approx(force[k], abs=1e-12)
+        assert np.min(np.abs(found.at - at[k])) < 1e-12 * 600
+
+
+def test_forces_without_their_mean_are_refused(tmp_path: Path) -> None:
+    with RecordWriter(tmp_path / "old.mcap", {"rate_hz": "500", "publishes": PUBLISHES}) as writer:
+        for topic, message in drop(600):
+            told = msgspec.structs.replace(message, mean_force=(0.0, 0.0, 0.0)) if isinstance(message, DeviceState) else message
+            writer.write(topic, told, message.stamp)
+    with pytest.raises(ValueError, match=r"tells no mean_force.*record it again"):
+        read(tmp_path / "old.mcap", "z")
 
 
 def test_study_identify_reads_a_launch(tmp_path: Path) -> None:

@@ -26,9 +26,9 @@ def recorded(folder: Path, device: RicherModel) -> Path:
     path = folder / "push.mcap"
     with RecordWriter(path, {"rate_hz": str(1.0 / T), "pace": "lockstep"}) as writer:
         for seq, (position, force) in enumerate(zip(run.position, [0.0, *run.force[:-1]], strict=True)):
-            state = DeviceState(
-                seq=seq, stamp=seq * T, position=(float(position), 0.0, 0.0), force=(float(force), 0.0, 0.0), force_seq=seq - 1
-            )
+            held = (float(force), 0.0, 0.0)
+            place = (float(position), 0.0, 0.0)
+            state = DeviceState(seq=seq, stamp=seq * T, position=place, force=held, mean_force=held, force_seq=seq - 1)
             writer.write(DEVICE_STATE, state, state.stamp)
     return path
 
