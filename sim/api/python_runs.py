@@ -13,7 +13,7 @@ import tempfile
 import threading
 import time
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
@@ -197,11 +197,11 @@ class Run:
         """
         process = self._started_here("wait for")
         until = None if timeout is None else time.monotonic() + timeout
+        driver = launches.roles(self.info).get("driver")
+        total = self.info.nodes[driver].ticks if driver else None
         try:
-            driver = launches.roles(self.info).get("driver")
-            total = self.info.nodes[driver].ticks if driver else None
-            with progress(self.info.scenario, total) as step:
-                while process.poll() is None:
+            with whole() as came, progress(self.info.scenario, total) as step:
+                while process.poll() is None and not came:
                     if until is not None and time.monotonic() > until:
                         raise LaunchError(f"{self.info.run}: still running after {timeout:g} s")
                     if driver:
@@ -267,21 +267,21 @@ class Run:
 
 
 @contextlib.contextmanager
-def whole() -> Iterator[None]:
-    """Do this block to its end; an interrupt that comes meanwhile is one at its end.
+def whole() -> Iterator[Sequence[object]]:
+    """Do this block to its end; an interrupt that comes meanwhile is one at its end, and stands in the sequence until then.
 
-    In the middle of a request libzmq's own clean-up would swallow it: a ``KeyboardInterrupt`` that is raised inside a
-    finaliser, as a socket or context has one, is printed and forgotten, and the cell would go on.
+    A ``KeyboardInterrupt`` that is raised inside a finaliser, as sockets and Python's locks of imports have one, is printed and
+    forgotten, and the cell would go on.
     """
     before = signal.getsignal(signal.SIGINT)
     # Only the main thread is interrupted; SIG_IGN and SIG_DFL run no Python.
     if threading.current_thread() is not threading.main_thread() or not callable(before):
-        yield
+        yield ()
         return
     came: list[tuple[int, FrameType | None]] = []
     signal.signal(signal.SIGINT, lambda number, frame: came.append((number, frame)))
     try:
-        yield
+        yield came
     finally:
         signal.signal(signal.SIGINT, before)
         if came:
@@ -363,16 +363,20 @@ def launch(scenario: str, *, view: bool = False, out_dir: str | Path | None = No
     with open(folder / "stdout.txt", "wb") as out, open(folder / "stderr.txt", "wb") as errors:
         process = beside("launch", scenario, *words, "--json", "--no-plot", stdout=out, stderr=errors)
     try:
-        return Run(_appeared(process, folder), process, folder)
+        with whole() as came:
+            info = _appeared(process, folder, came)
+        return Run(info, process, folder)
     except BaseException:
         end(process)
         shutil.rmtree(folder, ignore_errors=True)
         raise
 
 
-def _appeared(process: subprocess.Popen[bytes], folder: Path) -> RunInfo:
+def _appeared(process: subprocess.Popen[bytes], folder: Path, interrupts: Sequence[object]) -> RunInfo:
     until = time.monotonic() + STARTS_WITHIN
     while time.monotonic() < until:
+        if interrupts:
+            raise KeyboardInterrupt
         info = next((info for info in runs().values() if info.launcher == process.pid), None)
         ended = process.poll() is not None
         if info is not None and (ended or _ticks(info)):

@@ -19,6 +19,7 @@ from nodes.laws.fir import FIR
 from nodes.laws.pd import PD
 from nodes.parameters.store import ParameterError
 from sim.device.model import DeviceModel
+from sim.measure.measured_launch import DEADLINE
 from tests.support import ROOT
 from tests.support.launching import assert_nothing_left, private_runtime_dir, processes_of, wait_for
 
@@ -182,15 +183,41 @@ def test_a_launcher_that_is_killed_leaves_no_summary(place: Path, view: bool) ->
     wait_for(lambda: not processes_of(place), "the end of its nodes")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["interrupted", "killed"])
-def test_a_program_that_ends_leaves_nothing(place: Path, number: signal.Signals) -> None:
-    code = """
-import haptic, signal
+PROGRAM = """
+import haptic, os, signal, weakref
+from sim.api import python_runs
 signal.signal(signal.SIGINT, signal.default_int_handler)  # what runs in the background of a shell ignores it
+
+class Thing: pass
+
+things = [Thing()]
+weakref.finalize(things[0], os.kill, os.getpid(), signal.SIGINT)
+
+def interrupted_in_a_finaliser(call):
+    def interrupted(*args):
+        things.clear()  # what is raised in there is printed and forgotten
+        return call(*args)
+    return interrupted
+
+{before}
 run = haptic.launch("wall_press", duration=0)
+{between}
 print(run.ticks, flush=True)
 run.wait()
 """
+FINALISED = "python_runs.{0} = interrupted_in_a_finaliser(python_runs.{0})".format
+ENDS = {
+    "interrupted": (signal.SIGINT, "", ""),
+    "killed": (signal.SIGKILL, "", ""),
+    "interrupted in a finaliser while it starts": (0, FINALISED("runs"), ""),
+    "interrupted in a finaliser while it waits": (0, "", FINALISED("progress")),
+}
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_a_program_that_ends_leaves_nothing(place: Path, end: str) -> None:
+    number, before, between = ENDS[end]
+    code = PROGRAM.format(before=before, between=between)
     with private_runtime_dir() as folder:
         program = subprocess.Popen(
             [sys.executable, "-c", code],
@@ -200,13 +227,14 @@ run.wait()
             cwd=folder,
         )
         assert program.stdout is not None
-        with program.stdout:
-            assert int(program.stdout.readline()) > 0
         try:
-            program.send_signal(number)
-            program.wait(60)
+            assert before or int(program.stdout.readline()) > 0
+            if number:
+                program.send_signal(number)
+            program.wait(DEADLINE)
         finally:
             program.kill()
             program.wait()
+            program.stdout.close()
         wait_for(lambda: not processes_of(folder), "the end of the launch")
         assert_nothing_left(folder)
