@@ -25,8 +25,8 @@ PEAK, SLEW = 5.0, 1000.0
 DAMPING = 0.5
 HOLD = 0.05  # the virtual device's own deadline, as a servo thread has one [s]
 # Longest time to safe [ticks]: watchdog, damping and the way down, or the device's own deadline; two for the tick in which the
-# fault strikes and for the message that tells it. A driver that has no processor while it damps leaves that force to the
-# device's deadline: such ticks come on top (`driven_to_safe`).
+# fault strikes and for the message that tells it. A driver that has no processor after it has handed over another force without
+# an answer (damping, a ramp) leaves that one to the device's deadline: such ticks come on top (`driven_to_safe`).
 LIMIT = max(WATCHDOG + DAMPING_TICKS + math.ceil(PEAK * RATE / SLEW), math.ceil(HOLD * RATE)) + 2
 CALM = 25  # so many ticks in order, one after the other, are a recovery
 
@@ -104,20 +104,20 @@ def with_link(content: dict[str, Any]) -> None:
 
 
 def _acting(states: Sequence[DeviceState], hold_ticks: float) -> Iterator[tuple[int, int]]:
-    """Tell at each tick for how long an old force, or damping, has acted, and how much of that a damping driver was away."""
-    since = states[0].seq if states else 0
+    """Tell at each tick for how long an old force, or damping, has acted, and how much of that the driver was away from it."""
+    since = written = states[0].seq if states else 0
     away = 0
     for before, state in pairwise(states):
         gap = state.seq - before.seq
-        renewed = before.force != ZERO and before.safety not in ("active", "ramp")
         if before.force != ZERO and gap > 1:
             # While the driver was away nobody renewed the force; the device lets go so long after the last one written.
-            written = before.seq if renewed else since
             ended = math.ceil(min(state.seq, max(written + hold_ticks, before.seq)))
-            away += ended - before.seq - 1 if renewed else 0
+            away += ended - before.seq - 1 if written > since else 0
             yield ended - since, away
+        if state.force != before.force or state.safety not in ("active", "ramp"):
+            written = state.seq
         if state.force_seq > before.force_seq or state.force == ZERO or gap >= hold_ticks:
-            since, away = state.seq, 0
+            since, written, away = state.seq, state.seq, 0
         else:
             yield state.seq - since, away
 
@@ -128,7 +128,7 @@ def time_to_safe(states: Sequence[DeviceState], hold_ticks: float) -> int:
 
 
 def driven_to_safe(states: Sequence[DeviceState], hold_ticks: float) -> int:
-    """Find the same, ticks apart for which the driver had no processor while it damped: only the device ends that force."""
+    """Find the same, ticks apart for which a driver that damped or ramped had no processor: only the device ends that force."""
     return max((ticks - away for ticks, away in _acting(states, hold_ticks)), default=0)
 
 

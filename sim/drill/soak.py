@@ -133,6 +133,9 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
             staying = rig.beside("bag", "record", "--out", f"round{number}.mcap")
             killed = rig.beside("bag", "record", "--out", f"killed{number}.mcap")
             found.loggers += 2
+            # Here before anything changes: on a busy machine their start takes as long as their visit.
+            for name in ("round", "killed"):
+                within((rig.folder / f"{name}{number}.mcap").exists, 20.0)
             for _ in range(4):
                 _pass_time(rig, part, memory)
                 done.append((rig.states[-1].seq, "parameters and law changed"))
@@ -141,8 +144,6 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
                 found.changes += 2
             done.append((rig.states[-1].seq, "loggers killed and stopped"))
             killed.kill()
-            # On a busy machine it is only starting yet; what it never began cannot be compared.
-            within((rig.folder / f"round{number}.mcap").exists, 20.0)
             staying.send_signal(signal.SIGINT)
             killed.wait()
             staying.wait()

@@ -197,5 +197,5 @@ def _why(experiment: Experiment, found: Fit, evidence: list[Evidence], step: flo
         cause = f"the data ask for {describe(asked.suspect.term, asked.suspect.size)}"
     late = int(np.count_nonzero(_late(experiment, found)))
     if late:
-        cause += f"; in {late} of {len(found.starts)} windows an answer came late, and of the force before it only the mean is known"
+        cause += f"; in {late} of {len(found.starts)} windows an answer came late, and only the mean before it is known"
     return f"it leaves {size} that are not white noise; {cause}"

@@ -79,6 +79,17 @@ def test_ticks_that_a_damping_driver_slept_through_are_the_device_s() -> None:
     assert drill.driven_to_safe(left, 25) == 25
 
 
+def test_ticks_after_a_ramp_are_the_device_s_too() -> None:
+    # Answered in 1 last, up by the ramp without answers until 10, away until 32: the device would hold that force until 35.
+    ramp = [state(1, 0, 0.1, "ramp"), *(state(k, 1, 0.1 * k, "ramp") for k in range(2, 11))]
+    run = [*ramp, state(32, 1, 1.0, "zero"), state(33, 1, 0.0, "zero")]
+    assert drill.time_to_safe(run, 25) == 30
+    assert drill.driven_to_safe(run, 25) == 30 - 21
+    # A force that stayed the same is the one that was answered: no excuse.
+    held = [state(1, 0), *(state(k, 1) for k in range(2, 11)), state(32, 1, 0.0, "zero")]
+    assert drill.driven_to_safe(held, 25) == 25
+
+
 def test_energy_goes_on_through_a_respawned_driver() -> None:
     run = [state(1, 0, energy=0.5), state(2, 1, energy=0.7), state(9, -1, 0.0, energy=0.0), state(10, 9, energy=0.3)]
     assert drill.energy_given_out(run) == pytest.approx(0.5)
