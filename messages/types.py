@@ -71,6 +71,9 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
         Force handed to the device when the previous tick closed, after all limits [N].
     mean_force : tuple of float, shape (3,)
         Mean of the forces that were on the device since the position before this one, where they changed within a tick too [N].
+    changed_at : float
+        Part of the previous tick after which its first new force was handed over: less than `delay` where an earlier tick's
+        answer came in it; 1 where none was [ticks].
     force_seq : int
         Tick that this force answers; -1 before the first one.
     age : int
@@ -100,6 +103,7 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
     position: Vector
     force: Vector = ZERO
     mean_force: Vector = ZERO
+    changed_at: Real = 0.0
     force_seq: Annotated[int, msgspec.Meta(ge=-1, le=MAX_COUNT)] = -1
     age: Count = 0
     response: Real = 0.0

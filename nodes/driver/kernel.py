@@ -35,8 +35,8 @@ _IN, _OUT = fields_of(Force), fields_of(DeviceState)
 _SEQ, _FORCE = slots(_IN, "seq", "force")
 _TO_SEQ, _TO_FORCE_SEQ, _TO_AGE, _TO_MISSED, _TO_OVERRUNS = slots(_OUT, "seq", "force_seq", "age", "missed", "overruns")
 _TO_POSITION, _TO_FORCE, _TO_MEAN, _TO_TARGET = slots(_OUT, "position", "force", "mean_force", "target")
-_TO_STAMP, _TO_RESPONSE, _TO_LATENESS, _TO_ENERGY, _TO_DELAY, _TO_GUARD = slots(
-    _OUT, "stamp", "response", "lateness", "energy", "delay", "guard"
+_TO_STAMP, _TO_CHANGED_AT, _TO_RESPONSE, _TO_LATENESS, _TO_ENERGY, _TO_DELAY, _TO_GUARD = slots(
+    _OUT, "stamp", "changed_at", "response", "lateness", "energy", "delay", "guard"
 )
 _TIMER_ABSTIME = 1
 # As long as ZeroMQ waits at least in `Subscription.receive_soon` [s].
@@ -81,7 +81,7 @@ def _publish(s: Any, seq: int, stamp: float) -> None:
         out[_TO_POSITION + i], out[_TO_FORCE + i], out[_TO_MEAN + i] = s.position[i], s.force[i], s.acting[i]
         out[_TO_TARGET + i] = s.target[i]
     out[_TO_STAMP], out[_TO_RESPONSE], out[_TO_LATENESS] = stamp, s.response, s.lateness
-    out[_TO_ENERGY], out[_TO_DELAY] = s.energy, s.delay
+    out[_TO_ENERGY], out[_TO_DELAY], out[_TO_CHANGED_AT] = s.energy, s.delay, s.changed_at
     out[_TO_GUARD] = s.guard_energy[0] + s.guard_energy[1] + s.guard_energy[2]
     whole[_TO_SEQ], whole[_TO_FORCE_SEQ], whole[_TO_AGE] = seq, s.force_seq, s.age
     whole[_TO_MISSED], whole[_TO_OVERRUNS] = s.missed, s.overruns

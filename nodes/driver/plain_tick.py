@@ -59,6 +59,7 @@ class PlainTicks:
                 position=tuple(s.position),
                 force=tuple(s.force),
                 mean_force=tuple(s.acting),
+                changed_at=s.changed_at,
                 force_seq=s.force_seq,
                 age=s.age,
                 response=s.response,

@@ -44,8 +44,8 @@ _VECTORS = (
 _NUMBERS = (
     # the tick: when tick 0 was, when its sample was published, when a message came
     *("epoch", "sampled", "arrival", "late_answer_at", "lateness", "response", "delay"),
-    # where in the tick the mean force stands, and after how many ticks the device lets go by itself
-    *("split", "device_hold_ticks"),
+    # where in the tick the mean force stands, and where the force first changed; after how many ticks the device lets go
+    *("split", "changed_at", "device_hold_ticks"),
     # safety
     *("peak", "slew", "damping", "away_from", "regained", "reach"),
     # the motor's heat: continuous force, share kept per tick and over a gap, mean square, largest square of this tick

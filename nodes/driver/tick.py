@@ -125,7 +125,7 @@ def make_ticks(
         note_response(s, s.response)
         decide(s, seq)
         hand_over(s, s.force, seq + s.next_tick, 0.0)
-        s.delay = float(s.next_tick)
+        s.delay = s.changed_at = float(s.next_tick)
         close(s)
         return GO_ON
 
@@ -153,7 +153,7 @@ def make_ticks(
             # An answer that comes a little late is waited for, and the next tick sampled late: sampled on time, it would take
             # the processor from that answer and be answered late itself, and so would the next. Not so when nothing came.
             s.patient, s.heard, s.answered = s.heard, 0, 0
-            s.split = 0.0
+            s.split, s.changed_at = 0.0, 1.0
             for i in range(3):
                 s.mean[i] = s.handed[i] if s.next_tick != 0 else 0.0
         while s.answered == 0:
@@ -188,6 +188,7 @@ def make_ticks(
                 s.delay = 1.0 + s.age
             else:
                 split(s, offset)
+                s.changed_at = min(s.changed_at, offset)
                 hand_over(s, s.force, seq, offset)
                 s.delay = offset + s.age
             if s.answered != 0:

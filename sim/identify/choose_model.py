@@ -26,7 +26,7 @@ QUARTER = 1.0 / 3.0  # a quarter of the mass beyond a joint, as a ratio of the t
 EXPLAINS = 0.27  # part of what is left that a suspect must take up to be named
 FLEXIBLE = 0.6  # a suspect of several shapes fits anything a little: so much of its part counts when one is named
 HELD_OUT = 4  # every so many windows one is held out, to judge the fit by what it has not seen
-LEAST = 6  # fewer windows without a late answer are too few to leave out the others
+LEAST = 6  # fewer windows without such answers are too few to leave out the others
 PROMISES = 0.15  # part that a term must take up by the scan to be fitted in full
 
 
@@ -125,7 +125,7 @@ def _mode_bound(evidence: list[Evidence]) -> float:
 def _undisturbed(experiment: Experiment, found: Fit, scale: float, step: float | None) -> NDArray[np.bool_]:
     """Tell which windows to keep: none with four times the error of the middle one, or of rounding; all if a third has it.
 
-    Nor one with a late answer, of whose forces only the mean is told, that does not fit a model of those without.
+    Nor one with several late answers in a tick, of which only the mean is told, that does not fit a model of those without.
     """
 
     def fits(errors: Array, middle: float, grid: float) -> NDArray[np.bool_]:
@@ -197,5 +197,5 @@ def _why(experiment: Experiment, found: Fit, evidence: list[Evidence], step: flo
         cause = f"the data ask for {describe(asked.suspect.term, asked.suspect.size)}"
     late = int(np.count_nonzero(_late(experiment, found)))
     if late:
-        cause += f"; in {late} of {len(found.starts)} windows an answer came late, and only the mean before it is known"
+        cause += f"; in {late} of {len(found.starts)} windows answers came late, and only their mean is known"
     return f"it leaves {size} that are not white noise; {cause}"

@@ -34,8 +34,8 @@ class Experiment:
     # Ticks whose position was not sampled: filled in for a first guess, never compared with a model, shape (N,), or None. None
     # for none.
     unread: NDArray[np.bool_] | None = None
-    # Ticks in which the answer of an earlier one may have been handed over too: the driver tells a tick's last force and the
-    # mean of all, not when each came, shape (N,), or None for none.
+    # Ticks in which the answers of two earlier ones may have been handed over too: the driver tells where the force changed
+    # first and last, and the mean of all, shape (N,), or None for none.
     late: NDArray[np.bool_] | None = None
 
     @property
@@ -78,7 +78,8 @@ def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**5
     # new (the driver's own damping after a silence) at the end of it.
     took = seq - 1 + np.where(fresh, measured - age, 1.0) - seq[0]
     overruns = np.array([state.overruns for state in states], dtype=np.int64)
-    at, force = _in_turn(seq - seq[0], overruns, took, forces[:, column], mean, fresh | changed)
+    first = np.array([state.changed_at for state in states])
+    at, force = _in_turn(seq - seq[0], overruns, first, took, forces[:, column], mean, fresh | changed)
     breaks = np.flatnonzero(np.diff(seq) > BRIDGED) + 1
     ends = [0, *breaks.tolist(), len(seq)]
     # Indices of `position` are ticks.
@@ -94,7 +95,7 @@ def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**5
     delays = measured[fresh & (age == 0)]
     missing = ~np.isin(ticks, seq - seq[0])
     # Of the ticks sampled between two answers none was answered in its own time.
-    skipped = np.searchsorted(seq, answers[1:]) - np.searchsorted(seq, answers[:-1], "right") > 0
+    skipped = np.searchsorted(seq, answers[1:]) - np.searchsorted(seq, answers[:-1], "right") > 1
     late = np.zeros(len(ticks), dtype=bool)
     late[seq[1:][skipped & fresh[1:] & (answers[:-1] >= 0)] - 1 - seq[0]] = True
     return Experiment(1.0 / rate, whole, segments, at, force, delays, axis, missing, late)
@@ -104,22 +105,30 @@ SAME = 1e-9  # forces closer than this part of the largest are one force: a mean
 
 
 def _in_turn(
-    ticks: WholeArray, overruns: WholeArray, took: Array, last: Array, mean: Array, new: NDArray[np.bool_]
+    ticks: WholeArray,
+    overruns: WholeArray,
+    first: Array,
+    took: Array,
+    last: Array,
+    mean: Array,
+    new: NDArray[np.bool_],
 ) -> tuple[Array, Array]:
-    """Put the forces of all ticks in turn: what must have acted before the last of a tick for its mean, and that last one.
+    """Put the forces of all ticks in turn: what must have acted between the first change of a tick and the last for its mean.
 
-    The mean is over the ticks that the driver slept through too, which are overruns; ticks that only the recording lacks had
-    states of their own. When each is handed over [ticks], and the force [N], each of shape (M,).
+    The mean is over the ticks that the driver slept through too, which are overruns, and in which the device may let go;
+    ticks that only the recording lacks had states of their own. When each is handed over [ticks], and the force [N], each of
+    shape (M,).
     """
-    begin = ticks - np.concatenate([[1], np.minimum(np.diff(ticks), 1 + np.diff(overruns))])
-    held = np.concatenate([last[:1], last[:-1]])
-    span = took - begin
-    before = held.copy()
-    np.divide(mean * (ticks - begin) - last * (ticks - took), span, out=before, where=span > SAME)
-    other = np.abs(before - held) > SAME * float(np.max(np.abs(last))) / np.maximum(span, SAME)
+    covered = np.concatenate([[1], np.minimum(np.diff(ticks), 1 + np.diff(overruns))])
+    begin, held = ticks - covered, np.concatenate([last[:1], last[:-1]])
+    start = np.minimum(np.where(covered == 1, begin + first, begin), took)
+    span, between = took - start, held.copy()
+    given = mean * covered - held * (start - begin) - last * (ticks - took)
+    np.divide(given, span, out=between, where=span > SAME)
+    other = np.abs(between - held) > SAME * float(np.max(np.abs(last))) / np.maximum(span, SAME)
     used = np.stack([other, new], axis=1).ravel()
-    at = np.maximum.accumulate(np.stack([begin, took], axis=1).ravel()[used])
-    return at, np.stack([before, last], axis=1).ravel()[used]
+    at = np.maximum.accumulate(np.stack([start, took], axis=1).ravel()[used])
+    return at, np.stack([between, last], axis=1).ravel()[used]
 
 
 LEAST_VALUES = 8  # fewer different positions could lie on many grids

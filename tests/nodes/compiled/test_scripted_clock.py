@@ -209,6 +209,8 @@ def test_the_mean_force_of_a_tick_is_split_where_its_answers_came(tmp_path: Path
     mean = (600.5 * 1.0 + 400.0 * 2.0 + 999.5 * 3.0) / 2000.0
     assert states[6].energy - states[5].energy == pytest.approx(-1e-3 * mean, rel=1e-9)
     assert states[6].mean_force == pytest.approx((0.0, 0.0, mean), rel=1e-9)
+    # Of tick 4 nothing came in its own time.
+    assert [state.changed_at for state in states[4:7]] == pytest.approx([0.30025, 1.0, 0.30025], abs=1e-9)
 
 
 def test_who_was_silent_is_not_waited_for_whatever_else_comes(tmp_path: Path) -> None:
