@@ -105,13 +105,7 @@ SAME = 1e-9  # forces closer than this part of the largest are one force: a mean
 
 
 def _in_turn(
-    ticks: WholeArray,
-    overruns: WholeArray,
-    first: Array,
-    took: Array,
-    last: Array,
-    mean: Array,
-    new: NDArray[np.bool_],
+    ticks: WholeArray, overruns: WholeArray, first: Array, took: Array, last: Array, mean: Array, new: NDArray[np.bool_]
 ) -> tuple[Array, Array]:
     """Put the forces of all ticks in turn: what must have acted between the first change of a tick and the last for its mean.
 
