@@ -171,7 +171,7 @@ def test_a_window_with_a_late_answer_need_not_fit(stalls: int, told: bool, refut
     found = identify(replace(lockstep(T, position, force - 1e-4 * late), late=late if told else None))
     assert found.refuted == refuted
     assert found.dropped == (0 if refuted else stalls)
-    assert (f"in {stalls} of 20 windows an answer came late" in found.why) == (told and refuted)
+    assert (f"in {stalls} of 20 windows answers came late" in found.why) == (told and refuted)
     assert (f"{stalls} left out" in text(found)) == (not refuted)
     if not refuted:
         # Arithmetic alone: no window that is left knows of a stall.
