@@ -115,7 +115,8 @@ def _in_turn(
     """
     covered = np.concatenate([[1], np.minimum(np.diff(ticks), 1 + np.diff(overruns))])
     begin, held = ticks - covered, np.concatenate([last[:1], last[:-1]])
-    start = np.minimum(np.where(covered == 1, begin + first, begin), took)
+    # Behind a gap nobody tells what was held until the first change.
+    start = np.minimum(np.where(np.diff(ticks, prepend=ticks[0]) == 1, begin + first, begin), took)
     span, between = took - start, held.copy()
     given = mean * covered - held * (start - begin) - last * (ticks - took)
     np.divide(given, span, out=between, where=span > SAME)
