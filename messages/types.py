@@ -87,7 +87,8 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
     overruns : int
         Ticks so far that had to be left out because the driver itself was late by a whole period or more.
     safety : str
-        ``ramp``, ``active``, ``damping``, ``zero``, ``fault`` or ``stopped``: what the driver does with forces now.
+        ``waiting``, ``ramp``, ``active``, ``damping``, ``zero``, ``fault`` or ``stopped``: what the driver does with forces
+        now.
     energy : float
         Energy given out by the virtual side up to this tick [J]: exact where forces change at ticks; one that changes within
         a tick counts as if the device moved evenly in it.

@@ -30,7 +30,8 @@ class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
         force that was away for less than a fifth of it begins with a part: each tick away costs five ticks of ramp.
     workspace: Smallest and largest coordinate of each axis [m]; a position outside is a fault, not data, and the force is zero.
     stop_after: How often within 2 s the force may come to `peak_force` while the loop gives out energy; then the loop is
-        unstable, and the driver stops for good: damping, then no force until it is started again. At most 64; None for never.
+        unstable, and the driver stops for good: damping, then no force until ``haptic node rearm`` asks for it, or the driver
+        is started again. At most 64; None for never.
     hang: After so long within one tick the device is taken to hang, and the driver ends [s]; None for a debugger.
     without: What the device need not declare: ``peak_force``, ``workspace``, ``hold``.
     """

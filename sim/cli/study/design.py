@@ -66,7 +66,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--friction", type=positive, help="of the device: |H(-1)| <= 2 friction/resolution, no chatter at rest [N]"
     )
-    parser.add_argument("--compare", action="store_true", help="against best PD, every PDα and the paper's optimum")
+    text = "against best PD (bare, filtered, windowed), every PDα and the paper's optimum"
+    parser.add_argument("--compare", action="store_true", help=text)
     parser.add_argument("--delays", type=not_negative, nargs="+", default=[0.0, 1.0, 2.0], help="of --compare [ticks]")
     parser.add_argument(
         "--margins", type=not_negative, nargs="+", default=[0.0, 0.5], help="delay margins of --compare [ticks]"
