@@ -1,4 +1,4 @@
-"""List, show and measure the topics of a running launch, with the sub-verbs and options of ``ros2 topic``."""
+"""List, show, measure and feed the topics of a running launch, with the sub-verbs and options of ``ros2 topic``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""List devices, and identify the one at hand: mass, damping, friction, delay and encoder with 95 % intervals."""
+"""List, check, free and identify devices: mass, damping, friction, delay and encoder, each with a 95 % interval."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ WANTED = 0.90  # least coverage of a 95 % interval that counts as kept
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--devices", type=COUNT, default=200, help="how many, half of them held (default: %(default)s)")
+    parser.add_argument("--devices", type=COUNT, default=200, help="how many; half are held, but for --outside (default: 200)")
     parser.add_argument("--seconds", type=SECONDS, default=8.0, help="of each push (default: %(default)s)")
     declare(parser, rate=500.0)
     parser.add_argument("--seed", type=SEED, default=1, help="of the population (default: %(default)s)")
