@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import msgspec
 
-from messages.topics import DEVICE_STATE, LOOP, message_type, split
+from messages.topics import DEVICE_STATE, LOOP, message_type, split, within
 from messages.types import DeviceState, NodeStatus
 from nodes.recording.mcap_walk import RawMessage
-from nodes.recording.reader import Recording
-from nodes.recording.writer import read_ended
+from nodes.recording.reader import EXTRACT, WITHOUT, Recording
+from nodes.recording.writer import CHOSEN, read_ended
 
 
 class Account(msgspec.Struct):
@@ -18,12 +18,12 @@ class Account(msgspec.Struct):
 
     sent: int  # messages sent, by the last status of each of its processes
     recorded: int  # messages of the node recorded before that status
-    # Difference; 0 when everything arrived. For a logger that came late, only what is missing in ``seq`` since then and was not
-    # left out by the driver.
+    # Difference; 0 when everything arrived. Of a late logger, and of a cut, only what was sent after the first status there, is
+    # missing in ``seq`` and was not left out by the driver.
     lost: int
-    # Messages sent before the logger listened, as the first recorded status tells: not lost, nobody was there.
+    # Messages sent before the logger listened or the cut begins, as the first recorded status tells: not lost.
     early: int
-    since: int  # ``seq`` at which the recording begins: above 0 for a logger that came late
+    since: int  # ``seq`` at which the recording of its chain begins: above 0 for a logger that came late
     # Whether the last status is a final one: otherwise the node was killed, or the logger left before it.
     finished: bool
 
@@ -32,7 +32,7 @@ class Account(msgspec.Struct):
         """The account in words."""
         whole = "all there" if self.finished else "nothing missing so far; its end is not there"
         parts = [f"{self.lost} lost" if self.lost else whole]
-        parts += [f"{self.early} before it was listened to"] if self.early else []
+        parts += [f"{self.early} before it was listened to"] if self.early and not self.since else []
         parts += [f"recorded from seq {self.since} on"] if self.since else []
         return f"sent {self.sent}, recorded {self.recorded}: {', '.join(parts)}"
 
@@ -45,7 +45,8 @@ class Completeness(msgspec.Struct):
     # Ticks of the run that came after the end of a cut recording; None where no launch told how many the run had.
     missing_ticks: int | None
     nodes: dict[str, Account]  # what each node sent against what was recorded
-    left_out: int  # ticks that the driver left out: gaps in ``seq`` everywhere, but no losses
+    # Ticks that the driver left out: gaps in ``seq`` everywhere, but no losses; None where its states were not recorded.
+    left_out: int | None
 
     @property
     def lost(self) -> int | None:
@@ -60,16 +61,16 @@ class Completeness(msgspec.Struct):
             before = f"; {self.lost} messages lost before" if self.lost else ""
             return f"cut at {self.end_s:.3f} s; {after} not there{before}"
         if self.lost is None:
-            return "complete, losses unknown: no status recorded"
+            return "complete, losses unknown: no node's status recorded together with all its topics"
         return f"complete, {f'{self.lost} messages' if self.lost else 'nothing'} lost"
 
 
 def completeness(recording: Recording) -> Completeness:
     """Judge whether a recording holds everything."""
     ended = read_ended(recording.path) if recording.recovered else None
-    ticks = recording.topics.get(DEVICE_STATE)
-    missing = None if ended is None else max(ended.ticks - (ticks.last_seq if ticks else 0), 0)
-    return Completeness(not recording.recovered, recording.duration, missing, accounts(recording), overruns(recording))
+    last = [figures.last_seq for topic, figures in recording.topics.items() if split(topic)[1] == DEVICE_STATE]
+    missing = max(ended.ticks - max(last), 0) if ended and last else None
+    return Completeness(not recording.recovered, recording.duration, missing, *_compared(recording))
 
 
 class ClockRecord(msgspec.Struct):
@@ -98,45 +99,103 @@ def _tick_topics(recording: Recording, status: NodeStatus) -> Sequence[str]:
     return [split(topic)[1] if recording.namespace else topic for topic in own]
 
 
+def _all_taken(recording: Recording, topics: Collection[str]) -> bool:
+    """Tell whether all topics of a node were to be in the recording: where only some were, there is nothing to compare."""
+    full = {within(recording.namespace, topic) for topic in topics}
+    chosen = msgspec.json.decode(recording.manifest.get(CHOSEN, "[]"), type=set[str])
+    without = msgspec.json.decode(recording.metadata.get(EXTRACT, {}).get(WITHOUT, "[]"), type=set[str])
+    return not full & without and (not chosen or full <= chosen)
+
+
+class _Told(msgspec.Struct):
+    """What is found of one node; see `Account`."""
+
+    own: list[str]  # its topics that were recorded
+    chain: str  # its namespace
+    since: int
+    early: int
+    comparable: bool  # whether all its topics were to be recorded
+    sent: dict[int, int] = {}  # by process
+    recorded: int = 0
+    finished: bool = False
+
+
+def _first_told(recording: Recording, topic: str, status: NodeStatus, counts: dict[str, int], begins: dict[str, int]) -> _Told:
+    """Begin with a node at its first status."""
+    ticking = _tick_topics(recording, status)
+    place = topic.rpartition("/")[0]
+    own = [t for t in counts if t in ticking or t.startswith(f"{place}/")]
+    chain = split(topic)[0]
+    since = begins.get(chain, max(begins.values(), default=0))
+    # What it counts and nobody received was sent before the logger listened, or the cut begins, if no tick was sent yet.
+    ahead = since or not any(counts.get(t, 0) for t in ticking)
+    early = max(status.sent - sum(counts[t] for t in own), 0) if ahead else 0
+    comparable = (not ticking or ticking[0] in counts) and _all_taken(recording, {*ticking, topic, f"{place}/event"})
+    return _Told(own, chain, since, early, comparable)
+
+
+_Ends = list[
+    tuple[RawMessage, int]
+]  # the first and the last state of one process of a driver, each with the place of its chunk
+
+
+def _take_tick(runs: list[_Ends], raw: RawMessage, offset: int) -> None:
+    """Note a state; a driver that was started again counts anew."""
+    if runs and 0 < (raw.sequence - runs[-1][1][0].sequence) % (1 << 32) < 1 << 31:
+        runs[-1][1] = (raw, offset)
+    else:
+        runs.append([(raw, offset), (raw, offset)])
+
+
+def _left_out(recording: Recording, runs: list[_Ends]) -> int:
+    decoder = msgspec.json.Decoder(DeviceState)
+    counts = [[recording.decode(decoder, raw, offset).overruns for raw, offset in ends] for ends in runs]
+    return sum(max(last - first, 0) for first, last in counts)
+
+
+def _compared(recording: Recording) -> tuple[dict[str, Account], int | None]:
+    """Give the accounts of the nodes and the ticks left out, from one pass through the recording."""
+    topics = recording.topics
+    places = {topic: split(topic) for topic in topics}
+    begins: dict[str, int] = {}
+    for topic, (chain, inside) in places.items():
+        if inside in LOOP:
+            begins[chain] = max(topics[topic].first_seq, begins.get(chain, 0))
+    decoder = msgspec.json.Decoder(NodeStatus)
+    statuses = {topic for topic in topics if message_type(topic) is NodeStatus}
+    counts = dict.fromkeys(topics, 0)
+    told: dict[str, _Told] = {}
+    ticks: dict[str, list[_Ends]] = {}
+    for topic, raw, offset in recording.raw():
+        if places[topic][1] == DEVICE_STATE:
+            _take_tick(ticks.setdefault(places[topic][0], []), raw, offset)
+        elif topic in statuses:
+            status = recording.decode(decoder, raw, offset)
+            node = told.get(status.node)
+            if node is None:
+                node = told[status.node] = _first_told(recording, topic, status, counts, begins)
+            node.sent[status.pid] = status.sent
+            node.recorded = sum(counts[t] for t in node.own)
+            node.finished = status.state in ("finished", "failed")
+        counts[topic] += 1
+    left_out = {chain: _left_out(recording, runs) for chain, runs in ticks.items()}
+    found: dict[str, Account] = {}
+    for name, node in told.items():
+        sent = sum(node.sent.values())
+        lost = max(sent - node.recorded - node.early, 0)
+        if node.since:
+            # What a node skipped for something newer is missing in seq too, but was never sent.
+            lost = min(lost, max(sum(topics[t].gaps for t in node.own) - left_out.get(node.chain, 0), 0))
+        if node.comparable:
+            found[name] = Account(sent, node.recorded, lost, node.early, node.since, node.finished)
+    return found, sum(left_out.values()) if left_out else None
+
+
 def accounts(recording: Recording) -> dict[str, Account]:
     """Compare, node by node, what it says it sent with what was recorded."""
-    topics = recording.topics
-    since = max((figures.first_seq for topic, figures in topics.items() if topic in LOOP), default=0)
-    left_out = overruns(recording) if since else 0
-    decoder = msgspec.json.Decoder(NodeStatus)
-    counts = dict.fromkeys(topics, 0)
-    sent: dict[str, dict[int, int]] = {}
-    early: dict[str, int] = {}
-    found: dict[str, Account] = {}
-    for topic, raw, offset in recording.raw():
-        if message_type(topic) is NodeStatus:
-            status = recording.decode(decoder, raw, offset)
-            sent.setdefault(status.node, {})[status.pid] = status.sent
-            ticking = _tick_topics(recording, status)
-            inside = status.node.removeprefix(f"{recording.namespace}/")
-            own = [t for t in topics if t in ticking or t.startswith(f"/{inside}/")]
-            total, recorded = sum(sent[status.node].values()), sum(counts[t] for t in own)
-            # What the first status counts and nobody received was sent before the logger listened, if no tick was sent yet.
-            ahead = not since and not any(counts.get(t, 0) for t in ticking)
-            before = early.setdefault(status.node, max(total - recorded, 0) if ahead else 0)
-            lost = max(total - recorded - before, 0)
-            if since:
-                # What a node skipped for something newer is missing in seq too, but was never sent.
-                lost = min(lost, max(sum(topics[t].gaps for t in own) - left_out, 0))
-            # Where only some topics were recorded, there is nothing to compare.
-            if not ticking or ticking[0] in topics:
-                ended = status.state in ("finished", "failed")
-                found[status.node] = Account(total, recorded, lost, before, since, ended)
-        counts[topic] += 1
-    return found
+    return _compared(recording)[0]
 
 
-def overruns(recording: Recording) -> int:
-    """Count the ticks that the driver left out while it was recorded: gaps in ``seq`` that are no losses."""
-    ends: list[tuple[RawMessage, int]] = []
-    for topic, raw, offset in recording.raw():
-        if topic == DEVICE_STATE:
-            ends[1:] = [(raw, offset)]
-    decoder = msgspec.json.Decoder(DeviceState)
-    counts = [recording.decode(decoder, raw, offset).overruns for raw, offset in ends]
-    return counts[-1] - counts[0] if counts else 0
+def overruns(recording: Recording) -> int | None:
+    """Count the ticks that drivers left out while it was recorded: gaps in ``seq`` that are no losses; None without states."""
+    return _compared(recording)[1]

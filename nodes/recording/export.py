@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from messages.schema import schema
-from messages.topics import DEVICE_STATE
+from messages.topics import DEVICE_STATE, split
 from messages.types import Message
 from nodes.recording.reader import Recording
-from nodes.recording.table import COLUMNS, Row, read, rows
+from nodes.recording.table import COLUMNS, VECTORS, Row, read, rows
 from nodes.recording.writer import LAUNCH_FILE, MANIFEST, PARAMETERS, VERSIONS, RecordError, discard, save
 
 if TYPE_CHECKING:
@@ -54,7 +54,8 @@ def columns(message_type: type[Message]) -> list[str]:
     for name, field in schema(message_type)["properties"].items():
         unit = _UNIT.search(field.get("description", ""))
         suffix = f" [{unit[1]}]" if unit else ""
-        parts = [f"{name}_{axis}" for axis in "xyz"] if field["type"] == "array" else [name]
+        # A vector is x, y and z; a handle's orientation has a w.
+        parts = [f"{name}_{part}" for part in "xyzw"[: field["maxItems"]]] if field["type"] == "array" else [name]
         found += [part + suffix for part in parts]
     return found
 
@@ -88,20 +89,17 @@ def _flat(values: Iterable[Any]) -> Iterator[Any]:
 
 
 def begin_of(recording: Recording) -> float:
-    """Stamp of the first tick [s], or of whatever came first where there are no ticks."""
-    topics = recording.topics
-    if DEVICE_STATE in topics:
-        return topics[DEVICE_STATE].first_stamp
-    return min((figures.first_stamp for figures in topics.values()), default=0.0)
+    """Stamp of the first tick, of several chains the earliest [s], or of whatever came first where there are no ticks."""
+    ticks = [figures for topic, figures in recording.topics.items() if split(topic)[1] == DEVICE_STATE]
+    return min((figures.first_stamp for figures in ticks or recording.topics.values()), default=0.0)
 
 
 def _tick_names() -> list[str]:
     """Names of the columns of the table of ticks, one per number."""
-    vectors = ("position", "force", "force_asked", "proxy", "normal")
     return [
         f"{part}{f' [{unit}]' if unit else ''}"
         for name, (unit, _, _) in COLUMNS.items()
-        for part in ([f"{name}_{axis}" for axis in "xyz"] if name in vectors else [name])
+        for part in ([f"{name}_{axis}" for axis in "xyz"] if name in VECTORS else [name])
     ]
 
 
@@ -230,7 +228,7 @@ def export_parquet(recording: Recording, out: str | Path, *, overwrite: bool = F
         _refuse_existing(recording, out)
     begin = begin_of(recording)
     types = {"law": pa.string(), "safety": pa.string(), "contact": pa.int8()}
-    types |= dict.fromkeys(("seq", "revision", "age", "missed", "overruns"), pa.int64())
+    types |= dict.fromkeys(("seq", "force_seq", "revision", "age", "missed", "overruns"), pa.int64())
     fields = []
     for column in _tick_names():
         name, _, unit = column.partition(" ")

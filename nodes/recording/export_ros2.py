@@ -20,12 +20,14 @@ from nodes.recording.ros2_messages import RosMessages
 from nodes.recording.wall_clock import CLOCK, read_offsets
 from nodes.recording.writer import RecordError
 
-DESCRIPTION = (  # topics of the bag, and their types
+CHAIN = (  # topics of a chain in the bag, and their types; of several each has its namespace before them
     ("/haptic/device/pose", "geometry_msgs/msg/PoseStamped"),
     ("/haptic/device/force", "geometry_msgs/msg/WrenchStamped"),
     ("/haptic/device/joints", "sensor_msgs/msg/JointState"),
     ("/haptic/proxy/pose", "geometry_msgs/msg/PoseStamped"),
     ("/haptic/coupling/force", "geometry_msgs/msg/WrenchStamped"),
+)
+COMMON = (  # topics of the whole bag
     ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
     ("/haptic/parameters", "std_msgs/msg/String"),
 )
@@ -33,16 +35,19 @@ DESCRIPTION = (  # topics of the bag, and their types
 
 def _of(make: RosMessages, topic: str, message: Message, at: int) -> Iterator[tuple[str, Any]]:
     """Turn one recorded message into those of the bag."""
-    if isinstance(message, DeviceState):
-        yield "/haptic/device/pose", make.pose(at, message.position)
-        yield "/haptic/device/force", make.wrench(at, message.force)
-        yield "/haptic/device/joints", make.joints(at, message)
-    elif isinstance(message, Proxy) and topic == topics.PROXY:
-        yield "/haptic/proxy/pose", make.pose(at, message.proxy)
-    elif isinstance(message, Force):
-        yield "/haptic/coupling/force", make.wrench(at, message.force)
-    elif isinstance(message, NodeStatus):
+    chain, inside = topics.split(topic)
+    if isinstance(message, NodeStatus):
         yield "/diagnostics", make.diagnostics(at, message)
+    elif inside not in topics.LOOP:
+        return
+    elif isinstance(message, DeviceState):
+        yield topics.within(chain, "/haptic/device/pose"), make.pose(at, message.position)
+        yield topics.within(chain, "/haptic/device/force"), make.wrench(at, message.force)
+        yield topics.within(chain, "/haptic/device/joints"), make.joints(at, message)
+    elif isinstance(message, Proxy):
+        yield topics.within(chain, "/haptic/proxy/pose"), make.pose(at, message.proxy)
+    elif isinstance(message, Force):
+        yield topics.within(chain, "/haptic/coupling/force"), make.wrench(at, message.force)
 
 
 def export_ros2(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
@@ -68,7 +73,9 @@ def export_ros2(recording: Recording, out: str | Path, *, overwrite: bool = Fals
 
     try:
         with Writer(folder, version=8, storage_plugin=StoragePlugin.MCAP) as writer:
-            lines = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in DESCRIPTION}
+            chains = {chain for chain, topic in map(topics.split, recording.topics) if topic in topics.LOOP} or {""}
+            kinds = dict(COMMON) | {topics.within(chain, topic): kind for chain in sorted(chains) for topic, kind in CHAIN}
+            lines = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in kinds.items()}
             first = True
             for entry in recording.entries():
                 at = round(entry.message.stamp * 1e9) + offset

@@ -27,7 +27,7 @@ from nodes.launcher.runs import RunInfo
 from nodes.parameters.paths import LocalChoice, LocalPath
 from nodes.parameters.store import ParameterError
 from nodes.recording.parts import next_part
-from nodes.recording.writer import RecordError, RecordWriter
+from nodes.recording.writer import CHOSEN, RecordError, RecordWriter
 
 FLUSH_PERIOD = 0.5  # what a killed logger loses at most [s]
 QUEUE = 200_000  # messages that wait in the logger's process while its disk is busy
@@ -109,24 +109,30 @@ class Recorder:
         self.recorded += 1
 
     def drain(self, end: float = math.inf) -> None:
-        """Record what is still under way, until nothing comes any more, or what comes was sent after an `end` [s]."""
+        """Record what is still under way, until nothing comes any more, or all that comes was sent after an `end` [s]."""
         wait, pid = ProcessorWait(), os.getpid()
-        while self.latest <= end:
-            if self.take(0):
-                continue
-            # A while counts only where this process had a processor: else its I/O thread may hold messages.
-            began, before = time.monotonic(), wait.look(pid)
-            if not self.take(QUIET_MS) and time.monotonic() - began - (wait.look(pid) - before) > 0.5e-3 * QUIET_MS:
-                return
+        late = 0
+        # Publishers are heard in turn: what one of them sent late says nothing of what still waits of another.
+        while late <= len(self._last):
+            if not self.take(0):
+                # A while counts only where this process had a processor: else its I/O thread may hold messages.
+                began, before = time.monotonic(), wait.look(pid)
+                if not self.take(QUIET_MS):
+                    if time.monotonic() - began - (wait.look(pid) - before) > 0.5e-3 * QUIET_MS:
+                        return
+                    continue
+            late = late + 1 if self.latest > end else 0
 
 
-def open_writer(path: str, manifest: dict[str, str], overwrite: bool) -> RecordWriter:
-    """Create a recording, its folder included."""
+def open_writer(path: str, manifest: dict[str, str], overwrite: bool, topics: Collection[str] = ()) -> RecordWriter:
+    """Create a recording of these topics, or all, its folder included."""
     try:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecordError(f"{path}: its folder cannot be made: {error.strerror}") from error
     facts = {name: text for name, text in manifest.items() if name not in ("launch_file", "nodes")}
+    if topics:
+        facts[CHOSEN] = msgspec.json.encode(list(topics)).decode()
     nodes = msgspec.json.decode(manifest.get("nodes", "{}"), type=dict[str, Any])
     return RecordWriter(
         path,
@@ -171,7 +177,7 @@ class Logger(Node):
         if not first:
             self.events.emit_each("recording", f"goes on in {path}; {self._path} is left as its predecessor left it")
         try:
-            self._writer = open_writer(str(path), self.setup.manifest, parameters.overwrite)
+            self._writer = open_writer(str(path), self.setup.manifest, parameters.overwrite, parameters.topics)
         except RecordError as error:
             raise OSError(str(error)) from error
         self._recorder: Recorder | None = None
@@ -229,7 +235,7 @@ def record(
     """
     with (
         listening(run, set(run.publishers().values()), topics or [""], QUEUE) as (inbox, links),
-        open_writer(path, run.manifest, overwrite) as writer,
+        open_writer(path, run.manifest, overwrite, topics) as writer,
     ):
         recorder = Recorder(inbox, writer, topics)
         until = time.monotonic() + CONNECTING + duration
@@ -239,7 +245,11 @@ def record(
             if not heard and recorder.recorded:
                 until = time.monotonic() + duration
             links.keep()
-        # While the run lives there is no end to wait for.
-        if not run.lives:
-            recorder.drain()
+        # What came until now still waits, where this process was held up; in lockstep nothing tells when it was sent.
+        if run.lives and run.manifest.get("pace") == "lockstep":
+            for _ in range(QUEUE):
+                if not recorder.take(0):
+                    break
+        else:
+            recorder.drain(time.monotonic() if run.lives else math.inf)
         return recorder.recorded

@@ -134,7 +134,7 @@ def _draw_receipts(panels: list[Axes], lines: Lines) -> None:
 def _subtitle(recording: Recording, summary: Summary, lines: Lines, axis: int, shown: str) -> str:
     """Tell the run in two lines."""
     pace = recording.manifest.get("pace", "")
-    share = 100.0 * summary.missed / summary.ticks if summary.ticks else 0.0
+    share = 100.0 * (summary.missed or 0) / summary.ticks if summary.ticks else 0.0
     how_it_went = [
         f"{summary.ticks} ticks at {summary.rate_hz:.6g} Hz" + (f", {pace[:20]}" if pace else ""),
         f"missed {summary.missed} ({share:.2g} %)" + (f", left out {summary.overruns}" if summary.overruns else ""),

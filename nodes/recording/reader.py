@@ -19,51 +19,22 @@ from messages.types import Message
 from nodes.recording import mcap_walk
 from nodes.recording.mcap_walk import Channel, CutError, RawMessage, Record, Schema
 from nodes.recording.parts import parts_of
+from nodes.recording.topic_figures import TopicFigures
 from nodes.recording.wall_clock import CLOCK, read_offsets
 from nodes.recording.writer import MANIFEST, RecordError
 
 if TYPE_CHECKING:
     import numpy as np
 
-__all__ = ["RECOVERY", "Entry", "M", "Recording", "TopicFigures"]
+__all__ = ["EXTRACT", "RECOVERY", "WITHOUT", "Entry", "M", "Recording"]
 
 RECOVERY = "recovery"  # metadata that `nodes.recording.recover.recover` leaves in what it writes
+EXTRACT = "extract"  # metadata that tells which part of which file a part is
+WITHOUT = "without"  # what of them lists the topics that are not in it, by their full names
 _NANO = 1e9
 
 _OWN_NUMBERS = 1 << 16  # MCAP's numbers of channels are smaller; each part of a recording has its own
 M = TypeVar("M", bound=Message)
-
-
-class TopicFigures(msgspec.Struct):
-    """What a recording holds of one topic.
-
-    Attributes
-    ----------
-    messages : int
-        How many.
-    gaps : int
-        How many ``seq`` are missing between the first and the last; 0 for topics that do not carry one message a tick.
-    back : int
-        How often ``seq`` did not rise on a topic with one message a tick: repeated messages, or a restarted driver.
-    first_seq, last_seq : int
-        First and last ``seq``.
-    first_stamp, last_stamp : float
-        Earliest and latest stamp [s].
-    """
-
-    messages: int = 0
-    gaps: int = 0
-    back: int = 0
-    first_seq: int = 0
-    last_seq: int = 0
-    first_stamp: float = 0.0
-    last_stamp: float = 0.0
-
-    @property
-    def rate(self) -> float:
-        """Mean rate over the stamps [1/s]; 0 for fewer than two messages."""
-        span = self.last_stamp - self.first_stamp
-        return (self.messages - 1) / span if span > 0.0 else 0.0
 
 
 class Entry(NamedTuple):
@@ -244,24 +215,8 @@ class Recording:
         channel = self.channels.get(raw.channel)
         if channel is None:
             raise RecordError(f"{self.path}: damaged at byte {offset}: a message on channel {raw.channel}, which is unknown")
-        stamp = (raw.publish_time - self.publish_offset) / _NANO
-        figures = self.topics.get(channel.topic)
-        if figures is None:
-            self.topics[channel.topic] = TopicFigures(1, 0, 0, raw.sequence, raw.sequence, stamp, stamp)
-            return
-        figures.messages += 1
-        figures.first_stamp = min(figures.first_stamp, stamp)
-        figures.last_stamp = max(figures.last_stamp, stamp)
-        if split(channel.topic)[1] in LOOP:
-            # MCAP keeps 32 bits of seq: differences are taken modulo 2³².
-            step = (raw.sequence - figures.last_seq + 0x80000000) % 0x100000000 - 0x80000000
-            if step > 0:
-                figures.gaps += step - 1
-            else:
-                figures.back += 1
-            figures.last_seq += step
-        else:
-            figures.last_seq = raw.sequence
+        figures = self.topics.setdefault(channel.topic, TopicFigures())
+        figures.add(raw.sequence, (raw.publish_time - self.publish_offset) / _NANO, split(channel.topic)[1] in LOOP)
 
     def _types(self) -> dict[int, type[Message]]:
         """Message type of each channel, by the name of its schema or else by its topic."""

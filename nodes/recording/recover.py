@@ -12,22 +12,23 @@ import mmap
 import struct
 import zlib
 from collections import deque
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
 
+from messages.topics import within
 from nodes.recording import mcap_walk
 from nodes.recording.export import begin_of
 from nodes.recording.mcap_walk import FRAME, Channel, RawMessage, Record, Schema
-from nodes.recording.reader import RECOVERY, Recording
-from nodes.recording.wall_clock import CLOCK, read_offsets
+from nodes.recording.parts import parts_of
+from nodes.recording.reader import EXTRACT, RECOVERY, WITHOUT, Recording
+from nodes.recording.wall_clock import CLOCK, LATEST_NS, read_offsets
 from nodes.recording.writer import RecordError, mcap_writer, written
 
 T = TypeVar("T")
 
-EXTRACT = "extract"  # name of the metadata record that tells which part of which file a part is
 _U64 = struct.Struct("<Q")
 
 
@@ -117,13 +118,21 @@ class Copy:
     """The file being written: registers schemas and channels anew, each when its first message comes."""
 
     def __init__(self, writer: Any, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
-        self.schemas = schemas
-        self.channels = channels
         self.writer = writer
         self.counts: dict[str, int] = {}
         self.orphans = 0
+        # Names of the metadata that the parts before have, and how far their clock is from this one's, for both times [ns].
+        self._told: set[str] = set()
+        self._clock: tuple[int, int] | None = None
+        self.enter(schemas, channels)
+
+    def enter(self, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
+        """Begin with a part, which has numbers of its own."""
+        self.schemas, self.channels = schemas, channels
         self._new_schemas: dict[int, int] = {}
         self._new_channels: dict[int, int] = {}
+        self._earlier = frozenset(self._told)
+        self._shift = (0, 0)
 
     def _register(self, channel: Channel) -> int:
         schema = self.schemas.get(channel.schema)
@@ -140,48 +149,72 @@ class Copy:
             return
         if raw.channel not in self._new_channels:
             self._new_channels[raw.channel] = self._register(channel)
-        self.writer.add_message(self._new_channels[raw.channel], raw.log_time, raw.data, raw.publish_time, raw.sequence)
+        log, publish = (
+            min(max(time + shift, 0), LATEST_NS)
+            for time, shift in zip((raw.log_time, raw.publish_time), self._shift, strict=True)
+        )
+        self.writer.add_message(self._new_channels[raw.channel], log, raw.data, publish, raw.sequence)
         self.counts[channel.topic] = self.counts.get(channel.topic, 0) + 1
 
     def metadata(self, name: str, values: dict[str, str], problems: list[str]) -> None:
-        """Copy a metadata record, if it is sound."""
+        """Copy a metadata record, if it is sound; of several parts the first one's."""
         if name == CLOCK:
             try:
-                read_offsets(values)
+                log, publish = read_offsets(values)
             except ValueError as error:
                 problems.append(f"{error}; times are those of the wall clock now")
                 return
-        self.writer.add_metadata(name, values)
+            self._clock = self._clock or (log, publish)
+            if name in self._earlier:
+                self._shift = self._clock[0] - log, self._clock[1] - publish
+        if name not in self._earlier:
+            self.writer.add_metadata(name, values)
+            self._told.add(name)
 
 
-def recover(path: str | Path, out: str | Path, *, overwrite: bool = False) -> Recovered:
-    """Copy everything sound in a recording into a new, complete file."""
-    path, out = Path(path), Path(out)
-    problems = _problems(path)
-    sound = not problems
-    if not path.is_file() or not path.stat().st_size:
-        raise RecordError(problems[0])
+def _refuse_source(out: Path, sources: Iterable[Path]) -> None:
+    if out.exists() and any(out.samefile(source) for source in sources):
+        raise RecordError(f"{out}: is the recording itself; give another name")
+
+
+def _layout(path: Path, sound: bool, problems: list[str]) -> tuple[dict[int, Schema], dict[int, Channel], int]:
+    """Find schemas, channels and how many messages there are: the summary may name a channel whose own chunk is lost."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     messages = 0
-    # A first pass for the channels: where the chunk that registers one is lost, the summary may still name it.
     for record in _salvage(path, sound):
         if record.opcode == mcap_walk.SCHEMA and (schema := _sound(mcap_walk.parse_schema, path, record, problems)):
             schemas.setdefault(schema.number, schema)
         elif record.opcode == mcap_walk.CHANNEL and (channel := _sound(mcap_walk.parse_channel, path, record, problems)):
             channels.setdefault(channel.number, channel)
         messages += record.opcode == mcap_walk.MESSAGE
-    if not messages:
+    return schemas, channels, messages
+
+
+def recover(path: str | Path, out: str | Path, *, overwrite: bool = False) -> Recovered:
+    """Copy everything sound in a recording, all its parts, into a new, complete file."""
+    path, out = Path(path), Path(out)
+    parts = parts_of(path)
+    wrong = {part: _problems(part) for part in parts}
+    problems = [text for texts in wrong.values() for text in texts]
+    if not path.is_file() or not path.stat().st_size:
+        raise RecordError(problems[0])
+    sound = {part: not texts for part, texts in wrong.items()}
+    layouts = {part: _layout(part, sound[part], problems) for part in parts}
+    if not any(messages for _, _, messages in layouts.values()):
         raise RecordError("; ".join([f"{path}: holds no message that could be saved", *problems]))
-    if out.exists() and out.samefile(path):
-        raise RecordError(f"{out}: is the recording itself; give another name")
+    _refuse_source(out, parts)
     with written(out, overwrite) as output:
-        copy = Copy(mcap_writer(output), schemas, channels)
-        for record in _salvage(path, sound):
-            if record.opcode == mcap_walk.MESSAGE and (raw := _sound(mcap_walk.parse_message, path, record, problems)):
-                copy.message(raw)
-            elif record.opcode == mcap_walk.METADATA and (metadata := _sound(mcap_walk.parse_metadata, path, record, problems)):
-                copy.metadata(*metadata, problems)
+        copy = Copy(mcap_writer(output), {}, {})
+        for part, (schemas, channels, _) in layouts.items():
+            copy.enter(schemas, channels)
+            for record in _salvage(part, sound[part]):
+                if record.opcode == mcap_walk.MESSAGE and (raw := _sound(mcap_walk.parse_message, part, record, problems)):
+                    copy.message(raw)
+                elif record.opcode == mcap_walk.METADATA and (
+                    metadata := _sound(mcap_walk.parse_metadata, part, record, problems)
+                ):
+                    copy.metadata(*metadata, problems)
         if copy.orphans:
             problems.append(f"{path}: {copy.orphans} messages on channels whose topic is not known any more")
         if problems:
@@ -199,14 +232,22 @@ def extract(
     *,
     overwrite: bool = False,
 ) -> dict[str, int]:
-    """Copy the messages of some topics whose stamps lie in a while, in seconds from the first tick on; how many of each."""
-    if out.exists() and out.samefile(recording.path):
-        raise RecordError(f"{out}: is the recording itself; give another name")
+    """Copy the messages of some topics whose stamps lie in a while, in seconds from the first tick on; how many of each.
+
+    What came before the first tick belongs to a while that begins with it.
+    """
+    _refuse_source(out, recording.parts)
     zero = round(begin_of(recording) * 1e9)
-    low, high = zero + round(start * 1e9), math.inf if math.isinf(stop) else zero + round(stop * 1e9)
+    low = zero + round(start * 1e9) if start > 0.0 else -math.inf
+    high = math.inf if math.isinf(stop) else zero + round(stop * 1e9)
+    # The nodes name themselves in full, so their topics stay so too.
+    full = {n: channel._replace(topic=within(recording.namespace, channel.topic)) for n, channel in recording.channels.items()}
+    without = msgspec.json.decode(recording.metadata.get(EXTRACT, {}).get(WITHOUT, "[]"), type=list[str])
+    without += [within(recording.namespace, topic) for topic in recording.topics if topic not in topics]
     with written(out, overwrite) as output:
-        copy = Copy(mcap_writer(output), recording.schemas, recording.channels)
+        copy = Copy(mcap_writer(output), recording.schemas, full)
         part = {"source": str(recording.path), "from_s": repr(start), "to_s": repr(stop)}
+        part[WITHOUT] = msgspec.json.encode(without).decode()
         for name, values in [*recording.metadata.items(), (EXTRACT, part)]:
             copy.writer.add_metadata(name, values)
         for topic, raw, _ in recording.raw():

@@ -20,14 +20,14 @@ class Summary(msgspec.Struct):
 
     # Ticks whose outcome is recorded: each state tells how the tick before it went, the last one ends the run.
     ticks: int
-    duration_s: float  # from the first state's stamp to the last one's [s]
-    rate_hz: float  # mean rate [1/s]; 0 for fewer than two ticks
-    # Ticks of the recording that were not answered in time, and ticks left out because the driver was late.
-    missed: int
-    overruns: int
+    duration_s: float  # from the earliest state's stamp to the latest one's [s]
+    rate_hz: float  # mean rate while a driver ticked [1/s]; 0 for fewer than two ticks
+    # Ticks of the recording not answered in time, and ticks left out because the driver was late; None without states.
+    missed: int | None
+    overruns: int | None
     # p50, p99, p999 and max of the response time of the ticks answered in time [µs]; empty when there are none.
     response_us: dict[str, float]
-    age_ticks_max: int  # oldest force that was used [ticks]
+    age_ticks_max: int | None  # oldest force that was used [ticks]; None without states
     # Position and force at the end [m, N]; empty when no state was recorded, shape (3,).
     position_m: list[float]
     force_n: list[float]
@@ -44,27 +44,32 @@ def quantile(ordered: Sequence[float], fraction: float) -> float:
 def summarise(recording: Recording) -> Summary:
     """Compute the figures of a run."""
     if DEVICE_STATE not in recording.topics:
-        return Summary(0, 0.0, 0.0, 0, 0, {}, 0, [], [])
-    first: DeviceState | None = None
+        return Summary(0, 0.0, 0.0, None, None, {}, None, [], [])
     last: DeviceState | None = None
-    ticks, oldest, response_times = -1, 0, array("d")
+    ticks = seqs = missed = overruns = oldest = 0
+    span, response_times = 0.0, array("d")
     for entry in recording.entries([DEVICE_STATE]):
-        last = cast("DeviceState", entry.message)
-        first = first or last
-        ticks += 1
+        before, last = last, cast("DeviceState", entry.message)
         oldest = max(oldest, last.age)
         # The tick after it holds a response; 0 says that there was none in time.
         if last.response > 0.0:
             response_times.append(last.response * 1e6)
-    assert first is not None and last is not None  # noqa: PT018, S101  # a topic of the recording has a message
-    span = last.stamp - first.stamp
+        # A driver that was started again counts anew, and tells nothing of the tick before.
+        if before is not None and last.seq > before.seq:
+            ticks += 1
+            seqs += last.seq - before.seq
+            span += last.stamp - before.stamp
+            missed += max(last.missed - before.missed, 0)
+            overruns += max(last.overruns - before.overruns, 0)
+    assert last is not None  # noqa: S101  # a topic of the recording has a message
+    figures = recording.topics[DEVICE_STATE]
     responses = sorted(response_times)
     return Summary(
         ticks=ticks,
-        duration_s=span,
-        rate_hz=(last.seq - first.seq) / span if span > 0.0 else 0.0,
-        missed=last.missed - first.missed,
-        overruns=last.overruns - first.overruns,
+        duration_s=figures.last_stamp - figures.first_stamp,
+        rate_hz=seqs / span if span > 0.0 else 0.0,
+        missed=missed,
+        overruns=overruns,
         response_us={name: quantile(responses, f) for name, f in QUANTILES.items()} if responses else {},
         age_ticks_max=oldest,
         position_m=list(last.position),

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY
-from messages.types import ZERO, DeviceState, Force, Proxy
+from messages.types import DeviceState, Force, Proxy
 from nodes.recording.reader import Recording
 
 if TYPE_CHECKING:
     import numpy as np
 
-__all__ = ["COLUMNS", "Row", "read", "rows"]
+__all__ = ["COLUMNS", "VECTORS", "Row", "read", "rows"]
 
 _GONE = (math.nan, math.nan, math.nan)
 
@@ -26,14 +26,21 @@ COLUMNS: dict[str, tuple[str, str, Callable[[Row], Any]]] = {
     "stamp": ("s", "time on the clock of the run: the host's monotonic clock, or seq·T in lockstep", lambda r: r[0].stamp),
     "position": ("m", "position of the device", lambda r: r[0].position),
     "force": ("N", "force handed to the device at this tick, after all limits", lambda r: r[1].force if r[1] else _GONE),
+    "mean_force": ("N", "mean of the forces on the device during this tick", lambda r: r[1].mean_force if r[1] else _GONE),
+    "changed_at": (
+        "ticks",
+        "part of this tick after which its first new force was handed over; 1 where none was",
+        lambda r: r[1].changed_at if r[1] else math.nan,
+    ),
+    "force_seq": ("", "tick that the force answers", lambda r: r[1].force_seq if r[1] else -1),
     "force_asked": ("N", "force that the law asked for at this tick", lambda r: r[3].force if r[3] else _GONE),
     "proxy": ("m", "proxy: on the surface in contact, else at the device", lambda r: r[2].proxy if r[2] else _GONE),
-    "normal": ("", "outward normal of the surface; zero without one", lambda r: r[2].normal if r[2] else ZERO),
+    "normal": ("", "outward normal of the surface; zero without one", lambda r: r[2].normal if r[2] else _GONE),
     "distance": ("m", "signed distance to the surface, negative inside", lambda r: r[2].distance if r[2] else math.nan),
-    "contact": ("", "whether the surface is touched", lambda r: bool(r[2] and r[2].contact)),
+    "contact": ("", "whether the surface is touched, as far as that was recorded", lambda r: bool(r[2] and r[2].contact)),
     "law": ("", "law that computed the force", lambda r: r[3].law if r[3] else ""),
     "revision": ("", "changes of law or parameters so far", lambda r: r[3].revision if r[3] else -1),
-    "response": ("s", "time until the force was there; 0 when it came too late", lambda r: r[1].response if r[1] else 0.0),
+    "response": ("s", "time until the force was there; 0 when it came too late", lambda r: r[1].response if r[1] else math.nan),
     "age": ("ticks", "age of the force that was used", lambda r: r[1].age if r[1] else -1),
     "delay": ("ticks", "measured delay from sample to force", lambda r: r[1].delay if r[1] else math.nan),
     "lateness": ("s", "how long after its deadline the tick was sampled", lambda r: r[0].lateness),
@@ -41,12 +48,16 @@ COLUMNS: dict[str, tuple[str, str, Callable[[Row], Any]]] = {
     "overruns": ("", "ticks so far that the driver left out", lambda r: r[0].overruns),
     "energy": ("J", "energy given out by the virtual side so far", lambda r: r[0].energy),
     "guard": ("J", "account of the passivity guard: owed (+), in store (−)", lambda r: r[0].guard),
+    "target": ("m", "where a simulated hand pulls the device to; zero without one", lambda r: r[0].target),
     "safety": ("", "what the driver does with forces", lambda r: r[0].safety),
 }
-"""Columns of the table: unit, meaning, and how a row has it. Three numbers are x, y and z.
+"""Columns of the table: unit, meaning, and how a row has it.
 
 What answers a tick but was not recorded is NaN, an empty text, or −1 for a count.
 """
+
+VECTORS = ("position", "force", "mean_force", "force_asked", "proxy", "normal", "target")
+"""Columns of three numbers: x, y and z."""
 
 _WINDOW = 4096  # ticks that wait for what answers them: more than the driver ever looks back
 
@@ -116,10 +127,11 @@ def read(path: str | Path) -> dict[str, np.ndarray[Any, Any]]:
     Returns
     -------
     dict of str to numpy.ndarray
-        N rows by column, SI units, see `COLUMNS`. Of shape (N, 3): ``position`` [m], ``force`` [N], ``force_asked`` [N],
-        ``proxy`` [m], ``normal``. Of shape (N,): ``time`` [s] from 0 on, ``seq``, ``stamp`` [s], ``distance`` [m],
-        ``contact``, ``law``, ``revision``, ``response`` [s], ``age`` and ``delay`` [ticks], ``lateness`` [s], ``missed``,
-        ``overruns``, ``energy`` and ``guard`` [J], ``safety``.
+        N rows by column, SI units, see `COLUMNS`. Of shape (N, 3): ``position`` [m], ``force``, ``mean_force`` and
+        ``force_asked`` [N], ``proxy`` [m], ``normal``, ``target`` [m]. Of shape (N,): ``time`` [s] from 0 on, ``seq``,
+        ``stamp`` [s], ``changed_at`` [ticks], ``force_seq``, ``distance`` [m], ``contact``, ``law``, ``revision``,
+        ``response`` [s], ``age`` and ``delay`` [ticks], ``lateness`` [s], ``missed``, ``overruns``, ``energy`` and ``guard``
+        [J], ``safety``.
 
     Raises
     ------

@@ -14,7 +14,7 @@ LOG_OFFSET, PUBLISH_OFFSET = "log_time_offset_ns", "publish_time_offset_ns"
 """What it holds: how far MCAP's times are ahead of the host's monotonic clock, and of the stamps [ns]."""
 
 _LATEST = 1.8e10  # latest time that 64 bits of nanoseconds hold [s], rounded down
-_LATEST_NS = (1 << 64) - 1
+LATEST_NS = (1 << 64) - 1  # what MCAP can hold
 
 
 def offsets_of(manifest: Mapping[str, str]) -> tuple[int, int]:
@@ -34,7 +34,7 @@ def read_offsets(values: Mapping[str, str]) -> tuple[int, int]:
         log, publish = (int(values[name]) for name in (LOG_OFFSET, PUBLISH_OFFSET))
     except (KeyError, ValueError) as error:
         raise ValueError(f"a clock record without times: {str(dict(values))[:200]}") from error
-    if max(abs(log), abs(publish)) > _LATEST_NS:
+    if max(abs(log), abs(publish)) > LATEST_NS:
         raise ValueError(f"a clock record beyond 64 bits: {str(dict(values))[:200]}")
     return log, publish
 
@@ -46,4 +46,4 @@ def record(log: int, publish: int) -> dict[str, str]:
 
 def nanoseconds(seconds: float, offset: int) -> int:
     """Give a time as MCAP counts it: unsigned, 64 bits."""
-    return min(max(round(min(max(seconds, -_LATEST), _LATEST) * 1e9) + offset, 0), _LATEST_NS)
+    return min(max(round(min(max(seconds, -_LATEST), _LATEST) * 1e9) + offset, 0), LATEST_NS)

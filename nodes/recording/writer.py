@@ -26,6 +26,8 @@ CHUNK_SIZE = 65536  # uncompressed size at which a chunk is finished [bytes]
 MANIFEST, LAUNCH_FILE, PARAMETERS, VERSIONS = "manifest", "launch_file", "parameters", "versions"
 """Names of the metadata records."""
 
+CHOSEN = "topics"  # what of the manifest lists the topics, where only some were to be recorded
+
 _PACKAGES = ("haptic-nodes", "mcap", "msgspec", "pyzmq", "zstandard")
 
 

@@ -7,9 +7,9 @@ from typing import Any
 import msgspec
 from hypothesis import strategies as st
 
-from messages.types import DeviceState, Event, Force, Message, NodeStatus, Proxy, Receipt
+from messages.types import DeviceState, Event, Force, Handle, Message, NodeStatus, Proxy, Receipt
 
-TYPES: tuple[type[Message], ...] = (DeviceState, Proxy, Force, NodeStatus, Receipt, Event)
+TYPES: tuple[type[Message], ...] = (DeviceState, Handle, Proxy, Force, NodeStatus, Receipt, Event)
 
 _SPAN = 1e15
 """Finite floats far beyond anything physical; ten of them still have a finite sum."""

@@ -15,7 +15,7 @@ from pyarrow import parquet
 from scipy.io import loadmat
 
 from messages import topics
-from messages.types import DeviceState, Force, Message
+from messages.types import DeviceState, Force, Handle, Message
 from nodes.cli import main
 from nodes.recording.export import columns, export_mat, export_npz, plain_names
 from nodes.recording.reader import Recording
@@ -39,6 +39,11 @@ def write(path: Path, sent: list[tuple[str, Message]]) -> None:
 @pytest.fixture
 def bag(tmp_path: Path) -> Path:
     sent = [(t, msgspec.structs.replace(m, stamp=m.stamp + BEGUN)) for t, m in drop(300, missed=(40, 41), switch=100)]
+    for number, (topic, message) in enumerate(sent):
+        if isinstance(message, DeviceState):
+            told = {"target": (1e-3 * message.seq, 0.0, 0.0), "changed_at": 0.25}
+            sent[number] = topic, msgspec.structs.replace(message, **told)
+    sent.insert(1, (topics.HANDLE, Handle(seq=0, stamp=BEGUN, orientation=(0.5, -0.5, 0.5, 0.5), gripper=0.01)))
     write(tmp_path / "drop.mcap", sent)
     return tmp_path / "drop.mcap"
 
@@ -72,6 +77,12 @@ def test_a_row_holds_what_belongs_to_its_tick(bag: Path) -> None:
     # The force that a state tells is that of the tick before it.
     np.testing.assert_array_equal(table["force"][:-1], [state.force for state in states[1:]])
     assert np.isnan(table["force"][-1]).all()
+    for name in ("mean_force", "changed_at", "force_seq", "response"):
+        np.testing.assert_array_equal(table[name][:-1], [getattr(state, name) for state in states[1:]])
+    # What the next state would have told is not 0.
+    assert (np.isnan(table["response"][-1]), np.isnan(table["changed_at"][-1]), table["force_seq"][-1]) == (True, True, -1)
+    np.testing.assert_array_equal(table["target"], [state.target for state in states])
+    assert np.ptp(table["target"][:, 0]) > 0.0
     np.testing.assert_array_equal(table["force_asked"], [force.force for force in forces])
     assert table["response"][[40, 41]].tolist() == [0.0, 0.0]
     assert (table["law"][99], table["law"][100]) == ("pd", "stiffer")
@@ -82,12 +93,15 @@ def test_what_was_not_recorded_is_told_as_missing(tmp_path: Path) -> None:
     sent = [
         (topic, message)
         for topic, message in drop(50)
-        if not (topic == topics.FORCE and message.seq in (7, 8)) and not (topic == topics.DEVICE_STATE and message.seq == 20)
+        if not (topic == topics.FORCE and message.seq in (7, 8))
+        and not (topic == topics.PROXY and message.seq in (5, 6))
+        and not (topic == topics.DEVICE_STATE and message.seq == 20)
     ]
     write(path, sent)
     table = read(path)
     assert len(table["seq"]) == 49
     assert np.isnan(table["force_asked"][[7, 8]]).all()
+    assert np.isnan(table["normal"][[5, 6]]).all()
     assert table["law"][7] == ""
     # Tick 19's outcome would have been told by tick 20.
     assert np.isnan(table["force"][19]).all()
@@ -124,6 +138,7 @@ def test_csv_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str]) -> 
             flat: list[Any] = [entry.message.stamp - BEGUN, entry.log_time]
             for value in msgspec.structs.astuple(entry.message):
                 flat.extend(value if isinstance(value, tuple) else [value])
+            assert len(header) == len(flat)
             # To the last bit: Python writes the shortest text that reads back as the same double.
             assert [parse(text, like) for text, like in zip(row, flat, strict=True)] == flat
     with (folder / "ticks.csv").open(newline="", encoding="utf-8") as stream:

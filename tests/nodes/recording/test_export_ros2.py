@@ -6,16 +6,22 @@ import itertools
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
+from messages.topics import within
+from messages.types import DeviceState, Proxy
 from nodes.cli.main import main
+from nodes.recording.export_ros2 import export_ros2
 from nodes.recording.reader import Recording
 from nodes.recording.table import read
+from nodes.recording.writer import RecordWriter
 from tests.support.launching import launch_json
+from tests.support.recorded import drop
 
 
 @pytest.fixture(scope="module")
@@ -81,3 +87,25 @@ def test_what_stands_there_is_kept(bag: Path, recording: Path, capsys: pytest.Ca
     assert (precious / "mine").exists()
     assert main([*words, str(bag), "--force"]) == 0
     assert Recording(recording).topics
+
+
+def test_two_devices_have_topics_of_their_own(tmp_path: Path) -> None:
+    path, out = tmp_path / "pair.mcap", tmp_path / "bag"
+    chains = {"left": 0.0, "right": 1.0}
+    with RecordWriter(path, {}) as writer:
+        for topic, message in drop(20):
+            for chain, x in chains.items():
+                if isinstance(message, DeviceState | Proxy):
+                    placed = msgspec.structs.replace(message, position=(x, *message.position[1:]))
+                    writer.write(within(chain, topic), placed, message.stamp)
+    export_ros2(Recording(path), out)
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Reader(out) as reader:
+        found: dict[str, list[Any]] = {}
+        for line, _, raw in reader.messages():
+            found.setdefault(line.topic, []).append(store.deserialize_cdr(raw, line.msgtype))
+    for chain, x in chains.items():
+        # As the node ros2 names them on a graph.
+        assert [pose.pose.position.x for pose in found[f"/{chain}/haptic/device/pose"]] == [x] * 20
+        assert len(found[f"/{chain}/haptic/proxy/pose"]) == 20
+    assert "/haptic/device/pose" not in found

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import os
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pytest
+
 from messages.codec import encode
-from messages.topics import FORCE, PROXY
+from messages.topics import FORCE, PROXY, status
 from messages.transport.sockets import Publisher, Subscription
-from messages.types import ZERO, Force, Proxy
-from nodes.recording.logger import Recorder
+from messages.types import ZERO, Force, NodeStatus, Proxy
+from nodes.launcher.runs import RunInfo
+from nodes.recording.logger import Recorder, record
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordWriter
 from tests.support.launching import wait_for
+from tests.support.setups import setup_of
 
 if TYPE_CHECKING:
     from messages.transport.endpoints import Context
@@ -35,3 +41,41 @@ def test_an_answer_that_is_given_again_is_recorded_once(context: Context, place:
     recording = Recording(tmp_path / "r.mcap")
     assert [force.seq for force in recording.messages(FORCE)] == [0, 1, 2]
     assert (recording.topics[FORCE].back, recording.topics[PROXY].messages) == (0, 1)
+
+
+def test_a_message_of_one_node_that_came_late_leaves_none_of_another_behind(
+    context: Context, place: str, tmp_path: Path
+) -> None:
+    """A logger that is stopped, and was held up before: of each node it takes what was sent until then."""
+    busy, quiet = Publisher(context, f"{place}busy"), Publisher(context, f"{place}quiet")
+    inbox = Subscription(context, [f"{place}busy", f"{place}quiet"], [""], 10_000)
+    wait_for(lambda: busy.listeners() and quiet.listeners(), "the subscriptions")
+    for seq in range(500):
+        busy.send(FORCE.encode(), encode(Force(seq=seq, stamp=0.002 * seq, force=ZERO)))
+    told = NodeStatus(seq=500, stamp=99.0, node="quiet", kind="logger", state="running", pid=1)
+    quiet.send(status("quiet").encode(), encode(told))
+    with RecordWriter(tmp_path / "r.mcap", {}) as writer:
+        Recorder(inbox, writer).drain(end=50.0)
+    for socket in (inbox, busy, quiet):
+        socket.close()
+    recording = Recording(tmp_path / "r.mcap")
+    assert [force.seq for force in recording.messages(FORCE)] == list(range(500))
+
+
+@pytest.mark.parametrize("pace", ["realtime", "lockstep"])
+def test_who_ends_a_recorder_gets_what_had_come_by_then(context: Context, place: str, tmp_path: Path, pace: str) -> None:
+    publisher = Publisher(context, place)
+    manifest = {"pace": pace}
+    run = RunInfo(run="r", scenario="s", launcher=os.getpid(), nodes={"coupling": setup_of(publish=place)}, manifest=manifest)
+
+    def ended() -> bool:
+        # Before the recorder takes anything it is ended, and all this waits.
+        wait_for(publisher.listeners, "the subscription")
+        for seq in range(500):
+            publisher.send(FORCE.encode(), encode(Force(seq=seq, stamp=time.monotonic(), force=ZERO)))
+        return True
+
+    path = tmp_path / "r.mcap"
+    assert record(run, str(path), [], ended) == 500
+    publisher.close()
+    assert Recording(path).topics[FORCE].messages == 500

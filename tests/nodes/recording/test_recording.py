@@ -18,9 +18,11 @@ from mcap.reader import make_reader
 from messages.topics import DEVICE_STATE, FORCE
 from messages.types import DeviceState, Message
 from nodes.recording import mcap_walk
+from nodes.recording.parts import part
 from nodes.recording.reader import RECOVERY, Recording
-from nodes.recording.recover import recover
-from nodes.recording.writer import Output, RecordError, mcap_writer
+from nodes.recording.recover import extract, recover
+from nodes.recording.writer import Output, RecordError, RecordWriter, mcap_writer
+from tests.support.recorded import drop
 from tests.support.whole import Whole
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -206,6 +208,33 @@ def test_a_sound_file_is_copied_and_nothing_is_reported(whole: Whole, tmp_path: 
     assert read(out) == whole.sent
     with pytest.raises(RecordError, match="exists already"):
         recover(path, out)
+
+
+def test_all_parts_of_a_recording_are_recovered(tmp_path: Path) -> None:
+    path, out = tmp_path / "r.mcap", tmp_path / "out.mcap"
+    sent = list(drop(300, switch=200))
+    # In lockstep tick 0 has another date in each part.
+    manifest = {"run": "r", "pace": "lockstep", "wall_minus_monotonic_s": "1e9"}
+    for number, messages in enumerate((sent[:300], sent[300:700], sent[700:]), 1):
+        with RecordWriter(part(path, number), manifest) as writer:
+            # The topics have other numbers in each.
+            for topic, message in messages:
+                writer.write(topic, message, message.stamp + 1e-4)
+    second = part(path, 2)
+    second.write_bytes(second.read_bytes()[:-300])
+    before = Recording(path)
+    saved = recover(path, out)
+    assert sum(saved.messages.values()) == len(sent)
+    assert len(saved.problems) == 1
+    assert saved.problems[0].startswith(f"{second}: cut at byte")
+    found = Recording(out)
+    assert read(out) == read(path) == sent
+    assert found.topics == before.topics
+    assert (found.complete, found.recovered, found.manifest) == (True, True, manifest)
+    with pytest.raises(RecordError, match="the recording itself"):
+        recover(path, second, overwrite=True)
+    with pytest.raises(RecordError, match="the recording itself"):
+        extract(before, second, list(before.topics), overwrite=True)
 
 
 def test_recordings_of_other_versions_and_of_others(tmp_path: Path) -> None:
