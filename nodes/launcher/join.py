@@ -25,11 +25,13 @@ from messages.transport.keys import identity
 from messages.transport.requests import Desk, Reply, decode_request
 from nodes.base import realtime
 from nodes.base.node_kinds import load, node_kinds
+from nodes.base.node import Node
 from nodes.base.process import live
 from nodes.base.setup import Scheduling, Setup
 from nodes.compiled.load import load_kernel
 from nodes.launcher import runs
 from nodes.parameters.paths import check_paths
+from nodes.launcher.wiring import is_hop
 from nodes.parameters.store import ParameterError, convert
 
 
@@ -130,10 +132,8 @@ class Starter:
                 f"setup.kind: {setup.kind!r}, but a {self._kind} was started here; to let it be the other: "
                 f"haptic node start {self._name} --kind {setup.kind}"
             )
-        cpus = [realtime.quietest_processor()] if setup.scheduling.cpus else []
-        scheduling = Scheduling(cpus=cpus, fifo=setup.scheduling.fifo)
         allowed = [str(folder) for folder in self._allow_paths]
-        made = msgspec.structs.replace(setup, factory=self._factory, run_dir="", scheduling=scheduling, allow_paths=allowed)
+        made = msgspec.structs.replace(setup, factory=self._factory, run_dir="", allow_paths=allowed)
         kind = load(made.factory)
         # Before anything of the kind's own looks at them.
         check_paths(convert(setup.parameters, kind.Parameters, self._name), self._allow_paths, self._name)
@@ -150,6 +150,7 @@ def _plain(run: str) -> str:
         raise ParameterError(f"setup.run: {run!r} is not the name of a run")
     return run
 
+        made = msgspec.structs.replace(made, scheduling=here(setup.scheduling, kind))
 
 def start_for(name: str, host: str, port: int, kind: str = "", allow_paths: Sequence[Path] = ()) -> int:
     """Start a node for a launch on another machine."""
@@ -159,6 +160,15 @@ def start_for(name: str, host: str, port: int, kind: str = "", allow_paths: Sequ
     if setup is None:
         return 130
     # What earlier ones left that were killed and not started again.
+def here(asked: Scheduling, kind: type[Node]) -> Scheduling:
+    """Choose the processors of this machine: the quietest for a node of the loop, the others for a listener."""
+    quietest = realtime.quietest_processor()
+    others = sorted(os.sched_getaffinity(0) - {quietest})
+    if not asked.cpus or not others:
+        return Scheduling(fifo=asked.fifo)
+    return Scheduling(cpus=[quietest], aside=others, fifo=asked.fifo) if is_hop(kind) else Scheduling(cpus=others)
+
+
     runs.sweep()
     try:
         node = load(setup.factory)(setup)
