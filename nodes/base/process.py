@@ -142,11 +142,11 @@ def live(node: Node, load_kernel: Callable[[Node], None]) -> int:
         node.stop_reason = node.stop_reason or str(error)
         node.events.log(f"ended: {error}")
     finally:
-        _close(node, context, control, gate, code)
+        code = _close(node, context, control, gate, code)
     return code
 
 
-def _close(node: Node, context: Context, control: ControlServer, gate: Gate | None, code: int) -> None:
+def _close(node: Node, context: Context, control: ControlServer, gate: Gate | None, code: int) -> int:
     node.state = "finished" if code == 0 else "failed"
     if node.setup.lease and not node.stop_reason.startswith("launcher lost"):
         control.await_fetch(REPORT_SHARE * node.setup.lease)
@@ -162,7 +162,13 @@ def _close(node: Node, context: Context, control: ControlServer, gate: Gate | No
     node.publisher.close()
     if is_ended:
         context.term()
-    write_report(node)
+    try:
+        write_report(node)
+    except OSError as error:
+        # A full disk, at which the launcher finds no word that all is well.
+        node.events.log(f"its report could not be written: {error}")
+        return 1
+    return code
 
 
 def start(arguments: list[str], load_kernel: Callable[[Node], None]) -> int:

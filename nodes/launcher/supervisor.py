@@ -267,7 +267,12 @@ class Supervisor:
             child.to_start = state not in ("ready", "running")
 
     def _end_all(self) -> None:
-        runs.write_end(self.run_dir, self.exit_reason or self._stop_asked)
+        try:
+            runs.write_end(self.run_dir, self.exit_reason or self._stop_asked)
+        except OSError as error:
+            # A full disk: the nodes end in order all the same.
+            self.failures.append(f"{self.run_dir}: {error.strerror}")
+            self._say(self.failures[-1])
         groups = (
             [child for child in self.children.values() if child.drives],
             [child for child in self.children.values() if not child.drives and not child.listens],
