@@ -49,7 +49,7 @@ class Supervisor:
     def __init__(self, launch: Launch, say: Callable[[str], None]) -> None:
         self._launch = launch
         self._say = say
-        self.run = f"{launch.scenario}-{time.strftime('%Y%m%d-%H%M%S')}-{time.monotonic_ns() % 10**6:06d}"
+        self.run = runs.name_of(launch.scenario)
         self.reports: dict[str, dict[str, Any]] = {}
         self.exit_reason = ""
         self.tick = launch.run.tick
@@ -80,6 +80,7 @@ class Supervisor:
         self._begun = time.monotonic()
         runs.sweep()
         run_dir = runs.new_run_dir(self.run)
+        held.callback(os.close, runs.hold(run_dir))
         self.run_dir = run_dir
         self.context = new_context()
         self.children: dict[str, Child] = {}
