@@ -37,10 +37,10 @@ def add(parser: argparse.ArgumentParser) -> None:
 def _state(run: RunInfo, name: str) -> dict[str, Any]:
     try:
         found: dict[str, Any] = ask(run, name, "status")
-    except RefusedError as error:
-        # A node that is down or being started again must not hide the others.
+        return {key: found[key] for key in ("kind", "state", "pid", "ticks")}
+    except (RefusedError, KeyError, TypeError) as error:
+        # A node that is down, being started again or of another language must not hide the others.
         return {"kind": run.nodes[name].kind, "state": "unreachable", "pid": 0, "error": str(error)}
-    return {key: found[key] for key in ("kind", "state", "pid", "ticks")}
 
 
 def _list(arguments: argparse.Namespace) -> int:

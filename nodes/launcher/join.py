@@ -5,6 +5,7 @@ it the setup. What kind of node that is, which code it runs and which files it t
 and by this command line; what in the setup would reach beyond that is refused or replaced.
 """
 
+import fcntl
 import os
 import shutil
 import signal
@@ -24,14 +25,14 @@ from messages.transport.gate import Gate
 from messages.transport.keys import identity
 from messages.transport.requests import Desk, Reply, decode_request
 from nodes.base import realtime
-from nodes.base.node_kinds import load, node_kinds
 from nodes.base.node import Node
+from nodes.base.node_kinds import load, node_kinds
 from nodes.base.process import live
 from nodes.base.setup import Scheduling, Setup
 from nodes.compiled.load import load_kernel
 from nodes.launcher import runs
-from nodes.parameters.paths import check_paths
 from nodes.launcher.wiring import is_hop
+from nodes.parameters.paths import check_paths
 from nodes.parameters.store import ParameterError, convert
 
 
@@ -40,7 +41,21 @@ def start_here(run: runs.RunInfo, name: str) -> int:
     setup = run.nodes[name]
     if not setup.by_hand or not split(setup.control)[0].startswith("ipc://"):
         raise ParameterError(f"{name}: the launch does not wait for it here; its launch file says so with by_hand: true")
+    _claim(setup)
     return live(load(setup.factory)(setup), load_kernel)
+
+
+def _claim(setup: Setup) -> None:
+    """Be the only process that is this node, for as long as it lives: a second one would take its sockets from it."""
+    held = os.open(Path(setup.run_dir) / f"{setup.name}.lock", os.O_RDWR | os.O_CREAT, 0o600)
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        other = os.read(held, 32).decode("ascii", errors="replace")
+        os.close(held)
+        raise ParameterError(f"{setup.name}: process {other} is this node already; end it first: kill {other}") from error
+    os.ftruncate(held, 0)
+    os.write(held, str(os.getpid()).encode("ascii"))
 
 
 class Starter:
@@ -135,6 +150,7 @@ class Starter:
         allowed = [str(folder) for folder in self._allow_paths]
         made = msgspec.structs.replace(setup, factory=self._factory, run_dir="", allow_paths=allowed)
         kind = load(made.factory)
+        made = msgspec.structs.replace(made, scheduling=here(setup.scheduling, kind))
         # Before anything of the kind's own looks at them.
         check_paths(convert(setup.parameters, kind.Parameters, self._name), self._allow_paths, self._name)
         kind.check(made)
@@ -144,22 +160,6 @@ class Starter:
         return msgspec.structs.replace(made, run_dir=str(folder))
 
 
-def _plain(run: str) -> str:
-    """Name of a run as a directory: it came over the network."""
-    if not run or "/" in run or run.startswith(".") or not run.isprintable() or len(run) > 100:
-        raise ParameterError(f"setup.run: {run!r} is not the name of a run")
-    return run
-
-        made = msgspec.structs.replace(made, scheduling=here(setup.scheduling, kind))
-
-def start_for(name: str, host: str, port: int, kind: str = "", allow_paths: Sequence[Path] = ()) -> int:
-    """Start a node for a launch on another machine."""
-    starter = Starter(name, host, port, kind, allow_paths)
-    print(f"[{name}] waiting for its launcher at {starter.control}", file=sys.stderr, flush=True)
-    setup = starter.wait()
-    if setup is None:
-        return 130
-    # What earlier ones left that were killed and not started again.
 def here(asked: Scheduling, kind: type[Node]) -> Scheduling:
     """Choose the processors of this machine: the quietest for a node of the loop, the others for a listener."""
     quietest = realtime.quietest_processor()
@@ -169,6 +169,21 @@ def here(asked: Scheduling, kind: type[Node]) -> Scheduling:
     return Scheduling(cpus=[quietest], aside=others, fifo=asked.fifo) if is_hop(kind) else Scheduling(cpus=others)
 
 
+def _plain(run: str) -> str:
+    """Name of a run as a directory: it came over the network."""
+    if not run or "/" in run or run.startswith(".") or not run.isprintable() or len(run) > 100:
+        raise ParameterError(f"setup.run: {run!r} is not the name of a run")
+    return run
+
+
+def start_for(name: str, host: str, port: int, kind: str = "", allow_paths: Sequence[Path] = ()) -> int:
+    """Start a node for a launch on another machine."""
+    starter = Starter(name, host, port, kind, allow_paths)
+    print(f"[{name}] waiting for its launcher at {starter.control}", file=sys.stderr, flush=True)
+    setup = starter.wait()
+    if setup is None:
+        return 130
+    # What earlier ones left that were killed and not started again.
     runs.sweep()
     try:
         node = load(setup.factory)(setup)

@@ -201,7 +201,10 @@ class Supervisor:
             # A driver in another language may not know the question.
             with contextlib.suppress(ControlError):
                 times = call(self.context, child.setup.control, "device", timeout=1.0 + child.distance)
-                child.opening, child.closing = float(times["opening_s"]), float(times["closing_s"])
+                try:
+                    child.opening, child.closing = float(times["opening_s"]), float(times["closing_s"])
+                except (KeyError, TypeError, ValueError) as error:
+                    raise LaunchFailedError(f"{child.setup.name}: answers device with {times!r:.100}") from error
             self._write_down(child)
 
     def _start_driver(self) -> None:
