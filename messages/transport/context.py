@@ -1,7 +1,9 @@
 """The context of a process: its I/O threads, of which the second one serves listeners, off the loop's processor."""
 
+import contextlib
 import os
 import traceback
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -42,13 +44,14 @@ def new_context(aside: bool = False) -> Context:
     return context
 
 
-def move_aside() -> None:
-    """Take the second I/O thread, which serves listeners, off the chain's core and its priority, when a first socket exists."""
+def move_aside(processors: Collection[int]) -> None:
+    """Take the second I/O thread, which serves listeners, to other processors and off the chain's priority, once it exists."""
     for path in Path("/proc/self/task").iterdir():
         # libzmq names its threads by their number.
         if (path / "comm").read_text(encoding="ascii", errors="replace").strip().endswith("IO/1"):
             thread = int(path.name)
-            others = set(range(os.cpu_count() or 1)) - os.sched_getaffinity(0)
             os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
-            if others:
-                os.sched_setaffinity(thread, others)
+            if processors:
+                # Refused where the node was started among others.
+                with contextlib.suppress(OSError):
+                    os.sched_setaffinity(thread, processors)

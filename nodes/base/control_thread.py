@@ -224,7 +224,7 @@ class ControlServer(threading.Thread):
 
     def run(self) -> None:
         """Serve until stopped."""
-        realtime.step_aside()
+        realtime.step_aside(self._node.setup.scheduling)
         while not self._ending.is_set():
             try:
                 self._serve()

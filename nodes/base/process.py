@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -74,7 +75,7 @@ def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | N
         events.notify()
 
     is_encrypted = any("#" in place for place in bound)
-    gate = Gate(context, events.deny, evict, realtime.step_aside) if is_encrypted else None
+    gate = Gate(context, events.deny, evict, partial(realtime.step_aside, setup.scheduling)) if is_encrypted else None
     try:
         hops, listeners = filter(None, [setup.reach]), filter(None, [setup.listen, setup.listen_reach])
         batch = LOCKSTEP_BATCH if setup.pace == "lockstep" else max(1, int(LISTENERS_WAIT / setup.period))
@@ -107,7 +108,7 @@ def live(node: Node, load_kernel: Callable[[Node], None]) -> int:
     _heed_signals(node)
     descriptors.take()
     refused = realtime.apply(node.setup.scheduling)
-    instead_of_stderr(realtime.step_aside, stdout_too=True)
+    instead_of_stderr(partial(realtime.step_aside, node.setup.scheduling), stdout_too=True)
     load_kernel(node)
     resume(node)
     try:
@@ -120,7 +121,7 @@ def live(node: Node, load_kernel: Callable[[Node], None]) -> int:
     except ValueError as error:
         context.destroy(linger=0)
         return _fail_to_start(node, error)
-    move_aside()
+    move_aside(node.setup.scheduling.aside)
     code = 1
     try:
         try:
@@ -141,11 +142,11 @@ def live(node: Node, load_kernel: Callable[[Node], None]) -> int:
         node.stop_reason = node.stop_reason or str(error)
         node.events.log(f"ended: {error}")
     finally:
-        _close(node, context, control, gate, code)
+        code = _close(node, context, control, gate, code)
     return code
 
 
-def _close(node: Node, context: Context, control: ControlServer, gate: Gate | None, code: int) -> None:
+def _close(node: Node, context: Context, control: ControlServer, gate: Gate | None, code: int) -> int:
     node.state = "finished" if code == 0 else "failed"
     if node.setup.lease and not node.stop_reason.startswith("launcher lost"):
         control.await_fetch(REPORT_SHARE * node.setup.lease)
@@ -161,7 +162,13 @@ def _close(node: Node, context: Context, control: ControlServer, gate: Gate | No
     node.publisher.close()
     if is_ended:
         context.term()
-    write_report(node)
+    try:
+        write_report(node)
+    except OSError as error:
+        # A full disk, at which the launcher finds no word that all is well.
+        node.events.log(f"its report could not be written: {error}")
+        return 1
+    return code
 
 
 def start(arguments: list[str], load_kernel: Callable[[Node], None]) -> int:

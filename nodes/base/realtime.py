@@ -88,11 +88,12 @@ def awake() -> Iterator[str]:
         os.close(held)
 
 
-def step_aside() -> None:
+def step_aside(scheduling: Scheduling) -> None:
     """Take the calling thread off the chain's core and below its priority, above others: it may hold the interpreter's lock."""
-    others = set(range(os.cpu_count() or 1)) - os.sched_getaffinity(0)
-    if others:
-        os.sched_setaffinity(0, others)
+    if scheduling.aside:
+        # Refused as `cpus` is where the node was started among other processors, which `apply` tells.
+        with contextlib.suppress(OSError):
+            os.sched_setaffinity(0, scheduling.aside)
     if os.sched_getscheduler(0) == os.SCHED_FIFO:
         priority = max(1, os.sched_getparam(0).sched_priority - 10)
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))

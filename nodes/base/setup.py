@@ -26,9 +26,12 @@ class Scheduling(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         Processors it may use; empty for all.
     fifo : int
         SCHED_FIFO priority 1-99; 0 for the normal scheduler.
+    aside : list of int
+        Processors of its threads that serve others than the loop; empty for the same.
     """
 
     cpus: list[int] = []
+    aside: list[int] = []
     fifo: Annotated[int, msgspec.Meta(ge=0, le=99)] = 0
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from messages.errors import RefusedError, UsageError
 from nodes.cli.ask import chosen_node, chosen_run, sub_verb
 from nodes.cli.main import answer
-from nodes.client.launches import ask, node_name
+from nodes.client.launches import ask, drivers, node_name
 from nodes.launcher.runs import RunError, RunInfo
 
 
@@ -37,10 +37,10 @@ def add(parser: argparse.ArgumentParser) -> None:
 def _state(run: RunInfo, name: str) -> dict[str, Any]:
     try:
         found: dict[str, Any] = ask(run, name, "status")
-    except RefusedError as error:
-        # A node that is down or being started again must not hide the others.
+        return {key: found[key] for key in ("kind", "state", "pid", "ticks")}
+    except (RefusedError, KeyError, TypeError) as error:
+        # A node that is down, being started again or of another language must not hide the others.
         return {"kind": run.nodes[name].kind, "state": "unreachable", "pid": 0, "error": str(error)}
-    return {key: found[key] for key in ("kind", "state", "pid", "ticks")}
 
 
 def _list(arguments: argparse.Namespace) -> int:
@@ -97,14 +97,11 @@ def _mass(masses: dict[str, Any]) -> str:
 
 
 def _rearm(arguments: argparse.Namespace) -> int:
-    from messages.topics import DEVICE_STATE
-    from nodes.base.node_kinds import load
-
     run = chosen_run(arguments)
-    drivers = [name for name, setup in run.nodes.items() if DEVICE_STATE in load(setup.factory).publishes]
-    if not arguments.node and len(drivers) != 1:
-        raise UsageError(f"node rearm: {run.run} has the drivers {', '.join(drivers) or 'none'}; name one")
-    name = node_name(run, arguments.node or drivers[0])
+    found = drivers(run)
+    if not arguments.node and len(found) != 1:
+        raise UsageError(f"node rearm: {run.run} has the drivers {', '.join(found) or 'none'}; name one")
+    name = node_name(run, arguments.node or found[0])
     receipt = ask(run, name, "rearm", beside=True)
     return answer(
         arguments.json, {"run": run.run, "node": name, **receipt}, f"/{name}: takes forces again, from tick {receipt['seq']}"

@@ -28,9 +28,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"stop: --all and {arguments.run_name} at once; choose one")
     ending = list(runs().values()) if arguments.all else [chosen_run(arguments)]
     for one in ending:
-        # It may have ended by itself this moment.
-        with contextlib.suppress(ProcessLookupError, FileNotFoundError):
+        # It may have ended by itself this moment, or its disk be full: then nobody reads why it ends.
+        with contextlib.suppress(OSError):
             write_end(place_of(one.run), STOPPED)
+        with contextlib.suppress(ProcessLookupError):
             os.kill(one.launcher, signal.SIGINT)
     deadline = time.monotonic() + TIMEOUT
     for one in ending:

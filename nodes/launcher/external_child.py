@@ -217,6 +217,9 @@ class ByHand(Child):
                     self._code, self._end = self._over
                 elif silent > self._lost:
                     self._code, self._end = 1, f"no answer for {self._lost:g} s ({error})"
+            except (AttributeError, KeyError, TypeError, ValueError) as error:
+                # Of a program of somebody else's anything may come.
+                self._code, self._end = 1, f"an answer that is not of the protocol ({type(error).__name__}: {error})"
             ready = self._state in ("ready", "running")
             self._ending.wait(PERIOD if ready and not self._stop else _QUICK)
 
@@ -244,7 +247,7 @@ class ByHand(Child):
         if state in ("finished", "failed"):
             self._over = (0, "a clean end") if state == "finished" else (1, "a failure")
             with self._optional():
-                self._report = dict(self._ask("report"))
+                self._report = {"status": status, **self._ask("report")}
             self._code, self._end = self._over
         self._state = state
 

@@ -5,6 +5,7 @@ it the setup. What kind of node that is, which code it runs and which files it t
 and by this command line; what in the setup would reach beyond that is refused or replaced.
 """
 
+import fcntl
 import os
 import shutil
 import signal
@@ -24,11 +25,13 @@ from messages.transport.gate import Gate
 from messages.transport.keys import identity
 from messages.transport.requests import Desk, Reply, decode_request
 from nodes.base import realtime
+from nodes.base.node import Node
 from nodes.base.node_kinds import load, node_kinds
 from nodes.base.process import live
 from nodes.base.setup import Scheduling, Setup
 from nodes.compiled.load import load_kernel
 from nodes.launcher import runs
+from nodes.launcher.wiring import is_hop
 from nodes.parameters.paths import check_paths
 from nodes.parameters.store import ParameterError, convert
 
@@ -38,7 +41,21 @@ def start_here(run: runs.RunInfo, name: str) -> int:
     setup = run.nodes[name]
     if not setup.by_hand or not split(setup.control)[0].startswith("ipc://"):
         raise ParameterError(f"{name}: the launch does not wait for it here; its launch file says so with by_hand: true")
+    _claim(setup)
     return live(load(setup.factory)(setup), load_kernel)
+
+
+def _claim(setup: Setup) -> None:
+    """Be the only process that is this node, for as long as it lives: a second one would take its sockets from it."""
+    held = os.open(Path(setup.run_dir) / f"{setup.name}.lock", os.O_RDWR | os.O_CREAT, 0o600)
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        other = os.read(held, 32).decode("ascii", errors="replace")
+        os.close(held)
+        raise ParameterError(f"{setup.name}: process {other} is this node already; end it first: kill {other}") from error
+    os.ftruncate(held, 0)
+    os.write(held, str(os.getpid()).encode("ascii"))
 
 
 class Starter:
@@ -130,11 +147,10 @@ class Starter:
                 f"setup.kind: {setup.kind!r}, but a {self._kind} was started here; to let it be the other: "
                 f"haptic node start {self._name} --kind {setup.kind}"
             )
-        cpus = [realtime.quietest_processor()] if setup.scheduling.cpus else []
-        scheduling = Scheduling(cpus=cpus, fifo=setup.scheduling.fifo)
         allowed = [str(folder) for folder in self._allow_paths]
-        made = msgspec.structs.replace(setup, factory=self._factory, run_dir="", scheduling=scheduling, allow_paths=allowed)
+        made = msgspec.structs.replace(setup, factory=self._factory, run_dir="", allow_paths=allowed)
         kind = load(made.factory)
+        made = msgspec.structs.replace(made, scheduling=here(setup.scheduling, kind))
         # Before anything of the kind's own looks at them.
         check_paths(convert(setup.parameters, kind.Parameters, self._name), self._allow_paths, self._name)
         kind.check(made)
@@ -142,6 +158,15 @@ class Starter:
         folder = runs.new_node_dir(f"{_plain(setup.run)}-{setup.name.replace('/', '-')}")
         (folder / setup.namespace).mkdir(mode=0o700, parents=True, exist_ok=True)
         return msgspec.structs.replace(made, run_dir=str(folder))
+
+
+def here(asked: Scheduling, kind: type[Node]) -> Scheduling:
+    """Choose the processors of this machine: the quietest for a node of the loop, the others for a listener."""
+    quietest = realtime.quietest_processor()
+    others = sorted(os.sched_getaffinity(0) - {quietest})
+    if not asked.cpus or not others:
+        return Scheduling(fifo=asked.fifo)
+    return Scheduling(cpus=[quietest], aside=others, fifo=asked.fifo) if is_hop(kind) else Scheduling(cpus=others)
 
 
 def _plain(run: str) -> str:

@@ -61,9 +61,16 @@ def find(name: str) -> Path:
         return known[name]
     path = Path(name)
     if path.suffix in (".yaml", ".yml") or os.sep in name:
-        if path.is_file():
-            return path
-        raise ParameterError(f"{name}: {'is a directory, expected a launch file' if path.is_dir() else 'no such file'}")
+        try:
+            name.encode()
+            if path.is_file():
+                return path
+            raise ParameterError(f"{name}: {'is a directory, expected a launch file' if path.is_dir() else 'no such file'}")
+        except UnicodeEncodeError as error:
+            raise ParameterError(f"{name!r}: not UTF-8, as a launch file's name has to be; rename it") from error
+        except OSError as error:
+            # Longer than a name may be, or in a folder that is not ours.
+            raise ParameterError(f"{name}: {error.strerror}") from error
     raise ParameterError(f"no launch file is named {name!r}; {choices(name, known)}")
 
 

@@ -8,8 +8,11 @@ belongs to somebody else and stays.
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import hashlib
 import os
+import re
 import shutil
 import stat
 import time
@@ -25,6 +28,7 @@ from nodes.base.status_report import write_whole
 
 MAX_IPC_PATH = 107  # longest path of a Unix socket [bytes]
 LONGEST_NAME = 32  # longest name of a node [letters]
+LONGEST_SCENARIO = 48  # so much of a scenario's name is in its runs' [letters]: a recording's name has 255 bytes
 
 
 class RunError(UsageError):
@@ -118,6 +122,8 @@ def runtime_dir() -> Path:
     else:
         # A predictable name in a shared directory is safe because owner and mode are checked below.
         path = Path("/tmp") / f"haptic-{os.getuid()}"  # noqa: S108
+    if "#" in str(path):
+        raise RunError(f"{path}: its name has a #, which begins the key of an endpoint; set HAPTIC_RUNTIME_DIR to another")
     return _private(path)
 
 
@@ -167,6 +173,12 @@ def place_of(run: str) -> Path:
     )
 
 
+def name_of(scenario: str) -> str:
+    """Name a new run: its scenario, as far as file names and endpoints bear it (in those ``#`` begins a key), and the time."""
+    plain = re.sub(r"^\.|[^\w.-]", "_", scenario)[:LONGEST_SCENARIO]
+    return f"{plain}-{time.strftime('%Y%m%d-%H%M%S')}-{time.monotonic_ns() % 10**6:06d}"
+
+
 def new_run_dir(run: str) -> Path:
     """Make the private directory of a run."""
     path = place_of(run)
@@ -178,24 +190,32 @@ def new_run_dir(run: str) -> Path:
     return path
 
 
-OWNER = "owner"  # file that tells which process keeps a directory here for a run whose launcher is on another machine
+def hold(path: Path) -> int:
+    """Keep the directory of a run from the sweep until this descriptor is closed, if only by the process's end, however.
+
+    Raises BlockingIOError where another process holds it, FileNotFoundError where it is gone.
+    """
+    held = os.open(path / MARK, os.O_RDONLY)
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # Another may have removed it between the two.
+        (path / MARK).lstat()
+    except OSError:
+        os.close(held)
+        raise
+    return held
 
 
 def new_node_dir(run: str) -> Path:
     """Make the private directory of a node whose launcher is elsewhere, or take over that of its killed predecessor."""
     path = place_of(run)
-    if not is_marked(path) or not (path / OWNER).exists() or _is_kept(path):
+    if not is_marked(path):
         new_run_dir(run)
-    (path / OWNER).write_text(f"{os.getpid()} {started_at(os.getpid())}", encoding="ascii")
-    return path
-
-
-def _is_kept(path: Path) -> bool:
-    """Whether a live process keeps a directory for a run of another machine."""
     try:
-        return alive(*map(int, (path / OWNER).read_text(encoding="ascii").split()[:2]))
-    except (FileNotFoundError, ValueError, TypeError):
-        return False
+        hold(path)
+    except OSError as error:
+        raise RunError(f"{path}: a run of that name exists already") from error
+    return path
 
 
 def started_at(pid: int) -> int:
@@ -293,13 +313,18 @@ def find_run(name: str | None = None) -> RunInfo:
 def sweep() -> list[str]:
     """Remove the directories of runs whose launcher and nodes are all gone; only what bears the mark of a run."""
     swept = []
-    live = _live()
     for path in runs_dir().iterdir():
-        # A directory that is being set up has no run.json yet; its launcher takes well under a minute.
-        if not is_marked(path) or path in live or time.time() - path.stat().st_mtime < 60.0:
-            continue
-        pids = [int(entry) for entry in os.listdir("/proc") if entry.isdigit()]
-        if not _is_kept(path) and not any(belongs(pid, path) for pid in pids):
-            shutil.rmtree(path, ignore_errors=True)
-            swept.append(path.name)
+        # One that is held belongs to a live launcher, or is being removed by another sweep.
+        with contextlib.suppress(BlockingIOError, FileNotFoundError):
+            # A directory that was made this moment is not held yet.
+            if not is_marked(path) or time.time() - path.stat().st_mtime < 60.0:
+                continue
+            held = hold(path)
+            try:
+                pids = [int(entry) for entry in os.listdir("/proc") if entry.isdigit()]
+                if not any(belongs(pid, path) for pid in pids):
+                    shutil.rmtree(path, ignore_errors=True)
+                    swept.append(path.name)
+            finally:
+                os.close(held)
     return swept

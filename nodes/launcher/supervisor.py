@@ -49,7 +49,7 @@ class Supervisor:
     def __init__(self, launch: Launch, say: Callable[[str], None]) -> None:
         self._launch = launch
         self._say = say
-        self.run = f"{launch.scenario}-{time.strftime('%Y%m%d-%H%M%S')}-{time.monotonic_ns() % 10**6:06d}"
+        self.run = runs.name_of(launch.scenario)
         self.reports: dict[str, dict[str, Any]] = {}
         self.exit_reason = ""
         self.tick = launch.run.tick
@@ -80,6 +80,7 @@ class Supervisor:
         self._begun = time.monotonic()
         runs.sweep()
         run_dir = runs.new_run_dir(self.run)
+        held.callback(os.close, runs.hold(run_dir))
         self.run_dir = run_dir
         self.context = new_context()
         self.children: dict[str, Child] = {}
@@ -200,7 +201,10 @@ class Supervisor:
             # A driver in another language may not know the question.
             with contextlib.suppress(ControlError):
                 times = call(self.context, child.setup.control, "device", timeout=1.0 + child.distance)
-                child.opening, child.closing = float(times["opening_s"]), float(times["closing_s"])
+                try:
+                    child.opening, child.closing = float(times["opening_s"]), float(times["closing_s"])
+                except (KeyError, TypeError, ValueError) as error:
+                    raise LaunchFailedError(f"{child.setup.name}: answers device with {times!r:.100}") from error
             self._write_down(child)
 
     def _start_driver(self) -> None:
@@ -267,7 +271,12 @@ class Supervisor:
             child.to_start = state not in ("ready", "running")
 
     def _end_all(self) -> None:
-        runs.write_end(self.run_dir, self.exit_reason or self._stop_asked)
+        try:
+            runs.write_end(self.run_dir, self.exit_reason or self._stop_asked)
+        except OSError as error:
+            # A full disk: the nodes end in order all the same.
+            self.failures.append(f"{self.run_dir}: {error.strerror}")
+            self._say(self.failures[-1])
         groups = (
             [child for child in self.children.values() if child.drives],
             [child for child in self.children.values() if not child.drives and not child.listens],

@@ -30,9 +30,17 @@ def chains_of(launch: Launch) -> list[str]:
     return list(dict.fromkeys(name.rpartition("/")[0] for name in drives))
 
 
+def is_hop(kind: type[Node]) -> bool:
+    """Whether a node of this kind is one of the loop, and not a listener."""
+    return any(topic in kind.publishes for topic in topics.LOOP)
+
+
 def _cores(launch: Launch) -> dict[str, int | None]:
     """Choose each chain's processor, once for all nodes; chains share one where that leaves none for the rest."""
-    chains = dict.fromkeys([*chains_of(launch), *(name.rpartition("/")[0] for name in launch.nodes)])
+    factories = node_kinds()
+    # Not the namespaces of listeners alone, which would take the last processors that are left for them.
+    loops = (name.rpartition("/")[0] for name, spec in launch.nodes.items() if is_hop(load(factories[spec.kind])))
+    chains = dict.fromkeys([*chains_of(launch), *loops])
     available = sorted(os.sched_getaffinity(0))
     cpu = launch.run.cpu
     if cpu == "any" or (cpu == "auto" and len(available) < 2):
@@ -40,8 +48,7 @@ def _cores(launch: Launch) -> dict[str, int | None]:
     if cpu == "auto":
         first = realtime.quietest_processor()
         others = [other for other in available if other != first]
-        cores = [first, *others] if len(others) >= len(chains_of(launch)) else [first] * len(chains)
-        cores += [first] * len(chains)
+        cores = [first, *others] if len(others) >= len(chains) else [first] * len(chains)
         return dict(zip(chains, cores, strict=False))
     if cpu in available:
         return dict.fromkeys(chains, cpu)
@@ -49,7 +56,7 @@ def _cores(launch: Launch) -> dict[str, int | None]:
 
 
 def _scheduling(launch: Launch, kind: type[Node], namespace: str, cores: dict[str, int | None]) -> Scheduling:
-    run, core = launch.run, cores[namespace]
+    run, core = launch.run, cores.get(namespace)
     available = sorted(os.sched_getaffinity(0))
     others = [cpu for cpu in available if cpu not in cores.values()] or available
     hops = [hop for hop, topic in enumerate(topics.LOOP) if topic in kind.publishes]
@@ -59,7 +66,8 @@ def _scheduling(launch: Launch, kind: type[Node], namespace: str, cores: dict[st
     automatic = FIFO if launch.run.pace == "realtime" and run.cpu != "any" else 0
     fifo = automatic if run.fifo == "auto" else run.fifo
     # Who has sent must not hold up who has received: coupling above environment, and the driver, which waits for both, on top.
-    return Scheduling(cpus=[] if core is None else [core], fifo=fifo + (hops[0] or len(topics.LOOP)) if fifo else 0)
+    urgency = fifo + (hops[0] or len(topics.LOOP)) if fifo else 0
+    return Scheduling(fifo=urgency) if core is None else Scheduling(cpus=[core], aside=others, fifo=urgency)
 
 
 def _roles(launch: Launch) -> tuple[dict[str, type[Node]], dict[str, str], dict[str, str]]:

@@ -197,7 +197,8 @@ class Run:
         """
         process = self._started_here("wait for")
         until = None if timeout is None else time.monotonic() + timeout
-        driver = launches.roles(self.info).get("driver")
+        # Of several chains the first stands for all.
+        driver = next(iter(launches.drivers(self.info)), None)
         total = self.info.nodes[driver].ticks if driver else None
         try:
             with whole() as came, progress(self.info.scenario, total) as step:
@@ -394,7 +395,6 @@ def _appeared(process: subprocess.Popen[bytes], folder: Path, interrupts: Sequen
 
 
 def _ticks(info: RunInfo) -> bool:
-    driver = launches.roles(info).get("driver")
     with contextlib.suppress(HapticError):
-        return driver is None or launches.ask(info, driver, "status", timeout=1.0)["ticks"] > 0
+        return all(launches.ask(info, driver, "status", timeout=1.0)["ticks"] > 0 for driver in launches.drivers(info))
     return False

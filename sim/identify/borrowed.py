@@ -32,6 +32,7 @@ SOFT_RAMP = 250  # cross-fade to it [ticks]
 REST = 0.2  # the force of a device at rest is averaged over so long [s]
 STILL = 1e-4  # a device that moves less than this is at rest [m]
 SETTLING = 3.0  # a device that does not come to rest within so long goes on moving [s]
+SILENCE = 30.0  # after so long without a tick a launch is given up [s]
 LEASE = "borrowed"  # name of the leases
 
 
@@ -88,11 +89,17 @@ class PushedLaunch:
         """Let a driver that has stopped take forces again; that of a real device only with somebody `beside` it."""
         self.change(self.driver, "rearm", beside=beside)
 
-    def wait(self, ticks: int) -> None:
-        """Wait for some ticks."""
-        first = self.progress()["tick"]
-        while self.progress()["tick"] < first + ticks:
+    def wait(self, ticks: int, silence: float = SILENCE) -> None:
+        """Wait for some ticks; a driver that makes none for so long [s] is an error."""
+        first = tick = self.progress()["tick"]
+        last = time.monotonic()
+        while tick < first + ticks:
             time.sleep(0.02)
+            before, tick = tick, self.progress()["tick"]
+            if tick != before:
+                last = time.monotonic()
+            elif time.monotonic() - last > silence:
+                raise RefusedError(f"{self.driver}: no tick within {silence:g} s; does the launch tick?")
 
     @contextlib.contextmanager
     def standing(self) -> Iterator[None]:
@@ -109,7 +116,7 @@ class PushedLaunch:
             with contextlib.suppress(RefusedError), undisturbed():
                 ask(self.run, self.driver, "stand", seconds=0.0)
 
-    def states(self, silence: float = 30.0) -> Iterator[DeviceState]:
+    def states(self, silence: float = SILENCE) -> Iterator[DeviceState]:
         """Hear every tick of the driver; one that says nothing for so long [s] is an error."""
         heard = listen(self.run, [topics.DEVICE_STATE])
         last = time.monotonic()

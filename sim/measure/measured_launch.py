@@ -11,8 +11,10 @@ import os
 import signal
 import subprocess
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -107,9 +109,16 @@ def launch(scenario: str, *words: str, folder: Path | None = None, timeout: floa
 def beside(*words: str, **options: Any) -> subprocess.Popen[Any]:
     """Start a ``haptic`` command, out of Ctrl-C's reach, that ends with this process, even by SIGKILL."""
     options.setdefault("stdin", subprocess.DEVNULL)
-    return subprocess.Popen(
-        [*HAPTIC, *words], process_group=0, preexec_fn=functools.partial(die_with_parent, os.getpid()), **options
-    )
+    start = functools.partial(subprocess.Popen, [*HAPTIC, *words], process_group=0, **options)
+    start.keywords["preexec_fn"] = functools.partial(die_with_parent, os.getpid())
+    # To the kernel the end of the thread that started a process is that of its parent.
+    return start() if threading.current_thread() is threading.main_thread() else _lasting_thread().submit(start).result()
+
+
+@functools.cache
+def _lasting_thread() -> ThreadPoolExecutor:
+    """Make the thread that starts processes for threads that may end before them."""
+    return ThreadPoolExecutor(1, "starter")
 
 
 @contextlib.contextmanager

@@ -53,7 +53,8 @@ class _Loop:
         state, proxy, force = (
             f"tcp://127.0.0.1:{free_ports(1)}#{key}" if key else f"ipc://{folder}/{name}{hop}" for hop in range(3)
         )
-        cpus = [realtime.quietest_processor()]
+        quietest = realtime.quietest_processor()
+        scheduling = Scheduling(cpus=[quietest], aside=sorted(os.sched_getaffinity(0) - {quietest}))
         self._publisher = Publisher(context, state)
         stack.callback(self._publisher.close, 0)
         self._inbox = Subscription(context, [force], [topics.FORCE])
@@ -79,7 +80,7 @@ class _Loop:
                 control=f"ipc://{folder}/{kind}_{name}.ctl",
                 sources={topic: source},
                 listeners=1,
-                scheduling=Scheduling(cpus=cpus),
+                scheduling=scheduling,
                 parameters=parameters,
             )
             path = folder / f"{kind}_{name}.json"

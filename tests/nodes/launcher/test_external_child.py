@@ -2,12 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
+import threading
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from tests.support.launching import DEADLINE, HAPTIC, Running, running, typed, typed_in, wait_for
+import msgspec
+import pytest
+import zmq
+
+from messages.transport.endpoints import bind
+from messages.transport.requests import Desk, Reply, decode_request
+from nodes.launcher import launch_file
+from nodes.launcher.child import Child
+from nodes.launcher.external_child import ByHand
+from nodes.launcher.supervisor import LaunchFailedError, Supervisor
+from tests.support.launching import DEADLINE, HAPTIC, Running, private_runtime_dir, running, typed, typed_in, wait_for
+from tests.support.setups import setup_of
+
+if TYPE_CHECKING:
+    from messages.transport.endpoints import Context
+    from nodes.base.setup import Setup
 
 SCENE = """\
 summary: A coupling started by hand
@@ -29,6 +48,76 @@ def start(launch: Running) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
             [*HAPTIC, "node", "start", "coupling"], env=launch.environment, cwd=launch.folder, stderr=errors
         )
+
+
+@contextlib.contextmanager
+def odd_node(context: Context, **answers: object) -> Iterator[Setup]:
+    """Answer requests as a program of somebody else's may, with `answers` by operation; the setup of that node."""
+    over = threading.Event()
+    with private_runtime_dir() as folder:
+        control = f"ipc://{folder}/driver.ctl"
+        desk = Desk(context)
+        desk.socket.rcvtimeo = 20
+        bind(desk.socket, control)
+
+        def serve() -> None:
+            with desk.socket:
+                while not over.is_set():
+                    with contextlib.suppress(zmq.Again):
+                        op = decode_request(desk.take()).op
+                        desk.answer(msgspec.msgpack.encode(Reply(op in answers, answers.get(op))))
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            yield setup_of(run_dir=str(folder), factory="sim.device.driver:SimDriver", control=control, lease=6.0, by_hand=True)
+        finally:
+            over.set()
+            thread.join()
+
+
+FINISHED = {"state": "finished", "pid": 1}
+
+
+@pytest.mark.parametrize(
+    "answers",
+    [
+        {"status": 7},
+        {"status": None},
+        {"status": {}},
+        {"status": {"state": "ready", "pid": "many"}},
+        {"status": FINISHED, "report": 7},
+    ],
+)
+def test_an_answer_that_is_none_of_the_protocol_ends_the_node_and_is_told(answers: dict[str, Any], context: Context) -> None:
+    """It ended the thread that watches the node, and the launcher went on without."""
+    with odd_node(context, **answers) as setup:
+        child = ByHand(setup, 0, 0.5, True, context, lambda _: None)
+        child.start(Path(setup.run_dir))
+        try:
+            wait_for(lambda: child.code is not None, "the end of the node")
+            assert child.end.startswith("an answer that is not of the protocol")
+        finally:
+            child.release()
+
+
+def test_a_node_that_reports_no_status_has_the_last_one(context: Context) -> None:
+    with odd_node(context, status=FINISHED, report={"tick": "plain"}) as setup:
+        child = ByHand(setup, 0, 0.5, True, context, lambda _: None)
+        child.start(Path(setup.run_dir))
+        try:
+            wait_for(lambda: child.code is not None, "the end of the node")
+            assert child.report(Path(setup.run_dir)) == {"status": FINISHED, "tick": "plain"}
+        finally:
+            child.release()
+
+
+def test_times_of_a_device_that_are_none_are_told_with_their_node(context: Context) -> None:
+    with odd_node(context, device={"opening_s": "soon"}) as setup:
+        supervisor = Supervisor(launch_file.read("floor_drop", {}), lambda _: None)
+        supervisor.context = context
+        with pytest.raises(LaunchFailedError, match=r"driver: answers device with {'opening_s': 'soon'}"):
+            supervisor._note_ready(Child(setup, 0, 0.5, True))
 
 
 def scene(folder: Path, text: str = SCENE) -> str:
@@ -60,6 +149,21 @@ def test_a_node_started_by_hand_ends_without_its_launcher(tmp_path: Path) -> Non
             wait_for(lambda: launch.ticks() > 0, "the first tick")
             os.kill(launch.process.pid, signal.SIGKILL)
             assert node.wait(DEADLINE) is not None
+        finally:
+            node.kill()
+            node.wait()
+
+
+def test_a_node_that_somebody_has_started_already_is_refused_and_goes_on(tmp_path: Path) -> None:
+    with running(tmp_path, scene(tmp_path), ready=False) as launch:
+        node = start(launch)
+        try:
+            wait_for(lambda: launch.ticks() > 0, "the first tick")
+            told = typed(launch, "node", "start", "coupling", code=2).stderr
+            assert told.startswith(f"haptic: coupling: process {node.pid} is this node already; end it first")
+            launch.wait_ticks(50)
+            assert launch.pid("coupling") == node.pid
+            launch.finish(signal.SIGINT)
         finally:
             node.kill()
             node.wait()

@@ -62,6 +62,13 @@ def test_a_file_of_parameters_is_blamed_by_its_own_line(tmp_path: Path) -> None:
     assert "given as" not in told
 
 
+def test_a_name_that_no_file_can_have_is_refused() -> None:
+    with pytest.raises(ParameterError, match=r"x\.yaml: File name too long"):
+        launch_file.find(f"{'x' * 300}.yaml")
+    with pytest.raises(ParameterError, match=r"'x\\udcff\.yaml': not UTF-8"):
+        launch_file.find("x\udcff.yaml")
+
+
 def test_a_directory_is_no_launch_file(tmp_path: Path) -> None:
     assert "/etc: is a directory, expected a launch file" in haptic(tmp_path, "launch", "/etc", code=2).stderr
 

@@ -6,11 +6,19 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 
 from nodes.base import realtime
+from nodes.base.node import Node
+from nodes.base.setup import Scheduling
+from nodes.coupling.node import Coupling
+from nodes.launcher import launch_file
+from nodes.launcher.join import here
+from nodes.launcher.wiring import wire
+from nodes.recording.logger import Logger
 from tests.support.launching import HAPTIC, running, wait_for
 
 
@@ -49,6 +57,8 @@ def test_whoever_is_not_in_the_loop_leaves_its_processor_alone(tmp_path: Path) -
         for node in ("driver", "environment", "coupling"):
             assert os.sched_getaffinity(launch.pid(node)) == chain
         assert not chain & os.sched_getaffinity(launch.pid("logger"))
+        for task in Path(f"/proc/{launch.pid('logger')}/task").iterdir():
+            assert os.sched_getaffinity(int(task.name)) - chain, f"{(task / 'comm').read_text()} of the logger"
         if launch.run.processors:
             assert not chain & os.sched_getaffinity(launch.process.pid)
             recorder = subprocess.Popen(
@@ -61,6 +71,61 @@ def test_whoever_is_not_in_the_loop_leaves_its_processor_alone(tmp_path: Path) -
             wait_for(lambda: not chain & os.sched_getaffinity(recorder.pid), "the recorder leaves the chain's processor")
             recorder.send_signal(signal.SIGINT)
             assert recorder.wait(20.0) == 0
+
+
+BESIDE = """\
+summary: A chain in a namespace, and a logger outside of any
+include:
+  - {launch: floor_drop, namespace: left, without: [logger]}
+nodes:
+  logger: {kind: logger}
+"""
+
+
+@pytest.mark.parametrize(
+    ("processors", "chain", "rest"),
+    [
+        # A container: neither processor 0 nor those that only the machine has.
+        ({3}, [], [3]),
+        ({2, 3}, [2], [3]),
+        ({2, 3, 5}, [2], [3, 5]),
+    ],
+)
+def test_listeners_get_the_processors_that_the_chain_leaves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, processors: set[int], chain: list[int], rest: list[int]
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: processors)
+    monkeypatch.setattr(realtime, "quietest_processor", lambda: min(processors))
+    file = tmp_path / "beside.yaml"
+    file.write_text(BESIDE, encoding="utf-8")
+    setups = wire(launch_file.read(str(file), {}), "r", tmp_path, {})
+    for name, setup in setups.items():
+        cpus, aside = (rest, []) if name == "logger" else (chain, rest if chain else [])
+        assert (setup.scheduling.cpus, setup.scheduling.aside) == (cpus, aside), name
+
+
+def test_a_thread_that_may_not_step_aside_goes_on() -> None:
+    """Started by hand among other processors than the launcher's."""
+    stood: list[set[int]] = []
+
+    def step() -> None:
+        realtime.step_aside(Scheduling(aside=[1023]))
+        stood.append(os.sched_getaffinity(0))
+
+    thread = threading.Thread(target=step)
+    thread.start()
+    thread.join()
+    assert stood == [os.sched_getaffinity(0)]
+
+
+@pytest.mark.parametrize(("kind", "hop"), [(Coupling, True), (Logger, False)])
+def test_on_another_machine_a_listener_leaves_the_quietest_processor_to_the_loop(
+    kind: type[Node], hop: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {1, 2, 3})
+    monkeypatch.setattr(realtime, "quietest_processor", lambda: 2)
+    found = here(Scheduling(cpus=[7], fifo=53), kind)
+    assert found == (Scheduling(cpus=[2], aside=[1, 3], fifo=53) if hop else Scheduling(cpus=[1, 3]))
 
 
 def test_a_processor_that_is_the_only_one_is_shared() -> None:

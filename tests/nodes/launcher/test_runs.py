@@ -6,13 +6,26 @@ import os
 import socket
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from nodes.launcher.runs import MARK, RunError, RunInfo, find_run, is_marked, new_run_dir, runs_dir, sweep, write_run
+from nodes.launcher.runs import (
+    MARK,
+    RunError,
+    RunInfo,
+    find_run,
+    hold,
+    is_marked,
+    name_of,
+    new_run_dir,
+    runs_dir,
+    sweep,
+    write_run,
+)
 from tests.support import ROOT
-from tests.support.launching import haptic, private_runtime_dir, running, typed
+from tests.support.launching import haptic, launch_json, private_runtime_dir, running, typed
 
 LONG_AGO = 3600.0
 """Age of a directory that no launch is still setting up [s]."""
@@ -70,6 +83,26 @@ def test_the_sweep_takes_only_what_bears_the_mark(home: Path) -> None:
     assert {path.name for path in runs_dir().iterdir()} == left
 
 
+def test_the_sweep_leaves_what_a_launcher_holds(home: Path) -> None:
+    """One that compiles for more than a minute has told of no nodes yet, and has none."""
+    path = aged(new_run_dir("compiling"))
+    held = hold(path)
+    try:
+        assert sweep() == []
+    finally:
+        os.close(held)
+    assert sweep() == ["compiling"]
+
+
+def test_sweeps_at_once_take_each_directory_once(home: Path) -> None:
+    names = [f"r{n}" for n in range(40)]
+    for name in names:
+        aged(new_run_dir(name))
+    with ThreadPoolExecutor(4) as pool:
+        swept = [pool.submit(sweep) for _ in range(4)]
+    assert sorted(name for each in swept for name in each.result()) == sorted(names)
+
+
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can make what belongs to somebody else")
 def test_the_sweep_leaves_what_belongs_to_somebody_else(home: Path) -> None:
     path = aged(new_run_dir("theirs"))
@@ -118,8 +151,39 @@ def test_a_run_in_a_short_directory_is_stopped_by_its_name(tmp_path: Path) -> No
     file.write_text((ROOT / "launch" / "free_space.yaml").read_text(encoding="utf-8"), encoding="utf-8")
     with running(tmp_path, str(file), "duration:=600") as run:
         assert run.run_dir.name != run.run.run
+        with pytest.raises(BlockingIOError):
+            hold(run.run_dir)
         typed(run, "stop")
         assert run.finish(code=130)["exit_reason"] == "stopped by haptic stop"
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    ["two#walls", "a/b", ".hidden", "x\udcff", "it's {run} %s\n", "\N{MATHEMATICAL BOLD SMALL A}" * 99],
+    ids=["key", "folder", "hidden", "not UTF-8", "signs", "long"],
+)
+def test_a_run_s_name_is_one_that_files_and_endpoints_bear(scenario: str) -> None:
+    name = name_of(scenario)
+    assert len(os.fsencode(f"{name}-{'n' * 30}.mcap")) <= 255
+    assert name.isprintable()
+    assert not set(name) & set("#/ '{}%")
+    assert not name.startswith(".")
+    name.encode()
+
+
+def test_a_launch_file_of_an_odd_long_name_runs(tmp_path: Path) -> None:
+    file = tmp_path / f"wall #1, it's {'ü' * 110}.yaml"
+    file.write_text((ROOT / "launch" / "free_space.yaml").read_text(encoding="utf-8"), encoding="utf-8")
+    figures = launch_json(tmp_path, str(file), "pace:=lockstep", "duration:=0.1")
+    assert (figures["ticks"], figures["scenario"]) == (50, file.stem)
+    assert (tmp_path / figures["recording"]).is_file()
+
+
+def test_a_runtime_directory_that_no_endpoint_can_name_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(tmp_path / "a#b"))
+    with pytest.raises(RunError, match="a#b: its name has a #"):
+        runs_dir()
+    assert not (tmp_path / "a#b").exists()
 
 
 def test_nobody_is_told_to_remove_the_directory_of_another_user(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -26,7 +26,7 @@ from nodes.launcher.supervisor import INT_TIMEOUT
 from nodes.recording.logger import QUIET_MS
 from nodes.recording.reader import Recording
 from sim.measure.free_ports import free_ports
-from tests.support.launching import DEADLINE, Running, haptic, processes_of, running, wait_for
+from tests.support.launching import DEADLINE, Running, haptic, processes_of, running, typed, wait_for
 from tests.support.odd_nodes import odd_nodes as odd_nodes
 from tests.support.odd_nodes import scenario
 
@@ -65,6 +65,24 @@ def test_signals_end_a_launch_in_order(tmp_path: Path, number: signal.Signals, t
     recording = Recording(tmp_path / "run.mcap")
     assert recording.complete
     assert recording.topics["/device/state"].messages == figures["ticks"] + 1
+
+
+def test_a_full_disk_at_the_end_does_not_keep_the_nodes_from_ending_in_order(tmp_path: Path) -> None:
+    with running(tmp_path, scenario(tmp_path, duration=600.0)) as launch:
+        # Read before it is written: /dev/full would never end.
+        (launch.run_dir / "end.txt").symlink_to("nowhere/end.txt")
+        (launch.run_dir / "environment.report.json.draft").symlink_to("/dev/full")
+        typed(launch, "stop")
+        figures = launch.finish(code=1)
+        assert {name: status["state"] for name, status in figures["nodes"].items()} == dict.fromkeys(
+            ("driver", "coupling", "logger"), "finished"
+        )
+        said, ended = figures["failures"]
+        assert said == f"{launch.run_dir}: No such file or directory"
+        assert ended == "environment: ended with exit code 1"
+        assert "[environment] its report could not be written" in launch.errors
+        assert "Traceback" not in launch.errors
+    assert Recording(tmp_path / "run.mcap").complete
 
 
 def test_an_interrupt_during_the_start_ends_it_without_a_traceback(tmp_path: Path) -> None:

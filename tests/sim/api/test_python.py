@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -162,6 +163,15 @@ def test_a_launch_is_changed_recorded_and_left_while_it_runs(place: Path) -> Non
     assert not run.running
     with pytest.raises(haptic.HapticError, match=r"has ended, and nobody answers param\.set any more"):
         run.param["coupling.laws.pd.stiffness"] = 900
+
+
+def test_several_chains_go_on_when_the_thread_that_started_them_has_ended(place: Path) -> None:
+    with ThreadPoolExecutor(1) as pool:
+        run = pool.submit(haptic.launch, "two_hands", duration=0, out_dir=place / "r").result()
+    with run, pytest.raises(haptic.LaunchError, match="still running after 0 s"):
+        run.wait(timeout=0.0)
+    assert run.summary.exit_reason == "SIGINT"
+    assert set(run.summary.all["chains"]) == {"left", "right"}
 
 
 def test_a_scenario_that_does_not_start_says_why(place: Path) -> None:

@@ -11,10 +11,12 @@ from typing import Any
 
 import pytest
 
+from messages.errors import RefusedError
 from messages.transport.requests import ControlError
 from nodes.laws import CompiledLaw
 from nodes.laws.excitation import ASTRAY, Excitation, held_back
 from nodes.laws.parse import parse_law
+from sim.identify.borrowed import PushedLaunch
 from tests.support.launching import Running, running, typed, typed_in, wait_for
 
 T = 0.002
@@ -129,3 +131,19 @@ def test_the_weight_is_carried_during_the_push_and_let_go_after_it() -> None:
     assert max(abs(b - a) for a, b in pairwise(forces[50:])) <= 0.98 / 500 * (1.0 + 1e-9)
     assert set(forces[550:]) == {0.0}
     assert Excitation().load == 0.0
+
+
+class Still(PushedLaunch):
+    """A launch whose driver answers and makes no ticks."""
+
+    def __init__(self) -> None:
+        self.driver = "driver"
+
+    def progress(self) -> Any:
+        """Tell the same tick again and again."""
+        return {"tick": 7}
+
+
+def test_a_driver_that_makes_no_ticks_is_not_waited_for_without_end() -> None:
+    with pytest.raises(RefusedError, match=r"driver: no tick within 0\.05 s"):
+        Still().wait(1, silence=0.05)
