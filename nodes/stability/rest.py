@@ -66,7 +66,7 @@ def rest(law: CompiledLaw, loop: Plant | float, resolution: float) -> Rest:
 
 def stiffest_at_rest(derivative: CompiledLaw, resolution: float, friction: float) -> float:
     """Largest nominal stiffness with Σ|h_m| ≤ 2 f_c/Δ [N/m], for PD 2 f_c/Δ − 2B/T; may be negative: D alone asks for more."""
-    newest = derivative.taps[0]
+    newest = derivative.taps[0] + sum(b0 for b0, *_ in derivative.sections)
     return 2.0 * friction / resolution - (absolute_sum(derivative) - abs(newest)) - newest
 
 
@@ -92,7 +92,8 @@ def absolute_sum(law: CompiledLaw) -> float:
 def _describing(law: CompiledLaw, plant: Plant, resolution: float) -> tuple[float, float | None]:
     """Largest f_c at which a swing across one edge balances: relay of Δ/2 in the encoder, relay of f_c against the velocity.
 
-    With amplitude A at ω: −m ω² A + (2Δ/π) Re G = 0 and ω b A + 4 f_c/π + (2Δ/π) Im G = 0, G the law with its hold and delay.
+    With amplitude A at ω: (k − m ω²) A + (2Δ/π) Re G = 0 and ω b A + 4 f_c/π + (2Δ/π) Im G = 0, G the law with its hold and
+    delay, k the hand's stiffness.
     """
     best, at = 0.0, None
     for i in range(1, _POINTS + 1):
@@ -100,10 +101,11 @@ def _describing(law: CompiledLaw, plant: Plant, resolution: float) -> tuple[floa
         half = 0.5 * theta
         late = cmath.exp(-1j * theta * (plant.delay + 0.5)) * math.sin(half) / half
         g = law.response(cmath.exp(1j * theta)) * late
-        if g.real <= 0.0:
-            continue
         omega = theta / plant.period
-        friction = 0.5 * resolution * (-g.imag - plant.damping / (plant.mass * omega) * g.real)
+        inertia = plant.mass * omega * omega - plant.stiffness
+        if g.real * inertia <= 0.0:
+            continue
+        friction = 0.5 * resolution * (-g.imag - plant.damping * omega / inertia * g.real)
         if friction > best:
             best, at = friction, omega / (2.0 * math.pi)
     return best, at

@@ -77,7 +77,10 @@ def two_rate_radius(law: CompiledLaw, period: float, device: TwoRate) -> float:
 
 
 def two_rate_k_max(derivative: CompiledLaw, period: float, device: TwoRate, steps: int = 400) -> float | None:
-    """Find the upper end of the lowest stable interval of K [N/m], in steps over six decades; None when none is stable."""
+    """Find the upper end of the lowest stable interval of K [N/m], in steps over six decades about `heavy_limit`.
+
+    None when none of them is stable, infinite when the stiffest still is.
+    """
 
     def stable(k: float) -> bool:
         return two_rate_radius(replace(derivative, taps=(derivative.taps[0] + k, *derivative.taps[1:])), period, device) < 1.0
@@ -98,4 +101,4 @@ def two_rate_k_max(derivative: CompiledLaw, period: float, device: TwoRate, step
                 break
             low, high = (middle, high) if stable(middle) else (low, middle)
         return low
-    return inside
+    return None if inside is None else math.inf

@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from sim.measure.jobs import program
 from sim.results import fresh
 
 Extra = float | int | str | None
@@ -66,10 +67,8 @@ def with_front(group: Group) -> Group:
 
 
 def kept(path: Path, part: str) -> list[Group] | None:
-    """Read what an interrupted run has found of a part; None when there is nothing."""
-    if not path.is_file():
-        return None
-    stored = json.loads(path.read_text(encoding="utf-8")).get(part)
+    """Read what an interrupted run of this very program has found of a part; None when there is nothing."""
+    stored = _stored(path).get(part)
     if stored is None:
         return None
     return [Group(**{**group, "points": tuple(Point(**point) for point in group["points"])}) for group in stored]
@@ -77,11 +76,20 @@ def kept(path: Path, part: str) -> list[Group] | None:
 
 def keep(path: Path, part: str, groups: Sequence[Group]) -> None:
     """Add a part to what an interrupted run has found."""
-    stored = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    stored = _stored(path) | {"program": program(), part: [asdict(group) for group in groups]}
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_suffix(".new")
-    beside.write_text(json.dumps(stored | {part: [asdict(group) for group in groups]}), encoding="utf-8")
+    beside.write_text(json.dumps(stored), encoding="utf-8")
     beside.replace(path)
+
+
+def _stored(path: Path) -> dict[str, Any]:
+    """Read a diary; that of another version is set aside: figures of two programs do not belong on one chart."""
+    stored: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    if stored and stored.get("program") != program():
+        fresh(path)
+        return {}
+    return stored
 
 
 def as_json(groups: Sequence[Group], machine: dict[str, Any], seconds: float) -> dict[str, Any]:

@@ -24,7 +24,8 @@ def rest_map(
     """Draw the largest K without a limit cycle, the lesser of K_rest and K_max, over friction and encoder step; its figures."""
     derivative = with_spring(law, -stiffness)
     limit = k_max(derivative, device).k_max_n_per_m
-    top = math.inf if limit is None else limit
+    # Where no stiffness is stable none comes to rest.
+    top = 0.0 if limit is None else limit
 
     def over(count: int) -> tuple[Any, Any, Any]:
         factors = np.logspace(-DECADES, DECADES, count)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from messages.errors import UsageError
 from nodes.cli.main import add_json, answer
 
 
@@ -14,7 +15,7 @@ def add_answer(parser: argparse.ArgumentParser, run: Callable[[argparse.Namespac
     if files:
         text = "directory of files (default: %(default)s)"
         parser.add_argument("--out-dir", "--out", type=Path, default=Path("studies"), dest="out", help=text)
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, default_of=parser.get_default)
 
 
 def report(
@@ -31,6 +32,14 @@ def report(
     text = [lines] if isinstance(lines, str) else lines
     answer(arguments.json, {**figures, **files}, "\n".join([*text, *files.values()]))
     return 0 if held else 1
+
+
+def idle(arguments: argparse.Namespace, why: str, *names: str) -> None:
+    """Refuse options that would change nothing here: who gives one expects another answer."""
+    dests = {name: name.replace("-", "_") for name in names}
+    found = [f"--{name}" for name, dest in dests.items() if getattr(arguments, dest) != arguments.default_of(dest)]
+    if found:
+        raise UsageError(f"{', '.join(found)}: no effect here: {why}")
 
 
 def given(arguments: argparse.Namespace, *names: str) -> dict[str, Any]:

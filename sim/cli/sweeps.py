@@ -16,15 +16,19 @@ from nodes.base.workers import Workers
 from nodes.cli.quantities import whole
 from sim.measure.jobs import RETRIES, Job, SweepRow, call, done_by, sweep
 from sim.measure.stopwatch import Progress
+from sim.results import fresh
 
 TLS = ("tls-ca-file", "tls-cert", "tls-key")  # options that hold the certificates of a cluster off this machine
+SPREAD = ("workers", "cluster", *TLS)  # options of where jobs run
 PATIENCE = 2.0  # what is done so soon shows no progress [s]
 R = TypeVar("R")
 
 
 def add_sweep(parser: argparse.ArgumentParser) -> None:
     """Declare where a sweep runs, and whether it goes on."""
-    parser.add_argument("--fresh", action="store_true", help="start again instead of going on where it stopped")
+    parser.add_argument(
+        "--fresh", action="store_true", help="start again instead of going on where it stopped; what there is is set aside"
+    )
     add_spread(parser, "one per core")
 
 
@@ -109,9 +113,7 @@ def swept(
 def begun(arguments: argparse.Namespace, name: str) -> Path:
     """Name the ledger of a study; with --fresh there is none yet."""
     ledger = Path(arguments.out) / f"{name}.jsonl"
-    if arguments.fresh:
-        ledger.unlink(missing_ok=True)
-    return ledger
+    return fresh(ledger) if arguments.fresh else ledger
 
 
 def spread(

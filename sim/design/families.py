@@ -152,23 +152,29 @@ def _numerator(law: CompiledLaw) -> tuple[Array, float]:
 
 
 def latest_delay(law: CompiledLaw, demand: Demand) -> float | None:
-    """Find the delay [ticks] up to which a law stays stable at five masses, every joint and lag; None without a limit."""
-    masses = np.geomspace(*demand.mass, 5).tolist()
-    if demand.beyond:
-        edges = [_latest(law, demand, mass, beyond) for mass, beyond in itertools.product(masses, demand.beyond)]
-    else:
-        devices = (Plant(demand.period, mass, demand.damping, demand.delay[1], demand.stiffness[0]) for mass in masses)
-        limits = (tolerance(law, device) for device in devices)
-        edges = [None if limit is None else limit.delay_max_ticks for limit in limits]
+    """Find the delay [ticks] up to which a law stays stable at five masses, the ends of damping and hand, every joint and lag.
+
+    None without a limit; 0 for a law that is unstable at the longest delay that was demanded.
+    """
+    masses = np.unique(np.geomspace(*demand.mass, 5)).tolist()
+    edges: list[float | None] = []
+    for mass, damping, hand in itertools.product(masses, sorted(set(demand.dampings)), sorted(set(demand.stiffness))):
+        if demand.beyond:
+            edges += [_latest(law, demand, (mass, damping), (hand, *beyond)) for beyond in demand.beyond]
+        else:
+            limit = tolerance(law, Plant(demand.period, mass, damping, demand.delay[1], hand))
+            edges.append(0.0 if limit is None else limit.delay_max_ticks)
     return min((edge for edge in edges if edge is not None), default=None)
 
 
-def _latest(law: CompiledLaw, demand: Demand, mass: float, beyond: tuple[float, float, float, float]) -> float | None:
+def _latest(law: CompiledLaw, demand: Demand, body: tuple[float, float], beyond: tuple[float, ...]) -> float | None:
     """Go on by quarters of a tick until a pole leaves the unit circle, at most 20 ticks, and find where it does."""
 
     def stable(delay: float) -> bool:
-        device = FlexiblePlant(mass, demand.damping, delay, demand.stiffness[0], *beyond)
-        return flexible_radius(law, demand.period, device) < 1.0
+        return flexible_radius(law, demand.period, FlexiblePlant(*body, delay, *beyond)) < 1.0
+
+    if not stable(demand.delay[1]):
+        return 0.0
 
     low = high = demand.delay[1]
     while stable(high):

@@ -42,8 +42,9 @@ def stiffest_passive(
     if not damping > 0.0:
         raise ValueError(f"damping = {damping!r} N s/m: a device without damping is passive with no stiffness at all")
     theta = np.linspace(0.0, np.pi, _GRID * max(1, taps // 8) + 1)
-    wide = delay[0] < delay[1]
-    delays = np.linspace(*delay, 5).tolist() if wide else [delay[0]]
+    # At whole ticks, too: there the damping needed has a kink.
+    whole = np.arange(math.ceil(delay[0]), math.floor(delay[1]) + 1)
+    delays = np.union1d(np.linspace(*delay, 5), whole).tolist()
     bases = [_bases(theta, taps, at) for at in delays]
     signs = np.where(np.arange(taps) % 2, -1.0, 1.0)
     # In units of b/T. A spring's own limit bounds the search from the start: |h_m| of a passive law stays below some b/T.
@@ -69,30 +70,55 @@ def stiffest_passive(
             peaks = np.flatnonzero((needed >= padded[:-2]) & (needed >= padded[2:]) & (needed > 1.0 + 1e-12))
             rows += list(slopes[peaks])
             limits += [1.0] * peaks.size
-    checked = np.linspace(*delay, 33).tolist() if wide else [delay[0]]
-    certain = max(certain_damping(best * damping / period, period, at) for at in checked)
+    certain = certain_damping(best * damping / period, period, *delay)
     final = best * damping / period * min(1.0, damping / certain)
     law = CompiledLaw(tuple(final.tolist()))
     ratio = law.h1 * period / damping
     return Passive(final, law.h1, law.h_nyquist, min(certain, damping), ratio, bound * damping / period)
 
 
-def certain_damping(h: Array, period: float, delay: float) -> float:
-    """Bound the damping a law needs [N s/m] from above, for certain: the largest of many samples plus what may hide between.
+def certain_damping(h: Array, period: float, delay: float, latest: float | None = None) -> float:
+    """Bound the damping a law needs at a delay, or at any up to the `latest` [ticks], from above, for certain [N s/m].
+
+    That is the largest of many samples over the frequencies plus what may hide between; over the delays it is exact.
 
     A trigonometric polynomial of degree N with M > 2N equidistant samples exceeds its largest sample in modulus by at most
     1/cos(πN/M) (Ehlich and Zeller 1964). The damping needed at a fractional delay is a maximum of such polynomials, so the
     bound is too high by at most 3e-7 of the largest |Re T z^−d H/(1−z)|.
     """
-    degree = len(h) + math.ceil(delay) + 1
+    latest = delay if latest is None else latest
+    degree = len(h) + math.ceil(latest) + 1
     largest, modulus = 0.0, 0.0
     for part in np.array_split(np.linspace(0.0, np.pi, 2048 * degree + 1), degree):
-        real, cosine, sine, spread = _bases(part, len(h), delay)
-        s, c, d = real @ h, cosine @ h, sine @ h
-        root = np.sqrt(s * s + spread * (c * c + d * d))
-        largest = max(largest, float(0.5 * (s + root).max()))
-        modulus = max(modulus, float(0.5 * (np.abs(s) + root).max()))
+        for whole in range(math.floor(delay), max(math.ceil(latest), math.floor(delay) + 1)):
+            soon, cosine, sine, _ = _bases(part, len(h), whole)
+            late, *_ = _bases(part, len(h), whole + 1)
+            ends = max(delay - whole, 0.0), min(latest - whole, 1.0)
+            size = np.hypot(cosine @ h, sine @ h)
+            largest = max(largest, float(_most(soon @ h, late @ h, size, ends).max()))
+            middle = min(max(0.5, ends[0]), ends[1])
+            s = np.maximum(*(np.abs((1.0 - phi) * (soon @ h) + phi * (late @ h)) for phi in ends))
+            modulus = max(modulus, float(0.5 * (s + np.sqrt(s * s + middle * (1.0 - middle) * size * size)).max()))
     return period * (largest + modulus * (1.0 / math.cos(math.pi / 4096.0) - 1.0))
+
+
+def _most(soon: Array, late: Array, size: Array, ends: tuple[float, float]) -> Array:
+    """Largest damping needed at each frequency over the fractions φ of a tick between two ends, Re s and |H| given.
+
+    g = ½(s + √(s² + φ(1−φ)|H|²)), s between Re s of the two whole delays, is concave in φ: its peak, or the better end.
+    """
+    low, high = (
+        0.5 * (s + np.sqrt(s * s + phi * (1.0 - phi) * size * size)) for phi in ends for s in [soon + phi * (late - soon)]
+    )
+    slope, middle = late - soon, 0.5 * (soon + late)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = size * size - slope * slope
+        root = np.sqrt(middle * middle + 0.25 * room)
+        # Two ways to write the same, each free of cancellation on its side.
+        peak = size * size * np.where(middle < 0.0, 0.125 / (root - middle), 0.5 * (middle + root) / room)
+        at = 0.5 + 2.0 * peak * slope / (size * size)
+        inside = (room > 0.0) & (ends[0] < at) & (at < ends[1])
+    return np.asarray(np.where(inside, peak, np.maximum(low, high)))
 
 
 def _bases(theta: Array, taps: int, delay: float) -> tuple[Array, Array, Array, float]:

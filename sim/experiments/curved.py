@@ -34,6 +34,7 @@ from sim.scene.spatial import play
 from sim.scene.touch import touch
 
 FRAMES = ("world", "surface")
+SEARCHED = (0.5, 1.5)  # where K_max of a sliding contact is searched, as parts of that of one axis
 
 _RADIUS, _THIN = 0.035, 0.006
 # Device and hand together [kg], [N s/m], [N/m], and the damper of the law [N s/m].
@@ -163,12 +164,24 @@ def growth(position: Array, proxy: Array, contact: NDArray[np.bool_]) -> float:
 
 
 def sliding_k_max(launch: Launch, speed: float, frame: str, radius: float = _RADIUS, precision: float = 2e-3) -> float:
-    """Search the stiffness from which the ripple of a sliding contact grows [N/m]."""
-    low, high = 0.5 * theory(launch.run.period), 1.5 * theory(launch.run.period)
+    """Search the stiffness from which the ripple of a sliding contact grows [N/m], from `SEARCHED[0]` to [1] of one axis's.
+
+    0 where it grows from the softest on, infinite where it does not grow at the stiffest.
+    """
+
+    def calms(stiffness: float) -> bool:
+        found = play(sliding(launch, stiffness, speed, frame, radius))
+        # A run that overflowed has no growth that is a number: it grew.
+        return growth(found.position, found.proxy, found.contact) <= 1.0
+
+    low, high = (part * theory(launch.run.period) for part in SEARCHED)
+    if not calms(low):
+        return 0.0
+    if calms(high):
+        return math.inf
     while high > (1.0 + precision) * low:
         middle = math.sqrt(low * high)
-        found = play(sliding(launch, middle, speed, frame, radius))
-        low, high = (low, middle) if growth(found.position, found.proxy, found.contact) > 1.0 else (middle, high)
+        low, high = (middle, high) if calms(middle) else (low, middle)
     return math.sqrt(low * high)
 
 

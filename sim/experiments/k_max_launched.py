@@ -5,6 +5,7 @@ processes too, and judged by the very criterion of the study. Both must end at t
 """
 
 import json
+import math
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -34,7 +35,8 @@ NO_LIMITS = {"peak_force": None, "slew": None, "workspace": None}
 class SameKMax:
     """Where each of the two stops settling, on one grid of stiffnesses."""
 
-    # Largest K of the grid below the first that the processes do not settle with [N/m]; None when the first does not.
+    # Largest K of the grid below the first that the processes do not settle with [N/m]; None when the first does not, infinite
+    # when the last still does.
     launched_n_per_m: float | None
     one_process_n_per_m: float | None  # the same, played in one process [N/m]
     h1_n_per_m: float | None  # H(1) of the law at `launched_n_per_m` [N/m]
@@ -118,11 +120,14 @@ def compiled(scene: Scene, law: dict[str, Any]) -> CompiledLaw:
 
 
 def last_settling(verdict: Callable[[float], bool], grid: Sequence[float]) -> float | None:
-    """Bisect a rising grid of K [N/m]: one that settles and whose neighbour above does not; None when the first does not."""
+    """Bisect a rising grid of K [N/m]: one that settles and whose neighbour above does not.
+
+    None when the first does not settle, infinite when the last does: a grid says nothing of what lies beyond its ends.
+    """
     if not verdict(grid[0]):
         return None
     if verdict(grid[-1]):
-        return grid[-1]
+        return math.inf
     low, high = 0, len(grid) - 1
     while high - low > 1:
         middle = (low + high) // 2
@@ -147,5 +152,5 @@ def same_k_max(
         return settles(scene, [compiled(scene, with_stiffness(law, stiffness))], criterion)[0]
 
     found = last_settling(by_launch, grid)
-    h1 = None if found is None else compiled(scene, with_stiffness(law, found)).h1
+    h1 = None if found in (None, math.inf) else compiled(scene, with_stiffness(law, found)).h1
     return SameKMax(found, last_settling(in_one_process, grid), h1, launches)

@@ -16,13 +16,15 @@ from sim.experiments.drop import Criterion, rest_position, settles
 from sim.scene.loop import Scene, run
 
 LawOfStiffness = Callable[[float], CompiledLaw]
+SEARCHED = (1e-3, 4.0)  # softest and stiffest K that are tried, in units of m/T²
 
 
 @dataclass(frozen=True)
 class SimulatedKMax:
     """Where raising the nominal stiffness stops a run from settling."""
 
-    # Largest K that settled, of the lowest interval that does [N/m]; None when none did, infinite when all above it did.
+    # Largest K that settled, of the lowest interval that does [N/m]; None when none did, infinite when the stiffest that was
+    # tried did.
     k_max_n_per_m: float | None
     h1_max_n_per_m: float | None  # H(1) there [N/m]
     unsettled_n_per_m: float | None  # smallest K above it that did not [N/m]
@@ -50,11 +52,11 @@ def simulated_k_max(
     high: float | None = None,
     precision: float = 1e-3,
 ) -> SimulatedKMax:
-    """Raise K in steps of 10 % until the run no longer settles, then bisect; by default from 10⁻³ to 4 times m/T²."""
+    """Raise K in steps of 10 % until the run no longer settles, then bisect; by default over `SEARCHED`."""
     criterion = criterion or Criterion()
-    unit = scene.device.moving_mass / scene.period**2
-    low = 1e-3 * unit if low is None else low
-    high = 4.0 * unit if high is None else high
+    softest, stiffest = (part * scene.device.moving_mass / scene.period**2 for part in SEARCHED)
+    low = softest if low is None else low
+    high = stiffest if high is None else high
     good: float | None = None
     bad: float | None = None
     ticks = 0

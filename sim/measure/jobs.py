@@ -2,7 +2,7 @@
 
 Whatever they run on, the figures are the same to the bit: so a worker that has another version of this project refuses its
 jobs, and one that dies loses none. A sweep keeps each result as a line of a ledger, keyed by the job's parameters: one that was
-interrupted goes on where it stopped, and one that is complete is only read.
+interrupted goes on where it stopped, and one that is complete is only read; one of another version is refused.
 """
 
 import contextlib
@@ -94,7 +94,7 @@ def key_of(parameters: Mapping[str, Any]) -> str:
 
 
 def read_ledger(path: Path) -> dict[str, SweepRow]:
-    """Read the results that there are."""
+    """Read the results that there are; those of another version of this program are refused."""
     found: dict[str, SweepRow] = {}
     if path.exists():
         for line in path.read_text(encoding="utf-8").splitlines():
@@ -103,6 +103,11 @@ def read_ledger(path: Path) -> dict[str, SweepRow]:
                 found[key_of(entry["job"])] = entry["row"]
             except (json.JSONDecodeError, KeyError, TypeError):
                 continue
+            if entry.get("program") != program():
+                raise RefusedError(
+                    f"{path}: holds results of another version of haptic-nodes, which do not belong in one study with those of "
+                    "this one; --fresh begins anew and sets them aside, or go on with that version"
+                )
     return found
 
 
@@ -126,7 +131,7 @@ def sweep(
             file.write("\n")
         for part, rows in found:
             for i, row in zip(part, rows, strict=True):
-                file.write(json.dumps({"job": dict(left[i]), "row": row}) + "\n")
+                file.write(json.dumps({"job": dict(left[i]), "row": row, "program": program()}) + "\n")
                 done[key_of(left[i])] = row
             file.flush()
             step(f"{len(done)} of {len(jobs)}", len(rows))

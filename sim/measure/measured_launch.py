@@ -290,15 +290,15 @@ class Running:
 
 
 def responses_in(states: Sequence[DeviceState], spans: Sequence[tuple[float, float]]) -> dict[str, Any]:
-    """Sum up what a driver published in some spans of time [s]: response in each [µs], all ticks, and those missed."""
+    """Sum up what a driver published in some spans of time [s]: response in each [µs], all ticks, those missed or left out."""
     found: dict[str, Any] = {"p50_us": [], "p99_us": [], "missed": 0, "ticks": 0}
     for began, ended in spans:
         part = [state for state in states if began <= state.stamp <= ended]
         responses = sorted(state.response * 1e6 for state in part if state.response > 0.0)
         found["p50_us"].append(quantile(responses, 0.5))
         found["p99_us"].append(quantile(responses, 0.99))
-        found["missed"] += part[-1].missed - part[0].missed
-        found["ticks"] += len(part)
+        found["missed"] += part[-1].missed - part[0].missed + part[-1].overruns - part[0].overruns
+        found["ticks"] += part[-1].seq - part[0].seq
     return found
 
 

@@ -23,6 +23,7 @@ from messages.errors import HapticError
 from messages.topics import DEVICE_STATE, FORCE
 from nodes.laws import CompiledLaw, Law
 from nodes.laws.parse import parse_law
+from nodes.parameters.store import convert
 from nodes.recording.reader import Recording
 from nodes.stability.k_max import edge_of, k_max, without_spring
 from nodes.stability.occurring import Edge, position_over_force
@@ -56,6 +57,7 @@ class Swing:
     mass_kg: tuple[float, float]  # interval of the moving mass that the swing shows [kg], shape (2,)
     # Damping that was taken: twice the known one, or from none to what the decay shows [N s/m], shape (2,).
     damping_n_s_per_m: tuple[float, float]
+    hand_n_per_m: float  # stiffness of the hand that was taken to hold the device, as it did then [N/m]
     # What the loop does at the middle of the interval, by Colgate's condition at the frequency that occurs there.
     edge: Edge
 
@@ -109,13 +111,25 @@ def _start(x: Array) -> tuple[float, float]:
     return min(decay, 1.0), math.acos(max(-1.0, min(1.0, a / (2.0 * decay))))
 
 
-def recorded_swing(path: Path, damping: float | None = None) -> Swing:
-    """Measure the swing of the longest contact of a recording, and what it says of K_max."""
+def recorded_swing(path: Path, damping: float | None = None, hand: float | None = None) -> Swing:
+    """Measure the swing of a recording's longest contact, and what it says of K_max.
+
+    Damping [N s/m] and hand [N/m] of a virtual device are those that were recorded, where they are not given.
+    """
     loop = measure(path)
     recording = Recording(path)
     law = _law(recording, path)
-    known = loop.damping if damping is None else damping
-    return swing_of(law, Plant(loop.period, 1.0, 0.0, loop.median), _contact(recording), known)
+    axis, inside = _contact(recording)
+    body = virtual_device(recording, axis)
+    if body is not None:
+        damping, hand = (body.moving_damping if damping is None else damping), (body.grip if hand is None else hand)
+    return swing_of(law, Plant(loop.period, 1.0, 0.0, loop.median, hand or 0.0), inside, damping)
+
+
+def virtual_device(recording: Recording, axis: int) -> DeviceModel | None:
+    """Find the virtual device that was played, as it was along an axis; None for another device."""
+    told = node_with(recording, "device")
+    return convert(told["device"], DeviceModel, "device").along("xyz"[axis]) if told else None
 
 
 def windows(inside: Array) -> tuple[list[Decay], int]:
@@ -137,7 +151,7 @@ def windows(inside: Array) -> tuple[list[Decay], int]:
 
 
 def swing_of(law: Law, loop: Plant, inside: Array, damping: float | None) -> Swing:
-    """Say what the positions of a contact tell of K_max [m]: period and delay of the loop are known, its mass is not."""
+    """Say what the positions of a contact tell of K_max [m]: period, delay and hand of the loop are known, its mass is not."""
     compiled = law.compile(loop.period)
     if compiled.evaluate is not None:
         raise CannotTellError(f"{law.kind} has code of its own, so no poles")
@@ -161,7 +175,8 @@ def swing_of(law: Law, loop: Plant, inside: Array, damping: float | None) -> Swi
     masses, dampings = ([getattr(plant, name) for plant in known] for name in ("mass", "damping"))
     intervals = (max(low - wider, 0.0), high + wider), (min(masses), max(masses)), (min(dampings), max(dampings))
     stiffness = float(getattr(law, "stiffness", compiled.h1))
-    return Swing(fits[0].theta / loop.period, fits[0].decay, ticks, stiffness, *intervals, edges[len(edges) // 2])
+    middle = edges[len(edges) // 2]
+    return Swing(fits[0].theta / loop.period, fits[0].decay, ticks, stiffness, *intervals, loop.stiffness, middle)
 
 
 def _by_frequency(law: CompiledLaw, loop: Plant, theta: float, decay: float, damping: float) -> Plant | None:
@@ -180,7 +195,7 @@ def _solved(law: CompiledLaw, loop: Plant, start: float, trial: Callable[[float]
     _, z = trial(start)
     half = 0.5 * abs(cmath.phase(z))
     # Of a lossless mass on a spring of this size (THEORY.md §9).
-    mass = abs(law.response(z)) * loop.period**2 / (4.0 * math.sin(half) * math.tan(half))
+    mass = abs(law.response(z) + loop.stiffness) * loop.period**2 / (4.0 * math.sin(half) * math.tan(half))
 
     def plant(unknown: Array) -> Plant:
         return replace(loop, mass=math.exp(min(unknown[0], 50.0)), damping=trial(unknown[1])[0])
@@ -198,8 +213,8 @@ def _solved(law: CompiledLaw, loop: Plant, start: float, trial: Callable[[float]
     return None
 
 
-def _contact(recording: Recording) -> Array:
-    """Positions of the longest contact along the axis that pushes most; one law, no limit of the driver in between."""
+def _contact(recording: Recording) -> tuple[int, Array]:
+    """Find the axis that pushes most, and positions of the longest contact there; one law, no limit of the driver between."""
     states = recording.messages(DEVICE_STATE)
     force = np.array([state.force for state in states])
     if not force.any():
@@ -219,7 +234,7 @@ def _contact(recording: Recording) -> Array:
     limited = any(abs(given - asked) > 1e-9 * max(1.0, abs(asked)) for given, asked in pairs)
     if limited or any(state.safety != "active" for state in inside):
         raise CannotTellError("the driver limited the force during the longest contact")
-    return np.array([state.position[axis] for state in inside])
+    return axis, np.array([state.position[axis] for state in inside])
 
 
 def _contact_without_gaps(contact: NDArray[np.bool_], seq: NDArray[np.int64]) -> tuple[int, int]:

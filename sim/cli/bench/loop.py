@@ -16,7 +16,7 @@ from nodes.base.setup import Tick
 from nodes.cli.quantities import COUNT, ROUNDS, SECONDS, whole
 from nodes.compiled.choose_tick import choose
 from nodes.launcher.launch_spec import AWAKE_RATE
-from sim.cli.answers import add_answer, report
+from sim.cli.answers import add_answer, idle, report
 from sim.measure import bare
 from sim.measure.bare import BARE, bare_loop, c_loop
 from sim.measure.measured_launch import fifo_granted, launch, machine
@@ -204,7 +204,9 @@ def text(figures: dict[str, Any]) -> str:
 def run(arguments: argparse.Namespace) -> int:
     """Run the benchmark."""
     if arguments.scenes:
+        idle(arguments, "--scenes are launched at 500 Hz, without lockstep rounds and cases", "ticks", "rates", "cases")
         return _run_scenes(arguments)
+    idle(arguments, "it is of --scenes", "finest")
     rounds = arguments.rounds
     tick = choose("compiled", KERNELS, lambda text: print(text, file=sys.stderr))
     # Like the bare loop in C, the stand-in needs a compiler.

@@ -29,7 +29,7 @@ def measure(rounds: int, seconds: float, progress: Progress) -> dict[str, Any]:
             progress.step(f"{half} ROS 2")
     figures: dict[str, Any] = {
         half: {name: statistics.median(one["response_us"][name] for one in runs) for name in ("p50", "p99")}
-        | {"missed": sum(one["missed"] for one in runs)}
+        | {"missed": sum(one["missed"] + one["overruns"] for one in runs)}
         for half, runs in found.items()
     }
     for name in ("p50", "p99"):

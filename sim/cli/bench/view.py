@@ -22,7 +22,7 @@ from nodes.base.realtime import memory_bytes, off
 from nodes.cli.quantities import ROUNDS, SECONDS, declare, positive
 from nodes.recording.reader import Recording
 from nodes.view.live import Facts, LiveRun
-from sim.cli.answers import add_answer, report
+from sim.cli.answers import add_answer, idle, report
 from sim.measure.measured_launch import HAPTIC, Running, machine, responses_in
 from sim.measure.page_pictures import take
 from sim.measure.stopwatch import Progress
@@ -180,6 +180,7 @@ def browsing() -> Iterator[Any]:
 def run(arguments: argparse.Namespace) -> int:
     """Run the benchmark."""
     if arguments.pictures is not None:
+        idle(arguments, "--pictures measures nothing", "rounds", "seconds", "rate", "picture", "minutes")
         with browsing() as browser:
             taken = take(browser, arguments.pictures, lambda name: print(name, file=sys.stderr, flush=True))
         return report(arguments, {"pictures": [str(path) for path in taken]}, [str(path) for path in taken])

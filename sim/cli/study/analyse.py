@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
         **{key: boundary[key] for key in ("k_max_n_per_m", "h1_max_n_per_m", "method")},
         "edge": edge and asdict(edge),
         "every_delay": _every_delay(arguments, compiled, device),
-        "rest": _rest(arguments, compiled, derivative, device),
+        "rest": _rest(arguments, compiled, derivative, device, boundary["k_max_n_per_m"] or 0.0),
     }
     if arguments.resolution is not None:
         friction = arguments.friction or figures["rest"]["friction_bound_n"]
@@ -78,7 +78,9 @@ def _every_delay(arguments: argparse.Namespace, law: CompiledLaw, device: Plant)
     return {"delay_ticks": list(arguments.every_delay), **asdict(found)}
 
 
-def _rest(arguments: argparse.Namespace, law: CompiledLaw, derivative: CompiledLaw, device: Plant) -> dict[str, Any] | None:
+def _rest(
+    arguments: argparse.Namespace, law: CompiledLaw, derivative: CompiledLaw, device: Plant, limit: float
+) -> dict[str, Any] | None:
     if arguments.resolution is None:
         if arguments.friction is not None:
             raise UsageError("--friction: rest takes the encoder too; give --resolution")
@@ -86,7 +88,8 @@ def _rest(arguments: argparse.Namespace, law: CompiledLaw, derivative: CompiledL
     needed = rest(law, device, arguments.resolution)
     found: dict[str, Any] = {**asdict(needed), "text": needed.text()}
     if arguments.friction is not None:
-        stiffest = stiffest_at_rest(derivative, arguments.resolution, arguments.friction)
+        # Above K_max friction stops small motions only.
+        stiffest = min(stiffest_at_rest(derivative, arguments.resolution, arguments.friction), limit)
         found["limit_cycle_free"] = needed.free(arguments.friction)
         found["k_rest_n_per_m"] = stiffest if stiffest > 0.0 else None
     return found

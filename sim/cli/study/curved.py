@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -44,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
         slides = [not_negative(text) for text in arguments.slides.split(",") if text]
     except argparse.ArgumentTypeError as error:
         raise UsageError(f"--slides {arguments.slides}: {error}") from error
-    from sim.experiments.curved import FRAMES, along_ways, growth_launched, sliding_k_max, theory
+    from sim.experiments.curved import FRAMES, SEARCHED, along_ways, growth_launched, sliding_k_max, theory
 
     period, given = 1.0 / arguments.rate, {"stiffness": arguments.stiffness, "damping": arguments.gain}
     laws = [
@@ -65,7 +66,13 @@ def run(arguments: argparse.Namespace) -> int:
     ways = [(speed, frame) for speed in slides for frame in FRAMES]
     limits = spread(arguments, [partial(sliding_k_max, launch, speed, frame) for speed, frame in ways])
     for (speed, frame), edge in zip(ways, limits, strict=True):
-        row: dict[str, Any] = {"speed_m_per_s": speed, "frame": frame, "k_max_n_per_m": edge, "over": edge / one_axis}
+        row: dict[str, Any] = {"speed_m_per_s": speed, "frame": frame, "k_max_n_per_m": None, "over": None}
+        if edge in (0.0, math.inf):
+            end = f"below {SEARCHED[0]:g}" if edge == 0.0 else f"above {SEARCHED[1]:g}"
+            lines.append(f"at {speed:g} m/s, {frame:8} {end} of it, where the search ends")
+            edges.append(row | {"beyond": end})
+            continue
+        row |= {"k_max_n_per_m": edge, "over": edge / one_axis}
         text = f"at {speed:g} m/s, {frame:8}{edge:10.5g} N/m, {edge / one_axis:.4f} of it"
         if arguments.launched:
             below, above = (growth_launched(launch, part * edge, speed, frame) for part in (0.98, 1.02))
@@ -101,7 +108,7 @@ def draw(path: Path, ways: Sequence[AlongTheWay], edges: Sequence[Mapping[str, A
 
 def _draw_edges(limit: Axes, edges: Sequence[Mapping[str, Any]]) -> None:
     for number, frame in enumerate(dict.fromkeys(row["frame"] for row in edges)):
-        mine = [row for row in edges if row["frame"] == frame]
+        mine = [row for row in edges if row["frame"] == frame and row["over"] is not None]
         places = [row["speed_m_per_s"] for row in mine], [row["over"] for row in mine]
         limit.plot(*places, marker=style.MARKERS[number], label=f"axes of the {frame}")
     limit.set_xlabel("speed of a slide over a sphere of 35 mm  [m/s]")

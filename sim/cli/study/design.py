@@ -22,12 +22,12 @@ from nodes.stability.rest import rest
 from sim.axes import plain_log
 from sim.chart.rest_map import rest_map
 from sim.cli import arguments as shared
-from sim.cli.answers import add_answer, report
-from sim.cli.sweeps import add_spread, spread
+from sim.cli.answers import add_answer, idle, report
+from sim.cli.sweeps import SPREAD, add_spread, spread
 from sim.design.demand import CONVENTIONS, Demand, Robust
 from sim.design.families import Tuned, best_pd, certificate, certified, compare, designed, fir, latest_delay, to_yaml
 from sim.design.landing import best_pd_windowed, drops
-from sim.design.passive import Passive, stiffest_passive
+from sim.design.passive import Passive, certain_damping, stiffest_passive
 from sim.design.recorded_loop import Measured, replayed_radius
 from sim.experiments.terms import RESOLUTION
 from sim.results import fresh
@@ -88,6 +88,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--radius {arguments.radius:g}: above 1 is unstable")
     if not arguments.mass[0] > 0.0:
         raise UsageError(f"--mass {arguments.mass[0]:g}..{arguments.mass[1]:g}: must be positive")
+    if arguments.compare:
+        idle(arguments, "--compare takes --delays and --margins, and --rate", "delay", "from-run", "effort")
+    else:
+        idle(arguments, "it is of --compare", "delays", "margins", *SPREAD)
     demand, measured = _demand(arguments)
     return _compare(arguments, demand) if arguments.compare else _design(arguments, demand, measured)
 
@@ -193,7 +197,9 @@ def _designed(arguments: argparse.Namespace, demand: Demand, law: Tuned, pd: Tun
 def _at_rest(arguments: argparse.Namespace, found: Robust, demand: Demand, figures: dict[str, Any]) -> list[str]:
     """Friction that the law asks for at the heaviest, least damped device, and the map of its K about this one."""
     device = Plant(demand.period, demand.mass[1], demand.damping, demand.delay[1], demand.stiffness[0])
-    needed = rest(found.law, device, arguments.resolution)
+    # A proof takes a law that is passive at every delay of the range.
+    passive = certain_damping(found.taps, demand.period, *demand.delay) <= demand.damping
+    needed = replace(rest(found.law, device, arguments.resolution), certain=passive)
     free, path = needed.free(arguments.friction), arguments.out / "design_rest.png"
     drawn = rest_map(found.law, found.h1_n_per_m, device, arguments.resolution, arguments.friction, path)
     figures["rest"] = asdict(needed) | {"map": drawn, "limit_cycle_free": free}
@@ -326,9 +332,10 @@ def _draw(path: Path, demand: Demand, law: Tuned, pd: Tuned, passive: Passive | 
     whole = round(demand.delay[1])
     for name, taps in named:
         compiled = CompiledLaw(tuple(taps.tolist()))
-        devices = [Plant(demand.period, m, demand.damping, demand.delay[1], demand.stiffness[0]) for m in masses.tolist()]
+        device, hands = Plant(demand.period, demand.mass[0], demand.damping, demand.delay[1]), set(demand.stiffness)
+        radii = [max(pole_radius(compiled, replace(device, mass=m, stiffness=k)) for k in hands) for m in masses.tolist()]
         label = f"{name}, H(1) = {compiled.h1:.0f} N/m"
-        left.semilogx(masses, [pole_radius(compiled, device) for device in devices], label=label)
+        left.semilogx(masses, radii, label=label)
         needed = 0.5 * demand.period * compiled.h1 + effective_damping(compiled, demand.period, theta / demand.period, whole)
         right.plot(theta / np.pi, needed, label=label)
     plain_log(left.xaxis, float(masses[0]), float(masses[-1]))

@@ -15,8 +15,8 @@ from nodes.recording.writer import RecordError
 from nodes.stability.k_max import edge_of, k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.cli import arguments as shared
-from sim.cli.answers import add_answer, report
-from sim.cli.sweeps import add_spread, spread
+from sim.cli.answers import add_answer, idle, report
+from sim.cli.sweeps import SPREAD, add_spread, spread
 
 # The laws that are compared.
 LAWS: dict[str, dict[str, Any]] = {
@@ -42,7 +42,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--points", type=whole(2, 100_000), default=24, help="gains, in geometric steps (default: %(default)s)")
     parser.add_argument(
-        "--device-damping", type=not_negative, help="of the recorded device, when it is real [N s/m]; narrows the interval"
+        "--device-damping",
+        type=not_negative,
+        help="of the recorded device and its hand, when it is real [N s/m]; narrows the interval",
     )
     shared.add_device(parser)
     add_spread(parser)
@@ -52,8 +54,13 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Compare laws, or predict from a recording."""
     if arguments.recording is not None:
+        idle(arguments, "the recording tells it", "gain", "mass", "delay", "rate")
+        idle(arguments, "the device's damping is --device-damping", "damping")
+        idle(arguments, "one recording is looked at", "drops", "points", *SPREAD)
         return _predict(arguments)
+    idle(arguments, "there is no RECORDING; the device's damping is --damping", "device-damping")
     if arguments.drops is not None:
+        idle(arguments, "--drops draws its devices and gains at random", "gain", "points", "mass", "damping", "delay", "hand")
         return _drops(arguments)
     low, high = arguments.gain
     if not 0.0 < low < high:
@@ -105,7 +112,7 @@ def _predict(arguments: argparse.Namespace) -> int:
     from sim.paper.swing import CannotTellError, recorded_swing
 
     try:
-        swing = recorded_swing(arguments.recording, arguments.device_damping)
+        swing = recorded_swing(arguments.recording, arguments.device_damping, arguments.hand or None)
     except CannotTellError as error:
         return report(arguments, {"k_max_n_per_m": None, "why": str(error)}, f"cannot tell: {error}", held=False)
     except (RecordError, ValueError, OSError) as error:
@@ -117,8 +124,11 @@ def _predict(arguments: argparse.Namespace) -> int:
         if damping[0] == damping[1]
         else f"with a damping between none and the {damping[1]:.3g} N s/m that the decay shows (--device-damping narrows it)"
     )
+    hand = swing.hand_n_per_m
+    held = f"held by a hand of {hand:g} N/m" if hand else "with no hand on it (--hand tells one)"
     text = (
-        f"K_max {low:.5g} .. {high:.5g} N/m: the swing's mass is {mass[0]:.4g} .. {mass[1]:.4g} kg, {known} (THEORY.md §9)\n"
+        f"K_max {low:.5g} .. {high:.5g} N/m: the swing's mass is {mass[0]:.4g} .. {mass[1]:.4g} kg, {known}, {held} "
+        f"(THEORY.md §9)\n"
         f"measured at K = {k:.6g} N/m, {100.0 * k / high:.0f} to {100.0 * k / low if low else math.inf:.0f} % of it: swings at "
         f"{swing.omega_rad_per_s / (2.0 * math.pi):.5g} Hz, x {swing.decay_per_tick:.5f} per tick; rings at "
         f"{swing.edge.omega_rad_per_s / (2.0 * math.pi):.5g} Hz at the edge"

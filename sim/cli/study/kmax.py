@@ -17,8 +17,8 @@ from nodes.recording.figure_style import label_ends, new_figure, save_figure, st
 from nodes.stability.k_max import KMax, k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
 from sim.cli import arguments as shared
-from sim.cli.answers import add_answer, given, report
-from sim.cli.sweeps import add_spread, spread
+from sim.cli.answers import add_answer, given, idle, report
+from sim.cli.sweeps import SPREAD, add_spread, spread
 from sim.device.model import DeviceModel, Hand
 from sim.results import fresh
 
@@ -58,9 +58,11 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Find K_max, or its boundary over a range of gains."""
     device = shared.device(arguments)
-    if arguments.gain is not None and arguments.gain[0] < arguments.gain[1]:
-        if arguments.method == "lockstep":
-            raise UsageError("--method lockstep: one --gain at a time, every stiffness takes a launch")
+    several = arguments.gain is not None and arguments.gain[0] < arguments.gain[1]
+    if several and arguments.method == "lockstep":
+        raise UsageError("--method lockstep: one --gain at a time, every stiffness takes a launch")
+    _refuse_idle(arguments, several)
+    if several:
         return _boundary(arguments, device)
     gain = None if arguments.gain is None else arguments.gain[0]
     if arguments.method == "lockstep":
@@ -68,18 +70,35 @@ def run(arguments: argparse.Namespace) -> int:
     loop = _loop(arguments, gain, device)
     found = _found(_method(arguments), shared.law(arguments, arguments.law, gain), device)
     stable = [[low, high if math.isfinite(high) else None] for low, high in found.stable]
+    low, high = _searched(device)
+    simulated = found.method == "simulation"
     if found.k_max_n_per_m is None:
-        text = "no stiffness is stable: lower the gain, the delay or the order"
+        what = f"nothing from {low:.4g} to {high:.4g} N/m settles" if simulated else "no stiffness is stable"
+        text = f"{what}: lower the gain, the delay or the order"
     elif not math.isfinite(found.k_max_n_per_m):
-        text = "every stiffness that was looked at is stable: there is no K_max"
+        text = (
+            f"K_max    above {high:.6g} N/m (nominal), where the search ends" if simulated else "stable however stiff: no K_max"
+        )
     else:
         text = (
             f"K_max    {found.k_max_n_per_m:.6g} N/m (nominal)\n"
             f"H(1)_max {found.h1_max_n_per_m:.6g} N/m (felt)\n"
             f"method   {found.method}"
         )
-    figures = {"loop": loop} | _figures(found) | {"stable_n_per_m": stable}
+    figures = {"loop": loop} | _figures(found, device) | {"stable_n_per_m": stable}
     return report(arguments, figures, [loop, text], held=found.k_max_n_per_m is not None)
+
+
+def _refuse_idle(arguments: argparse.Namespace, several: bool) -> None:
+    idle(arguments, "K is what is looked for", "stiffness")
+    if arguments.method not in ("simulation", "lockstep"):
+        idle(arguments, "nothing is played; add --method simulation", "scene", "history", "horizon")
+    if arguments.scene == "free":
+        idle(arguments, "--scene free is in contact all the time", "history")
+    if arguments.method != "lockstep":
+        idle(arguments, "it is of --method lockstep", "grid")
+    if not several:
+        idle(arguments, "it is of a range, --gain LOW..HIGH", "points", *SPREAD)
 
 
 def _loop(arguments: argparse.Namespace, gain: float | None, device: Plant, gains: str = "") -> str:
@@ -122,25 +141,30 @@ def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Plant) 
         found = same_k_max(law, _scene(arguments, device), Criterion(ticks=arguments.horizon), grid, bar.step)
     except (ValueError, MeasurementError) as error:
         raise UsageError(str(error)) from error
-    same = found.launched_n_per_m == found.one_process_n_per_m
+    both = found.launched_n_per_m, found.one_process_n_per_m
+    same = both[0] == both[1]
     ratio, loop = grid[1] / grid[0], _loop(arguments, gain, device)
+    launched, alone = (k if k is not None and math.isfinite(k) else None for k in both)
     figures: dict[str, Any] = {
         "loop": loop,
-        "k_max_n_per_m": found.launched_n_per_m,
+        "k_max_n_per_m": launched,
         "h1_max_n_per_m": found.h1_n_per_m,
         "method": "lockstep",
-        "one_process_n_per_m": found.one_process_n_per_m,
+        "one_process_n_per_m": alone,
+        "searched_n_per_m": [grid[0], grid[-1]],
         "same": same,
         "launches": found.launches,
         "grid_ratio": ratio,
     }
-    by_launch, alone = ("none" if k is None else f"{k:.6g} N/m" for k in (found.launched_n_per_m, found.one_process_n_per_m))
+    # Beyond the ends of the grid nothing was tried.
+    ends = {0.0: f"below {grid[0]:.6g} N/m", math.inf: f"above {grid[-1]:.6g} N/m"}
+    said = [ends.get(k or 0.0, f"{k or 0.0:.6g} N/m") for k in both]
     lines = [
         loop,
-        f"K_max    {by_launch} (nominal), by {found.launches} launches in lockstep",
-        f"         {alone} in one process: {'the same' if same else 'NOT the same'}, on steps of {ratio - 1.0:.2%}",
+        f"K_max    {said[0]} (nominal), by {found.launches} launches in lockstep",
+        f"         {said[1]} in one process: {'the same' if same else 'NOT the same'}, on steps of {ratio - 1.0:.2%}",
     ]
-    return report(arguments, figures, lines, held=same and found.launched_n_per_m is not None)
+    return report(arguments, figures, lines, held=same and launched is not None)
 
 
 def _scene(arguments: argparse.Namespace, device: Plant) -> Scene:
@@ -167,14 +191,24 @@ def _simulated(arguments: argparse.Namespace, derivative: CompiledLaw, device: P
     return KMax(found.k_max_n_per_m, found.h1_max_n_per_m, "simulation", ())
 
 
-def _figures(found: KMax) -> dict[str, Any]:
+def _searched(device: Plant) -> tuple[float, float]:
+    """Softest and stiffest K that a simulation tries [N/m]."""
+    from sim.experiments.k_max_simulated import SEARCHED
+
+    return SEARCHED[0] * device.mass / device.period**2, SEARCHED[1] * device.mass / device.period**2
+
+
+def _figures(found: KMax, device: Plant) -> dict[str, Any]:
     # JSON has no infinity: without a limit the figure is null, and the stable interval is open.
     bounded = found.k_max_n_per_m is not None and math.isfinite(found.k_max_n_per_m)
-    return {
+    figures = {
         "k_max_n_per_m": found.k_max_n_per_m if bounded else None,
         "h1_max_n_per_m": found.h1_max_n_per_m if bounded else None,
         "method": found.method,
     }
+    if found.k_max_n_per_m == math.inf:
+        figures["at_least_n_per_m"] = _searched(device)[1] if found.method == "simulation" else None
+    return figures
 
 
 def _boundary(arguments: argparse.Namespace, device: Plant) -> int:
@@ -182,20 +216,31 @@ def _boundary(arguments: argparse.Namespace, device: Plant) -> int:
     gains = [low + (high - low) * i / (arguments.points - 1) for i in range(arguments.points)]
     laws = [shared.law(arguments, arguments.law, gain) for gain in gains]
     found = spread(arguments, [partial(_found, _method(arguments), law, device) for law in laws])
-    points = [{"gain": gain, **_figures(one)} for gain, one in zip(gains, found, strict=True)]
+    points = [{"gain": gain, **_figures(one, device)} for gain, one in zip(gains, found, strict=True)]
     stable = [point for point in points if point["k_max_n_per_m"] is not None]
-    if not stable:
-        text = "no stiffness is stable anywhere in this range"
+    without_end = [point for point in points if "at_least_n_per_m" in point]
+    if not stable and not without_end:
+        softest, stiffest = _searched(device)
+        tried = f"nothing from {softest:.4g} to {stiffest:.4g} N/m settles"
+        text = f"{tried if arguments.method == 'simulation' else 'no stiffness is stable'} anywhere in this range"
         return report(arguments, {"points": points, "plot": None}, text, held=False)
-    best = max(stable, key=lambda point: float(point["h1_max_n_per_m"]))
     loop = _loop(arguments, low, device, f"B {low:g} .. {high:g}")
     lines = [loop, "      gain     K_max N/m   H(1)_max N/m"]
     for point in points:
         k, h1 = point["k_max_n_per_m"], point["h1_max_n_per_m"]
-        lines.append(f"{point['gain']:10.4g}  {'-' if k is None else f'{k:.6g}':>12}  {'-' if h1 is None else f'{h1:.6g}':>12}")
-    lines.append(f"stiffest: gain {best['gain']:.4g}, H(1) {best['h1_max_n_per_m']:.6g} N/m")
-    figures = {"loop": loop, **best, "points": points}
-    return report(arguments, figures, lines, plot=_draw(arguments, points))
+        least = point.get("at_least_n_per_m")
+        missing = "-" if "at_least_n_per_m" not in point else "no limit" if least is None else f"> {least:.6g}"
+        lines.append(
+            f"{point['gain']:10.4g}  {missing if k is None else f'{k:.6g}':>12}  {'-' if h1 is None else f'{h1:.6g}':>12}"
+        )
+    figures: dict[str, Any] = {"loop": loop}
+    if without_end:
+        lines.append(f"no end was found at {len(without_end)} of {len(points)} gains: the stiffest is not known")
+    else:
+        best = max(stable, key=lambda point: float(point["h1_max_n_per_m"]))
+        lines.append(f"stiffest: gain {best['gain']:.4g}, H(1) {best['h1_max_n_per_m']:.6g} N/m")
+        figures |= best
+    return report(arguments, figures | {"points": points}, lines, plot=_draw(arguments, points))
 
 
 @styled

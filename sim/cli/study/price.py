@@ -1,6 +1,7 @@
 """The price of not knowing: how stiff a law may be, against how well joint, hand and mass of the device are known."""
 
 import argparse
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -58,12 +59,13 @@ def study_price(job: Mapping[str, Any]) -> dict[str, Any]:
     if found is None:
         return {"h1_n_per_m": None, "radius": None, "drops_settled": None, "certified": None}
     truth = (0.0, job["share"], frequency, job["loss"])
-    plant = FlexiblePlant(job["mass"], job["damping"], asked.delay[1], 0.0, *truth)
+    ends = itertools.product(asked.delay, asked.stiffness)
+    plants = [FlexiblePlant(job["mass"], job["damping"], delay, hand, *truth) for delay, hand in ends]
     real = replace(asked, beyond=(truth,))
     settled = drops(found.law, real)
     return {
         "h1_n_per_m": found.h1_n_per_m,
-        "radius": flexible_radius(found.law, period, plant),
+        "radius": max(flexible_radius(found.law, period, plant) for plant in plants),
         "drops_settled": f"{sum(settled.values())} of {len(settled)}",
         "certified": certificate(found.law, real) is True,
     }

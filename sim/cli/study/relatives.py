@@ -12,7 +12,7 @@ from nodes.laws.parse import parse_law
 from nodes.recording.figure_style import GREY, name_rows, new_figure, save_figure, styled, threshold
 from nodes.stability.plant import Plant
 from sim.cli import arguments as shared
-from sim.cli.answers import add_answer, given, report
+from sim.cli.answers import add_answer, given, idle, report
 from sim.cli.sweeps import add_sweep, swept
 from sim.results import fresh
 
@@ -150,6 +150,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not (arguments.mass[0] > 0.0 and arguments.damping > 0.0):
         raise UsageError("--mass and --damping must be positive: nothing is passive without damping")
     if arguments.from_run is not None:
+        idle(arguments, "--from-run tells it", "delay", "rate")
         measured = shared.recorded(arguments.from_run)
         arguments.rate, arguments.delay = 1.0 / measured.period, measured.median
     told = given(arguments, "damping", "delay", "rate", "taps", "nyquist")

@@ -1,6 +1,7 @@
 """How stiff a wall gets when the device's own servo damps it faster than the loop runs."""
 
 import argparse
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -28,21 +29,23 @@ def run(arguments: argparse.Namespace) -> int:
     rows = []
     for ratio in arguments.ratios:
         device = TwoRate(arguments.mass, arguments.damping, arguments.servo, ratio, round(arguments.delay * ratio))
+        found = two_rate_k_max(CompiledLaw((0.0,)), period, device)
         rows.append(
             {
                 "ratio": ratio,
                 "servo_hz": ratio * arguments.rate,
                 "delay_ticks": device.delay / ratio,
-                "k_max_n_per_m": two_rate_k_max(CompiledLaw((0.0,)), period, device),
+                "k_max_n_per_m": None if found == math.inf else found,
+                "at_least_n_per_m": heavy_limit(device, period) * 1e3 if found == math.inf else None,
                 "heavy_limit_n_per_m": heavy_limit(device, period),
             }
         )
     lines = [f"spring; {arguments.mass:g} kg, {arguments.damping:g} N s/m, servo damper {arguments.servo:g} N s/m"]
     for row in rows:
-        k = row["k_max_n_per_m"]
+        k, least = row["k_max_n_per_m"], row["at_least_n_per_m"]
         lines.append(
             f"  servo {row['servo_hz']:6g} Hz, delay {row['delay_ticks']:.3g} ticks: K_max "
-            + ("none" if k is None else f"{k:.5g} N/m")
+            + (f"above {least:.5g} N/m, where the search ends" if least else "none" if k is None else f"{k:.5g} N/m")
             + f", heavy device {row['heavy_limit_n_per_m']:.5g} N/m"
         )
     picture = draw(arguments.out / "two_rate.png", lines[0], rows)

@@ -211,6 +211,14 @@ def test_kmax_says_when_nothing_is_stable(capsys: pytest.CaptureFixture[str]) ->
         ("study kmax --law pd", "--gain B; 0 is a bare spring"),
         ("study analyse pd", "--gain B; 0 is a bare spring"),
         ("study kmax --law pd --gain 3 --delay 1 --method closed_form", "closed_form needs"),
+        ("study kmax --law pd --gain 3 --scene press", "--scene: no effect here: nothing is played; add --method simulation"),
+        ("study kmax --law pd --gain 3 --horizon 900 --history position", "--history, --horizon: no effect here"),
+        ("study kmax --law pd --gain 3 --method simulation --grid 9", "--grid: no effect here: it is of --method lockstep"),
+        ("study kmax --law pd --gain 3 --points 9 --workers 2", "--points, --workers: no effect here"),
+        ("study kmax --law pd --gain 3 --stiffness 900", "--stiffness: no effect here: K is what is looked for"),
+        ("study design --delays 1", "--delays: no effect here: it is of --compare"),
+        ("study design --compare --delay 1", "--delay: no effect here"),
+        ("study relatives --from-run run.mcap --delay 2", "--delay: no effect here: --from-run tells it"),
         ("study analyse {kind:", "law: not valid YAML"),
         ("study analyse {kind: pd, stiffness: -1}", r"law.stiffness"),
     ],
@@ -242,3 +250,37 @@ def test_simulated_drop_reads_below_the_linear_limit(capsys: pytest.CaptureFixtu
     assert limit is not None
     assert figures["method"] == "simulation"
     assert 0.7 * limit < figures["k_max_n_per_m"] < 0.99 * limit
+
+
+def test_the_end_of_a_simulated_search_is_not_told_as_no_limit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A drop that settled as far as was looked had "no K_max"; over a range of gains it was "no stiffness is stable"."""
+    monkeypatch.setattr("sim.experiments.k_max_simulated.SEARCHED", (1e-3, 0.02))
+    words = ["study", "kmax", "--law", "pd", "--method", "simulation", "--horizon", "900", "--json", "--out", str(tmp_path)]
+    # 0.02 m/T² is 500 N/m: all that is tried settles.
+    assert main([*words, "--gain", "3"]) == 0
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (told["k_max_n_per_m"], told["at_least_n_per_m"]) == (None, pytest.approx(500.0))
+    assert main([*words[:-3], "--gain", "3"]) == 0
+    assert "above 500 N/m" in capsys.readouterr().out
+    assert main([*words, "--gain", "3..4", "--points", "2"]) == 0
+    assert [one["at_least_n_per_m"] for one in json.loads(capsys.readouterr().out.splitlines()[-1])["points"]] == [
+        pytest.approx(500.0)
+    ] * 2
+    # And where nothing settles, only what was tried is said not to.
+    assert main([*words[:-3], "--gain", "200"]) == 1
+    assert "nothing from 25 to 500 N/m settles" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("gain", "limit"), [("3", 3781.866), ("500", None)])
+def test_nothing_rests_that_is_not_stable(
+    gain: str, limit: float | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The stiffness for rest was told without K_max, its map as if every stiffness were stable where none is."""
+    words = ["--stiffness", "900", "--gain", gain, "--resolution", "1e-8", "--friction", "0.1"]
+    assert main(["study", "analyse", "pd", *words, "--json", "--out", str(tmp_path)]) == 0
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])["rest"]
+    expected = None if limit is None else pytest.approx(limit, rel=1e-6)
+    # On the map where friction over the step is largest.
+    assert (told["k_rest_n_per_m"], told["map"]["k_rest_n_per_m"][0][-1]) == (expected, expected)

@@ -92,3 +92,11 @@ def test_just_inside_is_stable_and_just_outside_is_not(name: str) -> None:
 def test_frequency_must_be_below_nyquist() -> None:
     with pytest.raises(ValueError, match=r"^omega = 2000 rad/s: must be between 0 and 1570"):
         edge_at(CompiledLaw((0.0,)), Plant(T, 0.1, 1.0), 2000.0)
+
+
+@pytest.mark.parametrize("damping", [0.0, 1.0])
+def test_a_hand_s_spring_counts_with_damping_and_without(damping: float) -> None:
+    law, device = derivative("pd", 8.0), Plant(T, 0.1, damping, 0.5, 800.0)
+    edge = edge_of(law, device)
+    assert edge is not None
+    assert edge.k_exact_n_per_m == pytest.approx(k_max(law, device).k_max_n_per_m, rel=1e-9)

@@ -125,3 +125,21 @@ def test_sections_are_summed_to_the_end() -> None:
         y = [new, y[0]]
         response.append(new + 100.0 * impulse[k])
     assert absolute_sum(law) == pytest.approx(sum(map(abs, response)), rel=1e-9)
+
+
+def test_the_newest_tap_of_a_law_with_sections_is_theirs_too() -> None:
+    """A section that begins against the spring was left out of h_0, and K_rest was too low by twice its start."""
+    loop, friction = CompiledLaw((0.0,), ((-50.0, 20.0, -0.5, 0.0),)), 0.06
+    k = stiffest_at_rest(loop, STEP, friction)
+    # Its error's force is then just the friction.
+    assert rest(with_spring(loop, k), T, STEP).friction_bound_n == pytest.approx(friction, rel=1e-9)
+
+
+def test_a_hand_s_spring_is_in_the_estimate() -> None:
+    """It was left out: a device that a stiff hand holds in place was told to buzz as a free one."""
+    law = CompiledLaw((1000.0,))
+    free, held = (rest(law, Plant(T, 0.1, 0.1, 0.0, hand), STEP) for hand in (0.0, 1e6))
+    assert free.friction_estimated_n is not None
+    assert free.friction_estimated_n > 0.0
+    # Up to ω_N the mass takes less force than this spring gives: a spring of the law cannot make it swing.
+    assert (held.friction_estimated_n, held.buzz_hz) == (0.0, None)

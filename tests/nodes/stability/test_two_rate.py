@@ -115,3 +115,13 @@ def test_no_such_device(wrong: dict[str, float]) -> None:
     values = {"mass": 0.1, "damping": 1.0, "servo_damping": 3.0, "ratio": 2, "delay": 1} | wrong
     with pytest.raises(ValueError, match=r"mass 0|ratio 0|delay -1"):
         TwoRate(**values)  # type: ignore[arg-type]
+
+
+def test_the_end_of_a_search_is_no_limit(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    # Nothing is unstable for a while: as if the limit were beyond the last step.
+    monkeypatch.setattr("nodes.stability.two_rate.two_rate_radius", lambda *_: 0.5)
+    assert two_rate_k_max(SPRING, T, TwoRate(0.1, 1.0, 3.0, 4)) == math.inf
+    assert main(["study", "two_rate", "--ratios", "4", "--out", str(tmp_path)]) == 0
+    assert "K_max above " in capsys.readouterr().out

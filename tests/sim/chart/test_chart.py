@@ -25,7 +25,7 @@ from sim.chart.derivatives import largest_stable, with_stiffness
 from sim.chart.equal_demand import NYQUIST, RADII, keeps, laws, tuned
 from sim.chart.integrators import DAMPING, MASS, PERIOD, drop, integrators, reference, spring_limit
 from sim.chart.k_max_ways import light, poles, simulated
-from sim.chart.points import Group, Point, on_front, save, with_front
+from sim.chart.points import Group, Point, keep, kept, on_front, save, with_front
 from sim.chart.rates import GAIN, calms_down, continuous, force_error, launch
 from sim.design.demand import Demand
 from sim.design.families import best_pd
@@ -35,6 +35,20 @@ from sim.measure.tap_timing import TapTimings
 from sim.scene.loop import Scene, SceneSurface, run
 
 few = st.integers(0, 4).map(float)
+
+
+def test_a_chart_does_not_go_on_with_what_another_version_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    diary = tmp_path / "chart.part"
+    groups = [Group("group", "title", "cost", "error", (Point("one", 1.0, 2.0),))]
+    keep(diary, "kmax", groups)
+    assert kept(diary, "kmax") == groups
+    assert kept(diary, "rates") is None
+    monkeypatch.setattr("sim.chart.points.program", lambda: "another")
+    assert kept(diary, "kmax") is None
+    # It is set aside, and the new one begins without it.
+    assert list(tmp_path.glob("earlier/*/chart.part"))
+    keep(diary, "rates", groups)
+    assert (kept(diary, "kmax"), kept(diary, "rates")) == (None, groups)
 
 
 @given(points=st.lists(st.tuples(few, few | st.just(math.inf)), max_size=12))

@@ -19,7 +19,7 @@ from nodes.stability.k_max import k_max
 from nodes.stability.plant import Plant
 from sim.cli.study.tuned import held
 from sim.device.model import DeviceModel
-from sim.measure.jobs import read_ledger
+from sim.measure.jobs import program, read_ledger
 from sim.population.study import summary_outside
 from sim.population.tuned import summary, true_edge, true_radius
 from sim.population.virtual import KINDS, draw
@@ -124,7 +124,7 @@ def outside(kind: str, off: float = 0.5, refuted: bool = False) -> dict[str, Any
 
 def put(ledger: Path, job: dict[str, Any], row: dict[str, Any]) -> None:
     with open(ledger, "a", encoding="utf-8") as file:
-        file.write(json.dumps({"job": job, "row": row}) + "\n")
+        file.write(json.dumps({"job": job, "row": row, "program": program()}) + "\n")
 
 
 @pytest.mark.parametrize(("wrong", "code"), [(0, 0), (3, 0), (6, 1)])
@@ -144,6 +144,21 @@ def test_what_is_refused_is_never_false() -> None:
     kinds = list(KINDS)
     told = summary_outside([outside(kinds[0], refuted=True), outside(kinds[0], 2.5), outside(kinds[1], 0.5)])
     assert (told["refused"], told["false"], told["intervals"], told["missed"]) == (1, 1, 2, 1)
+
+
+def test_a_ledger_of_another_version_is_not_gone_on_with(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Rows of two programs stood in one table."""
+    words = ("relatives", "--families", "Maxwell", "--mass", "0.1")
+    ledger = Path(study(capsys, tmp_path, *words)["ledger"])
+    old = ledger.read_text(encoding="utf-8").replace(program(), "0123456789abcdef")
+    ledger.write_text(old, encoding="utf-8")
+    assert main(["study", *words, "--out", str(tmp_path)]) == 1
+    assert "another version of haptic-nodes" in capsys.readouterr().err
+    # Begun anew it is set aside, not lost.
+    study(capsys, tmp_path, *words, "--fresh")
+    assert program() in ledger.read_text(encoding="utf-8")
+    (aside,) = tmp_path.glob("earlier/*/relatives.jsonl")
+    assert aside.read_text(encoding="utf-8") == old
 
 
 # -- who judges the tuned devices --------------------------------------------------------------------------------------

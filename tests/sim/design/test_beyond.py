@@ -58,7 +58,8 @@ def test_one_law_for_a_joint_all_hands_and_every_sequence_of_delays_that_lands()
     latest = latest_delay(law.found.law, asked)
     assert latest is not None
     for late, stable in ((latest - 1e-3, True), (latest + 1e-3, False)):
-        radii = [flexible_radius(law.found.law, T, FlexiblePlant(0.1, 1.0, late, 0.0, *beyond)) for beyond in JOINT]
+        plants = [FlexiblePlant(0.1, 1.0, late, hand, *beyond) for beyond in JOINT for hand in (0.0, 300.0)]
+        radii = [flexible_radius(law.found.law, T, plant) for plant in plants]
         assert (max(radii) < 1.0) is stable
 
 

@@ -21,6 +21,7 @@ from messages.types import DeviceState
 from nodes.cli.main import main
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import LawRefusedError, compile_law, parse_law
+from nodes.laws.pd import PD
 from nodes.parameters.yaml_io import parse_yaml
 from nodes.recording.writer import RecordWriter
 from nodes.stability.closed_loop import pole_radius
@@ -28,7 +29,16 @@ from nodes.stability.effective_damping import damping_needed
 from nodes.stability.plant import Plant
 from sim.design.demand import CONVENTIONS, Demand, LoopCase, Robust, cases_of
 from sim.design.evolution import _within, evolved
-from sim.design.families import best_paper_optimum, best_pd, best_pd_alpha, certificate, certified, designed, to_yaml
+from sim.design.families import (
+    best_paper_optimum,
+    best_pd,
+    best_pd_alpha,
+    certificate,
+    certified,
+    designed,
+    latest_delay,
+    to_yaml,
+)
 from sim.design.landing import MARGIN, drops, landings
 from sim.design.passive import certain_damping, stiffest_passive
 from sim.design.recorded_loop import measure, replayed_radius
@@ -183,9 +193,44 @@ def test_certain_damping_is_above_what_is_needed_and_hardly() -> None:
         assert needed <= certain <= needed + 1e-6 * T * 6000.0 * 10.0
 
 
+@pytest.mark.parametrize("delay", [(0.3, 1.6), (0.0, 1.5), (0.9, 2.3)])
+@pytest.mark.parametrize("taps", [2, 4])
+def test_passive_over_a_range_is_passive_at_the_whole_ticks_within_and_between(delay: tuple[float, float], taps: int) -> None:
+    """Delays were sampled past the whole ticks, where most damping is needed."""
+    passive = stiffest_passive(taps, T, 1.0, delay)
+    law = CompiledLaw(tuple(passive.taps.tolist()))
+    between = np.linspace(*delay, 101).tolist() + [float(n) for n in range(4) if delay[0] <= n <= delay[1]]
+    needed = [damping_needed(law, T, at) for at in between]
+    assert max(needed) <= 1.0 + 1e-12
+    # It gives away nothing: of the range it needs all that there is, but for the programme's tolerance.
+    assert max(needed) > 1.0 - 1e-4
+
+
+def test_certain_damping_over_a_range_is_the_most_of_its_delays() -> None:
+    rng = np.random.default_rng(5)
+    for low, high in ((0.0, 0.8), (0.3, 1.6), (0.9, 2.0)):
+        taps = rng.normal(size=5) * 1000.0
+        each = max(certain_damping(taps, T, at) for at in np.linspace(low, high, 401).tolist())
+        # Between 401 delays the most is higher by the square of their distance.
+        assert each * (1.0 - 1e-9) <= certain_damping(taps, T, low, high) <= each * (1.0 + 1e-4) + 1e-6 * T * 5000.0
+
+
 def test_nothing_is_passive_without_damping() -> None:
     with pytest.raises(ValueError, match="damping = 0"):
         stiffest_passive(4, T, 0.0, (1.0, 1.0))
+
+
+def test_the_delay_that_a_law_bears_is_that_of_every_hand() -> None:
+    """Told for the softest hand alone, it was longer than the stiffest allows."""
+    law, wanted = PD(stiffness=500.0, damping=2.0).compile(T), demand(stiffness=(0.0, 3000.0))
+    latest = latest_delay(law, wanted)
+    assert latest is not None
+    for delay, stable in ((latest - 1e-6, True), (latest + 1e-6, False)):
+        plants = [Plant(T, mass, 1.0, delay, hand) for mass in np.geomspace(0.05, 0.2, 5).tolist() for hand in (0.0, 3000.0)]
+        assert (max(pole_radius(law, plant) for plant in plants) < 1.0) is stable
+    assert latest < (latest_delay(law, demand()) or 0.0)
+    # Where it is unstable from the start there is no such delay.
+    assert latest_delay(CompiledLaw((1e6,)), demand()) == 0.0
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 1.7])

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 
 import pytest
 
 from nodes.cli.main import main
 from nodes.launcher import launch_file
-from sim.experiments.curved import growth_launched, sliding_k_max, theory
+from sim.experiments.curved import AlongTheWay, growth_launched, sliding_k_max, theory
 from tests.support.pictures import assert_drawn
 
 # The first run on a machine compiles the geometry.
@@ -63,6 +64,24 @@ def test_k_max_of_a_sliding_contact_is_that_of_one_axis(frame: str) -> None:
     launch = launch_file.read("sphere_feel", {"pace": "lockstep"})
     # Searched to 0.2 %; the ripple's growth over 75 ticks tells no more than another few tenths.
     assert sliding_k_max(launch, 0.02, frame) == pytest.approx(theory(PERIOD), rel=0.01)
+
+
+def test_the_ends_of_the_search_are_not_told_as_k_max(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    launch = launch_file.read("sphere_feel", {"pace": "lockstep"})
+    monkeypatch.setattr("sim.experiments.curved.SEARCHED", (0.5, 0.6))
+    assert sliding_k_max(launch, 0.02, "surface") == math.inf
+    monkeypatch.setattr("sim.experiments.curved.SEARCHED", (1.2, 1.3))
+    assert sliding_k_max(launch, 0.02, "surface") == 0.0
+    # A run that overflows has grown, though its growth is no number.
+    monkeypatch.setattr("sim.experiments.curved.growth", lambda *_: math.nan)
+    assert sliding_k_max(launch, 0.02, "surface") == 0.0
+    monkeypatch.setattr("sim.experiments.curved.sliding_k_max", lambda *_: math.inf)
+    monkeypatch.setattr("sim.experiments.curved.along_ways", lambda *_: [AlongTheWay("plane", "pd", "world", 0.0, 0.0, 0.0)])
+    assert main(["study", "curved", "--slides", "0.02", "--json", "--out", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    assert [edge["k_max_n_per_m"] for edge in json.loads(out.splitlines()[-1])["edges"]] == [None, None]
 
 
 def test_launches_agree_where_it_slides() -> None:

@@ -16,10 +16,9 @@ from nodes.recording.reader import Recording
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
 from sim.cli.study.edge import LAWS
-from sim.design.recorded_loop import measure
-from sim.device.model import DeviceModel
-from sim.experiments.drop import free_scene
-from sim.paper.swing import CannotTellError, _law, counted, dropped, recorded_swing, ringing, windows
+from sim.device.model import DeviceModel, Hand
+from sim.experiments.drop import drop_scene, free_scene
+from sim.paper.swing import CannotTellError, _law, counted, dropped, longest, recorded_swing, ringing, swing_of, windows
 from sim.scene.loop import run
 from tests.support.launching import exit_code, launch_json
 from tests.support.recorded import rewritten
@@ -30,8 +29,8 @@ T = 0.002
 PD_ALPHA = "{laws: {half: {kind: pd_alpha, stiffness: 1800.0, damping: 8.0, order: 0.5, taps: 20, gains: paper}}, law: half}"
 
 
-def recorded(folder: Path, words: str, law: str = "") -> Path:
-    (folder / "more.yaml").write_text(f"coupling: {law or '{}'}", encoding="utf-8")
+def recorded(folder: Path, words: str, law: str = "", device: str = "{}") -> Path:
+    (folder / "more.yaml").write_text(f"coupling: {law or '{}'}\ndriver: {{device: {device}}}", encoding="utf-8")
     assignments = f"pace:=lockstep duration:=1 {words}".split()
     told = launch_json(folder, "floor_drop", *assignments, "--params", "more.yaml")
     return folder / str(told["recording"])
@@ -64,7 +63,7 @@ def test_a_launch_far_inside_tells_where_the_edge_is(
 
 def _told_without_damping(path: Path) -> tuple[float, float]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sim.paper.swing.measure", lambda path: replace(measure(path), damping=None))
+        patch.setattr("sim.paper.swing.virtual_device", lambda *_: None)
         return recorded_swing(path).k_max_n_per_m
 
 
@@ -178,3 +177,39 @@ def test_without_the_coupling_s_forces_nothing_tells_the_law(tmp_path: Path) -> 
     path = recorded(tmp_path, "law:=pd stiffness:=2500")
     with pytest.raises(CannotTellError, match="were not recorded"):
         recorded_swing(rewritten(path, lambda topic, _: topic != FORCE))
+
+
+@pytest.mark.parametrize("stiffness", [300.0, 1500.0])
+def test_a_hand_that_holds_the_device_is_in_the_loop(stiffness: float) -> None:
+    """Its spring was left out: the swing was taken for that of a lighter device, with another K_max."""
+    hand = Hand(mass=0.05, damping=2.0, stiffness=stiffness, path=[(0.0, 0.0)])
+    body, law = DeviceModel(mass=0.05, damping=0.5, hand=hand), parse_law({"kind": "pd", "stiffness": 1200.0, "damping": 1.0})
+    trace = run(drop_scene(body, T, raw=False, clamp=True), law.compile(T), 500)
+    first, last = longest(np.abs(trace.force) > 0.0)
+    loop = Plant(T, 1.0, 0.0, 0.0, stiffness)
+    limit = k_max(without_spring(law, T), replace(loop, mass=0.1, damping=2.5)).k_max_n_per_m
+    assert limit is not None
+    for damping in (2.5, None):
+        low, high = swing_of(law, loop, trace.measured[first:last], damping).k_max_n_per_m
+        assert low < limit < high
+    low, high = swing_of(law, replace(loop, stiffness=0.0), trace.measured[first:last], 0.5).k_max_n_per_m
+    assert not low < limit < high
+
+
+def test_the_hand_of_a_recorded_scene_is_taken_into_account(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    device = "{hand: {mass: 0.05, damping: 2.0, stiffness: 1000.0, path: [[0.0, 0.0]]}}"
+    path = recorded(tmp_path, "law:=pd stiffness:=1500 damping:=1", "{stability: 'off'}", device)
+    limit = k_max(without_spring(_law(Recording(path), path), T), Plant(T, 0.15, 3.0, 0.0, 1000.0)).k_max_n_per_m
+    assert limit is not None
+    assert main(["study", "edge", str(path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert told["k_max_n_per_m"][0] < limit < told["k_max_n_per_m"][1]
+    assert told["hand_n_per_m"] == 1000.0
+    assert main(["study", "edge", str(path)]) == 0
+    assert "held by a hand of 1000 N/m" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", [("--mass", "0.2"), ("--damping", "2"), ("--drops", "3"), ("--gain", "3..20")])
+def test_what_a_recording_tells_is_not_asked_for(words: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["study", "edge", "run.mcap", *words]) == 2
+    assert f"{words[0]}: no effect here" in capsys.readouterr().err
