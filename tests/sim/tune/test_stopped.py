@@ -14,10 +14,13 @@ from typing import Any
 import pytest
 
 from messages.topics import DEVICE_STATE
+from messages.transport.requests import ControlError
 from nodes.driver.limits import SafetyParameters
 from nodes.recording.reader import Recording
 from sim.drill.faults import SteppedClock
 from sim.drill.faulty_device import LATE, SCALE
+from sim.identify.borrowed import PushedLaunch, borrowed
+from sim.identify.push import push
 from sim.tune.knocking import STRIDE, factor_of
 from sim.tune.live_trial import STOPPED
 from tests.support.launching import running, typed, wait_for
@@ -60,7 +63,7 @@ def designed(
             "h1_n_per_m": h1,
             "gain_over_pd": None,
             "lands": False,
-            "demand": {"mass": [0.1, 0.1], "delay": [1.0, 1.0], "radius": 1.0},
+            "demand": {"mass": [0.1, 0.1], "delay": [1.0, 1.0], "radius": 1.0, "period": T},
         },
         "predicted": {
             **edges,
@@ -109,6 +112,40 @@ def test_a_trial_that_the_driver_stops_is_a_verdict_and_the_launch_goes_on(tmp_p
             back = [one for one in states if state.seq <= one.seq < state.seq + ramp]
             # Two roundings.
             assert all(abs(one.force[0]) <= PEAK * (one.seq - before.seq + 1) / ramp * (1.0 + 1e-15) for one in back)
+
+
+def test_a_launch_that_somebody_tunes_already_is_refused_and_left_to_him(tmp_path: Path) -> None:
+    """The second one took the first one's soft spring for the user's own law, and put that back at the end."""
+    (tmp_path / "held.yaml").write_text(json.dumps(unrecorded()))
+    with running(tmp_path, "held.yaml") as launch:
+        with borrowed(PushedLaunch(launch.run)) as held:
+            held.check()
+            launch.call("coupling", "param.set", values={"laws.trial": {"kind": "pd", "stiffness": 200.0, "damping": 2.0}})
+            launch.call("coupling", "law.switch", law="trial", ramp=0)
+            with pytest.raises(ControlError, match="held by somebody else"), borrowed(PushedLaunch(launch.run)):
+                raise AssertionError
+            assert launch.call("coupling", "law.list")["active"] == "trial"
+            assert launch.call("coupling", "lease.renew", names=["borrowed"])["run_out"] == []
+        assert launch.call("coupling", "law.list")["active"] == "pd"
+        # And is there for the next one.
+        with borrowed(PushedLaunch(launch.run)) as held:
+            assert held.law == "pd"
+        launch.finish(signal.SIGINT)
+
+
+def test_of_a_launch_of_several_chains_the_chosen_one_is_pushed_and_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its recorder was asked for the whole launch, which has no `/device/state`, and nothing was recorded."""
+    law = {"kind": "excitation", "duration": 0.4, "amplitude": 0.3, "reach": 0.01}
+    with running(tmp_path, "two_hands", "duration:=0") as launch:
+        before = launch.call("right/coupling", "law.list")["active"]
+        # The recorder finds the launch as any other command does.
+        monkeypatch.setenv("HAPTIC_RUNTIME_DIR", launch.environment["HAPTIC_RUNTIME_DIR"])
+        pushed = push(PushedLaunch(launch.run.within("left")), law, tmp_path / "push.mcap", load=0.981)
+        assert launch.call("right/coupling", "law.list")["active"] == before
+        launch.finish(signal.SIGINT, code=None)
+    assert Recording(pushed.recording).messages(DEVICE_STATE)
 
 
 def unrecorded() -> dict[str, Any]:
