@@ -20,7 +20,6 @@ from nodes.recording.reader import Recording
 from sim.drill.faults import SteppedClock
 from sim.drill.faulty_device import LATE, SCALE
 from sim.identify.borrowed import PushedLaunch, borrowed
-from sim.identify.push import push
 from sim.tune.knocking import STRIDE, factor_of
 from sim.tune.live_trial import STOPPED
 from tests.support.launching import running, typed, wait_for
@@ -133,19 +132,16 @@ def test_a_launch_that_somebody_tunes_already_is_refused_and_left_to_him(tmp_pat
         launch.finish(signal.SIGINT)
 
 
-def test_of_a_launch_of_several_chains_the_chosen_one_is_pushed_and_recorded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its recorder was asked for the whole launch, which has no `/device/state`, and nothing was recorded."""
-    law = {"kind": "excitation", "duration": 0.4, "amplitude": 0.3, "reach": 0.01}
+def test_of_a_launch_of_several_chains_the_one_that_is_pushed_is_recorded(tmp_path: Path) -> None:
+    """A push asked for `/device/state` of the whole launch, which has none; a chain's recorder heard nothing of that name."""
     with running(tmp_path, "two_hands", "duration:=0") as launch:
-        before = launch.call("right/coupling", "law.list")["active"]
-        # The recorder finds the launch as any other command does.
-        monkeypatch.setenv("HAPTIC_RUNTIME_DIR", launch.environment["HAPTIC_RUNTIME_DIR"])
-        pushed = push(PushedLaunch(launch.run.within("left")), law, tmp_path / "push.mcap", load=0.981)
-        assert launch.call("right/coupling", "law.list")["active"] == before
+        loop = PushedLaunch(launch.run.within("left"))
+        assert loop.chosen == f"{launch.run.run}/left"
+        typed(launch, "bag", "record", DEVICE_STATE, "--run", loop.chosen, "--duration", "0.2", "--out", "push.mcap")
         launch.finish(signal.SIGINT, code=None)
-    assert Recording(pushed.recording).messages(DEVICE_STATE)
+    recording = Recording(tmp_path / "push.mcap")
+    assert recording.namespace == "left"
+    assert recording.messages(DEVICE_STATE)
 
 
 def unrecorded() -> dict[str, Any]:
