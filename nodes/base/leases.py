@@ -28,7 +28,13 @@ class Leases:
     def _take(self, name: str, seconds: float, then: str, args: Mapping[str, Any]) -> dict[str, Any]:
         if not (isinstance(seconds, int | float) and 0.0 < seconds <= LONGEST):
             raise ParameterError(f"{self._node}: lease {name!r} of {seconds!r} s, expected more than 0, at most {LONGEST:g} s")
-        if name not in self._held and len(self._held) >= MOST:
+        if name in self._held:
+            agreed = self._held[name][1]
+            raise ParameterError(
+                f"{self._node}: lease {name!r} is held by somebody else; it ends when they are done, or {agreed:g} s after "
+                "they were heard of last: try again then"
+            )
+        if len(self._held) >= MOST:
             raise ParameterError(f"{self._node}: {MOST} leases are held already; end one first")
         self._held[name] = (time.monotonic() + seconds, seconds, then, dict(args))
         return {"held": True}

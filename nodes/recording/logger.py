@@ -16,7 +16,7 @@ from typing import Any, ClassVar, NoReturn
 import msgspec
 
 from messages.codec import Decoder, MessageRefusedError
-from messages.topics import FIXED, message_type, split
+from messages.topics import FIXED, message_type, split, within
 from messages.transport.sockets import Subscription
 from messages.types import Message
 from nodes.base.node import Node
@@ -233,6 +233,8 @@ def record(
     The `duration` [s] begins with the first message, or when one that is sent must have come: connecting takes as long as the
     machine is slow.
     """
+    # On the wire the topics of a chain have its namespace.
+    topics = [within(run.namespace, topic) for topic in topics]
     with (
         listening(run, set(run.publishers().values()), topics or [""], QUEUE) as (inbox, links),
         open_writer(path, run.manifest, overwrite, topics) as writer,

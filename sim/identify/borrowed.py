@@ -40,10 +40,12 @@ class PushedLaunch:
     """The nodes of a running launch that are needed to push its device."""
 
     def __init__(self, run: RunInfo) -> None:
+        # Of a launch of several chains the one that was chosen, also where its recorder is asked for it.
+        self.run = run = run.only_chain()
+        self.chosen = f"{run.run}/{run.namespace}" if run.namespace else run.run
         found = roles(run)
         if len(found) < 3:
             raise UsageError(f"{run.run}: has no driver, environment and coupling that could push a device")
-        self.run = run
         self.driver, self.environment, self.coupling = found["driver"], found["environment"], found["coupling"]
         setup = run.nodes[self.driver]
         self.period = setup.period  # sampling period [s]
@@ -192,7 +194,7 @@ class Borrowed:
         self.law = str(ask(loop.run, loop.coupling, "law.list")["active"])  # the law that comes back at the end
         self._surface = ask(loop.run, loop.environment, "param.get", name="surface")
         self.not_put_back = ""  # why law or surface could not be put back; empty when they were
-        self._lost = ""
+        self._lost, self._taken = "", list[str]()  # why what was borrowed is lost; the nodes whose leases are ours
         self._over = threading.Event()
         self._renewing = threading.Thread(target=self._renew, name="leases", daemon=True)
 
@@ -203,7 +205,13 @@ class Borrowed:
         law, surface = {"law": self.law, "ramp": RAMP, "force": True}, {"values": {"surface": self._surface}}
         rows = ((loop.coupling, LAW_LEASE, "law.switch", law), (loop.environment, SURFACE_LEASE, "param.set", surface))
         for node, seconds, then, args in rows:
-            loop.change(node, "lease.take", name=LEASE, seconds=longer * seconds, then=then, args=args)
+            self._taken.append(node)
+            try:
+                loop.change(node, "lease.take", name=LEASE, seconds=longer * seconds, then=then, args=args)
+            except RefusedError:
+                # What is there now may be another tuning's, which alone knows the user's own.
+                self._taken.remove(node)
+                raise
         self._renewing.start()
 
     def _renew(self) -> None:
@@ -228,9 +236,10 @@ class Borrowed:
                 self._renewing.join()
             loop = self._loop
             try:
-                ask(loop.run, loop.environment, "param.set", values={"surface": self._surface})
-                ask(loop.run, loop.coupling, "law.switch", law=self.law, ramp=RAMP, force=True)
-                for node in (loop.environment, loop.coupling):
+                if len(self._taken) > 1:
+                    ask(loop.run, loop.environment, "param.set", values={"surface": self._surface})
+                    ask(loop.run, loop.coupling, "law.switch", law=self.law, ramp=RAMP, force=True)
+                for node in self._taken:
                     ask(loop.run, node, "lease.end", names=[LEASE])
             except RefusedError as error:
                 self.not_put_back = str(error)

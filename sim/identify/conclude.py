@@ -182,7 +182,7 @@ def _delays(experiment: Experiment) -> tuple[float, float, float, Estimate]:
     """Median, shortest and longest delay of the loop, and its jitter with an interval from halves of the run."""
     delay = experiment.delay
     if len(delay) < 100:
-        return 0.0, 0.0, 0.0, Estimate(None, why=f"{len(delay)} ticks were answered in time, at least 100 are needed")
+        return 0.0, 0.0, 0.0, Estimate(None, why=f"{len(delay)} ticks were answered, at least 100 are needed")
     median = float(np.median(delay))
     shortest, longest = (float(q) for q in np.quantile(delay, (0.001, 0.999)))
     blocks = np.array_split(delay, 10)

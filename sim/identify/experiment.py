@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from messages.topics import DEVICE_STATE
 from nodes.base.setup import AXIS_INDEX
 from nodes.recording.reader import Recording
-from sim.arrays import Array, WholeArray
+from sim.arrays import Array
+from sim.identify.forces import handed_over
 from sim.identify.identified import Estimate
 
 # So many ticks that the driver slept through do not end a stretch: forces held meanwhile, and the motion is known [ticks].
@@ -28,7 +29,7 @@ class Experiment:
     segments: tuple[tuple[int, int], ...]
     at: Array  # when each force was handed to the device [ticks since the first position], rising, shape (M,)
     force: Array  # the force handed over then, which holds until the next [N], shape (M,)
-    # Delay of each answered tick as the driver measured it, the device's own not included [ticks], shape (D,).
+    # Delay of each answered tick, late ones too, as the driver measured it, the device's own not included [ticks], shape (D,).
     delay: Array
     axis: str = "x"  # ``x``, ``y`` or ``z``
     # Ticks whose position was not sampled: filled in for a first guess, never compared with a model, shape (N,), or None. None
@@ -61,25 +62,11 @@ def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**5
     if len(states) < SHORTEST:
         raise ValueError(f"{path}: {len(states)} ticks recorded, at least {SHORTEST} are needed to identify a device")
     positions = np.array([state.position for state in states])
-    forces = np.array([state.force for state in states])
     if axis is None:
-        axis = "xyz"[int(np.argmax(forces.std(axis=0)))]
+        axis = "xyz"[int(np.argmax(np.std([state.force for state in states], axis=0)))]
     column = AXIS_INDEX[axis]
     seq = np.array([state.seq for state in states], dtype=np.int64)
-    age = np.array([state.age for state in states], dtype=np.float64)
-    measured = np.array([state.delay for state in states])
-    answers = np.array([state.force_seq for state in states], dtype=np.int64)
-    fresh = np.concatenate([[False], answers[1:] != answers[:-1]])
-    mean = np.array([state.mean_force[column] for state in states])
-    if np.any(forces[:, column]) and not np.any(mean):
-        raise ValueError(f"{path}: its driver tells no mean_force, so what acted within a tick is not known; record it again")
-    changed = np.concatenate([[True], np.any(forces[1:] != forces[:-1], axis=1)])
-    # A state tells of the tick before it. Its force was handed over `delay − age` into that tick; one that answers nothing
-    # new (the driver's own damping after a silence) at the end of it.
-    took = seq - 1 + np.where(fresh, measured - age, 1.0) - seq[0]
-    overruns = np.array([state.overruns for state in states], dtype=np.int64)
-    first = np.array([state.changed_at for state in states])
-    at, force = _in_turn(seq - seq[0], overruns, first, took, forces[:, column], mean, fresh | changed)
+    handed = handed_over(states, column, path)
     breaks = np.flatnonzero(np.diff(seq) > BRIDGED) + 1
     ends = [0, *breaks.tolist(), len(seq)]
     # Indices of `position` are ticks.
@@ -92,38 +79,15 @@ def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**5
     )
     if sum(last - first for first, last in segments) < SHORTEST:
         raise ValueError(f"{path}: no {SHORTEST} ticks without gaps between them; record by a faster disk or a shorter run")
-    delays = measured[fresh & (age == 0)]
     missing = ~np.isin(ticks, seq - seq[0])
+    answers = np.array([state.force_seq for state in states], dtype=np.int64)
+    fresh = answers[1:] != answers[:-1]
     # Of the ticks sampled between two answers none was answered in its own time.
     skipped = np.searchsorted(seq, answers[1:]) - np.searchsorted(seq, answers[:-1], "right") > 1
     late = np.zeros(len(ticks), dtype=bool)
-    late[seq[1:][skipped & fresh[1:] & (answers[:-1] >= 0)] - 1 - seq[0]] = True
-    return Experiment(1.0 / rate, whole, segments, at, force, delays, axis, missing, late)
-
-
-SAME = 1e-9  # forces closer than this part of the largest are one force: a mean is rounded
-
-
-def _in_turn(
-    ticks: WholeArray, overruns: WholeArray, first: Array, took: Array, last: Array, mean: Array, new: NDArray[np.bool_]
-) -> tuple[Array, Array]:
-    """Put the forces of all ticks in turn: what must have acted between the first change of a tick and the last for its mean.
-
-    The mean is over the ticks that the driver slept through too, which are overruns, and in which the device may let go;
-    ticks that only the recording lacks had states of their own. When each is handed over [ticks], and the force [N], each of
-    shape (M,).
-    """
-    covered = np.concatenate([[1], np.minimum(np.diff(ticks), 1 + np.diff(overruns))])
-    begin, held = ticks - covered, np.concatenate([last[:1], last[:-1]])
-    # Behind a gap nobody tells what was held until the first change.
-    start = np.minimum(np.where(np.diff(ticks, prepend=ticks[0]) == 1, begin + first, begin), took)
-    span, between = took - start, held.copy()
-    given = mean * covered - held * (start - begin) - last * (ticks - took)
-    np.divide(given, span, out=between, where=span > SAME)
-    other = np.abs(between - held) > SAME * float(np.max(np.abs(last))) / np.maximum(span, SAME)
-    used = np.stack([other, new], axis=1).ravel()
-    at = np.maximum.accumulate(np.stack([start, took], axis=1).ravel()[used])
-    return at, np.stack([between, last], axis=1).ravel()[used]
+    late[seq[:-1][skipped & fresh & (answers[:-1] >= 0)] - seq[0]] = True
+    late[handed.unsure - seq[0]] = True
+    return Experiment(1.0 / rate, whole, segments, handed.at - seq[0], handed.force, handed.delay, axis, missing, late)
 
 
 LEAST_VALUES = 8  # fewer different positions could lie on many grids

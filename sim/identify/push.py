@@ -53,7 +53,7 @@ def push(
     centre = tuple(float(x) for x in place) if place is not None else here
     result, duration = Pushed(out, (centre[0], centre[1], centre[2])), float(law.get("duration", 8.0))
     law = {**law, "load": carried(loop, float(law["amplitude"]), load)}
-    record = ("bag", "record", topics.DEVICE_STATE, "--run", loop.run.run, "--out", str(out))
+    record = ("bag", "record", topics.DEVICE_STATE, "--run", loop.chosen, "--out", str(out))
     recorder: subprocess.Popen[bytes] | None = None
     try:
         with borrowed(loop) as held:

@@ -22,6 +22,7 @@ from nodes.recording.reader import Recording
 from sim.arrays import Array
 from sim.device.model import DeviceModel
 from sim.experiments.drop import SHORTEST
+from sim.identify.forces import handed_over
 from sim.scene.from_launch import LaunchedScene, from_launch
 from sim.scene.loop import PlannedSwap
 
@@ -70,15 +71,7 @@ def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
         swaps = tuple(PlannedSwap(one.seq, _law_of(one.after, played.scene.period), one.ramp) for one in receipts)
         played = replace(played, swaps=swaps)
     axis = played.axis
-    answers = np.array([state.force_seq for state in states], dtype=np.int64)
-    fresh = np.concatenate([[False], answers[1:] != answers[:-1]])
-    force = np.array([state.force[axis] for state in states])
-    changed = np.concatenate([[False], force[1:] != force[:-1]])
-    age = np.array([state.age for state in states], dtype=np.float64)
-    delay = np.array([state.delay for state in states])
-    took = np.arange(len(states)) - 1.0 + np.where(fresh, delay - age, 1.0)
-    used = fresh | changed
-    came = took - float(launch.run.apply == "next_tick")
+    handed = handed_over(states, axis, path)
     lockstep = launch.run.pace == "lockstep"
     return RecordedScene(
         path=path,
@@ -87,11 +80,11 @@ def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
         lockstep=lockstep,
         left_out=() if lockstep else left_out,
         position=np.array([state.position[axis] for state in states]),
-        force=force,
-        took=np.maximum.accumulate(took[used]),
-        came=np.maximum.accumulate(came[used]),
-        answers=np.where(fresh, answers, -1)[used],
-        given=force[used],
+        force=np.array([state.force[axis] for state in states]),
+        took=handed.at,
+        came=handed.at - float(launch.run.apply == "next_tick"),
+        answers=handed.answers,
+        given=handed.force,
         target=np.array([state.target[axis] for state in states]) if dragged and not lockstep else None,
         declared=device is None,
         recorded_ticks=len(seq),

@@ -54,6 +54,7 @@ class KnockedEdge:
 
     steps: list[KnockVerdict] = field(default_factory=list)  # in the order of the stiffness
     ended: str = ""  # why no more were tried
+    complete: bool = False  # whether the climb came to its own end: nothing refused or interrupted it
 
     @property
     def factor(self) -> float | None:
@@ -116,6 +117,7 @@ def climb(plan: Plan, knock: Callable[[int], KnockVerdict], steps: KnockedEdge |
         here -= STRIDE
         if here < DEEPEST:
             edge.ended = f"nothing came to rest, down to {factor_of(here + STRIDE):.2g} times the law"
+            edge.complete = True
             return edge
     known = edge.factor
     top = plan.last if known is None else round(math.log(known) / math.log(STEP)) - 1
@@ -132,7 +134,7 @@ def climb(plan: Plan, knock: Callable[[int], KnockVerdict], steps: KnockedEdge |
             known, top = factor_of(step), step - 1
             continue
         here = step
-    edge.ended = _ended("device", edge.factor)
+    edge.ended, edge.complete = _ended("device", edge.factor), True
     return edge
 
 

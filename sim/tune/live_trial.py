@@ -104,6 +104,8 @@ class Trials:
         """Knock once, and tell what disturbed it."""
         loop = self._loop
         self._held.check()
+        # A driver that takes no force any more judges no law.
+        loop.ready()
         self._sign = -self._sign
         law = law_of(self._taps, factor, self._sign * self._knock, self._load)
         loop.change(loop.coupling, "param.set", values={f"laws.{TRIAL}": law})
@@ -124,6 +126,11 @@ class Trials:
         elif left != TRIAL:
             disturbed = disturbed or f"the law overran its time budget: {left} rendered"
         loop.wait(WINDOW // 2)
+        if not why.startswith(STOPPED) and loop.progress()["safety"] == "stopped":
+            # After the window, but by this knock: the next one would take it for its own.
+            why, disturbed = f"{STOPPED}: {loop.why_stopped()}", ""
+            verdict = KnockVerdict(factor, verdict.left, False, why)
+            self._start_again(why)
         return verdict, disturbed
 
     def _expect_motion(self, position: Array, factor: float, ended: bool) -> None:

@@ -18,9 +18,9 @@ CERTAIN = 1.05
 def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
     """Judge a law by the knocks on its device.
 
-    Knocks see the edge early where a motion dies slowly, late where friction is strong (`by_poles`). Where device and model do
-    not agree about it, dry friction may hold a mode that the model lacks: such a law is not delivered, even if small knocks on
-    it come to rest.
+    Only a climb that came to its own end tells an edge. Knocks see it early where a motion dies slowly, late where friction is
+    strong (`by_poles`). Where device and model do not agree about it, dry friction may hold a mode that the model lacks: such a
+    law is not delivered, even if small knocks on it come to rest.
     """
     h1, factor, rested = predicted["h1_n_per_m"], edge.factor, edge.rested
     expected = predicted["edge_factor"]
@@ -31,8 +31,10 @@ def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
     certain = ends is not None and ends[1] <= ends[0] * CERTAIN**2
     below_law = [step for step in edge.steps if step.factor <= 1.0 + 1e-12]
     climbed = bool(below_law) and all(step.rests for step in below_law) and below_law[-1].factor > 1.0 / STEP
-    rests = climbed and rested is not None and rested >= 1.0
-    holds = bool(rests and agrees and (ends is None or ends[0] >= MARGIN))
+    rests = climbed and edge.complete and rested is not None and rested >= 1.0
+    # Without an edge it is what rested that tells.
+    surely = rested if ends is None else ends[0]
+    holds = bool(rests and agrees and surely is not None and surely >= MARGIN)
     ended = edge.ended
     if rests and not agrees and (factor is not None or edge.ended.startswith("every")):
         ended = f"{ended}, where the model has {expected or 0.0:.3f}: the device is not the one that was identified"
@@ -41,6 +43,7 @@ def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
     return {
         "holds": holds,
         "agrees": bool(agrees),
+        "complete": edge.complete,
         "edge_factor": factor,
         "edge_h1_n_per_m": None if factor is None else factor * h1,
         "edge_by_poles_h1_n_per_m": math.sqrt(ends[0] * ends[1]) * h1 if ends and certain else None,
@@ -88,7 +91,7 @@ def headline(record: Mapping[str, Any]) -> str:
         return f"The law holds: {tried}, {edge_in_words(after)}{lands}."
     rested = after["stiffest_at_rest_n_per_m"]
     softer = "nothing softer came to rest either" if rested is None else f"it came to rest up to {number(rested, 'N/m')}"
-    if stopped and after["edge_factor"] is None:
+    if stopped and not after.get("complete", after["edge_factor"] is not None):
         return f"Not verified: {stopped}; {softer}, the law has {number(designed['h1_n_per_m'], 'N/m')}. Nothing was delivered."
     return f"The law does NOT hold: {after['ended']}; {softer}. Nothing was delivered."
 

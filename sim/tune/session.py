@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict
@@ -82,6 +83,8 @@ class Tuning:
             self.record = _kept(self._file)
             for key in ("interrupted", "refused", "headline", "not_put_back"):
                 self.record.pop(key, None)
+        # An earlier tuning's result stays as it is until this one knows something.
+        self._untouched = self._file.exists() if fresh else "designed" in self.record
         self._loop: PushedLaunch | None = None
 
     def _running(self) -> PushedLaunch:
@@ -97,15 +100,23 @@ class Tuning:
 
     def do(self, step: str) -> None:
         """Do one step, after dropping what it overtakes."""
+        before = dict(self.record)
         for key in OVERTAKES[step]:
             self.record.pop(key, None)
-        if step in ("identify", "design", "verify"):
-            # A law that was delivered before is not this one.
-            self._tuned.unlink(missing_ok=True)
         # In lockstep a launch stands still while something is calculated.
         loop = self._loop if step in ("design", "predict") else None
-        with contextlib.nullcontext() if loop is None else loop.standing():
-            getattr(self, f"_{step}")()
+        try:
+            with contextlib.nullcontext() if loop is None else loop.standing():
+                getattr(self, f"_{step}")()
+        finally:
+            if not set(OVERTAKES[step]) & set(self.record):
+                # Refused before it began: what was known stays.
+                self.record.update(before)
+            else:
+                self._untouched = False
+                if step in ("identify", "design", "verify") and not self.record.get("verified", {}).get("holds"):
+                    # A law that was delivered before is not this one.
+                    self._tuned.unlink(missing_ok=True)
 
     def _identify(self) -> None:
         from sim.identify.identified_text import figures
@@ -199,8 +210,9 @@ class Tuning:
         from sim.tune.live_trial import Trials
         from sim.tune.outcome import verified
 
-        loop = self._running()
         designed, predicted = self._need("designed"), self._need("predicted")
+        loop = self._running()
+        self._refuse_other_rate(loop)
         plan = Plan(**self._need("predicted_steps")["plan"])
         loop.ready()
         load = carried(loop, self._options.amplitude, self._options.load)
@@ -210,10 +222,10 @@ class Tuning:
                 taps, knock = designed["taps_n_per_m"], predicted["knock_m"]
                 Trials(loop, held, taps, knock, load, self._say, self._options.rearm).climb(plan, edge)
             except KeyboardInterrupt:
-                edge.ended = edge.ended or "interrupted"
+                edge.ended, edge.complete = edge.ended or "interrupted", False
                 raise
             except RefusedError as error:
-                edge.ended = edge.ended or str(error)
+                edge.ended, edge.complete = str(error), False
                 raise
             finally:
                 self.record["verified"] = verified(predicted, edge)
@@ -226,17 +238,31 @@ class Tuning:
             self._write_law(self._tuned, f"tried on the device: knocks came to rest up to {most:.4g} N/m")
             self._designed.unlink(missing_ok=True)
 
+    def _refuse_other_rate(self, loop: PushedLaunch) -> None:
+        """Refuse a launch of another rate than that of the law: its taps are for one period."""
+        period = self._need("designed")["demand"]["period"]
+        if not math.isclose(period, loop.period, rel_tol=1e-6):
+            raise RefusedError(
+                f"{loop.run.run}: runs at {1.0 / loop.period:g} Hz, and the law was designed for {1.0 / period:g} Hz; start it "
+                "with that rate, or begin with identify"
+            )
+
     def _apply(self) -> None:
         """Fade to the tuned law in the running coupling: only to one that was tried and held."""
         designed = self._need("designed")
         if not self.record.get("verified", {}).get("holds"):
             raise RefusedError("apply: the law was not tried on the device, or does not hold; only a law that held is applied")
         loop = self._running()
+        self._refuse_other_rate(loop)
         loop.ready()
         law = {"kind": "fir", "taps": designed["taps_n_per_m"], "period": loop.period}
-        ask(loop.run, loop.coupling, "param.set", values={f"laws.{LAW}": law})
-        receipt = ask(loop.run, loop.coupling, "law.switch", law=LAW, ramp=RAMP, force=True)
-        self.record["applied"] = {"seq": receipt["seq"], "ramp_ticks": RAMP, "force_step_n": receipt["force_step_n"]}
+        # What renders now, perhaps the law of an earlier tuning, stays as it is: it is faded from, and can be switched back to.
+        before = str(ask(loop.run, loop.coupling, "law.list")["active"])
+        name = LAW if before != LAW else f"{LAW}_again"
+        ask(loop.run, loop.coupling, "param.set", values={f"laws.{name}": law})
+        receipt = ask(loop.run, loop.coupling, "law.switch", law=name, ramp=RAMP, force=True)
+        told = {"seq": receipt["seq"], "ramp_ticks": RAMP, "force_step_n": receipt["force_step_n"]}
+        self.record["applied"] = {**told, "law": name, "before": before}
 
     def keep(self) -> None:
         """Write what is known, for steps that are done later."""
@@ -245,6 +271,11 @@ class Tuning:
         self.files = {name: file for name, file in self.files.items() if name in ("html", "json")}
         if law := next((path for path in (self._tuned, self._designed) if path.exists()), None):
             self.files["params"] = str(law)
+        if self._untouched:
+            why: dict[str, Any] = {key: self.record[key] for key in ("refused", "interrupted") if key in self.record}
+            said = why.get("refused") or f"interrupted during {why.get('interrupted')}"
+            self.record, self.files = {**why, "headline": f"Nothing new: {said}. {self._file} is as it was."}, {}
+            return
         self.record["headline"] = headline(self.record)
         self.record["command"], self.record["date"] = self._options.command, time.strftime("%Y-%m-%d %H:%M:%S %z")
         with contextlib.suppress(RefusedError):
@@ -256,11 +287,13 @@ class Tuning:
         from sim.tune.tuning_page import page
 
         self.keep()
+        if self._untouched:
+            return
         with contextlib.nullcontext() if self._loop is None else self._loop.standing():
             (self._options.out / "tune.html").write_text(page(self.record), encoding="utf-8")
 
     @property
     def came_through(self) -> bool:
-        """Whether a law that was tried holds, and an edge was found."""
+        """Whether no law was tried, or the one that was holds."""
         after = self.record.get("verified")
-        return after is None or bool(after["holds"] and after["edge_factor"] is not None)
+        return after is None or bool(after["holds"])

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from messages.topics import DEVICE_STATE
+from messages.types import DeviceState
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordWriter
@@ -213,6 +214,30 @@ def test_ticks_before_the_driver_slept_are_replayed_where_they_are_enough(
         return
     refused = typed_in(tmp_path, "bag", "replay", str(slept), code=1).stderr
     assert f"{slept}: 7 ticks from tick 0 on before one that the driver slept through; a replay needs 8" in refused
+
+
+def test_of_two_answers_in_one_tick_both_are_replayed(buzz: tuple[Path, Path], tmp_path: Path) -> None:
+    """Only the last was: a late answer, which held until its tick's own came, was left out."""
+    whole, late = Recording(buzz[0]), tmp_path / "late.mcap"
+    text, parameters = whole.metadata["launch_file"]["yaml"], whole.metadata["parameters"]
+    with RecordWriter(late, whole.manifest, launch_file=text, parameters=parameters) as writer:
+        for entry in whole.entries():
+            message = entry.message
+            if isinstance(message, DeviceState) and message.seq == 299:
+                # Tick 298 had no answer in its own time.
+                held = message.force
+                message = msgspec.structs.replace(message, force_seq=297, age=1, mean_force=held)
+            elif isinstance(message, DeviceState) and message.seq == 300:
+                # Of tick 299 a quarter as before, half of it 5 N, and the rest its own.
+                mean = (0.0, 0.0, 0.25 * held[2] + 0.5 * 5.0 + 0.25 * message.force[2])
+                message = msgspec.structs.replace(message, changed_at=0.25, delay=0.75, mean_force=mean)
+            writer.write(entry.topic, message, entry.log_time)
+    recorded = rebuild(late)
+    first = recorded.answers.tolist().index(298)
+    assert recorded.answers[first + 1] == 299
+    assert recorded.took[first : first + 2] == pytest.approx([299.25, 299.75])
+    # Two roundings of a mean of 5 N.
+    assert recorded.given[first] == pytest.approx(5.0, abs=1e-14)
 
 
 def test_nothing_read_from_a_recording_names_a_file(buzz: tuple[Path, Path], tmp_path: Path) -> None:

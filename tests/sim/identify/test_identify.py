@@ -222,16 +222,16 @@ def test_the_forces_of_a_tick_are_rebuilt_from_its_mean(slept: int, tmp_path: Pa
         for seq, before, given in zip(sampled.tolist(), since.tolist(), between.tolist(), strict=True):
             if 400 < seq <= 405:
                 continue
-            newest = int(np.searchsorted(at, seq, "right")) - 1
+            newest, tick = int(np.searchsorted(at, seq, "right")) - 1, int(before)
             state = DeviceState(
                 seq=int(seq),
                 stamp=seq * T,
                 position=(0.0, 0.0, 1e-3 * math.sin(0.1 * seq)),
                 force=(0.0, 0.0, float(force[newest]) if newest >= 0 else 0.0),
                 mean_force=(0.0, 0.0, given / (seq - before)),
-                changed_at=next((float(one - seq + 1) for one in at[max(newest - 1, 0) : newest + 1] if one > seq - 1), 1.0),
+                changed_at=next((float(one - tick) for one in at[max(newest - 1, 0) : newest + 1] if one > tick), 1.0),
                 force_seq=int(answered[newest]) if newest >= 0 else -1,
-                age=int(seq) - 1 - int(answered[newest]) if newest >= 0 else 0,
+                age=tick - int(answered[newest]) if newest >= 0 else 0,
                 delay=float(at[newest] - answered[newest]) if newest >= 0 else 0.0,
                 overruns=slept if seq >= 300 + slept else 0,
             )
@@ -241,7 +241,10 @@ def test_the_forces_of_a_tick_are_rebuilt_from_its_mean(slept: int, tmp_path: Pa
     rebuilt = impulse(found.at, found.force, sampled) - impulse(found.at, found.force, since)
     recorded = (sampled <= 400) | (sampled > 405)
     assert np.allclose(rebuilt[recorded], between[recorded], rtol=0.0, atol=1e-11)
-    awake = ((at < 300) | (at > 301 + slept)) & ((at < 400) | (at > 406))
+    # Those that came late too.
+    assert found.delay.max() == pytest.approx(1.2, abs=1e-9)
+    assert np.count_nonzero(found.delay > 1.0) > 80
+    awake = (at < 400) | (at > 406)
     assert np.count_nonzero(late & awake) > 80
     for when, size in zip(at[awake][:-1], force[awake][:-1], strict=True):
         n = int(np.argmin(np.abs(found.at - when)))

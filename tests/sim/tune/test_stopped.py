@@ -14,10 +14,12 @@ from typing import Any
 import pytest
 
 from messages.topics import DEVICE_STATE
+from messages.transport.requests import ControlError
 from nodes.driver.limits import SafetyParameters
 from nodes.recording.reader import Recording
 from sim.drill.faults import SteppedClock
 from sim.drill.faulty_device import LATE, SCALE
+from sim.identify.borrowed import PushedLaunch, borrowed
 from sim.tune.knocking import STRIDE, factor_of
 from sim.tune.live_trial import STOPPED
 from tests.support.launching import running, typed, wait_for
@@ -60,7 +62,7 @@ def designed(
             "h1_n_per_m": h1,
             "gain_over_pd": None,
             "lands": False,
-            "demand": {"mass": [0.1, 0.1], "delay": [1.0, 1.0], "radius": 1.0},
+            "demand": {"mass": [0.1, 0.1], "delay": [1.0, 1.0], "radius": 1.0, "period": T},
         },
         "predicted": {
             **edges,
@@ -109,6 +111,37 @@ def test_a_trial_that_the_driver_stops_is_a_verdict_and_the_launch_goes_on(tmp_p
             back = [one for one in states if state.seq <= one.seq < state.seq + ramp]
             # Two roundings.
             assert all(abs(one.force[0]) <= PEAK * (one.seq - before.seq + 1) / ramp * (1.0 + 1e-15) for one in back)
+
+
+def test_a_launch_that_somebody_tunes_already_is_refused_and_left_to_him(tmp_path: Path) -> None:
+    """The second one took the first one's soft spring for the user's own law, and put that back at the end."""
+    (tmp_path / "held.yaml").write_text(json.dumps(unrecorded()))
+    with running(tmp_path, "held.yaml") as launch:
+        with borrowed(PushedLaunch(launch.run)) as held:
+            held.check()
+            launch.call("coupling", "param.set", values={"laws.trial": {"kind": "pd", "stiffness": 200.0, "damping": 2.0}})
+            launch.call("coupling", "law.switch", law="trial", ramp=0)
+            with pytest.raises(ControlError, match="held by somebody else"), borrowed(PushedLaunch(launch.run)):
+                raise AssertionError
+            assert launch.call("coupling", "law.list")["active"] == "trial"
+            assert launch.call("coupling", "lease.renew", names=["borrowed"])["run_out"] == []
+        assert launch.call("coupling", "law.list")["active"] == "pd"
+        # And is there for the next one.
+        with borrowed(PushedLaunch(launch.run)) as held:
+            assert held.law == "pd"
+        launch.finish(signal.SIGINT)
+
+
+def test_of_a_launch_of_several_chains_the_one_that_is_pushed_is_recorded(tmp_path: Path) -> None:
+    """A push asked for `/device/state` of the whole launch, which has none; a chain's recorder heard nothing of that name."""
+    with running(tmp_path, "two_hands", "duration:=0") as launch:
+        loop = PushedLaunch(launch.run.within("left"))
+        assert loop.chosen == f"{launch.run.run}/left"
+        typed(launch, "bag", "record", DEVICE_STATE, "--run", loop.chosen, "--duration", "0.2", "--out", "push.mcap")
+        launch.finish(signal.SIGINT, code=None)
+    recording = Recording(tmp_path / "push.mcap")
+    assert recording.namespace == "left"
+    assert recording.messages(DEVICE_STATE)
 
 
 def unrecorded() -> dict[str, Any]:
