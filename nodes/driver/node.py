@@ -139,8 +139,8 @@ class Driver(Node):
         s.period, s.realtime, s.virtual = period, self.setup.pace == "realtime", self.virtual
         s.next_tick = self.setup.apply == "next_tick"
         s.axes, s.axis[:] = len(axes), (*axes, 0, 0)[:3]
-        # The device lets go by itself so many ticks after the last force that was written.
-        s.device_hold_ticks = limits.hold / period
+        # The device lets go by itself so many ticks after the last force that was written; maybe not all of it yet.
+        s.device_hold_ticks = (limits.hold if limits.lets_go is None else limits.lets_go) / period
         held = lower(parameters.safety, limits, period, f"{self.setup.name}.safety")
         if s.realtime == 0:
             held = msgspec.structs.replace(held, max_age=0)  # only the tick's own answer counts
