@@ -147,7 +147,9 @@ class Driver(Node):
         set_safety(s, parameters.safety, held, period)
         self._kept = set_motion(s, round((limits.latency or 0.0) / period, 9))
         set_guard(s, parameters.passivity)
-        self._report.begin(self._device, held, s.guard_on != 0)
+        # One that was started again may have a guard that somebody set while it ran, which is not the launch file's.
+        written: DriverParameters = convert(self.setup.parameters, self.Parameters, self.setup.name)
+        self._report.begin(self._device, held, written.passivity is not None and written.passivity.guard == "on")
         for text in held.overruled:
             self.events.emit("limit", text)
         if limits.latency is None and s.guard_on:
