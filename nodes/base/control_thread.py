@@ -65,7 +65,7 @@ class ControlServer(threading.Thread):
             # Few nodes do, and YAML is a tenth of what a node's modules take to load.
             from nodes.parameters.yaml_io import WatchedFile
 
-            self._watched = WatchedFile(node.setup.watch)
+            self._watched = WatchedFile(node.setup.watch, node.watched)
         self._operations: dict[str, Callable[..., Any]] = {
             "status": lambda: msgspec.to_builtins(node.status()),
             "info": self._info,
@@ -276,6 +276,8 @@ class ControlServer(threading.Thread):
             reason = str(error) if isinstance(error, ParameterError) else f"{type(error).__name__}: {error}"
             where = "" if reason.startswith(watched.path) else f"{watched.path}: "
             node.events.emit_each("refused", f"{where}{reason}; the running parameters are untouched")
+        finally:
+            node.watched = watched.applied
 
     def stop(self) -> bool:
         """Stop serving and wait for the thread, but not for ever."""

@@ -73,6 +73,8 @@ class Node:
         Whether its end is a failure, although it goes there in order.
     resumed_at : int
         Tick from which this process goes on with what a predecessor had; -1 for the first one.
+    watched : tuple of int, or None
+        Which save of the watched file has been taken up: one that was is older than what has been set since.
     """
 
     Parameters: ClassVar[type[msgspec.Struct]] = msgspec.Struct
@@ -109,6 +111,7 @@ class Node:
         self.answer = b""
         self.kept = self.store.current
         self.resumed_at = -1
+        self.watched: tuple[int, int, int] | None = None
         self.kernel: Callable[[int], int] | None = None
         self.compiled: TickTaker | None = None
         self.waker: Waker | None = None

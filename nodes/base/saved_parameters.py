@@ -14,10 +14,11 @@ from nodes.parameters.store import ParameterError, convert
 
 
 class Kept(msgspec.Struct, frozen=True, kw_only=True):
-    """What the file holds: all of the node's parameters, and the tick up to which they are true."""
+    """What the file holds: a node's parameters, the tick up to which they are true, and which save of a watched file is in."""
 
     seq: int
     parameters: dict[str, Any]
+    watched: tuple[int, int, int] | None = None
 
 
 def _path(node: Node) -> Path:
@@ -26,11 +27,13 @@ def _path(node: Node) -> Path:
 
 def keep(node: Node) -> None:
     """Write the node's parameters down, if they are no longer those that were written last (control thread)."""
-    current = node.store.current
+    # In this order: what a scheduled swap changes in between is then done once more, and not left out.
+    seq, current = node.counted().seq, node.store.current
     if current is node.kept or not node.setup.run_dir:
         return
     node.kept = current
-    write_whole(_path(node), Kept(seq=node.counted().seq, parameters=msgspec.to_builtins(current)))
+    kept = Kept(seq=seq, parameters=msgspec.to_builtins(current), watched=node.watched)
+    write_whole(_path(node), kept)
 
 
 def resume(node: Node) -> None:
@@ -44,5 +47,5 @@ def resume(node: Node) -> None:
     except (msgspec.DecodeError, ParameterError) as error:
         node.events.log(f"what it had before it was started again cannot be used: {error}; the launch file's parameters hold")
         return
-    node.kept, node.resumed_at = node.store.current, kept.seq
+    node.kept, node.resumed_at, node.watched = node.store.current, kept.seq, kept.watched
     node.events.emit_each("resumed", f"goes on with the parameters that it had at tick {kept.seq}")

@@ -23,9 +23,16 @@ _SOFTEST = 1e-12  # a stiffness is looked for from this part of what was asked
 _DIGITS = 3  # significant digits of a value that would be taken: the measured delay moves the fourth
 
 
+VIRTUAL, ASKED_FOR = "the device is virtual, and its driver ends what swings", "somebody took it while it was felt"
+"""Why a node may start, or start again, with a law that would be refused as a change."""
+
+
 def refuses_start(policy: str, because: str) -> bool:
-    """Whether a coupling refuses to start unstable; `because`: why it may where changes are refused, empty for no reason."""
-    return policy == "refuse" or (policy == "changes" and not because)
+    """Whether a coupling refuses to start unstable; `because`: why it may where changes are refused, empty for no reason.
+
+    What was granted outlives a process: one that refused it when it is started again would leave the run without a law.
+    """
+    return because != ASKED_FOR and (policy == "refuse" or (policy == "changes" and not because))
 
 
 class Judgement:
@@ -51,7 +58,7 @@ class Judgement:
 
     def at_start(self, parameters: CouplingParameters, delay: float, because: str = "") -> list[str]:
         """Judge the law of tick 0, those that are scheduled, and the fallback; `because`: as of `refuses_start`."""
-        if parameters.stability == "refuse" and parameters.plant is None:
+        if parameters.stability == "refuse" and parameters.plant is None and because != ASKED_FOR:
             raise ParameterError(
                 f"{self._node}.stability: refuse needs {self._node}.plant, the device that a law is judged with; "
                 "declare its mass and damping, or set stability to warn"
@@ -65,7 +72,7 @@ class Judgement:
         policy = parameters.stability
         if warnings and refuses_start(policy, because):
             raise ParameterError(f"{warnings[0]}, or set {self._node}.stability to warn")
-        why = because if policy == "changes" else f"{self._node}.stability is {policy}"
+        why = because if policy in ("changes", "refuse") else f"{self._node}.stability is {policy}"
         return [f"{warning}; started all the same: {why}" for warning in warnings]
 
     def _of_fallback(self, parameters: CouplingParameters, delay: float) -> list[str]:

@@ -52,14 +52,12 @@ class History:
         self.values[:] = array("d", [value]) * len(self.values)
 
     def snapshot(self) -> History:
-        """Copy the history from another thread than the one that pushes."""
+        """Copy the history from another thread than the one that pushes, once: a long one takes longer than a tick."""
         copy = History(0)
-        while True:
-            copy.pushes = self.pushes
-            copy.values = self.values[:]
-            if copy.pushes == self.pushes:
-                break
-        copy.length, copy.known = self.length, self.length - 1
+        copy.pushes = self.pushes
+        copy.values = self.values[:]
+        # Each push meanwhile has overwritten the oldest value, and one more may be under way.
+        copy.length, copy.known = self.length, max(self.length - 1 - (self.pushes - copy.pushes), 0)
         # Not self.head, which a push under way may have moved already: each push moves it down by one.
         copy.head = -copy.pushes % self.length
         return copy

@@ -21,7 +21,7 @@ from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.compiled.layout import NEVER, state_of
-from nodes.coupling.judgement import Judgement, refuses_start
+from nodes.coupling.judgement import ASKED_FOR, VIRTUAL, Judgement, refuses_start
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.law_on_axis import History
 from nodes.coupling.parameters import CouplingParameters
@@ -37,9 +37,6 @@ if TYPE_CHECKING:
 
 Scheduled: TypeAlias = tuple[int, ActiveLaw, int]  # tick, law and ramp [ticks] of a swap to come
 ATTEMPTS = 5  # how often a law's own code is tried before it is found too slow
-
-VIRTUAL, ASKED_FOR = "the device is virtual, and its driver ends what swings", "somebody took it while it was felt"
-"""Why a node may start, or start again, with a law that would be refused as a change."""
 
 
 def _least_delay(setup: Setup) -> float:
@@ -93,7 +90,7 @@ class Coupling(Node):
         self._renderer = Renderer(axes, parameters.memory, self.counters)
         for reason in self._book.unfit(parameters):
             self.events.emit_each("law", f"{reason}; it cannot be switched to")
-        because = VIRTUAL if self.setup.virtual else ASKED_FOR if self.resumed_at >= 0 else ""
+        because = ASKED_FOR if self.resumed_at >= 0 else VIRTUAL if self.setup.virtual else ""
         for text in self._judgement.at_start(parameters, self._felt_delay, because):
             self.events.emit_each("stability", text)
         self._settle(parameters, self._make_fallback(parameters))

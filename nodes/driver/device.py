@@ -35,6 +35,9 @@ class DeviceLimits(msgspec.Struct, frozen=True, kw_only=True):
     hold : float
         How long the device itself holds a force when no other comes, before it lets go [s]: its own last line, for a driver
         that hangs. A driver of hardware without one does not start unless the launch file says so.
+    lets_go : float or None
+        The earliest that it may let go by itself [s], where that is before `hold`: from then on the driver takes it to have no
+        force, and brings one back by a ramp. None for `hold`.
     latency : float or None
         From handing a force over until the device applies it [s]: energy and guard account for it. None where it is not known,
         which the driver says; both then take forces to act when they are handed over.
@@ -50,6 +53,7 @@ class DeviceLimits(msgspec.Struct, frozen=True, kw_only=True):
     slew: float = math.inf
     silence: float = math.inf
     hold: float = math.inf
+    lets_go: float | None = None
     latency: float | None = None
     opening: float = 20.0
     closing: float = 2.0

@@ -36,6 +36,14 @@ def give(s: Any, allowed: ExternalParameters | None, where: str, force: Sequence
             "external: {peak: 1.0, age: 0.1}"
         )
     x, y, z = convert(force, Vector, f"{where}.external.force")
+    computed = list(s.axis[: s.axes])
+    for i, part in enumerate((x, y, z)):
+        if part != 0.0 and i not in computed:
+            named = ", ".join("xyz"[n] for n in computed)
+            raise ParameterError(
+                f"{where}.external.force: {part:g} N along {'xyz'[i]}, but run.axes is [{named}]: nothing would be felt there; "
+                "leave it 0, or name all axes"
+            )
     norm = math.hypot(x, y, z)
     share = min(1.0, allowed.peak / norm) if norm > 0.0 else 1.0
     other = 1 - s.external_at

@@ -139,15 +139,17 @@ class Driver(Node):
         s.period, s.realtime, s.virtual = period, self.setup.pace == "realtime", self.virtual
         s.next_tick = self.setup.apply == "next_tick"
         s.axes, s.axis[:] = len(axes), (*axes, 0, 0)[:3]
-        # The device lets go by itself so many ticks after the last force that was written.
-        s.device_hold_ticks = limits.hold / period
+        # The device lets go by itself so many ticks after the last force that was written; maybe not all of it yet.
+        s.device_hold_ticks = (limits.hold if limits.lets_go is None else limits.lets_go) / period
         held = lower(parameters.safety, limits, period, f"{self.setup.name}.safety")
         if s.realtime == 0:
             held = msgspec.structs.replace(held, max_age=0)  # only the tick's own answer counts
         set_safety(s, parameters.safety, held, period)
         self._kept = set_motion(s, round((limits.latency or 0.0) / period, 9))
         set_guard(s, parameters.passivity)
-        self._report.begin(self._device, held, s.guard_on != 0)
+        # One that was started again may have a guard that somebody set while it ran, which is not the launch file's.
+        written: DriverParameters = convert(self.setup.parameters, self.Parameters, self.setup.name)
+        self._report.begin(self._device, held, written.passivity is not None and written.passivity.guard == "on")
         for text in held.overruled:
             self.events.emit("limit", text)
         if limits.latency is None and s.guard_on:

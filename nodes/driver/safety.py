@@ -53,13 +53,18 @@ def set_safety(s: Any, parameters: SafetyParameters, limits: Limits, period: flo
     s.start_ticks = round(parameters.ramp / period)
     s.recovery_ticks = round(max(parameters.recovery, parameters.ramp) / period)
     s.ramp_ticks, s.ramp_seq = s.start_ticks, -1
-    s.workspace[:] = [bound for bounds in limits.workspace for bound in bounds]
-    s.bounded = any(map(math.isfinite, s.workspace))
+    set_workspace(s, limits)
     s.reach = REACH
     set_heat(s, limits.continuous, parameters.thermal_time, period)
     # Only a largest force tells what a swing is.
     s.stop_after = 0 if limits.peak is None else parameters.stop_after or 0
     s.safety, s.force_seq, s.since, s.limited_at = IDLE, -1, 0, -1
+
+
+def set_workspace(s: Any, limits: Limits) -> None:
+    """Lay down where there may be a force."""
+    s.workspace[:] = [bound for bounds in limits.workspace for bound in bounds]
+    s.bounded = any(map(math.isfinite, s.workspace))
 
 
 def enter(s: Any, state: int, seq: int, why: int, a: float = 0.0, b: float = 0.0, c: float = 0.0, d: float = 0.0) -> None:
@@ -118,11 +123,13 @@ def command(s: Any, seq: int, share: float) -> None:
     """Turn the admitted message into `force`; what is on the device acts for a `share` of the tick before it."""
     s.force_seq = s.got_seq
     s.since = seq
-    for i in range(3):
-        s.wanted[i] = s.got[i]
+    # Along an axis that nobody computes there is no force, and none that ramp, guard and heat would reckon with.
+    s.wanted[0] = s.wanted[1] = s.wanted[2] = 0.0
     at = s.external_at
-    if seq < s.external_until[at]:
-        for i in range(3):
+    for n in range(s.axes):
+        i = s.axis[n]
+        s.wanted[i] = s.got[i]
+        if seq < s.external_until[at]:
             s.wanted[i] += s.external[3 * at + i]
     if s.safety != ACTIVE:
         _become_active(s, seq)
@@ -134,7 +141,8 @@ def command(s: Any, seq: int, share: float) -> None:
 def _become_active(s: Any, seq: int) -> None:
     """Let forces in again: none in a fault, a brake when stopped, a growing share of them during the ramp."""
     if s.safety in (FAULT, STOPPED):
-        for i in range(3):
+        for n in range(s.axes):
+            i = s.axis[n]
             s.wanted[i] = 0.0 if s.safety == FAULT else s.brake[i]
         return
     if s.safety != RAMP:
@@ -193,7 +201,8 @@ def missed(s: Any, seq: int) -> bool:
         enter(s, NOTHING, seq, notes.STILL_SILENT, float(silent))
     if s.safety == DAMPING:
         find_velocity(s)
-    for i in range(3):
+    for n in range(s.axes):
+        i = s.axis[n]
         s.wanted[i] = 0.0
         if s.safety == DAMPING:
             s.wanted[i] = -s.damping * s.velocity[i]

@@ -20,8 +20,9 @@ from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Axis, Setup
 from nodes.compiled.layout import state_of
 from nodes.environment.meet import Numbers, meeting_of
+from nodes.environment.shapes.scene import differ_in_friction_alone
 from nodes.environment.spent import note_spent, spent_us
-from nodes.environment.state import UNKNOWN, EnvironmentState
+from nodes.environment.state import SHAPES, UNKNOWN, EnvironmentState
 from nodes.environment.surfaces import SURFACES, Meeting, Surface, meet_axes, numbers_of, parse_surface
 
 if TYPE_CHECKING:
@@ -109,10 +110,15 @@ class Environment(Node):
         return watched
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
-        """Prepare another surface."""
+        """Prepare another surface; where only its friction is another, the proxy stays where it is, so that no force jumps."""
         numbers, meet = self._built(parameters)
+        stays = False
+        if numbers is not None and numbers.kind == self.counters.kind == SHAPES:
+            stays = differ_in_friction_alone(numbers.table, self._numbers.table)
 
         def apply(seq: int) -> dict[str, Any]:
+            if numbers is not None and stays:
+                numbers.memory[:] = self._numbers.memory
             self._touch(numbers, meet)
             return {"seq": seq, "surface": parameters.surface}
 

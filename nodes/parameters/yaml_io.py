@@ -176,10 +176,10 @@ class WatchedFile:
     SIGIO, which ends a process that does not ignore it: nodes do (nodes/base/node.py).
     """
 
-    def __init__(self, path: str) -> None:
+    def __init__(self, path: str, applied: tuple[int, int, int] | None = None) -> None:
         self.path = path
         self._seen: tuple[int, int, int] | None = None
-        self._applied: tuple[int, int, int] | None = None
+        self.applied = applied  # which save was given last: time, size and number of the file
 
     def _signature(self) -> tuple[int, int, int] | None:
         try:
@@ -189,12 +189,12 @@ class WatchedFile:
         return found.st_mtime_ns, found.st_size, found.st_ino
 
     def poll(self) -> Any:
-        """Look whether the file was saved anew; the first time, it counts as such."""
+        """Look whether the file was saved anew; the first time it counts as such, unless it is known to be `applied`."""
         try:
             signature = self._signature()
             steady = signature == self._seen
             self._seen = signature
-            if signature is None or not steady or signature == self._applied:
+            if signature is None or not steady or signature == self.applied:
                 return None
             with open(self.path, "rb") as file:
                 if not self._lease(file.fileno(), fcntl.F_RDLCK):
@@ -204,10 +204,10 @@ class WatchedFile:
             # Saved again, or replaced by another file, while it was read: the next polls will see that one.
             if self._signature() != signature:
                 return None
-            self._applied = signature
+            self.applied = signature
             text = content.decode("utf-8")
         except (OSError, UnicodeDecodeError) as error:
-            self._applied = self._seen
+            self.applied = self._seen
             raise ParameterError(f"{self.path}: {error}") from error
         return parse_yaml(text, self.path)
 

@@ -129,7 +129,7 @@ class ForceDimensionDevice(MailboxDevice):
         self.facts["watchdog"] = f"{wants.watchdog:g} s" if has_watchdog else f"none ({self._last()})"
         limit = self.facts["force_limit_n"]
         peak = min(wants.peak_force, limit) if limit > 0.0 else wants.peak_force
-        # The thread's own deadline, while the process lives; the firmware's, when it does not.
+        # The thread's own deadline lets go first, while the process lives; the firmware's, when it does not.
         hold = max(wants.deadline, wants.watchdog) if has_watchdog else math.inf
         continuous = min(peak, wants.continuous_force or peak)
         self.prepare(peak, continuous, wants.workspace, hold=hold, opening=wants.ready_time + 10.0)

@@ -61,8 +61,8 @@ static void tick(servo *s, unsigned int n) {
         mailbox_put(&s->poses, s->joints, joints, JOINTS);
     }
     /* Without a position nothing is known of where a force acts. */
-    mailbox_force(&s->box, force);
-    int done = s->set_force(has_read ? force[0] : 0.0, has_read ? force[1] : 0.0, has_read ? force[2] : 0.0, id);
+    mailbox_force(&s->box, force, !has_read);
+    int done = s->set_force(force[0], force[1], force[2], id);
     if (done < 0) mailbox_failed(&s->box, s->last_error(), 0);
     if (done > 0) __atomic_add_fetch(&s->saturated, 1, __ATOMIC_RELAXED);
     if (has_read) {

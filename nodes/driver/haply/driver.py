@@ -103,7 +103,7 @@ class Inverse3Device(MailboxDevice):
         self.prepare(wants.peak_force, continuous, wants.workspace, opening=wants.start_time + 10.0)
         code = self._code
         doubles = ctypes.POINTER(ctypes.c_double)
-        code.mailbox_force.argtypes = [ctypes.c_void_p, doubles]
+        code.mailbox_force.argtypes = [ctypes.c_void_p, doubles, ctypes.c_int]
         code.mailbox_sampled.argtypes = [ctypes.c_void_p, doubles]
         code.mailbox_ticked.argtypes = [ctypes.c_void_p]
         code.mailbox_failed.argtypes = [ctypes.c_void_p, ctypes.c_int, ctypes.c_int]
@@ -186,7 +186,7 @@ class Inverse3Device(MailboxDevice):
         refused_since = math.inf
         while not self._ending.is_set():
             # Without a position nothing is known of where a force acts.
-            acts = code.mailbox_force(at, force) and not blind
+            acts = code.mailbox_force(at, force, int(blind))
             wanted = (force[0], force[1], force[2]) if acts else ZERO
             begun = begun if owed else time.monotonic()
             try:

@@ -14,7 +14,9 @@ from nodes.driver.device import Device
 from nodes.driver.hardware.inertia import SeenMasses
 from nodes.driver.hardware.libraries import Search
 from nodes.driver.hardware.mailbox import HardwareParameters, MailboxDevice
+from nodes.driver.limits import lower
 from nodes.driver.node import Driver
+from nodes.driver.safety import set_workspace
 from nodes.parameters.store import ParameterError
 
 HANDLE_PERIOD: Final = 0.02  # how often the handle is looked at; published when it has changed, and each second [s]
@@ -92,6 +94,14 @@ class HardwareDriver(Driver):
         }
 
     def _recentre(self) -> dict[str, Any]:
-        if any(self.driving.handed):
-            raise ParameterError(f"{self.setup.name}: re-centre while no force acts: move the device out of the wall first")
-        return {"moved_m": list(self.held.recentre())}
+        def apply(seq: int) -> dict[str, Any]:
+            del seq
+            if any(self.driving.handed):
+                raise ParameterError(f"{self.setup.name}: re-centre while no force acts: move the device out of the wall first")
+            moved = self.held.recentre()
+            set_workspace(self.driving, lower(self.store.current.safety, self.held.limits, self.setup.period))
+            return {"moved_m": list(moved)}
+
+        # Between two ticks: a tick with the new place and the old workspace would be a fault.
+        receipt: dict[str, Any] = self.changes.hand_over(apply)
+        return receipt

@@ -1,7 +1,8 @@
 /* What a driver and the servo loop of its device share: samples one way, forces the other, and the last line of safety.
 
    Each way is guarded by a counter that is odd while it is written, so neither side ever waits for the other. A force counts for
-   `deadline` seconds; then, after a fault, and where it is no number, the device gets zero: this holds while Python hangs. */
+   `deadline` seconds; then, after a fault, and where it is no number, the device gets zero: this holds while Python hangs. So
+   it does while no position is read, and a force comes back from that by a ramp: too short a loss is none for the driver. */
 
 #ifndef HAPTIC_MAILBOX_H
 #define HAPTIC_MAILBOX_H
@@ -14,6 +15,9 @@
 #define FAULT 1
 #define STALLED 2
 #define UNREAD 3
+
+/* As in nodes/driver/safety.py: so much time of ramp costs a time without a force. */
+#define REGAIN 5.0
 
 /* A sample: position, velocity of the vendor, orientation as a quaternion (x, y, z, w), gripper, buttons as bits. */
 #define POSITION 0
@@ -33,6 +37,7 @@ typedef struct {
     double peak;
     double reach;
     double back;
+    double recovery;
     int64_t clutch;
     /* Written by the driver. */
     unsigned int commands;
@@ -58,6 +63,8 @@ typedef struct {
     unsigned int silent;
     double commanded_at;
     double acting[3];
+    double looked_at;
+    double owed;
 } mailbox;
 
 static inline double mailbox_now(void) {
@@ -98,8 +105,8 @@ void mailbox_failed(mailbox *m, int error, int fatal) {
 /* End a tick of the servo loop in which the position was read. */
 void mailbox_ticked(mailbox *m) { __atomic_add_fetch(&m->ticks, 1, __ATOMIC_RELEASE); }
 
-/* The force that the device gets now, in its own axes; whether one acts. */
-int mailbox_force(mailbox *m, double *out) {
+/* The force that the device gets now, in its own axes, zero where it is `blind`, without a position; whether one acts. */
+int mailbox_force(mailbox *m, double *out, int blind) {
     double force[3], now = mailbox_now();
     unsigned int command = mailbox_take(&m->commands, m->force, force, 3);
     if (command && command != m->last_command) {
@@ -113,8 +120,12 @@ int mailbox_force(mailbox *m, double *out) {
         m->silent = 1;
         __atomic_add_fetch(&m->let_go, 1, __ATOMIC_RELAXED);
     }
-    int acts = m->last_command && !m->silent && !m->fault && !m->stop;
-    for (int i = 0; i < 3; i++) out[i] = acts ? m->acting[i] : 0.0;
+    double passed = m->looked_at != 0.0 ? now - m->looked_at : 0.0;
+    m->looked_at = now;
+    m->owed = blind ? fmin(m->owed + REGAIN * passed, m->recovery) : fmax(m->owed - passed, 0.0);
+    double share = m->owed > 0.0 ? 1.0 - m->owed / m->recovery : 1.0;
+    int acts = m->last_command && !m->silent && !m->fault && !m->stop && !blind;
+    for (int i = 0; i < 3; i++) out[i] = acts ? share * m->acting[i] : 0.0;
     return acts;
 }
 

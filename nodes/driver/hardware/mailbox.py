@@ -24,6 +24,7 @@ from nodes.driver.device import DeviceLimits, Workspace
 from nodes.driver.hardware.compile import servo_library
 from nodes.driver.hardware.libraries import Search, find
 from nodes.driver.hardware.mapping import Mapping, limits_in_scene, matrix
+from nodes.driver.limits import SafetyParameters
 from nodes.driver.parameters import DriverParameters
 
 FAULT, STALLED, UNREAD = 1, 2, 3  # what ``device_read`` of mailbox.h fails with, as negative numbers
@@ -42,7 +43,7 @@ class Mailbox(ctypes.Structure):
         ("turn", ctypes.c_double * 9),
         ("unit", ctypes.c_double),
         ("origin", ctypes.c_double * 3),
-        *named(ctypes.c_double, "deadline", "patience", "peak", "reach", "back"),
+        *named(ctypes.c_double, "deadline", "patience", "peak", "reach", "back", "recovery"),
         *(("clutch", ctypes.c_int64), ("commands", ctypes.c_uint)),
         ("force", ctypes.c_double * 3),
         *named(ctypes.c_uint, "stop", "seen"),
@@ -55,6 +56,7 @@ class Mailbox(ctypes.Structure):
         *named(ctypes.c_uint, "last_command", "silent"),
         ("commanded_at", ctypes.c_double),
         ("acting", ctypes.c_double * 3),
+        *named(ctypes.c_double, "looked_at", "owed"),
     ]
 
 
@@ -164,11 +166,13 @@ class MailboxDevice(ABC):
     ) -> None:
         """Make the mailbox, with what the device bears along its axes [N, m], and how long it holds a force [s]."""
         mapping: Mapping = self.parameters.mapping
-        theirs = DeviceLimits(
+        safety: SafetyParameters = self.parameters.safety
+        theirs = self._theirs = DeviceLimits(
             peak_force=peak,
             continuous_force=continuous,
             silence=SILENCE,
             hold=self.deadline if hold is None else hold,
+            lets_go=self.deadline,
             opening=DeviceLimits().opening if opening is None else opening,
             workspace=workspace,
         )
@@ -193,6 +197,7 @@ class MailboxDevice(ABC):
         box.peak = peak
         box.clutch = 0 if mapping.clutch is None else 1 << mapping.clutch
         box.reach, box.back = mapping.reach, mapping.clutch_ramp
+        box.recovery = max(safety.recovery, safety.ramp)
         self.limits = limits_in_scene(theirs, mapping, self.turn)
 
     def await_samples(self) -> None:
@@ -209,13 +214,19 @@ class MailboxDevice(ABC):
         self.write_force(ZERO, 0, 0.0)
 
     def recentre(self) -> Vector:
-        """Put the device into the middle of the scene, wherever it stands; by how much that moved it [m]."""
-        here, centre = self.read_position(0), self.parameters.mapping.centre
+        """Put the device, and its workspace with it, into the middle of the scene; by how much that moved it [m]."""
+        mapping: Mapping = self.parameters.mapping
+        here, centre = self.read_position(0), mapping.centre
         x, y, z = (c - at for c, at in zip(centre, here, strict=True))
         if not math.isfinite(x + y + z):
             raise OSError(f"{self.TITLE}: the device gives no position; it cannot be re-centred")
         for i, step in enumerate((x, y, z)):
             self._box.origin[i] += step
+        # Where the device stands is known now.
+        a, b, c = self._box.origin
+        self.limits = limits_in_scene(
+            self._theirs, msgspec.structs.replace(mapping, centre=(a, b, c), recentre=False), self.turn
+        )
         return x, y, z
 
     @property

@@ -9,7 +9,7 @@ and damping b are to the law one of m/2 and b/2, which is the `plant` of its sta
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from typing import Any, ClassVar
 
@@ -19,6 +19,7 @@ from messages.types import Vector
 from nodes.base.node_kinds import load, node_kinds
 from nodes.base.setup import Setup
 from nodes.driver.device import Device, DeviceLimits, Workspace
+from nodes.driver.limits import SafetyParameters, lower, undeclared
 from nodes.driver.node import Driver
 from nodes.driver.parameters import DriverParameters
 from nodes.parameters.store import ParameterError, convert
@@ -29,7 +30,7 @@ class PairedMember(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """One of the two.
 
     kind: Kind of driver.
-    parameters: As that driver takes them.
+    parameters: As that driver takes them. Of its ``safety`` largest forces, slew and workspace hold; the rest is the pair's.
     """
 
     kind: str
@@ -47,16 +48,18 @@ class PairedDriverParameters(DriverParameters, frozen=True, forbid_unknown_field
 
 
 class PairedDevice:
-    """Two devices as one."""
+    """Two devices as one; `bears` is what each of them bears, where that is less than it says itself."""
 
-    def __init__(self, first: Device, second: Device) -> None:
+    def __init__(self, first: Device, second: Device, bears: Sequence[DeviceLimits] = ()) -> None:
         self.first, self.second = first, second
+        self._bears = tuple(bears) or (first.limits, second.limits)
         self.places: tuple[Vector, Vector] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        self._known = True  # whether both gave a position that a force may act at
 
     @property
     def limits(self) -> DeviceLimits:
         """The lower of each limit; of the workspaces, all that one position less another can be."""
-        a, b = self.first.limits, self.second.limits
+        a, b = self._bears
         x, y, z = ((p[0] - q[1], p[1] - q[0]) for p, q in zip(a.workspace, b.workspace, strict=True))
         workspace: Workspace = (x, y, z)
         known = None not in (a.latency, b.latency)
@@ -65,7 +68,9 @@ class PairedDevice:
             continuous_force=min(a.continuous_force, b.continuous_force),
             slew=min(a.slew, b.slew),
             silence=min(a.silence, b.silence),
+            # No force is left when the later one has let go; one of them is alone from when the earlier has.
             hold=max(a.hold, b.hold),
+            lets_go=min(one.hold if one.lets_go is None else one.lets_go for one in (a, b)),
             latency=max(a.latency or 0.0, b.latency or 0.0) if known else None,
             opening=a.opening + b.opening,
             closing=a.closing + b.closing,
@@ -81,17 +86,24 @@ class PairedDevice:
             opened.pop_all()
 
     def read_position(self, seq: int) -> Vector:
-        """Tell how far they are apart; unknown where one of them is."""
+        """Tell how far they are apart; unknown where one of them is, or is outside its own workspace."""
         a, b = self.first.read_position(seq), self.second.read_position(seq)
         self.places = a, b
-        return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+        self._known = all(math.isfinite(x) for x in (*a, *b)) and not self.outside()
+        return (a[0] - b[0], a[1] - b[1], a[2] - b[2]) if self._known else (math.nan, math.nan, math.nan)
+
+    def outside(self) -> str:
+        """Say which of them is outside its own workspace; empty for none."""
+        for name, place, bears in zip(("first", "second"), self.places, self._bears, strict=True):
+            for axis, at, (low, high) in zip("xyz", place, bears.workspace, strict=True):
+                if not low <= at <= high and math.isfinite(at):
+                    return f"{name}: {axis} = {at:.4g} m, outside its workspace of {low:.4g} to {high:.4g} m"
+        return ""
 
     def write_force(self, force: Vector, seq: int, offset: float) -> None:
-        """Push the first, and the second the other way; where one does not know its place, neither."""
-        if not all(math.isfinite(x) for place in self.places for x in place):
-            force = (0.0, 0.0, 0.0)
-        x, y, z = force
-        self.first.write_force(force, seq, offset)
+        """Push the first, and the second the other way; where one does not know its place or is outside, neither."""
+        x, y, z = force if self._known else (0.0, 0.0, 0.0)
+        self.first.write_force((x, y, z), seq, offset)
         self.second.write_force((-x, -y, -z), seq, offset)
 
     def close(self) -> None:
@@ -139,9 +151,30 @@ class PairedDriver(Driver):
             for driver in self._drivers:
                 made.append(driver.make_device())
                 held.callback(made[-1].close)
+            bears = [self._bears(driver, device) for driver, device in zip(self._drivers, made, strict=True)]
             held.pop_all()
-        self.pair = PairedDevice(*made)
+        self.pair = PairedDevice(made[0], made[1], bears)
         return self.pair
+
+    def _bears(self, driver: Driver, device: Device) -> DeviceLimits:
+        """Lower what one of the two bears by its own parameters; refuse a real one that does not declare what it must."""
+        name, own, period = driver.setup.name, driver.store.current.safety, self.setup.period
+        pair: SafetyParameters = self.store.current.safety
+        # Either is pushed with what the pair is pushed with.
+        peak = own.peak_force if own.peak_force is not None else pair.peak_force
+        declared = msgspec.structs.replace(own, peak_force=peak, without=[*own.without, *pair.without])
+        if not driver.virtual and (refusal := undeclared(declared, device.limits)):
+            raise ParameterError(f"{name}: {refusal}")
+        found = lower(own, device.limits, period, f"{name}.safety")
+        for text in found.overruled:
+            self.events.emit_each("limit", text)
+        return msgspec.structs.replace(
+            device.limits,
+            peak_force=math.inf if found.peak is None else found.peak,
+            continuous_force=math.inf if found.continuous is None else found.continuous,
+            slew=math.inf if found.slew is None else found.slew / period,
+            workspace=found.workspace,
+        )
 
     def operations(self) -> dict[str, Any]:
         """Offer where each of the two is."""
@@ -150,7 +183,8 @@ class PairedDriver(Driver):
     def condition(self) -> str:
         """Say which of them keeps forces off, and why."""
         facts = ((name, device.condition()) for name, device in self._hardware())
-        return "; ".join(f"{name}: {condition}" for name, condition in facts if condition)
+        told = (f"{name}: {condition}" for name, condition in facts if condition)
+        return "; ".join(filter(None, (self.pair.outside(), *told)))
 
     def _hardware(self) -> list[tuple[str, Any]]:
         from nodes.driver.hardware.mailbox import MailboxDevice

@@ -73,9 +73,8 @@ unsigned int servo_tick(void *data) {
     s->get_integer(HD_CURRENT_BUTTONS, &buttons);
     orientation(transform, sample + ORIENTATION);
     sample[BUTTONS] = buttons;
-    mailbox_force(&s->box, force);
     /* What was meant for the place before a gap is no force for the place after it. */
-    if (__atomic_load_n(&s->cut, __ATOMIC_ACQUIRE)) force[0] = force[1] = force[2] = 0.0;
+    mailbox_force(&s->box, force, __atomic_load_n(&s->cut, __ATOMIC_ACQUIRE));
     s->set_double(HD_CURRENT_FORCE, force);
     s->end_frame(s->device);
     for (int n = 0; n < 16; n++) {

@@ -22,6 +22,8 @@ EXTRA = "pip install 'haptic-nodes[mujoco]'"
 LARGEST = 64_000_000  # largest MJCF file that is read [bytes]
 WIDEST = 1.0  # largest radius around a geom of the tool [m]: what is larger was probably drawn in millimetres
 
+GAP = 0.1  # of a longer time without a state only so much is stepped: a scene that made up for all of it would be late [s]
+
 _MOST_STEPS = 1000
 _LIGHTEST = 1e-6
 
@@ -93,6 +95,7 @@ class MovingScene:
                 f"{_MOST_STEPS}; raise option timestep"
             )
         self.model.opt.timestep = period / self.steps
+        self._most = max(1, round(GAP / period)) * self.steps
         # Forces handed to the device: when they take effect [steps], and what they are [N]. Before the first, none.
         self._forces: deque[tuple[int, Vector]] = deque([(-1, (0.0, 0.0, 0.0))])
         self._done = 0
@@ -151,8 +154,9 @@ class MovingScene:
         self._forces.append((max(round(when), self._forces[-1][0]), force))
 
     def advance(self, tick: int) -> None:
-        """Step the scene up to the time of a tick."""
+        """Step the scene up to the time of a tick; after a gap of more than `GAP` it has stood still meanwhile."""
         model, data = self.model, self.data
+        self._done = max(self._done, tick * self.steps - self._most)
         push = data.xfrc_applied[self.tool]
         forces = self._forces
         while self._done < tick * self.steps:

@@ -103,6 +103,19 @@ def scene_table(solids: Sequence[Solid], tool_radius: float, period: float) -> a
     return rows + behind
 
 
+def differ_in_friction_alone(one: array[float], other: array[float]) -> bool:
+    """Whether two tables hold the same shapes: where the proxy is on the one it may be on the other."""
+    return _without_friction(one) == _without_friction(other)
+
+
+def _without_friction(table: array[float]) -> bytes:
+    smooth = array("d", table)
+    for n in range(int(table[t.SHAPES])):
+        at = t.ROWS + t.ROW * n + t.STATIC
+        smooth[at : at + 3] = array("d", SLIPPERY)
+    return smooth.tobytes()
+
+
 def new_memory(solids: int) -> array[float]:
     """Make the memory of a proxy that has not touched anything yet."""
     return array("d", [0.0]) * (t.LAST + solids)

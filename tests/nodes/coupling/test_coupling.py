@@ -7,6 +7,7 @@ import random
 import sys
 import threading
 import time
+from array import array
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -125,6 +126,38 @@ def test_a_snapshot_taken_while_the_loop_pushes_belongs_to_one_tick() -> None:
         thread.join()
         sys.setswitchinterval(before)
     assert history.pushes > 64
+
+
+class _Busy(array):  # type: ignore[type-arg]
+    """A ring that the loop pushes into while it is copied."""
+
+    history: History
+    copies: int
+
+    def __getitem__(self, at: Any) -> Any:
+        if not isinstance(at, slice):
+            return super().__getitem__(at)
+        self.copies += 1
+        assert self.copies < 10, "a copy that begins again each time has no end"
+        half = len(self) // 2
+        first = super().__getitem__(slice(0, half))
+        for _ in range(5):
+            self.history.push(float(self.history.pushes + 1))
+        return first + super().__getitem__(slice(half, None))
+
+
+def test_a_snapshot_of_a_history_that_goes_on_all_the_time_has_an_end() -> None:
+    history = History(64)
+    for k in range(100):
+        history.push(float(k + 1))
+    ring = _Busy("d", history.values)
+    ring.history, ring.copies = history, 0
+    history.values = ring
+    copy = history.snapshot()
+    assert copy.pushes == 100
+    # Five have taken the place of the oldest, and one more may be under way.
+    assert copy.known == 64 - 1 - 5
+    assert [copy.values[copy.head + age] for age in range(copy.known)] == [100.0 - age for age in range(copy.known)]
 
 
 # -- recursive sections ----------------------------------------------------------------------------------------------------

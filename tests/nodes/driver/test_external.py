@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from messages.types import Force
 from nodes.driver.external import ExternalParameters, give
 from nodes.parameters.store import ParameterError
 from tests.support.safety import Port, T, force
@@ -69,6 +70,26 @@ def test_nonsense_is_refused(port: Port, bad: list[Any]) -> None:
     with pytest.raises(ParameterError, match=r"driver\.external\.force"):
         give(port.s, ALLOWED, "driver", bad)
     assert answered(port, 200) == 1.0
+
+
+def test_along_an_axis_that_nobody_computes_there_is_none() -> None:
+    """Neither one from outside, nor one of a message; and it changes nothing along those that are."""
+    alone, beside = (Port(axes=(0, 1), peak_force=5.0, continuous_force=3.0) for _ in range(2))
+    with pytest.raises(ParameterError, match=r"driver\.external\.force: 0\.5 N along z, .*\[x, y\]: nothing would be felt"):
+        give(alone.s, ALLOWED, "driver", [0.5, 0.0, 0.5])
+    assert give(alone.s, ALLOWED, "driver", [0.5, 0.0, 0.0])["force_n"] == (0.5, 0.0, 0.0)
+    give(beside.s, ALLOWED, "driver", [0.5, 0.0, 0.0])
+    for seq in range(400):
+        for port, z in ((alone, 0.0), (beside, 40.0)):
+            # Fast outwards while it comes back after a gap, which slows its ramp.
+            port.moves((0.3, 0.0, 0.0) if seq > 200 else (0.0, 0.0, 0.0))
+            if 100 <= seq < 200:
+                port.missed(seq, (0.0, 0.0, 0.1))
+            else:
+                port.answer(Force(seq=seq, stamp=0.0, force=(1.0, 0.5, z)), seq)
+        assert alone.force == beside.force
+        assert beside.force[2] == 0.0
+    assert alone.limited == beside.limited
 
 
 def test_nobody_pushes_unasked(port: Port) -> None:

@@ -13,8 +13,10 @@ import pytest
 from nodes.driver.device import DeviceLimits
 from nodes.driver.forcedimension.driver import inertia_in_scene
 from nodes.driver.hardware.mapping import Mapping, limits_in_scene, matrix
+from nodes.parameters.store import ParameterError
 from tests.support.devices import Bench, bench
 from tests.support.launching import wait_for
+from tests.support.setups import setup_of
 
 UPRIGHT = ("+x", "+y", "+z")
 EPSILON = 1e-15  # of a few products of numbers near 1
@@ -128,6 +130,30 @@ def test_the_centre_is_where_the_handle_stands(stand: Bench) -> None:
     wait_for(lambda: device.read_position(0) == pytest.approx((0.03, 0.0, 0.1), abs=1e-12), "three times as far")
     device.recentre()
     assert device.read_position(0) == pytest.approx((0.0, 0.0, 0.1), abs=1e-12)
+
+
+def test_the_workspace_moves_with_the_centre(stand: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the launch file asks for is of the scene, and stays; the device's own ends are where the device is."""
+    parameters = {
+        **stand.written({"scale": 2.0}),
+        "safety": {"hang": None, "workspace": [[-1.0, 1.0], [-1.0, 1.0], [-0.01, 1.0]]},
+    }
+    driver = stand.driver(setup_of(kind=stand.kind, axes=["x", "y", "z"], parameters=parameters))
+    driver.configure()
+    stand.made.append(driver.held)
+    driver.held.open()
+    before = np.reshape(list(driver.driving.workspace), (3, 2))
+    stand.world.state.position[:] = (0.03, -0.02, 0.01)
+    wait_for(lambda: any(driver.held.read_position(0)), "the sample after the move")
+    monkeypatch.setattr(driver.changes, "hand_over", lambda apply: apply(0))
+    moved = np.array(driver.operations()["recentre"]()["moved_m"])
+    assert moved == pytest.approx((-0.06, 0.04, -0.02), abs=1e-12)
+    after = np.reshape(list(driver.driving.workspace), (3, 2))
+    assert after[:2] == pytest.approx(before[:2] + moved[:2, None], abs=1e-12)
+    assert after[2] == pytest.approx((-0.01, before[2, 1] + moved[2]), abs=1e-12)
+    driver.driving.handed[0] = 0.1
+    with pytest.raises(ParameterError, match="re-centre while no force acts"):
+        driver.operations()["recentre"]()
 
 
 def test_the_handle_turns_with_the_scene(stand: Bench) -> None:

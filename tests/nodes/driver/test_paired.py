@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import re
 import subprocess
 from contextlib import ExitStack
@@ -15,15 +16,18 @@ import pytest
 import yaml
 
 from nodes.driver.device import DeviceLimits
-from nodes.driver.paired.driver import PairedDevice
+from nodes.driver.paired.driver import PairedDevice, PairedDriver
 from nodes.laws.parse import parse_law
+from nodes.parameters.store import ParameterError
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant, held_plant
+from sim.device.driver import SimDriver
 from tests.nodes.driver.test_touch import needs_cc
 from tests.sim.test_stand_ins import SOFT, through
 from tests.support import ROOT, slowly
 from tests.support.devices import Bench, bench
 from tests.support.launching import HAPTIC, running, typed, wait_for
+from tests.support.setups import setup_of
 
 
 def test_two_hands_are_coupled_and_judged_at_the_measured_delay(tmp_path: Path) -> None:
@@ -78,24 +82,55 @@ class _Broken(_Recorded):
 def test_a_pair_pushes_one_and_pulls_the_other() -> None:
     box = ((-0.1, 0.2), (-0.1, 0.1), (0.0, 0.1))
     first = _Recorded((0.03, 0.0, 0.01), peak_force=8.0, hold=0.05, workspace=box, latency=0.001)
-    second = _Recorded((0.01, 0.02, 0.0), peak_force=3.0, hold=0.03, workspace=box)
+    second = _Recorded((0.01, 0.02, 0.0), peak_force=3.0, hold=0.03, workspace=((-0.1, 0.1), *box[1:]))
     pair = PairedDevice(first, second)
     assert pair.read_position(0) == pytest.approx((0.02, -0.02, 0.01), abs=1e-15)
     pair.write_force((1.0, 2.0, -3.0), 0, 0.0)
     assert (first.calls, second.calls) == ([(1.0, 2.0, -3.0)], [(-1.0, -2.0, 3.0)])
     limits = pair.limits
-    assert (limits.peak_force, limits.hold, limits.latency) == (3.0, 0.05, None)
-    assert limits.workspace[0] == pytest.approx((-0.3, 0.3), abs=1e-15)
+    assert (limits.peak_force, limits.hold, limits.lets_go, limits.latency) == (3.0, 0.05, 0.03, None)
+    assert limits.workspace[0] == pytest.approx((-0.2, 0.3), abs=1e-15)
     # Where one does not know its place, neither is pushed.
     second.place = (float("nan"), 0.0, 0.0)
     pair.read_position(1)
     pair.write_force((1.0, 0.0, 0.0), 1, 0.0)
     assert first.calls[-1] == (0.0, 0.0, 0.0)
+    # Nor where one is outside its own workspace, although they are near each other.
+    first.place = second.place = (0.15, 0.0, 0.0)
+    assert all(map(math.isnan, pair.read_position(2)))
+    pair.write_force((1.0, 0.0, 0.0), 2, 0.0)
+    assert (first.calls[-1], second.calls[-1]) == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    assert pair.outside() == "second: x = 0.15 m, outside its workspace of -0.1 to 0.1 m"
     # What was opened before the other failed is closed again.
     half = PairedDevice(first, _Broken((0.0, 0.0, 0.0)))
     with pytest.raises(OSError, match="gone"):
         half.open()
     assert first.calls[-2:] == ["open", "close"]
+
+
+def _paired(second: dict[str, Any], pair: dict[str, Any], **first: Any) -> PairedDriver:
+    """Make the driver of two virtual devices, with the safety of each and of the pair."""
+    members = {
+        name: {"kind": "sim_driver", "parameters": {"device": {"mass": 0.1}, "hold": hold, "safety": safety}}
+        for name, hold, safety in (("first", 0.05, first), ("second", 0.03, second))
+    }
+    return PairedDriver(setup_of(kind="paired_driver", parameters={"safety": {"hang": None, **pair}, **members}))
+
+
+def test_the_limits_of_each_hold_for_the_pair(monkeypatch: pytest.MonkeyPatch) -> None:
+    box = [[-0.1, 0.1]] * 3
+    driver = _paired({"peak_force": 2.0, "workspace": box}, {"peak_force": 7.9, "workspace": [[-0.2, 0.2]] * 3}, slew=500.0)
+    driver.configure()
+    s = driver.driving
+    assert (s.peak, s.slew) == (2.0, 500.0 * 0.002)
+    assert s.device_hold_ticks == 0.03 / 0.002
+    driver.pair.places = (0.0, 0.0, 0.05), (0.0, 0.0, 0.15)
+    assert driver.condition() == "second: z = 0.15 m, outside its workspace of -0.1 to 0.1 m"
+    # A real one declares what it must, each of the two.
+    monkeypatch.setattr(SimDriver, "virtual", False)
+    with pytest.raises(ParameterError, match=r"^driver\.second: the device declares no workspace"):
+        _paired({}, {"peak_force": 7.9, "workspace": [[-0.2, 0.2]] * 3}, workspace=box).configure()
+    _paired({}, {"peak_force": 7.9, "workspace": box, "without": ["workspace"]}, workspace=box).configure()
 
 
 def written(start: str) -> Any:

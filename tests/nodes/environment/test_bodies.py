@@ -70,6 +70,20 @@ def test_the_stiffness_that_is_told_is_the_one_that_is_felt(contact: str, tmp_pa
     assert told.stiffness == pytest.approx(1.0 / (heights[0] - heights[1]), rel=0.02)
 
 
+def test_after_a_long_fault_the_scene_does_not_make_up_for_all_of_it(tmp_path: Path) -> None:
+    """A tool that glides goes on for a tenth of a second, whether one second was missed or a hundred."""
+    ways = []
+    for missed in (500, 50_000):
+        felt = world(tmp_path)
+        felt.begin((0.0, 0.0, 0.0))
+        felt.data.qvel[0] = 0.1
+        felt.advance(missed)
+        ways.append(felt.tool_position[0])
+        felt.advance(missed + 1)
+        assert felt.tool_position[0] - ways[-1] == pytest.approx(0.1 * PERIOD, rel=1e-6)
+    assert ways[0] == ways[1] == pytest.approx(0.1 * 0.1, rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("bodies", "told"),
     [

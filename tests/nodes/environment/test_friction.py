@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
+from nodes.environment.node import Environment
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.scene import Friction, Solid, box, capsule, mesh, plane, sphere
 from nodes.environment.shapes.tables import SKIN
 from sim.experiments.proxies import icosphere
 from sim.scene.touch import Touched, touch
+from tests.support.setups import setup_of
 from tests.support.shapes import Array, wander
 
 CONE = 1e-9
@@ -81,6 +84,33 @@ def test_between_two_rough_walls_each_brakes_by_what_presses_on_it() -> None:
     path = np.array([[0.0, 0.01, 0.01], *([1e-4 * k, -1e-3, -2e-3] for k in range(60))])
     behind = path[-1, 0] - led(walls, path).proxy[-1, 0]
     assert behind == pytest.approx(0.5 * (2e-3 + SKIN) + 0.1 * (1e-3 + SKIN), rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["sphere", "union"])
+def test_friction_that_is_set_while_the_surface_is_touched_moves_no_proxy_that_it_holds(kind: str) -> None:
+    """Stuck 0.4 mm beside the place where it pushed in: a new proxy would begin at the nearest one: a jump."""
+    ball: dict[str, Any] = {"kind": "sphere", "position": [0.0, 0.0, -0.02], "radius": 0.02, "friction": {"static": 0.8}}
+    surface, path = (ball, "") if kind == "sphere" else ({"kind": "union", "shapes": [ball]}, ".shapes[0]")
+    node = Environment(setup_of(name="environment", axes=["x", "y", "z"], parameters={"surface": surface}))
+    node.configure()
+    for place in ((0.0, 0.0, 0.01), (0.0, 0.0, -1e-3), (4e-4, 0.0, -1e-3)):
+        held = node._meet(place)
+    assert held[0][0] == pytest.approx(0.0, abs=1e-12)
+
+    def sets(**values: Any) -> None:
+        changed = {f"surface{path}.{name}": value for name, value in values.items()}
+        node.prepare(node.store.changed(changed))(0)
+
+    for static in (1.5, 0.5):
+        sets(friction={"static": static})
+        assert node._meet((4e-4, 0.0, -1e-3)) == held
+    # Beyond its cone it slides to it, and not further.
+    sets(friction={"static": 0.2})
+    slid = node._meet((4e-4, 0.0, -1e-3))[0][0]
+    assert 0.0 < slid < 3e-4
+    # Another shape is met anew.
+    sets(radius=0.0201, friction={"static": 1.5})
+    assert node._meet((4e-4, 0.0, -1e-3))[0][0] > 4e-4
 
 
 def test_what_is_asked_again_is_not_answered_by_another_proxy() -> None:

@@ -1,0 +1,83 @@
+"""Forces that the mailbox takes off and gives back by itself: what is lost too shortly for the driver to notice."""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nodes.driver.hardware import mailbox
+from nodes.driver.hardware.compile import servo_library
+from nodes.driver.hardware.mailbox import Mailbox
+from tests.nodes.driver.test_touch import needs_cc
+from tests.support.devices import bench
+from tests.support.launching import wait_for
+
+FORCE = (0.5, -0.25, 1.0)
+
+
+@needs_cc
+def test_a_force_that_was_off_for_want_of_a_position_comes_back_by_a_ramp() -> None:
+    """Each second without one costs five of ramp; the times are so long that a slow machine does not matter."""
+    code: Any = servo_library(Path(mailbox.__file__).with_name("mailbox.c"))
+    code.device_write.argtypes = [ctypes.c_int64, ctypes.POINTER(ctypes.c_double), ctypes.c_int64, ctypes.c_double]
+    box: Any = Mailbox()
+    box.turn[:] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    box.deadline, box.peak, box.recovery = 1e9, 8.0, 10_000.0
+    code.device_write(ctypes.addressof(box), (ctypes.c_double * 3)(*FORCE), 0, 0.0)
+
+    def acts(blind: bool, after: float) -> tuple[float, ...]:
+        out = (ctypes.c_double * 3)()
+        box.looked_at = time.monotonic() - after
+        assert bool(code.mailbox_force(ctypes.byref(box), out, int(blind))) is not blind
+        return tuple(out)
+
+    assert acts(False, 1.0) == FORCE
+    assert acts(True, 1000.0) == (0.0, 0.0, 0.0)
+    half = acts(False, 0.0)
+    assert half == tuple((1.0 - box.owed / box.recovery) * force for force in FORCE)
+    assert half[2] == pytest.approx(0.5, abs=0.01)
+    assert acts(False, 2500.0)[2] == pytest.approx(0.75, abs=0.01)
+    # No more than the whole ramp, which is over then.
+    acts(True, 1e6)
+    assert acts(False, 10_000.0) == FORCE
+
+
+@needs_cc
+@pytest.mark.parametrize(("kind", "call"), [("force_dimension_driver", "dhdGetPosition"), ("inverse3_driver", "state")])
+def test_on_a_device_too(kind: str, call: str, tmp_path: Path) -> None:
+    with bench(kind, tmp_path) as stand:
+        device = stand.opened()
+        device._box.recovery = 1.0
+        stand.press(device, FORCE)
+        stand.world.fail(call)
+
+        def pushed() -> float:
+            device.write_force(FORCE, 0, 0.0)
+            return float(stand.world.force()[2])
+
+        wait_for(lambda: pushed() == 0.0, "no position, no force")
+        stand.world.fail("")
+        came = 0.0
+
+        def comes_back() -> bool:
+            nonlocal came
+            came = pushed()
+            return came > 0.0
+
+        wait_for(comes_back, "the force comes back")
+        assert came < FORCE[2]
+        wait_for(lambda: pushed() == pytest.approx(FORCE[2], abs=1e-12), "the whole of it")
+        device.close()
+
+
+@needs_cc
+def test_a_force_dimension_lets_go_by_its_thread_before_its_firmware_does(tmp_path: Path) -> None:
+    """The driver must know the earlier: it takes a force back by a ramp from then on."""
+    with bench("force_dimension_driver", tmp_path) as stand:
+        device = stand.device(deadline=0.01, watchdog=0.03)
+        device.connect()
+        assert (device.limits.hold, device.limits.lets_go) == (0.03, 0.01)
