@@ -8,7 +8,9 @@ waits for anybody. A value that is not renewed expires: a page that falls silent
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import math
+import os
 import struct
 import time
 from collections.abc import Callable
@@ -91,6 +93,7 @@ class PointerWriter:
 
     def __init__(self, path: Path) -> None:
         self._map = mapped(path, _VALUE.size, make=False)
+        self._file = os.open(path, os.O_RDONLY)
         self._count = _COUNT.unpack_from(self._map, 0)[0]
 
     def write(self, target: Vector) -> None:
@@ -98,6 +101,18 @@ class PointerWriter:
         if not all(map(math.isfinite, target)):
             raise ValueError(f"pointer: {target} m, expected three finite numbers")
         self._write(target, time.monotonic())
+
+    def take(self) -> bool:
+        """Have the hand alone among all views, until it is left; a view that dies leaves it. False where another has it."""
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        return True
+
+    def leave(self) -> None:
+        """Let others have it."""
+        fcntl.flock(self._file, fcntl.LOCK_UN)
 
     def let_go(self) -> None:
         """Give the hand back to its path at once."""
@@ -112,3 +127,4 @@ class PointerWriter:
     def close(self) -> None:
         """Let go of the file."""
         self._map.close()
+        os.close(self._file)

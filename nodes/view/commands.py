@@ -53,6 +53,7 @@ class Commander:
         self._undo: list[tuple[str, dict[str, Any], dict[str, Any], float]] = []
         self._recorder: subprocess.Popen[bytes] | None = None
         self._recordings = 0
+        self._path = self._failure = ""
         known = roles(run)
         self.driver, self.coupling = known.get("driver", ""), known.get("coupling", "")  # empty for a run without
         # Whether pages may go past the edge of stability, turn the device's delay, have the driver started again.
@@ -128,10 +129,15 @@ class Commander:
         self._remember(node, before, values)
         return {"node": node, "values": values, "receipt": receipt}
 
-    def _set_law(self, field: str, value: Any, beyond: bool = False) -> dict[str, Any]:
-        """Change one parameter of the active law; a preset that is used as it stands becomes a law of that name."""
+    def _set_law(self, field: str, value: Any, beyond: bool = False, law: str = "") -> dict[str, Any]:
+        """Change one parameter of the active law; a preset that is used as it stands becomes a law of that name.
+
+        `law`: the one that the page has its control for; where another renders by now, nothing is changed.
+        """
         force = self._forced(beyond)
         name = self.ask(self.coupling, "law.list")["active"]
+        if law not in ("", name):
+            raise CommandError(f"view: law: {name} renders by now, not {law}; {law}.{field} stays as it is")
         laws = self.ask(self.coupling, "param.get", name="laws")
         if isinstance(laws.get(name), dict):
             return self._change(self.coupling, {f"laws.{name}.{field}": value}, **force)
@@ -234,31 +240,48 @@ class Commander:
         return {"stopping": True}
 
     def _record(self, on: bool) -> dict[str, Any]:
-        recorder = self._recorder
-        if recorder is not None and recorder.poll() is not None:
-            recorder = self._recorder = None
-        if on and recorder is None:
-            self._recordings += 1
-            path = f"recordings/{self._run.run}-{time.strftime('%H%M%S')}-{self._recordings}.mcap"
+        before = self.recording()
+        if on and not before["recording"]:
+            self._recordings, self._failure = self._recordings + 1, ""
+            self._path = f"recordings/{self._run.run}-{time.strftime('%H%M%S')}-{self._recordings}.mcap"
             self._recorder = subprocess.Popen(
-                [*PYTHON, "-m", "nodes.cli.command", "bag", "record", "--run", self._run.run, "--out", path],
+                [*PYTHON, "-m", "nodes.cli.command", "bag", "record", "--run", self._run.run, "--out", self._path],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
             )
-            self._path = path
         elif not on:
             self._end_recorder()
-        return {"recording": on, "path": self._path if self._recordings else ""}
+        return self.recording()
+
+    @property
+    def records(self) -> bool:
+        """Whether a recording that a page has begun is under way, as far as is known."""
+        return self._recorder is not None
+
+    def recording(self) -> dict[str, Any]:
+        """Tell how the recording stands; one that has ended by itself, as on a full disk, is over, and why is told."""
+        if self._recorder is not None and self._recorder.poll() is not None:
+            self._end_recorder()
+        return {"recording": self._recorder is not None, "path": self._path, "error": self._failure}
 
     def _end_recorder(self) -> None:
-        recorder, self._recorder = self._recorder, None
+        recorder = self._recorder
         if recorder is None:
             return
         recorder.send_signal(signal.SIGINT)
-        _, said = recorder.communicate(timeout=TIMEOUT)
-        if recorder.returncode not in (0, 130):
-            raise CommandError(f"recording failed: {said.decode(errors='replace')[-500:].strip()}")
+        try:
+            _, said = recorder.communicate(timeout=TIMEOUT)
+        except subprocess.TimeoutExpired:
+            self._failure = f"recording: {self._path} is not complete {TIMEOUT:g} s after it was asked to end"
+            return
+        self._recorder, self._failure = None, ""
+        if recorder.returncode == -signal.SIGINT:
+            # Its interpreter was still starting.
+            self._failure = "recording: it was ended before it had begun"
+        elif recorder.returncode not in (0, 130):
+            why = said.decode(errors="replace")[-500:].strip() or f"it ended with exit code {recorder.returncode}"
+            self._failure = f"recording failed: {why}"
 
     def end(self) -> None:
         """Give up what is waited for; returns after `close`, on another thread."""
@@ -266,8 +289,6 @@ class Commander:
 
     def close(self) -> None:
         """Complete a recording that is under way, and close the connections."""
-        try:
-            self._end_recorder()
-        finally:
-            for line in self._lines.values():
-                line.drop()
+        self._end_recorder()
+        for line in self._lines.values():
+            line.drop()

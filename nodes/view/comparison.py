@@ -55,6 +55,12 @@ class Comparison:
         self._restart()
         self._put("beside", {"law": law})
 
+    def follow(self, laws: Mapping[str, Any]) -> None:
+        """Take B's parameters as they are by now: changed, it begins anew."""
+        described = laws.get(self.law, self._described)
+        if self.law and described != self._described:
+            self.choose(self.law, described)
+
     def delayed(self, ticks: float) -> None:
         """Take how late the device answers by now: with another delay B begins anew."""
         later = ticks - float(self._setups[self._driver].parameters["device"].get("delay", 0.0))

@@ -16,7 +16,7 @@ from nodes.launcher.runs import RunInfo, ended_why
 from nodes.parameters.store import convert
 from nodes.recording.summary import quantile
 from nodes.view.feed import BINS_PER_SECOND, Feed
-from nodes.view.why_force import Ringing, explain, stop_in_words
+from nodes.view.why_force import Ringing, explain, size, stop_in_words
 
 STATUS_PERIOD = 0.2  # how often pages get the status [s]
 RECENT = 5.0  # how far back percentiles go [s]
@@ -124,9 +124,9 @@ class LiveRun:
         self._responses: deque[float] = deque(maxlen=max(100, round(RECENT / facts.period)))
         self._heard: dict[str, tuple[NodeStatus, float]] = {}
         self._state_at = -1.0
-        self._why = self._device = ""
+        self._why = self._device = self._failed = ""
         self._missed: deque[tuple[float, int]] = deque()
-        self._axis = AXIS_INDEX[facts.axes[0]]
+        self._axis = AXIS_INDEX[facts.axes[0]] if len(facts.axes) == 1 else None
         self._ringing = Ringing()
         self._stop: dict[str, float] = {}
         self._status_at = -1.0
@@ -159,11 +159,16 @@ class LiveRun:
             if message.response > 0.0:
                 self._responses.append(message.response)
             self.delay += (message.delay - self.delay) / 64.0
-            self._ringing.take(message.seq * self._period, message.force[self._axis])
+            # Of several axes its size: it may ring along any of them.
+            force = message.force[self._axis] if self._axis is not None else size(message.force)
+            self._ringing.take(message.seq * self._period, force)
         elif isinstance(message, NodeStatus):
             self._heard[message.node] = (message, now)
-            if topic == self._driver_status and message.state in ("finished", "failed"):
-                self.end(message.reason or message.state)
+            if topic == self._driver_status:
+                # One that failed may be started again: whether the run is over then, its launcher knows.
+                self._failed = (message.reason or message.state) if message.state == "failed" else ""
+                if message.state == "finished":
+                    self.end(message.reason or message.state)
             return
         elif isinstance(message, Receipt):
             self.changed = True
@@ -184,7 +189,7 @@ class LiveRun:
 
     def end(self, reason: str) -> None:
         """Note that the run is over, and why: the launcher knows better than a driver that was told to end."""
-        self.ended = ended_why(self._run_dir) or reason
+        self.ended = ended_why(self._run_dir) or self._failed or reason
 
     def _missed_lately(self, now: float, missed: int) -> int:
         """Count the ticks missed of late."""
@@ -199,6 +204,8 @@ class LiveRun:
 
     def tick(self, now: float) -> None:
         """File bins and tell the status when it is time."""
+        if self._failed and not self.ended and ended_why(self._run_dir):
+            self.end(self._failed)
         self.feed.file(bool(self.ended))
         if now - self._status_at >= STATUS_PERIOD or self.ended:
             self._status_at = now
@@ -236,7 +243,7 @@ class LiveRun:
             "level": level,
             "words": text,
             "safety": state.safety if state else "",
-            "stop": self._stop if state is not None and state.safety == "stopped" else None,
+            "stop": (self._stop or None) if state is not None and state.safety == "stopped" else None,
             "tick": ticks,
             "t": ticks * self._period,
             "rate_hz": 0.0 if self.ended else round(self._rate_hz, 1),

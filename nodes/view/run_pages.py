@@ -186,6 +186,8 @@ class RunPages:
                 await self._drain()
                 self._refresh()
                 self._move_hand()
+                if self._commander.records:
+                    self._start("recorder", self._look_at_recorder)
                 between()
                 await asyncio.sleep(DRAIN_PERIOD)
             await self._finish()
@@ -300,6 +302,7 @@ class RunPages:
 
         try:
             self._laws = await asyncio.get_running_loop().run_in_executor(self._asking, ask)
+            self._comparison.follow(self._laws["laws"])
             if self._laws["device_delay"] is not None:
                 self._comparison.delayed(self._laws["device_delay"])
             self.live.board.put("laws", self._laws)
@@ -309,6 +312,11 @@ class RunPages:
             # A coupling or driver that is being started again does not answer yet.
             await asyncio.sleep(ASK_AGAIN)
             self.live.changed = True
+
+    async def _look_at_recorder(self) -> None:
+        """Tell the pages when a recording ends by itself."""
+        self.live.board.put("record", await asyncio.get_running_loop().run_in_executor(self._asking, self._commander.recording))
+        await asyncio.sleep(ASK_AGAIN)
 
     async def _draw_map(self) -> None:
         laws, delay = self._laws, self.live.delay

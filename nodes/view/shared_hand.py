@@ -1,4 +1,4 @@
-"""The hand's target among several pages: one has it at a time, it never jumps, and until somebody takes it, it taps by itself.
+"""The hand's target among several pages: one of all views has it at a time, it never jumps, and until it is taken it taps.
 
 A page that falls silent with its socket open is a browser that is busy, with somebody's finger still on the mouse: the target
 stays for a while, then goes home slowly; when the page is heard again, it comes back as slowly. A page that is closed, or
@@ -67,6 +67,8 @@ class SharedHand:
         if not all(map(math.isfinite, wanted)):
             return f"hand: {wanted} m, expected three finite numbers"
         if self._owner != owner:
+            if not self._writer.take():
+                return "hand: another page holds it"
             self._owner, self.taken = owner, True
             self._home = self._at = self._present
             # Back after a silence: the finger was on the mouse all the time.
@@ -102,9 +104,17 @@ class SharedHand:
 
     def tap(self, axis: int, surface: float | None, side: float) -> None:
         """Touch the surface by itself now and then, while no page has taken the hand."""
-        now = time.monotonic()
-        if self._writer is None or self.taken or surface is None:
+        now, writer = time.monotonic(), self._writer
+        if writer is None or self.taken or surface is None:
             return
+        if not writer.take():
+            # A page of another view has it.
+            self.taken = True
+            return
+        self._tap(writer, now, axis, surface - side * DEPTH)
+        writer.leave()
+
+    def _tap(self, writer: PointerWriter, now: float, axis: int, deepest: float) -> None:
         if now - self._taps > EVERY:
             if now - self._still < REST:
                 return
@@ -112,18 +122,19 @@ class SharedHand:
         done = (now - self._taps) / PRESS
         if done >= 1.0:
             if self._at != self._home:
-                self._release(self._writer)
+                writer.let_go()
                 self._at = self._home
             return
         # Up and down as a finger does: soft at both ends, a while inside.
         share = min(1.0, 1.6 * math.sin(math.pi * done) ** 2)
         target = list(self._home)
-        target[axis] += share * (surface - side * DEPTH - target[axis])
+        target[axis] += share * (deepest - target[axis])
         self._at = target[0], target[1], target[2]
-        self._writer.write(self._at)
+        writer.write(self._at)
 
     def _release(self, writer: PointerWriter) -> None:
         writer.let_go()
+        writer.leave()
         self._owner, self._slow = 0, False
 
     def close(self) -> None:

@@ -166,13 +166,13 @@ def drawn_map(
     inertia: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Draw the map for a page, or say why there is none; `inertia` is what a device tells of its own masses."""
-    plant = with_inertia(plant_of(declared, driver), inertia)
-    if plant is None:
-        return {
-            "why": "No map: the device is not declared. Give the coupling its plant in the launch file, for example "
-            "plant: {mass: 0.1, damping: 1.0}."
-        }
     try:
+        plant = with_inertia(plant_of(declared, driver), inertia)
+        if plant is None:
+            return {
+                "why": "No map: the device is not declared. Give the coupling its plant in the launch file, for example "
+                "plant: {mass: 0.1, damping: 1.0}."
+            }
         return stability_map(parse_law(described, "law"), period, plant, delay)
-    except (HapticError, ValueError) as error:
+    except (HapticError, ValueError, ArithmeticError, msgspec.ValidationError) as error:
         return {"why": f"No map: {error}"}

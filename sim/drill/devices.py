@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from messages.types import DeviceState
-from sim.drill.drill import LIMIT, RATE, Fault, FaultSkippedError, another, fault_of
-from sim.measure.measured_launch import MeasurementError, wait_for, within
+from sim.drill.drill import LIMIT, RATE, Fault, FaultSkippedError, await_another, await_strike, fault_of
+from sim.measure.measured_launch import MeasurementError, wait_for
 from sim.measure.rig import Rig
 from sim.stand_ins import inverse_service
 from sim.stand_ins.world import World, library
@@ -101,6 +101,10 @@ class StandIn:
         rules = [f"{self.arm.state.broken} rules of the vendor's were broken"] if self.arm.state.broken else []
         return self._wrong + rules
 
+    def held(self) -> None:
+        """Make sure that the arm has a force to lose."""
+        await_strike(lambda: any(self.arm.force()), "a force on the arm before the fault")
+
     def force_ends(self) -> None:
         """Wait until no force acts on the arm, and note when that takes too long."""
         begun = time.monotonic()
@@ -115,14 +119,16 @@ class StandIn:
 
     def unplug(self, rig: Rig) -> None:
         """Pull the cable until the driver has ended, and plug it in again."""
+        self.held()
         before = rig.pid("driver")
         self.arm.state.unplugged = 1
         self._ends(rig)
         self.arm.state.unplugged = 0
-        within(lambda: another(rig, "driver", before), 15.0)
+        await_another(rig, "driver", before)
 
     def swap(self, rig: Rig) -> None:
         """Pull the cable, and plug another device in first: it must be refused, and get no force."""
+        self.held()
         before = rig.pid("driver")
         serial, arm = self.arm.state.serial, self.arm.state
         arm.unplugged = 1
@@ -132,10 +138,11 @@ class StandIn:
         if arm.largest:
             self._wrong.append(f"the wrong device got {arm.largest:.3g} N")
         arm.serial = serial
-        within(lambda: another(rig, "driver", before), 15.0)
+        await_another(rig, "driver", before)
 
     def block(self, rig: Rig) -> None:
         """Let one read take 100 ms."""
+        self.held()
         self.arm.state.block_ms = 100
         wait_for(lambda: self.arm.state.block_ms == 0, "the read that blocks")
         self.force_ends()
@@ -143,6 +150,7 @@ class StandIn:
 
     def fail(self, rig: Rig) -> None:
         """Let reads fail, their out-parameters untouched."""
+        self.held()
         before = rig.pid("driver")
         self.arm.fail(self.kind.reads)
         self.force_ends()
@@ -150,10 +158,11 @@ class StandIn:
         self.arm.fail("")
         # A Touch takes an error of its servo loop for the end.
         if "[driver] ended: " in rig.errors:
-            within(lambda: another(rig, "driver", before), 15.0)
+            await_another(rig, "driver", before)
 
     def slow(self, rig: Rig) -> None:
         """Let each answer take 80 ms."""
+        self.held()
         self.arm.state.slow_ms = 80
         self.force_ends()
         rig.let_pass(BAD)
@@ -163,12 +172,13 @@ class StandIn:
         """Kill the service, and start it again where it was."""
         if self._service is None:
             raise MeasurementError(f"{self.kind.title} has no service")
+        self.held()
         before, ports = rig.pid("driver"), (self._service.port, self._service.events_port)
         self._service.process.kill()
         self._service.process.communicate()
         self._ends(rig)
         self._serve("--ports", *map(str, ports))
-        within(lambda: another(rig, "driver", before), 15.0)
+        await_another(rig, "driver", before)
 
 
 def faults() -> list[Fault]:

@@ -16,7 +16,7 @@ import msgspec
 
 from messages.transport.requests import ControlError
 from messages.types import ZERO, DeviceState
-from sim.measure.measured_launch import MeasurementError, within
+from sim.measure.measured_launch import MeasurementError, wait_for, within
 from sim.measure.rig import Rig
 
 RATE = 500.0
@@ -165,14 +165,31 @@ def in_order(states: Sequence[DeviceState]) -> bool:
     return len(last) == CALM and last[-1].safety == "active" and fresh >= 0.8 * (CALM - 1)
 
 
+def await_strike(shows: Callable[[], Any], what: str, longest: float = 5.0) -> None:
+    """Wait until a fault shows; MeasurementError where it does not, for what has struck nothing proves nothing."""
+
+    def is_there() -> Any:
+        # A node that is struck may not answer.
+        with contextlib.suppress(ControlError):
+            return shows()
+        return None
+
+    if not within(is_there, longest):
+        raise MeasurementError(f"not struck: {what} not within {longest:g} s")
+
+
 def kill(node: str) -> Callable[[Rig], None]:
     """Make a strike that kills a node and waits for another in its place."""
 
     def strike(rig: Rig) -> None:
-        before = rig.kill(node)
-        within(lambda: another(rig, node, before), 15.0)
+        await_another(rig, node, rig.kill(node))
 
     return strike
+
+
+def await_another(rig: Rig, node: str, before: int) -> None:
+    """Wait until another process answers in a node's place."""
+    wait_for(lambda: another(rig, node, before), f"another {node}", 15.0)
 
 
 def another(rig: Rig, node: str, before: int) -> bool:

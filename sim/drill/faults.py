@@ -15,30 +15,51 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from nodes.base.processor_wait import state_of
 from sim.drill import devices, intruders, last_line, people
-from sim.drill.drill import Fault, FaultSkippedError, fault_of, kill, with_link
+from sim.drill.drill import Fault, FaultSkippedError, await_strike, fault_of, kill, with_link
 from sim.measure.measured_launch import within
 from sim.measure.rig import Rig
 
 STOPPED = 0.3  # how long a node is stopped, a link is bad, a processor is taken away [s]
+ENOUGH = 10  # a link's fault shows when so many forces more have met it
 
 
 def _stop(node: str) -> Callable[[Rig], None]:
     def strike(rig: Rig) -> None:
         pid = rig.kill(node, signal.SIGSTOP)
+        await_strike(lambda: state_of(Path(f"/proc/{pid}")) == "T", f"{node} stopped")
         rig.let_pass(STOPPED)
         os.kill(pid, signal.SIGCONT)
 
     return strike
 
 
-def _bad_link(**values: float) -> Callable[[Rig], None]:
+def _bad_link(count: Callable[[Rig], int], shows: str, **values: float) -> Callable[[Rig], None]:
+    """Make a strike that sets a link's faults until they show by what is counted of them."""
+
     def strike(rig: Rig) -> None:
+        before = count(rig)
         rig.call("link", "param.set", values=values)
         rig.let_pass(STOPPED)
+        await_strike(lambda: count(rig) > before + ENOUGH, shows)
         rig.call("link", "param.set", values=dict.fromkeys(values, 0))
 
     return strike
+
+
+def _counted(node: str, counter: str) -> Callable[[Rig], int]:
+    return lambda rig: int(rig.call(node, "status")[counter])
+
+
+def _surplus(rig: Rig) -> int:
+    """Count the forces that a driver got beyond one a tick."""
+    status = rig.call("driver", "status")
+    return int(status["received"]) - int(status["ticks"])
+
+
+def _missed(rig: Rig) -> int:
+    return rig.states[-1].missed
 
 
 class _SmallDisk:
@@ -80,12 +101,12 @@ class _SmallDisk:
 
 
 @contextlib.contextmanager
-def _hogs() -> Iterator[None]:
+def _hogs() -> Iterator[list[subprocess.Popen[bytes]]]:
     """Four busy processes per processor."""
     command = [sys.executable, "-S", "-c", "while True: pass"]
     hogs = [subprocess.Popen(command) for _ in range(4 * len(os.sched_getaffinity(0)))]
     try:
-        yield
+        yield hogs
     finally:
         for hog in hogs:
             hog.kill()
@@ -94,8 +115,9 @@ def _hogs() -> Iterator[None]:
 
 
 def _starve(rig: Rig) -> None:
-    with _hogs():
+    with _hogs() as hogs:
         rig.let_pass(3 * STOPPED)
+        await_strike(lambda: all(hog.poll() is None for hog in hogs), "all processors busy")
 
 
 CLOCK = """
@@ -162,6 +184,10 @@ class SteppedClock:
 
     def strike(self, rig: Rig) -> None:
         """Set it back, on, and right again."""
+        maps = Path(f"/proc/{rig.pid('driver')}/maps")
+        await_strike(
+            lambda: f"{self.folder}/clock.so" in maps.read_text(errors="replace"), "the driver under the stepped clock"
+        )
         for seconds in (-3600.0, 7200.0, 0.0):
             self.step(seconds)
             rig.let_pass(STOPPED)
@@ -182,18 +208,20 @@ def faults() -> list[Fault]:
     chain = ("driver", "environment", "coupling", "logger")
     disk, clock = _SmallDisk(), SteppedClock()
 
-    def link(name: str, what: str, **values: float) -> Fault:
-        return Fault(name, what, _bad_link(**values), change=with_link)
+    def link(name: str, what: str, count: Callable[[Rig], int], shows: str, **values: float) -> Fault:
+        return Fault(name, what, _bad_link(count, shows, **values), change=with_link)
+
+    lost, refused = _counted("link", "skipped"), _counted("driver", "refused")
 
     return [
         *(Fault(f"kill {node}", "SIGKILL, respawned", kill(node)) for node in chain),
         *(Fault(f"stop {node}", f"SIGSTOP for {STOPPED:g} s", _stop(node)) for node in chain),
-        link("flood", "300 old forces after each force", flood=300),
-        link("dead link", "every force lost", drop=1.0),
-        link("lossy link", "every third force lost", drop=0.33),
-        link("slow link", "20 ms late, limit 10 ms", delay=0.02),
-        link("reordering link", "up to 12 ms late, overtaking", jitter=0.012),
-        link("garbage", "every second force with a bit flipped", corrupt=0.5),
+        link("flood", "300 old forces after each force", _surplus, "old forces at the driver", flood=300),
+        link("dead link", "every force lost", lost, "forces lost", drop=1.0),
+        link("lossy link", "every third force lost", lost, "forces lost", drop=0.33),
+        link("slow link", "20 ms late, limit 10 ms", _missed, "late forces", delay=0.02),
+        link("reordering link", "up to 12 ms late, overtaking", _missed, "late forces", jitter=0.012),
+        link("garbage", "every second force with a bit flipped", refused, "forces refused as malformed", corrupt=0.5),
         fault_of(disk, "full disk", "no room under the logger", exit_code=1),
         fault_of(clock, "clock step", "wall clock −1 h, +2 h"),
         Fault("starvation", "4 busy processes per core, no FIFO", _starve, change=last_line.no_fifo),

@@ -24,9 +24,9 @@ from unittest import mock
 
 from messages.transport import keys
 from messages.transport.endpoints import MAX_MESSAGE
-from sim.drill.drill import Fault, fault_of, with_link
+from sim.drill.drill import Fault, await_strike, fault_of, with_link
 from sim.measure.free_ports import free_ports
-from sim.measure.measured_launch import MeasurementError, within
+from sim.measure.measured_launch import MeasurementError, wait_for, within
 from sim.measure.rig import Rig
 
 HELD = 1.0  # how long an intruder stays [s]
@@ -92,11 +92,13 @@ class _Elsewhere:
 
         threading.Thread(target=serve, daemon=True).start()
         rig.let_pass(HELD)
+        came = within(lambda: held, 5.0)
         impostor.shutdown(socket.SHUT_RDWR)
         impostor.close()
         for one in held:
             one.close()
         self.start()
+        await_strike(lambda: came, "anybody at the impostor's port", 0.0)
 
     def revoke(self, rig: Rig) -> None:
         """Take its key away; give it back when it has ended by its lease, and start it again."""
@@ -106,7 +108,9 @@ class _Elsewhere:
             keys.revoke("robot")
             if not within(lambda: rig.states[-1].safety == "zero", 5.0):
                 raise MeasurementError("a coupling whose key was revoked still commands force after 5 s")
-            within(lambda: self._node is not None and self._node.poll() is not None, 20.0)
+            wait_for(
+                lambda: self._node is not None and self._node.poll() is not None, "the end of the coupling by its lease", 20.0
+            )
             keys.allow("robot", robot)
         self.start()
 
@@ -122,7 +126,7 @@ class _Elsewhere:
 
 def _send_oversize(rig: Rig) -> None:
     rig.call("link", "param.set", values={"oversize": MAX_MESSAGE + 1})
-    within(lambda: rig.states[-1].safety == "zero", 5.0)
+    await_strike(lambda: rig.states[-1].safety == "zero", "a link that breaks")
     rig.call("link", "param.set", values={"oversize": 0})
 
 
@@ -147,6 +151,7 @@ class _FewDescriptors:
                     clients.append(connect(place))
         for client in clients:
             client.close()
+        await_strike(lambda: len(clients) > FEW, f"more than {FEW} connections", 0.0)
         _expect_the_same(rig, {"driver": driver})
 
     def tidy(self) -> None:
@@ -170,15 +175,16 @@ def _visit_all(rig: Rig) -> None:
     """Misbehave at every kind of socket of every node; nothing of the loop may end, whatever becomes of the forwarder."""
     before = {node: rig.pid(node) for node in ("driver", "environment", "coupling")}
     chance = random.Random(1)  # noqa: S311  # misbehaviour, not secrets
-    ports = rig.run.nodes["forwarder"].parameters["ports"]
+    ports, let_in = rig.run.nodes["forwarder"].parameters["ports"], 0
     for number in range(VISITS):
         node = list(before)[number % len(before)]
         setup = rig.run.nodes[node]
-        visit(f"tcp://127.0.0.1:{ports[node]}", chance)
+        let_in += visit(f"tcp://127.0.0.1:{ports[node]}", chance)
         # Only the same user gets there, and every subscription costs the loop a microsecond: one at a time.
         place = (setup.publish, setup.listen, setup.control)[number // len(before) % 3]
-        visit(place, chance, requests=place == setup.control)
+        let_in += visit(place, chance, requests=place == setup.control)
         rig.let_pass(PAUSE)
+    await_strike(lambda: let_in > VISITS, "most of the listeners let in", 0.0)
     _expect_the_same(rig, before)
 
 

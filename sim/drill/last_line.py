@@ -8,7 +8,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from sim.drill.drill import Fault, another, fault_of, kill
+from nodes.base.processor_wait import state_of
+from sim.drill.drill import RATE, Fault, await_another, await_strike, fault_of, kill
 from sim.drill.faulty_device import EXIT, HANG
 from sim.measure.measured_launch import processes_of, within
 from sim.measure.rig import Rig
@@ -16,6 +17,7 @@ from sim.measure.rig import Rig
 ORDER = "order"
 HANG_LIMIT = 0.5  # after so long within one tick the drill's device is taken to hang [s]
 BEHIND = 2.0  # how long the logger's disk is slow before the end [s]; it is during the end too
+LOOPED = 3  # messages of the loop that a logger records for each tick
 ON, OFF, ROUNDS = 0.008, 0.092, 8  # a quota of 8 % in periods of 0.1 s [s]: less than what a plain 500 Hz loop needs
 GROUPS = Path("/sys/fs/cgroup")
 # Where the kernel keeps processor quotas [µs], what sets one and what ends it: of control groups version 1 and 2.
@@ -36,9 +38,9 @@ def _break_down(what: str, said: str) -> Callable[[Rig], None]:
     def strike(rig: Rig) -> None:
         before, order = rig.pid("driver"), rig.folder / ORDER
         order.write_text(what, encoding="ascii")
-        within(lambda: said in rig.errors, 15.0)
+        await_strike(lambda: said in rig.errors, f"“{said}” of the driver", 15.0)
         order.unlink()
-        within(lambda: another(rig, "driver", before), 15.0)
+        await_another(rig, "driver", before)
 
     return strike
 
@@ -50,14 +52,21 @@ def _slow_disk(content: dict[str, Any]) -> None:
 
 def _fall_behind(rig: Rig) -> None:
     """Let the logger fall so far behind that its end takes longer than any node has."""
+
+    def behind() -> int:
+        return int(rig.call("driver", "status")["ticks"]) - int(rig.call("logger", "status")["ticks"]) // LOOPED
+
+    before = behind()
     (rig.folder / ORDER).touch()
     rig.let_pass(BEHIND)
+    await_strike(lambda: behind() > before + RATE * BEHIND / 4.0, "a logger that falls behind")
 
 
 def _stop_reaper(rig: Rig) -> None:
-    for number, line in processes_of(rig.runtime_dir).items():
-        if "reaper.py" in line:
-            os.kill(number, signal.SIGSTOP)
+    reapers = [number for number, line in processes_of(rig.runtime_dir).items() if "reaper.py" in line]
+    for number in reapers:
+        os.kill(number, signal.SIGSTOP)
+    await_strike(lambda: {state_of(Path(f"/proc/{number}")) for number in reapers} == {"T"}, "the reaper stopped")
 
 
 def _misplace(position: str) -> Callable[[Rig], None]:
@@ -66,7 +75,7 @@ def _misplace(position: str) -> Callable[[Rig], None]:
         draft = order.with_suffix(".draft")
         draft.write_text(position, encoding="ascii")
         draft.rename(order)
-        within(lambda: rig.states[-1].safety == "fault", 5.0)
+        await_strike(lambda: rig.states[-1].safety == "fault", "the driver's fault")
         within(lambda: rig.states[-1].safety != "fault", 0.3)
         order.unlink()
 
@@ -104,12 +113,18 @@ class _Quota:
             self._set(self._some)
             rig.let_pass(ROUNDS * (ON + OFF))
             self._set(self._none)
+            await_strike(self._throttled, "a loop that is held up by its quota")
             return
         for _ in range(ROUNDS):
             for number, seconds in ((signal.SIGSTOP, OFF), (signal.SIGCONT, ON)):
                 for pid in pids:
                     os.kill(pid, number)
                 rig.let_pass(seconds)
+
+    def _throttled(self) -> bool:
+        assert self._group is not None  # noqa: S101
+        stat = (self._group / "cpu.stat").read_text(encoding="ascii")
+        return any(int(line.split()[1]) > 0 for line in stat.splitlines() if line.startswith("nr_throttled"))
 
     def _set(self, values: Mapping[str, str]) -> None:
         assert self._group is not None  # noqa: S101
@@ -145,13 +160,15 @@ def _kill_at_start(rig: Rig) -> None:
 
     for attempt in range(ATTEMPTS):
         launcher = rig.beside("launch", str(rig.folder / "drill.yaml"), "--no-plot")
-        within(lambda attempt=attempt: len(others()) > attempt, 15.0)  # type: ignore[misc]
-        for number, line in others().items():
-            if "reaper.py" in line:
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(number, signal.SIGKILL)
-        launcher.kill()
-        launcher.wait()
+        try:
+            await_strike(lambda attempt=attempt: len(others()) > attempt, "nodes of a launch that starts", 15.0)  # type: ignore[misc]
+            for number, line in others().items():
+                if "reaper.py" in line:
+                    with contextlib.suppress(ProcessLookupError):
+                        os.kill(number, signal.SIGKILL)
+        finally:
+            launcher.kill()
+            launcher.wait()
     within(lambda: not others(), 10.0)
     if not others():
         # The directories that a killed launcher leaves are the next launch's to sweep, after a minute.

@@ -71,7 +71,9 @@ export class Laws {
       this.shape = shape;
       this.controls.clear();
       this.sliders.replaceChildren();
-      if (law) for (const field of this.fields[law.kind] ?? []) this.control(field, law[field.name], field.name, (value) => this.change(field.name, value));
+      // A control belongs to its law: what is still under way when another one renders is not for that.
+      const { active } = state;
+      if (law) for (const field of this.fields[law.kind] ?? []) this.control(field, law[field.name], field.name, (value) => this.change(field.name, value, false, active));
     }
     if (document.activeElement !== this.ramp && state.ramp !== undefined) this.ramp.value = state.ramp;
     this.fill();
@@ -137,8 +139,8 @@ export class Laws {
   }
 
   // Of a slider that is drawn only the newest value is sent, one at a time; past the edge where that was asked for.
-  change(name, value, beyond = false) {
-    this.wanted.set(name, { value, beyond });
+  change(name, value, beyond = false, law = this.state?.active ?? "") {
+    this.wanted.set(name, { value, beyond, law });
     if (!this.busy) this.flush();
   }
 

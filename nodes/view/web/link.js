@@ -9,7 +9,6 @@ export class Link {
     this.waiting = new Map();
     this.number = 0;
     this.pause = 250;
-    this.over = false;
     // When the last message came.
     this.heard = -Infinity;
     this.connect();
@@ -29,10 +28,9 @@ export class Link {
       for (const settle of this.waiting.values()) settle({ ok: false, error: "The connection was lost before the answer came." });
       this.waiting.clear();
       this.handlers.close();
-      if (!this.over) {
-        setTimeout(() => this.connect(), this.pause);
-        this.pause = Math.min(2000, this.pause * 1.6);
-      }
+      // After an end too: a view that was ended alone is started again at its old place.
+      setTimeout(() => this.connect(), this.pause);
+      this.pause = Math.min(2000, this.pause * 1.6);
     };
   }
 

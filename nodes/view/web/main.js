@@ -27,8 +27,9 @@ startTheme($("theme"));
 let store = null;
 let hello = null;
 let stoppedAt = null;
+let charted = null;
 const log = new Log($("log"));
-const status = new Status({ words: $("words"), dot: $("dot"), figures: $("figures"), nodes: $("nodes"), notice: $("notice") });
+const status = new Status({ words: $("words"), told: $("told"), dot: $("dot"), figures: $("figures"), nodes: $("nodes"), notice: $("notice") });
 const lag = new Lag();
 
 function moved(target) {
@@ -77,6 +78,10 @@ const link = new Link({
     log.clear();
     plots.marks.length = 0;
     hello = found;
+    offer(true);
+    status.ended = false;
+    // What it waits for does not come to the old ring any more; how it stands is told again.
+    if (!slow.run?.begun) { stoppedAt = null; slow.end(); }
     store = new Store(found.series, found.bin_s, found.kept_s + 30);
     document.title = found.scenario;
     $("scenario").textContent = found.scenario;
@@ -90,11 +95,10 @@ const link = new Link({
     laws.start(found.fields, found.replay);
     dial.start(found);
     delay.start(found);
-    map.movable = !found.replay;
     map.delays = found.delays;
     map.beyond = () => found.beyond && $("beyond").checked;
     beside.start(found);
-    sound.start(store, found.axes[0]);
+    sound.start(store, found.axes);
     if (!found.hand) $("hint").textContent = "";
     $("record").hidden = $("stop").hidden = found.replay;
     $("replay").hidden = !found.replay;
@@ -121,26 +125,30 @@ const link = new Link({
     map.stop(stopped);
     if (stopped && found.stop && stoppedAt !== found.stop.t && !hello?.replay) watchSlowly(found.stop);
     else if (!stopped && stoppedAt !== null) goOn();
-    if (found.ended && !hello?.replay) { link.over = true; close(); scene.draggable = space.ready = false; scene.letGo(); space.letGo(); $("hint").textContent = ""; $("record").hidden = $("stop").hidden = $("again").hidden = true; }
+    $("once-more").hidden = !slow.on;
+    $("again").hidden = !stopped || !hello?.again;
+    if (found.ended && !hello?.replay) { offer(false); scene.draggable = space.ready = false; scene.letGo(); space.letGo(); $("hint").textContent = ""; $("record").hidden = $("stop").hidden = $("again").hidden = true; }
   },
   laws(found) {
     laws.show(found);
     beside.laws(Object.keys(found.laws).filter((name) => found.laws[name].kind !== "excitation"));
-    turn();
+    chart();
     if (!hello?.replay) open();
   },
   poses({ poses }) { space.pose(poses); },
   beside(found) { beside.show(found); },
   over(found) { overlaid = found; plots.dirty = true; },
-  map(found) { map.show(found); laws.edge = found.k_max_n_per_m ?? null; laws.fill(); turn(); },
+  map(found) { charted = found; chart(); },
   log(entry) {
     log.add(entry);
     if (entry.kind === "receipt") plots.mark(entry.t, entry.switched ? entry.law : "");
   },
   record(found) {
     $("record").setAttribute("aria-pressed", found.recording);
-    $("record").textContent = found.recording ? "Recording" : "Record";
-    if (found.path) log.add({ kind: "event", t: store?.end ?? 0, node: "view", event: "recording", text: `${found.recording ? "recording to" : "recorded"} ${found.path}` });
+    $("record").textContent = found.recording ? "Recording" : found.error ? "Not recorded" : "Record";
+    $("record").title = found.error;
+    if (found.error) { laws.refuse(found.error); refused(found.error); }
+    else if (found.path) log.add({ kind: "event", t: store?.end ?? 0, node: "view", event: "recording", text: `${found.recording ? "recording to" : "recorded"} ${found.path}` });
   },
   answer(found) {
     if (found.ok) return;
@@ -172,6 +180,16 @@ function lookAt(view) {
 
 $("axis").addEventListener("change", () => lookAt($("axis").value));
 
+// The edge of another law is none of this one's: until its own map has come there is none.
+function chart() {
+  const fits = charted !== null && charted.law === laws.state?.active;
+  if (!fits) map.forget();
+  else if (map.map !== charted) map.show(charted);
+  laws.edge = fits ? charted.k_max_n_per_m ?? null : null;
+  laws.fill();
+  turn();
+}
+
 function turn() {
   const law = laws.state?.laws[laws.state.active];
   dial.show(law?.stiffness ?? null, laws.edge, map.map !== null);
@@ -188,7 +206,7 @@ async function open() {
   const { law, stiffness, delay: later, beside: other } = wanted;
   wanted = {};
   if (law && law !== laws.state.active) await laws.choose(law);
-  if (stiffness) laws.change("stiffness", stiffness);
+  if (stiffness) laws.change("stiffness", stiffness, false, law ?? laws.state.active);
   if (later && hello.delays) laws.change("delay", later);
   if (other && hello.compares) await beside.choose(other);
 }
@@ -218,9 +236,7 @@ function watchSlowly(stop) {
   stoppedAt = stop.t;
   scene.letGo();
   scene.trace.length = 0;
-  slow.start(store, scene.axis, stop, scene.surface);
-  $("once-more").hidden = false;
-  $("again").hidden = !hello.again;
+  slow.start(store, scene.axis, stop, hello.axes.length > 1 ? null : scene.surface);
 }
 
 function goOn() {
@@ -228,7 +244,6 @@ function goOn() {
   slow.end();
   dial.turning = -Infinity;
   turn();
-  $("once-more").hidden = $("again").hidden = true;
 }
 
 $("once-more").addEventListener("click", () => { scene.trace.length = 0; slow.again(); });
@@ -239,11 +254,11 @@ $("again").addEventListener("click", async () => {
   $("again").disabled = false;
 });
 
-// Nothing that turns the loop is offered once there is none.
-function close() {
-  map.movable = false;
-  for (const id of ["dial", "beyond-switch", "delay-row", "laws", "sliders", "ramp", "undo"]) $(id).inert = true;
-  $("other").parentElement.inert = true;
+// Nothing that turns the loop is offered where there is none.
+function offer(there) {
+  map.movable = there && !hello.replay;
+  for (const id of ["dial", "beyond-switch", "delay-row", "laws", "sliders", "ramp", "undo"]) $(id).inert = !there;
+  $("other").parentElement.inert = !there;
 }
 
 // -- buttons and keys ---------------------------------------------------------------------------------------------

@@ -35,6 +35,7 @@ export class StabilityMap {
   }
 
   pull(event) {
+    if (!this.frame) return;
     const { left, bottom, top, end, right, most, begin, last, far } = this.frame, within = (part) => Math.min(1, Math.max(0, part));
     const later = this.pulls === "delay";
     if (later && !this.delays) return;
@@ -66,6 +67,16 @@ export class StabilityMap {
     this.words.replaceChildren(...this.tell(map).map((part) => (typeof part === "string" ? unbroken(part) : part)));
     this.canvas.setAttribute("aria-label", this.words.textContent);
     this.draw();
+  }
+
+  // Of a law that renders no more. The place stays, so that nothing under it jumps.
+  forget() {
+    if (!this.map) return;
+    this.map = this.frame = null;
+    this.trail = [];
+    this.words.textContent = "…";
+    this.canvas.setAttribute("aria-label", "Map of stability");
+    if (this.canvas.clientWidth) blank(this.canvas);
   }
 
   tell(map) {

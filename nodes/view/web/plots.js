@@ -62,6 +62,9 @@ export class Plots {
       series,
       hooks: { setSelect: [(u) => this.selected(u)], setCursor: [(u) => this.read(u)], draw: [(u) => this.drawOver(u, unit), (u) => this.drawMarks(u, unit === "position")] },
     }, [[], ...wanted.map(() => [])], box);
+    const canvas = plot.root.querySelector("canvas");
+    canvas.setAttribute("role", "img");
+    canvas.setAttribute("aria-label", title);
     // What is being chosen holds still.
     plot.over.addEventListener("mousedown", () => { this.still = true; });
     plot.over.addEventListener("dblclick", () => this.follow());

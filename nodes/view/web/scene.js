@@ -41,6 +41,8 @@ export class Scene {
     this.clear();
     Object.assign(this, { axis: INDEX[letter], letter, upright: letter === "z" });
     this.draggable = hand;
+    // As an application it has its arrow keys to itself: a screen reader would keep them.
+    this.canvas.setAttribute("role", hand ? "application" : "img");
     this.canvas.setAttribute("aria-label", hand
       ? "Scene. Drag to move the hand, or use the arrow keys; Escape lets go."
       : "Scene: device, surface and force.");

@@ -1,26 +1,32 @@
 // The last moments before a stop, played again from what the page has kept, slowly.
 const BEFORE = 0.3, MARGIN = 0.04, SLOWER = 15;
+// The proxy is so far from a device that touches [m]: beyond what is rounded.
+const TOUCHED = 1e-7;
 
 export class SlowMotion {
   constructor() { this.run = null; }
 
-  // Waits until the bins of the stop have come.
+  // Waits until the bins of the stop have come, and then keeps them. Of several axes the surface is where the proxy is.
   start(store, axis, { t, span_s: span }, surface) {
     this.run = { store, axis, from: t - Math.max(BEFORE, span + MARGIN), to: t + MARGIN, surface, begun: null };
   }
 
-  again() { if (this.run) this.run.begun = performance.now(); }
+  again() { if (this.run?.begun) this.run.begun = performance.now(); }
 
   end() { this.run = null; }
 
   get on() { return this.run !== null; }
 
-  // Where it is: the window and the time in it. It stays at its end until it is ended.
+  // Where it is: the window, the time in it and its bins. It stays at its end until it is ended; a page that came too late has none.
   window() {
     const { run } = this;
-    if (!run || run.store.end < run.to) return null;
-    run.begun ??= performance.now();
-    return { sight: [run.from, run.to], at: Math.min(run.to, run.from + (performance.now() - run.begun) / 1e3 / SLOWER) };
+    if (!run || (run.begun === null && run.store.end < run.to)) return null;
+    if (run.begun === null) {
+      if (run.store.begin > run.to) return this.end() ?? null;
+      run.store = run.store.part(run.from, run.to);
+      run.begun = performance.now();
+    }
+    return { sight: [run.from, run.to], at: Math.min(run.to, run.from + (performance.now() - run.begun) / 1e3 / SLOWER), store: run.store };
   }
 
   // What the scene shows at a time, put together from the bins.
@@ -33,11 +39,12 @@ export class SlowMotion {
       const low = store.low[i][n], high = store.high[i][n];
       return Math.abs(low) > Math.abs(high) ? low : high;
     });
-    const position = along("position"), normal = [0, 0, 0];
-    const distance = surface ? (position[axis] - surface.at) * surface.side : NaN;
+    const position = along("position"), proxy = along("proxy"), out = proxy.map((each, k) => each - position[k]), deep = Math.hypot(...out);
+    const normal = surface ? [0, 0, 0] : out.map((each) => (deep > TOUCHED ? each / deep : 0));
+    const distance = surface ? (position[axis] - surface.at) * surface.side : deep > TOUCHED ? -deep : NaN;
     if (surface) normal[axis] = surface.side;
     return {
-      t: store.times[n], position, proxy: along("proxy"), normal, asked: along("law_force"), force: along("force"), target: along("target"),
+      t: store.times[n], position, proxy, normal, asked: along("law_force"), force: along("force"), target: along("target"),
       distance, contact: Number(distance < 0), delay: NaN,
     };
   }

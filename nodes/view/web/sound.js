@@ -7,9 +7,10 @@ export class Sound {
     button.addEventListener("click", () => this.set(!this.on));
   }
 
-  start(store, letter) {
+  // Of several axes the size of the force is heard: it may ring along any of them.
+  start(store, axes) {
     this.store = store;
-    this.series = store.index(`force.${letter}`);
+    this.series = axes.map((letter) => store.index(`force.${letter}`));
     this.from = store.head;
   }
 
@@ -33,9 +34,10 @@ export class Sound {
     if (!this.on || !this.node || this.from > head) { this.from = head; return; }
     const count = head - this.from, times = new Float64Array(count), forces = new Float32Array(count);
     for (let k = 0; k < count; k++) {
-      const n = (this.from + k) % store.size, low = store.low[this.series][n], high = store.high[this.series][n];
+      const n = (this.from + k) % store.size;
+      const along = this.series.map((series) => (Math.abs(store.low[series][n]) > Math.abs(store.high[series][n]) ? store.low : store.high)[series][n]);
       times[k] = store.times[n];
-      forces[k] = Math.abs(low) > Math.abs(high) ? low : high;
+      forces[k] = along.length > 1 ? Math.hypot(...along) : along[0];
       if (Number.isNaN(forces[k])) forces[k] = 0;
     }
     this.from = head;

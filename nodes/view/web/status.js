@@ -16,8 +16,10 @@ export class Status {
   }
 
   show(found) {
-    // A screen reader is told when the sentence changes in kind, not ten times a second.
-    this.words.textContent = unbroken(found.words);
+    const words = unbroken(found.words), kind = words.replace(/[\d.]+/g, "");
+    this.words.textContent = words;
+    // A screen reader is told when the sentence changes in kind, not five times a second for its numbers.
+    if (kind !== this.kind) Object.assign(this, { kind }).told.textContent = words;
     this.words.dataset.level = this.dot.dataset.level = found.level;
     this.row("rate", found.rate_hz ? `${fixed(found.rate_hz, 1)} Hz` : "–");
     this.row("response p50", micro(found.response_us.p50));

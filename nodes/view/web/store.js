@@ -41,6 +41,14 @@ export class Store {
     return low;
   }
 
+  // A copy of the bins of a time, and one more on each side: the ring goes on and writes over them.
+  part(from, to) {
+    const first = Math.max(this.first, this.find(from) - 1), count = Math.max(0, Math.min(this.head, this.find(to) + 2) - first);
+    const cut = (ring) => Float64Array.from({ length: count }, (_, k) => ring[(first + k) % this.size]), found = new Store(this.names, 1, count);
+    found.add({ count, times: cut(this.times), low: (i) => cut(this.low[i]), high: (i) => cut(this.high[i]) });
+    return found;
+  }
+
   // Columns of a plot: least and largest value of all bins that fall into each, two points a column. A spike is never lost.
   columns(series, from, to, count) {
     const width = (to - from) / count;

@@ -25,7 +25,7 @@ export class Strip {
 
   // A window of the past and the time in it that the scene shows; without one, what is now. And B, where there is one.
   draw(window = null, beside = null, now = null) {
-    const { canvas, store } = this;
+    const { canvas } = this, store = window?.store ?? this.store;
     const width = canvas.clientWidth, height = canvas.clientHeight;
     if (!store || !width) return;
     const g = blank(canvas);

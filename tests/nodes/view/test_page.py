@@ -187,6 +187,7 @@ def test_a_slider_is_answered_with_a_receipt_and_undone(page: Page, launch: Runn
 
 def test_what_is_refused_is_shown_with_its_reason(page: Page, launch: Running) -> None:
     launch.call("coupling", "law.switch", law="pd")
+    wait_for(lambda: page.evaluate("haptic.laws.state.active") == "pd", "the page to know its law")
     exact = page.locator("input[aria-label='stiffness, exact value']")
     wait_for(lambda: exact.count() == 1, "the sliders")
     before = launch.call("coupling", "param.get", name="laws.pd.stiffness")
@@ -351,6 +352,7 @@ def test_it_fits_a_phone_and_the_dark(size: tuple[int, int], scheme: str, page: 
     page.set_viewport_size({"width": size[0], "height": size[1]})
     page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
     wait_for(lambda: page.locator("html").get_attribute("data-theme") == scheme, scheme)
-    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    # Its pictures get the new width with the next frame.
+    wait_for(lambda: page.evaluate("document.documentElement.scrollWidth") <= size[0], "all of it is as wide as the screen")
     red, *_ = page.evaluate("getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number)")
     assert (red < 60) == (scheme == "dark")

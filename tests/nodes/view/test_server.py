@@ -248,6 +248,48 @@ def test_a_page_asks_what_it_may_and_nothing_else(launch: Running) -> None:
             texts(page, "never")
 
 
+def test_a_slider_of_a_law_that_renders_no_more_changes_no_other(launch: Running) -> None:
+    before = launch.call("coupling", "param.get", name="laws.pd.damping")
+    with live(url_of(launch)) as page:
+        page.send(json.dumps({"id": 3, "op": "law", "field": "damping", "value": 1.1 * before, "law": "multi_term"}))
+        assert "pd renders by now, not multi_term" in texts(page, "answer", id=3)["error"]
+        assert launch.call("coupling", "param.get", name="laws.pd.damping") == before
+        page.send(json.dumps({"id": 4, "op": "law", "field": "damping", "value": before, "law": "pd"}))
+        assert texts(page, "answer", id=4)["ok"]
+
+
+def test_a_recording_that_ends_by_itself_is_told(launch: Running) -> None:
+    """Its folder cannot be made, or what records is killed: nobody goes on believing that it records."""
+    blocker = launch.folder / "recordings"
+    with live(url_of(launch)) as page:
+
+        def begin() -> None:
+            page.send(json.dumps({"id": 5, "op": "record", "on": True}))
+            assert texts(page, "answer", id=5)["result"]["recording"]
+
+        blocker.write_text("no folder", encoding="utf-8")
+        begin()
+        assert "recordings" in texts(page, "record", recording=False)["error"]
+        blocker.unlink()
+        begin()
+        view = launch.call("view", "status")["pid"]
+
+        def recorder() -> int:
+            for task in Path(f"/proc/{view}/task").iterdir():
+                for child in map(int, (task / "children").read_text().split()):
+                    if b"record" in Path(f"/proc/{child}/cmdline").read_bytes():
+                        return child
+            return 0
+
+        os.kill(wait_for(recorder, "what records"), signal.SIGKILL)
+        assert "exit code -9" in texts(page, "record", recording=False)["error"]
+        begin()
+        path = launch.folder / texts(page, "record", recording=True, error="")["path"]
+        wait_for(lambda: path.exists() and path.stat().st_size > 1000, "the file grows")
+        page.send(json.dumps({"id": 6, "op": "record", "on": False}))
+        assert texts(page, "answer", id=6)["result"]["error"] == ""
+
+
 def test_a_client_that_reads_nothing_is_dropped_and_costs_no_memory(launch: Running) -> None:
     def memory() -> float:
         return float(launch.call("view", "status")["memory"])

@@ -50,6 +50,52 @@ def test_one_page_at_a_time_has_the_hand(tmp_path: Path) -> None:
     reader.close()
 
 
+def test_of_two_views_beside_one_launch_one_has_the_hand(tmp_path: Path, clock: Clock) -> None:
+    """Each view is a process of its own, with the same file."""
+    reader = PointerReader(tmp_path / "p", 60.0)
+    first, second = SharedHand(tmp_path / "p"), SharedHand(tmp_path / "p")
+    for hand in (first, second):
+        hand.step(ZERO)
+    assert first.move(1, [0.01, 0.0, 0.0]) == ""
+    assert second.move(1, [0.5, 0.0, 0.0]) == "hand: another page holds it"
+    assert second.move(1, None) == ""
+    clock.now += REST + EVERY
+    for _ in range(round(100 * PRESS)):
+        clock.now += 0.01
+        assert first.move(1, [0.01, 0.0, 0.0]) == ""
+        second.tap(0, 0.02, -1.0)
+        assert reader.read() == (0.01, 0.0, 0.0), "the other view does not tap meanwhile"
+    first.move(1, None)
+    assert reader.read() is None
+    assert second.move(1, [0.5, 0.0, 0.0]) == ""
+    # A view that is killed leaves the hand to others.
+    second.close()
+    assert first.move(1, [0.02, 0.0, 0.0]) == ""
+    assert reader.read() == (0.02, 0.0, 0.0)
+    first.close()
+    reader.close()
+
+
+def test_a_tap_does_not_keep_a_page_of_another_view_from_the_hand(tmp_path: Path, clock: Clock) -> None:
+    reader = PointerReader(tmp_path / "p", 60.0)
+    first, second = SharedHand(tmp_path / "p"), SharedHand(tmp_path / "p")
+    for hand in (first, second):
+        hand.step(ZERO)
+    clock.now += REST
+    first.tap(0, 0.02, -1.0)
+    clock.now += 0.5 * PRESS
+    first.tap(0, 0.02, -1.0)
+    assert (reader.read() or ZERO)[0] > 0.02, "it taps"
+    assert second.move(1, [0.001, 0.0, 0.0]) == ""
+    for _ in range(100):
+        clock.now += 0.01
+        first.tap(0, 0.02, -1.0)
+    assert reader.read() == (0.001, 0.0, 0.0)
+    for hand in (first, second):
+        hand.close()
+    reader.close()
+
+
 def test_a_page_that_stalls_keeps_the_hand_then_lets_it_go_slowly_and_takes_it_back_slowly(
     tmp_path: Path, clock: Clock
 ) -> None:

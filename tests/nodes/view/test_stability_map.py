@@ -91,6 +91,12 @@ def test_a_law_without_k_and_b_has_margins_only_and_an_unknown_device_has_none()
     assert "H(1)" in drawn_map({**LAWS[2], "stiffness": 1.0}, T, {"mass": 0.1}, {}, 0.0).get("why", "H(1)")
 
 
+def test_what_cannot_be_drawn_is_said() -> None:
+    """An error that nobody has thought of left the map of the law before."""
+    for law, declared in (({**LAWS[0], "damping": 1e308}, {"mass": 0.1}), (LAWS[0], {"mass": "heavy"})):
+        assert drawn_map(law, T, declared, {}, 0.0)["why"].startswith("No map: ")
+
+
 def test_a_virtual_device_stands_in_for_what_is_not_declared() -> None:
     device = {"mass": 0.1, "damping": 1.0, "delay": 0.5, "hand": {"mass": 0.05, "damping": 2.0, "stiffness": 150.0}}
     plant = plant_of(None, {"device": device})

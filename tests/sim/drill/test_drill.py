@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -23,7 +24,7 @@ from sim.device.driver import SimDevice, SimDriverParameters
 from sim.drill import devices, drill, intruders, people
 from sim.drill.faults import faults
 from sim.drill.soak import UNEXPLAINED, largest
-from sim.measure.measured_launch import within
+from sim.measure.measured_launch import MeasurementError, within
 from sim.measure.rig import Rig
 from tests.support import slowly
 from tests.support.devices import real_devices
@@ -179,6 +180,42 @@ def test_the_limit_is_that_of_the_drill_s_own_safety(tmp_path: Path) -> None:
     down = limits.peak / limits.slew
     hold = parameters.hold / launch.run.period
     assert max(limits.watchdog + limits.damping_ticks + down, hold) + 2 <= drill.LIMIT
+
+
+class Unmoved:
+    """A rig on which nothing that is done to it shows."""
+
+    states = (state(1, 0),)
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = self.runtime_dir = folder
+        self.errors = ""
+
+    def call(self, *_: str, **__: Any) -> dict[str, int]:
+        """Count the same at any time."""
+        return dict.fromkeys(("skipped", "refused", "received", "ticks", "pid"), 3)
+
+    def let_pass(self, _: float) -> None:
+        """Let no time pass."""
+
+    def pid(self, _: str) -> int:
+        """Name a process that nothing happens to."""
+        return os.getpid()
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("flood", "dead link", "lossy link", "slow link", "reordering link", "garbage", "oversize message"),
+        *("hung device", "driver exits", "huge position", "slow logger", "stopped reaper"),
+    ],
+)
+def test_a_fault_that_does_not_show_has_not_struck(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A drill that passes because nothing was done to the launch would prove nothing."""
+    monkeypatch.setattr(drill, "within", lambda condition, _: condition())
+    rig: Any = Unmoved(tmp_path)
+    with pytest.raises(MeasurementError, match="not struck: "):
+        next(fault for fault in faults() if fault.name == name).strike(rig)
 
 
 # -- the device's own deadline ----------------------------------------------------------------------------------------

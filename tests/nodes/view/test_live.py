@@ -1,0 +1,93 @@
+"""What a view keeps of a run: when that is over, what rings, what B is played with."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from messages.types import DeviceState, NodeStatus
+from nodes.launcher.runs import RunInfo, write_end
+from nodes.view.comparison import Comparison
+from nodes.view.live import Facts, LiveRun
+from sim.drill.drill import scene as drill_scene
+from sim.drill.last_line import ORDER
+from tests.nodes.view.test_server import live, texts
+from tests.support.browser import viewing
+from tests.support.launching import running, wait_for
+
+
+def facts(run_dir: Path, *axes: str) -> Facts:
+    return Facts("run", "scenario", "", 0.002, "realtime", "on_arrival", list(axes), "driver", str(run_dir))
+
+
+def status(state: str, reason: str = "") -> NodeStatus:
+    return NodeStatus(seq=1, stamp=0.0, node="driver", kind="sim_driver", state=state, pid=1, reason=reason)
+
+
+def test_a_page_goes_on_with_a_driver_that_failed_and_is_started_again(tmp_path: Path) -> None:
+    """The launcher says whether a failed driver is the end: one that it starts again is not."""
+    content = drill_scene()
+    driver = content["nodes"]["driver"]
+    driver["kind"], driver["parameters"]["order"] = "faulty_driver", ORDER
+    (tmp_path / "failing.yaml").write_text(json.dumps(content), encoding="utf-8")
+    with (
+        running(tmp_path, "./failing.yaml", "--without", "logger") as launch,
+        viewing(tmp_path, environment=launch.environment) as url,
+        live(url) as page,
+    ):
+        wait_for(lambda: texts(page, "status")["safety"] == "active", "forces")
+        (tmp_path / ORDER).write_text("fails in read_position", encoding="ascii")
+        wait_for(lambda: "driver: ended with" in launch.errors, "the driver's failure")
+        (tmp_path / ORDER).unlink()
+        wait_for(lambda: "driver: started again" in launch.errors, "another driver")
+        again = launch.call("driver", "status", timeout=20.0)["ticks"]
+        found = wait_for(lambda: (now := texts(page, "status"))["tick"] > again and now["safety"] == "active" and now, "it")
+        assert found["ended"] == ""
+
+
+def test_a_failed_driver_is_the_end_when_the_launcher_says_so(tmp_path: Path) -> None:
+    run = LiveRun(facts(tmp_path, "x"))
+    run.keep("/driver/status", status("failed", "unplugged"), 1.0)
+    run.tick(1.0)
+    assert run.ended == ""
+    write_end(tmp_path, "driver: ended with exit code 1")
+    run.tick(1.1)
+    assert run.ended == "driver: ended with exit code 1"
+    # Beside a launch whose directory has gone before anybody looked.
+    late = LiveRun(facts(tmp_path / "gone", "x"))
+    late.keep("/driver/status", status("failed", "unplugged"), 1.0)
+    late.end("the view was stopped")
+    assert late.ended == "unplugged"
+    done = LiveRun(facts(tmp_path / "gone", "x"))
+    done.keep("/driver/status", status("finished"), 1.0)
+    assert done.ended == "finished"
+
+
+def test_of_several_axes_a_loop_rings_along_any_of_them(tmp_path: Path) -> None:
+    for axes, along, rings in ((("x",), 0, True), (("x",), 2, False), (("x", "y", "z"), 0, True), (("x", "y", "z"), 2, True)):
+        run = LiveRun(facts(tmp_path, *axes))
+        for seq in range(250):
+            force = [0.0, 0.0, 0.0]
+            # A contact that comes and goes, 40 times a second.
+            force[along] = -2.0 * max(0.0, math.sin(2.0 * math.pi * 40.0 * seq * 0.002))
+            x, y, z = force
+            run.keep("/device/state", DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0), force=(x, y, z)), seq * 0.002)
+        assert (run._ringing.ring() is not None) == rings, (axes, along)
+
+
+def test_b_is_played_with_its_law_as_it_is_by_now() -> None:
+    told: list[dict[str, Any]] = []
+    played = Comparison(
+        RunInfo(run="r", scenario="s", launcher=0, nodes={}), "driver", lambda _, document: told.append(document)
+    )
+    soft, hard = ({"kind": "pd", "stiffness": stiffness, "damping": 3.0} for stiffness in (500.0, 900.0))
+    played.follow({"pd": soft})
+    assert told == [], "none is played"
+    played.choose("pd", soft)
+    played.follow({"pd": soft, "other": hard})
+    assert told == [{"law": "pd"}]
+    played.follow({"pd": hard})
+    assert told == [{"law": "pd"}] * 2, "it begins anew"
+    assert played._described == hard
