@@ -10,7 +10,7 @@ from messages.topics import DEVICE_STATE, LOOP, message_type, split, within
 from messages.types import DeviceState, NodeStatus
 from nodes.recording.mcap_walk import RawMessage
 from nodes.recording.reader import EXTRACT, WITHOUT, Recording
-from nodes.recording.writer import CHOSEN, read_ended
+from nodes.recording.writer import CHOSEN, MANIFEST, read_ended
 
 
 class Account(msgspec.Struct):
@@ -94,7 +94,7 @@ def clocks(recording: Recording) -> dict[str, ClockRecord]:
 
 def _tick_topics(recording: Recording, status: NodeStatus) -> Sequence[str]:
     """Topics outside its own name that a node publishes, by the manifest."""
-    found: dict[str, list[str]] = msgspec.json.decode(recording.manifest.get("publishes", "{}"))
+    found = recording.facts(MANIFEST, "publishes", dict[str, list[str]])
     own = found.get(status.node) or found.get(status.node.removeprefix(f"{recording.namespace}/"), [])
     return [split(topic)[1] if recording.namespace else topic for topic in own]
 
@@ -102,8 +102,7 @@ def _tick_topics(recording: Recording, status: NodeStatus) -> Sequence[str]:
 def _all_taken(recording: Recording, topics: Collection[str]) -> bool:
     """Tell whether all topics of a node were to be in the recording: where only some were, there is nothing to compare."""
     full = {within(recording.namespace, topic) for topic in topics}
-    chosen = msgspec.json.decode(recording.manifest.get(CHOSEN, "[]"), type=set[str])
-    without = msgspec.json.decode(recording.metadata.get(EXTRACT, {}).get(WITHOUT, "[]"), type=set[str])
+    chosen, without = recording.facts(MANIFEST, CHOSEN, set[str]), recording.facts(EXTRACT, WITHOUT, set[str])
     return not full & without and (not chosen or full <= chosen)
 
 

@@ -35,6 +35,7 @@ _NANO = 1e9
 
 _OWN_NUMBERS = 1 << 16  # MCAP's numbers of channels are smaller; each part of a recording has its own
 M = TypeVar("M", bound=Message)
+T = TypeVar("T")
 
 
 class Entry(NamedTuple):
@@ -189,6 +190,34 @@ class Recording:
             self.channels = {
                 number: channel._replace(topic=split(channel.topic)[1]) for number, channel in self.channels.items()
             }
+
+    def facts(self, record: str, name: str, kind: type[T]) -> T:
+        """Decode what a metadata record holds as JSON.
+
+        Parameters
+        ----------
+        record : str
+            Name of the record.
+        name : str
+            Name in it.
+        kind : type
+            What it is.
+
+        Returns
+        -------
+        object
+            Of that type; empty where there is nothing.
+
+        Raises
+        ------
+        RecordError
+            When it is damaged.
+        """
+        text = self.metadata.get(record, {}).get(name)
+        try:
+            return kind() if text is None else msgspec.json.decode(text, type=kind)
+        except msgspec.DecodeError as error:
+            raise RecordError(f"{self.path}: damaged metadata {record}.{name}: {error}") from error
 
     def require_ticks(self) -> None:
         """Raise RecordError where it has no ticks of one chain; of several chains it says how to take one out."""

@@ -242,7 +242,7 @@ def extract(
     high = math.inf if math.isinf(stop) else zero + round(stop * 1e9)
     # The nodes name themselves in full, so their topics stay so too.
     full = {n: channel._replace(topic=within(recording.namespace, channel.topic)) for n, channel in recording.channels.items()}
-    without = msgspec.json.decode(recording.metadata.get(EXTRACT, {}).get(WITHOUT, "[]"), type=list[str])
+    without = recording.facts(EXTRACT, WITHOUT, list[str])
     without += [within(recording.namespace, topic) for topic in recording.topics if topic not in topics]
     with written(out, overwrite) as output:
         copy = Copy(mcap_writer(output), recording.schemas, full)

@@ -160,6 +160,15 @@ def test_without_states_nothing_is_told_of_ticks(tmp_path: Path, capsys: pytest.
     assert msgspec.json.decode(capsys.readouterr().out.splitlines()[-1])["overruns"] is None
 
 
+def test_damaged_metadata_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "r.mcap"
+    with RecordWriter(path, {"publishes": '{"driver": 1}'}) as writer:
+        for topic, message in ticks():
+            writer.write(topic, message, message.stamp)
+    assert main(["bag", "info", str(path)]) == 1
+    assert "r.mcap: damaged metadata manifest.publishes" in capsys.readouterr().err
+
+
 def test_a_recording_is_gone_through_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = recorded(tmp_path / "r.mcap", [one for one in ticks() if one[1].seq >= 40])
     passes: list[Recording] = []
