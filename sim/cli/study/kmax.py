@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +26,8 @@ from sim.results import fresh
 if TYPE_CHECKING:
     from sim.scene.loop import Scene
 
+_PRESSING = 100.0  # stiffness of the hand that presses where none is given [N/m]
+
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
@@ -37,7 +40,10 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="default: the closed form where there is one, else the pole radius; lockstep drops it through real processes",
     )
     parser.add_argument(
-        "--scene", choices=("drop", "press", "free"), default="drop", help="what is played (default: %(default)s)"
+        "--scene",
+        choices=("drop", "press", "free"),
+        default="drop",
+        help="what is played (default: %(default)s); who presses has 100 N/m, or --hand",
     )
     parser.add_argument(
         "--history",
@@ -58,6 +64,9 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Find K_max, or its boundary over a range of gains."""
     device = shared.device(arguments)
+    if arguments.scene == "press" and device.stiffness == 0.0:
+        # Somebody has to press, and is in the loop.
+        device = replace(device, stiffness=_PRESSING)
     several = arguments.gain is not None and arguments.gain[0] < arguments.gain[1]
     if several and arguments.method == "lockstep":
         raise UsageError("--method lockstep: one --gain at a time, every stiffness takes a launch")
@@ -174,7 +183,7 @@ def _scene(arguments: argparse.Namespace, device: Plant) -> Scene:
     raw = arguments.history == "position"
     if arguments.scene == "press":
         pressed = DeviceModel(mass=device.mass, damping=device.damping, delay=device.delay)
-        grip = Hand(stiffness=device.stiffness, path=[(0.0, -0.01)]) if device.stiffness > 0.0 else None
+        grip = Hand(stiffness=device.stiffness, path=[(0.0, -0.01)])
         return press_scene(pressed, device.period, raw=raw, clamp=True, hand=grip)
     if arguments.scene == "free":
         return free_scene(held(device), device.period)

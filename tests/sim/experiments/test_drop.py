@@ -205,6 +205,11 @@ def test_study_presses_with_the_grip_it_is_given(capsys: pytest.CaptureFixture[s
         assert 0.7 < found[-1] / exact.k_max_n_per_m < 0.99
     # The hand's own spring is in the loop too: what it takes is not left for the wall.
     assert found[1] < found[0]
+    # Where none is given one presses all the same, and is named.
+    assert main(words.split()) == 0
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert told["k_max_n_per_m"] == found[0]
+    assert "hand 100 N/m" in told["loop"]
 
 
 def test_the_pages_simulated_limits_name_their_horizon() -> None:
