@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import time
 import traceback
 from collections.abc import Collection
 from pathlib import Path
@@ -10,6 +11,8 @@ from typing import Any
 import zmq
 
 from messages.transport.endpoints import Context
+
+STARTING = 2.0  # how long a new thread may take to tell its name [s]
 
 
 class _Socket(zmq.Socket[bytes]):
@@ -46,12 +49,24 @@ def new_context(aside: bool = False) -> Context:
 
 def move_aside(processors: Collection[int]) -> None:
     """Take the second I/O thread, which serves listeners, to other processors and off the chain's priority, once it exists."""
+    until = time.monotonic() + STARTING
+    while not (thread := _second_thread()):
+        if time.monotonic() > until:
+            return
+        # It names itself when it gets its turn, for which this one, on the same core and as urgent, has to wait.
+        time.sleep(0.001)
+    os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
+    if processors:
+        # Refused where the node was started among others.
+        with contextlib.suppress(OSError):
+            os.sched_setaffinity(thread, processors)
+
+
+def _second_thread() -> int:
+    """Find the second I/O thread by the name that libzmq gives it; 0 while there is none."""
     for path in Path("/proc/self/task").iterdir():
-        # libzmq names its threads by their number.
-        if (path / "comm").read_text(encoding="ascii", errors="replace").strip().endswith("IO/1"):
-            thread = int(path.name)
-            os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
-            if processors:
-                # Refused where the node was started among others.
-                with contextlib.suppress(OSError):
-                    os.sched_setaffinity(thread, processors)
+        # One that is listed may have ended.
+        with contextlib.suppress(OSError):
+            if (path / "comm").read_text(encoding="ascii", errors="replace").strip().endswith("IO/1"):
+                return int(path.name)
+    return 0

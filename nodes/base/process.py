@@ -162,6 +162,9 @@ def _close(node: Node, context: Context, control: ControlServer, gate: Gate | No
     node.publisher.close()
     if is_ended:
         context.term()
+    if node.setup.by_hand:
+        # Its launcher has asked for the report, and may be removing the directory.
+        return code
     try:
         write_report(node)
     except OSError as error:
