@@ -53,10 +53,11 @@ def edge_at(derivative: CompiledLaw, plant: Plant, omega: float, light: bool = F
     # D late + K (late − 1): what law and delay do beside the spring K/2. It is linear in K, which is solved for.
     by_law = period * (derivative.response(z) * late / (1.0 - z)).real
     by_spring = period * (late / (1.0 - z)).real
-    # A hand's spring shows, too, where there is no damping at all.
-    shown = damping * (1.0 + math.tan(0.5 * theta) ** 2 / 3.0) if light else damping_shown(plant, theta)
-    factor = shown / damping if damping > 0.0 else 1.0
-    simple, exact = ((one - by_law) / by_spring for one in (damping, shown))
+    if light:
+        factor = 1.0 + math.tan(0.5 * theta) ** 2 / 3.0
+    else:
+        factor = damping_shown(plant, theta) / damping if damping > 0.0 else 1.0
+    simple, exact = ((damping * r - by_law) / by_spring for r in (1.0, factor))
     return Edge(omega, by_law + exact * (by_spring - 0.5 * period), factor, simple, exact)
 
 
