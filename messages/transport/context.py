@@ -13,6 +13,7 @@ import zmq
 from messages.transport.endpoints import Context
 
 STARTING = 2.0  # how long a new thread may take to tell its name [s]
+ASIDE = 10  # so much below a loop's priority are threads of its process that serve others
 
 
 class _Socket(zmq.Socket[bytes]):
@@ -48,14 +49,17 @@ def new_context(aside: bool = False) -> Context:
 
 
 def move_aside(processors: Collection[int]) -> None:
-    """Take the second I/O thread, which serves listeners, to other processors and off the chain's priority, once it exists."""
+    """Take the second I/O thread, which serves listeners, to other processors and below the priority of the chain."""
     until = time.monotonic() + STARTING
     while not (thread := _second_thread()):
         if time.monotonic() > until:
             return
         # It names itself when it gets its turn, for which this one, on the same core and as urgent, has to wait.
         time.sleep(0.001)
-    os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
+    if os.sched_getscheduler(thread) == os.SCHED_FIFO:
+        # Above what else the machine does, all the same: a recording would lack what waits too long for this thread.
+        priority = max(1, os.sched_getparam(thread).sched_priority - ASIDE)
+        os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
     if processors:
         # Refused where the node was started among others.
         with contextlib.suppress(OSError):

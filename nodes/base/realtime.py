@@ -16,6 +16,7 @@ import time
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
+from messages.transport.context import ASIDE
 from nodes.base.setup import Scheduling
 
 PR_SET_PDEATHSIG = 1
@@ -95,7 +96,7 @@ def step_aside(scheduling: Scheduling) -> None:
         with contextlib.suppress(OSError):
             os.sched_setaffinity(0, scheduling.aside)
     if os.sched_getscheduler(0) == os.SCHED_FIFO:
-        priority = max(1, os.sched_getparam(0).sched_priority - 10)
+        priority = max(1, os.sched_getparam(0).sched_priority - ASIDE)
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
 
 
