@@ -57,8 +57,8 @@ def move_aside(processors: Collection[int]) -> None:
         # It names itself when it gets its turn, for which this one, on the same core and as urgent, has to wait.
         time.sleep(0.001)
     if os.sched_getscheduler(thread) == os.SCHED_FIFO:
-        # Above what else the machine does, all the same: a recording would lack what waits too long for this thread.
-        priority = max(1, os.sched_getparam(thread).sched_priority - ASIDE)
+        # Above what else the machine does: a recording would lack what waits too long for it. Below who answers requests.
+        priority = max(1, os.sched_getparam(thread).sched_priority - ASIDE - 1)
         os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
     if processors:
         # Refused where the node was started among others.

@@ -199,7 +199,9 @@ def _main(words: Sequence[str]) -> None:
             return
         # Of a loop's node it would inherit processor and priority.
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-        os.sched_setaffinity(0, range(os.cpu_count() or 1))
+        # Refused where this container has others.
+        with contextlib.suppress(OSError):
+            os.sched_setaffinity(0, range(os.cpu_count() or 1))
         for module in words:
             with cache.making(f"{module}.tick"):
                 found = find(module)

@@ -71,6 +71,7 @@ class Driver(Node):
         All that it keeps from tick to tick.
     """
 
+    _condition = ""  # what it said last of its device that gives no force
     Parameters: ClassVar[type[msgspec.Struct]] = DriverParameters
     publishes: ClassVar[tuple[str, ...]] = (topics.DEVICE_STATE,)
     listens_to: ClassVar[tuple[str, ...]] = (topics.FORCE,)
@@ -268,8 +269,13 @@ class Driver(Node):
         super().between_ticks(seq)
 
     def look_after(self) -> None:
-        """Look whether the loop goes on (control thread)."""
+        """Look whether the loop goes on, and tell when the device keeps forces off (control thread)."""
         self._watch.look((*self.counted(), self._report.soft_stop_ticks))
+        condition = self.condition() if self.state == "running" else ""
+        if condition != self._condition:
+            self._condition = condition
+            kind = "device_force" if condition else "device_force_back"
+            self.events.emit_each(kind, condition or "nothing keeps forces off any more")
 
     def operations(self) -> dict[str, Callable[..., Any]]:
         """Offer what the launcher's status line asks for, and take forces from outside."""

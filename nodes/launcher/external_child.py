@@ -217,7 +217,7 @@ class ByHand(Child):
                     self._code, self._end = self._over
                 elif silent > self._lost:
                     self._code, self._end = 1, f"no answer for {self._lost:g} s ({error})"
-            except (AttributeError, KeyError, TypeError, ValueError) as error:
+            except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
                 # Of a program of somebody else's anything may come.
                 self._code, self._end = 1, f"an answer that is not of the protocol ({type(error).__name__}: {error})"
             ready = self._state in ("ready", "running")

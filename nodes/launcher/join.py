@@ -53,7 +53,9 @@ def _claim(setup: Setup) -> None:
     except BlockingIOError as error:
         other = os.read(held, 32).decode("ascii", errors="replace")
         os.close(held)
-        raise ParameterError(f"{setup.name}: process {other} is this node already; end it first: kill {other}") from error
+        raise ParameterError(
+            f"{setup.name}: process {other} is this node already; end it first: kill {other}; kill -CONT {other}"
+        ) from error
     os.ftruncate(held, 0)
     os.write(held, str(os.getpid()).encode("ascii"))
 

@@ -54,6 +54,11 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         return alive(self.launcher, self.launcher_started)
 
     @property
+    def chosen(self) -> str:
+        """Name for ``--run``: of the run, or of the one chain of it that this is about."""
+        return f"{self.run}/{self.namespace}" if self.namespace else self.run
+
+    @property
     def processors(self) -> set[int]:
         """Processors of this host on which the loop runs with real-time priority."""
         own = [setup.scheduling for setup in self.nodes.values() if not setup.by_hand]
@@ -195,7 +200,8 @@ def hold(path: Path) -> int:
 
     Raises BlockingIOError where another process holds it, FileNotFoundError where it is gone.
     """
-    held = os.open(path / MARK, os.O_RDONLY)
+    # For writing: on NFS an exclusive lock needs it.
+    held = os.open(path / MARK, os.O_RDWR)
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
         # Another may have removed it between the two.

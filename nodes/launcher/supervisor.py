@@ -203,7 +203,7 @@ class Supervisor:
                 times = call(self.context, child.setup.control, "device", timeout=1.0 + child.distance)
                 try:
                     child.opening, child.closing = float(times["opening_s"]), float(times["closing_s"])
-                except (KeyError, TypeError, ValueError) as error:
+                except (KeyError, OverflowError, TypeError, ValueError) as error:
                     raise LaunchFailedError(f"{child.setup.name}: answers device with {times!r:.100}") from error
             self._write_down(child)
 

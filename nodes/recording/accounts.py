@@ -8,7 +8,6 @@ import msgspec
 
 from messages.topics import DEVICE_STATE, LOOP, message_type, split, within
 from messages.types import DeviceState, NodeStatus
-from nodes.recording.mcap_walk import RawMessage
 from nodes.recording.reader import EXTRACT, WITHOUT, Recording
 from nodes.recording.writer import CHOSEN, MANIFEST, read_ended
 
@@ -133,25 +132,6 @@ def _first_told(recording: Recording, topic: str, status: NodeStatus, counts: di
     return _Told(own, chain, since, early, comparable)
 
 
-_Ends = list[
-    tuple[RawMessage, int]
-]  # the first and the last state of one process of a driver, each with the place of its chunk
-
-
-def _take_tick(runs: list[_Ends], raw: RawMessage, offset: int) -> None:
-    """Note a state; a driver that was started again counts anew."""
-    if runs and 0 < (raw.sequence - runs[-1][1][0].sequence) % (1 << 32) < 1 << 31:
-        runs[-1][1] = (raw, offset)
-    else:
-        runs.append([(raw, offset), (raw, offset)])
-
-
-def _left_out(recording: Recording, runs: list[_Ends]) -> int:
-    decoder = msgspec.json.Decoder(DeviceState)
-    counts = [[recording.decode(decoder, raw, offset).overruns for raw, offset in ends] for ends in runs]
-    return sum(max(last - first, 0) for first, last in counts)
-
-
 def _compared(recording: Recording) -> tuple[dict[str, Account], int | None]:
     """Give the accounts of the nodes and the ticks left out, from one pass through the recording."""
     topics = recording.topics
@@ -164,10 +144,16 @@ def _compared(recording: Recording) -> tuple[dict[str, Account], int | None]:
     statuses = {topic for topic in topics if message_type(topic) is NodeStatus}
     counts = dict.fromkeys(topics, 0)
     told: dict[str, _Told] = {}
-    ticks: dict[str, list[_Ends]] = {}
+    states, before, left_out = msgspec.json.Decoder(DeviceState), dict[str, DeviceState](), dict[str, int]()
     for topic, raw, offset in recording.raw():
-        if places[topic][1] == DEVICE_STATE:
-            _take_tick(ticks.setdefault(places[topic][0], []), raw, offset)
+        chain, inside = places[topic]
+        if inside == DEVICE_STATE:
+            state = recording.decode(states, raw, offset)
+            last = before.get(chain, state)
+            # A driver that was started again counts anew, in real time from the tick on where the other ended.
+            more = state.overruns - last.overruns if state.seq > last.seq else 0
+            left_out[chain] = left_out.get(chain, 0) + max(more, 0)
+            before[chain] = state
         elif topic in statuses:
             status = recording.decode(decoder, raw, offset)
             node = told.get(status.node)
@@ -177,7 +163,6 @@ def _compared(recording: Recording) -> tuple[dict[str, Account], int | None]:
             node.recorded = sum(counts[t] for t in node.own)
             node.finished = status.state in ("finished", "failed")
         counts[topic] += 1
-    left_out = {chain: _left_out(recording, runs) for chain, runs in ticks.items()}
     found: dict[str, Account] = {}
     for name, node in told.items():
         sent = sum(node.sent.values())

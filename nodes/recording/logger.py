@@ -249,8 +249,9 @@ def record(
             links.keep()
         # What came until now still waits, where this process was held up; in lockstep nothing tells when it was sent.
         if run.lives and run.manifest.get("pace") == "lockstep":
+            soon = time.monotonic() + 1e-3 * QUIET_MS  # what was sent just now may still be in ZeroMQ's threads
             for _ in range(QUEUE):
-                if not recorder.take(0):
+                if not recorder.take(0) and (time.monotonic() > soon or not recorder.take(QUIET_MS)):
                     break
         else:
             recorder.drain(time.monotonic() if run.lives else math.inf)

@@ -189,8 +189,11 @@ class Ros2(Node):
         message, self._wrench = self._wrench, None
         if message is not None and self._fresh("wrench", message.header.stamp):
             force = message.wrench.force
+            # A sensor's has parts along every axis; along one that the scene does not compute nobody would feel them.
+            computed = [AXIS_INDEX[axis] for axis in self._run.nodes[self._roles["driver"]].axes]
+            parts = [part if i in computed else 0.0 for i, part in enumerate((force.x, force.y, force.z))]
             try:
-                self._ask("driver", "external", force=[force.x, force.y, force.z])
+                self._ask("driver", "external", force=parts)
             except HapticError as error:
                 self.events.emit("wrench", str(error))
 

@@ -245,7 +245,7 @@ class Commander:
             self._recordings, self._failure = self._recordings + 1, ""
             self._path = f"recordings/{self._run.run}-{time.strftime('%H%M%S')}-{self._recordings}.mcap"
             self._recorder = subprocess.Popen(
-                [*PYTHON, "-m", "nodes.cli.command", "bag", "record", "--run", self._run.run, "--out", self._path],
+                [*PYTHON, "-m", "nodes.cli.command", "bag", "record", "--run", self._run.chosen, "--out", self._path],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
@@ -280,7 +280,8 @@ class Commander:
             # Its interpreter was still starting.
             self._failure = "recording: it was ended before it had begun"
         elif recorder.returncode not in (0, 130):
-            why = said.decode(errors="replace")[-500:].strip() or f"it ended with exit code {recorder.returncode}"
+            lines = [line for line in said.decode(errors="replace").splitlines() if not line.endswith("; Ctrl-C ends")]
+            why = " ".join(lines)[-500:].strip() or f"it ended with exit code {recorder.returncode}"
             self._failure = f"recording failed: {why}"
 
     def end(self) -> None:

@@ -16,7 +16,7 @@ from nodes.launcher.runs import RunInfo, ended_why
 from nodes.parameters.store import convert
 from nodes.recording.summary import quantile
 from nodes.view.feed import BINS_PER_SECOND, Feed
-from nodes.view.why_force import Ringing, explain, size, stop_in_words
+from nodes.view.why_force import Ring, Ringing, explain, stop_in_words
 
 STATUS_PERIOD = 0.2  # how often pages get the status [s]
 RECENT = 5.0  # how far back percentiles go [s]
@@ -126,8 +126,8 @@ class LiveRun:
         self._state_at = -1.0
         self._why = self._device = self._failed = ""
         self._missed: deque[tuple[float, int]] = deque()
-        self._axis = AXIS_INDEX[facts.axes[0]] if len(facts.axes) == 1 else None
-        self._ringing = Ringing()
+        # It may ring along any axis; the size of the force would turn back twice as often.
+        self._ringing = {AXIS_INDEX[axis]: Ringing() for axis in facts.axes}
         self._stop: dict[str, float] = {}
         self._status_at = -1.0
         self._rate: tuple[float, int] = (0.0, 0)
@@ -152,6 +152,11 @@ class LiveRun:
         self.keep(known[0], message, now)
         return known[0], message
 
+    def rings(self) -> Ring | None:
+        """Tell how the loop rings, along the axis where it does so most; None when it does not."""
+        found = filter(None, (ringing.ring() for ringing in self._ringing.values()))
+        return max(found, key=lambda ring: ring.force, default=None)
+
     def keep(self, topic: str, message: Message, now: float) -> None:
         """Keep what pages need of a message."""
         if isinstance(message, DeviceState):
@@ -159,9 +164,8 @@ class LiveRun:
             if message.response > 0.0:
                 self._responses.append(message.response)
             self.delay += (message.delay - self.delay) / 64.0
-            # Of several axes its size: it may ring along any of them.
-            force = message.force[self._axis] if self._axis is not None else size(message.force)
-            self._ringing.take(message.seq * self._period, force)
+            for axis, ringing in self._ringing.items():
+                ringing.take(message.seq * self._period, message.force[axis])
         elif isinstance(message, NodeStatus):
             self._heard[message.node] = (message, now)
             if topic == self._driver_status:
@@ -227,7 +231,7 @@ class LiveRun:
         gone = [name for name, found in nodes.items() if found["silent_s"]]
         if gone:
             why = f"{' and '.join(gone)} silent"
-        level, text = explain(state, self.feed.proxy, force, silent, why, self._ringing.ring(), self._device)
+        level, text = explain(state, self.feed.proxy, force, silent, why, self.rings(), self._device)
         if self.ended:
             level, text = "rest", f"The run has ended: {self.ended.rstrip('.')}."
             for name, found in nodes.items():

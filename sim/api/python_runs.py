@@ -165,7 +165,7 @@ class Run:
             What it recorded.
         """
         path = Path(out) if out is not None else Path(f"recording-{time.strftime('%Y%m%dT%H%M%S')}.mcap")
-        words = ["bag", "record", "--run", self.info.run, "--duration", str(duration), "--out", str(path), "--json"]
+        words = ["bag", "record", "--run", self.info.chosen, "--duration", str(duration), "--out", str(path), "--json"]
         process = beside(*words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         try:
             printed = process.communicate()[1]

@@ -233,7 +233,7 @@ def identify(recording: str | Path, **options: Any) -> Answer:
 
 
 def tune(scenario: str, out: str | Path = "tuning", *, arguments: dict[str, Any] | None = None, **options: Any) -> Answer:
-    """From a device to its law: identify, design, predict, apply, verify: ``haptic tune``.
+    """From a device to its law: identify, design, predict, verify, apply: ``haptic tune``.
 
     Parameters
     ----------

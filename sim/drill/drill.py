@@ -189,7 +189,7 @@ def kill(node: str) -> Callable[[Rig], None]:
 
 def await_another(rig: Rig, node: str, before: int) -> None:
     """Wait until another process answers in a node's place."""
-    wait_for(lambda: another(rig, node, before), f"another {node}", 15.0)
+    wait_for(lambda: another(rig, node, before), f"another {node}", 30.0)
 
 
 def another(rig: Rig, node: str, before: int) -> bool:

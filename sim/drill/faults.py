@@ -171,7 +171,7 @@ class SteppedClock:
         compiler = shutil.which("cc") or shutil.which("gcc")
         if compiler is None or ctypes.util.find_library("c") is None:
             raise FaultSkippedError("no C compiler (cc): the clock is stepped by a small library that must be compiled")
-        self.folder = tempfile.mkdtemp(prefix="haptic-clock-")
+        self.folder = os.path.realpath(tempfile.mkdtemp(prefix="haptic-clock-"))  # as the kernel names it
         source, library, self._offset = (Path(self.folder) / name for name in ("clock.c", "clock.so", "offset"))
         source.write_text(CLOCK, encoding="ascii")
         self._offset.write_bytes(bytes(mmap.PAGESIZE))

@@ -5,6 +5,7 @@ stands under leases, renewed from here several times a second; when this process
 """
 
 import contextlib
+import os
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -42,7 +43,7 @@ class PushedLaunch:
     def __init__(self, run: RunInfo) -> None:
         # Of a launch of several chains the one that was chosen, also where its recorder is asked for it.
         self.run = run = run.only_chain()
-        self.chosen = f"{run.run}/{run.namespace}" if run.namespace else run.run
+        self.chosen = run.chosen
         found = roles(run)
         if len(found) < 3:
             raise UsageError(f"{run.run}: has no driver, environment and coupling that could push a device")
@@ -191,12 +192,17 @@ class Borrowed:
 
     def __init__(self, loop: PushedLaunch) -> None:
         self._loop = loop
-        self.law = str(ask(loop.run, loop.coupling, "law.list")["active"])  # the law that comes back at the end
-        self._surface = ask(loop.run, loop.environment, "param.get", name="surface")
+        self.law, self._surface = self._found()  # what comes back at the end
         self.not_put_back = ""  # why law or surface could not be put back; empty when they were
-        self._lost, self._taken = "", list[str]()  # why what was borrowed is lost; the nodes whose leases are ours
+        self._lost, self._taken = "", list[str]()  # why what was borrowed is lost; the nodes where leases were taken
+        self._holder = f"{os.getpid()}-{time.monotonic_ns()}"
         self._over = threading.Event()
         self._renewing = threading.Thread(target=self._renew, name="leases", daemon=True)
+
+    def _found(self) -> tuple[str, Any]:
+        loop = self._loop
+        law = str(ask(loop.run, loop.coupling, "law.list")["active"])
+        return law, ask(loop.run, loop.environment, "param.get", name="surface")
 
     def take(self) -> None:
         """Take the leases."""
@@ -207,18 +213,25 @@ class Borrowed:
         for node, seconds, then, args in rows:
             self._taken.append(node)
             try:
-                loop.change(node, "lease.take", name=LEASE, seconds=longer * seconds, then=then, args=args)
+                loop.change(node, "lease.take", name=LEASE, holder=self._holder, seconds=longer * seconds, then=then, args=args)
             except RefusedError:
                 # What is there now may be another tuning's, which alone knows the user's own.
                 self._taken.remove(node)
                 raise
+        if self._found() != (self.law, self._surface):
+            # Another tuning gave them back after they were looked at here: what was seen may have been its law on trial.
+            raise RefusedError(f"{loop.run.run}: law or surface were changed just now by somebody else; try again")
         self._renewing.start()
+
+    def _holds(self, node: str) -> bool:
+        """Renew a lease; False where it has run out, and may be another's by now."""
+        return not ask(self._loop.run, node, "lease.renew", names=[LEASE], holder=self._holder)["run_out"]
 
     def _renew(self) -> None:
         while not self._over.wait(RENEWED):
             try:
                 for node in (self._loop.environment, self._loop.coupling):
-                    if ask(self._loop.run, node, "lease.renew", names=[LEASE])["run_out"]:
+                    if not self._holds(node):
                         self._lost = f"{node}: this process was held up for too long, and the launch took law and surface back"
             except RefusedError as error:
                 self._lost = self._lost or str(error)
@@ -232,15 +245,17 @@ class Borrowed:
         """Put surface and law back; a launch that has ended meanwhile has nothing to put back."""
         self._over.set()
         with undisturbed():
-            if self._renewing.ident is not None:
+            begun, loop = self._renewing.ident is not None, self._loop
+            if begun:
                 self._renewing.join()
-            loop = self._loop
             try:
-                if len(self._taken) > 1:
+                held = [node for node in self._taken if self._holds(node)]
+                if begun and loop.environment in held:
                     ask(loop.run, loop.environment, "param.set", values={"surface": self._surface})
+                if begun and loop.coupling in held:
                     ask(loop.run, loop.coupling, "law.switch", law=self.law, ramp=RAMP, force=True)
-                for node in self._taken:
-                    ask(loop.run, node, "lease.end", names=[LEASE])
+                for node in held:
+                    ask(loop.run, node, "lease.end", names=[LEASE], holder=self._holder)
             except RefusedError as error:
                 self.not_put_back = str(error)
 

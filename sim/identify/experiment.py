@@ -66,7 +66,9 @@ def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**5
         axis = "xyz"[int(np.argmax(np.std([state.force for state in states], axis=0)))]
     column = AXIS_INDEX[axis]
     seq = np.array([state.seq for state in states], dtype=np.int64)
-    handed = handed_over(states, column, path)
+    if any(state.force[column] for state in states) and not any(state.mean_force[column] for state in states):
+        raise ValueError(f"{path}: its driver tells no mean_force, so what acted within a tick is not known; record it again")
+    handed = handed_over(states, column)
     breaks = np.flatnonzero(np.diff(seq) > BRIDGED) + 1
     ends = [0, *breaks.tolist(), len(seq)]
     # Indices of `position` are ticks.

@@ -9,7 +9,6 @@ when the device let go by itself, or when the last force came, in ticks that the
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
@@ -35,11 +34,10 @@ class HandedOver:
         return self.at[answered] - self.answers[answered]
 
 
-def handed_over(states: Sequence[DeviceState], axis: int, path: Path) -> HandedOver:
-    """Rebuild the forces of an axis from the states of a recording."""
+def handed_over(states: Sequence[DeviceState], axis: int) -> HandedOver:
+    """Rebuild the forces of an axis; where a driver tells no means (PROTOCOL.md lets it), the last force of each tick alone."""
     strongest = max(abs(state.force[axis]) for state in states)
-    if strongest and not any(state.mean_force[axis] for state in states):
-        raise ValueError(f"{path}: its driver tells no mean_force, so what acted within a tick is not known; record it again")
+    has_means = not strongest or any(state.mean_force[axis] for state in states)
     same, first = SAME * strongest, states[0]
     told = [(first.seq - 1.0, first.mean_force[axis], -1), (float(first.seq), first.force[axis], -1)]
     unsure: list[int] = []
@@ -48,6 +46,11 @@ def handed_over(states: Sequence[DeviceState], axis: int, path: Path) -> HandedO
         # What the driver slept through is in the mean; ticks that only the recording lacks had states of their own.
         covered = min(max(1 + state.overruns - before.overruns, 1), state.seq - before.seq)
         begin = state.seq - covered
+        if not has_means:
+            offset, answer = _last(before, state)
+            told.append((begin + offset, state.force[axis], answer))
+            unsure += range(begin, state.seq)
+            continue
         if begin > before.seq:
             since, earlier = begin, 0.0
         else:
@@ -66,6 +69,13 @@ def handed_over(states: Sequence[DeviceState], axis: int, path: Path) -> HandedO
     return HandedOver(np.maximum.accumulate(at), np.array(force), np.array(answers, np.int64), np.array(unsure, np.int64))
 
 
+def _last(before: DeviceState, state: DeviceState) -> tuple[float, int]:
+    """When the last force of a tick came [ticks since it began], and the tick it answers; −1 for the driver's own."""
+    if state.force_seq != before.force_seq and state.delay >= state.age:
+        return min(state.delay - state.age, 1.0), state.force_seq
+    return 1.0, -1
+
+
 def _changes(
     before: DeviceState, state: DeviceState, axis: int, covered: int, impulse: float, same: float
 ) -> tuple[list[tuple[float, float, int]], bool]:
@@ -76,14 +86,14 @@ def _changes(
     tick, slept = state.seq - covered, covered - 1
     held, last = before.force[axis], state.force[axis]
     behind_gap = tick > before.seq
-    offset, first, answers = 1.0, state.changed_at, -1
-    if state.force_seq != before.force_seq and state.delay >= state.age:
-        offset, answers = min(state.delay - state.age, 1.0), state.force_seq
+    first, (offset, answers) = state.changed_at, _last(before, state)
     if behind_gap:
         # Nobody tells what was held until the first change.
         first = 0.0
     let_go = slept > 0 and state.safety == "zero" and not any(state.force)
     start, sure = min(first, offset), not (behind_gap and slept)
+    if offset - start <= SAME:
+        start = offset  # delay less age is rounded
     left = impulse - held * start  # of what came at the first change and later
     if start >= 1.0:
         # The force before, and somewhere in what was slept through the last one: the device's own hold let go, or the force

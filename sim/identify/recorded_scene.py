@@ -71,7 +71,7 @@ def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
         swaps = tuple(PlannedSwap(one.seq, _law_of(one.after, played.scene.period), one.ramp) for one in receipts)
         played = replace(played, swaps=swaps)
     axis = played.axis
-    handed = handed_over(states, axis, path)
+    handed = handed_over(states, axis)
     lockstep = launch.run.pace == "lockstep"
     return RecordedScene(
         path=path,

@@ -106,19 +106,16 @@ def launch(scenario: str, *words: str, folder: Path | None = None, timeout: floa
         return figures
 
 
+_STARTER = ThreadPoolExecutor(1, "starter")  # starts processes for threads that may end before them
+
+
 def beside(*words: str, **options: Any) -> subprocess.Popen[Any]:
     """Start a ``haptic`` command, out of Ctrl-C's reach, that ends with this process, even by SIGKILL."""
     options.setdefault("stdin", subprocess.DEVNULL)
     start = functools.partial(subprocess.Popen, [*HAPTIC, *words], process_group=0, **options)
     start.keywords["preexec_fn"] = functools.partial(die_with_parent, os.getpid())
     # To the kernel the end of the thread that started a process is that of its parent.
-    return start() if threading.current_thread() is threading.main_thread() else _lasting_thread().submit(start).result()
-
-
-@functools.cache
-def _lasting_thread() -> ThreadPoolExecutor:
-    """Make the thread that starts processes for threads that may end before them."""
-    return ThreadPoolExecutor(1, "starter")
+    return start() if threading.current_thread() is threading.main_thread() else _STARTER.submit(start).result()
 
 
 @contextlib.contextmanager

@@ -24,7 +24,7 @@ TRIAL = "trial"  # name that the coupling gets for the law on trial
 # A knock has moved the device when its position went so far, and has not when less than that [parts of the knock].
 MOVES, STANDS = 0.5, 0.1
 UNMOVED = "the position did not follow a knock: the encoder is stuck, or the device is held fast; nothing was verified by it"
-STOPPED = "the driver stopped the loop"  # how a verdict of the driver's own begins
+STOPPED, TAKEN = "the driver stopped the loop", "the driver took the force away"  # how verdicts of the driver's own begin
 
 
 class StalledError(RefusedError):
@@ -86,7 +86,7 @@ class Trials:
         factor, doubted, disturbed, rested = factor_of(step), False, "", 0
         for _ in range(AGAIN):
             verdict, disturbed = self._try(factor)
-            if verdict.why.startswith(STOPPED):
+            if verdict.why.startswith((STOPPED, TAKEN)):
                 return verdict
             rested += verdict.rests and not disturbed
             if verdict.rests and not disturbed and rested < 2 and step >= self._near:
@@ -172,7 +172,7 @@ class Trials:
                 return np.array(positions), "", "ticks went by unheard"
             positions.append(state.position[axis])
             if state.safety == "fault":
-                return np.array(positions), "the driver took the force away: the device left its workspace", ""
+                return np.array(positions), f"{TAKEN}: the device left its workspace", ""
             if state.age > 1 or state.safety != "active" or state.overruns > overruns:
                 late += 1
             if state.energy - energy > self._allowance["allowance"]:

@@ -91,8 +91,9 @@ def headline(record: Mapping[str, Any]) -> str:
         return f"The law holds: {tried}, {edge_in_words(after)}{lands}."
     rested = after["stiffest_at_rest_n_per_m"]
     softer = "nothing softer came to rest either" if rested is None else f"it came to rest up to {number(rested, 'N/m')}"
-    if stopped and not after.get("complete", after["edge_factor"] is not None):
-        return f"Not verified: {stopped}; {softer}, the law has {number(designed['h1_n_per_m'], 'N/m')}. Nothing was delivered."
+    if not after.get("complete", after["edge_factor"] is not None or not stopped):
+        law = number(designed["h1_n_per_m"], "N/m")
+        return f"Not verified: {stopped or after['ended']}; {softer}, the law has {law}. Nothing was delivered."
     return f"The law does NOT hold: {after['ended']}; {softer}. Nothing was delivered."
 
 

@@ -117,6 +117,8 @@ class Tuning:
                 if step in ("identify", "design", "verify") and not self.record.get("verified", {}).get("holds"):
                     # A law that was delivered before is not this one.
                     self._tuned.unlink(missing_ok=True)
+                    if step == "verify":
+                        self._write_law(self._designed, "tried on the device, and it did NOT hold, or was not verified")
 
     def _identify(self) -> None:
         from sim.identify.identified_text import figures

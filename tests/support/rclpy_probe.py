@@ -57,6 +57,7 @@ def main(seconds: float, with_parameters: bool, namespace: str) -> None:
         at = time.time() - late
         message.header.stamp.sec, message.header.stamp.nanosec = int(at), int(at % 1.0 * 1e9)
         message.wrench.force.x = PUSH
+        message.wrench.force.y = 0.1 * PUSH  # as a sensor's has; the scene computes x alone
         wrench.publish(message)
 
     def pull() -> None:

@@ -30,8 +30,6 @@ class HardwareDriver(Driver):
     hardware: ClassVar[type[MailboxDevice]]  # the device
     checked: ClassVar[str] = ""  # what its driver was tested against
 
-    _condition = ""
-
     @classmethod
     def find(cls, parameters: Any) -> Search:
         """Look for what the device needs on this machine."""
@@ -74,15 +72,10 @@ class HardwareDriver(Driver):
         return self.held.condition()
 
     def look_after(self) -> None:
-        """Look whether the loop goes on, and tell when the device keeps forces off (control thread)."""
+        """Look which masses the device has, too (control thread)."""
         super().look_after()
         if self.state == "running":
             self._masses.look(self.held.inertia())  # a device passes through poses that nobody asks about
-        condition = self.held.condition() if self.state == "running" else ""
-        if condition != self._condition:
-            self._condition = condition
-            kind = "device_force" if condition else "device_force_back"
-            self.events.emit_each(kind, condition or "nothing keeps forces off any more")
 
     def operations(self) -> dict[str, Callable[..., Any]]:
         """Offer what the device is, the mass that a law meets on it, and to put its handle into the middle of the scene."""

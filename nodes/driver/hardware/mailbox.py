@@ -197,8 +197,12 @@ class MailboxDevice(ABC):
         box.peak = peak
         box.clutch = 0 if mapping.clutch is None else 1 << mapping.clutch
         box.reach, box.back = mapping.reach, mapping.clutch_ramp
-        box.recovery = max(safety.recovery, safety.ramp)
+        self.come_back_within(safety)
         self.limits = limits_in_scene(theirs, mapping, self.turn)
+
+    def come_back_within(self, safety: SafetyParameters) -> None:
+        """Take the ramp by which a force comes back that was lost for a moment."""
+        self._box.recovery = max(safety.recovery, safety.ramp)
 
     def await_samples(self) -> None:
         """Wait until the servo loop runs, and set its force to zero; where asked for, the device stands in the middle then."""

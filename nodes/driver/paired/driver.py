@@ -53,8 +53,9 @@ class PairedDevice:
     def __init__(self, first: Device, second: Device, bears: Sequence[DeviceLimits] = ()) -> None:
         self.first, self.second = first, second
         self._bears = tuple(bears) or (first.limits, second.limits)
-        self.places: tuple[Vector, Vector] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-        self._known = True  # whether both gave a position that a force may act at
+        nowhere = (math.nan, math.nan, math.nan)
+        self.places: tuple[Vector, Vector] = (nowhere, nowhere)
+        self._known = False  # whether both gave a position that a force may act at
 
     @property
     def limits(self) -> DeviceLimits:
@@ -154,6 +155,8 @@ class PairedDriver(Driver):
             bears = [self._bears(driver, device) for driver, device in zip(self._drivers, made, strict=True)]
             held.pop_all()
         self.pair = PairedDevice(made[0], made[1], bears)
+        for _, device in self._hardware():
+            device.come_back_within(self.store.current.safety)
         return self.pair
 
     def _bears(self, driver: Driver, device: Device) -> DeviceLimits:

@@ -59,6 +59,7 @@ const delay = new Delay({ row: $("delay-row"), slider: $("delay"), told: $("dela
 
 const beside = scene.beside = new Beside({ other: $("other"), told: $("b-told") }, ask);
 let overlaid = null;
+let asked = false; // whether a recording was asked for here
 plots.over = () => overlaid ?? (beside.on ? beside : null);
 const sound = new Sound($("sound"));
 
@@ -144,10 +145,13 @@ const link = new Link({
     if (entry.kind === "receipt") plots.mark(entry.t, entry.switched ? entry.law : "");
   },
   record(found) {
+    // Who opens the page later reads it on the button.
+    const knew = asked || $("record").getAttribute("aria-pressed") === "true";
+    asked = false;
     $("record").setAttribute("aria-pressed", found.recording);
     $("record").textContent = found.recording ? "Recording" : found.error ? "Not recorded" : "Record";
     $("record").title = found.error;
-    if (found.error) { laws.refuse(found.error); refused(found.error); }
+    if (found.error && knew) { laws.refuse(found.error); refused(found.error); }
     else if (found.path) log.add({ kind: "event", t: store?.end ?? 0, node: "view", event: "recording", text: `${found.recording ? "recording to" : "recorded"} ${found.path}` });
   },
   answer(found) {
@@ -267,7 +271,7 @@ $("lab").addEventListener("toggle", () => { plots.resize(); });
 $("span").addEventListener("change", (event) => { plots.span = Number(event.target.value); plots.follow(); });
 $("pause").addEventListener("click", () => plots.window ? plots.follow() : plots.pause());
 $("live").addEventListener("click", () => plots.follow());
-$("record").addEventListener("click", () => ask({ op: "record", on: $("record").getAttribute("aria-pressed") !== "true" }));
+$("record").addEventListener("click", () => { asked = true; ask({ op: "record", on: $("record").getAttribute("aria-pressed") !== "true" }); });
 $("stop").addEventListener("click", () => {
   if (!$("stop").classList.contains("sure")) {
     $("stop").classList.add("sure");

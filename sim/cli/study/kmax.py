@@ -79,15 +79,13 @@ def run(arguments: argparse.Namespace) -> int:
     loop = _loop(arguments, gain, device)
     found = _found(_method(arguments), shared.law(arguments, arguments.law, gain), device)
     stable = [[low, high if math.isfinite(high) else None] for low, high in found.stable]
-    low, high = _searched(device)
     simulated = found.method == "simulation"
     if found.k_max_n_per_m is None:
-        what = f"nothing from {low:.4g} to {high:.4g} N/m settles" if simulated else "no stiffness is stable"
-        text = f"{what}: lower the gain, the delay or the order"
+        text = f"{_nothing(simulated, device)}: lower the gain, the delay or the order"
     elif not math.isfinite(found.k_max_n_per_m):
-        text = (
-            f"K_max    above {high:.6g} N/m (nominal), where the search ends" if simulated else "stable however stiff: no K_max"
-        )
+        text = "stable however stiff: no K_max"
+        if simulated:
+            text = f"K_max    above {_searched(device)[1]:.6g} N/m (nominal), where the search ends"
     else:
         text = (
             f"K_max    {found.k_max_n_per_m:.6g} N/m (nominal)\n"
@@ -207,6 +205,13 @@ def _searched(device: Plant) -> tuple[float, float]:
     return SEARCHED[0] * device.mass / device.period**2, SEARCHED[1] * device.mass / device.period**2
 
 
+def _nothing(simulated: bool, device: Plant) -> str:
+    if not simulated:
+        return "no stiffness is stable"
+    softest, stiffest = _searched(device)
+    return f"nothing from {softest:.4g} to {stiffest:.4g} N/m settles"
+
+
 def _figures(found: KMax, device: Plant) -> dict[str, Any]:
     # JSON has no infinity: without a limit the figure is null, and the stable interval is open.
     bounded = found.k_max_n_per_m is not None and math.isfinite(found.k_max_n_per_m)
@@ -229,9 +234,7 @@ def _boundary(arguments: argparse.Namespace, device: Plant) -> int:
     stable = [point for point in points if point["k_max_n_per_m"] is not None]
     without_end = [point for point in points if "at_least_n_per_m" in point]
     if not stable and not without_end:
-        softest, stiffest = _searched(device)
-        tried = f"nothing from {softest:.4g} to {stiffest:.4g} N/m settles"
-        text = f"{tried if arguments.method == 'simulation' else 'no stiffness is stable'} anywhere in this range"
+        text = f"{_nothing(arguments.method == 'simulation', device)} anywhere in this range"
         return report(arguments, {"points": points, "plot": None}, text, held=False)
     loop = _loop(arguments, low, device, f"B {low:g} .. {high:g}")
     lines = [loop, "      gain     K_max N/m   H(1)_max N/m"]

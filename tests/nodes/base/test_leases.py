@@ -27,3 +27,16 @@ def test_a_lease_that_somebody_holds_is_taken_by_nobody_else(monkeypatch: pytest
     take(**asked, args={"law": "pd"})
     assert end(names=["borrowed"]) == {"run_out": []}
     take(**asked, args={"law": "pd"})
+
+
+def test_whoever_held_one_before_neither_renews_nor_ends_that_of_another() -> None:
+    """One that was held up for longer than agreed went on with the launch that another had by then, and put its law back."""
+    leases = Leases("coupling")
+    take, renew, end = leases.operations().values()
+    asked = {"name": "borrowed", "seconds": 5.0, "then": "law.switch", "args": {"law": "pd"}}
+    take(**asked, holder="first")
+    assert renew(names=["borrowed"], holder="first") == {"run_out": []}
+    assert end(names=["borrowed"], holder="first") == {"run_out": []}
+    take(**asked, holder="second")
+    assert renew(names=["borrowed"], holder="first") == end(names=["borrowed"], holder="first") == {"run_out": ["borrowed"]}
+    assert end(names=["borrowed"], holder="second") == {"run_out": []}

@@ -59,7 +59,8 @@ def test_on_a_device_too(kind: str, call: str, tmp_path: Path) -> None:
             device.write_force(FORCE, 0, 0.0)
             return float(stand.world.force()[2])
 
-        wait_for(lambda: pushed() == 0.0, "no position, no force")
+        # Until the whole ramp is owed, so that there is a second to see it.
+        wait_for(lambda: pushed() == 0.0 and device._box.owed == device._box.recovery, "no position, no force")
         stand.world.fail("")
         came = 0.0
 

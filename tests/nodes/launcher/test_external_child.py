@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import signal
 import subprocess
@@ -86,6 +87,7 @@ FINISHED = {"state": "finished", "pid": 1}
         {"status": None},
         {"status": {}},
         {"status": {"state": "ready", "pid": "many"}},
+        {"status": {"state": "ready", "pid": math.inf}},
         {"status": FINISHED, "report": 7},
     ],
 )

@@ -142,6 +142,10 @@ def test_a_driver_that_was_started_again_counts_on(tmp_path: Path) -> None:
     path = recorded(tmp_path / "r.mcap", [(DEVICE_STATE, one) for one in (*first, *second, *third)])
     recording = Recording(path)
     summary = summarise(recording)
+    # In real time it goes on with the ticks, and counts what it leaves out anew.
+    follows = [state(seq, overruns=(seq > 280) + (seq > 290)) for seq in range(260, 300)]
+    live = Recording(recorded(tmp_path / "live.mcap", [(DEVICE_STATE, one) for one in (*first, *follows)]))
+    assert summarise(live).overruns == overruns(live) == 3 + 2
     assert (summary.ticks, summary.missed) == (179 + 59 + 36, 17 + 2 + 0)
     assert summary.overruns == overruns(recording) == completeness(recording).left_out == 3 + 0 + 1
     # While a driver ticked, at 500 Hz; from the first state to the last. Stamps are rounded to 2^-50 s.

@@ -7,6 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -50,7 +51,7 @@ def impulse(turn: Turn, begin: float, end: float) -> float:
 
 def assert_rebuilt(states: list[DeviceState], turn: Turn, axis: int) -> int:
     """Compare with what was handed over; how many times."""
-    found = handed_over(states, axis, Path("run.mcap"))
+    found = handed_over(states, axis)
     told = list(zip(found.at.tolist(), found.force.tolist(), strict=True))
     assert np.all(np.diff(found.at) >= 0.0)
     compared = 0
@@ -106,7 +107,7 @@ def test_a_device_that_lets_go_while_the_driver_sleeps(slept: int, answered: boo
     states, turn = play(script, 2, tmp_path)
     assert acting(turn, 30 + slept - 0.25) == 0.0
     assert_rebuilt(states, turn, 2)
-    unsure = handed_over(states, 2, Path("run.mcap")).unsure.tolist()
+    unsure = handed_over(states, 2).unsure.tolist()
     assert unsure == (list(range(29, 30 + slept)) if answered else [])
 
 
@@ -114,7 +115,31 @@ def test_what_was_held_behind_a_gap_of_the_recording_is_told_by_the_mean(tmp_pat
     """As identification has it, so have replays: nobody tells what was held until the first change."""
     script = driver([answer(seq, 500.0 + 300.0 * (seq % 3), (0.0, 0.0, 1.0 + 0.1 * seq)) for seq in range(TICKS)])
     states, turn = play(script, 2, tmp_path)
-    found = handed_over([state for state in states if not 40 < state.seq <= 45], 2, Path("run.mcap"))
+    found = handed_over([state for state in states if not 40 < state.seq <= 45], 2)
     told = list(zip(found.at.tolist(), found.force.tolist(), strict=True))
     for when in (45.1, 45.9, 46.1):
         assert acting(told, when) == pytest.approx(acting(turn, when), abs=1e-9), when
+
+
+def test_without_means_the_last_force_of_each_tick_is_told(tmp_path: Path) -> None:
+    """A driver need not tell them, nor do recordings of an earlier version; a replay goes on with what there is."""
+    script = driver([answer(seq, 500.0, (0.0, 0.0, 1.0 + 0.1 * seq)) for seq in range(TICKS)])
+    states, turn = play(script, 2, tmp_path)
+    found = handed_over([msgspec.structs.replace(state, mean_force=(0.0, 0.0, 0.0)) for state in states], 2)
+    told = list(zip(found.at.tolist(), found.force.tolist(), strict=True))
+    assert all(acting(told, seq + 0.9) == acting(turn, seq + 0.9) for seq in range(10, TICKS - 1))
+    assert len(found.unsure)
+
+
+def test_a_late_answer_whose_delay_is_rounded_is_one_force() -> None:
+    """The delay less the age lay an ulp behind the first change: the recorded force came twice, first as nobody's answer."""
+    at = 0.3
+    assert (at + 1) - 1 > at
+    force = [(0.0, 0.0, 0.0)] * 2 + [(0.0, 0.0, 6.0)]
+    means = [(0.0, 0.0, 0.0)] * 2 + [(0.0, 0.0, 6.0 * (1.0 - at))]
+    states = [
+        DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0), force=force[seq], mean_force=means[seq]) for seq in range(3)
+    ]
+    states[2] = msgspec.structs.replace(states[2], force_seq=0, age=1, delay=at + 1, changed_at=at)
+    found = handed_over(states, 2)
+    assert [(force, answers) for force, answers in zip(found.force, found.answers, strict=True) if force] == [(6.0, 0)]
