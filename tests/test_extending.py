@@ -19,7 +19,8 @@ from tests.support.pages import Block, blocks, command, promised, shell, written
 
 PAGE = (ROOT / "nodes" / "EXTENDING.md").read_text(encoding="utf-8")
 FILES = written_files(PAGE)
-BLOCKS = [pytest.param(block, id=block.lines[0]) for block in blocks(PAGE)]
+# The first installs a law of one's own; what else may be installed, is in the same way.
+BLOCKS = [pytest.param(block, id=block.lines[0], marks=[pytest.mark.slow] * (n > 0)) for n, block in enumerate(blocks(PAGE))]
 OFFLINE = {"pip install": "-q --no-deps --no-index --no-build-isolation --disable-pip-version-check"}
 
 

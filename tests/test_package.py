@@ -95,6 +95,7 @@ def test_wheel_says_what_it_is_and_what_it_needs(wheel: Path) -> None:
             assert {f"{module}.py", f"{module}/__init__.py"} & set(files), f"{place}: not in the wheel"
 
 
+@pytest.mark.slow
 def test_scenarios_run_from_the_wheel_in_another_folder(installed: Path, tmp_path: Path) -> None:
     with private_runtime_dir() as runtime_dir:
         environment = {**os.environ, "PYTHONPATH": str(installed), "HAPTIC_RUNTIME_DIR": str(runtime_dir)}

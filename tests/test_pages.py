@@ -63,31 +63,13 @@ SHORTER = {
 INSTALLING = [line for block in blocks(README) for line in block.lines if line.startswith("python3 -m venv")]
 """The two pasted lines: `.ci/run` takes the second one from README.md, and any user's fresh clone the first."""
 
-SLOW = {
-    ".github/CONTRIBUTING.md: pytest --collect-only -q tests/nodes/laws",
-    "launch/README.md: haptic launch --list",
-    "nodes/README.md: haptic launch floor_drop pace:=lockstep duration:=1 --json --out-dir lockstep",
-    "nodes/README.md: haptic bench loop",
-    "nodes/README.md: haptic drill --list",
-    "nodes/README.md: haptic launch floor_guarded guard:=off",
-    "nodes/README.md: haptic launch touch_wall --view",
-    "nodes/README.md: haptic launch wall_press duration:=0 &",
-    "nodes/ros2/README.md: haptic bench ros2",
-    "sim/README.md: haptic device list",
-    "sim/README.md: haptic study chart",
-    "sim/README.md: haptic study coverage --outside --devices 2 --seconds 4",
-    "sim/README.md: haptic study design --mass 0.05..0.2 --damping 1 --delay 1 --taps 4",
-    "sim/README.md: haptic study fig4",
-    "sim/README.md: haptic study kmax --law pd --gain 3 --mass 0.1 --damping 1 --delay 0 --rate 500",
-}
-"""Blocks that measure or study, or launch what other blocks launch too, by their first commands."""
-
 BLOCKS = [  # tests/test_extending.py runs those of nodes/EXTENDING.md
     pytest.param(
         name,
         block,
-        id=(first := f"{name}: {block.lines[0].partition('#')[0].strip()}"),
-        marks=[pytest.mark.slow] * (first in SLOW),
+        id=f"{name}: {block.lines[0].partition('#')[0].strip()}",
+        # Those of the other pages measure and study, or launch what the README launches too.
+        marks=[pytest.mark.slow] * (name != "README.md"),
     )
     for name, text in PAGES.items()
     for block in blocks(text)
@@ -214,4 +196,3 @@ def test_nothing_is_shortened_that_is_not_there() -> None:
     typed = [command(line, {}).words for text in PAGES.values() for block in blocks(text) for line in block.lines]
     for start in SHORTER:
         assert any(words[: len(start.split())] == start.split() for words in typed), f"no command starts with {start}"
-    assert {block.id for block in BLOCKS} >= SLOW

@@ -9,12 +9,13 @@ from pathlib import Path
 import pytest
 
 from tests.sim.test_stand_ins import SOFT, through
+from tests.support import slowly
 from tests.support.devices import bench
 from tests.support.launching import running, wait_for
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("kind", ["force_dimension_driver", "inverse3_driver"])
+@pytest.mark.parametrize("kind", slowly(["force_dimension_driver", "inverse3_driver"], but=["inverse3_driver"]))
 def test_a_driver_that_is_stopped_or_killed_leaves_no_force(kind: str, tmp_path: Path) -> None:
     """The firmware's watchdog, and the service that forgets; a Touch has nothing outside the process that is known."""
     with bench(kind, tmp_path) as stand:

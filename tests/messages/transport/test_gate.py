@@ -22,6 +22,7 @@ from messages.transport.open_port import OpenPort
 from messages.transport.sockets import Publisher, Subscription
 from sim.drill.intruders import visit
 from sim.measure.free_ports import free_ports
+from tests.support import slowly
 from tests.support.launching import haptic, wait_for
 from tests.support.strangers import as_somebody_else
 
@@ -121,6 +122,7 @@ def test_no_listener_however_unruly_ends_the_process(context: Context, place: st
             process.kill()
 
 
+@pytest.mark.slow
 def test_a_listener_that_fills_the_memory_of_an_open_port_is_put_out(
     context: Context, place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -205,7 +207,7 @@ def take_away(how: str, folder: Path) -> None:
 WAYS = ["revoke", "rm -rf", "replace in place", "allow --replace", "open to others", "garbage beside it"]
 
 
-@pytest.mark.parametrize("how", WAYS)
+@pytest.mark.parametrize("how", slowly(WAYS, but=["revoke", "replace in place"]))
 def test_a_key_that_is_taken_away_ends_connections_and_lets_in_nobody(
     encrypted: Guarded, context: Context, tmp_path: Path, how: str
 ) -> None:

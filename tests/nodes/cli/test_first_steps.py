@@ -28,6 +28,7 @@ def test_the_summary_comes_before_the_picture(tmp_path: Path) -> None:
     assert Path(tmp_path, lines[-1].split()[1]).is_file()
 
 
+@pytest.mark.slow
 def test_a_backend_that_is_not_there_does_not_stop_a_plot(recording: Path) -> None:
     out = recording.with_name("backend.png")
     environment = {**os.environ, "MPLBACKEND": "nonsense"}

@@ -30,6 +30,7 @@ from nodes.cli.completion import candidates
 from nodes.cli.main import coloured
 from nodes.cli.status_line import KEEP, ORDER, fitted
 from nodes.recording.reader import Recording
+from tests.support import slowly
 from tests.support.launching import HAPTIC, Running, private_runtime_dir, running, typed, wait_for
 
 
@@ -311,7 +312,7 @@ def on_terminal(words: list[str], columns: int, environment: dict[str, str], fol
     return written.decode()
 
 
-@pytest.mark.parametrize("columns", [40, 120])
+@pytest.mark.parametrize("columns", slowly([40, 120], but=[40]))
 def test_the_status_line_fits_its_terminal(tmp_path: Path, columns: int) -> None:
     with private_runtime_dir() as runtime:
         environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime), "TERM": "xterm"}

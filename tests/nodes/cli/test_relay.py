@@ -103,6 +103,7 @@ def test_plotjuggler_sees_every_topic_at_one_address(launch: Running, tmp_path: 
     assert f"{PROXY}/contact" in series
 
 
+@pytest.mark.slow
 def test_the_address_stays_from_launch_to_launch(tmp_path: Path) -> None:
     endpoint = f"ipc://{tmp_path}/r"
     with private_runtime_dir() as runtime:

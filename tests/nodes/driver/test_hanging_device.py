@@ -33,6 +33,7 @@ def test_a_call_that_hangs_is_noticed_told_and_ends_the_driver(tmp_path: Path, c
     assert len(hung) == 1
 
 
+@pytest.mark.slow
 def test_a_call_that_hangs_with_the_interpreter_s_lock_ends_the_driver_too(tmp_path: Path) -> None:
     """No thread of the process can look then."""
     path = scene(tmp_path, hangs_in="write_force", hangs_holding=True)
@@ -43,6 +44,7 @@ def test_a_call_that_hangs_with_the_interpreter_s_lock_ends_the_driver_too(tmp_p
     assert figures["failures"] == [figures["exit_reason"]]
 
 
+@pytest.mark.slow
 def test_closing_gets_the_time_that_the_device_declares(tmp_path: Path) -> None:
     # Longer than the launcher waits for any other node before it presses on.
     declared = {"peak_force": 10.0, "hold": 0.05, "workspace": [[-0.1, 0.1]] * 3, "closing": 20.0}

@@ -18,6 +18,7 @@ from tests.support.devices import bench
 from tests.support.launching import running, wait_for
 
 
+@pytest.mark.slow
 @needs_cc
 def test_a_force_button_that_is_off_is_told_while_the_law_pushes(tmp_path: Path) -> None:
     with bench("force_dimension_driver", tmp_path) as stand:

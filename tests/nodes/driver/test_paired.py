@@ -188,7 +188,12 @@ def test_two_chains_of_real_devices_in_one_launch(kinds: tuple[str, str], tmp_pa
 
 @needs_cc
 @pytest.mark.parametrize(
-    "kinds", [("touch_driver", "force_dimension_driver"), ("inverse3_driver", "touch_driver")], ids="+".join
+    "kinds",
+    slowly(
+        [("touch_driver", "force_dimension_driver"), ("inverse3_driver", "touch_driver")],
+        but=[("inverse3_driver", "touch_driver")],
+    ),
+    ids="+".join,
 )
 def test_two_devices_of_different_kinds_on_one_law(kinds: tuple[str, str], tmp_path: Path) -> None:
     content = yaml.safe_load((ROOT / "launch" / "hands_coupled.yaml").read_text(encoding="utf-8"))

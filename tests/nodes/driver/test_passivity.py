@@ -367,7 +367,10 @@ def test_credit_of_dissipated_energy_does_not_feed_an_instability() -> None:
 # -- four processes ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("apply", "latency"), [("on_arrival", 0.0), ("on_arrival", 1.0), ("next_tick", 0.3)])
+@pytest.mark.parametrize(
+    ("apply", "latency"),
+    [*(pytest.param("on_arrival", latency, marks=pytest.mark.slow) for latency in (0.0, 1.0)), ("next_tick", 0.3)],
+)
 def test_lockstep_equals_one_process_and_publishes_its_energy(tmp_path: Path, apply: str, latency: float) -> None:
     words = {"pace": "lockstep", "duration": 0.6, "apply": apply, "height": 0.002, "latency": latency}
     figures = launch_json(tmp_path, "floor_guarded", *(f"{name}:={value}" for name, value in words.items()))
@@ -385,6 +388,7 @@ def test_lockstep_equals_one_process_and_publishes_its_energy(tmp_path: Path, ap
     assert np.all(state["guard"] >= state["energy"] - 1e-15)
 
 
+@pytest.mark.slow
 def test_study_guard_answers_with_what_it_costs(tmp_path: Path) -> None:
     words = "--json --points 2 --low 1000 --high 8000 --duration 6 --out ."
     done = haptic(tmp_path, "study", "guard", *words.split())

@@ -118,7 +118,14 @@ def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         world(tmp_path)
 
 
-@pytest.mark.parametrize(("scenario", "moved"), [("puck_push", "puck"), ("knob_turn", "knob"), ("stack_boxes", "upper")])
+@pytest.mark.parametrize(
+    ("scenario", "moved"),
+    [
+        ("knob_turn", "knob"),
+        pytest.param("puck_push", "puck", marks=pytest.mark.slow),
+        pytest.param("stack_boxes", "upper", marks=pytest.mark.slow),
+    ],
+)
 def test_a_launch_repeats_to_the_bit_from_its_recording(scenario: str, moved: str, tmp_path: Path) -> None:
     """The forces that a recording holds lead the scene the same way again: nothing else comes in."""
     figures = launch_json(tmp_path, scenario, "pace:=lockstep", "duration:=1.6", "apply:=next_tick")

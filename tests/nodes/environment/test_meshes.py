@@ -183,6 +183,7 @@ def test_a_device_on_a_corner_an_edge_or_a_face_is_met(triangles: Array, tool: f
     assert above.min() > 0.0
 
 
+@pytest.mark.slow
 def test_a_launch_tells_what_was_repaired(tmp_path: Path) -> None:
     """On the terminal and in the recording: what is felt is not what stands in the file."""
     ball = icosphere(2, 0.035)[:, ::-1]

@@ -144,6 +144,7 @@ def test_a_node_started_by_hand_that_dies_is_lost(tmp_path: Path) -> None:
             node.wait()
 
 
+@pytest.mark.slow
 def test_a_node_started_by_hand_ends_without_its_launcher(tmp_path: Path) -> None:
     with running(tmp_path, scene(tmp_path), ready=False) as launch:
         node = start(launch)

@@ -210,6 +210,7 @@ def test_a_launch_past_the_edge_is_refused_on_a_real_device_only(tmp_path: Path)
     assert wired("touch_wall", 900_000.0)
 
 
+@pytest.mark.slow
 def test_files_of_the_user_beside_the_recording_are_not_imported(tmp_path: Path) -> None:
     """Names that a user's own scripts may well have: none of them may take the place of a module that a node imports."""
     for name in ("sim", "messages", "nodes", "yaml", "zmq", "selectors"):

@@ -12,12 +12,13 @@ import pytest
 
 from messages.transport.requests import ControlError
 from nodes.recording.reader import Recording
+from tests.support import slowly
 from tests.support.launching import running, wait_for
 from tests.support.odd_nodes import odd_nodes as odd_nodes
 from tests.support.odd_nodes import scenario
 
 
-@pytest.mark.parametrize("required", [True, False])
+@pytest.mark.parametrize("required", slowly([True, False], but=[True]))
 def test_respawn_keeps_delay_and_maximum(tmp_path: Path, odd_nodes: dict[str, str], required: bool) -> None:
     diary = tmp_path / "diary"
     crasher = {

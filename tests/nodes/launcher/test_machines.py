@@ -253,6 +253,7 @@ def assert_all_recorded(figures: dict[str, Any], recording: Recording) -> None:
         assert account.lost == 0, node
 
 
+@pytest.mark.slow
 def test_a_coupling_on_another_machine_over_a_slow_lossy_cable(pair: Pair) -> None:
     pair.cable.loss = 0.01
     figures, errors = launch(pair)
@@ -370,6 +371,7 @@ def test_a_cut_cable_leaves_the_device_safe_and_ends_what_is_behind_it(pair: Pai
     pair.assert_nothing_left()
 
 
+@pytest.mark.slow
 def test_a_cable_cut_for_a_moment_costs_forces_but_no_node(pair: Pair) -> None:
     with launched(pair, run={"duration": 0.0}) as launch:
         launch.await_safety("active")

@@ -15,10 +15,11 @@ import pytest
 
 from nodes.launcher import reaper, runs
 from nodes.launcher.runs import RunInfo, alive, started_at
+from tests.support import slowly
 from tests.support.launching import haptic, private_runtime_dir, processes_of, running, wait_for
 
 
-@pytest.mark.parametrize("after", [2, 3, 4, 5])
+@pytest.mark.parametrize("after", slowly([2, 3, 4, 5], but=[3]))
 def test_launcher_and_reaper_killed_during_the_start_leave_nobody(tmp_path: Path, after: int) -> None:
     with running(tmp_path, "wall_press", "duration:=0", ready=False) as launch:
         wait_for(lambda: len(processes_of(launch.runtime_dir)) >= after, f"{after} processes")

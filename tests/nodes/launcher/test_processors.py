@@ -20,6 +20,7 @@ from nodes.launcher import launch_file
 from nodes.launcher.join import here
 from nodes.launcher.wiring import wire
 from nodes.recording.logger import Logger
+from tests.support import slowly
 from tests.support.launching import HAPTIC, running, wait_for
 
 
@@ -33,7 +34,7 @@ def wake_latency() -> int:
 
 
 @pytest.mark.skipif(not os.access(realtime.WAKE_LATENCY, os.R_OK | os.W_OK), reason=f"no rights to {realtime.WAKE_LATENCY}")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("number", slowly([signal.SIGINT, signal.SIGKILL], but=[signal.SIGKILL]))
 def test_a_fast_loop_keeps_processors_awake_until_its_end_whatever_ends_it(tmp_path: Path, number: signal.Signals) -> None:
     before = wake_latency()
     with running(tmp_path, "floor_drop", "duration:=0") as launch:

@@ -68,6 +68,7 @@ def handle(page: Page) -> tuple[float, float]:
 # A test with a launch of its own comes first: the one that is shared, and its page, would only go on beside it.
 
 
+@pytest.mark.slow
 def test_a_page_past_the_edge_needs_a_virtual_device_that_allows_it(browser: Browser, tmp_path: Path) -> None:
     words = ("wall_press", "duration:=0", "--view", "--without", "logger")
     with running(tmp_path, *words) as launch, OpenPage(browser, url_of(launch)) as page:
@@ -81,6 +82,7 @@ def test_a_page_past_the_edge_needs_a_virtual_device_that_allows_it(browser: Bro
         assert launch.call("coupling", "law.show")["stiffness"] == before
 
 
+@pytest.mark.slow
 def test_scene_and_force_share_the_first_screen(page: Page) -> None:
     for width, height in SIZES:
         page.set_viewport_size({"width": width, "height": height})
@@ -179,6 +181,7 @@ def test_a_refused_slider_goes_back_to_what_renders(page: Page, launch: Running)
 # The launch file's own touch is over by now; whoever takes the hand comes after the test of the one that nobody took.
 
 
+@pytest.mark.slow
 def test_until_somebody_takes_it_the_hand_taps_and_asks_to_be_pulled(page: Page, launch: Running) -> None:
     assert page.evaluate("haptic.scene.hand"), "the first picture has a hand"
     begun = launch.ticks()

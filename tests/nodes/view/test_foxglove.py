@@ -21,6 +21,7 @@ from tests.support.launching import HAPTIC, haptic, running, wait_for
 pytest.importorskip("foxglove", reason="the extra is not installed: pip install 'haptic-nodes[foxglove]'")
 
 
+@pytest.mark.slow
 def test_topics_and_parameters_live(tmp_path: Path) -> None:
     with running(tmp_path, "touch_wall", "rate:=1000", "--without", "logger") as launch:
         errors = tmp_path / "view.txt"

@@ -109,6 +109,7 @@ def test_everything_that_was_recorded_is_still_there(sphere: tuple[Path, Path]) 
     assert Recording(recording).topics
 
 
+@pytest.mark.slow
 def test_bodies_move_as_they_did(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     _, file = exported(tmp_path, "puck_push", "duration:=1.4")

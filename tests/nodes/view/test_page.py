@@ -61,6 +61,7 @@ def drag_into_the_wall(page: Page) -> None:
 # Tests with a launch of their own come first: the one that is shared, and its page, would only go on beside them.
 
 
+@pytest.mark.slow
 def test_a_killed_node_is_told_and_a_killed_view_is_found_again(browser: Browser, tmp_path: Path) -> None:
     """The view comes back at its port with its token, so an open page finds it; a dead coupling is called by its name."""
     content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
@@ -92,6 +93,7 @@ def test_a_killed_node_is_told_and_a_killed_view_is_found_again(browser: Browser
         assert launch.process.wait(60.0) == 1
 
 
+@pytest.mark.slow
 def test_a_scene_of_several_axes_is_looked_at_along_each(browser: Browser, tmp_path: Path) -> None:
     words = ("floor_drop", "--view", "--without", "logger", "duration:=0")
     content = yaml.safe_load(launch_file.find("floor_drop").read_text(encoding="utf-8"))
@@ -217,6 +219,7 @@ def test_what_is_typed_is_not_overwritten_from_elsewhere(page: Page, launch: Run
     wait_for(lambda: float(exact.input_value()) == pytest.approx(before["stiffness"], rel=1e-5), "the old value")
 
 
+@pytest.mark.slow
 def test_laws_are_swapped_in_two_tabs(page: Page, browser: Browser, launch: Running) -> None:
     with lab(browser, launch) as other:
         for name in ("multi_term", "pd"):
@@ -260,6 +263,7 @@ def test_a_wrong_token_and_a_foreign_origin_get_nothing(page: Page, browser: Bro
     assert page.evaluate(script, url.replace("http", "ws") + "live") == "open"
 
 
+@pytest.mark.slow
 def test_a_page_that_is_stopped_costs_the_others_nothing_and_lets_go(page: Page, browser: Browser, launch: Running) -> None:
     context = browser.new_context()
     stopped = context.new_page()
@@ -291,6 +295,7 @@ def test_record_and_undo_buttons_and_pause(page: Page, launch: Running) -> None:
     assert page.locator("#pause").get_attribute("aria-pressed") == "false"
 
 
+@pytest.mark.slow
 def test_plots_are_read_and_zoomed_by_mouse_and_fingers(page: Page, browser: Browser, launch: Running) -> None:
     wait_for(lambda: bins(page) > 1500, "some seconds")
     plot = page.locator(".plot .u-over").first

@@ -85,6 +85,7 @@ def test_other_addresses_are_refused_with_the_ssh_line(tmp_path: Path) -> None:
     assert "ssh -L 8080:127.0.0.1:8080" in told
 
 
+@pytest.mark.slow
 def test_a_view_hears_a_node_again_after_a_message_above_the_limit(tmp_path: Path) -> None:
     """The only word that a page has of this node are its statuses, over the connection that breaks."""
     content = drill_scene()
@@ -108,6 +109,7 @@ def test_a_view_hears_a_node_again_after_a_message_above_the_limit(tmp_path: Pat
         wait_for(lambda: (status := texts(page, "status"))["t"] > after and heard(status), "the node again")
 
 
+@pytest.mark.slow
 def test_a_recording_is_replayed_with_a_time_slider(tmp_path: Path) -> None:
     figures = launch_json(tmp_path, "floor_swap", "pace:=lockstep")
     with viewing(tmp_path, "--replay", figures["recording"]) as url, live(url) as page:
@@ -290,6 +292,7 @@ def test_a_recording_that_ends_by_itself_is_told(launch: Running) -> None:
         assert texts(page, "answer", id=6)["result"]["error"] == ""
 
 
+@pytest.mark.slow
 def test_a_client_that_reads_nothing_is_dropped_and_costs_no_memory(launch: Running) -> None:
     def memory() -> float:
         return float(launch.call("view", "status")["memory"])

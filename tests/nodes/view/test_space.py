@@ -50,6 +50,7 @@ def page(browser: Browser, launch: Running) -> Iterator[Page]:
 # A test with a launch of its own comes first: the one that is shared, and its page, would only go on beside it.
 
 
+@pytest.mark.slow
 def test_bodies_are_where_the_environment_has_them_and_where_a_replay_finds_them(browser: Browser, tmp_path: Path) -> None:
     """A box that is pushed: live from the environment, in a replay from the scene stepped again, which is the same."""
     pytest.importorskip("mujoco")
@@ -330,6 +331,7 @@ def test_it_touches_with_a_cone_and_a_spring(page: Page) -> None:
     page.evaluate("clearInterval(window.holding); haptic.space.letGo()")
 
 
+@pytest.mark.slow
 def test_a_recording_is_looked_at_in_three_dimensions_too(page: Page, browser: Browser, launch: Running) -> None:
     """The same shape as over the launch, and the poses that were recorded; the run goes on meanwhile."""
     folder = launch.folder

@@ -56,6 +56,7 @@ def test_the_map_follows_law_device_and_delay() -> None:
     assert stability_map(parse_law({**LAWS[0], "stiffness": 3700.0}), T, PLANT, 0.0)["stable"]
 
 
+@pytest.mark.slow
 def test_with_a_mass_that_depends_on_the_place_the_worst_is_drawn() -> None:
     pd = parse_law(LAWS[0])
     edges = {

@@ -55,6 +55,7 @@ def _act(page: Page, by: str) -> None:
         page.locator("#tour-act").click()
 
 
+@pytest.mark.slow
 def test_the_tour_goes_on_when_what_it_asks_for_is_done(page: Page, launch: Running) -> None:
     """With the keyboard up to the edge, with the mouse past it, and with the keyboard to the end."""
     launch.call("driver", "param.set", values={"device.delay": 0.0})

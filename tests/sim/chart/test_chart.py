@@ -235,6 +235,7 @@ def test_settles_refuses_what_is_not_finite() -> None:
     assert not calms_down(np.tile([0.0, 0.002], 50))
 
 
+@pytest.mark.slow
 def test_forces_of_the_processes_are_those_of_one_process() -> None:
     rate, stiffness = 500.0, 400.0
     found = launch(rate, "next_tick", stiffness, "lockstep")

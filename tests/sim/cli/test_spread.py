@@ -156,6 +156,7 @@ def marked(folder: str, number: int) -> int:
     return number**2
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_and_one_that_joins_change_nothing(
     cluster: DaskCluster, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

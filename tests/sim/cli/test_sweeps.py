@@ -232,6 +232,7 @@ def test_an_unstable_delivery_and_a_false_edge_are_failures(told: dict[str, Any]
     assert held(summary([device_row(**told)])) == holds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("told", "code"),
     [

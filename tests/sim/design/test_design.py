@@ -74,7 +74,7 @@ def check(found: Robust | None, wanted: Demand) -> Robust:
     return found
 
 
-@pytest.mark.parametrize("delay", [0.0, 1.0, 2.0])
+@pytest.mark.parametrize("delay", slowly([0.0, 1.0, 2.0], but=[1.0]))
 def test_best_pd_is_the_best_of_a_grid(delay: float) -> None:
     """Against brute force over K and B, with pole radii from the state's own polynomial."""
     wanted = demand(delay)
@@ -310,6 +310,7 @@ def test_a_real_time_run_without_delays_is_an_old_recording(tmp_path: Path) -> N
         measure(path)
 
 
+@pytest.mark.slow
 def test_what_design_writes_is_what_load_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = "study design --mass 0.05..0.2 --damping 1 --delay 1 --taps 3 --json --out"
     assert main([*words.split(), str(tmp_path)]) == 0
@@ -327,6 +328,7 @@ def test_what_design_writes_is_what_load_reads(tmp_path: Path, capsys: pytest.Ca
     assert Path(figures["plot"]).read_bytes()[:4] == b"\x89PNG"
 
 
+@pytest.mark.slow
 def test_design_for_a_recorded_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = recording(tmp_path / "run.mcap", [0.0, *(0.2 + 0.1 * (k % 11) / 10.0 for k in range(1100))])
     argv = ["study", "design", "--from-run", str(run), "--taps", "2", "--json", "--out", str(tmp_path)]

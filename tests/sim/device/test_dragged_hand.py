@@ -24,6 +24,7 @@ from sim.device.model import DeviceModel, Hand
 from sim.device.state import PENDING, VirtualDevice, target
 from sim.identify.counterfactual import replay
 from sim.identify.recorded_scene import rebuild
+from tests.support import slowly
 from tests.support.launching import running, wait_for
 from tests.support.setups import setup_of
 
@@ -111,7 +112,7 @@ def test_compiled_calls_move_a_device_as_the_interpreter_does(tmp_path: Path) ->
     writer.close()
 
 
-@pytest.mark.parametrize("tick", ["plain", "compiled"])
+@pytest.mark.parametrize("tick", slowly(["plain", "compiled"], but=["compiled"]))
 def test_a_dragged_run_is_recorded_and_plays_again_in_one_process(tick: WantedTick, tmp_path: Path) -> None:
     """In real time, under next_tick: one process with the recorded targets has the same bits where no tick was missed."""
     assert choose(tick, KERNELS, print) == tick

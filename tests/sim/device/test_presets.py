@@ -89,6 +89,7 @@ def test_a_launch_without_a_virtual_device_takes_none(tmp_path: Path) -> None:
         launch_file.read(str(path), {"device": "touch_x"})
 
 
+@pytest.mark.slow
 def test_one_word_and_a_scenario_is_started_and_identified(tmp_path: Path) -> None:
     words = ("device", "identify", "identify", "device:=touch_x", "pace:=lockstep", "--duration", "5", "--json")
     done = haptic(tmp_path, *words)

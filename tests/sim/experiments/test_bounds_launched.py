@@ -125,6 +125,7 @@ def test_launches_decay_just_below_colgates_k_at_the_frequency_that_occurs_and_g
     assert rate({**described, "stiffness": 1.005 * edge.k_exact_n_per_m}, 0.1, 0.0) > 1.0
 
 
+@pytest.mark.slow
 def test_launches_keep_the_equal_demand_just_inside_and_break_it_just_outside() -> None:
     """PD tuned to the chart's demand: every mass decays as fast as demanded, and the slowest no more with 3 % more of K."""
     unit = without_spring(PD(stiffness=1.0, damping=1.0), T)

@@ -75,6 +75,7 @@ def test_a_path_in_the_air_is_refused() -> None:
         judged(box_triangles((0.04, 0.06, 0.02)), np.full((10, 3), 0.1))
 
 
+@pytest.mark.slow
 def test_the_study_leads_a_real_run_through_the_levels(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["study", "detail", "rough_plane", "duration:=1.2", "--json", "--out", str(tmp_path)]) == 0
     told = json.loads(capsys.readouterr().out.splitlines()[-1])

@@ -204,6 +204,7 @@ def test_movement_ignores_swings_too_small_to_feel_and_sees_divergence() -> None
     assert movement(still, replace(still, h1_max_n_per_m=980.0), 0.002)["k_max"] == pytest.approx(0.02)
 
 
+@pytest.mark.slow
 def test_command_answers_and_judges(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["study", "needs", "floor_drop", "--rounds", "1", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out.splitlines()[-1])

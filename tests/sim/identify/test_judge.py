@@ -21,6 +21,7 @@ from sim.identify.identified_text import figures, from_figures, text
 from sim.identify.identify import identify
 from sim.population.virtual import excite_outside
 from sim.scene.richer import RicherModel
+from tests.support import slowly
 
 T = 0.002
 RIGID = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=1.2, resolution=23e-6)
@@ -44,7 +45,7 @@ RICHER: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("term", RICHER)
+@pytest.mark.parametrize("term", slowly(RICHER, but=["flexible mode"]))
 def test_the_term_that_the_data_ask_for_is_identified(term: str) -> None:
     """A rigid model was believed: damping +126 %, mass +2 %, delay off by 140 half widths, and nothing said so."""
     odd = RICHER[term]
@@ -119,6 +120,7 @@ def test_unsteady_samples_widen_the_delay() -> None:
     assert far(found.delay, 1.2) < 1.0
 
 
+@pytest.mark.slow
 def test_the_edge_of_what_is_seen() -> None:
     """A coarse encoder and a small mass beyond the joint: found below the bound that a run names, unseen well above it."""
     coarse = DeviceModel(mass=0.2, damping=1.0, friction=0.03, delay=1.2, resolution=2e-4)

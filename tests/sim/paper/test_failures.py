@@ -61,6 +61,7 @@ def test_leak_eats_the_stiffness() -> None:
     assert settles(scene, [outside], Criterion(20_000)) == [False]
 
 
+@pytest.mark.slow
 def test_tustin_expanded_for_the_whole_order_runs_away_in_the_loop() -> None:
     whole, split = failures.tustin_whole(500.0, 0.05), failures.tustin_split(500.0, 0.05)
     assert not whole.stable_sections()

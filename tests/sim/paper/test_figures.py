@@ -184,6 +184,7 @@ def test_an_interrupted_figure_keeps_its_points_and_goes_on(setting: Setting, le
     assert curves_of(jobs, read_ledger(half)) == curves_of(jobs, rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["fig2", "fig3"])
 def test_verbs_answer_people_and_machines(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["study", name, "--out", str(tmp_path), "--json"]) == 0

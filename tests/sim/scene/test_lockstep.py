@@ -159,6 +159,7 @@ def test_a_driver_that_limits_and_never_stops_does_the_same_everywhere(tick: str
     assert changes.max() <= 1.0 + 40.0 * np.finfo(float).eps
 
 
+@pytest.mark.slow
 def test_designs_that_were_just_made_are_rendered_bit_for_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What ``haptic study design`` writes starts any scenario with a coupling: here both of its files, one over the other."""
     words = ("--mass", "0.1", "--taps", "3", "--delay", "1", "--out", str(tmp_path), "--json")

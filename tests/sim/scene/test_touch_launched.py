@@ -95,7 +95,9 @@ def test_one_process_plays_the_same(scenario: str, tick: str, tmp_path: Path) ->
     assert np.array_equal(alone.distance, [message.distance for message in found])
 
 
-@pytest.mark.parametrize(("scenario", "tick"), [*((name, "plain") for name in MOVING), (MOVING[0], "compiled")])
+@pytest.mark.parametrize(
+    ("scenario", "tick"), [*(pytest.param(name, "plain", marks=pytest.mark.slow) for name in MOVING), (MOVING[0], "compiled")]
+)
 @pytest.mark.skipif(find_spec("mujoco") is None, reason="the extra is not installed: pip install 'haptic-nodes[mujoco]'")
 def test_one_process_plays_what_moves(scenario: str, tick: str, tmp_path: Path) -> None:
     """MuJoCo is called from Python: of its environment the tick is the plain one, whatever the others take.

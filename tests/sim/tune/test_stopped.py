@@ -170,6 +170,7 @@ def verified_with(
     return done.stdout
 
 
+@pytest.mark.slow
 def test_an_encoder_that_is_stuck_is_not_a_device_at_rest(tmp_path: Path) -> None:
     """A position that stands still has nothing left of any knock: every law came to rest, and the stiffest was delivered."""
     assert "the encoder is stuck" in verified_with("0.0", tmp_path, [800.0, -700.0], last=2 * STRIDE)

@@ -59,6 +59,7 @@ def test_other_poses_widen_the_masses_that_a_law_is_designed_for() -> None:
     assert demand(found, Wanted(spread=1.0, poses=(1.0, 0.0))).mass == (0.1 * lightest, heaviest)
 
 
+@pytest.mark.slow
 def test_what_was_told_is_read_back() -> None:
     found = identify(excite(DEVICE, T, 5.0, seed=3))
     assert from_figures(json.loads(json.dumps(figures(found)))) == found
@@ -79,6 +80,7 @@ def test_a_demand_holds_all_that_the_device_may_be() -> None:
     assert body.delay == pytest.approx(1.3, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_law_lands_unless_it_is_told_otherwise() -> None:
     found = identify(excite(DEVICE, T, 5.0, seed=3))
     law, pd, asked = design(found, Wanted(taps=2))
