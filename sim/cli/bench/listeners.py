@@ -9,6 +9,7 @@ from typing import Any
 
 from messages.topics import DEVICE_STATE
 from nodes.cli.quantities import ROUNDS, SECONDS, declare
+from nodes.recording.accounts import overruns
 from nodes.recording.reader import Recording
 from sim.cli.answers import add_answer, report
 from sim.measure.measured_launch import HAPTIC, Running, machine, responses_in, wait_for
@@ -71,7 +72,7 @@ def measure(rounds: int, seconds: float, rate: float, progress: Progress) -> dic
                 listener.wait()
         recording = Recording(launch.folder / figures["recording"])
         states = recording.messages(DEVICE_STATE)
-        gaps = recording.topics[DEVICE_STATE].gaps - figures["overruns"]
+        gaps = recording.topics[DEVICE_STATE].gaps - (overruns(recording) or 0)
     found = {label: responses_in(states, spans) for label, spans in halves.items()}
     quiet, busy = found["without"]["p99_us"], found["with"]["p99_us"]
     middle = {

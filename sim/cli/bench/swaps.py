@@ -16,6 +16,7 @@ from messages.topics import DEVICE_STATE, FORCE, RECEIPT
 from messages.transport.requests import ControlError
 from messages.types import DeviceState, Receipt
 from nodes.cli.quantities import COUNT, SECONDS, declare
+from nodes.recording.accounts import overruns
 from nodes.recording.reader import Recording
 from nodes.recording.summary import quantile
 from sim.cli.answers import add_answer, report
@@ -153,7 +154,7 @@ def _figures(recording: Recording, summary: dict[str, Any], asked: Asked, before
         "refused": len(asked.refused),
         "receipts": len(receipts),
         "lost": len(lost),
-        "forces_lost": recording.topics[FORCE].gaps - summary["overruns"],
+        "forces_lost": recording.topics[FORCE].gaps - (overruns(recording) or 0),
         "at_rest": len(steps),
         "force_step_max_n": max(steps, default=math.nan),
         "answer_ms": _quantiles(asked.times, 1e3),

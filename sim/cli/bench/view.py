@@ -20,6 +20,7 @@ from messages.topics import DEVICE_STATE, FORCE, PROXY
 from messages.types import DeviceState, Force, Message, Proxy
 from nodes.base.realtime import memory_bytes, off
 from nodes.cli.quantities import ROUNDS, SECONDS, declare, positive
+from nodes.recording.accounts import overruns
 from nodes.recording.reader import Recording
 from nodes.view.live import Facts, LiveRun
 from sim.cli.answers import add_answer, idle, report
@@ -127,7 +128,7 @@ def loop_cost(rounds: int, seconds: float, rate: float, progress: Progress, pict
         figures = launch.finish(signal.SIGINT)
         recording = Recording(launch.folder / figures["recording"])
         states = recording.messages(DEVICE_STATE)
-        lost = recording.topics[DEVICE_STATE].gaps - figures["overruns"]
+        lost = recording.topics[DEVICE_STATE].gaps - (overruns(recording) or 0)
     found: dict[str, Any] = {"rate_hz": rate, "lost": lost}
     without, with_ = (found.setdefault(label, responses_in(states, halves[label])) for label in ("without", "with"))
     for name in ("p50", "p99"):
