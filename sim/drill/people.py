@@ -85,8 +85,10 @@ def _designed(rig: Rig) -> None:
     edges = {"edge_linear_h1_n_per_m": 10.0 * h1, "edge_linear_factor": 10.0, "drops_settled": 0, "drops": 0}
     unknown = ("edge_h1_n_per_m", "edge_factor", "stable_up_to_delay_ticks", "every_delay_stable", "limit_cycle_free")
     asked = {"mass": [MASS, MASS], "delay": [0.0, 1.0], "radius": 1.0, "period": 1.0 / RATE}
+    law = {"kind": "fir", "taps": TAPS, "period": 1.0 / RATE}
+    known = {"taps_n_per_m": TAPS, "law": law, "h1_n_per_m": h1, "gain_over_pd": None, "lands": False, "demand": asked}
     said = {
-        "designed": {"taps_n_per_m": TAPS, "h1_n_per_m": h1, "gain_over_pd": None, "lands": False, "demand": asked},
+        "designed": known,
         "predicted": {**dict.fromkeys(unknown), **edges, "h1_n_per_m": h1, "knock_m": 1e-3, "pole_radius": 1.0},
         "predicted_steps": {"steps": [], "ended": "", "plan": {"first": FIRST, "near": FIRST, "last": LAST}},
     }
