@@ -64,6 +64,7 @@ def test_every_group_has_an_example() -> None:
     assert shown == groups
 
 
+@pytest.mark.slow  # as is the block that writes the tape
 def test_the_tape_holds_the_forces_of_the_floor(places: tuple[Path, Path, Path]) -> None:
     """The device of the page got what a floor of 500 N/m gives at 3 mm, and a soft stop to zero at the end."""
     lines = (places[0] / "forces.txt").read_text(encoding="ascii").splitlines()
