@@ -206,6 +206,7 @@ def test_passive_over_a_range_is_passive_at_the_whole_ticks_within_and_between(d
     assert max(needed) > 1.0 - 1e-4
 
 
+@pytest.mark.slow
 def test_certain_damping_over_a_range_is_the_most_of_its_delays() -> None:
     rng = np.random.default_rng(5)
     for low, high in ((0.0, 0.8), (0.3, 1.6), (0.9, 2.0)):
