@@ -7,7 +7,7 @@ from typing import Any
 from messages.errors import RefusedError, UsageError
 from nodes.cli.ask import chosen_node, chosen_run, sub_verb
 from nodes.cli.main import answer
-from nodes.client.launches import ask, drivers, node_name
+from nodes.client.launches import ask, node_name
 from nodes.launcher.runs import RunError, RunInfo
 
 
@@ -98,7 +98,7 @@ def _mass(masses: dict[str, Any]) -> str:
 
 def _rearm(arguments: argparse.Namespace) -> int:
     run = chosen_run(arguments)
-    found = drivers(run)
+    found = run.drivers()
     if not arguments.node and len(found) != 1:
         raise UsageError(f"node rearm: {run.run} has the drivers {', '.join(found) or 'none'}; name one")
     name = node_name(run, arguments.node or found[0])

@@ -81,13 +81,6 @@ def roles(run: RunInfo) -> dict[str, str]:
     return {role: name for role, topic in _PUBLISHES.items() for name, mine in published.items() if topic in mine}
 
 
-def drivers(run: RunInfo) -> list[str]:
-    """Name the nodes that publish a device's state: the driver of each chain."""
-    from nodes.base.node_kinds import load
-
-    return [name for name, setup in run.nodes.items() if topics.DEVICE_STATE in load(setup.factory).publishes]
-
-
 def ask(run: RunInfo, node: str, op: str, timeout: float = TIMEOUT, **args: Any) -> Any:
     """Ask one node to do `op` (messages/PROTOCOL.md); ControlError says why it refuses, does not answer, or cannot be asked."""
 

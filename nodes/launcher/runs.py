@@ -64,12 +64,15 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         own = [setup.scheduling for setup in self.nodes.values() if not setup.by_hand]
         return {cpu for scheduling in own if scheduling.fifo for cpu in scheduling.cpus}
 
-    def chains(self) -> list[str]:
-        """List the namespaces of the chains: of the nodes that publish a device's state."""
+    def drivers(self) -> list[str]:
+        """Name the nodes that publish a device's state: the driver of each chain."""
         from nodes.base.node_kinds import load
 
-        drives = [name for name, setup in self.nodes.items() if topics.DEVICE_STATE in load(setup.factory).publishes]
-        return list(dict.fromkeys(name.rpartition("/")[0] for name in drives))
+        return [name for name, setup in self.nodes.items() if topics.DEVICE_STATE in load(setup.factory).publishes]
+
+    def chains(self) -> list[str]:
+        """List the namespaces of the chains: of their drivers."""
+        return list(dict.fromkeys(name.rpartition("/")[0] for name in self.drivers()))
 
     def within(self, namespace: str) -> RunInfo:
         """Give one chain of the run as if it were alone: nodes and topics are named as inside it."""

@@ -198,7 +198,7 @@ class Run:
         process = self._started_here("wait for")
         until = None if timeout is None else time.monotonic() + timeout
         # Of several chains the first stands for all.
-        driver = next(iter(launches.drivers(self.info)), None)
+        driver = next(iter(self.info.drivers()), None)
         total = self.info.nodes[driver].ticks if driver else None
         try:
             with whole() as came, progress(self.info.scenario, total) as step:
@@ -396,5 +396,5 @@ def _appeared(process: subprocess.Popen[bytes], folder: Path, interrupts: Sequen
 
 def _ticks(info: RunInfo) -> bool:
     with contextlib.suppress(HapticError):
-        return all(launches.ask(info, driver, "status", timeout=1.0)["ticks"] > 0 for driver in launches.drivers(info))
+        return all(launches.ask(info, driver, "status", timeout=1.0)["ticks"] > 0 for driver in info.drivers())
     return False
