@@ -15,7 +15,7 @@ REST = 0.06
 """How long the stand-in rests after a pulse [s]: six times the time in which its hand comes to rest, people need longer."""
 
 
-@pytest.fixture(params=sorted(real_devices()))
+@pytest.fixture(params=slowly(sorted(real_devices()), but=["touch_driver"]))
 def stand(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
     with bench(request.param, tmp_path) as made:
         yield made

@@ -49,6 +49,7 @@ def test_a_study_that_runs_again_keeps_what_was_there(
     assert earlier.with_suffix(".png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_the_front_of_a_chart_is_named_however_crowded(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     costs, errors = rng.lognormal(0.0, 0.3, (2, 60)).tolist()

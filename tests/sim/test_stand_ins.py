@@ -21,7 +21,7 @@ from nodes.recording.reader import Recording
 from nodes.recording.table import read
 from sim.scene.from_launch import from_launch
 from sim.scene.loop import run
-from tests.support import ROOT
+from tests.support import ROOT, slowly
 from tests.support.devices import Bench, bench, real_devices
 from tests.support.launching import running, wait_for
 
@@ -69,7 +69,7 @@ def virtual() -> Forces:
     return found
 
 
-@pytest.fixture(params=sorted(real_devices()))
+@pytest.fixture(params=slowly(sorted(real_devices()), but=["inverse3_driver"]))
 def stand(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
     with bench(request.param, tmp_path) as made:
         made.world.drop(HEIGHT, at=float("inf"))

@@ -159,6 +159,7 @@ def test_launch_shows_its_arguments_by_s(capsys: pytest.CaptureFixture[str]) -> 
     assert "stiffness:=" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_out_dir_takes_all_recordings_and_the_plot(tmp_path: Path) -> None:
     with private_runtime_dir() as runtime:
         done = subprocess.run(

@@ -195,6 +195,7 @@ def scene(folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", SCENE], capture_output=True, text=True, check=False, cwd=folder)
 
 
+@pytest.mark.slow
 def test_the_one_process_loop_reads_no_pickle_of_others(place: Path, tmp_path: Path) -> None:
     first = scene(tmp_path)
     assert first.stdout == "5.0\n", first.stderr

@@ -49,6 +49,7 @@ def test_what_cannot_be_compiled_is_said_and_the_plain_tick_runs(empty_cache: Pa
         obtain(KERNEL)
 
 
+@pytest.mark.slow
 def test_a_function_that_its_kernel_does_not_name_is_named_with_its_place(
     empty_cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -73,6 +73,7 @@ def test_a_file_and_a_switch_are_refused_as_well(press: Running) -> None:
     typed(press, "law", "switch", "pd")
 
 
+@pytest.mark.slow
 def test_a_forced_one_saturates_and_ends_safely(press: Running) -> None:
     """Last: the loop is unstable from here on."""
     told = press.haptic("law", "switch", "hard", "--force").stdout

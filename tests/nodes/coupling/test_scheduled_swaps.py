@@ -11,13 +11,14 @@ import pytest
 from messages.types import Force
 from nodes.launcher.launch_file import read
 from sim.scene.from_launch import from_launch
+from tests.support import slowly
 from tests.support.held import HELD, receipts, recorded
 from tests.support.launching import launch_json, running
 
 # -- schedules -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("ramp", [0, 100])
+@pytest.mark.parametrize("ramp", slowly([0, 100], but=[100]))
 def test_scheduled_swaps_are_recorded_and_have_the_bits_of_one_process(tmp_path: Path, ramp: int) -> None:
     figures = launch_json(tmp_path, "floor_swap", "pace:=lockstep", f"ramp:={ramp}")
     recording = recorded(tmp_path, figures)
@@ -64,6 +65,7 @@ def test_a_scheduled_recursive_law_has_the_bits_of_one_process(tmp_path: Path, r
     assert [forces[seq].hex() for seq in range(len(expected))] == [value.hex() for value in expected]
 
 
+@pytest.mark.slow
 def test_a_scheduled_law_runs_along_and_follows_a_change_before_its_time(tmp_path: Path) -> None:
     (tmp_path / "scheduled.yaml").write_text(SCHEDULED)
     with running(tmp_path, "./scheduled.yaml") as launch:

@@ -10,11 +10,11 @@ import pytest
 
 from nodes.recording.reader import Recording
 from tests.nodes.driver.test_last_line import diary, forces, scene
-from tests.support import INSTALLED
+from tests.support import INSTALLED, slowly
 from tests.support.launching import running, wait_for
 
 
-@pytest.mark.parametrize("call", ["open", "read_position", "write_force", "close"])
+@pytest.mark.parametrize("call", slowly(["open", "read_position", "write_force", "close"], but=["write_force"]))
 def test_a_call_that_hangs_is_noticed_told_and_ends_the_driver(tmp_path: Path, call: str) -> None:
     declared = {"peak_force": 10.0, "hold": 0.05, "workspace": [[-0.1, 0.1]] * 3, "opening": 1.0, "closing": 1.0}
     path = scene(tmp_path, hangs_in=call, declared=declared)

@@ -149,11 +149,10 @@ def two(tmp_path: Path, stack: ExitStack, kinds: tuple[str, str]) -> list[Bench]
     return found
 
 
+@pytest.mark.slow
 @needs_cc
 @pytest.mark.parametrize(
-    "kinds",
-    [*slowly([("force_dimension_driver", "force_dimension_driver")]), ("inverse3_driver", "touch_driver")],
-    ids="+".join,
+    "kinds", [("force_dimension_driver", "force_dimension_driver"), ("inverse3_driver", "touch_driver")], ids="+".join
 )
 def test_two_chains_of_real_devices_in_one_launch(kinds: tuple[str, str], tmp_path: Path) -> None:
     content = written("summary: Two devices at two walls")

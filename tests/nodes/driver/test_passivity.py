@@ -122,6 +122,7 @@ def test_what_is_allowed_leaves_untouched_and_no_more() -> None:
     assert given[6:] == pytest.approx([0.0, 0.0], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_running_driver_takes_a_guard_up_and_keeps_the_launch_files(tmp_path: Path) -> None:
     with running(tmp_path, "floor_guarded", "guard:=off", "duration:=0") as launch:
         guard = {"guard": "on", "stiffness": 5000.0, "damping": 10.0}

@@ -15,6 +15,7 @@ from nodes.environment.shapes.scene import Friction, Solid, box, capsule, cylind
 from nodes.environment.shapes.tables import SKIN
 from sim.experiments.proxies import icosphere, ideal_proxy
 from sim.scene.touch import Touched, touch
+from tests.support import slowly
 from tests.support.shapes import Array, box_triangles, distance_to, out_of_balance, turned, wander
 
 # The first run on a machine compiles the geometry: some 25 s of one processor.
@@ -155,7 +156,7 @@ def scenes() -> dict[str, list[Solid]]:
 SCENES = scenes()
 
 
-@pytest.mark.parametrize("tool", [0.0, 1e-3])
+@pytest.mark.parametrize("tool", slowly([0.0, 1e-3], but=[1e-3]))
 @pytest.mark.parametrize("name", SCENES)
 def test_at_rest_the_deflection_is_carried_by_what_is_touched(name: str, tool: float) -> None:
     """Karush, Kuhn and Tucker, with distances and gradients of the textbook, wherever a random path leads."""

@@ -128,6 +128,7 @@ def scene(folder: Path, text: str = SCENE) -> str:
     return str(folder / "by_hand.yaml")
 
 
+@pytest.mark.slow
 def test_a_node_started_by_hand_that_dies_is_lost(tmp_path: Path) -> None:
     with running(tmp_path, scene(tmp_path), ready=False) as launch:
         node = start(launch)

@@ -44,7 +44,8 @@ def test_respawn_keeps_delay_and_maximum(tmp_path: Path, odd_nodes: dict[str, st
     assert all(again - end >= 0.2 for end, again in zip(ended, begun[1:], strict=False))
 
 
-@pytest.mark.parametrize("node", ["environment", "driver"])  # the coupling: tests/sim/drill/test_drill.py
+# The coupling: tests/sim/drill/test_drill.py.
+@pytest.mark.parametrize("node", slowly(["environment", "driver"], but=["driver"]))
 def test_the_loop_resumes_by_itself_when_a_killed_node_is_respawned(tmp_path: Path, node: str) -> None:
     with running(tmp_path, scenario(tmp_path, loop={"respawn": True, "respawn_delay": 0.05})) as launch:
         before = launch.pid(node)

@@ -86,6 +86,7 @@ def test_a_verb_takes_one_chain_as_if_it_were_alone(two_hands: Running) -> None:
     assert "no namespace 'middle'; there is: left, right" in refused
 
 
+@pytest.mark.slow
 def test_a_recording_of_several_chains_says_how_to_take_one_out(two_hands: Running, tmp_path: Path) -> None:
     both, one = tmp_path / "both.mcap", tmp_path / "both.filter.mcap"
     typed(two_hands, "bag", "record", "--duration", "0.3", "--out", str(both))
@@ -98,6 +99,7 @@ def test_a_recording_of_several_chains_says_how_to_take_one_out(two_hands: Runni
     typed(two_hands, "bag", "plot", str(one))
 
 
+@pytest.mark.slow
 def test_a_node_can_take_another_chains_topic(tmp_path: Path) -> None:
     """A second environment and coupling follow the first chain's device: the shadow computes the same force."""
     file = tmp_path / "shadow.yaml"

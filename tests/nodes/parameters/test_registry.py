@@ -28,6 +28,7 @@ def broken(tmp_path: Path) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
 
 
+@pytest.mark.slow
 def test_what_does_not_import_leaves_everything_else_alone(tmp_path: Path, broken: dict[str, str]) -> None:
     with private_runtime_dir() as runtime_dir:
         environment = {**broken, "HAPTIC_RUNTIME_DIR": str(runtime_dir)}

@@ -6,6 +6,8 @@ import os
 import signal
 from pathlib import Path
 
+import pytest
+
 from messages.topics import DEVICE_STATE, status
 from messages.types import Event, NodeStatus
 from nodes.recording.accounts import completeness
@@ -16,6 +18,7 @@ from tests.support.launching import running, wait_for
 from tests.support.recorded import drop
 
 
+@pytest.mark.slow
 def test_a_killed_logger_is_in_the_summary_and_its_file_says_what_is_missing(tmp_path: Path) -> None:
     with running(tmp_path, "floor_drop", "duration:=4") as launch:
         folder = tmp_path / "recordings"

@@ -123,6 +123,7 @@ def test_plot_shows_the_run(bag: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert switch.max() > 0.2 * height
 
 
+@pytest.mark.slow
 def test_plot_marks_missed_ticks_and_the_period(tmp_path: Path) -> None:
     amounts = []
     for name, missed, pace in (("none", (), "realtime"), ("some", MISSED, "realtime"), ("lockstep", (), "lockstep")):
@@ -293,6 +294,7 @@ def test_overlapping_texts_are_found() -> None:
     assert found.startswith("'one' over 'other'")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window", [(None, None), (0.0, None), (0.5, 0.7)])
 def test_no_text_lies_over_another(tmp_path: Path, window: tuple[float | None, float | None]) -> None:
     path = write(tmp_path / "crowded.mcap", list(crowded()), scenario="a_scenario_with_a_name_that_does_not_end_" * 3)

@@ -146,6 +146,7 @@ def test_a_frame_without_a_force_costs_no_arrow(page: Page) -> None:
     assert scale >= 3.0
 
 
+@pytest.mark.slow
 def test_the_numbers_of_a_plot_are_as_large_on_a_fine_screen(browser: Browser, launch: Running) -> None:
     with OpenPage(browser, url_of(launch) + "#lab", device_scale_factor=2.0) as page:
         # uPlot multiplies the pixels of a font; a part of a pixel it takes for the whole.
@@ -242,6 +243,7 @@ def test_the_handle_does_not_jump_and_stays_in_the_hand(page: Page, launch: Runn
     page.mouse.up()
 
 
+@pytest.mark.slow
 def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch: Running) -> None:
     launch.call("coupling", "law.switch", law="pd")
     wait_for(lambda: page.evaluate("haptic.delay.edge !== null && haptic.delay.ticks === 0"), "the edge over the delay")

@@ -61,6 +61,7 @@ def sphere(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return exported(tmp_path_factory.mktemp("sphere"), "sphere_feel", "duration:=1.0")
 
 
+@pytest.mark.slow
 def test_the_shape_comes_once_and_what_moves_as_it_does(sphere: tuple[Path, Path]) -> None:
     recording, file = sphere
     schema, updates = scene_of(file)
@@ -124,6 +125,7 @@ def test_bodies_move_as_they_did(tmp_path: Path) -> None:
     assert bodies[0]["cubes"][0]["size"] == {"x": 0.6, "y": 0.6, "z": 1e-4}
 
 
+@pytest.mark.slow
 def test_what_cannot_be_drawn_is_said(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     scene = tmp_path / "puck.xml"

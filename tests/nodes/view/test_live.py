@@ -7,6 +7,8 @@ import math
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from messages.types import DeviceState, NodeStatus
 from nodes.launcher.runs import RunInfo, write_end
 from nodes.view.comparison import Comparison
@@ -26,6 +28,7 @@ def status(state: str, reason: str = "") -> NodeStatus:
     return NodeStatus(seq=1, stamp=0.0, node="driver", kind="sim_driver", state=state, pid=1, reason=reason)
 
 
+@pytest.mark.slow
 def test_a_page_goes_on_with_a_driver_that_failed_and_is_started_again(tmp_path: Path) -> None:
     """The launcher says whether a failed driver is the end: one that it starts again is not."""
     content = drill_scene()

@@ -106,6 +106,7 @@ def test_a_scene_of_several_axes_is_looked_at_along_each(browser: Browser, tmp_p
         wait_for(lambda: "0.00 mm" in shown(page, "#reading"), "it does not move along x")
 
 
+@pytest.mark.slow
 def test_stop_ends_the_run_and_the_page_keeps_what_it_has(browser: Browser, tmp_path: Path) -> None:
     with running(tmp_path, "touch_wall", "--view") as launch, lab(browser, launch) as page:
         page.locator("#stop").click()
@@ -281,6 +282,7 @@ def test_a_page_that_is_stopped_costs_the_others_nothing_and_lets_go(page: Page,
     context.close()
 
 
+@pytest.mark.slow
 def test_record_and_undo_buttons_and_pause(page: Page, launch: Running) -> None:
     page.locator("#record").click()
     wait_for(lambda: page.locator("#record").get_attribute("aria-pressed") == "true", "recording")

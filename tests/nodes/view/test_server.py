@@ -260,6 +260,7 @@ def test_a_slider_of_a_law_that_renders_no_more_changes_no_other(launch: Running
         assert texts(page, "answer", id=4)["ok"]
 
 
+@pytest.mark.slow
 def test_a_recording_that_ends_by_itself_is_told(launch: Running) -> None:
     """Its folder cannot be made, or what records is killed: nobody goes on believing that it records."""
     blocker = launch.folder / "recordings"

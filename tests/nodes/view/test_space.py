@@ -82,6 +82,7 @@ def test_bodies_are_where_the_environment_has_them_and_where_a_replay_finds_them
             wait_for(near, "the same poses")
 
 
+@pytest.mark.slow
 def test_the_ball_is_where_and_as_large_as_the_geometry_says(page: Page) -> None:
     """Parallel projection: a ball is a disc of its radius about the image of its centre, whatever the camera."""
     for yaw, pitch in ((-0.7, 0.45), (0.9, -0.8)):
@@ -269,6 +270,7 @@ def test_the_hand_moves_in_the_plane_that_the_camera_looks_at(page: Page, launch
     page.select_option("#axis", "3-D")
 
 
+@pytest.mark.slow
 def test_a_plane_of_section_cuts_the_ball_and_gives_the_plots(page: Page) -> None:
     assert page.evaluate("haptic.section.plane") == "xz"
     page.evaluate("document.getElementById('lab').open = true")

@@ -68,7 +68,11 @@ haptic.study("relatives", mass=0.1, fresh=True)
 """
 
 
-@pytest.mark.parametrize(("code", "begun"), [(LAUNCH, shows_progress), (STUDY, says_ready)], ids=["launch", "study"])
+@pytest.mark.parametrize(
+    ("code", "begun"),
+    [(LAUNCH, shows_progress), pytest.param(STUDY, says_ready, marks=pytest.mark.slow)],
+    ids=["launch", "study"],
+)
 def test_an_interrupted_cell_leaves_nothing(code: str, begun: Callable[[dict[str, Any]], bool]) -> None:
     with private_runtime_dir() as folder:
         told = in_a_kernel(folder, code, begun, KernelManager.interrupt_kernel)

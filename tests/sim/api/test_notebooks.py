@@ -8,13 +8,14 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 
-from tests.support import ROOT, slowly
+from tests.support import ROOT
 from tests.support.launching import assert_nothing_left, private_runtime_dir
 
 NOTEBOOKS = sorted((ROOT / "sim" / "notebooks").glob("*.ipynb"))
 
 
-@pytest.mark.parametrize("path", slowly(NOTEBOOKS, but=[NOTEBOOKS[-1]]), ids=lambda path: path.stem)
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 @pytest.mark.filterwarnings("default")  # of the notebook client's own libraries
 def test_a_notebook_runs(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     notebook = nbformat.read(path, as_version=4)  # type: ignore[no-untyped-call]

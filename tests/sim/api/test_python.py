@@ -165,6 +165,7 @@ def test_a_launch_is_changed_recorded_and_left_while_it_runs(place: Path) -> Non
         run.param["coupling.laws.pd.stiffness"] = 900
 
 
+@pytest.mark.slow
 def test_several_chains_go_on_when_the_thread_that_started_them_has_ended(place: Path) -> None:
     with ThreadPoolExecutor(1) as pool:
         run = pool.submit(haptic.launch, "two_hands", duration=0, out_dir=place / "r").result()
@@ -181,6 +182,7 @@ def test_a_scenario_that_does_not_start_says_why(place: Path) -> None:
         haptic.launch("no_such")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("view", [False, True])
 def test_a_launcher_that_is_killed_leaves_no_summary(place: Path, view: bool) -> None:
     with haptic.launch("wall_press", duration=0, view=view) as run:

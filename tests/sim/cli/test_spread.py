@@ -176,6 +176,7 @@ def test_a_worker_that_is_killed_and_one_that_joins_change_nothing(
         assert result.result(timeout=240.0) == [number**2 for number in range(6)]
 
 
+@pytest.mark.slow
 def test_a_worker_of_another_version_is_refused(tmp_path: Path) -> None:
     other = tmp_path / "other"
     for package in ("messages", "nodes", "sim", "tests"):
@@ -189,6 +190,7 @@ def test_a_worker_of_another_version_is_refused(tmp_path: Path) -> None:
             spread(arguments(*found.options()), [partial(pow, 2, 3)])
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_dies_is_told(tmp_path: Path) -> None:
     with dask_cluster(tmp_path, workers=1) as found, ThreadPoolExecutor(1) as beside:
         wait_for(lambda: answers(found), "the scheduler", 120.0)

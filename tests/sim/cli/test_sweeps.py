@@ -43,6 +43,7 @@ def study(capsys: pytest.CaptureFixture[str], folder: Path, *words: str, code: i
     return told
 
 
+@pytest.mark.slow
 def test_a_joint_that_nobody_knows_of_costs_the_wall(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ("price", "--no-land", "--hand", "0", "--known")
     told = study(capsys, tmp_path, *words)
@@ -77,6 +78,7 @@ def recorded(folder: Path, delay: float) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_relatives_are_judged_at_the_delay_that_was_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ("relatives", "--families", "pd", "Maxwell", "passive FIR", "--mass", "0.1")
     late = study(capsys, tmp_path, *words, "--from-run", str(recorded(tmp_path, 1.3)))
@@ -97,6 +99,7 @@ def test_relatives_are_judged_at_the_delay_that_was_measured(tmp_path: Path, cap
     assert main(["study", "relatives", "--from-run", str(tmp_path / "none.mcap"), "--out", str(tmp_path)]) == 2
 
 
+@pytest.mark.slow
 def test_coverage_outside_counts_what_is_said_of_devices(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     told = study(capsys, tmp_path, "coverage", "--outside", "--devices", "1", "--seconds", "3")
     assert told["devices"] == 1

@@ -129,6 +129,7 @@ def test_ranges_of_delay_and_hand_are_kept_and_cost_stiffness() -> None:
     assert check(free(late, 4).found, late).h1_n_per_m > 1.3 * check(pd(late).found, late).h1_n_per_m
 
 
+@pytest.mark.slow
 def test_a_tighter_bound_on_noise_costs_stiffness() -> None:
     quiet, loud = demand(1.0, nyquist=3000.0), demand(1.0)
     assert check(free(quiet, 4).found, quiet).h1_n_per_m < check(free(loud, 4).found, loud).h1_n_per_m

@@ -154,6 +154,7 @@ def test_a_dragged_run_is_recorded_and_plays_again_in_one_process(tick: WantedTi
         assert np.max(np.abs(same.measured - recorded.position)) < 1e-3
 
 
+@pytest.mark.slow
 def test_a_hand_whose_page_falls_silent_goes_back_to_its_path(tmp_path: Path) -> None:
     with running(tmp_path, "touch_wall", "--without", "logger") as launch:
         path = pointer_file(launch.run_dir, "driver")

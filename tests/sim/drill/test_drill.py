@@ -261,9 +261,10 @@ def test_faults_end_safe_recover_and_leave_nothing(name: str) -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        *("oversize message", "driver exits", "hand sinks in"),
+        *("driver exits", "hand sinks in"),
         *slowly(
             [
+                "oversize message",
                 "impostor",
                 "fd exhaustion",
                 "stopped reaper",
@@ -351,7 +352,7 @@ def test_verb_lists_refuses_and_answers(tmp_path: Path) -> None:
     assert figures["drills"][0]["skipped"] or figures["drills"][0]["safe_ticks"] <= figures["limit_ticks"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", slowly([signal.SIGTERM, signal.SIGKILL], but=[signal.SIGKILL]))
 def test_a_drill_that_is_ended_itself_leaves_no_launch_behind(tmp_path: Path, number: signal.Signals) -> None:
     drilling = subprocess.Popen([*HAPTIC, "drill", "soak"], cwd=tmp_path, stderr=subprocess.DEVNULL)
 

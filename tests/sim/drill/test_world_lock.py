@@ -33,6 +33,7 @@ def test_a_lock_whose_holder_was_killed_is_taken_over(tmp_path: Path) -> None:
     assert state.lock == 0
 
 
+@pytest.mark.slow
 def test_a_lock_whose_holder_lives_is_waited_for(tmp_path: Path) -> None:
     path = tmp_path / "world"
     state = World(path).state

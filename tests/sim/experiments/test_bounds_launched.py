@@ -117,6 +117,7 @@ def rate(law: dict[str, Any], mass: float, delay: float, ticks: int = 1600) -> f
     return float((position[-eighth:].max() / position[4 * eighth : 5 * eighth].max()) ** (1.0 / (3 * eighth)))
 
 
+@pytest.mark.slow
 def test_launches_decay_just_below_colgates_k_at_the_frequency_that_occurs_and_grow_just_above() -> None:
     described = {"kind": "pd_alpha", "order": 1.5, "taps": 4, "gains": "paper", "damping": 3.0}
     edge = edge_of(without_spring(parse_law({**described, "stiffness": 1.0}), T), Plant(T, 0.1, 1.0))

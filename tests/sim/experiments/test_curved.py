@@ -84,6 +84,7 @@ def test_the_ends_of_the_search_are_not_told_as_k_max(
     assert [edge["k_max_n_per_m"] for edge in json.loads(out.splitlines()[-1])["edges"]] == [None, None]
 
 
+@pytest.mark.slow
 def test_launches_agree_where_it_slides() -> None:
     launch = launch_file.read("sphere_feel", {"pace": "lockstep"})
     edge = theory(PERIOD)

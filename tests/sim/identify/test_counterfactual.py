@@ -165,6 +165,7 @@ def test_swaps_are_replayed_from_their_receipts(tmp_path: Path) -> None:
     assert replay(recorded).measured.tolist() == positions(recording)
 
 
+@pytest.mark.slow
 def test_the_hand_that_moved_the_device_is_estimated(tmp_path: Path) -> None:
     """The model lacks the hand of wall_press; the force that it lacks is the hand's, which is known here."""
     recording = tmp_path / launch_json(tmp_path, "wall_press", "pace:=lockstep", "duration:=2")["recording"]

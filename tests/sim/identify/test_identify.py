@@ -63,6 +63,7 @@ def test_a_hand_is_found_and_told_apart() -> None:
     assert found.damping.value == pytest.approx(3.5, rel=2e-2)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth() -> None:
     """12 devices, 60 intervals: at 95 % fewer than 85 % hold with a probability below 1 %; at 80 % nearly always."""
     kept = []

@@ -60,6 +60,7 @@ def test_the_term_that_the_data_ask_for_is_identified(term: str) -> None:
     assert f"a rigid device with {term}" in text(found).splitlines()[0]
 
 
+@pytest.mark.slow
 def test_a_joint_that_hides_in_the_residual_is_found() -> None:
     """120 Hz leaves 0.6 steps in all; a law for the rigid device is unstable with it, and the poles now say so."""
     found = pushed(share=0.5, frequency=120.0, loss=0.02)

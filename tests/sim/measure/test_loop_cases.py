@@ -15,6 +15,7 @@ from tests.support.launching import launch_json
 TICKS = 100
 
 
+@pytest.mark.slow
 def test_the_guard_is_on_and_a_fade_goes_on_to_the_end(tmp_path: Path) -> None:
     words = ("pace:=lockstep", f"duration:={TICKS / 500.0}", "--tick", "plain")
     with launches(["guard", "fade"]) as cases:
@@ -27,6 +28,7 @@ def test_the_guard_is_on_and_a_fade_goes_on_to_the_end(tmp_path: Path) -> None:
     assert LONGEST_FADE > TICKS
 
 
+@pytest.mark.slow
 @pytest.mark.realtime
 def test_the_stand_in_is_driven_by_its_own_driver(tmp_path: Path) -> None:
     with launches(list(CASES)) as cases:

@@ -202,6 +202,7 @@ def open_when_there(options: list[str]) -> Any:
             assert time.monotonic() < until
 
 
+@pytest.mark.slow
 def test_a_cluster_with_tls_of_which_one_worker_is_killed_and_the_sweep_interrupted(
     cluster: DaskCluster, tmp_path: Path
 ) -> None:

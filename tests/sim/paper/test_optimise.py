@@ -65,6 +65,7 @@ def test_descent_goes_down_when_its_steps_are_small() -> None:
     assert (np.diff(run.cost) < 0.0).all()
 
 
+@pytest.mark.slow
 def test_descent_from_the_same_cost_ends_elsewhere_from_elsewhere() -> None:
     """Three targets, four unknowns: optima with J ≈ 0 form a curve, and the start decides which one is found."""
     targets = Targets(np.pi * np.array([0.1, 0.5, 1.0]), np.array([-1.0, -1.0, 3.0]))

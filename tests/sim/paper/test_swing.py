@@ -115,6 +115,7 @@ def test_what_grows_is_refused() -> None:
         windows(trace.measured)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "law", "why"),
     [
@@ -141,6 +142,7 @@ def test_where_nothing_was_touched_nothing_swings(tmp_path: Path, capsys: pytest
     assert capsys.readouterr().out.startswith("cannot tell: nothing was touched")
 
 
+@pytest.mark.slow
 def test_study_edge_compares_laws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["study", "edge", "--points", "4", "--gain", "3..25", "--out", str(tmp_path), "--json"]) == 0
     figures = json.loads(capsys.readouterr().out.splitlines()[-1])

@@ -68,8 +68,11 @@ ALIKE = {
 """Of these the plain tick alone: compiled they run the code of floor_drop and its multi_term, beside two loggers and with taps
 of other values; pd_alpha is compiled in floor_buzz, another rate in floor_drop_fast."""
 
-QUICK = {("floor_drop",), ("touch_wall",), ("floor_guarded",), *ALIKE}
+QUICK = {("floor_drop",), ("touch_wall",), ("floor_guarded",)}
 """Of these the plain tick is tried in every run, of all in CI's."""
+
+OFTEN = {*((name,) for name in PLAYED), *VARIANTS[:5]}
+"""Of these the compiled one."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -87,7 +90,10 @@ def bits(values: list[float]) -> list[int]:
     ("words", "tick"),
     [
         pytest.param(
-            words, tick, id=f"{' '.join(words)}-{tick}", marks=[pytest.mark.slow] * (tick == "plain" and words not in QUICK)
+            words,
+            tick,
+            id=f"{' '.join(words)}-{tick}",
+            marks=[pytest.mark.slow] * (words not in (QUICK if tick == "plain" else OFTEN)),
         )
         for words in WORDS
         for tick in ("plain", "compiled")

@@ -132,6 +132,7 @@ def test_a_launch_that_somebody_tunes_already_is_refused_and_left_to_him(tmp_pat
         launch.finish(signal.SIGINT)
 
 
+@pytest.mark.slow
 def test_of_a_launch_of_several_chains_the_one_that_is_pushed_is_recorded(tmp_path: Path) -> None:
     """A push asked for `/device/state` of the whole launch, which has none; a chain's recorder heard nothing of that name."""
     with running(tmp_path, "two_hands", "duration:=0") as launch:
@@ -179,18 +180,17 @@ def test_an_encoder_that_is_stuck_is_not_a_device_at_rest(tmp_path: Path) -> Non
 NO = "the law holds                                      NO"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lie", "told", "taps", "first"),
     [
         # A sign: every spring pushes away. A gain: ten times the law that was designed, whose edge is a little below it then.
         # A delay that jumps by ten ticks: the edge is a little below the law, too.
         (f"{SCALE}-1", NO, [800.0, -700.0], 0),
-        pytest.param(f"{SCALE}10", NO, [2000.0, -1750.0], -3, marks=pytest.mark.slow),
-        pytest.param(f"{LATE}10", NO, [800.0, -700.0], -6, marks=pytest.mark.slow),
+        (f"{SCALE}10", NO, [2000.0, -1750.0], -3),
+        (f"{LATE}10", NO, [800.0, -700.0], -6),
         # A quarter of it: every knock rests, far beyond where the model has the edge.
-        pytest.param(
-            f"{SCALE}0.25", "the device is not the one that was identified", [800.0, -700.0], 0, marks=pytest.mark.slow
-        ),
+        (f"{SCALE}0.25", "the device is not the one that was identified", [800.0, -700.0], 0),
     ],
 )
 def test_a_device_that_lies_while_its_law_is_tried_gets_none(
