@@ -45,6 +45,7 @@ hypothesis.settings.load_profile("untimed")
 
 
 LONGEST = (
+    "tests/sim/scene/test_lockstep.py",  # has the tick compiled, for which two files would wait
     "tests/test_pages.py",
     "tests/test_extending.py",
     "tests/sim/tune",

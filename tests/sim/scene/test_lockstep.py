@@ -69,7 +69,7 @@ ALIKE = {
 of other values; pd_alpha is compiled in floor_buzz, another rate in floor_drop_fast."""
 
 QUICK = {("floor_drop",), ("touch_wall",), ("floor_guarded",)}
-"""Of these the plain tick is tried in every run, of all in CI's."""
+"""Of these the plain tick is tried in every run."""
 
 OFTEN = {*((name,) for name in PLAYED), *VARIANTS[:5]}
 """Of these the compiled one."""
