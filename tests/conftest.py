@@ -45,7 +45,6 @@ hypothesis.settings.load_profile("untimed")
 
 
 LONGEST = (
-    "tests/sim/scene/test_lockstep.py",  # has the tick compiled, for which two files would wait
     "tests/test_pages.py",
     "tests/test_extending.py",
     "tests/sim/tune",
