@@ -13,6 +13,7 @@ from messages.topics import DEVICE_STATE, FORCE, PROXY, event
 from messages.types import DeviceState, Proxy, Vector
 from nodes.environment.node import Environment
 from nodes.environment.place import Place
+from nodes.environment.shapes.kinds import TOOL_RADIUS
 from nodes.environment.surfaces import parse_surface
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
@@ -130,7 +131,7 @@ def test_a_solid_that_grows_carries_its_proxy_and_one_that_comes_does_not(deep: 
     assert place.take(Place(parse_surface({"kind": "union", "shapes": [grown]}, "surface"), PERIOD))
     proxy, _, _, contact = place.meet((0.0, 0.0, 0.028))
     assert contact
-    assert proxy[2] == pytest.approx(0.03 + deep, abs=1e-9)
+    assert proxy[2] == pytest.approx(0.03 + deep + TOOL_RADIUS, abs=1e-9)
     free = Place(parse_surface({"kind": "free"}, "surface"), PERIOD)
     other = Place(parse_surface({"kind": "union", "shapes": [came]}, "surface"), PERIOD)
     free.take(other)
