@@ -44,12 +44,6 @@ def _follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str, he
         elif seq < last:
             node.events.emit("restart", f"{topic} went back from tick {last} to {seq}")
 
-    def hear_payload(frame: bytes) -> None:
-        try:
-            hear[frame](next_frame())
-        except TimedOut:
-            node.events.refuse(f"a message on {frame.decode()} without a payload")
-
     def take() -> M | None:
         try:
             frame = next_frame()
@@ -57,7 +51,7 @@ def _follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str, he
             return None
         if frame != expected:
             if frame in hear:
-                hear_payload(frame)
+                _pass_on(node, hear[frame], next_frame, frame)
             elif waker is None or frame != waker.frame:
                 node.intake.out_of_step(frame, expected)
             return None
@@ -85,6 +79,14 @@ def _follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str, he
 
     inbox.set_timeout(patience)
     return take if ticks is None else ticks.in_front_of(take)
+
+
+def _pass_on(node: Node, hear: Callable[[bytes], None], next_frame: Callable[[], bytes], frame: bytes) -> None:
+    """Pass on the payload of a topic beside the one that is followed."""
+    try:
+        hear(next_frame())
+    except TimedOut:
+        node.events.refuse(f"a message on {frame.decode()} without a payload")
 
 
 def answer_ticks(

@@ -27,21 +27,21 @@ from nodes.parameters.store import ParameterError
 UNHEARD, HEARD, SILENT = range(3)
 """What is known of a partner: nothing yet, its position, or nothing any more."""
 
-Seconds = Annotated[float, msgspec.Meta(gt=0.0, le=10.0)]
-Speed = Annotated[float, msgspec.Meta(gt=0.0, le=100.0)]
+Patience = Annotated[float, msgspec.Meta(gt=0.0, le=10.0)]
+MetresPerSecond = Annotated[float, msgspec.Meta(gt=0.0, le=100.0)]
 
 
 class PartnerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of an environment that is another device.
 
     silence: Time without a message of the partner after which it counts as gone [s].
-    align: Speed at which an offset to the partner fades, so that nobody is pushed by a jump [m/s].
-    fastest: Speed beyond which a step of the partner's position is a jump and no motion [m/s].
+    align: MetresPerSecond at which an offset to the partner fades, so that nobody is pushed by a jump [m/s].
+    fastest: MetresPerSecond beyond which a step of the partner's position is a jump and no motion [m/s].
     """
 
-    silence: Seconds = 0.1
-    align: Speed = 0.1
-    fastest: Speed = 10.0
+    silence: Patience = 0.1
+    align: MetresPerSecond = 0.1
+    fastest: MetresPerSecond = 10.0
 
 
 class Partner:
@@ -175,12 +175,7 @@ class PartnerEnvironment(Node):
         # The coupling holds the device to the partner from all sides: no normal, and nothing to clamp.
         return encode(
             Proxy(
-                seq=state.seq,
-                stamp=self.clock.now(),
-                position=state.position,
-                proxy=proxy,
-                contact=contact,
-                delay=state.delay,
+                seq=state.seq, stamp=self.clock.now(), position=state.position, proxy=proxy, contact=contact, delay=state.delay
             )
         )
 
@@ -194,20 +189,14 @@ class PartnerEnvironment(Node):
             )
         elif now == SILENT and before == HEARD:
             self.events.emit(
-                "partner",
-                f"silent for {parameters.silence:g} s (silence): the device is let go at {parameters.align:g} m/s",
+                "partner", f"silent for {parameters.silence:g} s (silence): the device is let go at {parameters.align:g} m/s"
             )
 
     def report(self) -> dict[str, Any]:
         """Return the time its ticks took, and how many messages of the partner came, and came too late."""
-        return {
-            "spent_us": spent_us(self.counters.spent),
-            "partner": {"heard": self.heard, "overtaken": self.late},
-        }
+        return {"spent_us": spent_us(self.counters.spent), "partner": {"heard": self.heard, "overtaken": self.late}}
 
     def loop(self) -> None:
         """Answer until stopped, with the newest position of the partner."""
         partner = self.setup.topic(topics.PARTNER).encode()
-        answer_ticks(
-            self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self._answer, {partner: self._hear}
-        )
+        answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self._answer, {partner: self._hear})

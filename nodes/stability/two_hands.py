@@ -8,7 +8,7 @@ With the forces held, whatever passive hands hold the devices, the loop is passi
 
     diag(b₁, b₂) − T/(2 (1 − cos θ)) · ½[(1 − w) M + ((1 − w) M)*]
 
-is positive definite (THEORY.md §20). For one device this is Colgate's condition. At θ → 0 it needs H₁(1) = H₂(1): two
+is positive definite (THEORY.md §17). For one device this is Colgate's condition. At θ → 0 it needs H₁(1) = H₂(1): two
 different springs on one way make energy at any speed.
 """
 
@@ -17,14 +17,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
 
-Way = Literal["one_law", "law_each"]
 _ZOOMS = 8
 _SOFTEST = 1e-9  # relative difference of H(1) of both sides that counts as none
 
@@ -50,9 +48,7 @@ class TwoHands:
         return cls((law, law), ((first, first), (second, second)))
 
     @classmethod
-    def law_each(
-        cls, laws: tuple[CompiledLaw, CompiledLaw], there: int, back: int, own: tuple[int, int] = (0, 0)
-    ) -> TwoHands:
+    def law_each(cls, laws: tuple[CompiledLaw, CompiledLaw], there: int, back: int, own: tuple[int, int] = (0, 0)) -> TwoHands:
         """Return a law at each device, on its own position and the other's.
 
         Parameters
@@ -97,9 +93,7 @@ def damping_share(coupling: TwoHands, period: float, damping: tuple[float, float
     return float(_highest(share, grid))
 
 
-def _share(
-    coupling: TwoHands, period: float, damping: tuple[float, float], theta: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _share(coupling: TwoHands, period: float, damping: tuple[float, float], theta: NDArray[np.float64]) -> NDArray[np.float64]:
     w = np.exp(-1j * theta)
     # (1 − w)/(2 (1 − cos θ)) = 1/(1 − w̄): written so, nothing cancels.
     sampled = period / (1.0 - np.conj(w))
@@ -169,6 +163,6 @@ def k_max_two_hands(
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if excess(middle) < 0.0 else (low, middle)
-        if high - low < 1e-12 * high:
+        if high - low < 1e-10 * high:
             break
     return low

@@ -6,13 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.laws.pd import PD
 from nodes.stability.two_hands import TwoHands, damping_share, k_max_two_hands
+from tests.support.two_port import loop_radius
 
 T = 0.002
 
@@ -34,7 +33,7 @@ def law_each(there: int, back: int, gain: float = 0.0) -> float | None:
 
 
 def quadratic(first: int, second: int) -> float:
-    """Closed limit of a spring in the middle, from the condition at θ → 0.
+    """Return the limit of a spring in the middle, from the condition at θ → 0.
 
     κ((1 + 2 d₁) + (1 + 2 d₂))/2 + κ² (d₁ − d₂)²/4 = 1 with κ = K T/b, of s_i → κ(½ + d_i).
     """
@@ -61,43 +60,14 @@ def test_two_different_springs_are_passive_for_no_hands() -> None:
     assert damping_share(coupling, T, (1.0, 1.0)) == math.inf
 
 
-def held(mass: float, damping: float, stiffness: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """One tick of m x'' + b x' + k x = u by the matrix exponential of scipy."""
-    whole = np.zeros((3, 3))
-    whole[0, 1], whole[1] = 1.0, (-stiffness / mass, -damping / mass, 1.0 / mass)
-    found = expm(whole * T)
-    return found[:2, :2], found[:2, 2]
-
-
-def loop_radius(coupling: TwoHands, devices: tuple[tuple[float, float, float], ...]) -> float:
-    """Largest pole of both devices with their hands, every delay a shift register; nothing of the module under test."""
-    depth = max(max(row) for row in coupling.delays) + max(len(law.taps) for law in coupling.laws)
-    size = 2 * (2 + depth)
-    step = np.zeros((size, size))
-    for side, (mass, damping, stiffness) in enumerate(devices):
-        at = side * (2 + depth)
-        transition, push = held(mass, damping, stiffness)
-        step[at : at + 2, at : at + 2] = transition
-        step[at + 2, at] = 1.0  # x of one tick ago, and so on
-        for j in range(1, depth):
-            step[at + 2 + j, at + 1 + j] = 1.0
-        for other in (0, 1):
-            sign = 1.0 if other == side else -1.0
-            there = other * (2 + depth)
-            delay = coupling.delays[side][other]
-            for m, tap in enumerate(coupling.laws[side].taps):
-                late = delay + m
-                column = there if late == 0 else there + 1 + late
-                step[at : at + 2, column] -= sign * tap * push
-    return float(np.abs(np.linalg.eigvals(step)).max())
-
-
 def _random_couplings(rng: np.random.Generator) -> TwoHands:
     kind = rng.integers(3)
     stiffness, gain = float(10 ** rng.uniform(1.0, 3.0)), float(rng.uniform(0.0, 0.4))
     law = [
         pd(stiffness, gain),
-        parse_law({"kind": "pd_alpha", "stiffness": stiffness, "damping": gain, "order": 0.6, "taps": 4, "gains": "paper"}).compile(T),
+        parse_law(
+            {"kind": "pd_alpha", "stiffness": stiffness, "damping": gain, "order": 0.6, "taps": 4, "gains": "paper"}
+        ).compile(T),
         parse_law({"kind": "fir", "taps": [stiffness, -0.2 * stiffness, -0.1 * stiffness]}).compile(T),
     ][int(kind)]
     if rng.random() < 0.5:
