@@ -152,7 +152,8 @@ def k_max_two_hands(
 
     softest = 1e-6
     # The share is convex in K: where the derivative part alone asks for too much, a stiffer spring may still ask for less.
-    start = next((k for k in [softest, *np.geomspace(1e-2, highest, 121).tolist()] if excess(k) < 0.0), None)
+    tried: list[float] = [softest, *np.geomspace(1e-2, highest, 121).tolist()]
+    start = next((k for k in tried if excess(k) < 0.0), None)
     if start is None:
         return None
     low, high = start, max(2.0 * start, 1.0)

@@ -3,6 +3,7 @@
 import argparse
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from nodes.cli.quantities import declare, whole
 from nodes.recording.figure_style import COLOURS, LINES, MARKERS, new_figure, save_figure, styled
@@ -54,7 +55,7 @@ def _draw(arguments: argparse.Namespace, rows: list[Apart], period: float) -> Pa
     figure = new_figure(7.0, 5.5)
     stiffness, drag = figure.subplots(2, 1, sharex=True)
     delays = [1e3 * row.delay_ticks * period for row in rows]
-    curves = (
+    curves: tuple[tuple[str, list[float | None], list[float | None] | None], ...] = (
         ("one law", [row.one_law_n_per_m for row in rows], None),
         ("a law each", [row.law_each_n_per_m for row in rows], None),
         (
@@ -69,7 +70,7 @@ def _draw(arguments: argparse.Namespace, rows: list[Apart], period: float) -> Pa
         ),
     )
     for i, (label, stiff, slow) in enumerate(curves):
-        look = {"color": COLOURS[i], "marker": MARKERS[i], "ls": LINES[i % len(LINES)], "ms": 3.5}
+        look: Any = {"color": COLOURS[i], "marker": MARKERS[i], "ls": LINES[i % len(LINES)], "ms": 3.5}
         stiffness.plot(delays, [float("nan") if y is None else y for y in stiff], label=label, **look)
         if slow is not None:
             drag.plot(delays, [float("nan") if y is None else y for y in slow], **look)
