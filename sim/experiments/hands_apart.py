@@ -243,7 +243,8 @@ def felt(plant: Plant, law: CompiledLaw, network: Network, guard: EndGuard | Non
         made = max(made, float(run.given_out_j.max()))
         half = slice(ticks // 2, None)
         turn = np.exp(-1j * omega * period * np.arange(ticks))[half]
-        moved = run.position[half, 0]
+        # Of a fist what is felt over what it leaves of the way, so that its own give is no part of the answer.
+        moved = run.position[half, 0] - (run.position[half, 1] if partner is firm else 0.0)
         found.append(-np.dot(run.force[half, 0], turn) / np.dot(moved, turn))
     held, free = found
     own = omega * plant.mass * 1j + plant.damping
