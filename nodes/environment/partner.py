@@ -175,7 +175,13 @@ class PartnerEnvironment(Node):
         # The coupling holds the device to the partner from all sides: no normal, and nothing to clamp.
         return encode(
             Proxy(
-                seq=state.seq, stamp=self.clock.now(), position=state.position, proxy=proxy, contact=contact, delay=state.delay
+                seq=state.seq,
+                stamp=self.clock.now(),
+                position=state.position,
+                proxy=proxy,
+                contact=contact,
+                delay=state.delay,
+                rebased=state.rebased,
             )
         )
 
