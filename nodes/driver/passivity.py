@@ -149,7 +149,9 @@ def guarded(s: Any, share: float) -> None:
     force = s.wanted[account]
     if s.axes > 1:
         # Along the force that is wanted, whose direction stays.
-        force = math.sqrt(s.wanted[0] ** 2 + s.wanted[1] ** 2 + s.wanted[2] ** 2)
+        # Products, not powers: compiled code makes other last bits of a power.
+        x, y, z = s.wanted[0], s.wanted[1], s.wanted[2]
+        force = math.sqrt(x * x + y * y + z * z)
     if s.guard_bounded != 0:
         energy = forget(s.guard_energy[account], force, s.guard_stiffness)
     else:
