@@ -40,12 +40,14 @@ class TouchedSurface:
     def take(self, other: TouchedSurface) -> bool:
         """Become another surface, whose proxy begins where this one's is. Return whether that is a jump.
 
-        Where only friction is another, the proxy stays as it is, and nothing jumps.
+        Where nothing or only friction is another, the proxy stays as it is, and nothing jumps.
         """
         before, after = self.numbers, other.numbers
         jump = True
-        if before is not None and after is not None and before.kind == after.kind == SHAPES:
-            if differ_in_friction_alone(before.table, after.table):
+        if before is not None and after is not None and before.kind == after.kind:
+            if before.kind != SHAPES:
+                jump = before.table != after.table
+            elif differ_in_friction_alone(before.table, after.table):
                 after.memory[:] = before.memory
                 jump = False
             else:
