@@ -17,7 +17,7 @@ from nodes.compiled.layout import TEXTS
 from nodes.compiled.message_fields import fields_of, slots
 from nodes.environment.meet import meet_flat, meet_plane
 from nodes.environment.spent import note_spent
-from nodes.environment.state import JUMPED, EnvironmentState
+from nodes.environment.state import INSIDE, JUMPED, EnvironmentState
 
 for _function in (plane_distance, meet_plane, meet_flat, note_spent):
     kernel(_function)
@@ -26,7 +26,7 @@ _scan = make_scan(DeviceState)
 # In a fault the position is no new one. A message without the word is of an active driver.
 _tells_fault = make_match("fault")
 _encode = make_encode(Proxy)
-_TEXTS, _JUMPED = TEXTS, JUMPED
+_TEXTS, _JUMPED, _INSIDE = TEXTS, JUMPED, INSIDE
 _IN, _OUT = fields_of(DeviceState), fields_of(Proxy)
 _SEQ, _REBASED, _STAMP, _POSITION, _DELAY = slots(_IN, "seq", "rebased", "stamp", "position", "delay")
 _TO_SEQ, _TO_CONTACT, _TO_REBASED, _TO_EASE, _TO_STAMP, _TO_POSITION, _TO_PROXY, _TO_NORMAL, _TO_DISTANCE, _TO_DELAY = slots(
@@ -82,8 +82,8 @@ def make_ticks(meet: Callable[[int, Any, Any, float, float, float, Any], bool]) 
             at = out_at(s)
             answer(s, at, _encode(at, s.out_keys, out, s.out_wholes, s.text, s.text_size) - at)
             done += 1
-            if called(s):
-                break
+            if s.met[_INSIDE] != s.inside or called(s):
+                break  # an event is due, or a request waits
         flush(s)
         return done
 

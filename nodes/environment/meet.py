@@ -12,7 +12,7 @@ from typing import NamedTuple
 from messages.types import Vector
 from nodes.arithmetic import plane_distance
 from nodes.environment.shapes import proxy
-from nodes.environment.shapes.tables import DISTANCE, IN_CONTACT, LOST, NORMAL, PLACED, PROXY
+from nodes.environment.shapes.tables import DISTANCE, IN_CONTACT, INSIDE, LOST, NORMAL, PLACED, PROXY
 from nodes.environment.state import ANCHOR, MET, PLANE, SHAPES
 
 
@@ -35,7 +35,7 @@ def meet_plane(position: float, surface: float, side: float) -> tuple[float, flo
 def meet_flat(kind: int, table: Sequence[float], x: float, y: float, z: float, met: MutableSequence[float]) -> bool:
     """Let a proxy follow the device to a position [m] on a surface without shapes."""
     met[0], met[1], met[2] = x, y, z
-    met[3] = met[4] = met[5] = met[6] = met[7] = 0.0
+    met[3] = met[4] = met[5] = met[6] = met[7] = met[8] = 0.0
     if kind == PLANE:
         i = int(table[0])
         met[3 + i] = table[2]
@@ -61,6 +61,7 @@ def meet(
         met[0], met[1], met[2] = memory[PROXY], memory[PROXY + 1], memory[PROXY + 2]
     met[3], met[4], met[5] = memory[NORMAL], memory[NORMAL + 1], memory[NORMAL + 2]
     met[6] = memory[DISTANCE]
+    met[8] = memory[INSIDE]
     met[7] = 1.0 if was_lost != (memory[PLACED] == LOST) else 0.0
     return contact
 

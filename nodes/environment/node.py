@@ -73,7 +73,6 @@ class Environment(Node):
 
     def configure(self) -> None:
         """Build the surface."""
-        self._inside = 0
         self._place, meet = self._built(self.store.current)
         self._touch(meet)
 
@@ -171,13 +170,13 @@ class Environment(Node):
     def note_inside(self) -> None:
         """Publish how many shapes are not felt because the tool began inside of them, when that changes."""
         inside = self._place.inside
-        if inside > self._inside:
+        if inside > self.counters.inside:
             solids = "a solid that is" if inside == 1 else f"{inside} solids that are"
             self.events.emit_each("inside", f"the tool begins inside of {solids} not felt until it is outside")
-        elif inside < self._inside:
+        elif inside < self.counters.inside:
             left = "all solids are felt now" if inside == 0 else f"{inside} solids are still not felt"
             self.events.emit_each("inside", f"the tool has come outside: {left}")
-        self._inside = inside
+        self.counters.inside = inside
 
     def report(self) -> dict[str, Any]:
         """Tell how long its ticks took."""

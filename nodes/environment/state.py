@@ -10,8 +10,10 @@ from nodes.environment.spent import BINS
 
 FREE, PLANE, ANCHOR, SHAPES = range(4)  # kinds of surface that are numbers
 UNKNOWN: Final = -1  # a surface that only its own code knows
-MET: Final = 8  # numbers of an answer: proxy (3) [m], outward normal (3), signed distance [m], 1 where the proxy jumped
-JUMPED: Final = 7
+MET: Final = 9
+"""Numbers of an answer: proxy (3) [m], outward normal (3), signed distance [m], 1 where the proxy jumped, solids not felt."""
+
+JUMPED, INSIDE = 7, 8
 
 
 class EnvironmentState(Structure):
@@ -25,6 +27,8 @@ class EnvironmentState(Structure):
         # the tick of the environment's own latest jump and the length of its easing, 0 for the coupling's own [ticks]; the
         # latest jump that the driver told
         *named(c_int64, "rebased", "ease", "driver_rebased"),
+        # solids that are not felt, because the tool began inside of them, as they were reported last
+        ("inside", c_int64),
         # ticks by the time that they took (nodes/environment/spent.py)
         ("spent", c_int64 * BINS),
     ]

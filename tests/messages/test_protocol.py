@@ -26,6 +26,7 @@ FIELDS: dict[str, dict[str, type | tuple[type, ...]]] = {
     },
     "/environment/proxy": {
         "position": list, "proxy": list, "normal": list, "distance": float, "contact": bool, "delay": float,
+        "rebased": int, "ease": int,
     },
     "/coupling/force": {"force": list, "law": str, "revision": int},
     "/coupling/receipt": {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import json
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from nodes.environment.touched_surface import TouchedSurface
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
 from sim.scene.spatial import play
+from tests.support import slowly
 from tests.support.launching import running, typed
 from tests.support.setups import setup_of
 
@@ -71,6 +74,37 @@ def test_a_wall_that_is_moved_live_has_the_bits_of_one_process(tick: str, tmp_pa
     (reason,) = [one.reason for one in recording.messages(event("coupling")) if one.kind == "eased"]
     assert f"tick {jump}:" in reason
     assert "a force step of 10 N, eased over 0.15 s" in reason
+
+
+@pytest.mark.parametrize("tick", slowly(["plain", "compiled"], but=["compiled"]))
+def test_shapes_that_are_begun_in_and_changed_live_have_the_bits_of_one_process(tick: str, tmp_path: Path) -> None:
+    """Out of a small ball, into a large one, which grows by 2 mm while it is pressed."""
+    scene = str(FIXTURES / "space.yaml")
+    with running(tmp_path, scene, f"--tick={tick}") as launch:
+        launch.wait_ticks(500)
+        shapes = parsed(scene)["shapes"]
+        shapes[1]["radius"] = 0.032
+        typed(launch, "param", "set", "environment", "surface.shapes", json.dumps(shapes))
+        launch.wait_ticks(300)
+        launch.interrupt()
+    recording = Recording(next(tmp_path.rglob("*.mcap")))
+    proxies = recording.messages(PROXY)
+    jump = max(proxy.rebased for proxy in proxies)
+    ticks = min(jump + 200, len(proxies))
+    grown = {"kind": "union", "shapes": shapes}
+    played = play(launch_file.read(scene, {}), ticks, changes=[(jump, grown)])
+    assert [state.position for state in recording.messages(DEVICE_STATE)[:ticks]] == list(map(tuple, played.position.tolist()))
+    assert [proxy.proxy for proxy in proxies[:ticks]] == list(map(tuple, played.proxy.tolist()))
+    told = [one.reason for one in recording.messages(event("environment")) if one.kind == "inside"]
+    assert len(told) == 2
+    assert told[0].startswith("the tool begins inside")
+    assert told[1].startswith("the tool has come outside")
+
+
+def parsed(scene: str) -> dict[str, Any]:
+    """Return the surface of a scene as its file has it."""
+    surface: dict[str, Any] = copy.deepcopy(launch_file.read(scene, {}).nodes["environment"].parameters["surface"])
+    return surface
 
 
 def test_a_jump_is_told_until_the_next_one_and_the_later_one_counts() -> None:
