@@ -22,10 +22,12 @@ _look = record_at(record_of(CouplingState))
 _scan = make_scan(Proxy)
 _encode = make_encode(Force)
 _IN, _OUT = fields_of(Proxy), fields_of(Force)
-_SEQ, _CONTACT, _REBASED, _STAMP, _POSITION, _PROXY, _NORMAL, _DISTANCE, _DELAY = slots(
-    _IN, "seq", "contact", "rebased", "stamp", "position", "proxy", "normal", "distance", "delay"
+_SEQ, _CONTACT, _REBASED, _STAMP, _POSITION, _PROXY, _NORMAL, _DISTANCE, _DELAY, _CREDIT = slots(
+    _IN, "seq", "contact", "rebased", "stamp", "position", "proxy", "normal", "distance", "delay", "credit"
 )
-_TO_SEQ, _TO_REVISION, _TO_STAMP, _TO_FORCE = slots(_OUT, "seq", "revision", "stamp", "force")
+_TO_SEQ, _TO_REVISION, _TO_STAMP, _TO_FORCE, _TO_NORMAL, _TO_CREDIT = slots(
+    _OUT, "seq", "revision", "stamp", "force", "normal", "credit"
+)
 _SLOTS = SLOTS
 
 
@@ -120,6 +122,9 @@ def ticks(address: int) -> int:
         s.delay += (s.reals[_DELAY] - s.delay) * SMOOTHING
         s.out_wholes[_TO_SEQ] = seq
         s.out_wholes[_TO_REVISION] = s.revision
+        for i in range(3):
+            s.out_reals[_TO_NORMAL + i] = normal[i] if contact else 0.0
+        s.out_reals[_TO_CREDIT] = s.reals[_CREDIT]
         s.out_reals[_TO_STAMP] = monotonic(s) + s.clock_offset if s.realtime != 0 else s.reals[_STAMP]
         s.ticks += 1  # before it is sent: whoever has the answer and asks for the count finds it there
         at = out_at(s)

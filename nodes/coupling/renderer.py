@@ -153,7 +153,9 @@ class Renderer:
         s = self.state
         values = deflections(s, proxy.position, proxy.proxy, proxy.distance, proxy.normal, proxy.contact)
         s.upright[:] = (0.0, 0.0, 0.0)  # a normal that jumped has not turned
-        if not conventions and all(value == history.values[history.head] for value, history in zip(values, self.histories, strict=True)):
+        if not conventions and all(
+            value == history.values[history.head] for value, history in zip(values, self.histories, strict=True)
+        ):
             return False
         for n, (value, history) in enumerate(zip(values, self.histories, strict=True)):
             history.fill(value)

@@ -20,7 +20,7 @@ from nodes.driver.tick import GOT, NONE, UNREAD, Port, make_ticks
 for _function in (
     *(state.note, state.seldom, arithmetic.limit, arithmetic.limit_within_tick),
     *(passivity.observe, passivity.through, passivity.backlog, passivity.forget, passivity.control),
-    *(passivity.count_step, passivity.guarded),
+    *(passivity.count_step, passivity.settle, passivity.take_credit, passivity.guarded, passivity.guarded_along),
     *(motion.sample, motion.act, motion.split, motion.find_velocity),
     *(motor_heat.close_tick, motor_heat.note_heat, motor_heat._fits, motor_heat.lower_heat),
     *(safety.enter, safety.admit, safety.command, safety._regrowth, safety._become_active, safety.missed, safety.let_go),
@@ -32,11 +32,11 @@ _look = record_at(record_of(DriverState))
 _scan = make_scan(Force)
 _encode = make_encode(DeviceState)
 _IN, _OUT = fields_of(Force), fields_of(DeviceState)
-_SEQ, _FORCE = slots(_IN, "seq", "force")
+_SEQ, _FORCE, _NORMAL, _CREDIT = slots(_IN, "seq", "force", "normal", "credit")
 _TO_SEQ, _TO_FORCE_SEQ, _TO_AGE, _TO_MISSED, _TO_OVERRUNS = slots(_OUT, "seq", "force_seq", "age", "missed", "overruns")
 _TO_POSITION, _TO_FORCE, _TO_MEAN, _TO_TARGET = slots(_OUT, "position", "force", "mean_force", "target")
-_TO_STAMP, _TO_CHANGED_AT, _TO_RESPONSE, _TO_LATENESS, _TO_ENERGY, _TO_DELAY, _TO_GUARD = slots(
-    _OUT, "stamp", "changed_at", "response", "lateness", "energy", "delay", "guard"
+_TO_STAMP, _TO_CHANGED_AT, _TO_RESPONSE, _TO_LATENESS, _TO_ENERGY, _TO_DELAY, _TO_GUARD, _TO_SURPLUS = slots(
+    _OUT, "stamp", "changed_at", "response", "lateness", "energy", "delay", "guard", "surplus"
 )
 _TIMER_ABSTIME = 1
 # As long as ZeroMQ waits at least in `Subscription.receive_soon` [s].
@@ -83,6 +83,7 @@ def _publish(s: Any, seq: int, stamp: float) -> None:
     out[_TO_STAMP], out[_TO_RESPONSE], out[_TO_LATENESS] = stamp, s.response, s.lateness
     out[_TO_ENERGY], out[_TO_DELAY], out[_TO_CHANGED_AT] = s.energy, s.delay, s.changed_at
     out[_TO_GUARD] = s.guard_energy[0] + s.guard_energy[1] + s.guard_energy[2]
+    out[_TO_SURPLUS] = s.guard_surplus
     whole[_TO_SEQ], whole[_TO_FORCE_SEQ], whole[_TO_AGE] = seq, s.force_seq, s.age
     whole[_TO_MISSED], whole[_TO_OVERRUNS] = s.missed, s.overruns
     at = out_at(s)
@@ -126,7 +127,8 @@ def _receive(s: Any, until: float) -> int:
     s.taken += 1
     s.got_seq = s.wholes[_SEQ]
     for i in range(3):
-        s.got[i] = s.reals[_FORCE + i]
+        s.got[i], s.got_normal[i] = s.reals[_FORCE + i], s.reals[_NORMAL + i]
+    s.got_credit = s.reals[_CREDIT]
     return GOT
 
 

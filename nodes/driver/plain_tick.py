@@ -71,6 +71,7 @@ class PlainTicks:
                 delay=s.delay,
                 guard=s.guard_energy[0] + s.guard_energy[1] + s.guard_energy[2],
                 target=tuple(s.target),
+                surplus=s.guard_surplus,
             )
         )
         s.states_sent += 1
@@ -109,7 +110,7 @@ class PlainTicks:
         if force is None:
             return REFUSED
         s.got_seq = force.seq
-        s.got[:] = force.force
+        s.got[:], s.got_normal[:], s.got_credit = force.force, force.normal, force.credit
         return GOT
 
     def aside(self, s: Any) -> None:

@@ -125,6 +125,8 @@ def command(s: Any, seq: int, share: float) -> None:
     s.since = seq
     # Along an axis that nobody computes there is no force, and none that ramp, guard and heat would reckon with.
     s.wanted[0] = s.wanted[1] = s.wanted[2] = 0.0
+    for i in range(3):
+        s.normal[i] = s.got_normal[i]
     at = s.external_at
     for n in range(s.axes):
         i = s.axis[n]

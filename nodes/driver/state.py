@@ -28,8 +28,8 @@ PEAKS: Final = 64  # room for the moments at which the force came to its limit
 NOTES: Final = 32
 NOTE: Final = 8  # numbers of a note on what the rules do in a tick: code, tick, change of state, and five more
 _VECTORS = (
-    # the position just read, and the message just taken
-    *("place", "got"),
+    # the position just read, and the message just taken with its surface's normal; the normal of the force that acts
+    *("place", "got", "got_normal", "normal"),
     # what is asked for on its way through ramp, guard and limits; what was decided last, what is on the device, what comes next
     *("wanted", "force", "handed", "following"),
     # of the newest tick: how far the force has changed on each axis, and its mean up to a place in the tick
@@ -54,6 +54,8 @@ _NUMBERS = (
     *("energy", "highest", "at", "at_before", "line_part"),
     # guard
     *("guard_stiffness", "guard_rate", "guard_allowance", "guard_highest", "longest"),
+    # what may be given out by a partner, and what one has put in for this device, as told and as taken up
+    *("guard_surplus", "got_credit", "guard_credit"),
 )
 
 _COUNTERS = (
@@ -72,7 +74,7 @@ _COUNTERS = (
     # motion: where the newest samples are, and forces under way
     *("begun", "elapsed", "covered", "samples", "places", "places_count", "lines", "line_length"),
     # guard
-    *("guard_on", "guard_bounded", "lowered", "raised"),
+    *("guard_on", "guard_bounded", "guard_partner", "lowered", "raised"),
     # response times
     *("recent_at", "counted", "bins"),
     # what there is to say
