@@ -41,7 +41,6 @@ import msgspec
 
 from nodes.compiled.memory import reals_at
 
-
 ROUNDED: Final = 1e-9  # what acts along a surface with less is rounding of the normal, and no friction [N]
 
 
