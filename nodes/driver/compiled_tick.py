@@ -24,7 +24,7 @@ class DriverTicks(CompiledTicks):
         s: Any = node.driving
         super().__init__(node, kernel, topics.FORCE, topics.DEVICE_STATE)
         self._driver = node
-        self._device = DeviceCalls(device, lambda: node.target)
+        self._device = DeviceCalls(device, lambda: node.target, node.jumps)
         s.device_read, s.device_write, s.device_context = self._device.calls
         self._room("device_room", 48)
         # struct pollfd: descriptor, then two shorts: POLLIN, and the answer

@@ -14,6 +14,7 @@ from nodes.compiled.kernels.scan import make_scan
 from nodes.compiled.kernels.sources import kernel, record_of
 from nodes.compiled.message_fields import fields_of, slots
 from nodes.driver import motion, motor_heat, passivity, response_times, safety, state, tick
+from nodes.driver.calls import JUMPED
 from nodes.driver.state import BETWEEN, DriverState
 from nodes.driver.tick import GOT, NONE, UNREAD, Port, make_ticks
 
@@ -24,8 +25,8 @@ for _function in (
     *(motion.sample, motion.act, motion.split, motion.find_velocity),
     *(motor_heat.close_tick, motor_heat.note_heat, motor_heat._fits, motor_heat.lower_heat),
     *(safety.enter, safety.admit, safety.command, safety._regrowth, safety._become_active, safety.missed, safety.let_go),
-    *(safety.watch_position, safety.watch_swings, safety.hand_over),
-    *(response_times.note_response, tick.lost, tick.take_sample, tick.decide, tick.close),
+    *(safety._begin, safety.rebase, safety.watch_position, safety._watch_press, safety.watch_swings, safety.hand_over),
+    *(response_times.note_response, tick.lost, tick.in_time, tick.take_sample, tick.decide, tick.close),
 ):
     kernel(_function)
 _look = record_at(record_of(DriverState))
@@ -33,7 +34,9 @@ _scan = make_scan(Force)
 _encode = make_encode(DeviceState)
 _IN, _OUT = fields_of(Force), fields_of(DeviceState)
 _SEQ, _FORCE, _NORMAL, _CREDIT = slots(_IN, "seq", "force", "normal", "credit")
-_TO_SEQ, _TO_FORCE_SEQ, _TO_AGE, _TO_MISSED, _TO_OVERRUNS = slots(_OUT, "seq", "force_seq", "age", "missed", "overruns")
+_TO_SEQ, _TO_FORCE_SEQ, _TO_AGE, _TO_MISSED, _TO_OVERRUNS, _TO_REBASED = slots(
+    _OUT, "seq", "force_seq", "age", "missed", "overruns", "rebased"
+)
 _TO_POSITION, _TO_FORCE, _TO_MEAN, _TO_TARGET = slots(_OUT, "position", "force", "mean_force", "target")
 _TO_STAMP, _TO_CHANGED_AT, _TO_RESPONSE, _TO_LATENESS, _TO_ENERGY, _TO_DELAY, _TO_GUARD, _TO_SURPLUS = slots(
     _OUT, "stamp", "changed_at", "response", "lateness", "energy", "delay", "guard", "surplus"
@@ -41,6 +44,11 @@ _TO_STAMP, _TO_CHANGED_AT, _TO_RESPONSE, _TO_LATENESS, _TO_ENERGY, _TO_DELAY, _T
 _TIMER_ABSTIME = 1
 # As long as ZeroMQ waits at least in `Subscription.receive_soon` [s].
 _SOON = 1e-3
+
+
+@compilable
+def _clock(s: Any) -> float:
+    return monotonic(s)
 
 
 @compilable
@@ -59,8 +67,11 @@ def _sleep_until(s: Any, deadline: float) -> float:
 def _read(s: Any, seq: int) -> bool:
     room = reals_at(s.device_room, 6)
     room[3] = room[4] = room[5] = 0.0
-    if machine.call_read(s.device_read, (s.device_context, seq, s.device_room)) < 0:
+    status = machine.call_read(s.device_read, (s.device_context, seq, s.device_room))
+    if status < 0:
         return False
+    if status == JUMPED:
+        s.jumped = 1
     for i in range(3):
         s.place[i], s.target[i] = room[i], room[3 + i]
     return True
@@ -85,7 +96,7 @@ def _publish(s: Any, seq: int, stamp: float) -> None:
     out[_TO_GUARD] = s.guard_energy[0] + s.guard_energy[1] + s.guard_energy[2]
     out[_TO_SURPLUS] = s.guard_surplus
     whole[_TO_SEQ], whole[_TO_FORCE_SEQ], whole[_TO_AGE] = seq, s.force_seq, s.age
-    whole[_TO_MISSED], whole[_TO_OVERRUNS] = s.missed, s.overruns
+    whole[_TO_MISSED], whole[_TO_OVERRUNS], whole[_TO_REBASED] = s.missed, s.overruns, s.rebased
     at = out_at(s)
     size = _encode(at, s.out_keys, out, whole, s.texts[s.safety], s.text_sizes[s.safety]) - at
     s.sent, s.sent_size = at, size
@@ -143,7 +154,7 @@ def _called(s: Any) -> bool:
     return bool(called(s) or s.attention != 0)
 
 
-_lockstep, _realtime = make_ticks(Port(_sleep_until, _read, _write, _publish, _receive, _aside, _called), compilable)
+_lockstep, _realtime = make_ticks(Port(_clock, _sleep_until, _read, _write, _publish, _receive, _aside, _called), compilable)
 
 
 @compilable

@@ -45,7 +45,10 @@ def set_latency(s: Any, latency: float) -> array[float]:
 
 
 def sample(s: Any, at: float) -> bool:
-    """Take the position that was read as the newest sample; whether ticks have passed since the one before."""
+    """Take the position that was read as the newest sample; whether ticks have passed since the one before.
+
+    A position that `jumped` ends no motion: its step is zero, and so are velocity and energy.
+    """
     if s.begun != 0 and s.covered == 0:
         s.at = at  # at the end of a run
         for i in range(3):
@@ -56,7 +59,7 @@ def sample(s: Any, at: float) -> bool:
     stepped = bool(s.begun != 0)
     for i in range(3):
         places[i] = s.place[i]
-        s.before[i] = s.position[i] if stepped else s.place[i]
+        s.before[i] = s.position[i] if stepped and s.jumped == 0 else s.place[i]
         s.position[i] = s.place[i]
     s.samples += 1
     if stepped:

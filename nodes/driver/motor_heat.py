@@ -48,7 +48,9 @@ def _fits(s: Any, x: float, y: float, z: float) -> bool:
     size = math.sqrt(squared)
     way = 0.0
     if size > s.continuous and math.isfinite(s.slew):
-        way = (size**3 - s.continuous**3) / (3.0 * s.slew)
+        # Products, not powers: compiled code makes other last bits of a power.
+        limit = s.continuous
+        way = (size * size * size - limit * limit * limit) / (3.0 * s.slew)
     reserved = s.heat_reserve * s.heat + (1.0 - s.heat_reserve) * (squared + way)
     return bool(reserved <= s.continuous * s.continuous)
 

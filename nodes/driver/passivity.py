@@ -171,7 +171,10 @@ def count_step(s: Any) -> None:
 def settle(s: Any, account: int, force: float) -> float:
     """Forget credit of an account that cannot be in store at a force; what goes may be given out by a partner."""
     before = s.guard_energy[account]
-    kept = forget(before, force, s.guard_stiffness if s.guard_bounded != 0 else None)
+    if s.guard_bounded != 0:
+        kept = forget(before, force, s.guard_stiffness)
+    else:
+        kept = forget(before, force, None)
     s.guard_surplus += kept - before
     s.guard_energy[account] = kept
     return kept

@@ -25,9 +25,11 @@ class PlainTicks:
         self._topic, self._expected = (node.setup.topic(name).encode() for name in (topics.DEVICE_STATE, topics.FORCE))
         self._decoder, self._clock = Decoder(Force), time.monotonic
         self._what = f"{node.setup.name}: {type(device).__name__}"
+        self._jumps = node.jumps
         self.payload = b""  # the state that was published last
         lockstep, paced = make_ticks(
             Port(
+                clock=lambda _: self._clock(),
                 sleep_until=lambda _, deadline: realtime.sleep_until(deadline),
                 read=self._read,
                 write=self._write,
@@ -42,6 +44,8 @@ class PlainTicks:
 
     def _read(self, s: Any, seq: int) -> bool:
         s.place[:] = numbers_of(self._device.read_position(seq), self._what)
+        if self._jumps.again():
+            s.jumped = 1
         s.target[:] = self._node.target
         return True
 
@@ -72,6 +76,7 @@ class PlainTicks:
                 guard=s.guard_energy[0] + s.guard_energy[1] + s.guard_energy[2],
                 target=tuple(s.target),
                 surplus=s.guard_surplus,
+                rebased=s.rebased,
             )
         )
         s.states_sent += 1

@@ -12,6 +12,10 @@ A small machine of states, the same for the virtual device and for hardware::
 While there is no force, a hand that keeps pushing sinks in, and the law then asks for far more than before. So every force
 that was away comes back by a ramp: each tick away takes `REGAIN` ticks of ramp, up to the whole one (`recovery`). A ramp that
 pushes the device fast grows slowly, and goes back beyond `RETURN_SPEED`: whoever has sunk in is let out, not thrown.
+
+A force that no motion made has a ramp too: the first one of a run, unless it is zero, and the one after a jump of the position
+(`rebase`: a clutch, a re-centre, a device that was read again elsewhere), during which what was felt before fades.
+
 Limits come from the device and from the launch file, whichever is lower; one that asks for more gets an event that says so.
 Whatever messages come in whatever order: on each axis the force stays within the peak, all changes made during one tick
 add up to no more than the slew, and the mean square of the force stays within the continuous limit, see motor_heat.py.
@@ -27,7 +31,7 @@ from typing import Any, Final
 from messages.types import ZERO, Vector
 from nodes.arithmetic import limit, limit_within_tick
 from nodes.driver import notes
-from nodes.driver.limits import STOP_TIME, Limits, SafetyParameters
+from nodes.driver.limits import STOP_TIME, Limits, SafetyParameters, recovery_ramp, start_ramp
 from nodes.driver.motion import find_velocity
 from nodes.driver.motor_heat import close_tick, lower_heat, note_heat, set_heat
 from nodes.driver.passivity import guarded
@@ -36,6 +40,7 @@ from nodes.driver.state import ACTIVE, DAMPING, FAULT, IDLE, NOTHING, RAMP, STOP
 REACH: Final = 1e6  # farther than this no device is: a position beyond is a fault of whoever measured it [m]
 
 STOP_WINDOW: Final = 2.0  # a loop is stopped that reaches the largest force `stop_after` times in it, and gives out energy [s]
+PRESSES: Final = 2  # a force that stays at its limit and gives out energy stops the loop within the window divided by this
 REGAIN: Final = 5  # ticks of ramp that one tick without a force costs: after a fifth of `recovery` the whole ramp is due
 RETURN_SPEED: Final = 0.25  # faster than this a force that comes back must not push [m/s]: the reduced speed of ISO 10218-1
 
@@ -50,15 +55,23 @@ def set_safety(s: Any, parameters: SafetyParameters, limits: Limits, period: flo
     s.unlimited = limits.peak is None and limits.slew is None and limits.continuous is None
     s.max_age, s.watchdog, s.damping_ticks = limits.max_age, limits.watchdog, limits.damping_ticks
     s.damping = parameters.damping
-    s.start_ticks = round(parameters.ramp / period)
-    s.recovery_ticks = round(max(parameters.recovery, parameters.ramp) / period)
+    s.start_ticks = round(start_ramp(parameters) / period)
+    s.recovery_ticks = round(recovery_ramp(parameters) / period)
     s.ramp_ticks, s.ramp_seq = s.start_ticks, -1
+    # Before the first force nothing is felt, and whatever that force is, no motion made it.
+    s.begins, s.felt_seq, s.always_ramp = 1, -1, parameters.ramp is not None
     set_workspace(s, limits)
     s.reach = REACH
     set_heat(s, limits.continuous, parameters.thermal_time, period)
     # Only a largest force tells what a swing is.
     s.stop_after = 0 if limits.peak is None else parameters.stop_after or 0
+    s.pressed_since, s.pressed_ticks = -1, pressed_ticks(s.stop_after, period)
     s.safety, s.force_seq, s.since, s.limited_at = IDLE, -1, 0, -1
+
+
+def pressed_ticks(stop_after: int, period: float) -> int:
+    """Return after how many ticks at its limit a force counts once more as coming to it."""
+    return max(round(STOP_WINDOW / (PRESSES * max(stop_after, 1) * period)), 1)
 
 
 def set_workspace(s: Any, limits: Limits) -> None:
@@ -89,6 +102,7 @@ def rearm(s: Any, seq: int) -> bool:
         return False
     # Swings are counted anew; what the motor has been heated by, and energy, are not forgotten.
     s.peaks_count = s.peaked = 0
+    s.pressed_since = -1
     s.regained, s.away_from = 0.0, float(seq)
     for i in range(3):
         s.brake[i], s.sides[i] = 0.0, 0
@@ -133,7 +147,7 @@ def command(s: Any, seq: int, share: float) -> None:
         s.wanted[i] = s.got[i]
         if seq < s.external_until[at]:
             s.wanted[i] += s.external[3 * at + i]
-    if s.safety != ACTIVE:
+    if s.safety != ACTIVE or s.begins != 0:
         _become_active(s, seq)
     if s.guard_on != 0 and s.safety in (ACTIVE, RAMP):
         guarded(s, share)
@@ -147,13 +161,14 @@ def _become_active(s: Any, seq: int) -> None:
             i = s.axis[n]
             s.wanted[i] = 0.0 if s.safety == FAULT else s.brake[i]
         return
-    if s.safety != RAMP:
-        why = notes.FIRST_FORCE
-        if s.safety != IDLE:
-            why = notes.FRESH_FORCE
-            s.ramp_ticks = s.recovery_ticks
-            s.regained = max(s.regained - REGAIN * math.ceil(seq - s.away_from), 0.0)
-        enter(s, RAMP if s.ramp_ticks > 0 else ACTIVE, seq, why)
+    if s.safety not in (IDLE, ACTIVE, RAMP):
+        s.ramp_ticks = s.recovery_ticks
+        away = REGAIN * math.ceil(seq - s.away_from)
+        s.regained = max(s.regained - away, 0.0) if s.begins == 0 else 0.0
+        s.begins = 0
+        enter(s, RAMP if s.ramp_ticks > 0 else ACTIVE, seq, notes.FRESH_FORCE)
+    elif s.begins != 0 and not _begin(s, seq):
+        return
     if s.safety == ACTIVE:
         return
     pushed = squared = 0.0
@@ -165,12 +180,46 @@ def _become_active(s: Any, seq: int) -> None:
     if seq != s.ramp_seq:
         s.ramp_seq = seq
         s.regained = max(s.regained + _regrowth(pushed, math.sqrt(squared)), 0.0)
+        s.fading = max(s.fading - 1.0, 0.0)
     if s.regained >= s.ramp_ticks:
         enter(s, ACTIVE, seq, notes.DONE_RAMP, float(s.ramp_ticks))
         return
     share = s.regained / s.ramp_ticks
     for i in range(3):
         s.wanted[i] = s.wanted[i] * share
+    if s.fading > 0.0:
+        # It fades by one tick a tick, and the share grows by no more: together they are at most 1.
+        for n in range(s.axes):
+            i = s.axis[n]
+            s.wanted[i] += s.fading / s.ramp_ticks * s.felt[i]
+
+
+def _begin(s: Any, seq: int) -> bool:
+    """Begin the ramp of a force that no motion made; return whether the force may leave what is felt."""
+    if s.got_seq < s.felt_seq:
+        # It answers a position before the jump.
+        for i in range(3):
+            s.wanted[i] = s.felt[i]
+        return False
+    s.begins = 0
+    is_felt = False
+    for i in range(3):
+        is_felt = is_felt or s.wanted[i] != 0.0 or s.felt[i] != 0.0
+    if s.safety == IDLE:
+        has_ramp = s.ramp_ticks > 0 and (is_felt or s.always_ramp != 0)
+        enter(s, RAMP if has_ramp else ACTIVE, seq, notes.FIRST_FORCE)
+    elif is_felt and s.recovery_ticks > 0:
+        enter(s, RAMP, seq, notes.JUMPED)
+        s.ramp_ticks, s.regained, s.fading = s.recovery_ticks, 0.0, float(s.recovery_ticks)
+    return True
+
+
+def rebase(s: Any, seq: int) -> None:
+    """Note that the position of a tick is elsewhere without a motion, and the force that is felt meanwhile."""
+    s.rebased = s.felt_seq = seq
+    s.begins = 1
+    for i in range(3):
+        s.felt[i] = s.handed[i]
 
 
 def _regrowth(pushed: float, size: float) -> float:
@@ -239,7 +288,8 @@ def watch_position(s: Any, seq: int) -> bool:
                 s.brake[0] = s.brake[1] = s.brake[2] = 0.0
                 return False
     if s.safety == FAULT:
-        # Not active yet: a force must come first, which then grows by the ramp.
+        # Not active yet: a force must come first, which then grows by the ramp. How it came here was not seen.
+        s.rebased = seq
         enter(s, NOTHING, seq, notes.BACK_INSIDE)
     return True
 
@@ -248,8 +298,11 @@ def watch_swings(s: Any, seq: int) -> None:
     """Stop for good when the force comes to its limit again and again and the loop gives out energy meanwhile.
 
     Energy is compared between moments at which the force comes to its limit, so that what a surface has in store then is
-    no part of it. A surface that takes energy, as one does that somebody taps hard, is not stopped.
+    no part of it. A surface that takes energy, as one does that somebody taps hard, is not stopped. A force that stays at its
+    limit counts again and again while more was given out than when it came there: a hand that pushes on only takes energy.
     """
+    if s.safety != STOPPED:
+        _watch_press(s, seq)
     if s.safety != STOPPED and s.peaked != 0:
         s.peaked = 0
         # A ring of the newest moments: tick, and the energy given out until then [J].
@@ -266,6 +319,17 @@ def watch_swings(s: Any, seq: int) -> None:
         damped = seq - s.stopped_at < s.damping_ticks
         for i in range(3):
             s.brake[i] = -s.damping * s.velocity[i] if damped else 0.0
+
+
+def _watch_press(s: Any, seq: int) -> None:
+    """Count a force that stays at its limit, and gives out energy, as one that comes to it again."""
+    if s.sides[0] == 0 and s.sides[1] == 0 and s.sides[2] == 0:
+        s.pressed_since = -1
+    elif s.pressed_since < 0 or s.peaked != 0:
+        s.pressed_since = s.pressed_at = seq
+        s.pressed_energy = s.energy
+    elif seq - s.pressed_at >= s.pressed_ticks and s.energy > s.pressed_energy:
+        s.pressed_at, s.peaked = seq, 1
 
 
 def hand_over(s: Any, seq: int) -> None:

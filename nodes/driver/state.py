@@ -36,8 +36,8 @@ _VECTORS = (
     *("slewed", "mean"),
     # motion: newest sample, the one before, mean force since the newest and between the two, velocity
     *("position", "before", "acting", "acted", "velocity"),
-    # where a simulated hand pulls to, and the damper of a driver that has stopped
-    *("target", "brake"),
+    # where a simulated hand pulls to, the damper of a driver that has stopped, and what was felt when the position jumped
+    *("target", "brake", "felt"),
     *("guard_energy", "guard_step"),
 )
 
@@ -48,6 +48,10 @@ _NUMBERS = (
     *("split", "changed_at", "device_hold_ticks"),
     # safety
     *("peak", "slew", "damping", "away_from", "regained", "reach"),
+    # after a jump: for how many ticks more what was felt before it fades
+    "fading",
+    # energy given out when the force came to its limit, where it still is
+    "pressed_energy",
     # the motor's heat: continuous force, share kept per tick and over a gap, mean square, largest square of this tick
     *("continuous", "heat_keep", "heat_reserve", "heat", "heat_largest"),
     # motion
@@ -64,13 +68,19 @@ _COUNTERS = (
     # other threads ask compiled ticks to come back
     *("attention", "phase", "next_tick", "virtual", "axes", "fd", "poll"),
     # the position was read by somebody else; what somebody else made of a message, plus 1; a call of the device failed
+    # `jumped`: the position that was read is elsewhere without a motion; `rebased`: the tick at which that was so last
+    *("jumped", "rebased"),
     *("place_given", "given", "failed", "got_seq", "late_answer", "heard", "patient", "has_following", "written"),
     *("age", "oldest_age", "missed", "overruns", "taken", "states_sent", "asked"),
     # safety
     *("safety", "force_seq", "since", "limited_at", "max_age", "watchdog", "damping_ticks", "start_ticks", "recovery_ticks"),
     *("ramp_ticks", "ramp_seq", "unlimited", "bounded"),
+    # `begins`: no motion made the next force (a start, or a jump at tick `felt_seq`)
+    *("begins", "felt_seq", "always_ramp"),
     # swings
     *("stop_after", "peaked", "peaks_count", "stopped_at"),
+    # since when the force has been at its limit, -1: it is not; when it last counted, and after how many ticks it counts again
+    *("pressed_since", "pressed_at", "pressed_ticks"),
     # motion: where the newest samples are, and forces under way
     *("begun", "elapsed", "covered", "samples", "places", "places_count", "lines", "line_length"),
     # guard

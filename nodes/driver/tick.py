@@ -11,11 +11,11 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from nodes.driver.motion import act, sample, split
-from nodes.driver.notes import HELD_UP
+from nodes.driver.notes import HELD_UP, REFUSED_FIRST
 from nodes.driver.passivity import count_step
 from nodes.driver.response_times import note_response
-from nodes.driver.safety import admit, command, let_go, missed, watch_position, watch_swings
-from nodes.driver.state import BETWEEN, FAULT, WAITING, note
+from nodes.driver.safety import STALE, admit, command, let_go, missed, rebase, watch_position, watch_swings
+from nodes.driver.state import BETWEEN, FAULT, WAITING, note, seldom
 
 GOT, NONE, REFUSED, UNREAD = range(4)  # of waiting for a message: one; none in time; refused; the port cannot judge it
 GO_ON, SILENT, BROKEN = range(3)  # why `ticks` ended: nothing unusual; no answer for a while; the device did not do as asked
@@ -24,8 +24,9 @@ GO_ON, SILENT, BROKEN = range(3)  # why `ticks` ended: nothing unusual; no answe
 class Port(NamedTuple):
     """What a tick needs of the world; each takes the state first."""
 
+    clock: Callable[[Any], float]  # the time [s]
     sleep_until: Callable[[Any, float], float]  # gives the time on waking
-    read: Callable[[Any, int], bool]  # fills `place`; this and the next tell whether the device did it
+    read: Callable[[Any, int], bool]  # fills `place` and `jumped`; this and the next tell whether the device did it
     write: Callable[[Any, int, float], bool]  # hands over `handed`
     publish: Callable[[Any, int, float], None]  # sends the state of a tick
     receive: Callable[[Any, float], int]  # waits for a message until a time, or in lockstep for a while
@@ -54,10 +55,33 @@ def lost(s: Any, seq: int, late: float) -> None:
             s.force[i] = s.handed[i]
 
 
+def in_time(s: Any, now: float, answers: int) -> bool:
+    """Return whether a force may still be written; otherwise the driver was held up, and what it holds stays.
+
+    The device may have let go of the force before it meanwhile, which must not come back without a ramp, and an answer may have
+    become too old. `answers` is the tick of that answer, or -1 for a force of the driver's own.
+    """
+    held = s.handed[0] != 0.0 or s.handed[1] != 0.0 or s.handed[2] != 0.0
+    is_late = held and now >= s.epoch + (s.written + s.device_hold_ticks) * s.period
+    if answers >= 0 and now >= s.epoch + (answers + s.max_age + 1) * s.period:
+        is_late = True
+        s.refused_for[STALE] += 1
+        if seldom(s.refused_for[STALE]):
+            age = (now - s.epoch) / s.period - answers
+            note(s, REFUSED_FIRST + STALE, s.seq, -1, float(s.refused_for[STALE]), age, float(s.max_age))
+    if is_late:
+        for i in range(3):
+            s.force[i] = s.handed[i]
+    return not is_late
+
+
 def take_sample(s: Any, seq: int, stamp: float) -> None:
     """Take the position that was read as the tick's sample, with what follows from it for energy, guard and safety."""
     if watch_position(s, seq):
+        if s.jumped != 0:
+            rebase(s, seq)
         stepped = sample(s, stamp)
+        s.jumped = 0
         if s.guard_on != 0 and stepped:
             count_step(s)
         if s.stop_after != 0:
@@ -85,7 +109,7 @@ def make_ticks(
     port: Port, made: Callable[[Any], Any] = lambda function: function
 ) -> tuple[Callable[[Any], int], Callable[[Any], int]]:
     """Make the ticks of a port, in lockstep and in real time: they go on until something waits, and tell why they ended."""
-    sleep_until, read, write, publish, receive, aside, called = port
+    clock, sleep_until, read, write, publish, receive, aside, called = port
 
     @made
     def begin(s: Any, seq: int, stamp: float) -> bool:
@@ -104,6 +128,14 @@ def make_ticks(
         s.written = seq
         if not write(s, seq, offset):
             s.failed = 1
+
+    @made
+    def hand_over_in_time(s: Any, force: Any, seq: int, offset: float, answers: int) -> bool:
+        # The last look at the clock before the device is called: the driver may be held up after every wait.
+        if not in_time(s, clock(s), answers):
+            return False
+        hand_over(s, force, seq, offset)
+        return True
 
     @made
     def lockstep_tick(s: Any) -> int:
@@ -146,7 +178,7 @@ def make_ticks(
                 s.lateness = now - deadline
                 if s.has_following != 0:
                     s.has_following = 0  # under ``next_tick`` hardware, too, gets its force at the start of the tick
-                    hand_over(s, s.following, seq, 0.0)
+                    hand_over_in_time(s, s.following, seq, 0.0, s.force_seq)
             if not begin(s, seq, now + s.clock_offset):
                 return BROKEN
             s.age = max(seq - s.force_seq, 0) if s.force_seq >= 0 else 0
@@ -188,8 +220,8 @@ def make_ticks(
                 s.delay = 1.0 + s.age
             else:
                 split(s, offset)
-                s.changed_at = min(s.changed_at, offset)
-                hand_over(s, s.force, seq, offset)
+                if hand_over_in_time(s, s.force, seq, offset, s.got_seq):
+                    s.changed_at = min(s.changed_at, offset)
                 s.delay = offset + s.age
             if s.answered != 0:
                 s.response = s.arrival - s.sampled
@@ -200,10 +232,11 @@ def make_ticks(
         if s.answered == 0:
             s.missed += 1 if s.safety != FAULT else 0  # in a fault there is no position that could have been answered
             s.response = 0.0
+            is_written = False
             if missed(s, seq):
                 s.has_following = 0
-                hand_over(s, s.force, seq + 1, 0.0)
-            elif s.has_following == 0 and seq + 1 - s.written >= s.device_hold_ticks:
+                is_written = hand_over_in_time(s, s.force, seq + 1, 0.0, -1)
+            if not is_written and s.has_following == 0 and seq + 1 - s.written >= s.device_hold_ticks:
                 let_go(s, seq, s.written + s.device_hold_ticks)
         close(s)
         return GO_ON

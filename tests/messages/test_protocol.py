@@ -22,7 +22,7 @@ FIELDS: dict[str, dict[str, type | tuple[type, ...]]] = {
     "/device/state": {
         "position": list, "force": list, "mean_force": list, "changed_at": float, "force_seq": int, "age": int,
         "response": float, "lateness": float, "missed": int, "overruns": int, "safety": str, "energy": float,
-        "delay": float, "guard": float,
+        "delay": float, "guard": float, "rebased": int,
     },
     "/environment/proxy": {
         "position": list, "proxy": list, "normal": list, "distance": float, "contact": bool, "delay": float,
