@@ -5,19 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 from messages.types import Force, Proxy
-from nodes.arithmetic import SMOOTHING, cross_fade, deflection, eased, fir, one_sided, push, sections
+from nodes.arithmetic import SMOOTHING, sections
 from nodes.compiled.kernels.encode import make_encode
 from nodes.compiled.kernels.follow_kernel import count_gap, in_order, overtaken
 from nodes.compiled.kernels.hop import answer, called, flush, monotonic, out_at, receive
 from nodes.compiled.kernels.machine import compilable, reals_at, record_at
 from nodes.compiled.kernels.scan import make_scan
-from nodes.compiled.kernels.sources import kernel, record_of
+from nodes.compiled.kernels.sources import record_of, register_rules
 from nodes.compiled.message_fields import fields_of, slots
 from nodes.coupling.render import LawPort, evaluate, make_render
 from nodes.coupling.state import SLOTS, CouplingState
 
-for _function in (cross_fade, deflection, eased, fir, one_sided, push, sections, evaluate):
-    kernel(_function)
+register_rules()
 _look = record_at(record_of(CouplingState))
 _scan = make_scan(Proxy)
 _encode = make_encode(Force)
@@ -32,12 +31,12 @@ _SLOTS = SLOTS
 
 
 @compilable
-def _ring(s: Any, n: int) -> Any:
+def _ring(s: CouplingState, n: int) -> Any:
     return reals_at(s.history[n], 2 * s.length)
 
 
 @compilable
-def _force_of(s: Any, n: int, m: int, history: Any, head: int) -> float:
+def _force_of(s: CouplingState, n: int, m: int, history: Any, head: int) -> float:
     at = _SLOTS * n + m
     count = s.sections_count[at]
     taps, recursive = reals_at(s.taps[at], s.taps_count[at]), reals_at(s.sections[at], 4 * count)
@@ -45,7 +44,7 @@ def _force_of(s: Any, n: int, m: int, history: Any, head: int) -> float:
 
 
 @compilable
-def _see(s: Any, n: int, m: int, history: Any, head: int) -> None:
+def _see(s: CouplingState, n: int, m: int, history: Any, head: int) -> None:
     at = _SLOTS * n + m
     count = s.sections_count[at]
     if count > 0:
@@ -57,7 +56,7 @@ _render, _bridge = make_render(LawPort(_ring, _force_of, _see), compilable)
 
 
 @compilable
-def _note(s: Any, saves: bool) -> None:
+def _note(s: CouplingState, saves: bool) -> None:
     """Save what a tick overwrites, or put it back."""
     undo = reals_at(s.undo, s.undo_count)
     at = 0

@@ -35,11 +35,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import MutableSequence, Sequence
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 import msgspec
 
 from nodes.compiled.memory import reals_at
+from nodes.compiled.rules import rule
+from nodes.driver.state import DriverState
 
 ROUNDED: Final = 1e-9  # what acts along a surface with less is rounding of the normal, and no friction [N]
 
@@ -62,6 +64,7 @@ class PassivityParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     allowance: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
 
 
+@rule
 def observe(energy: float, acting: float, step: float) -> float:
     """Count the energy of one tick."""
     return energy + acting * step
@@ -74,6 +77,7 @@ def line_of(latency: float) -> tuple[list[float], float]:
     return [0.0] * (whole + (2 if part > 0.0 else 1)), part
 
 
+@rule
 def through(line: MutableSequence[float], force: float, part: float) -> float:
     """Let the force of a tick into the line, and give what acts during that tick."""
     last = len(line) - 1
@@ -85,6 +89,7 @@ def through(line: MutableSequence[float], force: float, part: float) -> float:
     return line[last]
 
 
+@rule
 def backlog(line: Sequence[float], part: float) -> float:
     """Add up what is on its way."""
     last = len(line) - 1
@@ -94,6 +99,7 @@ def backlog(line: Sequence[float], part: float) -> float:
     return total + part * line[last - 1] if part > 0.0 else total
 
 
+@rule
 def forget(energy: float, force: float, stiffness: float | None) -> float:
     """Forget credit that cannot be in store."""
     if energy >= 0.0:
@@ -107,6 +113,7 @@ def forget(energy: float, force: float, stiffness: float | None) -> float:
     return energy
 
 
+@rule
 def control(energy: float, force: float, step: float, rate: float) -> float:
     """Choose the force of the next tick."""
     given = force * step
@@ -125,7 +132,7 @@ def control(energy: float, force: float, step: float, rate: float) -> float:
     return force
 
 
-def set_guard(s: Any, parameters: PassivityParameters | None) -> None:
+def set_guard(s: DriverState, parameters: PassivityParameters | None) -> None:
     """Take up a guard with its accounts at zero, or none."""
     s.guard_on = int(parameters is not None and parameters.guard == "on")
     for i in range(3):
@@ -140,7 +147,8 @@ def set_guard(s: Any, parameters: PassivityParameters | None) -> None:
         s.guard_rate, s.guard_allowance = parameters.damping / s.period, parameters.allowance
 
 
-def count_step(s: Any) -> None:
+@rule
+def count_step(s: DriverState) -> None:
     """Count what acted between the two newest samples.
 
     One axis has the account of its number. Several have two: account 0 of what acted along the normal (of everything, where
@@ -168,10 +176,11 @@ def count_step(s: Any) -> None:
     s.guard_highest = max(s.guard_highest, s.guard_energy[0] + s.guard_energy[1])
 
 
-def settle(s: Any, account: int, force: float) -> float:
+@rule
+def settle(s: DriverState, account: int, force: float) -> float:
     """Forget credit of an account that cannot be in store at a force; what goes may be given out by a partner."""
     before = s.guard_energy[account]
-    if s.guard_bounded != 0:
+    if s.guard_bounded != 0:  # noqa: SIM108  # compiled code takes None as a type of its own
         kept = forget(before, force, s.guard_stiffness)
     else:
         kept = forget(before, force, None)
@@ -180,7 +189,8 @@ def settle(s: Any, account: int, force: float) -> float:
     return kept
 
 
-def take_credit(s: Any, account: int) -> None:
+@rule
+def take_credit(s: DriverState, account: int) -> None:
     """Take up what a partner has put in since it was told last; a sum that begins anew gives nothing."""
     credit = s.got_credit
     if s.guard_partner != 0 and credit > s.guard_credit:
@@ -190,7 +200,8 @@ def take_credit(s: Any, account: int) -> None:
     s.guard_credit = credit
 
 
-def guarded(s: Any, share: float) -> None:
+@rule
+def guarded(s: DriverState, share: float) -> None:
     """Replace the wanted force by a passive one; what is on the device acts for a `share` of the tick before it."""
     if s.axes > 1:
         guarded_along(s, share)
@@ -213,7 +224,8 @@ def guarded(s: Any, share: float) -> None:
     s.wanted[i] = value
 
 
-def guarded_along(s: Any, share: float) -> None:
+@rule
+def guarded_along(s: DriverState, share: float) -> None:
     """Replace a wanted force in space: its part along the normal by account 0, the rest by account 1, each in its direction."""
     x, y, z = s.normal[0], s.normal[1], s.normal[2]
     wx, wy, wz = s.wanted[0], s.wanted[1], s.wanted[2]
