@@ -276,7 +276,9 @@ class Driver(Node):
     def look_after(self) -> None:
         """Look whether the loop goes on, and tell when the device keeps forces off (control thread)."""
         self._watch.look((*self.counted(), self._report.soft_stop_ticks))
-        condition = self._told_condition() if self.state == "running" else ""
+        if self.state != "running":
+            return
+        condition = self._told_condition()
         if condition != self._condition:
             self._condition = condition
             kind = "device_force" if condition else "device_force_back"

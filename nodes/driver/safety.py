@@ -172,7 +172,8 @@ def _become_active(s: DriverState, seq: int) -> None:
         s.ramp_ticks = s.recovery_ticks
         away = REGAIN * math.ceil(seq - s.away_from)
         s.regained = max(s.regained - away, 0.0) if s.begins == 0 else 0.0
-        s.begins = 0
+        # Nothing of before a jump is felt any more.
+        s.begins, s.fading = 0, 0.0
         enter(s, RAMP if s.ramp_ticks > 0 else ACTIVE, seq, notes.FRESH_FORCE)
     elif s.begins != 0 and not _begin(s, seq):
         return

@@ -50,8 +50,8 @@ def make_ticks(meet: Callable[[int, Any, Any, float, float, float, Any], bool]) 
             seq = s.wholes[_SEQ]
             if not in_order(s, seq) or (s.wholes[_TEXTS + 1] >= 0 and _tells_fault(s.wholes)):
                 break
-            if s.answered < 0 or s.wholes[_REBASED] != s.driver_rebased:
-                break  # a beginning or a jump of the device: the plain tick meets it anew
+            if s.wholes[_REBASED] != s.driver_rebased:
+                break  # a jump of the device: the plain tick meets it anew
             if overtaken(s, taken[_STAMP]):
                 continue
             s.frames = 0

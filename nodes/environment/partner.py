@@ -184,6 +184,7 @@ class PartnerEnvironment(Node):
                 contact=contact,
                 delay=state.delay,
                 credit=self._partner.credit,
+                rebased=state.rebased,
             )
         )
 

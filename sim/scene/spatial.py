@@ -20,10 +20,10 @@ from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoParameters, load_world
 from nodes.environment.meet import Numbers, meeting_of
 from nodes.environment.node import EnvironmentParameters
-from nodes.environment.place import Place
 from nodes.environment.shapes.scene import Solid, new_memory, scene_table
 from nodes.environment.state import SHAPES
 from nodes.environment.surfaces import Meeting, Surface, meet_axes, parse_surface
+from nodes.environment.touched_surface import TouchedSurface
 from nodes.launcher.launch_spec import Launch
 from sim.arrays import Array
 from sim.device.driver import SimDriverParameters, parts_of
@@ -89,7 +89,7 @@ class _Jumps:
 
 # From a tick, the position [m] and the force handed over last [N] to proxy, normal, distance and contact.
 Ask = Callable[[int, Vector, Vector], Meeting]
-Change = tuple[int, dict[str, Any]]  # the first tick on another surface, and its parameters
+SurfaceChange = tuple[int, dict[str, Any]]  # the first tick on another surface, and its parameters
 
 
 def _environment(
@@ -98,7 +98,7 @@ def _environment(
     solids: Sequence[Solid] | None,
     world: MovingScene | None,
     jumps: _Jumps,
-    changes: Sequence[Change],
+    changes: Sequence[SurfaceChange],
 ) -> Ask:
     """Make what the device meets: a surface, other solids in its place, or a scene in which things move."""
     period = launch.run.period
@@ -123,15 +123,15 @@ def _environment(
     return ask
 
 
-def _surfaces(surface: Surface, launch: Launch, jumps: _Jumps, changes: list[Change]) -> Ask:
+def _surfaces(surface: Surface, launch: Launch, jumps: _Jumps, changes: list[SurfaceChange]) -> Ask:
     """Meet a surface, and others from some tick on, as the environment node changes them."""
     period, changes = launch.run.period, list(changes)
-    place = Place(surface, period)
+    place = TouchedSurface(surface, period)
 
     def ask(tick: int, position: Vector, _: Vector) -> Meeting:
         while changes and changes[0][0] <= tick:
             parameters = changes.pop(0)[1]
-            if place.take(Place(parse_surface(parameters, "surface"), period)):
+            if place.take(TouchedSurface(parse_surface(parameters, "surface"), period)):
                 jumps.tick = tick
         met = place.meet(position)
         if place.jumped:
@@ -147,7 +147,7 @@ def play(
     solids: Sequence[Solid] | None = None,
     path: Array | None = None,
     world: MovingScene | None = None,
-    changes: Sequence[Change] = (),
+    changes: Sequence[SurfaceChange] = (),
 ) -> SpatialTrace:
     """Play a launch file of one chain and virtual devices: the bits of a run in lockstep.
 

@@ -27,7 +27,7 @@
 #define BUTTONS 11
 #define SAMPLE 12
 
-/* A force, and the time of the sample after which it was decided. */
+/* A force, and when the sample was asked for after which it was decided; 0 where none ever was. */
 #define DECIDED 3
 #define COMMAND 4
 
@@ -130,7 +130,7 @@ int mailbox_force(mailbox *m, double *out, int blind) {
         m->last_command = command;
         /* A force that was decided before the device let go of the one before it must not bring that back: its driver was held
            up on the way here, does not know, and goes on from a force that is none. So it comes back by a ramp. */
-        is_old = m->silent && force[DECIDED] < m->silent_at;
+        is_old = m->silent && force[DECIDED] != 0.0 && force[DECIDED] < m->silent_at;
         if (!is_old) {
             m->commanded_at = now;
             m->silent = 0;
