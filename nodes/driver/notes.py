@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
-from nodes.driver.state import NOTE, REFUSED, SAFETY
+from nodes.driver.state import NOTE, REFUSED, SAFETY, DriverState
 
 FIRST_FORCE, FRESH_FORCE, DONE_RAMP, SILENT, STILL_SILENT, LET_GO, NO_POSITION, OUTSIDE, BACK_INSIDE, SWINGS = range(10)
 CONTINUOUS, HELD_UP, REARMED, JUMPED, REFUSED_FIRST = range(10, 15)  # the last: future, replayed, stale, not finite
@@ -54,7 +54,7 @@ class Note(NamedTuple):
     which: int
 
 
-def take_notes(s: Any) -> list[Note]:
+def take_notes(s: DriverState) -> list[Note]:
     """Take what the rules have noted since last time, in words."""
     lines = []
     for n in range(s.notes_count):

@@ -26,16 +26,17 @@ The rules are plain functions on the driver's state: the interpreter calls them,
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Final
 
 from messages.types import ZERO, Vector
 from nodes.arithmetic import limit, limit_within_tick
+from nodes.compiled.rules import rule
 from nodes.driver import notes
 from nodes.driver.limits import STOP_TIME, Limits, SafetyParameters, recovery_ramp, start_ramp
 from nodes.driver.motion import find_velocity
 from nodes.driver.motor_heat import close_tick, lower_heat, note_heat, set_heat
 from nodes.driver.passivity import guarded
-from nodes.driver.state import ACTIVE, DAMPING, FAULT, IDLE, NOTHING, RAMP, STOPPED, note, seldom
+from nodes.driver.state import ACTIVE, DAMPING, FAULT, IDLE, NOTHING, RAMP, STOPPED, DriverState, note, seldom
 
 REACH: Final = 1e6  # farther than this no device is: a position beyond is a fault of whoever measured it [m]
 
@@ -48,7 +49,7 @@ FUTURE, REPLAYED, STALE, NOT_FINITE = range(4)
 PEAK, SLEW, HEAT = range(3)
 
 
-def set_safety(s: Any, parameters: SafetyParameters, limits: Limits, period: float) -> None:
+def set_safety(s: DriverState, parameters: SafetyParameters, limits: Limits, period: float) -> None:
     """Lay down what holds for a run."""
     s.peak = math.inf if limits.peak is None else limits.peak
     s.slew = math.inf if limits.slew is None else limits.slew
@@ -74,13 +75,16 @@ def pressed_ticks(stop_after: int, period: float) -> int:
     return max(round(STOP_WINDOW / (PRESSES * max(stop_after, 1) * period)), 1)
 
 
-def set_workspace(s: Any, limits: Limits) -> None:
+def set_workspace(s: DriverState, limits: Limits) -> None:
     """Lay down where there may be a force."""
     s.workspace[:] = [bound for bounds in limits.workspace for bound in bounds]
     s.bounded = any(map(math.isfinite, s.workspace))
 
 
-def enter(s: Any, state: int, seq: int, why: int, a: float = 0.0, b: float = 0.0, c: float = 0.0, d: float = 0.0) -> None:
+@rule
+def enter(
+    s: DriverState, state: int, seq: int, why: int, a: float = 0.0, b: float = 0.0, c: float = 0.0, d: float = 0.0
+) -> None:
     """Change what is done with forces."""
     before = s.safety
     if state == before or before == STOPPED:
@@ -96,7 +100,7 @@ def enter(s: Any, state: int, seq: int, why: int, a: float = 0.0, b: float = 0.0
     note(s, why, seq, 8 * before + state, a, b, c, d)
 
 
-def rearm(s: Any, seq: int) -> bool:
+def rearm(s: DriverState, seq: int) -> bool:
     """Let a driver that has stopped take forces again, on request, from nothing, by the whole ramp; whether it had."""
     if s.safety != STOPPED:
         return False
@@ -112,7 +116,8 @@ def rearm(s: Any, seq: int) -> bool:
     return True
 
 
-def admit(s: Any, seq: int) -> bool:
+@rule
+def admit(s: DriverState, seq: int) -> bool:
     """Judge whether the message that was taken may be used at all."""
     answers = s.got_seq
     x, y, z = s.got[0], s.got[1], s.got[2]
@@ -133,12 +138,15 @@ def admit(s: Any, seq: int) -> bool:
     return False
 
 
-def command(s: Any, seq: int, share: float) -> None:
+@rule
+def command(s: DriverState, seq: int, share: float) -> None:
     """Turn the admitted message into `force`; what is on the device acts for a `share` of the tick before it."""
     s.force_seq = s.got_seq
     s.since = seq
     # Along an axis that nobody computes there is no force, and none that ramp, guard and heat would reckon with.
     s.wanted[0] = s.wanted[1] = s.wanted[2] = 0.0
+    for i in range(3):
+        s.normal[i] = s.got_normal[i]
     at = s.external_at
     for n in range(s.axes):
         i = s.axis[n]
@@ -152,7 +160,8 @@ def command(s: Any, seq: int, share: float) -> None:
     hand_over(s, seq)
 
 
-def _become_active(s: Any, seq: int) -> None:
+@rule
+def _become_active(s: DriverState, seq: int) -> None:
     """Let forces in again: none in a fault, a brake when stopped, a growing share of them during the ramp."""
     if s.safety in (FAULT, STOPPED):
         for n in range(s.axes):
@@ -193,7 +202,8 @@ def _become_active(s: Any, seq: int) -> None:
             s.wanted[i] += s.fading / s.ramp_ticks * s.felt[i]
 
 
-def _begin(s: Any, seq: int) -> bool:
+@rule
+def _begin(s: DriverState, seq: int) -> bool:
     """Begin the ramp of a force that no motion made; return whether the force may leave what is felt."""
     if s.got_seq < s.felt_seq:
         # It answers a position before the jump.
@@ -213,7 +223,8 @@ def _begin(s: Any, seq: int) -> bool:
     return True
 
 
-def rebase(s: Any, seq: int) -> None:
+@rule
+def rebase(s: DriverState, seq: int) -> None:
     """Note that the position of a tick is elsewhere without a motion, and the force that is felt meanwhile."""
     s.rebased = s.felt_seq = seq
     s.begins = 1
@@ -221,6 +232,7 @@ def rebase(s: Any, seq: int) -> None:
         s.felt[i] = s.handed[i]
 
 
+@rule
 def _regrowth(pushed: float, size: float) -> float:
     """Tell by how many ticks a ramp grows in one, by the power of the whole force [W] and its size [N].
 
@@ -232,7 +244,8 @@ def _regrowth(pushed: float, size: float) -> float:
     return max(min(2.0 - 2.0 * pushed / (RETURN_SPEED * size), 1.0), -float(REGAIN))
 
 
-def missed(s: Any, seq: int) -> bool:
+@rule
+def missed(s: DriverState, seq: int) -> bool:
     """Decide about a tick that closes without the force that answers it; whether `force` must be handed over."""
     for i in range(3):
         s.wanted[i] = s.force[i]
@@ -262,7 +275,8 @@ def missed(s: Any, seq: int) -> bool:
     return True
 
 
-def let_go(s: Any, seq: int, since: float) -> None:
+@rule
+def let_go(s: DriverState, seq: int, since: float) -> None:
     """Note that the device let go by itself at a tick: a force then comes back as after any other gap."""
     for i in range(3):
         s.force[i] = s.handed[i] = 0.0
@@ -271,7 +285,8 @@ def let_go(s: Any, seq: int, since: float) -> None:
         s.away_from = since
 
 
-def watch_position(s: Any, seq: int) -> bool:
+@rule
+def watch_position(s: DriverState, seq: int) -> bool:
     """Look whether the position that was read is one, and inside the workspace; otherwise there is no force."""
     x, y, z = s.place[0], s.place[1], s.place[2]
     reach = s.reach
@@ -293,7 +308,8 @@ def watch_position(s: Any, seq: int) -> bool:
     return True
 
 
-def watch_swings(s: Any, seq: int) -> None:
+@rule
+def watch_swings(s: DriverState, seq: int) -> None:
     """Stop for good when the force comes to its limit again and again and the loop gives out energy meanwhile.
 
     Energy is compared between moments at which the force comes to its limit, so that what a surface has in store then is
@@ -320,7 +336,8 @@ def watch_swings(s: Any, seq: int) -> None:
             s.brake[i] = -s.damping * s.velocity[i] if damped else 0.0
 
 
-def _watch_press(s: Any, seq: int) -> None:
+@rule
+def _watch_press(s: DriverState, seq: int) -> None:
     """Count a force that stays at its limit, and gives out energy, as one that comes to it again."""
     if s.sides[0] == 0 and s.sides[1] == 0 and s.sides[2] == 0:
         s.pressed_since = -1
@@ -331,7 +348,8 @@ def _watch_press(s: Any, seq: int) -> None:
         s.pressed_at, s.peaked = seq, 1
 
 
-def hand_over(s: Any, seq: int) -> None:
+@rule
+def hand_over(s: DriverState, seq: int) -> None:
     """Apply all limits to what is wanted, tick by tick: several forces in one tick share one slew."""
     if s.unlimited != 0:
         s.force[0] = s.force[1] = s.force[2] = 0.0

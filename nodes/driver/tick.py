@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from nodes.compiled.rules import rule
 from nodes.driver.motion import act, sample, split
 from nodes.driver.notes import HELD_UP, REFUSED_FIRST
 from nodes.driver.passivity import count_step
 from nodes.driver.response_times import note_response
 from nodes.driver.safety import STALE, admit, command, let_go, missed, rebase, watch_position, watch_swings
-from nodes.driver.state import BETWEEN, FAULT, WAITING, note, seldom
+from nodes.driver.state import BETWEEN, FAULT, WAITING, DriverState, note, seldom
 
 GOT, NONE, REFUSED, UNREAD = range(4)  # of waiting for a message: one; none in time; refused; the port cannot judge it
 GO_ON, SILENT, BROKEN = range(3)  # why `ticks` ended: nothing unusual; no answer for a while; the device did not do as asked
@@ -34,7 +35,8 @@ class Port(NamedTuple):
     called: Callable[[Any], bool]  # tells whether something waits between two ticks
 
 
-def lost(s: Any, seq: int, late: float) -> None:
+@rule
+def lost(s: DriverState, seq: int, late: float) -> None:
     """Leave out ticks that are over: they cannot be sampled any more, only counted; a device may let go by itself meanwhile."""
     ticks = min(int(late / s.period), s.until - seq)
     s.overruns += ticks
@@ -55,7 +57,8 @@ def lost(s: Any, seq: int, late: float) -> None:
             s.force[i] = s.handed[i]
 
 
-def in_time(s: Any, now: float, answers: int) -> bool:
+@rule
+def in_time(s: DriverState, now: float, answers: int) -> bool:
     """Return whether a force may still be written; otherwise the driver was held up, and what it holds stays.
 
     The device may have let go of the force before it meanwhile, which must not come back without a ramp, and an answer may have
@@ -75,7 +78,8 @@ def in_time(s: Any, now: float, answers: int) -> bool:
     return not is_late
 
 
-def take_sample(s: Any, seq: int, stamp: float) -> None:
+@rule
+def take_sample(s: DriverState, seq: int, stamp: float) -> None:
     """Take the position that was read as the tick's sample, with what follows from it for energy, guard and safety."""
     if watch_position(s, seq):
         if s.jumped != 0:
@@ -89,7 +93,8 @@ def take_sample(s: Any, seq: int, stamp: float) -> None:
     s.asked = seq
 
 
-def decide(s: Any, seq: int) -> None:
+@rule
+def decide(s: DriverState, seq: int) -> None:
     """Take the answer of a tick in lockstep: `force` and `handed` are what follows from it, `mean` is what acts in the tick."""
     command(s, seq, float(s.next_tick))
     for i in range(3):
@@ -97,7 +102,8 @@ def decide(s: Any, seq: int) -> None:
         s.handed[i] = s.force[i]
 
 
-def close(s: Any) -> None:
+@rule
+def close(s: DriverState) -> None:
     """End a tick."""
     act(s, 1)
     s.ticks += 1
@@ -112,7 +118,7 @@ def make_ticks(
     clock, sleep_until, read, write, publish, receive, aside, called = port
 
     @made
-    def begin(s: Any, seq: int, stamp: float) -> bool:
+    def begin(s: DriverState, seq: int, stamp: float) -> bool:
         if s.place_given == 0 and not read(s, seq):
             return False
         s.place_given = 0
@@ -122,7 +128,7 @@ def make_ticks(
         return True
 
     @made
-    def hand_over(s: Any, force: Any, seq: int, offset: float) -> None:
+    def hand_over(s: DriverState, force: Any, seq: int, offset: float) -> None:
         for i in range(3):
             s.handed[i] = force[i]
         s.written = seq
@@ -130,7 +136,7 @@ def make_ticks(
             s.failed = 1
 
     @made
-    def hand_over_in_time(s: Any, force: Any, seq: int, offset: float, answers: int) -> bool:
+    def hand_over_in_time(s: DriverState, force: Any, seq: int, offset: float, answers: int) -> bool:
         # The last look at the clock before the device is called: the driver may be held up after every wait.
         if not in_time(s, clock(s), answers):
             return False
@@ -138,7 +144,7 @@ def make_ticks(
         return True
 
     @made
-    def lockstep_tick(s: Any) -> int:
+    def lockstep_tick(s: DriverState) -> int:
         seq = s.seq
         if s.phase == BETWEEN and not begin(s, seq, seq * s.period):
             return BROKEN
@@ -162,7 +168,7 @@ def make_ticks(
         return GO_ON
 
     @made
-    def realtime_tick(s: Any) -> int:
+    def realtime_tick(s: DriverState) -> int:
         seq = s.seq
         deadline = s.epoch + seq * s.period
         following = deadline + s.period
@@ -243,7 +249,7 @@ def make_ticks(
 
     def ticks_of(tick: Callable[[Any], int]) -> Callable[[Any], int]:
         @made
-        def ticks(s: Any) -> int:
+        def ticks(s: DriverState) -> int:
             done = 0
             while done < s.most and s.seq < s.until:
                 before = s.ticks

@@ -180,7 +180,7 @@ def play(
         proxy, normal, distance, contact = meet(k, position, force)
         met: dict[str, Any] = {"proxy": proxy, "normal": normal, "distance": distance, "contact": contact}
         wanted = coupling.answer(Proxy(seq=k, stamp=k * period, position=position, rebased=jumps.tick, **met))
-        force = rules.command(k, wanted)
+        force = rules.command(k, wanted, normal if contact else ZERO)
         for part in parts:
             write_axis(part, force[part.axis], k, 0.0)
         positions[k], proxies[k], normals[k], contacts[k], forces[k] = position, proxy, normal, contact, force

@@ -20,7 +20,7 @@ from messages import topics
 from messages.transport.sockets import Subscription
 from messages.types import Vector
 from nodes.base.node import Node
-from nodes.compiled.layout import LOOP
+from nodes.compiled.layout import LoopState
 from nodes.compiled.load import load_kernel
 from nodes.driver.calls import JUMPED, READ, WRITE, Calls
 from nodes.driver.device import DeviceLimits
@@ -160,7 +160,7 @@ _NOT_ALIKE = {
 def _numbers(state: Any) -> dict[str, Any]:
     """Give the numbers of a node's state, beyond what its compiled ticks need of the world."""
     found: dict[str, Any] = {name: getattr(state, name) for name in ("seq", "answered", "gaps", "skipped", "ticks")}
-    for name, _ in type(state)._fields_[len(LOOP) :]:
+    for name, _ in type(state)._fields_[len(LoopState._fields_) :]:
         if name not in _NOT_ALIKE:
             # How long a tick took is measured, not ruled; that it was counted is.
             value = sum(state.spent) if name == "spent" else getattr(state, name)

@@ -18,7 +18,6 @@ import msgspec
 import numpy as np
 
 from messages.types import ZERO, Vector
-from nodes.compiled.layout import named
 from nodes.driver.calls import JUMPED, Calls
 from nodes.driver.device import DeviceLimits, Workspace
 from nodes.driver.hardware.compile import servo_library
@@ -36,6 +35,10 @@ SILENCE: Final = 0.1  # longest watchdog that a launch file may ask for on these
 _kept: Final[list[Any]] = []  # mailboxes of servo loops that may hang: they must not write into freed memory
 
 
+def _named(kind: Any, *names: str) -> list[tuple[str, Any]]:
+    return [(name, kind) for name in names]
+
+
 class Mailbox(ctypes.Structure):
     """What driver and servo loop share, as in nodes/driver/hardware/mailbox.h."""
 
@@ -43,21 +46,21 @@ class Mailbox(ctypes.Structure):
         ("turn", ctypes.c_double * 9),
         ("unit", ctypes.c_double),
         ("origin", ctypes.c_double * 3),
-        *named(ctypes.c_double, "deadline", "patience", "peak", "reach", "back", "recovery"),
+        *_named(ctypes.c_double, "deadline", "patience", "peak", "reach", "back", "recovery"),
         *(("clutch", ctypes.c_int64), ("commands", ctypes.c_uint)),
         ("force", ctypes.c_double * 4),
-        *named(ctypes.c_uint, "stop", "jumps", "told"),
+        *_named(ctypes.c_uint, "stop", "jumps", "told"),
         *(("decided_at", ctypes.c_double), ("seen", ctypes.c_uint)),
         *(("seen_at", ctypes.c_double), ("held", ctypes.c_int64)),
-        *named(ctypes.c_double * 3, "frozen", "shift"),
+        *_named(ctypes.c_double * 3, "frozen", "shift"),
         *(("share_from", ctypes.c_double), ("samples", ctypes.c_uint)),
         ("sample", ctypes.c_double * SAMPLE),
-        *named(ctypes.c_uint, "ticks", "let_go", "errors"),
-        *named(ctypes.c_int, "error", "fault", "condition"),
-        *named(ctypes.c_uint, "last_command", "silent"),
-        *named(ctypes.c_double, "silent_at", "commanded_at"),
+        *_named(ctypes.c_uint, "ticks", "let_go", "errors"),
+        *_named(ctypes.c_int, "error", "fault", "condition"),
+        *_named(ctypes.c_uint, "last_command", "silent"),
+        *_named(ctypes.c_double, "silent_at", "commanded_at"),
         ("acting", ctypes.c_double * 3),
-        *named(ctypes.c_double, "looked_at", "owed"),
+        *_named(ctypes.c_double, "looked_at", "owed"),
     ]
 
 
