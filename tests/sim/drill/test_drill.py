@@ -273,6 +273,7 @@ def test_faults_end_safe_recover_and_leave_nothing(name: str) -> None:
                 "slow logger",
                 "tune ended",
                 "pressed device",
+                "verb suspended",
             ]
         ),
     ],
