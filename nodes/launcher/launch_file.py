@@ -10,6 +10,7 @@ import contextlib
 import os
 import re
 from collections.abc import Mapping, Sequence
+from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -43,9 +44,17 @@ MAX_FILLED_IN = 4096  # longest text made of arguments, a path's length: a kilob
 def launch_dirs() -> list[Path]:
     """List where launch files are: in the wheel, beside the package, in packages under the entry points ``haptic.launch``."""
     nodes = Path(__file__).resolve().parents[1]
-    specs = [find_spec(point.value) for point in COLLECTIONS.points().values()]
+    specs = [_spec(point.value) for point in COLLECTIONS.points().values()]
     added = [Path(place) for spec in specs if spec for place in spec.submodule_search_locations or ()]
     return [path for path in (nodes / "_launch", nodes.parent / "launch", *added) if path.is_dir()]
+
+
+def _spec(package: str) -> ModuleSpec | None:
+    """Find a package with launch files; None for one that is not there or whose parent cannot be imported."""
+    try:
+        return find_spec(package)
+    except (Exception, SystemExit):  # noqa: BLE001  # `haptic doctor` names it; the other launch files are there
+        return None
 
 
 def scenarios() -> dict[str, Path]:

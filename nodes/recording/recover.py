@@ -78,14 +78,14 @@ def _search(path: Path) -> Iterator[Record]:
         budget = _Budget(len(data))
         at = data.find(mark, lead)
         while at >= 0:
+            # Its opcode may be what is damaged, too: its content has a checksum.
             start, following = at - lead, at + 1
-            if data[start] == mcap_walk.CHUNK:
-                content = _chunk_at(view, start, budget)
-                if content is None:
-                    return
-                with contextlib.suppress(RecordError):
-                    yield from mcap_walk.unpack_chunk(path, Record(start, mcap_walk.CHUNK, content))
-                    following = start + FRAME.size + len(content)
+            content = _chunk_at(view, start, budget)
+            if content is None:
+                return
+            with contextlib.suppress(RecordError):
+                yield from mcap_walk.unpack_chunk(path, Record(start, mcap_walk.CHUNK, content))
+                following = start + FRAME.size + len(content)
             at = data.find(mark, following)
 
 
