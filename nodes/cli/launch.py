@@ -314,7 +314,7 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
     supervisor = Supervisor(launch, say)
 
     def on_signal(number: int) -> None:
-        supervisor.stop(ended_why(str(place_of(supervisor.run))) or signal.Signals(number).name)
+        supervisor.interrupt(ended_why(str(place_of(supervisor.run))) or signal.Signals(number).name)
 
     with heeding(on_signal):
         try:

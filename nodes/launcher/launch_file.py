@@ -34,6 +34,7 @@ _WHOLE = re.compile(r"^\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)$")
 _WITHIN = re.compile(r"\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)")
 _NAME = re.compile(r"(?=.{1,32}$)[a-z][a-z0-9_]*(/[a-z][a-z0-9_]*)*")
 _RUN = "run."
+LISTED = "run"  # no node's name: its setup would be the file that lists all nodes, run.json
 
 DEVICE = "device"  # argument that puts a real device in the place of a launch file's virtual one
 _DEVICE = Argument(default="none", help="a real device whose known values are taken: haptic device presets")
@@ -274,6 +275,10 @@ def _nodes(
         if not _NAME.fullmatch(node):
             raise ParameterError(
                 f"{where}: a node's name is lower-case letters, digits and _, with its namespace and / before it, at most 32"
+            )
+        if node == LISTED:
+            raise ParameterError(
+                f"{where}: {LISTED!r} is the name of the file that lists a run's nodes; give the node another, or a namespace"
             )
         if node in nodes:
             raise ParameterError(f"{where}: an included launch file has a node of that name; give it a namespace")
