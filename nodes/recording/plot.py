@@ -205,6 +205,8 @@ def figure_of(recording: Recording, start: float | None = None, stop: float | No
     _draw_response(panels[-1], whole, summary, realtime)
     for axes in panels:
         style(axes)
+        if not axes.get_legend_handles_labels()[0]:
+            continue  # of stamps that go back nothing is drawn
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), borderaxespad=0.0, fontsize=8, frameon=False, ncols=6)
     _draw_receipts(shared, lines)
     for axes in {shared[-1], panels[-1]}:

@@ -11,10 +11,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from messages.topics import DEVICE_STATE
 from messages.types import DeviceState, Receipt
 from nodes.base.printable import printable
 from nodes.recording.export import export_csv
 from nodes.recording.facts import axes_of, parameters_of, period_of, refuse_foreign_files
+from nodes.recording.plot import plot
 from nodes.recording.reader import Recording
 from nodes.recording.recover import recover
 from nodes.recording.writer import RecordError, RecordWriter
@@ -121,6 +123,17 @@ def test_odd_parameters_raise_nothing_but_a_record_error(
     }
     odd = Receipt(seq=59, stamp=0.118, action="switch", before="{}", after=json.dumps(after)[:200])
     read_all(written(tmp_path / "r.mcap", {**MANIFEST, **manifest}, parameters, [*SENT, ("/coupling/receipt", odd)]))
+
+
+@pytest.mark.parametrize("seqs", [(0, 1), (0, 2**53 - 1), (5, 3)])
+@pytest.mark.parametrize("stamps", [(0.0, 1e15), (1.0, -1e15)])
+def test_numbers_beyond_any_run_are_read(tmp_path: Path, seqs: tuple[int, int], stamps: tuple[float, float]) -> None:
+    states = [DeviceState(seq=seq, stamp=stamp, position=(0.0, 0.0, 0.0)) for seq, stamp in zip(seqs, stamps, strict=True)]
+    path = written(tmp_path / "r.mcap", MANIFEST, {}, [(DEVICE_STATE, state) for state in states])
+    read_all(path)
+    # Its picture once: it takes a second.
+    if seqs == (5, 3):
+        plot(Recording(path), tmp_path / "r.png")
 
 
 def test_a_file_is_opened_below_the_recording_and_nowhere_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
