@@ -149,7 +149,7 @@ def _add_registered(parser: argparse.ArgumentParser, verb: str) -> None:
                 VERBS.load(full).add(own)
             except (Exception, SystemExit) as error:  # noqa: BLE001  # of another package: it costs its own name
                 own = Parser(prog=own.prog, add_help=False)
-                place.choices[name] = own  # type: ignore[index]
+                place.choices[name] = own
                 own.add_argument("rest", nargs=argparse.REMAINDER)
                 own.set_defaults(run=partial(_refuse, error))
 
