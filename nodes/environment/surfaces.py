@@ -34,9 +34,9 @@ __all__ = [
 
 
 def _wrong_surface(name: str, found: Any) -> str:
-    if not (isinstance(found, type) and issubclass(found, Surface)):
-        return f"{found!r} is not a subclass of nodes.environment.surfaces.Surface"
-    return "" if found.kind == name else f"{found!r} calls itself {found.kind!r}; its class variable kind must be its name"
+    del name
+    is_one = isinstance(found, type) and issubclass(found, Surface)
+    return "" if is_one else f"{found!r} is not a subclass of nodes.environment.surfaces.Surface"
 
 
 SURFACES = Registry("haptic.surfaces", "surface", _wrong_surface)

@@ -229,7 +229,7 @@ class Borrowed:
         longer = PATIENT if loop.run.nodes[loop.driver].pace == "lockstep" else 1.0
         # A node that refuses holds another's lease: what is there now may be another tuning's.
         with whole():
-            agreed = {"seconds": longer * seconds, "then": revert, "args": arguments}
+            agreed: dict[str, Any] = {"seconds": longer * seconds, "then": revert, "args": arguments}
             ask(loop.run, node, "lease.take", name=LEASE, holder=loop.holder, **agreed)
             self._reverts[node] = revert, arguments
             loop.leased.add(node)

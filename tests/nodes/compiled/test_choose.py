@@ -59,7 +59,7 @@ def test_a_folder_in_the_place_of_an_entry_lets_the_plain_tick_run(empty_cache: 
     entry.mkdir()
     told: list[str] = []
     for wanted in ("auto", "compiled"):
-        assert choose(wanted, [KERNEL], told.append) == "plain"  # type: ignore[arg-type]
+        assert choose(wanted, [KERNEL], told.append) == "plain"
     assert all(f"{entry}: must be a file of user" in text for text in told)
     assert "must be a file of user" in CHECKS["compiled tick"]().found
 

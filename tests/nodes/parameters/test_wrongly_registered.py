@@ -27,7 +27,6 @@ REGISTRIES = {registry.group: registry for registry in (LAWS, DERIVATIVES, SURFA
 WRONG = """
 import msgspec
 from nodes.laws import CompiledLaw, Law
-from nodes.environment.surfaces import Surface
 
 number = 3
 
@@ -48,9 +47,6 @@ class Unwritable(Law, frozen=True, kw_only=True, forbid_unknown_fields=True):
     def compile(self, period):
         return CompiledLaw((1.0,))
 
-class Misplaced(Surface, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    kind = "elsewhere"
-
 def add(parser):
     raise RuntimeError("half an update")
 """
@@ -66,7 +62,7 @@ def wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     points = "".join(f"[{group}]\nnumber_there = wrong_things:number\n" for group in REGISTRIES)
     points += "[haptic.laws]\nplain_there = wrong_things:Plain\nmisnamed_there = wrong_things:Misnamed\n"
     points += "raises = wrong_things:Raises\nunwritable = wrong_things:Unwritable\n"
-    points += "[haptic.surfaces]\nmisplaced_there = wrong_things:Misplaced\n"
+    points += "[haptic.surfaces]\nmisplaced_there = wrong_things:Misnamed\n"
     points += "[haptic.verbs]\nbag.raising = wrong_things\n[haptic.launch]\nmore = no_such_package.launch\n"
     (info / "entry_points.txt").write_text(points, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
