@@ -64,6 +64,9 @@ class MovingScene:
 
     def __init__(self, file: Path, tool: str, period: float, where: str, held: bool = False) -> None:
         self._mujoco = mujoco = load_mujoco(f"{where}.scene")
+        if file.exists() and not (file.is_file() or file.is_dir()):
+            # A pipe would be waited for, and a device has no end.
+            raise ParameterError(f"{where}.scene: {file} is no regular file")
         try:
             # Opened here: the words of the operating system are clearer.
             with open(file, "rb") as opened:

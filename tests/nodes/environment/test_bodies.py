@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+import os
 from pathlib import Path
 
 import numpy as np
@@ -131,6 +132,10 @@ def test_the_heaviest_body_is_taken(tmp_path: Path) -> None:
 def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ParameterError, match=r"environment.scene: .*none.xml cannot be read: No such file"):
         MovingScene(tmp_path / "none.xml", "tool", PERIOD, "environment")
+    os.mkfifo(tmp_path / "pipe.xml")
+    for odd in (tmp_path / "pipe.xml", Path("/dev/zero")):
+        with pytest.raises(ParameterError, match=r"^environment.scene: .* is no regular file"):
+            MovingScene(odd, "tool", PERIOD, "environment")
     with open(tmp_path / "huge.xml", "wb") as file:
         file.truncate(10_000_000_000)
     with pytest.raises(ParameterError, match=r"^environment.scene: \S*huge.xml has 10000 MB, more than 64"):
