@@ -297,6 +297,7 @@ def test_intruders_libraries_and_people_do_no_harm_and_the_loop_goes_on(name: st
                 "Touch read blocks",
                 "Force Dimension unplugged",
                 "Inverse3 read fails",
+                "Inverse3 answers twice",
             ]
         ),
     ],
