@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from nodes.laws import CompiledLaw
-from nodes.parameters.checked import Mass, NonNegative
+from nodes.parameters.checked import NonNegative, Positive
 from nodes.stability.plant import Plant
 
 LawName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
@@ -58,18 +58,18 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     device_delay: Delay of the device itself, which the loop cannot measure: comes on top of the measured one [ticks].
     heaviest: The greatest mass where it depends on where the device is, and ``mass`` is the least: a law is judged with both
         and with some between [kg].
-    tool_mass: Mass of what the coupling holds the device to, where that moves (kind ``mujoco``) [kg]; None for a wall.
+    tool_mass: Positive of what the coupling holds the device to, where that moves (kind ``mujoco``) [kg]; None for a wall.
     scale: Metres of the scene for a metre of the device (``mapping.scale`` of a driver). Mass, damping and stiffness above are
         the device's own; a law meets them divided by the square of it.
     """
 
-    mass: Mass
+    mass: Positive
     damping: NonNegative = 0.0
     stiffness: NonNegative = 0.0
     delay: Delay | None = None
     device_delay: Delay = 0.0
-    heaviest: Mass | None = None
-    tool_mass: Mass | None = None
+    heaviest: Positive | None = None
+    tool_mass: Positive | None = None
     scale: Annotated[float, msgspec.Meta(ge=0.01, le=100.0)] = 1.0
 
     def at(self, period: float, measured: float) -> Plant:

@@ -58,8 +58,10 @@ def test_an_unstable_change_is_refused_where_it_is_typed(press: Running) -> None
 def test_a_file_and_a_switch_are_refused_as_well(press: Running) -> None:
     (press.folder / "hard.yaml").write_text(write_yaml({"coupling": {"laws": {"pd": {"stiffness": 1e7}}}}))
     assert LARGEST.search(typed(press, "param", "load", "coupling", "hard.yaml", code=1).stderr)
-    # A law that is not active may be anything; switching to it is what is judged.
-    typed(press, "param", "set", "coupling", "laws.hard", "{kind: pd, stiffness: 2e5, damping: 2.0}")
+    # A law that is not active is judged when it is set; what was taken by force is judged again when it is switched to.
+    hard = "{kind: pd, stiffness: 2e5, damping: 2.0}"
+    assert "coupling.laws.hard: pole radius" in typed(press, "param", "set", "coupling", "laws.hard", hard, code=1).stderr
+    assert "UNSTABLE" in typed(press, "param", "set", "coupling", "laws.hard", hard, "--force").stdout
     told = typed(press, "law", "switch", "hard", "--json", code=1)
     found = LARGEST.search(json.loads(told.stdout.splitlines()[-1])["error"])
     assert found is not None
