@@ -69,7 +69,7 @@ def patience(s: Any, deadline: float, following: float) -> float:
     last = following + more * s.period
     if s.safety == ACTIVE or s.safety == RAMP:
         last = min(last, deadline + (s.since + s.watchdog - s.seq) * s.period)
-    return max(following, last)
+    return following if following > last else last
 
 
 def take_sample(s: Any, seq: int, stamp: float) -> None:

@@ -162,97 +162,101 @@ def spread(chains: Iterable[str], cores: list[int], shares: Mapping[str, float])
     return {chain: found[chain] for chain in chains}
 
 
+def _processor_time(pid: int) -> float:
+    """Return the processor time of a process, all its threads together [s]; 0 for one that is gone."""
+    try:
+        return time.clock_gettime((~pid << 3) | 2)  # the kernel's clock of a process, as clock_getcpuclockid makes it
+    except OSError:
+        return 0.0
+
+
+def _waited(pid: int) -> float:
+    """Return how long the threads of a process waited for a processor [s]; 0 for one that is gone."""
+    waited = 0
+    with contextlib.suppress(OSError, ValueError):
+        for task in os.listdir(f"/proc/{pid}/task"):
+            waited += int(Path(f"/proc/{pid}/task/{task}/schedstat").read_text(encoding="ascii").split()[1])
+    return waited * 1e-9
+
+
 class Meter:
-    """Measures the processor time of processes: what they had, and how long they waited for it.
+    """Measures the processor time of a launch's nodes from the first tick on: what they had, and how long they waited for it.
 
     Parameters
     ----------
-    pids : mapping of str to list of int
-        Processes of each chain.
+    pids : mapping of str to int
+        Process of each node of a chain.
     """
 
-    def __init__(self, pids: Mapping[str, list[int]]) -> None:
-        self._pids = {chain: list(numbers) for chain, numbers in pids.items()}
-        self._begin = {chain: self._read(chain) for chain in self._pids}
-        self._now = dict(self._begin)
-        self._since = self._until = time.monotonic()
-
-    @property
-    def seconds(self) -> float:
-        """How long was measured [s]."""
-        return self._until - self._since
-
-    def _read(self, chain: str) -> tuple[float, float]:
-        had = waited = 0
-        for pid in self._pids[chain]:
-            # A thread that has ended, or a process: what it had until then is not in here any more.
-            with contextlib.suppress(OSError, ValueError):
-                for task in os.listdir(f"/proc/{pid}/task"):
-                    ran, queued, *_ = Path(f"/proc/{pid}/task/{task}/schedstat").read_text(encoding="ascii").split()
-                    had, waited = had + int(ran), waited + int(queued)
-        return had * 1e-9, waited * 1e-9
+    def __init__(self, pids: Mapping[str, int]) -> None:
+        self._pids = dict(pids)
+        self._had = {name: _processor_time(pid) for name, pid in self._pids.items()}
+        self._began = {name: (time.monotonic(), _waited(pid)) for name, pid in self._pids.items()}
+        self._waits: dict[str, float] = {}
 
     def look(self) -> None:
-        """Read the clocks of all processes that are still there."""
-        self._until = time.monotonic()
-        for chain, (had, waited) in self._now.items():
-            read = self._read(chain)
-            self._now[chain] = max(had, read[0]), max(waited, read[1])
+        """Look how long the nodes that are still there have waited."""
+        for name, pid in self._pids.items():
+            at, before = self._began[name]
+            if (waited := _waited(pid)) > before and time.monotonic() > at:
+                self._waits[name] = (waited - before) / (time.monotonic() - at)
 
-    def used(self) -> dict[str, tuple[float, float]]:
-        """Return the processor time that each chain had, and waited for, from the beginning to the last look [s]."""
+    def had(self, reports: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+        """Return the processor time of each node since the first tick [s], by what the nodes reported at their end."""
+        ends = {name: reports.get(name, {}).get("status", {}) for name in self._pids}
         return {
-            chain: (had - self._begin[chain][0], waited - self._begin[chain][1]) for chain, (had, waited) in self._now.items()
+            name: max(0.0, float(end["cpu"]) - self._had[name])
+            for name, end in ends.items()
+            if end.get("pid") == self._pids[name]
         }
+
+    def waiting(self) -> float:
+        """Return how long all nodes together waited for a processor, per second."""
+        return sum(self._waits.values())
 
 
 def load_of(
-    launch: Launch,
-    used: Mapping[str, tuple[float, float]],
-    seconds: float,
-    reports: Mapping[str, Mapping[str, Any]],
-    cores: int,
+    launch: Launch, had: float, waiting: float, reports: Mapping[str, Mapping[str, Any]], processors: int
 ) -> Load | None:
-    """Return how busy a run was; None for one that was too short to tell, or did not tick.
+    """Return how busy a run was; None for one that was too short to tell, or did not tick in real time.
 
     Parameters
     ----------
     launch : Launch
         What ran.
-    used : mapping of str to tuple of float and float
-        Processor time of each chain, had and waited for [s].
-    seconds : float
-        How long that was measured [s].
+    had : float
+        Processor time of the nodes of its chains [s].
+    waiting : float
+        How long they waited for a processor, per second.
     reports : mapping of str to mapping
         What the driver of each chain reported.
-    cores : int
+    processors : int
         Processors that the chains share.
     """
-    rate, done, lost = launch.run.rate, 0, 0
+    rate, done, lost, most = launch.run.rate, 0, 0, 0
     for report in reports.values():
-        done += int(report.get("ticks", 0)) - int(report.get("missed", 0))
-        lost += int(report.get("missed", 0)) + int(report.get("overruns", 0))
-    had, waited = (sum(pair[i] for pair in used.values()) for i in (0, 1))
-    if seconds < _SHORTEST or done + lost == 0 or had <= 0.0 or launch.run.pace != "realtime":
+        ticks, missed, left_out = (int(report.get(name, 0)) for name in ("ticks", "missed", "overruns"))
+        done, lost, most = done + ticks - missed, lost + missed + left_out, max(most, ticks + left_out)
+    seconds = most / rate
+    if seconds < _SHORTEST or had <= 0.0 or launch.run.pace != "realtime":
         return None
     share = lost / (done + lost)
-    # Of the measured time, whose ticks are all but those of its very end; a tick that was lost cost something as well.
-    cost = had / (seconds * rate * len(reports)) / max(1.0 - share, 0.1)
-    busy = had / (seconds * cores)
+    cost = had / max(done, 1)  # what was spent on lost ticks is part of what an answered one costs
+    busy = had / (seconds * processors)
     return Load(
         chains=len(reports),
         rate_hz=rate,
         tick_cost_us=round(cost * 1e6, 1),
-        processors=cores,
+        processors=processors,
         busy=round(busy, 3),
-        waited=round(waited / seconds, 3),
+        waited=round(waiting, 3),
         carried=carried(cost, rate, len(os.sched_getaffinity(0))),
         lost=round(share, 4),
-        cause=_cause(share, busy, waited / (seconds * len(reports))),
+        cause=_cause(share, busy, waiting / len(reports)),
     )
 
 
-def _cause(lost: float, busy: float, waited: float) -> Cause:
+def _cause(lost: float, busy: float, waiting: float) -> Cause:
     if lost < LATE:
         return ""
-    return "chains" if busy >= BUSY else "others" if waited >= LATE else ""
+    return "chains" if busy >= BUSY else "others" if waiting >= LATE else ""

@@ -125,7 +125,7 @@ class Supervisor:
             # From here on: nodes that start again are imported elsewhere, too, and then go where they belong.
             held.enter_context(realtime.off(info.processors))
             self._start_driver()
-            self._meter = Meter(self._processes())
+            self._meter = Meter({name: child.process.pid for name, child in self._hops().items() if child.process})
             self._watch(progress)
         finally:
             self._end_all()
@@ -137,14 +137,9 @@ class Supervisor:
             if hasattr(self, "_reaper"):
                 self._dismiss_reaper()
 
-    def _processes(self) -> dict[str, list[int]]:
-        """Return the processes of each chain on this machine."""
-        found: dict[str, list[int]] = {chain: [] for chain in chains_of(self._launch)}
-        for name, child in self.children.items():
-            chain = name.rpartition("/")[0]
-            if chain in found and child.process is not None and child.hops:
-                found[chain].append(child.process.pid)
-        return found
+    def _hops(self) -> dict[str, Child]:
+        """Return the nodes of the chains that have a process here."""
+        return {name: child for name, child in self.children.items() if child.hops and child.process is not None}
 
     def _warn_of_overload(self) -> None:
         available = len(os.sched_getaffinity(0))
@@ -156,14 +151,17 @@ class Supervisor:
         """Find out how busy the processors were, and keep what a tick cost for the next launch."""
         if not hasattr(self, "_meter"):
             return
-        used, seconds = self._meter.used(), self._meter.seconds
+        had = self._meter.had(self.reports)
         reports = {name.rpartition("/")[0]: self.reports.get(name, {}) for name, child in self.children.items() if child.drives}
-        cores = {cpu for child in self.children.values() if child.hops for cpu in child.setup.scheduling.cpus}
-        available = len(os.sched_getaffinity(0))
-        self.load = load_of(self._launch, used, seconds, reports, len(cores) or available)
+        cores = {cpu for child in self._hops().values() for cpu in child.setup.scheduling.cpus}
+        processors = len(cores) or len(os.sched_getaffinity(0))
+        self.load = load_of(self._launch, sum(had.values()), self._meter.waiting(), reports, processors)
         if self.load is not None and self.load.lost < LATE:
-            rate = self._launch.run.rate
-            keep_costs({kind_of_chain(self._launch, chain, self.tick): used[chain][0] / (seconds * rate) for chain in reports})
+            costs = {}
+            for chain, report in reports.items():
+                spent = sum(time for name, time in had.items() if name.rpartition("/")[0] == chain)
+                costs[kind_of_chain(self._launch, chain, self.tick)] = spent / max(1, report.get("ticks", 0))
+            keep_costs(costs)
 
     def _start_child(self, child: Child) -> None:
         child.start(self.run_dir)

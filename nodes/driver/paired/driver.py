@@ -155,8 +155,11 @@ class PairedDriver(Driver):
             scales = {one.get("scale", 1.0) for one in known}
             return {"scale": scales.pop()} if len(scales) == 1 else {}
         light, heavy = (
-            Plant.paired_with(*(Plant(1.0, mass(one), one["damping"], one["device_delay"], one["stiffness"]) for one in known))
-            for mass in (lambda one: one["mass"], lambda one: one.get("heaviest", one["mass"]))
+            Plant(1.0, one[mass], one["damping"], one["device_delay"], one["stiffness"]).paired_with(
+                Plant(1.0, other[mass], other["damping"], other["device_delay"], other["stiffness"])
+            )
+            for one, other in [({"heaviest": one["mass"], **one} for one in known)]
+            for mass in ("mass", "heaviest")
         )
         found = {"mass": light.mass, "damping": light.damping, "stiffness": light.stiffness, "device_delay": light.delay}
         return {**found, "heaviest": heavy.mass} if heavy.mass > light.mass else found

@@ -115,12 +115,11 @@ def test_a_launch_of_many_chains_uses_all_processors_and_each_goes_before_the_ne
             assert min(first) > max(second), "a driver of one chain must not hold up the answers of another that goes before"
 
 
-def used(launch: Launch, had: float, waited: float, lost: float, seconds: float = 2.0) -> Load | None:
+def used(launch: Launch, had: float, waited: float, lost: float, ticks: int = 1000) -> Load | None:
+    """Return the load of a run whose chains took parts of one processor, and lost a part of their ticks."""
     chains = chains_of(launch)
-    ticks = 1000
     reports = {chain: {"ticks": ticks, "missed": round(lost * ticks), "overruns": 0} for chain in chains}
-    each = {chain: (had * seconds / len(chains), waited * seconds / len(chains)) for chain in chains}
-    return load_of(launch, each, seconds, reports, 1)
+    return load_of(launch, had * ticks / launch.run.rate, waited, reports, 1)
 
 
 def test_the_reason_of_lost_ticks_is_named_where_it_is_known(tmp_path: Path) -> None:
@@ -145,21 +144,23 @@ def test_the_reason_of_lost_ticks_is_named_where_it_is_known(tmp_path: Path) -> 
         assert found is not None
         assert found.cause == cause, (had, waited, lost)
         assert bool(found.text) is bool(cause)
-    assert used(launch, 0.5, 0.0, 0.0, seconds=0.1) is None
+    assert used(launch, 0.5, 0.0, 0.0, ticks=100) is None
     assert carried(100e-6, 500.0, 2) == 2 * int(CARRIED / 0.05)
 
 
-def test_the_meter_counts_the_processor_time_of_all_threads() -> None:
-    meter = Meter({"a": [os.getpid()], "b": [2**22 + 1]})
+def test_the_meter_counts_the_processor_time_of_a_process_and_how_long_it_waits() -> None:
+    gone = 2**22 + 1
+    meter = Meter({"a": os.getpid(), "gone": gone})
     begun = time.process_time()
     while time.process_time() - begun < 0.05:
         pass
     meter.look()
-    had, waited = meter.used()["a"]
-    # The kernel's two clocks of the same time: they are read one after the other.
-    assert had >= 0.04
-    assert waited >= 0.0
-    assert meter.used()["b"] == (0.0, 0.0)
+    end = {"a": {"status": {"pid": os.getpid(), "cpu": time.process_time()}}, "gone": {"status": {"pid": gone, "cpu": 0.0}}}
+    had = meter.had(end)
+    assert 0.05 <= had["a"] <= time.process_time() - begun + 0.05
+    assert had["gone"] == 0.0
+    assert meter.had({"a": {"status": {"pid": 1, "cpu": 1e9}}}) == {}  # another process than the one of the first tick
+    assert meter.waiting() >= 0.0
 
 
 def test_a_run_says_what_it_took_and_keeps_it_for_the_next(tmp_path: Path, cache: Path) -> None:
@@ -169,4 +170,5 @@ def test_a_run_says_what_it_took_and_keeps_it_for_the_next(tmp_path: Path, cache
     assert load["tick_cost_us"] > 0.0
     if load["lost"] < LATE:
         (cost,) = known_costs().values()
+        # One divides by all ticks, the other by those that were answered.
         assert cost * 1e6 == pytest.approx(load["tick_cost_us"], rel=LATE + 0.01)

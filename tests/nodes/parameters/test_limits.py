@@ -112,7 +112,7 @@ def use_node(kind: str, parameters: dict[str, Any]) -> None:
     convert(parameters, node.Parameters, kind)
     node.check(setup)
     if kind in CONFIGURED:
-        made = node(setup)
+        made: Any = node(setup)
         made.configure()
         if kind == "coupling":
             made._show_law()
