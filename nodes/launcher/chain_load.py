@@ -25,6 +25,7 @@ CARRIED: Final = 0.75  # part of a processor that chains may take: from there on
 LISTENERS: Final = 0.25  # part of a processor that is left to loggers, pages and the launcher where chains take all processors
 LATE: Final = 0.05  # share of lost ticks from which a run was overloaded, where its processors had no time left
 BUSY: Final = 0.85  # part of a processor's time from which it had none left; FIFO tasks get 0.95 at most
+OVERLOADED: Final = 4  # exit code of a launch whose own chains were too many for its processors
 _SHORTEST: Final = 0.5  # a shorter run tells nothing of what a tick costs [s]
 _KINDS_KEPT: Final = 256
 
