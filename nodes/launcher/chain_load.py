@@ -109,7 +109,7 @@ def known_costs() -> dict[str, float]:
 
 
 def keep_costs(measured: Mapping[str, float]) -> None:
-    """Keep what ticks cost [s], by kind of chain; a folder that cannot be written to keeps nothing."""
+    """Store what ticks cost [s], by kind of chain, unless the folder cannot be written to."""
     known = known_costs()
     for kind, cost in measured.items():
         known.pop(kind, None)
@@ -203,7 +203,7 @@ class Meter:
         self._waits: dict[str, float] = {}
 
     def look(self) -> None:
-        """Look how long the nodes that are still there have waited."""
+        """Read how long the nodes that are still there have waited."""
         for name, pid in self._pids.items():
             at, before = self._began[name]
             if (waited := _waited(pid)) > before and time.monotonic() > at:
