@@ -63,14 +63,15 @@ def patience(s: Any, deadline: float, following: float) -> float:
 
     Whoever answers is behind then, and a state more would only wait there and make the next answer late as well. So a loop
     that is too fast for its machine goes on as fast as it is answered, and loses the ticks that are too much. It waits no
-    longer than a force may be old, and never past the watchdog.
+    longer than a force may be old, and never past the watchdog or the moment at which the device lets go.
     """
     more = min(s.unanswered // BEHIND, s.max_age)
     if more == 0 or s.safety == DAMPING or s.safety == FAULT:
         return following
     last = following + more * s.period
     if s.safety == ACTIVE or s.safety == RAMP:
-        last = min(last, deadline + (s.since + s.watchdog - s.seq) * s.period)
+        ends = min(float(s.since + s.watchdog), s.written + s.device_hold_ticks)
+        last = min(last, deadline + (ends - s.seq) * s.period)
     return following if following > last else last
 
 

@@ -44,6 +44,11 @@ def test_the_watchdog_is_looked_at_on_time(safety: int, silent: int, periods: in
     assert waits(10**9, safety, since=1000 - silent) == pytest.approx(periods, abs=CLOSE)
 
 
+@pytest.mark.parametrize(("hold", "periods"), [(10.0, 6), (7.0, 6), (4.5, 3.5), (2.0, 1), (0.5, 1)])
+def test_it_asks_again_before_the_device_lets_go(hold: float, periods: float) -> None:
+    assert waits(10**9, hold=hold) == pytest.approx(periods, abs=CLOSE)
+
+
 @pytest.mark.parametrize("safety", [DAMPING, FAULT])
 def test_a_force_that_is_made_anew_each_tick_is_not_held_up(safety: int) -> None:
     assert waits(10**9, safety) == pytest.approx(1, abs=CLOSE)
