@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from nodes.driver.state import ACTIVE, DAMPING, FAULT, IDLE, NOTHING, RAMP, DriverState
@@ -11,11 +13,10 @@ T = 0.002
 DEADLINE = 10.0
 
 
-def waits(
-    unanswered: int, safety: int = ACTIVE, since: int = 1000, seq: int = 1000, watchdog: int = 10, max_age: int = 5
-) -> float:
-    """Return how many periods a tick waits for its answer."""
-    s = DriverState(unanswered=unanswered, safety=safety, since=since, seq=seq, watchdog=watchdog, max_age=max_age, period=T)
+def waits(unanswered: int, safety: int = ACTIVE, since: int = 1000, max_age: int = 5, hold: float = math.inf) -> float:
+    """Return how many periods tick 1000 waits for its answer, when a force was written last in the tick before it."""
+    s = DriverState(unanswered=unanswered, safety=safety, since=since, seq=1000, watchdog=10, max_age=max_age, period=T)
+    s.written, s.device_hold_ticks = 999, hold
     return (patience(s, DEADLINE, DEADLINE + T) - DEADLINE) / T
 
 
