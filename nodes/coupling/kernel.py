@@ -5,37 +5,38 @@ from __future__ import annotations
 from typing import Any
 
 from messages.types import Force, Proxy
-from nodes.arithmetic import SMOOTHING, cross_fade, deflection, fir, one_sided, push, sections
+from nodes.arithmetic import SMOOTHING, sections
 from nodes.compiled.kernels.encode import make_encode
 from nodes.compiled.kernels.follow_kernel import count_gap, in_order, overtaken
 from nodes.compiled.kernels.hop import answer, called, flush, monotonic, out_at, receive
 from nodes.compiled.kernels.machine import compilable, reals_at, record_at
 from nodes.compiled.kernels.scan import make_scan
-from nodes.compiled.kernels.sources import kernel, record_of
+from nodes.compiled.kernels.sources import record_of, register_rules
 from nodes.compiled.message_fields import fields_of, slots
 from nodes.coupling.render import LawPort, evaluate, make_render
 from nodes.coupling.state import SLOTS, CouplingState
 
-for _function in (cross_fade, deflection, fir, one_sided, push, sections, evaluate):
-    kernel(_function)
+register_rules()
 _look = record_at(record_of(CouplingState))
 _scan = make_scan(Proxy)
 _encode = make_encode(Force)
 _IN, _OUT = fields_of(Proxy), fields_of(Force)
-_SEQ, _CONTACT, _STAMP, _POSITION, _PROXY, _NORMAL, _DISTANCE, _DELAY = slots(
-    _IN, "seq", "contact", "stamp", "position", "proxy", "normal", "distance", "delay"
+_SEQ, _CONTACT, _REBASED, _STAMP, _POSITION, _PROXY, _NORMAL, _DISTANCE, _DELAY, _CREDIT = slots(
+    _IN, "seq", "contact", "rebased", "stamp", "position", "proxy", "normal", "distance", "delay", "credit"
 )
-_TO_SEQ, _TO_REVISION, _TO_STAMP, _TO_FORCE = slots(_OUT, "seq", "revision", "stamp", "force")
+_TO_SEQ, _TO_REVISION, _TO_STAMP, _TO_FORCE, _TO_NORMAL, _TO_CREDIT = slots(
+    _OUT, "seq", "revision", "stamp", "force", "normal", "credit"
+)
 _SLOTS = SLOTS
 
 
 @compilable
-def _ring(s: Any, n: int) -> Any:
+def _ring(s: CouplingState, n: int) -> Any:
     return reals_at(s.history[n], 2 * s.length)
 
 
 @compilable
-def _force_of(s: Any, n: int, m: int, history: Any, head: int) -> float:
+def _force_of(s: CouplingState, n: int, m: int, history: Any, head: int) -> float:
     at = _SLOTS * n + m
     count = s.sections_count[at]
     taps, recursive = reals_at(s.taps[at], s.taps_count[at]), reals_at(s.sections[at], 4 * count)
@@ -43,7 +44,7 @@ def _force_of(s: Any, n: int, m: int, history: Any, head: int) -> float:
 
 
 @compilable
-def _see(s: Any, n: int, m: int, history: Any, head: int) -> None:
+def _see(s: CouplingState, n: int, m: int, history: Any, head: int) -> None:
     at = _SLOTS * n + m
     count = s.sections_count[at]
     if count > 0:
@@ -55,7 +56,7 @@ _render, _bridge = make_render(LawPort(_ring, _force_of, _see), compilable)
 
 
 @compilable
-def _note(s: Any, saves: bool) -> None:
+def _note(s: CouplingState, saves: bool) -> None:
     """Save what a tick overwrites, or put it back."""
     undo = reals_at(s.undo, s.undo_count)
     at = 0
@@ -100,8 +101,8 @@ def ticks(address: int) -> int:
         if not receive(s, 0) or not _scan(s.payload, s.payload + s.payload_size, s.reals, s.wholes):
             break
         seq = s.wholes[_SEQ]
-        if not in_order(s, seq):
-            break
+        if not in_order(s, seq) or s.answered < 0 or s.wholes[_REBASED] != s.rebased or s.jumps != 0:
+            break  # a beginning or a jump: the plain tick begins the histories anew
         if overtaken(s, s.reals[_STAMP]):
             continue
         contact, distance = s.wholes[_CONTACT] != 0, s.reals[_DISTANCE]
@@ -120,6 +121,9 @@ def ticks(address: int) -> int:
         s.delay += (s.reals[_DELAY] - s.delay) * SMOOTHING
         s.out_wholes[_TO_SEQ] = seq
         s.out_wholes[_TO_REVISION] = s.revision
+        for i in range(3):
+            s.out_reals[_TO_NORMAL + i] = normal[i] if contact else 0.0
+        s.out_reals[_TO_CREDIT] = s.reals[_CREDIT]
         s.out_reals[_TO_STAMP] = monotonic(s) + s.clock_offset if s.realtime != 0 else s.reals[_STAMP]
         s.ticks += 1  # before it is sent: whoever has the answer and asks for the count finds it there
         at = out_at(s)

@@ -10,10 +10,12 @@ import math
 from collections.abc import Callable, MutableSequence, Sequence
 from typing import Any, Final, NamedTuple
 
-from nodes.arithmetic import cross_fade, deflection, fir, one_sided, push, sections
-from nodes.coupling.state import SLOTS
+from nodes.arithmetic import cross_fade, deflection, eased, fir, one_sided, push, sections
+from nodes.compiled.rules import rule
+from nodes.coupling.state import SLOTS, CouplingState
 
 
+@rule
 def evaluate(
     taps: Sequence[float], recursive: Sequence[float] | None, state: MutableSequence[float], history: Sequence[float], head: int
 ) -> float:
@@ -36,7 +38,7 @@ LEAST_COSINE: Final = 0.9  # of how far a normal turns in a tick: beyond some 25
 _SHORTEST: Final = 0.5  # length below which a normal is none; 1 for all that surfaces give
 
 
-def begin_turning(s: Any, frame: str) -> None:
+def begin_turning(s: CouplingState, frame: str) -> None:
     """Let the axes of the history turn with the surface from now on, or no more: what was pushed stays true either way."""
     turns = frame == "surface" or (frame == "auto" and s.axes == 3)
     if turns == (s.turning == 1):
@@ -69,6 +71,14 @@ def turn(turned: MutableSequence[float], upright: MutableSequence[float], normal
     upright[0], upright[1], upright[2] = x, y, z
 
 
+def deflections(s: CouplingState, position: Any, proxy: Any, distance: float, normal: Any, contact: bool) -> list[float]:
+    """Return what a tick would push into each history [m], in the axes that the histories have now."""
+    world = [deflection(position[i], proxy[i], distance, normal[i], contact, s.raw != 0) for i in range(3)]
+    if s.turning == 0:
+        return [world[s.axis[n]] for n in range(s.axes)]
+    return [sum((s.turned[3 * n + i] * world[i] for i in range(3)), 0.0) for n in range(s.axes)]
+
+
 def make_render(
     port: LawPort, made: Callable[[Any], Any] = lambda function: function
 ) -> tuple[Callable[..., bool], Callable[..., None]]:
@@ -79,7 +89,7 @@ def make_render(
 
     @made
     def turned_deflection(
-        s: Any, n: int, position: Any, proxy: Any, distance: float, normal: Any, contact: bool, raw: bool
+        s: CouplingState, n: int, position: Any, proxy: Any, distance: float, normal: Any, contact: bool, raw: bool
     ) -> float:
         """Deflection along an axis that turns; all three of the world are computed then."""
         value = 0.0
@@ -88,7 +98,9 @@ def make_render(
         return value
 
     @made
-    def render(s: Any, position: Any, proxy: Any, normal: Any, distance: float, contact: bool, force: Any, due: int) -> bool:
+    def render(
+        s: CouplingState, position: Any, proxy: Any, normal: Any, distance: float, contact: bool, force: Any, due: int
+    ) -> bool:
         """Render the force of one tick, whose deflection is the one number `due` in each history; whether it is finite."""
         raw, clamp = s.raw != 0, s.clamp != 0
         fading = s.fade_ramp > 0
@@ -130,10 +142,20 @@ def make_render(
             s.fade_done += 1
             if s.fade_done >= s.fade_ramp:
                 s.fade_ramp = 0
+        if s.ease_ramp > 0:
+            for n in range(s.axes):
+                i = s.axis[n]
+                if s.ease_done == 0:
+                    s.ease_from[i], s.ease_offset[i] = s.felt[i], s.felt[i] - force[i]
+                force[i] = eased(force[i], s.ease_from[i], s.ease_offset[i], s.ease_done, s.ease_ramp)
+            s.ease_done += 1
+            if s.ease_done >= s.ease_ramp:
+                s.ease_ramp = 0
+        s.felt[0], s.felt[1], s.felt[2] = force[0], force[1], force[2]
         return True
 
     @made
-    def bridge(s: Any, position: Any, proxy: Any, normal: Any, distance: float, contact: bool, missing: int) -> None:
+    def bridge(s: CouplingState, position: Any, proxy: Any, normal: Any, distance: float, contact: bool, missing: int) -> None:
         """Fill ticks that were left out by a straight line up to the newest deflection: a jump would read as velocity."""
         laws = 1 + s.leaving if s.fade_ramp > 0 else 1
         for n in range(s.axes):

@@ -13,9 +13,9 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nodes.driver.limits import SafetyParameters
+from nodes.driver.limits import SafetyParameters, start_ramp
 from nodes.driver.passivity import PassivityParameters, line_of
-from nodes.driver.safety import REACH
+from nodes.driver.safety import REACH, pressed_ticks
 from nodes.environment.state import ANCHOR, FREE, PLANE
 from nodes.laws import CompiledLaw
 from sim.arrays import Array
@@ -64,6 +64,8 @@ class Scene:
     workspace: tuple[float, float] | None = None
     next_tick: bool = False  # whether forces take effect one tick later (``apply: next_tick``)
     passivity: PassivityParameters | None = None  # the driver's passivity guard; None for none
+    # Ticks in which the force of a scene that begins in contact comes (the coupling's `ease`); 0 for at once.
+    ease: int = 0
     # Its ramp, its stop and the heating of its motor beside these limits, of which those that are None are off here too; None
     # for the limits alone.
     safety: SafetyParameters | None = None
@@ -138,7 +140,7 @@ def run(
     interpreted: bool = False,
     given: Given | None = None,
 ) -> Trace:
-    """Play a scene from rest: no deflection and no force before tick 0.
+    """Play a scene from rest: no force before tick 0, and the deflection of tick 0 as if it had always been so.
 
     `law` is that of tick 0, `swaps` are later ones, in the order of their ticks. The history remembers at least `memory`
     deflections: over it recursive laws that are swapped in are warmed up. `interpreted` is thousands of times slower; a law
@@ -152,7 +154,8 @@ def run(
         return _played(scene, law, ticks, swaps, memory, interpreted, given, None)[0]
     if given.arrivals is None and not (safety.ramp or safety.continuous_force):
         trace, asked = _played(scene, law, ticks, swaps, memory, interpreted, given, None)
-        if not _stops(safety, scene.peak, asked, trace.measured):
+        begins = asked[0] != 0.0 and start_ramp(safety) > 0.0
+        if not (begins or _stops(safety, scene.peak, scene.period, asked, trace.measured)):
             return trace
     # Its ramp, its stop or its motor's heat had a say.
     rules = None
@@ -179,14 +182,16 @@ def _check(law: CompiledLaw, ticks: int, swaps: Sequence[PlannedSwap]) -> None:
             raise ValueError(f"law {i} of the run has code of its own, which one process cannot swap: use the nodes")
 
 
-def _stops(safety: SafetyParameters, peak: float | None, asked: Array, measured: Array) -> bool:
+def _stops(safety: SafetyParameters, peak: float | None, period: float, asked: Array, measured: Array) -> bool:
     """Whether the driver might have stopped: the force came to its largest magnitude often, or the device went astray."""
     if not np.all(np.abs(measured) <= REACH):
         return True
     if safety.stop_after is None or peak is None:
         return False
     sides = np.where(np.abs(asked) > peak, np.sign(asked), 0.0)
-    return int(np.count_nonzero((sides != 0.0) & (np.diff(sides, prepend=0.0) != 0.0))) >= safety.stop_after
+    comes = np.count_nonzero((sides != 0.0) & (np.diff(sides, prepend=0.0) != 0.0))
+    stays = np.count_nonzero(sides) // pressed_ticks(safety.stop_after, period)
+    return int(comes + stays) >= safety.stop_after
 
 
 def _played(
@@ -314,7 +319,7 @@ def contact_of(scene: Scene) -> Contact:
     """Prepare surface, conventions and limits of a scene for the loop."""
     surface = scene.surface
     normal = surface.normal if surface.kind == "plane" else 0.0
-    return Contact(surface.code, surface.position, normal, scene.raw, scene.clamp, scene.peak, scene.slew)
+    return Contact(surface.code, surface.position, normal, scene.raw, scene.clamp, scene.peak, scene.slew, scene.ease)
 
 
 def _guard_of(scene: Scene, numbers: Callable[[list[Any]], Any]) -> Guard | None:

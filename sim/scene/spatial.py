@@ -6,7 +6,7 @@ driver's safety. It is interpreted, for few runs (`sim.scene.loop` is for thousa
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +15,15 @@ from messages.types import ZERO, Proxy, Vector
 from nodes.base.setup import AXIS_INDEX
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
-from nodes.coupling.render import begin_turning
-from nodes.coupling.renderer import ActiveLaw, Renderer
+from nodes.coupling.renderer import ActiveLaw, Renderer, settle_conventions
 from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoParameters, load_world
 from nodes.environment.meet import Numbers, meeting_of
 from nodes.environment.node import EnvironmentParameters
 from nodes.environment.shapes.scene import Solid, new_memory, scene_table
 from nodes.environment.state import SHAPES
-from nodes.environment.surfaces import Meeting, meet_axes, numbers_of, parse_surface
+from nodes.environment.surfaces import Meeting, Surface, meet_axes, parse_surface
+from nodes.environment.touched_surface import TouchedSurface
 from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError
 from sim.arrays import Array
@@ -53,8 +53,7 @@ class _Coupling:
         period = launch.run.period
         book = LawBook(name, period)
         self.renderer = renderer = Renderer([AXIS_INDEX[axis] for axis in launch.run.axes], parameters.memory)
-        renderer.state.raw, renderer.state.clamp = parameters.history == "position", parameters.clamp
-        begin_turning(renderer.state, parameters.frame)
+        settle_conventions(renderer.state, parameters, period)
 
         def law(name: str) -> ActiveLaw:
             return ActiveLaw(name, "", book.compile(parameters, name), renderer.histories)
@@ -67,6 +66,7 @@ class _Coupling:
     def answer(self, proxy: Proxy) -> Vector:
         """Render the force of a tick."""
         renderer = self.renderer
+        renderer.follow(proxy, proxy.seq - 1 if proxy.seq else -1)
         while self._schedule and self._schedule[0][0] <= proxy.seq:
             _, law, ramp = self._schedule.pop(0)
             law.warm_up(renderer.histories)
@@ -82,11 +82,26 @@ class _Coupling:
         return force if math.isfinite(force[0] + force[1] + force[2]) else renderer.fall_back(proxy)
 
 
+class _Jumps:
+    """The latest jump that no motion made, as the environment counts it."""
+
+    def __init__(self) -> None:
+        self.tick = 0
+
+
 # From a tick, the position [m] and the force handed over last [N] to proxy, normal, distance and contact.
 Ask = Callable[[int, Vector, Vector], Meeting]
+SurfaceChange = tuple[int, dict[str, Any]]  # the first tick on another surface, and its parameters
 
 
-def _environment(launch: Launch, next_tick: bool, solids: Sequence[Solid] | None, world: MovingScene | None) -> Ask:
+def _environment(
+    launch: Launch,
+    next_tick: bool,
+    solids: Sequence[Solid] | None,
+    world: MovingScene | None,
+    jumps: _Jumps,
+    changes: Sequence[SurfaceChange],
+) -> Ask:
     """Make what the device meets: a surface, other solids in its place, or a scene in which things move."""
     period = launch.run.period
     if not any(spec.kind == "mujoco" for spec in launch.nodes.values()):
@@ -96,17 +111,34 @@ def _environment(launch: Launch, next_tick: bool, solids: Sequence[Solid] | None
         if solids is not None:
             radius = getattr(surface, "tool_radius", 0.0)
             meet = meeting_of(Numbers(SHAPES, scene_table(solids, radius, period), new_memory(len(solids))))
-        else:
-            found = numbers_of(surface, period)
-            meet = surface.meeting_every(period) if found is None else meeting_of(found)
-        return lambda _, position, __: meet(position)
+            return lambda _, position, __: meet(position)
+        return _surfaces(surface, launch, jumps, sorted(changes, key=lambda change: change[0]))
     name, bodies = parameters_of(launch, "mujoco", MujocoParameters)
     scene = load_world(bodies, period, name) if world is None else world
     delay = float(next_tick)
 
     def ask(tick: int, position: Vector, force: Vector) -> Meeting:
-        scene.follow(tick, position, force, tick - 1, delay, tick == 0)
+        if scene.follow(tick, position, force, tick - 1, delay, tick == 0):
+            jumps.tick = tick
         return scene.tool_position, ZERO, 0.0, True
+
+    return ask
+
+
+def _surfaces(surface: Surface, launch: Launch, jumps: _Jumps, changes: list[SurfaceChange]) -> Ask:
+    """Meet a surface, and others from some tick on, as the environment node changes them."""
+    period, changes = launch.run.period, list(changes)
+    place = TouchedSurface(surface, period)
+
+    def ask(tick: int, position: Vector, _: Vector) -> Meeting:
+        while changes and changes[0][0] <= tick:
+            parameters = changes.pop(0)[1]
+            if place.take(TouchedSurface(parse_surface(parameters, "surface"), period)):
+                jumps.tick = tick
+        met = place.meet(position)
+        if place.jumped:
+            jumps.tick = tick
+        return met
 
     return ask
 
@@ -117,10 +149,12 @@ def play(
     solids: Sequence[Solid] | None = None,
     path: Array | None = None,
     world: MovingScene | None = None,
+    changes: Sequence[SurfaceChange] = (),
 ) -> SpatialTrace:
     """Play a launch file of one chain and virtual devices: the bits of a run in lockstep.
 
     `path`, shape (at least ticks, 3): where the encoders find the device [m], whatever the force; no device is played then.
+    `changes` are other surfaces, each from a tick on.
     `solids` and `world` take the place of the launch file's own. ParameterError says what is wrong, as a launch would.
     """
     run = launch.run
@@ -129,7 +163,8 @@ def play(
         raise ParameterError(f"run.duration: {ticks} ticks, limit {MAX_TICKS} in one process; launch a longer run")
     _, driver = parameters_of(launch, "sim_driver", SimDriverParameters)
     next_tick = run.apply == "next_tick"
-    meet = _environment(launch, next_tick, solids, world)
+    jumps = _Jumps()
+    meet = _environment(launch, next_tick, solids, world, jumps, changes)
     axes = [AXIS_INDEX[axis] for axis in run.axes]
     devices = parts_of(driver.device, run.axes, period, next_tick, driver.ends)
     parts = [device.state for device in devices]
@@ -147,10 +182,9 @@ def play(
             place = path[k].tolist()
         position = rules.sample(k, (place[0], place[1], place[2]))
         proxy, normal, distance, contact = meet(k, position, force)
-        wanted = coupling.answer(
-            Proxy(seq=k, stamp=k * period, position=position, proxy=proxy, normal=normal, distance=distance, contact=contact)
-        )
-        force = rules.command(k, wanted)
+        met: dict[str, Any] = {"proxy": proxy, "normal": normal, "distance": distance, "contact": contact}
+        wanted = coupling.answer(Proxy(seq=k, stamp=k * period, position=position, rebased=jumps.tick, **met))
+        force = rules.command(k, wanted, normal if contact else ZERO)
         for part in parts:
             write_axis(part, force[part.axis], k, 0.0)
         positions[k], proxies[k], normals[k], contacts[k], forces[k] = position, proxy, normal, contact, force
