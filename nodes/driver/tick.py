@@ -22,8 +22,7 @@ GOT, NONE, REFUSED, UNREAD = range(4)  # of waiting for a message: one; none in 
 GO_ON, SILENT, BROKEN = range(3)  # why `ticks` ended: nothing unusual; no answer for a while; the device did not do as asked
 
 BEHIND = 3  # after so many ticks without their answer in a row a tick waits for one period more, after twice as many for two
-
-MOST_BEHIND = 64
+MOST_BEHIND = 64  # so far such ticks are counted; each answer that is on time halves the count
 
 
 class Port(NamedTuple):
