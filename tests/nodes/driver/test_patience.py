@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from nodes.compiled.layout import state_of
 from nodes.driver.state import ACTIVE, DAMPING, FAULT, IDLE, NOTHING, RAMP, DriverState
 from nodes.driver.tick import BEHIND, patience
 
@@ -15,7 +16,8 @@ DEADLINE = 10.0
 
 def waits(unanswered: int, safety: int = ACTIVE, since: int = 1000, max_age: int = 5, hold: float = math.inf) -> float:
     """Return how many periods tick 1000 waits for its answer, when a force was written last in the tick before it."""
-    s = DriverState(unanswered=unanswered, safety=safety, since=since, seq=1000, watchdog=10, max_age=max_age, period=T)
+    s = state_of(DriverState)
+    s.unanswered, s.safety, s.since, s.seq, s.watchdog, s.max_age, s.period = unanswered, safety, since, 1000, 10, max_age, T
     s.written, s.device_hold_ticks = 999, hold
     return (patience(s, DEADLINE, DEADLINE + T) - DEADLINE) / T
 
