@@ -300,6 +300,8 @@ LONG = {
 }
 """Functions of more than 60 lines of code, and why."""
 
+STATE = "everything that goes on from tick to tick, one line a variable with its unit"
+
 WIDE = {
     "nodes.base.node.Node": "the parts that every node is made of, one attribute each",
     "nodes.base.setup.Setup": "what a node is told: one field a fact",
@@ -307,6 +309,12 @@ WIDE = {
     "nodes.view.feed.Feed": "one binning a curve of the page",
     "nodes.view.live.LiveRun": "what a page sees of a run, one attribute each",
     "sim.identify.identified.Identified": "what is known of a device: one field a figure",
+    "nodes.compiled.layout.LoopState": STATE,
+    "nodes.coupling.state.CouplingState": STATE,
+    "nodes.driver.state.DriverState": STATE,
+    "sim.device.state.AxisState": STATE,
+    "nodes.driver.node.Driver": "the parts of the node that is the clock, one attribute each",
+    "nodes.driver.hardware.mailbox.MailboxDevice": "what driver and servo loop share, and what was seen of it last",
 }
 """Classes of more than 20 attributes, and why."""
 
@@ -340,3 +348,16 @@ def test_long_functions_and_wide_classes_say_why() -> None:
                 wide.add(f"{module}.{node.name}")
     assert long == set(LONG)
     assert wide == set(WIDE)
+
+
+def test_state_is_typed() -> None:
+    """No rule takes a state that mypy cannot look into: a misspelt variable is an error before it is a late tick's."""
+    untyped = [
+        f"{module}.{node.name}"
+        for module, path in MODULES.items()
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.FunctionDef)
+        for argument in node.args.args
+        if argument.arg in ("s", "d") and isinstance(argument.annotation, ast.Name) and argument.annotation.id == "Any"
+    ]
+    assert untyped == []

@@ -10,7 +10,8 @@ import contextlib
 import inspect
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -81,7 +82,8 @@ class ControlServer(threading.Thread):
             "param.load": lambda values, force=False: self._change(lambda: node.store.merged(values), force),
             **node.operations(),
         }
-        self._leases = Leases(node.setup.name)
+        kept = Path(node.setup.run_dir) / f"{node.setup.name}.leases" if node.setup.run_dir else None
+        self._leases = Leases(node.setup.name, self._perform, kept)
         self._operations |= self._leases.operations()
 
     def _change(self, make: Callable[[], Any], force: bool = False) -> dict[str, Any]:
@@ -156,14 +158,22 @@ class ControlServer(threading.Thread):
             self._node.stop(reason)
 
     def _put_back(self) -> None:
-        """Do what was agreed for those who are heard of no more."""
-        for name, op, args in self._leases.run_out():
+        """Revert what was changed under leases that have run out."""
+        over = self._leases.run_out()
+        for name, op, args in over:
             try:
-                self._operations[op](**args)
+                self._perform(op, args)
             except Exception as error:  # noqa: BLE001  # as for requests: told, and served on
                 self._node.events.emit_each("lease", f"lease {name!r} has run out, but {op} failed: {error}")
             else:
                 self._node.events.emit_each("lease", f"lease {name!r} expired without a renewal: {op} {args}"[:4000])
+        if over:
+            # Parameters first: a process that dies in between must not leave those of a borrower without a lease.
+            self._keep()
+            try:
+                self._leases.save()
+            except OSError as error:
+                self._node.events.emit("kept", f"the leases would outlive this process: {error}")
 
     def _answer(self, frames: list[bytes]) -> Reply:
         name = self._node.setup.name
@@ -172,20 +182,25 @@ class ControlServer(threading.Thread):
         except MessageRefusedError as error:
             self._node.events.refused += 1
             return Reply(False, error=f"{name}: {error}")
-        operation = self._operations.get(request.op)
-        if operation is None:
-            known = ", ".join(sorted(self._operations))
-            return Reply(False, error=f"{name}: unknown operation {request.op!r}; known: {known}")
         try:
-            inspect.signature(operation).bind(**request.args)
-        except TypeError as error:
-            return Reply(False, error=f"{name}: {request.op}: {error}"[:4000])
-        try:
-            return Reply(True, operation(**request.args))
+            return Reply(True, self._perform(request.op, request.args))
         except ParameterError as error:
             return Reply(False, error=str(error)[:4000])
         except Exception as error:  # noqa: BLE001  # e.g. what a law of another package raises while it is compiled
             return Reply(False, error=f"{name}: {request.op}: {type(error).__name__}: {error}"[:4000])
+
+    def _perform(self, op: str, args: Mapping[str, Any]) -> Any:
+        """Perform an operation; raise ParameterError for an unknown one and for arguments that it does not take."""
+        name = self._node.setup.name
+        operation = self._operations.get(op)
+        if operation is None:
+            known = ", ".join(sorted(self._operations))
+            raise ParameterError(f"{name}: unknown operation {op!r}; known: {known}")
+        try:
+            inspect.signature(operation).bind(**args)
+        except TypeError as error:
+            raise ParameterError(f"{name}: {op}: {error}") from error
+        return operation(**args)
 
     def _await_turn(self) -> None:
         """Wait when there were many requests just now; who asks waits too, and nobody is refused."""

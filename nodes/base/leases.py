@@ -1,65 +1,130 @@
-"""What a node puts back by itself when somebody who changed it is heard of no more: a lease is a change that must be kept up.
+"""Leases: changes that a node reverts when the client that made them stops renewing.
 
-Who takes over a running launch (pushes its device, tries laws) takes a lease at the nodes that he changes, and renews it. When
-his process is gone, however it went, the lease runs out, and the node does what was agreed. A lease is that of its `holder`:
-to another one it has run out. Whoever names none speaks for whoever holds it.
+A client that borrows a running launch (pushes its device, tries laws) takes a lease at each node
+that it changes, renews it, and makes its changes under it. A client that is killed or held up renews
+nothing: the lease runs out and the node does what was agreed. From then on the node refuses the
+changes of that client, which may wake up later and not know. A lease belongs to its `holder`: for
+another client it has run out. A request without a holder speaks for whoever holds the lease. Leases
+outlive the node's process, as its parameters do.
 """
 
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
+import msgspec
+
+from nodes.base.status_report import write_whole
 from nodes.parameters.store import ParameterError
 
 LONGEST = 60.0  # longest time without a renewal that may be asked for [s]
 MOST = 16  # leases of one node at a time
 
 
-class Leases:
-    """The leases of one node; everything runs on its control thread."""
+class _Lease(msgspec.Struct):
+    """One lease.
 
-    def __init__(self, node: str) -> None:
+    name: Its name.
+    seconds: Longest time without a renewal [s].
+    holder: Client that holds it.
+    then, args: Operation that reverts the changes, and its arguments.
+    until: When it runs out, on this process's monotonic clock [s].
+    """
+
+    name: str
+    seconds: float
+    holder: str
+    then: str
+    args: dict[str, Any]
+    until: float = 0.0
+
+    def renew(self) -> None:
+        self.until = time.monotonic() + self.seconds
+
+
+class Leases:
+    """Leases of one node, kept in the file `path` for the process after this one; used by its control thread alone."""
+
+    def __init__(self, node: str, perform: Callable[[str, Mapping[str, Any]], Any], path: Path | None = None) -> None:
         self._node = node
-        self._held: dict[str, tuple[float, float, str, str, dict[str, Any]]] = {}
+        self._perform = perform
+        self._path = path
+        self._held: dict[str, _Lease] = {}
+        self._read()
+
+    def _read(self) -> None:
+        """Continue the leases of the process before this one: what was changed under them still stands."""
+        if self._path is None or not self._path.exists():
+            return
+        for lease in msgspec.json.decode(self._path.read_bytes(), type=list[_Lease]):
+            lease.renew()
+            self._held[lease.name] = lease
+
+    def save(self) -> None:
+        """Write the leases that are held for the process after this one."""
+        if self._path is not None:
+            write_whole(self._path, list(self._held.values()))
 
     def operations(self) -> dict[str, Callable[..., Any]]:
-        """Offer taking, renewing and giving back."""
-        return {"lease.take": self._take, "lease.renew": self._renew, "lease.end": self._end}
+        """Return the operations on leases, by name."""
+        return {"lease.take": self._take, "lease.renew": self._renew, "lease.change": self._change, "lease.end": self._end}
 
     def _take(self, name: str, seconds: float, then: str, args: Mapping[str, Any], holder: str = "") -> dict[str, Any]:
         if not (isinstance(seconds, int | float) and 0.0 < seconds <= LONGEST):
             raise ParameterError(f"{self._node}: lease {name!r} of {seconds!r} s, expected more than 0, at most {LONGEST:g} s")
         if name in self._held:
-            agreed = self._held[name][1]
+            agreed = self._held[name].seconds
             raise ParameterError(
                 f"{self._node}: lease {name!r} is held by somebody else; it ends when they are done, or {agreed:g} s after "
                 "they were heard of last: try again then"
             )
         if len(self._held) >= MOST:
             raise ParameterError(f"{self._node}: {MOST} leases are held already; end one first")
-        self._held[name] = (time.monotonic() + seconds, seconds, holder, then, dict(args))
+        lease = _Lease(name, float(seconds), holder, then, dict(args))
+        lease.renew()
+        self._held[name] = lease
+        try:
+            self.save()
+        except OSError:
+            del self._held[name]
+            raise
         return {"held": True}
 
     def _is_held(self, name: str, holder: str) -> bool:
-        return name in self._held and holder in ("", self._held[name][2])
+        return name in self._held and holder in ("", self._held[name].holder)
 
     def _renew(self, names: list[str], holder: str = "") -> dict[str, Any]:
-        """Begin anew with the time that was agreed; tells which have run out."""
+        """Restart the time of leases; return those that have run out."""
         for name in names:
             if self._is_held(name, holder):
-                _, seconds, who, then, args = self._held[name]
-                self._held[name] = (time.monotonic() + seconds, seconds, who, then, args)
+                self._held[name].renew()
         return {"run_out": [name for name in names if not self._is_held(name, holder)]}
 
+    def _change(self, name: str, operation: str, args: Mapping[str, Any], holder: str = "") -> Any:
+        """Perform an operation under a lease; refuse it once the lease has run out."""
+        if not self._is_held(name, holder):
+            raise ParameterError(
+                f"{self._node}: {operation} refused: its lease {name!r} has run out, because nothing "
+                "renewed it in time; the node has reverted what was changed under it. Start again"
+            )
+        return self._perform(operation, args)
+
     def _end(self, names: list[str], holder: str = "") -> dict[str, Any]:
-        """Give leases back: nothing will be put back any more."""
+        """End leases without reverting anything; return those that had run out."""
         gone = [name for name in names if not self._is_held(name, holder)]
         for name in set(names) - set(gone):
             del self._held[name]
+        self.save()
         return {"run_out": gone}
 
     def run_out(self) -> list[tuple[str, str, dict[str, Any]]]:
-        """Take out what has run out, the oldest first: name, operation and its arguments."""
+        """Remove the leases that have run out; return name, operation and arguments of each, oldest first.
+
+        The caller saves once it has reverted the changes: a process that ends before that leaves them to the next one.
+        """
         now = time.monotonic()
-        over = sorted((until, name) for name, (until, *_) in self._held.items() if until <= now)
-        return [(name, *self._held.pop(name)[3:]) for _, name in over]
+        over = sorted((lease for lease in self._held.values() if lease.until <= now), key=lambda lease: lease.until)
+        for lease in over:
+            del self._held[lease.name]
+        return [(lease.name, lease.then, lease.args) for lease in over]

@@ -6,7 +6,11 @@ from nodes.base.node import Node
 from nodes.parameters.registry import Registry
 from nodes.parameters.store import ParameterError
 
-NODES = Registry("haptic.nodes", "kind of node")
+NODES = Registry(
+    "haptic.nodes",
+    "kind of node",
+    lambda _, found: "" if isinstance(found, type) and issubclass(found, Node) else f"{found!r} is not a subclass of Node",
+)
 
 
 def node_kinds() -> dict[str, str]:

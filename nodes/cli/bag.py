@@ -156,13 +156,8 @@ def _record(arguments: argparse.Namespace) -> int:
         return answer(arguments.json, {"recording": str(out), "messages": count}, f"{out}: {count} messages")
 
 
-def printable(text: str) -> str:
-    """Write what a file says without what a terminal would obey: escape sequences, bells, a new title."""
-    return "".join(sign if sign.isprintable() or sign == "\n" else "\ufffd" for sign in text)
-
-
 def _counted(messages: Mapping[str, int]) -> str:
-    return printable("\n".join(f"  {topic}: {count}" for topic, count in messages.items()))
+    return "\n".join(f"  {topic}: {count}" for topic, count in messages.items())
 
 
 def _in_order(start: float | None, stop: float | None) -> tuple[float, float]:
@@ -195,7 +190,7 @@ def _info_text(recording: Recording, verdict: Completeness, remote: Mapping[str,
         lines.append(f"  {node}: {account.text}")
     for node, clock in remote.items():
         lines.append(f"  {node}: clock {-clock.offset:+.6f} s from the launcher's, known to ±{clock.error * 1e6:.0f} µs")
-    return printable("\n".join(lines))
+    return "\n".join(lines)
 
 
 def _info(arguments: argparse.Namespace) -> int:

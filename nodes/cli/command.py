@@ -17,8 +17,15 @@ def main() -> int:
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
     from nodes.cli.main import main as run
 
-    signal.signal(signal.SIGINT, before)
-    code = run()
+    try:
+        signal.signal(signal.SIGINT, before)
+        code = run()
+    except KeyboardInterrupt:
+        # Before the verb could take it, or behind its end.
+        code = 130
+    finally:
+        # Nothing is left to be put in order: what comes now ends the process without a word.
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     # It all ends now, without being looked through once more.
     gc.freeze()
     return code

@@ -14,16 +14,15 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from nodes.base import realtime
-from nodes.base.node_kinds import load, node_kinds
+from nodes.base.node_kinds import NODES, load, node_kinds
 from nodes.base.setup import Scheduling
-from nodes.cli.main import add_json, answer
-from nodes.compiled.build import find
+from nodes.cli.main import VERBS, add_json, answer
+from nodes.compiled.build import find, reason
 from nodes.compiled.cache import CacheRefusedError, folder
 from nodes.launcher.runs import MAX_IPC_PATH, RunError, runtime_dir
 from nodes.launcher.wiring import FIFO
 from nodes.parameters.installed import OURS, groups
 from nodes.parameters.registry import NotInstalledError, Registry
-from nodes.parameters.store import ParameterError
 
 DISTRIBUTION = ("/usr",)  # where the interpreters of distributions are installed
 
@@ -198,10 +197,16 @@ def _slack() -> Diagnosis:
 
 def _packages() -> Diagnosis:
     """Import what other packages have installed beside us, as a launch would that names it."""
+    from nodes.environment.surfaces import SURFACES
+    from nodes.laws.base import LAWS
+    from nodes.laws.derivatives import DERIVATIVES
+    from nodes.view.comparison import PLAYERS
+
+    registries = {one.group: one for one in (VERBS, NODES, LAWS, SURFACES, DERIVATIVES, PLAYERS)}
     broken: dict[str, str] = {}
     found = []
     for group in groups():
-        registry = Registry(group, group.partition(".")[2])
+        registry = registries.get(group) or Registry(group, group.partition(".")[2])
         for name, point in registry.points().items():
             if point.package != OURS:
                 found.append(f"{group} {name}")
@@ -219,14 +224,23 @@ def _compiled_tick() -> Diagnosis:
     """Look whether `run.tick: auto` finds the compiled ticks: it takes what is built, and never waits for the compiler."""
     modules: set[str] = set()
     for factory in node_kinds().values():
-        # A kind that cannot be imported is named under "other packages".
-        with contextlib.suppress(ParameterError):
+        # A kind that cannot be imported, or raises what it likes, is named under "other packages".
+        with contextlib.suppress(Exception):
             modules |= load(factory).modules({})
     try:
-        missing = sorted(module for module in modules if find(module) is None)
+        entries = {module: find(module) for module in sorted(modules)}
     except CacheRefusedError as error:
         remedy = "remove it, or set XDG_CACHE_HOME to a folder that only you may write to"
         return Diagnosis("limited", f"compiled code is not taken from there: {error}", remedy)
+    missing = [module for module, entry in entries.items() if entry is None]
+    failed = list(filter(None, map(reason, entries.values())))
+    if failed:
+        return Diagnosis(
+            "limited",
+            f"cannot be compiled here: {'; '.join(failed)}; auto takes the plain tick",
+            "mend what it names (python -m nodes.compiled.build MODULE says more); haptic launch floor_drop --tick compiled "
+            "compiles it again",
+        )
     if not missing:
         return Diagnosis("ok", f"built for this version and processor, auto takes it: {folder()}")
     return Diagnosis(

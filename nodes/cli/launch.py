@@ -15,6 +15,7 @@ from messages.errors import UsageError
 from messages.transport.endpoints import is_remote
 from messages.transport.requests import ControlError
 from nodes.base import realtime
+from nodes.base.printable import printable
 from nodes.base.setup import Setup
 from nodes.base.stderr_queue import drain_stderr, instead_of_stderr
 from nodes.cli.debugging import Debugging
@@ -319,7 +320,7 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
     supervisor = Supervisor(launch, say)
 
     def on_signal(number: int) -> None:
-        supervisor.stop(ended_why(str(place_of(supervisor.run))) or signal.Signals(number).name)
+        supervisor.interrupt(ended_why(str(place_of(supervisor.run))) or signal.Signals(number).name)
 
     with heeding(on_signal):
         try:
@@ -333,7 +334,7 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
     _note_cut(supervisor, figures["ticks"])
     if not arguments.json:
         # First what happened: drawing takes a second.
-        _print(_text(launch, figures, "" if supervisor.load is None else supervisor.load.text))
+        _print(printable(_text(launch, figures, "" if supervisor.load is None else supervisor.load.text)))
     if launch.run.tick == "auto" and supervisor.tick == "plain" and figures["ticks"]:
         processors = {cpu for child in supervisor.children.values() for cpu in child.setup.scheduling.cpus}
         with realtime.off(processors):

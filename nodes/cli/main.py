@@ -22,14 +22,16 @@ from typing import Any, NoReturn, TextIO
 
 from messages.errors import HapticError, UsageError
 from nodes.base.kept_line import is_smart
+from nodes.base.printable import COLOURS, printable
 from nodes.base.stderr_queue import drain_stderr
 from nodes.parameters.installed import OURS, version
 from nodes.parameters.registry import NotInstalledError, Registry
 from nodes.parameters.store import ParameterError
 
-VERBS = Registry("haptic.verbs", "verb")
+VERBS = Registry(
+    "haptic.verbs", "verb", lambda _, found: "" if callable(getattr(found, "add", None)) else f"{found!r} has no add(parser)"
+)
 ASKING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # signals that ask for an end
-_COLOURS = {"red": 31, "green": 32, "yellow": 33, "bold": 1, "dim": 2}
 
 _CHOICE = re.compile(r"invalid choice: '(?P<given>[^']*)' \((?:maybe you meant '[^']*', )?choose from (?P<known>.*)\)")
 
@@ -91,7 +93,7 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 def answer(as_json: bool, figures: Mapping[str, Any], text: str) -> int:
     """Print a verb's answer, for people, or with --json one JSON object as the last line; its exit code."""
-    print(json.dumps(figures) if as_json else text, flush=True)
+    print(json.dumps(figures) if as_json else printable(text), flush=True)
     return 0
 
 
@@ -108,12 +110,12 @@ def heeding(heed: Callable[[int], Any], numbers: Iterable[signal.Signals] = ASKI
 
 def coloured(text: str, colour: str, stream: TextIO) -> str:
     """Colour a text for people: on a terminal only, and not where NO_COLOR is set (no-color.org)."""
-    return text if not is_smart(stream) or os.environ.get("NO_COLOR") else f"\x1b[{_COLOURS[colour]}m{text}\x1b[0m"
+    return text if not is_smart(stream) or os.environ.get("NO_COLOR") else f"\x1b[{COLOURS[colour]}m{text}\x1b[0m"
 
 
 def complain(error: object) -> None:
     """Say on standard error what went wrong."""
-    print(coloured("haptic:", "red", sys.stderr), error, file=sys.stderr)
+    print(coloured("haptic:", "red", sys.stderr), printable(str(error)), file=sys.stderr)
     # A launch in this process has put a queue in place of standard error: who reads the exit code finds the reason there.
     drain_stderr()
 
@@ -145,15 +147,18 @@ def _add_registered(parser: argparse.ArgumentParser, verb: str) -> None:
             own = place.add_parser(name, help=first_line(full).replace("%", "%%"), description=first_line(full))
             try:
                 VERBS.load(full).add(own)
-            except NotInstalledError as error:
+            except (Exception, SystemExit) as error:  # noqa: BLE001  # of another package: it costs its own name
+                own = Parser(prog=own.prog, add_help=False)
+                place.choices[name] = own
                 own.add_argument("rest", nargs=argparse.REMAINDER)
                 own.set_defaults(run=partial(_refuse, error))
 
 
-def _refuse(error: NotInstalledError, arguments: argparse.Namespace) -> int:
+def _refuse(error: BaseException, arguments: argparse.Namespace) -> int:
     """Say why a sub-verb cannot be run; the others of its verb can."""
     del arguments
-    raise UsageError(str(error)) from error
+    text = str(error) if isinstance(error, NotInstalledError) else f"cannot declare its arguments: {error!r}"
+    raise UsageError(text) from error
 
 
 def first_line(name: str) -> str:

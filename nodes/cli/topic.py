@@ -17,6 +17,7 @@ import msgspec
 from messages.errors import UsageError
 from messages.schema import schema
 from messages.topics import LOOP, message_type
+from nodes.base.printable import printable
 from nodes.cli.ask import chosen_run, sub_verb
 from nodes.cli.main import answer, heeding
 from nodes.cli.publish import add as add_publish
@@ -147,10 +148,10 @@ def _echo(arguments: argparse.Namespace) -> int:
         if arguments.json:
             print(json.dumps(value), flush=True)
         elif isinstance(value, dict):
-            print("\n".join(f"{name}: {json.dumps(item, ensure_ascii=False)}" for name, item in value.items()))
+            print(printable("\n".join(f"{name}: {json.dumps(item, ensure_ascii=False)}" for name, item in value.items())))
             print("---", flush=True)
         else:
-            print(json.dumps(value, ensure_ascii=False), flush=True)
+            print(printable(json.dumps(value, ensure_ascii=False)), flush=True)
     return 0 if count else 1
 
 

@@ -191,12 +191,13 @@ def read(name: str) -> CacheEntry | None:
         raise CacheRefusedError(f"{folder() / name}: {error.strerror}") from error
     finally:
         os.close(at)
+    found = os.fstat(descriptor)
+    if not stat.S_ISREG(found.st_mode) or found.st_uid != os.getuid() or _others_write(found):
+        os.close(descriptor)
+        raise CacheRefusedError(
+            f"{folder() / name}: must be a file of user {os.getuid()} that nobody else may write to; remove it"
+        )
     with os.fdopen(descriptor, "rb") as file:
-        found = os.fstat(file.fileno())
-        if not stat.S_ISREG(found.st_mode) or found.st_uid != os.getuid() or _others_write(found):
-            raise CacheRefusedError(
-                f"{folder() / name}: must be a file of user {os.getuid()} that nobody else may write to; remove it"
-            )
         whole = file.read(LARGEST) if found.st_size <= LARGEST else b""
     digest, rest = whole[:_DIGEST], whole[_DIGEST:]
     if hashlib.sha256(rest).hexdigest().encode() != digest:

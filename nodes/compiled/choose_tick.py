@@ -21,8 +21,9 @@ def choose(
 ) -> Literal["compiled", "plain"]:
     """Settle which tick the nodes of a launch take.
 
-    ``auto`` takes the compiled one where it is there already, and makes no launch wait for the compiler; where time is scarce
-    it says what would. What was missing is compiled after the launch: `compile_later`.
+    ``auto`` takes the compiled one where it is there already, and makes no launch wait for the compiler. It always
+    says that one cannot be compiled, and where time is scarce that one is missing, which is compiled after the
+    launch: `compile_later`.
     """
     if wanted == "plain" or not modules:
         return "plain"
@@ -34,7 +35,7 @@ def choose(
     failed = next(filter(None, map(reason, found.values())), "")
     missing = [module for module, entry in found.items() if entry is None or (reason(entry) and wanted == "compiled")]
     if wanted == "auto":
-        if scarce and failed:
+        if failed:
             say(f"the plain tick runs, for the compiled one cannot be had: {failed}")
         elif scarce and missing:
             say("the plain tick runs, for the compiled one is not there yet; --tick compiled has it compiled, once")

@@ -49,7 +49,7 @@ class LawBook:
         """Whether a kind is a law with what is usual here."""
         try:
             used = set(parameters.usual) & set(_fields(kind))
-            parse_law(self._find(parameters, kind))
+            law_to_dict(parse_law(self._find(parameters, kind)))
         except ParameterError:
             return False
         return bool(used)

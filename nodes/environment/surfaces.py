@@ -32,7 +32,14 @@ __all__ = [
     "parse_surface",
 ]
 
-SURFACES = Registry("haptic.surfaces", "surface")
+
+def _wrong_surface(name: str, found: Any) -> str:
+    del name
+    is_one = isinstance(found, type) and issubclass(found, Surface)
+    return "" if is_one else f"{found!r} is not a subclass of nodes.environment.surfaces.Surface"
+
+
+SURFACES = Registry("haptic.surfaces", "surface", _wrong_surface)
 
 Meeting: TypeAlias = tuple[Vector, Vector, float, bool]  # proxy [m], outward normal, distance [m], contact
 
@@ -254,8 +261,6 @@ def parse_surface(data: dict[str, Any], where: str) -> Surface:
         kind = SURFACES.load(data.get("kind", ""))
     except NotInstalledError as error:
         raise ParameterError(f"{where}.kind: {error}") from error
-    if not (isinstance(kind, type) and issubclass(kind, Surface)):
-        raise ParameterError(f"{where}.kind: {kind!r} is registered in {SURFACES.group}, but is not a subclass of Surface")
     made: Surface = convert({k: v for k, v in data.items() if k != "kind"}, kind, where)
     return made
 

@@ -10,6 +10,7 @@ import contextlib
 import os
 import re
 from collections.abc import Mapping, Sequence
+from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,7 @@ _WHOLE = re.compile(r"^\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)$")
 _WITHIN = re.compile(r"\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)")
 _NAME = re.compile(r"(?=.{1,32}$)[a-z][a-z0-9_]*(/[a-z][a-z0-9_]*)*")
 _RUN = "run."
+LISTED = "run"  # no node's name: its setup would be the file that lists all nodes, run.json
 
 DEVICE = "device"  # argument that puts a real device in the place of a launch file's virtual one
 _DEVICE = Argument(default="none", help="a real device whose known values are taken: haptic device presets")
@@ -44,9 +46,17 @@ MAX_FILLED_IN = 4096  # longest text made of arguments, a path's length: a kilob
 def launch_dirs() -> list[Path]:
     """List where launch files are: in the wheel, beside the package, in packages under the entry points ``haptic.launch``."""
     nodes = Path(__file__).resolve().parents[1]
-    specs = [find_spec(point.value) for point in COLLECTIONS.points().values()]
+    specs = [_spec(point.value) for point in COLLECTIONS.points().values()]
     added = [Path(place) for spec in specs if spec for place in spec.submodule_search_locations or ()]
     return [path for path in (nodes / "_launch", nodes.parent / "launch", *added) if path.is_dir()]
+
+
+def _spec(package: str) -> ModuleSpec | None:
+    """Find a package with launch files; None for one that is not there or whose parent cannot be imported."""
+    try:
+        return find_spec(package)
+    except (Exception, SystemExit):  # noqa: BLE001  # `haptic doctor` names it; the other launch files are there
+        return None
 
 
 def scenarios() -> dict[str, Path]:
@@ -269,6 +279,10 @@ def _nodes(
         if not _NAME.fullmatch(node):
             raise ParameterError(
                 f"{where}: a node's name is lower-case letters, digits and _, with its namespace and / before it, at most 32"
+            )
+        if node == LISTED:
+            raise ParameterError(
+                f"{where}: {LISTED!r} is the name of the file that lists a run's nodes; give the node another, or a namespace"
             )
         if node in nodes:
             raise ParameterError(f"{where}: an included launch file has a node of that name; give it a namespace")

@@ -61,12 +61,17 @@ class Supervisor:
         self.load: Load | None = None  # how busy the chains kept their processors
         self.unjudged: dict[str, str] = {}  # nodes whose force nobody judges for stability, and why
         self._stop_asked = ""
-        self._hurry = False
+        self._interrupted = self._hurry = False
 
     def stop(self, reason: str) -> None:
-        """Ask for the end; asked twice, for a quick one. Safe in a signal handler."""
-        self._hurry = bool(self._stop_asked)
+        """Ask for the end. Safe in a signal handler."""
         self._stop_asked = self._stop_asked or reason
+
+    def interrupt(self, reason: str) -> None:
+        """Ask for the end for a user; asked twice by users, for a quick one. Safe in a signal handler."""
+        self._hurry = self._interrupted
+        self._interrupted = True
+        self.stop(reason)
 
     @property
     def ending(self) -> bool:

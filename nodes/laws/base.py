@@ -24,7 +24,14 @@ if TYPE_CHECKING:
 
 __all__ = ["LAWS", "CompiledLaw", "Law", "law_kinds", "law_names", "load_law"]
 
-LAWS = Registry("haptic.laws", "law")
+
+def _wrong_law(name: str, found: Any) -> str:
+    if not (isinstance(found, type) and issubclass(found, Law)):
+        return f"{found!r} is not a subclass of nodes.laws.Law"
+    return "" if found.kind == name else f"{found!r} calls itself {found.kind!r}; its class variable kind must be its name"
+
+
+LAWS = Registry("haptic.laws", "law", _wrong_law)
 
 
 @dataclass(frozen=True)
@@ -200,13 +207,7 @@ def load_law(kind: str) -> type[Law]:
     Raises
     ------
     NotInstalledError
-        When none of that name is installed, or it cannot be imported.
-    TypeError
-        When what is registered is not a law.
+        When none of that name is installed, it cannot be imported, or what is registered is no law.
     """
-    found = LAWS.load(kind)
-    if not (isinstance(found, type) and issubclass(found, Law)):
-        raise TypeError(f"{kind}: {found!r} is registered in {LAWS.group}, but is not a subclass of nodes.laws.Law")
-    if found.kind != kind:
-        raise TypeError(f"{kind}: {found!r} calls itself {found.kind!r}; its class variable kind must be its registered name")
+    found: type[Law] = LAWS.load(kind)
     return found

@@ -38,7 +38,7 @@ def parse_law(data: object, path: str = "law") -> Law:
         raise LawRefusedError(f"{path}.kind: {short(named)} is not an installed law or preset; {choices(named, known)}")
     try:
         law = load_law(kind)
-    except (NotInstalledError, TypeError) as error:
+    except NotInstalledError as error:
         raise LawRefusedError(f"{path}.kind: {error}") from error
     parameters = law.__struct_fields__
     unknown = [key for key in whole if key not in parameters]
@@ -49,12 +49,17 @@ def parse_law(data: object, path: str = "law") -> Law:
         return made
     except ParameterError as error:
         raise LawRefusedError(f"{error} (law kind {kind})") from error
+    except Exception as error:  # a law of another package may raise anything
+        raise LawRefusedError(f"{path}: cannot be made: {type(error).__name__}: {error} (law kind {kind})") from error
 
 
 def law_to_dict(law: Law) -> dict[str, Any]:
     """Describe a law so that `parse_law` reads the same law back; parameters that are not set are left out."""
     # Through JSON: tuples become lists, and floats come back with the same bits.
-    values: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(law))
+    try:
+        values: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(law))
+    except Exception as error:  # a law of another package may have a field of any type
+        raise LawRefusedError(f"law kind {law.kind}: cannot be written down: {type(error).__name__}: {error}") from error
     return {"kind": law.kind, **{key: value for key, value in values.items() if value is not None}}
 
 

@@ -3,12 +3,13 @@
 Nothing is imported until it is asked for by name, and of what cannot be imported only the name becomes unavailable.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
 
 from nodes.parameters import installed
-from nodes.parameters.refusals import choices
+from nodes.parameters.refusals import choices, short
 from nodes.parameters.store import ParameterError
 
 
@@ -17,11 +18,12 @@ class NotInstalledError(ParameterError):
 
 
 class Registry:
-    """One group of entry points."""
+    """One group of entry points; `wrong` says why what is registered under a name is not of its kind, or nothing."""
 
-    def __init__(self, group: str, noun: str) -> None:
+    def __init__(self, group: str, noun: str, wrong: Callable[[str, Any], str] = lambda _name, _found: "") -> None:
         self.group = group
         self._noun = noun
+        self._wrong = wrong
 
     def names(self) -> list[str]:
         """List what is installed, without importing any."""
@@ -33,20 +35,25 @@ class Registry:
 
     def load(self, name: str) -> Any:
         """Import one, or say in NotInstalledError why not."""
-        point = self.points().get(name)
+        point = self.points().get(name) if isinstance(name, str) else None
         if point is None:
-            raise NotInstalledError(f"{name!r} is not an installed {self._noun}; {choices(name, self.names())}")
+            raise NotInstalledError(f"{short(name)} is not an installed {self._noun}; {choices(name, self.names())}")
         try:
             found = point.load()
             if isinstance(found, type) and issubclass(found, msgspec.Struct):
                 # Its first decoder looks up the types of its fields: made here, where it can be said whose they are.
                 msgspec.msgpack.Decoder(found)
-            return found
+            wrong = self._wrong(name, found)
         except (Exception, SystemExit) as error:  # another package's module may raise anything while it is imported
             raise NotInstalledError(
                 f"{name!r}: the {self._noun} cannot be imported: {type(error).__name__}: {error} "
                 f"({point.value}, of the package {point.package})"
             ) from error
+        if wrong:
+            raise NotInstalledError(
+                f"{name!r}: {wrong} ({point.value}, registered in {self.group} by the package {point.package})"
+            )
+        return found
 
     def all(self) -> tuple[dict[str, Any], dict[str, str]]:
         """Import all: those that could be, by name and sorted, and why the rest could not."""

@@ -5,9 +5,11 @@ aliases are refused because a kilobyte of them expands to gigabytes. What `write
 """
 
 import contextlib
+import errno
 import fcntl
 import os
 import re
+import stat
 from typing import Any, ClassVar
 
 import yaml
@@ -196,7 +198,12 @@ class WatchedFile:
             self._seen = signature
             if signature is None or not steady or signature == self.applied:
                 return None
-            with open(self.path, "rb") as file:
+            # A pipe would be waited for until somebody writes to it, by the thread that answers requests.
+            descriptor = os.open(self.path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+                os.close(descriptor)
+                raise OSError(errno.EINVAL, "is no regular file, and is not watched")
+            with open(descriptor, "rb") as file:
                 if not self._lease(file.fileno(), fcntl.F_RDLCK):
                     return None
                 content = file.read(4 * MAX_CHARACTERS + 1)

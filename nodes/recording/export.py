@@ -20,6 +20,7 @@ import msgspec
 from messages.schema import schema
 from messages.topics import DEVICE_STATE, split
 from messages.types import Message
+from nodes.recording.facts import DEEPEST, depth
 from nodes.recording.reader import Recording
 from nodes.recording.table import COLUMNS, VECTORS, Row, read, rows
 from nodes.recording.writer import LAUNCH_FILE, MANIFEST, PARAMETERS, VERSIONS, RecordError, discard, save
@@ -65,9 +66,10 @@ def parameters(recording: Recording) -> dict[str, Any]:
 
     def parsed(text: str) -> Any:
         try:
-            return json.loads(text)
-        except ValueError:
+            found = json.loads(text)
+        except (ValueError, RecursionError):
             return text
+        return found if depth(found) <= DEEPEST else text
 
     metadata = recording.metadata
     return {

@@ -27,12 +27,17 @@ MAX_CHUNK, MAX_RATIO = 8 << 20, 1000
 """Largest chunk that is unpacked [bytes], and how often its size in the file: this project writes chunks of 64 KiB, MCAP's own
 tools of up to 4 MiB; what is packed tighter than any measurement is made to fill memory."""
 
+RUN_LENGTH, RESERVED = 1, 3  # kinds of blocks of a zstd frame
+MOST_BLOCKS = 4096  # blocks of a frame: MAX_CHUNK has 64 of the usual size
+
 FRAME = struct.Struct("<BQ")  # opcode and length in front of each record
 CHUNK_HEAD = struct.Struct("<QQQI")  # a chunk's first and last log time, uncompressed size and checksum
 _MESSAGE = struct.Struct("<HIQQ")
 _U16 = struct.Struct("<H")
 _U32 = struct.Struct("<I")
 _U64 = struct.Struct("<Q")
+
+MOST_SMALL = 64  # records of a chunk that may be smaller than a byte each, packed
 
 T = TypeVar("T")
 
@@ -142,6 +147,32 @@ def parse_message(path: Path, record: Record) -> RawMessage:
     return RawMessage(channel, sequence, log_time, publish_time, record.content[_MESSAGE.size :])
 
 
+def frame_length(data: bytes | memoryview) -> int:
+    """Return the length of the zstd frame at the beginning of some data [bytes] (RFC 8878, 3.1.1).
+
+    Raises ValueError when it is no frame, or when it is not all there.
+    """
+    try:
+        at = zstandard.frame_header_size(data)
+        has_checksum = zstandard.get_frame_parameters(data).has_checksum
+    except zstandard.ZstdError as error:
+        raise ValueError(str(error)) from error
+    is_last, blocks = False, 0
+    while not is_last:
+        blocks += 1
+        if at + 3 > len(data) or blocks > MOST_BLOCKS:
+            raise ValueError("the compressed frame does not end")
+        header = data[at] | data[at + 1] << 8 | data[at + 2] << 16
+        is_last, kind, size = bool(header & 1), header >> 1 & 3, header >> 3
+        if kind == RESERVED:
+            raise ValueError("a block of the compressed frame is of no known kind")
+        at += 3 + (1 if kind == RUN_LENGTH else size)
+    at += 4 * has_checksum
+    if at > len(data):
+        raise ValueError("the compressed frame does not end")
+    return at
+
+
 def unpack_chunk(path: Path, record: Record) -> Iterator[Record]:
     """Decompress a chunk, check it against its checksum, and split it into records, one after the other."""
 
@@ -154,6 +185,8 @@ def unpack_chunk(path: Path, record: Record) -> Iterator[Record]:
         if len(data) != length or size > limit:
             raise ValueError(f"{length} bytes that unpack to {size}, limit {limit}")
         if compression == "zstd":
+            if (frame := frame_length(data)) != length:
+                raise ValueError(f"its compressed frame ends after {frame} of {length} bytes")
             # The size inside the zstd frame decides how much memory is taken: check it before it is believed.
             if zstandard.frame_content_size(data) not in (size, -1):
                 raise ValueError("the compressed frame has another size than the chunk says")
@@ -168,12 +201,16 @@ def unpack_chunk(path: Path, record: Record) -> Iterator[Record]:
         data = _parsed(path, record, "chunk", parse)
     except zstandard.ZstdError as error:
         raise RecordError(f"{path}: damaged chunk at byte {record.offset}: {error}") from error
-    return _split(path, record.offset, data)
+    return _split(path, record.offset, data, len(record.content) + MOST_SMALL)
 
 
-def _split(path: Path, offset: int, data: bytes) -> Iterator[Record]:
-    at = 0
+def _split(path: Path, offset: int, data: bytes, most: int) -> Iterator[Record]:
+    """Split an unpacked chunk; what has more records than packed bytes is made to cost time, as their times differ."""
+    at = count = 0
     while at < len(data):
+        count += 1
+        if count > most:
+            raise RecordError(f"{path}: damaged chunk at byte {offset}: more than {most} records, as many as it has bytes")
         if at + FRAME.size > len(data):
             raise RecordError(f"{path}: damaged chunk at byte {offset}: it ends within a record's length")
         opcode, length = FRAME.unpack_from(data, at)

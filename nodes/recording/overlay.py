@@ -11,6 +11,7 @@ import numpy as np
 
 from messages.topics import DEVICE_STATE
 from messages.types import DeviceState
+from nodes.base.printable import printable
 from nodes.recording.figure_style import COLOURS, LINES
 from nodes.recording.plot import COLORS, form_of, head, new_figure, render, style
 from nodes.recording.reader import Recording
@@ -29,7 +30,9 @@ _CELLS = 2000
 def _labels(recordings: Sequence[Recording], lines: Sequence[Lines]) -> list[str]:
     """Name the runs: by scenario and law where that tells them apart, else by file."""
     facts = [
-        f"{recording.manifest.get('scenario', recording.path.stem)[:24]}, law {', '.join(line.laws)[:30] or 'unknown'}"
+        printable(
+            f"{recording.manifest.get('scenario', recording.path.stem)[:24]}, law {', '.join(line.laws)[:30] or 'unknown'}"
+        )
         for recording, line in zip(recordings, lines, strict=True)
     ]
     if len(set(facts)) == len(facts):
@@ -47,7 +50,10 @@ def _legend(figure: Figure, axes: Axes, labels: Sequence[str]) -> None:
     handles = axes.get_legend_handles_labels()[0][: len(labels)]
     columns = 2 if len(labels) > 1 and max(map(len, labels)) <= 60 else 1
     place: Any = {"loc": "outside lower left", "ncols": columns, "borderaxespad": 0.5}
-    figure.legend(handles, list(labels), fontsize=9, frameon=False, **place).set_in_layout(True)
+    legend = figure.legend(handles, list(labels), fontsize=9, frameon=False, **place)
+    legend.set_in_layout(True)
+    for text in legend.get_texts():
+        text.set_parse_math(False)
 
 
 def _checked(recordings: Sequence[Recording]) -> None:

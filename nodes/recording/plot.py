@@ -11,6 +11,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nodes.base.printable import printable
 from nodes.recording.accounts import completeness
 from nodes.recording.figure_style import settle_layout
 from nodes.recording.reader import Recording
@@ -128,7 +129,9 @@ def _draw_receipts(panels: list[Axes], lines: Lines) -> None:
         taken[row] = at + width
         place: Any = {"xycoords": ("data", "axes fraction"), "xytext": (3, 0), "textcoords": "offset points", "va": "top"}
         box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8}
-        panels[0].annotate(name, (at, 0.97 - 0.1 * row), fontsize=8, color=color, parse_math=False, bbox=box, **place)
+        panels[0].annotate(
+            printable(name), (at, 0.97 - 0.1 * row), fontsize=8, color=color, parse_math=False, bbox=box, **place
+        )
 
 
 def _subtitle(recording: Recording, summary: Summary, lines: Lines, axis: int, shown: str) -> str:
@@ -159,9 +162,9 @@ def style(axes: Axes) -> None:
 def head(axes: Axes, title: str, text: str, room: int = 21) -> None:
     """Write title and facts above the topmost panel."""
     pad = room + 14 * len(text.splitlines()) + 5
-    axes.set_title(title[:70], fontsize=14, fontweight="bold", loc="left", pad=pad, parse_math=False)
+    axes.set_title(printable(title[:70]), fontsize=14, fontweight="bold", loc="left", pad=pad, parse_math=False)
     place: Any = {"xycoords": "axes fraction", "xytext": (0, room), "textcoords": "offset points", "color": "#444a52"}
-    axes.annotate(text, (0.0, 1.0), fontsize=9, linespacing=1.35, parse_math=False, **place)
+    axes.annotate(printable(text), (0.0, 1.0), fontsize=9, linespacing=1.35, parse_math=False, **place)
 
 
 def new_figure(height: float) -> Figure:
@@ -202,6 +205,8 @@ def figure_of(recording: Recording, start: float | None = None, stop: float | No
     _draw_response(panels[-1], whole, summary, realtime)
     for axes in panels:
         style(axes)
+        if not axes.get_legend_handles_labels()[0]:
+            continue  # of stamps that go back nothing is drawn
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), borderaxespad=0.0, fontsize=8, frameon=False, ncols=6)
     _draw_receipts(shared, lines)
     for axes in {shared[-1], panels[-1]}:

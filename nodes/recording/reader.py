@@ -216,7 +216,7 @@ class Recording:
         text = self.metadata.get(record, {}).get(name)
         try:
             return kind() if text is None else msgspec.json.decode(text, type=kind)
-        except msgspec.DecodeError as error:
+        except (msgspec.DecodeError, RecursionError, UnicodeError) as error:
             raise RecordError(f"{self.path}: damaged metadata {record}.{name}: {error}") from error
 
     def require_ticks(self) -> None:

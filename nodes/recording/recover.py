@@ -30,6 +30,7 @@ from nodes.recording.writer import RecordError, mcap_writer, written
 T = TypeVar("T")
 
 _U64 = struct.Struct("<Q")
+REJECTED = 1 << 16  # work that what looks like a chunk costs where its data are none [bytes]
 
 
 class Recovered(msgspec.Struct):
@@ -56,25 +57,58 @@ def _summary(data: mmap.mmap) -> Iterator[Record]:
         offset = start + length
 
 
+class _Budget:
+    """Work that a search may spend on what only looks like a chunk, so that a small file cannot cost minutes."""
+
+    def __init__(self, size: int) -> None:
+        self._left = 32 * size + 16 * mcap_walk.MAX_CHUNK  # [bytes]; twice of what any recording unpacks to
+
+    def spend(self, work: int) -> bool:
+        """Take some work [bytes]; whether it was there."""
+        self._left -= work
+        return self._left >= 0
+
+
 def _search(path: Path) -> Iterator[Record]:
     """Find what is sound wherever it stands: the summary, then every chunk, by its header's pattern and its checksum."""
     mark = b"\x04\x00\x00\x00zstd"
     lead = FRAME.size + mcap_walk.CHUNK_HEAD.size
-    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data, memoryview(data) as view:
         yield from _summary(data)
+        budget = _Budget(len(data))
         at = data.find(mark, lead)
         while at >= 0:
+            # Its opcode may be what is damaged, too: its content has a checksum.
             start, following = at - lead, at + 1
-            body = at + len(mark) + _U64.size
-            if data[start] == mcap_walk.CHUNK and body <= len(data):
-                # Up to where its data end: the record's own length may be what is damaged, and stride over the next chunk.
-                end = body + _U64.unpack_from(data, body - _U64.size)[0]
-                if end <= len(data):
-                    with contextlib.suppress(RecordError):
-                        content = data[start + FRAME.size : end]
-                        yield from mcap_walk.unpack_chunk(path, Record(start, mcap_walk.CHUNK, content))
-                        following = end
+            content = _chunk_at(view, start, budget)
+            if content is None:
+                return
+            with contextlib.suppress(RecordError):
+                yield from mcap_walk.unpack_chunk(path, Record(start, mcap_walk.CHUNK, content))
+                following = start + FRAME.size + len(content)
             at = data.find(mark, following)
+
+
+def _chunk_at(view: memoryview, start: int, budget: _Budget) -> bytes | None:
+    """Return what may be a chunk, empty if it is none, None once the budget is spent.
+
+    Both its lengths are read from its data: the record's own and the one inside may be what is damaged, and stride over the
+    next chunk.
+    """
+    head = start + FRAME.size
+    body = head + mcap_walk.CHUNK_HEAD.size + 8 + _U64.size
+    (size,) = _U64.unpack_from(view, head + 2 * _U64.size)
+    if size > mcap_walk.MAX_CHUNK:
+        return b""
+    # What cannot be packed is stored as it is, with some bytes for each of its blocks.
+    with view[body : body + size + size // 64 + 64] as packed:
+        try:
+            length = mcap_walk.frame_length(packed)
+        except ValueError:
+            return b"" if budget.spend(REJECTED) else None
+    if not budget.spend(length + size):
+        return None
+    return bytes(view[head : body - _U64.size]) + _U64.pack(length) + bytes(view[body : body + length])
 
 
 def _problems(path: Path) -> list[str]:

@@ -200,6 +200,6 @@ class Lines:
         for line, share in ((self.position, 0.01), (self.force, 0.02)):
             time, values = line.arrays()
             values = values[:, self.axis]
-            away = np.abs(values - values[-1]) > share * np.ptp(values) if len(values) else np.array([])
+            away = np.abs(values - values[-1]) > share * np.ptp(values) if len(values) else np.zeros(0, dtype=bool)
             last = max([last, *time[away][-1:]])
         return last - self.begin

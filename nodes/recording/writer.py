@@ -7,8 +7,10 @@ most one cut record at the end, and a full disk leaves whole chunks only. No num
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import platform
+import stat
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -49,13 +51,29 @@ class Output:
     def __init__(self, path: Path, overwrite: bool) -> None:
         self.path = path
         self.size = 0  # bytes handed over so far
-        flags = os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | (os.O_TRUNC if overwrite else os.O_EXCL)
+        flags = os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | (0 if overwrite else os.O_EXCL)
         try:
             self.descriptor = os.open(path, flags, 0o644)  # file descriptor; -1 once closed
+            self._claim()
         except FileExistsError as error:
             raise RecordError(f"{path}: exists already; give another name or ask for it to be overwritten") from error
         except OSError as error:
             raise RecordError(f"{path}: cannot be created: {error.strerror}") from error
+
+    def _claim(self) -> None:
+        """Be its only writer until it is closed, and empty it; RecordError while another process writes to it."""
+        if not stat.S_ISREG(os.fstat(self.descriptor).st_mode):
+            return
+        try:
+            fcntl.flock(self.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            self.close()
+            raise RecordError(
+                f"{self.path}: another process is writing it, and both would be lost; give another name, or end that one first"
+            ) from error
+        except OSError:
+            pass  # a file system without locks
+        os.ftruncate(self.descriptor, 0)
 
     def write(self, data: bytes) -> int:
         """Hand over some bytes, all of them or none."""

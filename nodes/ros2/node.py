@@ -32,6 +32,7 @@ from nodes.ros2.graph import Backend, Graph, choose, join
 
 POSE, WRENCH = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped"
 
+MOST_FRAMES = 16  # other frames that are told of
 SELDOM = 1.0  # how often what seldom changes is published [s]: the law, the wall
 ASKING = 0.5  # longest wait for a node's answer [s]
 ACROSS, THICK = 0.3, 0.002  # how large and how thick a plane is drawn [m]
@@ -42,7 +43,7 @@ class Ros2Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
     rate: How often the newest of each is published [Hz].
     prefix: What stands before the topics, behind the namespace of the chain: ``/left/haptic/device/pose``.
-    frame: Frame of positions and forces.
+    frame: Frame of positions and forces; of what comes from the graph too, where it names one: others are refused.
     backend: ``rclpy``, ``cyclonedds``, or ``auto``: rclpy where it imports.
     wrench: Topic of a WrenchStamped, behind the namespace of the chain, whose force is handed to the driver on top of the
         law's; empty for none. The driver must allow it (``external``).
@@ -89,6 +90,7 @@ class Ros2(Node):
         self._lines: dict[str, Connection] = {}
         self._roles: dict[str, str] = {}
         self._hand: PointerWriter | None = None
+        self._foreign: set[tuple[str, str]] = set()  # what was refused for its frame, and told: what it is, and the frame
         self._wrench: Any = None  # the newest force from the graph that was not handed on yet
 
     def configure(self) -> None:
@@ -180,9 +182,26 @@ class Ros2(Node):
         self.events.emit("stale", f"{name}: stamped {age:.3f} s before it came, limit {limit:g} s; refused")
         return False
 
+    def _is_ours(self, name: str, frame: str) -> bool:
+        """Whether a message is in our frame, or names none; another one is refused, and told once.
+
+        A force in a tool's frame would push in some other direction. tf is not asked: what it knows may be old.
+        """
+        # tf 1 had a slash before it.
+        ours = frame.removeprefix("/") in ("", self.store.current.frame.removeprefix("/"))
+        if not ours and (name, frame) not in self._foreign and len(self._foreign) < MOST_FRAMES:
+            self._foreign.add((name, frame))
+            self.events.emit_each(
+                "frame",
+                f"{name}: in frame {frame[:100]!r}, expected {self.store.current.frame!r} or none; refused. Transform it into "
+                "our frame before it is published",
+            )
+        return ours
+
     def _take_wrench(self, message: Any) -> None:
         self.received += 1
-        self._wrench = message
+        if self._is_ours("wrench", message.header.frame_id):
+            self._wrench = message
 
     def _push(self) -> None:
         """Ask for the newest force that came: a request takes some ms, and one for each would hold up the graph."""
@@ -200,6 +219,8 @@ class Ros2(Node):
     def _take_target(self, message: Any) -> None:
         point = message.pose.position
         self.received += 1
+        if not self._is_ours("target", message.header.frame_id):
+            return
         if self._hand is not None and self._fresh("target", message.header.stamp):
             try:
                 self._hand.write((point.x, point.y, point.z))

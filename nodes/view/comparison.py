@@ -19,7 +19,7 @@ from nodes.base.workers import Workers
 from nodes.launcher.runs import RunInfo
 from nodes.parameters.registry import Registry
 
-PLAYERS = Registry("haptic.beside", "player")
+PLAYERS = Registry("haptic.beside", "player", lambda _, found: "" if callable(found) else f"{found!r} cannot be called")
 """By kind of driver: position and force from the nodes, a law, the targets of the hand, its beginning and a delay."""
 
 PERIOD = 0.05  # how often B is played on [s]

@@ -17,9 +17,10 @@ import numpy as np
 from messages.topics import DEVICE_STATE, PROXY
 from messages.types import DeviceState, Proxy, Vector
 from nodes.parameters.store import ParameterError
+from nodes.recording.facts import parameters_of, period_of, refuse_foreign_files
 from nodes.recording.reader import Recording
 from nodes.recording.recover import Copy
-from nodes.recording.writer import MANIFEST, PARAMETERS, RecordError, mcap_writer, written
+from nodes.recording.writer import RecordError, mcap_writer, written
 from nodes.view.drawn_bodies import RecordedBodies, met_ticks
 from nodes.view.shape import shape_of
 
@@ -27,6 +28,7 @@ SCENE, FRAME = "/scene", "haptic"
 
 MOST = 60.0  # updates of the scene per second of the run
 LATE = 50  # ticks that bodies which move may have been at before they are first seen: a hand has not reached them
+USUAL = 0.002  # sampling period where the manifest tells none [s]
 PER_NEWTON = 0.01  # length at which a force of 1 N is drawn [m]
 _SMALLEST = 0.001
 _NO_TURN = (0.0, 0.0, 0.0, 1.0)
@@ -130,6 +132,8 @@ class DrawnScene:
         for node, parameters in nodes.items():
             chain = node.rpartition("/")[0]
             try:
+                if recording is not None and ("surface" in parameters or "scene" in parameters):
+                    refuse_foreign_files(recording, parameters, node)
                 if "surface" in parameters:
                     shape = shape_of(parameters)
                     self._surfaces[node] = shape.get("triangles", [])
@@ -138,7 +142,7 @@ class DrawnScene:
                     topic = f"/{chain}{PROXY}" if chain else PROXY
                     met = None if recording is None else met_ticks(recording, topic)
                     self._bodies[chain] = _Bodies(dict(parameters), period, node, met)
-            except (ParameterError, OSError) as error:
+            except (ParameterError, RecordError, OSError) as error:
                 self.left_out.append(f"{node}: {error}")
 
     def still(self, at: int) -> list[dict[str, Any]]:
@@ -213,9 +217,8 @@ def export_foxglove(recording: Recording, out: str | Path, *, overwrite: bool = 
     out = Path(out)
     if out.exists() and out.samefile(recording.path):
         raise RecordError(f"{out}: is the recording itself; give another name")
-    period = 1.0 / float(recording.metadata.get(MANIFEST, {}).get("rate_hz", 500.0))
-    parameters = recording.metadata.get(PARAMETERS, {})
-    scene = DrawnScene({node: msgspec.json.decode(text) for node, text in parameters.items()}, period, recording)
+    period = period_of(recording) if "rate_hz" in recording.manifest else USUAL
+    scene = DrawnScene(parameters_of(recording), period, recording)
     begun = False
     with written(out, overwrite) as output:
         writer = mcap_writer(output)
@@ -226,13 +229,13 @@ def export_foxglove(recording: Recording, out: str | Path, *, overwrite: bool = 
             writer.add_metadata("scene", {"left_out": "; ".join(scene.left_out)})
         schema = writer.register_schema("foxglove.SceneUpdate", "jsonschema", msgspec.json.encode(SCHEMA))
         channel = writer.register_channel(SCENE, "json", schema)
-        for topic, raw, _ in recording.raw():
+        for topic, raw, offset in recording.raw():
             copy.message(raw)
             entities = [] if begun else scene.still(raw.publish_time)
             begun = True
             decoder = _STATE if topic.endswith(DEVICE_STATE) else _PROXY if topic.endswith(PROXY) else None
             if decoder is not None:
-                entities += scene.moving(topic, decoder.decode(raw.data), raw.publish_time)
+                entities += scene.moving(topic, recording.decode(decoder, raw, offset), raw.publish_time)
             if entities:
                 update = msgspec.json.encode({"deletions": [], "entities": entities})
                 writer.add_message(channel, raw.log_time, update, raw.publish_time)

@@ -7,7 +7,6 @@ kept with its time. Each page then has its own place in it.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 import time
 from bisect import bisect_right
@@ -26,6 +25,7 @@ from nodes.base.setup import AXIS_INDEX
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
 from nodes.parameters.store import ParameterError, convert
+from nodes.recording.facts import axes_of, group, parameters_of, period_of, publishers_of, refuse_foreign_files
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
 from nodes.view.commands import CommandError
@@ -64,13 +64,8 @@ class Timeline:
 
 
 def _facts(recording: Recording) -> Facts:
-    manifest = recording.manifest
-    try:
-        period = 1.0 / float(manifest["rate_hz"])
-        axes = manifest["axes"].split(",")
-    except (KeyError, ValueError, ZeroDivisionError) as error:
-        raise RecordError(f"{recording.path}: its manifest tells no rate_hz and axes: it cannot be replayed") from error
-    published = msgspec.json.decode(manifest.get("publishes", "{}"), type=dict[str, list[str]])
+    manifest, period, axes = recording.manifest, period_of(recording), axes_of(recording)
+    published = publishers_of(recording)
     # Of an older recording nobody knows it but by its usual name.
     driver = next((name for name, topics in published.items() if DEVICE_STATE in topics), "driver")
     summary, run = manifest.get("summary", ""), manifest.get("run", recording.path.stem)
@@ -100,7 +95,9 @@ class ReplayPages:
         self._plant: Any = None
         self._shape: dict[str, Any] = {}
         self._delay = 0.0
-        self._read(recording, progress)
+        notices = self._read(recording, progress)
+        if not recording.complete:
+            notices.append(f"The recording is cut: it ends at {self.begin + self.duration:.1f} s.")
         feed = self.live.feed
         document = {
             "series": feed.names,
@@ -110,7 +107,7 @@ class ReplayPages:
             "has_hand": any(scene[16:19] != (0.0, 0.0, 0.0) for scene, _ in self.scenes.items),
             "begin_s": self.begin,
             "end_s": self.begin + self.duration,
-            "notice": "" if recording.complete else f"The recording is cut: it ends at {self.begin + self.duration:.1f} s.",
+            "notice": " ".join(notices),
             "shape": self._shape,
             "fields": all_law_fields(),
         }
@@ -120,8 +117,9 @@ class ReplayPages:
         self._mapping = ThreadPoolExecutor(1, "map")
         self._maps: dict[str, dict[str, Any]] = {}
 
-    def _read(self, recording: Recording, progress: Callable[[float], None]) -> None:
-        self._read_parameters(recording)
+    def _read(self, recording: Recording, progress: Callable[[float], None]) -> list[str]:
+        """Play it once; return what a page is to say about it."""
+        notices = self._read_parameters(recording)
         live, period = self.live, self._facts.period
         known = [topic for topic in recording.topics if topic in (DEVICE_STATE, PROXY, FORCE, RECEIPT) or topic.count("/") == 2]
         delays = states = 0.0
@@ -154,6 +152,7 @@ class ReplayPages:
                 progress((at - self.begin) / max(self.duration, period))
         live.feed.file(all_of_them=True)
         self._delay = delays / states if states else 0.0
+        return notices
 
     def _read_over(self, path: Path) -> str:
         recording = Recording(path)
@@ -169,30 +168,35 @@ class ReplayPages:
         }
         return msgspec.json.encode({"type": "over", "name": path.stem, **document}).decode()
 
-    def _read_parameters(self, recording: Recording) -> None:
-        """Take the laws that the run began with from what was recorded with it."""
-        for name, text in recording.metadata.get("parameters", {}).items():
-            parameters = msgspec.json.decode(text)
+    def _read_parameters(self, recording: Recording) -> list[str]:
+        """Read the laws that the run began with, and its scene; return why a scene is not drawn."""
+        notices: list[str] = []
+        for name, parameters in parameters_of(recording).items():
             if "law" in parameters:
                 self._read_coupling(name, parameters)
             elif "device" in parameters:
                 self._driver = parameters
             elif ("surface" in parameters or "scene" in parameters) and len(self._facts.axes) > 1:
-                self._read_shape(name, parameters, recording)
-        if self.laws.items and "delay" in self._driver.get("device", {}):
-            self.laws.items[0]["device_delay"] = self._driver["device"]["delay"]
+                notices += self._read_shape(name, parameters, recording)
+        if self.laws.items and isinstance(delay := group(self._driver, "device").get("delay"), int | float):
+            self.laws.items[0]["device_delay"] = delay
+        return notices
 
-    def _read_shape(self, name: str, parameters: dict[str, Any], recording: Recording) -> None:
+    def _read_shape(self, name: str, parameters: dict[str, Any], recording: Recording) -> list[str]:
         from nodes.view.drawn_bodies import RecordedBodies, met_ticks
         from nodes.view.shape import bodies_of, shape_of
 
-        # A shape that is not installed here, or a file that has gone: the flat views remain.
-        with contextlib.suppress(ParameterError, OSError):
+        # A shape that is not installed here, or a file that has gone or is not opened: the flat views remain.
+        try:
+            refuse_foreign_files(recording, parameters, name)
             if "scene" in parameters:
                 self._bodies = RecordedBodies(parameters, self._facts.period, name, met_ticks(recording))
                 self._shape = bodies_of(self._bodies.world)
             else:
                 self._shape = shape_of(parameters)
+        except (ParameterError, RecordError, OSError) as error:
+            return [f"The scene is not drawn: {error}"]
+        return []
 
     def _read_coupling(self, name: str, parameters: dict[str, Any]) -> None:
         try:
@@ -210,7 +214,9 @@ class ReplayPages:
         try:
             after = msgspec.json.decode(receipt.after)
             law = after.pop("law")
-        except (msgspec.DecodeError, KeyError, AttributeError):
+        except (msgspec.DecodeError, RecursionError, KeyError, AttributeError, TypeError):
+            return
+        if not isinstance(law, str):
             return
         before: dict[str, Any] = self.laws.items[-1] if self.laws.items else {"node": "", "laws": {}, "ramp": 0}
         laws = {**before["laws"], law: after} if "kind" in after else before["laws"]
@@ -251,12 +257,13 @@ class ReplayPages:
     def _with(self, later: float | None) -> tuple[Any, dict[str, Any]]:
         """Give what a map is drawn for when the device answers so many ticks later than it is."""
         plant, driver = self._plant, self._driver
-        if later is None or "device" not in driver:
+        device = group(driver, "device")
+        if later is None or not device:
             return plant, driver
-        before = float(driver["device"].get("delay", 0.0))
+        before = float(device.get("delay", 0.0))
         if plant is not None:
             plant = {**plant, "device_delay": max(0.0, float(plant.get("device_delay", 0.0)) + later - before)}
-        return plant, {**driver, "device": {**driver["device"], "delay": later}}
+        return plant, {**driver, "device": {**device, "delay": later}}
 
 
 class ReplayPage:

@@ -10,6 +10,7 @@ from messages.errors import UsageError
 from nodes.cli.quantities import declare, interval
 from nodes.laws import Law, law_names, load_law
 from nodes.laws.parse import law_to_dict, parse_law
+from nodes.parameters.registry import NotInstalledError
 from nodes.parameters.yaml_io import parse_yaml
 from nodes.stability.plant import Plant
 from sim.cli.answers import given
@@ -78,5 +79,5 @@ def law(arguments: argparse.Namespace, name: str, gain: float | None = None, nom
         if "stiffness" in fields:
             data.setdefault("stiffness", 1.0)
         return parse_law(data)
-    except TypeError as error:
+    except NotInstalledError as error:
         raise UsageError(str(error)) from error

@@ -15,6 +15,7 @@ import numpy as np
 from messages.topics import DEVICE_STATE
 from nodes.laws import CompiledLaw
 from nodes.parameters.yaml_io import parse_yaml
+from nodes.recording.facts import period_of
 from nodes.recording.reader import Recording
 from nodes.recording.summary import quantile
 from nodes.stability.plant import Plant
@@ -44,9 +45,7 @@ def measure(path: Path) -> Measured:
     states = recording.messages(DEVICE_STATE)
     if len(states) < 100:
         raise ValueError(f"{path}: {len(states)} ticks recorded, at least 100 are needed to tell delay and jitter")
-    rate = float(recording.manifest.get("rate_hz", 0.0))
-    if not rate > 0.0:
-        raise ValueError(f"{path}: its manifest tells no rate_hz")
+    period = period_of(recording)
     device = node_with(recording, "device").get("device", {})
     own = float(device.get("delay", 0.0))
     # Each state tells of the tick before it; the first one, and a loop without forces yet, have none. A tick that was not
@@ -60,7 +59,7 @@ def measure(path: Path) -> Measured:
         raise ValueError(f"{path}: a real-time run without any delay: it was recorded before delays were; record it again")
     low, middle, high = (quantile(answered, fraction) for fraction in (0.001, 0.5, 0.999))
     told = (low, high), middle, high - low, delays, len(delays) - len(answered)
-    return Measured(1.0 / rate, *told, device.get("mass"), device.get("damping"))
+    return Measured(period, *told, device.get("mass"), device.get("damping"))
 
 
 def node_with(recording: Recording, name: str) -> dict[str, Any]:

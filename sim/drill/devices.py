@@ -168,6 +168,16 @@ class StandIn:
         rig.let_pass(BAD)
         self.arm.state.slow_ms = 0
 
+    def twice(self, rig: Rig) -> None:
+        """Send each state twice: the driver must end, and come back once the service is in order."""
+        self.held()
+        before = rig.pid("driver")
+        self.arm.fail("twice")
+        wait_for(lambda: "[driver] ended: " in rig.errors, "the driver gives the service up")
+        self.force_ends()
+        self.arm.fail("")
+        await_another(rig, "driver", before)
+
     def kill_service(self, rig: Rig) -> None:
         """Kill the service, and start it again where it was."""
         if self._service is None:
@@ -196,5 +206,6 @@ def faults() -> list[Fault]:
         else:
             rows.append(("service dies", "SIGKILL, started again", stand.kill_service))
             rows.append(("service slow", f"each answer 80 ms late for {BAD:g} s", stand.slow))
+            rows.append(("answers twice", "each state sent twice, then once again", stand.twice))
         found += [fault_of(stand, f"{kind.title} {name}", what, strike) for name, what, strike in rows]
     return found

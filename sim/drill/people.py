@@ -73,13 +73,13 @@ def thrown(states: Sequence[DeviceState]) -> list[str]:
     return wrong
 
 
-def _held(content: dict[str, Any]) -> None:
+def held_at_a_point(content: dict[str, Any]) -> None:
     """Hold the device at a point, as a launch does that a law is tuned on; nobody touches it."""
     del content["nodes"]["driver"]["parameters"]["device"]["hand"]
     content["nodes"]["environment"]["parameters"]["surface"] = {"kind": "anchor", "position": [0.0, 0.0, 0.0]}
 
 
-def _designed(rig: Rig) -> None:
+def leave_a_design(rig: Rig) -> None:
     """Leave what a design and a prediction leave: a law to be tried from above itself."""
     h1 = sum(TAPS)
     edges = {"edge_linear_h1_n_per_m": 10.0 * h1, "edge_linear_factor": 10.0, "drops_settled": 0, "drops": 0}
@@ -97,7 +97,7 @@ def _designed(rig: Rig) -> None:
     (folder / "tune.json").write_text(json.dumps(said), encoding="utf-8")
 
 
-def _borrowed(rig: Rig) -> tuple[Any, Any]:
+def borrowed_now(rig: Rig) -> tuple[Any, Any]:
     """Ask for what a verb borrows: the active law, and the surface."""
     try:
         return rig.call("coupling", "law.list")["active"], rig.call("environment", "param.get", name="surface")
@@ -107,9 +107,9 @@ def _borrowed(rig: Rig) -> tuple[Any, Any]:
 
 def _end_tuning(rig: Rig) -> None:
     """Tune, and end it by each signal while a law is on trial: the launch must have its own law and surface again."""
-    before = _borrowed(rig)
+    before = borrowed_now(rig)
     for number in SIGNALS:
-        _designed(rig)
+        leave_a_design(rig)
         with rig.beside("tune", "--steps", "verify") as tuning:
             try:
                 _end_on_trial(rig, tuning, number)
@@ -117,11 +117,11 @@ def _end_tuning(rig: Rig) -> None:
                 tuning.kill()
         # What was killed gives nothing back: the leases of the nodes do.
         patience = BACK if number == signal.SIGKILL else 1.0
-        wait_for(lambda: _borrowed(rig) == before, f"the launch's own law and surface after {number.name}", patience)
+        wait_for(lambda: borrowed_now(rig) == before, f"the launch's own law and surface after {number.name}", patience)
 
 
 def _end_on_trial(rig: Rig, tuning: subprocess.Popen[bytes], number: signal.Signals) -> None:
-    wait_for(lambda: tuning.poll() is not None or _borrowed(rig)[0] == TRIAL, "a law on trial", 30.0)
+    wait_for(lambda: tuning.poll() is not None or borrowed_now(rig)[0] == TRIAL, "a law on trial", 30.0)
     tuning.send_signal(number)
     try:
         code = tuning.wait(BACK)
@@ -134,14 +134,14 @@ def _end_on_trial(rig: Rig, tuning: subprocess.Popen[bytes], number: signal.Sign
 
 def _press(rig: Rig) -> None:
     """Ask for an identification and a tuning while a hand presses: both must refuse, and leave the launch as it is."""
-    before = _borrowed(rig)
-    _designed(rig)
+    before = borrowed_now(rig)
+    leave_a_design(rig)
     for words in (("device", "identify"), ("tune", "--steps", "verify")):
         done = rig.haptic(*words, code=None)
         said, verb = done.stdout + done.stderr, f"haptic {' '.join(words)}"
         if done.returncode != 1 or "let go first" not in said:
             raise MeasurementError(f"{verb}: exit code {done.returncode} while a hand presses: {said[-500:]}")
-        if _borrowed(rig) != before:
+        if borrowed_now(rig) != before:
             raise MeasurementError(f"{verb}: refused, and has changed law or surface all the same")
 
 
@@ -162,6 +162,6 @@ def faults() -> list[Fault]:
     signals = ", ".join(number.name for number in SIGNALS)
     return [
         Fault("hand sinks in", sinks, _let_sink, change=_pushed, judge=thrown),
-        Fault("tune ended", f"{signals} with a law on trial", _end_tuning, change=_held),
+        Fault("tune ended", f"{signals} with a law on trial", _end_tuning, change=held_at_a_point),
         Fault("pressed device", "identify and tune while a hand presses", _press, judge=unasked),
     ]

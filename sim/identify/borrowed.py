@@ -1,7 +1,8 @@
-"""A running launch whose law and surface are borrowed for a while, and put back whatever happens to who borrowed them.
+"""A running launch whose law and surface are borrowed, and restored whatever happens to the borrower.
 
-The surface goes back first and the law after it: at no time does a stiff law meet a point that has jumped. What is borrowed
-stands under leases, renewed from here several times a second; when this process is gone, the nodes put surface and law back.
+The surface is restored first and the law after it: at no time does a stiff law meet a point that has
+jumped. Everything is changed under leases, which this process renews several times a second. When it
+is killed or held up (Ctrl-Z), the nodes restore surface and law and refuse its later changes.
 """
 
 import contextlib
@@ -54,6 +55,8 @@ class PushedLaunch:
         # The driver's limits, by `read_limits`: force [N], change per tick [N].
         self.peak: float | None = None
         self.slew: float | None = None
+        self.holder = ""  # of the leases that this process has taken; empty while it has none
+        self.leased: set[str] = set()  # nodes that hold one
 
     def poses(self) -> tuple[float, float] | None:
         """Ask a device that knows its inertia by how much it is lighter and heavier elsewhere, along its first axis [kg]."""
@@ -135,9 +138,14 @@ class PushedLaunch:
             heard.close()  # type: ignore[attr-defined]
 
     def change(self, node: str, operation: str, **arguments: Any) -> Any:
-        """Ask a node to change something; a signal that comes meanwhile waits for its answer."""
+        """Change something at a node, under its lease if it has one; a signal that comes meanwhile waits for the answer.
+
+        Raises RefusedError when the node refuses, or when the lease has run out.
+        """
         with whole():
-            return ask(self.run, node, operation, **arguments)
+            if node not in self.leased:
+                return ask(self.run, node, operation, **arguments)
+            return ask(self.run, node, "lease.change", name=LEASE, holder=self.holder, operation=operation, args=arguments)
 
     def soften(self, load: float) -> None:
         """Let a soft spring hold the device, whatever the surface is."""
@@ -188,14 +196,15 @@ def _at_rest(loop: PushedLaunch, amplitude: float) -> float:
 
 
 class Borrowed:
-    """Law and surface of a launch in other hands."""
+    """Law and surface of a launch while they are borrowed, and what else is borrowed with them."""
 
     def __init__(self, loop: PushedLaunch) -> None:
         self._loop = loop
         self.law, self._surface = self._found()  # what comes back at the end
         self.not_put_back = ""  # why law or surface could not be put back; empty when they were
-        self._lost, self._taken = "", list[str]()  # why what was borrowed is lost; the nodes where leases were taken
-        self._holder = f"{os.getpid()}-{time.monotonic_ns()}"
+        self._lost = ""  # why what was borrowed is lost
+        self._reverts: dict[str, tuple[str, dict[str, Any]]] = {}  # by leased node: operation and arguments that revert
+        loop.holder = f"{os.getpid()}-{time.monotonic_ns()}"
         self._over = threading.Event()
         self._renewing = threading.Thread(target=self._renew, name="leases", daemon=True)
 
@@ -205,32 +214,34 @@ class Borrowed:
         return law, ask(loop.run, loop.environment, "param.get", name="surface")
 
     def take(self) -> None:
-        """Take the leases."""
+        """Take the leases of law and surface."""
         loop = self._loop
-        longer = PATIENT if loop.run.nodes[loop.driver].pace == "lockstep" else 1.0
-        law, surface = {"law": self.law, "ramp": RAMP, "force": True}, {"values": {"surface": self._surface}}
-        rows = ((loop.coupling, LAW_LEASE, "law.switch", law), (loop.environment, SURFACE_LEASE, "param.set", surface))
-        for node, seconds, then, args in rows:
-            self._taken.append(node)
-            try:
-                loop.change(node, "lease.take", name=LEASE, holder=self._holder, seconds=longer * seconds, then=then, args=args)
-            except RefusedError:
-                # What is there now may be another tuning's, which alone knows the user's own.
-                self._taken.remove(node)
-                raise
+        self.borrow(loop.coupling, LAW_LEASE, "law.switch", law=self.law, ramp=RAMP, force=True)
+        self.borrow(loop.environment, SURFACE_LEASE, "param.set", values={"surface": self._surface})
         if self._found() != (self.law, self._surface):
             # Another tuning gave them back after they were looked at here: what was seen may have been its law on trial.
             raise RefusedError(f"{loop.run.run}: law or surface were changed just now by somebody else; try again")
         self._renewing.start()
 
+    def borrow(self, node: str, seconds: float, revert: str, **arguments: Any) -> None:
+        """Take a lease at a node: it is reverted by an operation at the end, or after so long without a renewal [s]."""
+        loop = self._loop
+        longer = PATIENT if loop.run.nodes[loop.driver].pace == "lockstep" else 1.0
+        # A node that refuses holds another's lease: what is there now may be another tuning's.
+        with whole():
+            agreed: dict[str, Any] = {"seconds": longer * seconds, "then": revert, "args": arguments}
+            ask(loop.run, node, "lease.take", name=LEASE, holder=loop.holder, **agreed)
+            self._reverts[node] = revert, arguments
+            loop.leased.add(node)
+
     def _holds(self, node: str) -> bool:
         """Renew a lease; False where it has run out, and may be another's by now."""
-        return not ask(self._loop.run, node, "lease.renew", names=[LEASE], holder=self._holder)["run_out"]
+        return not ask(self._loop.run, node, "lease.renew", names=[LEASE], holder=self._loop.holder)["run_out"]
 
     def _renew(self) -> None:
         while not self._over.wait(RENEWED):
             try:
-                for node in (self._loop.environment, self._loop.coupling):
+                for node in list(self._reverts):
                     if not self._holds(node):
                         self._lost = f"{node}: this process was held up for too long, and the launch took law and surface back"
             except RefusedError as error:
@@ -242,22 +253,31 @@ class Borrowed:
             raise RefusedError(self._lost)
 
     def give_back(self) -> None:
-        """Put surface and law back; a launch that has ended meanwhile has nothing to put back."""
+        """Restore what was borrowed, law last; a launch that has ended meanwhile has nothing to restore."""
         self._over.set()
         with undisturbed():
             begun, loop = self._renewing.ident is not None, self._loop
             if begun:
                 self._renewing.join()
             try:
-                held = [node for node in self._taken if self._holds(node)]
-                if begun and loop.environment in held:
-                    ask(loop.run, loop.environment, "param.set", values={"surface": self._surface})
-                if begun and loop.coupling in held:
-                    ask(loop.run, loop.coupling, "law.switch", law=self.law, ramp=RAMP, force=True)
-                for node in held:
-                    ask(loop.run, node, "lease.end", names=[LEASE], holder=self._holder)
-            except RefusedError as error:
-                self.not_put_back = str(error)
+                for node in reversed(self._reverts):
+                    self._revert(node, begun)
+            finally:
+                loop.leased.clear()
+                loop.holder = ""
+
+    def _revert(self, node: str, begun: bool) -> None:
+        """Restore one node and end its lease; a node that refuses keeps the lease, and tries again when it runs out."""
+        loop = self._loop
+        try:
+            if not self._holds(node):
+                return
+            if begun:
+                operation, arguments = self._reverts[node]
+                loop.change(node, operation, **arguments)
+            ask(loop.run, node, "lease.end", names=[LEASE], holder=loop.holder)
+        except RefusedError as error:
+            self.not_put_back = self.not_put_back or str(error)
 
 
 @contextlib.contextmanager

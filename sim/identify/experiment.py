@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from messages.topics import DEVICE_STATE
 from nodes.base.setup import AXIS_INDEX
+from nodes.recording.facts import period_of
 from nodes.recording.reader import Recording
 from sim.arrays import Array
 from sim.identify.forces import handed_over
@@ -55,9 +56,7 @@ def lockstep(period: float, position: Array, force: Array, delay: float = 0.0, a
 def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**53)) -> Experiment:
     """Read one axis of a recording, from a tick to before another."""
     recording = Recording(path)
-    rate = float(recording.manifest.get("rate_hz", 0.0))
-    if not rate > 0.0:
-        raise ValueError(f"{path}: its manifest tells no rate_hz")
+    period = period_of(recording)
     states = [state for state in recording.messages(DEVICE_STATE) if within[0] <= state.seq < within[1]]
     if len(states) < SHORTEST:
         raise ValueError(f"{path}: {len(states)} ticks recorded, at least {SHORTEST} are needed to identify a device")
@@ -89,7 +88,7 @@ def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**5
     late = np.zeros(len(ticks), dtype=bool)
     late[seq[:-1][skipped & fresh & (answers[:-1] >= 0)] - seq[0]] = True
     late[handed.unsure - seq[0]] = True
-    return Experiment(1.0 / rate, whole, segments, handed.at - seq[0], handed.force, handed.delay, axis, missing, late)
+    return Experiment(period, whole, segments, handed.at - seq[0], handed.force, handed.delay, axis, missing, late)
 
 
 LEAST_VALUES = 8  # fewer different positions could lie on many grids

@@ -18,6 +18,7 @@ from nodes.laws.base import Law
 from nodes.laws.parse import compile_law, law_to_dict, parse_law
 from nodes.parameters.store import ParameterError, merge
 from nodes.parameters.yaml_io import parse_yaml
+from nodes.recording.facts import refuse_foreign_files
 from nodes.recording.reader import Recording
 from sim.arrays import Array
 from sim.device.model import DeviceModel
@@ -108,7 +109,10 @@ def _launch(recording: Recording) -> Launch:
     for name, spec in launch.nodes.items():
         recorded = recording.metadata.get("parameters", {}).get(name)
         over = {} if recorded is None else parse_yaml(recorded, name)
-        nodes[name] = msgspec.structs.replace(spec, parameters=merge(spec.parameters, over))
+        parameters = merge(spec.parameters, over)
+        if "surface" in parameters or "scene" in parameters:
+            refuse_foreign_files(recording, parameters, name)
+        nodes[name] = msgspec.structs.replace(spec, parameters=parameters)
     return msgspec.structs.replace(launch, nodes=nodes)
 
 

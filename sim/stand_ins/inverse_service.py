@@ -2,7 +2,8 @@
 
 As the vendor's: the first message is the whole inventory, then one state answers each message; what is zero is left out of a
 state; a force is forgotten soon after its message; forces of other sessions are added. It serves the arm of a world file
-(sim/stand_ins/world.py), whose faults it plays; ``fail`` names ``state`` to leave it out, or ``session`` to end that:
+(sim/stand_ins/world.py), whose faults it plays. ``fail`` names ``state`` to leave it out, ``session`` to end that, ``twice`` to
+send each state twice, ``nested`` to send JSON that is nested 50 000 deep, ``buttons`` to send 1500 of them:
 
     python -m sim.stand_ins.inverse_service WORLD [--cold SECONDS] [--version 3.1]
 """
@@ -85,11 +86,17 @@ class Service:
                 state = None if failing == b"state" else self._state()
                 device = {"device_id": DEVICE} | ({} if state is None else {"state": state})
                 document: dict[str, Any] = {"inverse3": [] if world.state.unplugged else [device]}
-                if world.state.buttons:
+                if failing == b"nested":
+                    connection.send('{"more": ' + "[" * 50_000 + "]" * 50_000 + "}")
+                    continue
+                if failing == b"buttons":
+                    document["wireless_verse_grip"] = [{"state": {"buttons": {f"{n:04}": True for n in range(1500)}}}]
+                elif world.state.buttons:
                     document["wireless_verse_grip"] = [{"state": {"buttons": {"a": bool(world.state.buttons & 1)}}}]
                 if world.state.positive:
                     document |= {"something_new": [1, 2], "warning": "motor saturated"}
-                connection.send(json.dumps(document))
+                for _ in range(2 if failing == b"twice" else 1):
+                    connection.send(json.dumps(document))
         except ConnectionClosed:
             return
         finally:

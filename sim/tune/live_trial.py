@@ -14,8 +14,7 @@ import numpy as np
 from messages.errors import RefusedError
 from nodes.client.launches import ask
 from sim.arrays import Array
-from sim.identify.borrowed import SOFT_LAW, SOFT_RAMP, Borrowed, PushedLaunch
-from sim.identify.signals_once import undisturbed
+from sim.identify.borrowed import SOFT_LAW, SOFT_RAMP, SURFACE_LEASE, Borrowed, PushedLaunch
 from sim.tune.knocking import LONGEST, WINDOW, KnockedEdge, KnockVerdict, Plan, climb, factor_of, judge, law_of
 
 AGAIN = 10  # how often one stiffness is tried when the machine stalls
@@ -56,22 +55,16 @@ class Trials:
         """Try the law from far below up to its edge; `steps` takes the verdicts as they come."""
         loop = self._loop
         self._near = plan.near
-        try:
-            self.hold_softly()
-            found = climb(plan, self._verdict, steps)
-            if not math.isfinite(self._stirs):
-                raise RefusedError(f"{loop.driver}: {UNMOVED}")
-            return found
-        finally:
-            if self._guarded:
-                with undisturbed():
-                    self._put_back_guard(loop)
-
-    def _put_back_guard(self, loop: PushedLaunch) -> None:
-        try:
-            ask(loop.run, loop.driver, "param.set", values={"passivity": self._own})
-        except RefusedError as error:
-            self._held.not_put_back = str(error)
+        # The driver too: a process that was held up must not ask it for forces again, nor change its guard.
+        if self._guarded:
+            self._held.borrow(loop.driver, SURFACE_LEASE, "param.set", values={"passivity": self._own})
+        else:
+            self._held.borrow(loop.driver, SURFACE_LEASE, "status")
+        self.hold_softly()
+        found = climb(plan, self._verdict, steps)
+        if not math.isfinite(self._stirs):
+            raise RefusedError(f"{loop.driver}: {UNMOVED}")
+        return found
 
     def hold_softly(self) -> None:
         """Hold the device softly where it is."""

@@ -20,13 +20,26 @@ from websockets.sync.client import ClientConnection, connect
 
 from messages.types import ZERO, Vector
 from nodes.driver.device import Workspace
-from nodes.driver.haply.service import ENDS, EVENTS, REMEDY, Inverse3, ask, buttons, command, read
+from nodes.driver.haply.service import (
+    ENDS,
+    EVENTS,
+    MOST_BUTTONS,
+    REMEDY,
+    Inverse3,
+    Inverse3State,
+    ServiceMessage,
+    ask,
+    buttons,
+    command,
+    read,
+)
 from nodes.driver.hardware.driver import HardwareDriver
 from nodes.driver.hardware.libraries import Search
 from nodes.driver.hardware.mailbox import SAMPLE, HardwareParameters, MailboxDevice, ServoParameters
 
 COLD_START: Final = 25.0  # what the service takes after it was started, by the vendor's guide [s]
-CLOSED, SLOW, FORCELESS, UNPLUGGED, NO_STATE = 1, 2, 3, 4, 5  # what can go wrong, as numbers for the mailbox
+CLOSED, SLOW, FORCELESS, UNPLUGGED, NO_STATE, UNREADABLE, SURPLUS, BROKEN = range(1, 9)
+"""What can go wrong, as numbers for the mailbox."""
 
 ERRORS: Final = {
     CLOSED: "the Inverse Service closed the connection",
@@ -34,9 +47,14 @@ ERRORS: Final = {
     FORCELESS: "the Inverse Service takes no forces (0 N act while a force is asked for): it must be of version 3.5",
     UNPLUGGED: "the Inverse3 was unplugged",
     NO_STATE: "the Inverse Service gives no state of the Inverse3",
+    UNREADABLE: "the Inverse Service sends messages that cannot be read",
+    SURPLUS: "the Inverse Service goes on sending more states than it is asked for: it must be of version 3.5",
+    BROKEN: "the exchange with the Inverse Service failed",
 }
 ASKED: Final = 0.1  # from so much force on it is looked whether the service takes it [N]; and so much may come from others
 FORCELESS_AFTER: Final = 0.3  # after so long without an effect forces are taken to be refused [s]
+SURPLUS_BURST, SURPLUS_RATE = 100, 10.0
+"""Surplus answers that are forgiven at once, and each second [1/s]; each was 1 round trip old at most."""
 
 
 class Inverse3Parameters(ServoParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -70,6 +88,10 @@ class Inverse3DriverParameters(HardwareParameters, frozen=True, forbid_unknown_f
     inverse3: Inverse3Parameters = Inverse3Parameters()
 
 
+class _SurplusError(Exception):
+    """The service goes on sending more answers than it was asked for."""
+
+
 class Inverse3Device(MailboxDevice):
     """One device. Nothing but `open` needs the service: a cold start takes longer than a node may take to be configured."""
 
@@ -86,7 +108,9 @@ class Inverse3Device(MailboxDevice):
         self._id = ""
         self._remark = ""
         self._others: Vector = ZERO
-        self._withheld = False
+        self._withheld = self._many_buttons = self._unreadable = False
+        self._surplus, self._forgiven, self._counted = 0, float(SURPLUS_BURST), 0.0
+        self._broken = ""  # what ended the exchange though it should not have
 
     @classmethod
     def find(cls, parameters: Any) -> Search:
@@ -176,12 +200,24 @@ class Inverse3Device(MailboxDevice):
         self._code.mailbox_failed(self._at, error, int(fatal))
 
     def _exchange(self) -> None:
-        """Send forces and take states, until the end (its own thread)."""
+        """Exchange until the end (its own thread); whatever ends it, ends forces too."""
+        try:
+            self._go_on_exchanging()
+        except _SurplusError:
+            self._failed(SURPLUS, fatal=True)
+        except (ConnectionClosed, OSError):
+            self._failed(CLOSED, fatal=not self._ending.is_set())
+        except Exception as error:  # noqa: BLE001  # a thread that is gone renews no force and would tell nobody
+            self._broken = f"{type(error).__name__}: {error}"
+            self._failed(BROKEN, fatal=True)
+
+    def _go_on_exchanging(self) -> None:
+        """Send forces and take states."""
         socket, code, at = self._socket, self._code, self._at
         assert socket is not None  # noqa: S101  # it is connected
-        force, sample = (ctypes.c_double * 3)(), (ctypes.c_double * SAMPLE)()
+        force = (ctypes.c_double * 3)()
         period, first = 1.0 / self._wants.servo_rate, True
-        due = begun = time.monotonic()
+        due = begun = self._counted = time.monotonic()
         owed = blind = proven = False
         refused_since = math.inf
         while not self._ending.is_set():
@@ -190,33 +226,27 @@ class Inverse3Device(MailboxDevice):
             wanted = (force[0], force[1], force[2]) if acts else ZERO
             begun = begun if owed else time.monotonic()
             try:
-                # A second question would leave every later answer one behind.
+                # A second question would leave every later answer one behind, and so does an answer that nobody asked for.
                 if not owed:
+                    self._newest(socket, "")
                     socket.send(command(self._id, wanted if acts else None, first))
-                answered = read(socket.recv(timeout=1.0))
+                answered = read(self._newest(socket, socket.recv(timeout=1.0)))
             except TimeoutError:
                 self._failed(SLOW)
                 owed = True
                 continue
-            except (ConnectionClosed, OSError):
-                self._failed(CLOSED, fatal=not self._ending.is_set())
-                return
             except ValueError:
-                self._failed(NO_STATE)
-                owed, blind = False, True
+                self._failed(UNREADABLE)
+                owed, blind, self._unreadable = False, True, True
                 continue
-            first = owed = False
+            first = owed = self._unreadable = False
             state = next((device.state for device in answered.inverse3 if device.device_id == self._id), None)
             blind = state is None
             if state is None:
                 # What is zero may be left out of a state, but a state that is not there is no state of zeros.
                 self._failed(NO_STATE)
             else:
-                turn = state.body_orientation
-                seen = (*state.cursor_position.numbers(), *state.cursor_velocity.numbers(), turn.x, turn.y, turn.z, turn.w)
-                sample[:] = [*seen, 0.0, float(buttons(answered))]
-                code.mailbox_sampled(at, sample)
-                code.mailbox_ticked(at)
+                self._publish_sample(state, answered)
                 given = state.current_cursor_force.numbers()
                 self._others = tuple(a - b for a, b in zip(given, wanted, strict=True)) if acts else given  # type: ignore[assignment]
                 acting = max(map(abs, given)) > 0.0
@@ -231,6 +261,31 @@ class Inverse3Device(MailboxDevice):
             due = max(due + period, time.monotonic())
             if (left := due - time.monotonic()) > 0.0:
                 time.sleep(left)
+
+    def _publish_sample(self, state: Inverse3State, answered: ServiceMessage) -> None:
+        turn = state.body_orientation
+        pressed, self._many_buttons = buttons(answered)
+        seen = (*state.cursor_position.numbers(), *state.cursor_velocity.numbers(), turn.x, turn.y, turn.z, turn.w)
+        self._code.mailbox_sampled(self._at, (ctypes.c_double * SAMPLE)(*seen, 0.0, float(pressed)))
+        self._code.mailbox_ticked(self._at)
+
+    def _newest(self, socket: ClientConnection, answer: str | bytes) -> str | bytes:
+        """Return the newest answer that has come, `answer` if none has; count those beyond it.
+
+        One answer was asked for each time. Were the others left in line, each would make every later position older by one
+        period, without limit. Raises _SurplusError when they go on coming.
+        """
+        while True:
+            try:
+                answer = socket.recv(timeout=0)
+            except TimeoutError:
+                return answer
+            now = time.monotonic()
+            self._forgiven = min(SURPLUS_BURST, self._forgiven + (now - self._counted) * SURPLUS_RATE) - 1.0
+            self._surplus, self._counted = self._surplus + 1, now
+            self.facts["surplus_answers"] = self._surplus
+            if self._forgiven < 0.0:
+                raise _SurplusError
 
     def _listen(self) -> None:
         """Take the service's events, until the end (its own thread); a service without them has none."""
@@ -254,19 +309,24 @@ class Inverse3Device(MailboxDevice):
 
     def error_text(self, code: int) -> str:
         """Put an error in words."""
-        return ERRORS.get(code, f"error {code}")
+        why = f": {self._broken}" if code == BROKEN else ""
+        return ERRORS.get(code, f"error {code}") + why
 
     def condition(self) -> str:
-        """Say why the device gives no force, or another one than it is asked for."""
+        """Return what is wrong with the service, mostly why another force acts than was asked for."""
         if self._box.fault:
             return f"{self.error_text(self._box.fault)}: forces are off until the node is started again"
         if self._remark:
             return self._remark
         if self._withheld:
             return "the Inverse Service lets no force act (0 N while a force is asked for), and does not say why"
+        if self._unreadable:
+            return f"{ERRORS[UNREADABLE]}: no position, so no force"
         if max(map(abs, self._others)) > ASKED:
             x, y, z = self._others
             return f"another session of the Inverse Service adds {x:+.2f}, {y:+.2f}, {z:+.2f} N along the device's axes"
+        if self._many_buttons:
+            return f"the grip has more than {MOST_BUTTONS} buttons: the first {MOST_BUTTONS} by name are read"
         return ""
 
     def close(self) -> None:

@@ -16,6 +16,7 @@ import msgspec
 from messages.types import Vector
 
 PROFILE: Final = "haptic-nodes"
+MOST_BUTTONS: Final = 32  # buttons of a grip that are read
 REMEDY: Final = "install and start Haply's Inverse Service 3.5, and plug the Inverse3 in"
 
 
@@ -75,17 +76,18 @@ def read(message: str | bytes) -> ServiceMessage:
     """Read a message of the service; ValueError when it is none."""
     try:
         return _DECODER.decode(message)
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, RecursionError, UnicodeError) as error:
         raise ValueError(f"the service sent what it should not: {error}") from error
 
 
-def buttons(service_state: ServiceMessage) -> int:
-    """Tell the buttons of the first grip, one bit each."""
+def buttons(service_state: ServiceMessage) -> tuple[int, bool]:
+    """Return the buttons of the first grip, one bit each, and whether there are more than fit."""
     if not service_state.wireless_verse_grip:
-        return 0
+        return 0, False
     pressed = service_state.wireless_verse_grip[0].state.get("buttons", {})
     names = sorted(pressed) if isinstance(pressed, dict) else []
-    return sum(1 << n for n, name in enumerate(names) if pressed[name] is True)
+    bits = sum(1 << n for n, name in enumerate(names[:MOST_BUTTONS]) if pressed[name] is True)
+    return bits, len(names) > MOST_BUTTONS
 
 
 def command(device: str, force: Vector | None, first: bool = False) -> str:
@@ -106,7 +108,7 @@ def ask(host: str, port: int, path: str) -> Any:
     try:
         with urllib.request.urlopen(f"http://{host}:{port}{path}", timeout=1.0) as answer:  # http only
             service_state = json.loads(answer.read(1 << 20))
-    except (OSError, ValueError, urllib.error.URLError):
+    except (OSError, ValueError, RecursionError, urllib.error.URLError):
         return None
     return service_state.get("data") if isinstance(service_state, dict) and service_state.get("ok") else None
 

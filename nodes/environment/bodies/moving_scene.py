@@ -24,6 +24,13 @@ WIDEST = 1.0  # largest radius around a geom of the tool [m]: what is larger was
 
 GAP = 0.1  # of a longer time without a state only so much is stepped: a scene that made up for all of it would be late [s]
 
+HEAVIEST = 1e6  # heaviest body [kg]
+LARGEST_NUMBER = 1e10  # largest number of a scene: MuJoCo's own limit of what it steps
+
+_NUMBERS = (  # of a model: with one that is none the scene diverges at its first step
+    *("gravity", "body_inertia", "body_pos", "geom_size", "geom_pos", "qpos0", "qpos_spring"),
+    *("jnt_stiffness", "dof_damping", "dof_armature", "dof_frictionloss"),
+)
 _MOST_STEPS = 1000
 _OVERLAP = 1e-4  # deeper than this in another body the tool begins unfelt [m]: MuJoCo would throw it out
 _LIGHTEST = 1e-6
@@ -59,6 +66,9 @@ class MovingScene:
     def __init__(self, file: Path, tool: str, period: float, where: str, held: bool = False, lost: float = math.inf) -> None:
         self.lost = lost  # distance from the device at which the tool is put back to it [m]
         self._mujoco = mujoco = load_mujoco(f"{where}.scene")
+        if file.exists() and not (file.is_file() or file.is_dir()):
+            # A pipe would be waited for, and a device has no end.
+            raise ParameterError(f"{where}.scene: {file} is no regular file")
         try:
             # Opened here: the words of the operating system are clearer.
             with open(file, "rb") as opened:
@@ -78,6 +88,7 @@ class MovingScene:
         if warnings:
             # MuJoCo would go on without the value: a mass that is not a number becomes that of water.
             raise ParameterError(f"{where}.scene: {file}: {' '.join(' '.join(warnings).split())}")
+        self._refuse_odd_numbers(file, where)
         self.data = mujoco.MjData(self.model)
         self.tool, self._slides = self._find_tool(tool, file, where)  # the tool's body in the model
         first = int(self.model.body_dofadr[self.tool])
@@ -107,6 +118,26 @@ class MovingScene:
         self._touches = {i: (int(self.model.geom_contype[i]), int(self.model.geom_conaffinity[i])) for i in self._geoms()}
         self.inside = False  # whether the tool meets nothing, because it began inside of another body
         mujoco.mj_forward(self.model, self.data)
+
+    def _refuse_odd_numbers(self, file: Path, where: str) -> None:
+        """Refuse what MuJoCo takes, and no step can be made with."""
+        model = self.model
+        step = float(model.opt.timestep)
+        if not (math.isfinite(step) and step > 0.0):
+            raise ParameterError(f"{where}.scene: {file}: option timestep is {step:g} s, expected a time above 0")
+        for i in range(1, model.nbody):
+            mass = float(model.body_mass[i])
+            if not mass <= HEAVIEST:
+                raise ParameterError(
+                    f"{where}.scene: {file}: body {model.body(i).name!r} weighs {mass:g} kg, expected at most {HEAVIEST:g} kg"
+                )
+        for name in _NUMBERS:
+            values = getattr(model.opt if name == "gravity" else model, name).ravel().tolist()
+            odd = next((value for value in values if not abs(value) <= LARGEST_NUMBER), None)
+            if odd is not None:
+                raise ParameterError(
+                    f"{where}.scene: {file}: a number of {name} is {odd:g}, expected at most {LARGEST_NUMBER:g}"
+                )
 
     def _find_tool(self, tool: str, file: Path, where: str) -> tuple[int, list[int]]:
         model, mujoco = self.model, self._mujoco

@@ -14,7 +14,9 @@ from collections.abc import Callable
 from nodes.laws import CompiledLaw
 from nodes.parameters.registry import NotInstalledError, Registry
 
-DERIVATIVES = Registry("haptic.derivatives", "realisation of D^α")
+DERIVATIVES = Registry(
+    "haptic.derivatives", "realisation of D^α", lambda _, found: "" if callable(found) else f"{found!r} cannot be called"
+)
 MAX_ORDER = 4.0
 MAX_TAPS = 1_000_000
 

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from nodes.cli.doctor import CHECKS
+from nodes.compiled import cache
 from nodes.compiled.build import find
 from nodes.compiled.choose_tick import choose, compile_later
 from nodes.compiled.library import functions, library_of_pyzmq, obtain
@@ -35,6 +37,31 @@ def test_plain_and_auto_never_wait_for_the_compiler(empty_cache: Path) -> None:
     assert choose("auto", [KERNEL], told.append, scarce=True) == "plain"
     assert "--tick compiled" in told[0]
     assert not list(empty_cache.rglob("*.tick"))
+
+
+def test_a_compilation_that_failed_is_said_at_every_rate_and_by_the_doctor(empty_cache: Path) -> None:
+    """The doctor said "built …, auto takes it", and a launch below 1 kHz nothing."""
+    failed = cache.CacheEntry(kind="failed", content=f"{KERNEL}: no such type".encode())
+    cache.write(f"{KERNEL}.tick", failed, {})
+    told: list[str] = []
+    assert choose("auto", [KERNEL], told.append, scarce=False) == "plain"
+    assert told == [f"the plain tick runs, for the compiled one cannot be had: {KERNEL}: no such type"]
+    found = CHECKS["compiled tick"]()
+    assert found.state == "limited"
+    assert f"cannot be compiled here: {KERNEL}: no such type; auto takes the plain tick" in found.found
+
+
+def test_a_folder_in_the_place_of_an_entry_lets_the_plain_tick_run(empty_cache: Path) -> None:
+    """It ended every launch: a folder cannot be read as a file."""
+    cache.write(f"{KERNEL}.tick", cache.CacheEntry(kind="so", content=b""), {})
+    entry = cache.folder() / f"{KERNEL}.tick"
+    entry.unlink()
+    entry.mkdir()
+    told: list[str] = []
+    for wanted in ("auto", "compiled"):
+        assert choose(wanted, [KERNEL], told.append) == "plain"
+    assert all(f"{entry}: must be a file of user" in text for text in told)
+    assert "must be a file of user" in CHECKS["compiled tick"]().found
 
 
 def test_what_cannot_be_compiled_is_said_and_the_plain_tick_runs(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:

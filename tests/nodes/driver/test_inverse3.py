@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from nodes.driver.haply.driver import FORCELESS_AFTER
+from nodes.driver.haply.driver import FORCELESS_AFTER, SURPLUS_BURST
 from tests.sim.test_stand_ins import SOFT, through
 from tests.support.devices import Bench, bench
 from tests.support.launching import running, wait_for
@@ -135,3 +135,65 @@ def test_a_service_that_answers_slowly_has_old_samples_counted_as_none(stand: Be
     wait_for(counted, "positions that are too old")
     stand.world.state.slow_ms = 0
     wait_for(lambda: not math.isnan(device.read_position(0)[0]), "positions are back")
+
+
+def test_surplus_answers_make_no_position_older(stand: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each state came twice: after 16 s the position was 17.6 s old, and the state ``active``."""
+    monkeypatch.setattr("nodes.driver.haply.driver.SURPLUS_BURST", math.inf)
+    device = stand.device(deadline=0.1)
+    device.connect()
+    device.open()
+    stand.world.fail("twice")
+    wait_for(lambda: device.facts.get("surplus_answers", 0) > 1000, "1000 surplus answers", 30.0)
+    stand.world.state.position[2] = 0.01
+    moved, seen = device.ticks, 0
+    while device.read_position(0)[2] != pytest.approx(0.01, abs=1e-12):
+        seen = device.ticks - moved
+        # One answer that was under way and its copy; the rest is time in which this thread was not run.
+        assert seen < 500, "the position is older by each surplus answer"
+
+
+def test_a_service_that_goes_on_with_surplus_answers_is_given_up(stand: Bench) -> None:
+    device = stand.opened()
+    stand.press(device, (0.0, 0.0, 1.0))
+    # A few are forgiven.
+    stand.world.fail("twice")
+    wait_for(lambda: device.facts.get("surplus_answers", 0) > 0, "a surplus answer", 10.0)
+    stand.world.fail("")
+    assert not math.isnan(device.read_position(0)[0])
+    stand.world.fail("twice")
+    wait_for(lambda: "more states than it is asked for" in device.condition(), "it is given up", 30.0)
+    assert SURPLUS_BURST <= device.facts["surplus_answers"] <= 2 * SURPLUS_BURST
+    with pytest.raises(OSError, match="goes on sending more states than it is asked for"):
+        device.read_position(0)
+    wait_for(lambda: not any(stand.world.force()), "no force acts")
+
+
+def test_messages_that_cannot_be_read_end_nothing(stand: Bench) -> None:
+    """JSON nested 50 000 deep ended the thread of the exchange, and nobody said so."""
+    device = stand.opened()
+    stand.press(device, (0.0, 0.0, 1.0))
+    stand.world.fail("nested")
+    wait_for(lambda: "messages that cannot be read" in device.condition(), "it is told", 10.0)
+    wait_for(lambda: not any(stand.world.force()), "no force without a position", 10.0)
+    stand.world.fail("")
+    stand.press(device, (0.0, 0.0, 1.0))
+    wait_for(lambda: device.condition() == "", "it is readable again", 10.0)
+
+
+def test_fifteen_hundred_buttons_are_thirty_two(stand: Bench) -> None:
+    device = stand.opened()
+    stand.world.fail("buttons")
+    wait_for(lambda: "more than 32 buttons" in device.condition(), "it is told", 10.0)
+    handle = device.handle()
+    assert handle is not None
+    assert handle.buttons == 2**32 - 1
+    assert not math.isnan(device.read_position(0)[0])
+
+
+def test_whatever_ends_the_exchange_ends_forces_and_is_told(stand: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    device = stand.opened()
+    monkeypatch.setattr("nodes.driver.haply.driver.buttons", lambda _: 1 / 0)
+    wait_for(lambda: "ZeroDivisionError: division by zero" in device.condition(), "it is told", 10.0)
+    with pytest.raises(OSError, match="the exchange with the Inverse Service failed: ZeroDivisionError"):
+        device.read_position(0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from pathlib import Path
@@ -94,6 +95,10 @@ def test_after_a_long_fault_the_scene_does_not_make_up_for_all_of_it(tmp_path: P
         (TOOL.replace('mass="0.05"', 'mass="1e-9"'), "weighs 1e-09 kg"),
         # MuJoCo warns, and takes the mass of water.
         (TOOL.replace('mass="0.05"', 'mass="nan"'), "environment.scene: .*contains a 'NaN'"),
+        (TOOL.replace('mass="0.05"', 'mass="inf"'), "body 'tool' weighs inf kg, expected at most 1e.06 kg"),
+        (TOOL + '<body name="b"><geom size="0.1" mass="1e300"/></body>', "body 'b' weighs 1e.300 kg"),
+        (TOOL + '<body name="b"><geom size="0.1" mass="1e6"/><geom size="0.1" mass="1"/></body>', "body 'b' weighs 1e.06 kg"),
+        (TOOL + '<body><joint damping="1e300"/><geom size="0.1"/></body>', "a number of dof_damping is 1e.300"),
         (TOOL.replace('size="0.005"', 'size="5"'), "a geom of body 'tool' reaches 5 m, .* MJCF is in metres"),
         ('<geom type="sph"/>', "environment.scene: .*invalid keyword: 'sph'"),
         ('</worldbody><asset><texture name="t" type="2d" file="no.png"/></asset><worldbody>', "environment.scene: .*no.png"),
@@ -104,9 +109,33 @@ def test_a_scene_without_a_tool_is_refused(bodies: str, told: str, tmp_path: Pat
         world(tmp_path, bodies)
 
 
+@pytest.mark.parametrize(
+    ("option", "told"),
+    [
+        ('timestep="0"', "option timestep is 0 s, expected a time above 0"),
+        ('timestep="-0.001"', "option timestep is -0.001 s"),
+        ('timestep="inf"', "option timestep is inf s"),
+        ('gravity="0 0 -1e300"', "a number of gravity is -1e.300"),
+        ('gravity="0 0 inf"', "a number of gravity is inf"),
+    ],
+)
+def test_an_option_that_no_step_can_be_made_with_is_refused(option: str, told: str, tmp_path: Path) -> None:
+    """A step of 0 s ended in a traceback."""
+    with pytest.raises(ParameterError, match=told):
+        world(tmp_path, TOOL, option)
+
+
+def test_the_heaviest_body_is_taken(tmp_path: Path) -> None:
+    world(tmp_path, TOOL + '<body name="b"><geom size="0.1" mass="1e6"/></body>')
+
+
 def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ParameterError, match=r"environment.scene: .*none.xml cannot be read: No such file"):
         MovingScene(tmp_path / "none.xml", "tool", PERIOD, "environment")
+    os.mkfifo(tmp_path / "pipe.xml")
+    for odd in (tmp_path / "pipe.xml", Path("/dev/zero")):
+        with pytest.raises(ParameterError, match=r"^environment.scene: .* is no regular file"):
+            MovingScene(odd, "tool", PERIOD, "environment")
     with open(tmp_path / "huge.xml", "wb") as file:
         file.truncate(10_000_000_000)
     with pytest.raises(ParameterError, match=r"^environment.scene: \S*huge.xml has 10000 MB, more than 64"):

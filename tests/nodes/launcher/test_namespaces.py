@@ -135,6 +135,7 @@ nodes:
         ("include:\n  - {launch: floor_drop, namespace: LEFT}\n", "lower-case"),
         ("include:\n  - {launch: floor_drop, namespace: abcdefghijklmnopqrstuvwxyz}\n", "longer than 32 letters"),
         (f"include:\n  - {{launch: floor_drop, namespace: {'a' * 33}}}\n", "at most 32"),
+        ("nodes:\n  run: {kind: sim_driver}\n", "'run' is the name of the file that lists a run's nodes"),
         ('nodes:\n  "driver\\n": {kind: sim_driver}\n', "a node's name is lower-case letters"),
         ("include:\n  - {launch: floor_dorp}\n", "floor_drop"),
         ("include:\n  - {launch: floor_drop, arguments: {stifness: 1}}\n", "stiffness"),

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,31 @@ def sigio_ignored() -> Iterator[None]:
 
 def polled(watched: WatchedFile, times: int = 4) -> list[Any]:
     return [found for _ in range(times) if (found := watched.poll()) is not None]
+
+
+def test_a_pipe_is_told_once_and_waited_for_by_nobody(tmp_path: Path) -> None:
+    """The thread that answers requests waited until somebody wrote to it."""
+    path = tmp_path / "coupling.yaml"
+    os.mkfifo(path)
+    watched = WatchedFile(str(path))
+    told: list[str] = []
+
+    def poll() -> None:
+        for _ in range(4):
+            try:
+                assert watched.poll() is None
+            except ParameterError as error:
+                told.append(str(error))
+
+    thread = threading.Thread(target=poll, daemon=True)
+    thread.start()
+    thread.join(10.0)
+    assert not thread.is_alive()
+    assert len(told) == 1
+    assert "is no regular file, and is not watched" in told[0]
+    path.unlink()
+    path.write_text("ramp: 3\n", encoding="ascii")
+    assert polled(watched) == [{"ramp": 3}]
 
 
 WRITER = """

@@ -350,3 +350,25 @@ def test_writing_needs_little_memory_and_no_numpy(tmp_path: Path) -> None:
     peak, *heavy = process.stdout.split()
     assert heavy == []
     assert int(peak) < 60e6, "the aim for a logger is 60 MB"
+
+
+def test_a_file_that_somebody_writes_is_not_overwritten(tmp_path: Path) -> None:
+    """Two launches with one path and `overwrite` wrote into each other's file, and both ended with exit code 0."""
+    path = tmp_path / "r.mcap"
+    sent = [(topic, message) for topic, message in drop(200)]
+    with RecordWriter(path, {}, overwrite=True) as first:
+        for topic, message in sent[:300]:
+            first.write(topic, message, message.stamp)
+        first.flush()
+        size = path.stat().st_size
+        for work in (lambda: RecordWriter(path, {}, overwrite=True), lambda: save(path, b"x", overwrite=True)):
+            with pytest.raises(RecordError, match="another process is writing it, and both would be lost"):
+                work()
+        assert path.stat().st_size == size
+        for topic, message in sent[300:]:
+            first.write(topic, message, message.stamp)
+    assert [entry.message for entry in Recording(path).entries()] == [message for _, message in sent]
+    # Once it is closed, it is free.
+    with RecordWriter(path, {}, overwrite=True) as second:
+        second.write(*sent[0], 0.0)
+    assert len(list(Recording(path).entries())) == 1

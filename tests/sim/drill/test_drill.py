@@ -273,6 +273,7 @@ def test_faults_end_safe_recover_and_leave_nothing(name: str) -> None:
                 "slow logger",
                 "tune ended",
                 "pressed device",
+                "verb suspended",
             ]
         ),
     ],
@@ -296,6 +297,7 @@ def test_intruders_libraries_and_people_do_no_harm_and_the_loop_goes_on(name: st
                 "Touch read blocks",
                 "Force Dimension unplugged",
                 "Inverse3 read fails",
+                "Inverse3 answers twice",
             ]
         ),
     ],

@@ -86,3 +86,26 @@ def test_ctrl_c_puts_everything_back_and_tells_what_is_known(tmp_path: Path) -> 
     else:
         assert "the push ended: " in err or "nothing was recorded: " in err
         assert "done" not in err
+
+
+def test_a_push_that_is_suspended_changes_nothing_when_it_goes_on(tmp_path: Path) -> None:
+    """Ctrl-Z during the soft spring and ``fg`` after the leases had run out: law and wall were changed for good."""
+    with running(tmp_path, *SCENE) as launch:
+        before = parameters(launch)
+        words = (*HAPTIC, "device", "identify", "--duration", "600", "--load", "0.981")
+        pipes: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+        process = subprocess.Popen(words, cwd=tmp_path, env=launch.environment, text=True, process_group=0, **pipes)
+        try:
+            wait_for(lambda: parameters(launch)[0] == "soft", "the soft spring", 60.0)
+            os.killpg(process.pid, signal.SIGSTOP)
+            wait_for(lambda: parameters(launch) == before, "the launch to take law and surface back")
+            os.killpg(process.pid, signal.SIGCONT)
+            _, err = process.communicate(timeout=60.0)
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+        assert parameters(launch) == before
+        launch.finish(signal.SIGINT, code=None)
+    assert process.returncode == 1
+    assert "refused: its lease 'borrowed' has run out" in err or "held up for too long" in err
+    assert "Traceback" not in err

@@ -128,7 +128,7 @@ def stand_in(ready: Callable[[], Any], safety: list[str]) -> Any:
 
 def trials(loop: Any, monkeypatch: pytest.MonkeyPatch) -> Trials:
     monkeypatch.setattr("sim.tune.live_trial.ask", lambda *_, **__: None)
-    held: Any = SimpleNamespace(check=lambda: None, not_put_back="")
+    held: Any = SimpleNamespace(check=lambda: None, borrow=lambda *_, **__: None, not_put_back="")
     return Trials(loop, held, [900.0, -800.0], 1e-3, 0.0, lambda _: None)
 
 

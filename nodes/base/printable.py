@@ -1,0 +1,21 @@
+"""Text for a terminal or a picture that may quote a file or a message of somebody else."""
+
+import re
+import unicodedata
+
+COLOURS = {"red": 31, "green": 32, "yellow": 33, "bold": 1, "dim": 2}  # what `haptic` colours with, as SGR codes
+
+_OURS = re.compile(f"(\x1b\\[(?:0|{'|'.join(map(str, COLOURS.values()))})m)")
+
+
+def printable(text: str) -> str:
+    """Return a text without what a terminal obeys: escape sequences, bells, titles, other directions of writing.
+
+    Colours of `haptic` itself stay.
+    """
+    # Every second part is one of our colours.
+    return "".join(part if n % 2 else "".join(map(_shown, part)) for n, part in enumerate(_OURS.split(text)))
+
+
+def _shown(sign: str) -> str:
+    return sign if sign.isprintable() or sign in "\n\t" or unicodedata.category(sign) == "Zs" else "\ufffd"
