@@ -40,6 +40,10 @@ class Fallback(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         return CompiledLaw((self.damping / period, -self.damping / period))
 
 
+LONGEST_DELAY = 100.0  # longest delay that a law is judged at [ticks]: the closed loop has one more state for each
+
+Delay = Annotated[float, msgspec.Meta(ge=0.0, le=LONGEST_DELAY)]
+
 MASSES = 9  # with so many masses a law is judged where the mass depends on the position
 
 
@@ -53,21 +57,25 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     device_delay: Delay of the device itself, which the loop cannot measure: comes on top of the measured one [ticks].
     heaviest: The greatest mass where it depends on where the device is, and ``mass`` is the least: a law is judged with both
         and with some between [kg].
-    tool_mass: Mass of what the coupling holds the device to, where that moves (kind ``mujoco``) [kg]; None for a wall.
+    tool_mass: Positive of what the coupling holds the device to, where that moves (kind ``mujoco``) [kg]; None for a wall.
+    scale: Metres of the scene for a metre of the device (``mapping.scale`` of a driver). Mass, damping and stiffness above are
+        the device's own; a law meets them divided by the square of it.
     """
 
     mass: Positive
     damping: NonNegative = 0.0
     stiffness: NonNegative = 0.0
-    delay: NonNegative | None = None
-    device_delay: NonNegative = 0.0
+    delay: Delay | None = None
+    device_delay: Delay = 0.0
     heaviest: Positive | None = None
     tool_mass: Positive | None = None
+    scale: Annotated[float, msgspec.Meta(ge=0.01, le=100.0)] = 1.0
 
     def at(self, period: float, measured: float) -> Plant:
-        """Give the device in a loop of a period and a measured delay, as a law is judged on it."""
+        """Return the device in a loop of a `period` [s] and a `measured` delay [ticks], as a law is judged on it."""
         delay = (measured if self.delay is None else self.delay) + self.device_delay
-        plant = Plant(period, self.mass, self.damping, delay, self.stiffness)
+        felt = self.scale * self.scale  # a force F of the scene is s F on the device, which moves 1/s as far
+        plant = Plant(period, self.mass / felt, self.damping / felt, delay, self.stiffness / felt)
         return plant if self.tool_mass is None else plant.with_tool(self.tool_mass)
 
     @property

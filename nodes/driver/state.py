@@ -60,6 +60,7 @@ class DriverState(LoopState):
     failed: int  # 1 after a call of the device that failed
     late_answer: int  # 1 where a message is kept for the next tick
     heard: int  # 1 where a message came in this tick
+    unanswered: int  # ticks in a row without their answer
     patient: int  # 1 where one came in the last tick: a late answer is waited for
     has_following: int  # 1 where `following` is handed over at the next deadline
     written: int  # tick for which a force was handed over last

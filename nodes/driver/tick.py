@@ -16,10 +16,13 @@ from nodes.driver.notes import HELD_UP, REFUSED_FIRST
 from nodes.driver.passivity import count_step
 from nodes.driver.response_times import note_response
 from nodes.driver.safety import STALE, admit, command, let_go, missed, rebase, watch_position, watch_swings
-from nodes.driver.state import BETWEEN, FAULT, WAITING, DriverState, note, seldom
+from nodes.driver.state import ACTIVE, BETWEEN, DAMPING, FAULT, RAMP, WAITING, DriverState, note, seldom
 
 GOT, NONE, REFUSED, UNREAD = range(4)  # of waiting for a message: one; none in time; refused; the port cannot judge it
 GO_ON, SILENT, BROKEN = range(3)  # why `ticks` ended: nothing unusual; no answer for a while; the device did not do as asked
+
+BEHIND = 3  # after so many ticks without their answer in a row a tick waits for one period more, after twice as many for two
+MOST_BEHIND = 64  # so far such ticks are counted; each answer that is on time halves the count
 
 
 class Port(NamedTuple):
@@ -55,6 +58,24 @@ def lost(s: DriverState, seq: int, late: float) -> None:
         s.has_following = 0  # what was still to be handed over is too old by now
         for i in range(3):
             s.force[i] = s.handed[i]
+
+
+@rule
+def patience(s: DriverState, deadline: float, following: float) -> float:
+    """Return until when a tick waits for its answer [s]: the next tick, or later where several in a row were not answered.
+
+    Whoever answers is behind then, and a state more would only wait there and make the next answer late as well. So a loop
+    that is too fast for its machine goes on as fast as it is answered, and loses the ticks that are too much. It waits no
+    longer than a force may be old, and never past the watchdog or the moment at which the device lets go.
+    """
+    more = min(s.unanswered // BEHIND, s.max_age)
+    if more == 0 or s.safety == DAMPING or s.safety == FAULT:
+        return following
+    last = following + more * s.period
+    if s.safety == ACTIVE or s.safety == RAMP:
+        ends = min(float(s.since + s.watchdog), s.written + s.device_hold_ticks)
+        last = min(last, deadline + (ends - s.seq) * s.period)
+    return following if following > last else last
 
 
 @rule
@@ -194,25 +215,26 @@ def make_ticks(
             s.split, s.changed_at = 0.0, 1.0
             for i in range(3):
                 s.mean[i] = s.handed[i] if s.next_tick != 0 else 0.0
+        last = patience(s, deadline, following)
         while s.answered == 0:
             got = GOT
             if s.late_answer != 0:
                 s.late_answer, s.arrival = 0, s.late_answer_at
             else:
-                got = s.given - 1 if s.given != 0 else receive(s, following)
+                got = s.given - 1 if s.given != 0 else receive(s, last)
                 s.given = 0
                 if got == NONE:
                     break
                 s.heard = 1
                 if got == UNREAD:
                     return UNREAD
-                if got == GOT and s.arrival >= following:
+                if got == GOT and s.arrival >= last:
                     # A flooded topic must not delay the next tick.
                     s.late_answer, s.late_answer_at = 1, s.arrival
                     break
             if got == REFUSED or not admit(s, seq):
                 s.skipped += 1
-                if s.arrival >= following:
+                if s.arrival >= last:
                     break
                 continue
             s.answered = 1 if s.got_seq == seq else 0
@@ -228,13 +250,17 @@ def make_ticks(
                 split(s, offset)
                 if hand_over_in_time(s, s.force, seq, offset, s.got_seq):
                     s.changed_at = min(s.changed_at, offset)
-                s.delay = offset + s.age
+                s.delay = max(offset, (s.arrival - deadline) / s.period) + s.age
             if s.answered != 0:
                 s.response = s.arrival - s.sampled
                 note_response(s, s.response)
         s.oldest_age = max(s.oldest_age, s.age)
         if s.next_tick == 0:
             split(s, 1.0)
+        if s.answered == 0:
+            s.unanswered = min(s.unanswered + 1, MOST_BEHIND)
+        elif s.arrival < following:
+            s.unanswered //= 2  # on time again; an answer that had to be waited for leaves the patience as it is
         if s.answered == 0:
             s.missed += 1 if s.safety != FAULT else 0  # in a fault there is no position that could have been answered
             s.response = 0.0

@@ -10,6 +10,8 @@ import functools
 import math
 from dataclasses import dataclass, replace
 
+MAX_DELAY = 1100.0  # longest delay of a loop [ticks]: its matrix has a row and a column for each
+
 
 @dataclass(frozen=True)
 class Plant:
@@ -51,6 +53,8 @@ class Plant:
             value, positive = getattr(self, name), name in ("mass", "period")
             if isinstance(value, str) or not math.isfinite(value) or value < 0.0 or (positive and value == 0.0):
                 raise ValueError(f"{name} = {value!r}: must be finite and {'positive' if positive else 'at least 0'}")
+        if self.delay > MAX_DELAY:
+            raise ValueError(f"delay = {self.delay!r}: must be at most {MAX_DELAY:g} ticks")
 
     def with_tool(self, mass: float) -> Plant:
         """Give the device as a coupling to a body that is free to move sees it: what deflects is the way between the two.

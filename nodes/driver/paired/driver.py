@@ -17,7 +17,7 @@ import msgspec
 
 from messages.types import ZERO, Vector
 from nodes.base.node_kinds import load, node_kinds
-from nodes.base.setup import Setup
+from nodes.base.setup import Axis, Setup
 from nodes.driver.calls import Jumps
 from nodes.driver.device import Device, DeviceLimits, Workspace
 from nodes.driver.limits import SafetyParameters, lower, undeclared
@@ -202,6 +202,26 @@ class PairedDriver(Driver):
         pair = first.paired_with(second)
         facts = {"mass": pair.mass, "damping": pair.damping, "stiffness": pair.stiffness, "device_delay": pair.delay}
         return changed, {"heaviest": None, **facts}
+
+    @classmethod
+    def plant(cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]) -> dict[str, float]:
+        """Return the plant that two known devices are as one; of two real ones the scale that both have."""
+        known = []
+        for which, member in _both(convert(parameters, PairedDriverParameters, name)):
+            where = f"{name}.{which}"
+            known.append(_kind_of(member, where)[1].plant(member.parameters, where, axes))
+        if not all("mass" in one for one in known):
+            scales = {one.get("scale", 1.0) for one in known}
+            return {"scale": scales.pop()} if len(scales) == 1 else {}
+        light, heavy = (
+            Plant(1.0, one[mass], one["damping"], one["device_delay"], one["stiffness"]).paired_with(
+                Plant(1.0, other[mass], other["damping"], other["device_delay"], other["stiffness"])
+            )
+            for one, other in [({"heaviest": one["mass"], **one} for one in known)]
+            for mass in ("mass", "heaviest")
+        )
+        found = {"mass": light.mass, "damping": light.damping, "stiffness": light.stiffness, "device_delay": light.delay}
+        return {**found, "heaviest": heavy.mass} if heavy.mass > light.mass else found
 
     def make_device(self) -> Device:
         """Take hold of both, forces off."""

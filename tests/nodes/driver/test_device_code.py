@@ -161,7 +161,7 @@ nodes:
   environment: {kind: environment, parameters: {surface: {kind: plane, axis: x, position: 0.005, normal: -1}}}
   coupling:
     kind: coupling
-    parameters: {law: pd, laws: {pd: {kind: pd, stiffness: 500.0, damping: 5.0}}, plant: {mass: 0.2, damping: 3.1}}
+    parameters: {law: pd, laws: {pd: {kind: pd, stiffness: 500.0, damping: 5.0}}}
 """
     )
     with running(tmp_path, scene, environment={"PYTHONPATH": str(package)}, ready=False) as launch:
