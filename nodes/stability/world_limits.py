@@ -57,7 +57,7 @@ class WorldLimits:
         worst = self.worst_world
         found["worst_world"] = None
         if worst is not None:
-            keys = ("mass_kg", "stiffness_n_per_m", "damping_n_s_per_m", "frequency_hz", "rule")
+            keys = ("mass_kg", "stiffness_n_per_m", "damping_n_s_per_m", "frequency_hz", "integrator")
             found["worst_world"] = {key: getattr(worst, key) for key in keys}
         return found | {"about": dict(self.about), "unlimited": self.unlimited}
 

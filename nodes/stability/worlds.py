@@ -51,12 +51,12 @@ class Springs:
 
 @dataclass(frozen=True)
 class AnyWorld:
-    """Every passive world that answers the force in the same tick: implicit bodies, static springs, proxies."""
+    """Every passive world that answers the force in the same tick: implicit and lossless bodies, static springs, proxies."""
 
     @property
     def about(self) -> str:
         """Which worlds these are."""
-        return "any passive world solved implicitly in the same tick (lag 0; backward Euler, a static spring, a proxy)"
+        return "any passive world that answers in the same tick (implicit or lossless, a static spring, a proxy)"
 
 
 @dataclass(frozen=True)

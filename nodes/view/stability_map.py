@@ -60,7 +60,7 @@ def _edges(law: Law, devices: Sequence[Plant]) -> tuple[float, float] | None:
 
 
 def _any_world(law: Law, devices: Sequence[Plant]) -> float | None:
-    """Return the largest K that is certified on all devices with any world that answers in the same tick (THEORY.md §17); None for none."""
+    """Return the largest K certified on all devices with any world that answers in the same tick; None for none."""
     least = math.inf
     for device in devices:
         found = world_k_max(without_spring(law, device.period), device, AnyWorld())

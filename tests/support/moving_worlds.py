@@ -23,7 +23,7 @@ Z1, ONE_MORE, Z = np.array([1.0, -1.0]), np.array([1.0, 1.0]), np.array([1.0, 0.
 def body_in_z(body: Body, period: float) -> tuple[Array, Array]:
     """Position over force of an implicit body as numerator and denominator in z, from its difference equations."""
     m, c, k = body.mass / period**2, body.damping / period, body.stiffness
-    if body.rule == "trapezoidal":
+    if body.integrator == "lossless":
         # F = (2 m (z − 1)/(z + 1) + c + (k/2)(z + 1)/(z − 1)) q, and y = q z/(z − 1).
         below = np.polyadd(
             np.polyadd(2.0 * m * np.polymul(Z1, Z1), c * np.polymul(Z1, ONE_MORE)), 0.5 * k * np.polymul(ONE_MORE, ONE_MORE)
@@ -55,7 +55,7 @@ def stable_in_many_digits(law: CompiledLaw, plant: Plant, bodies: Sequence[Body]
         above, below = exact(held.numerator), exact([*held.denominator, *[0.0] * (held.whole + 1)])
         for body, (inertia, loss) in zip(bodies, m, strict=True):
             k = mpmath.mpf(body.stiffness)
-            if body.rule == "trapezoidal":
+            if body.integrator == "lossless":
                 top = [1, 1, 0]
                 bottom = [2 * inertia + loss + k / 2, k - 4 * inertia, 2 * inertia - loss + k / 2]
                 if not inertia:  # the factor z + 1 of both
@@ -166,7 +166,7 @@ def played(law: CompiledLaw, plant: Plant, body: Body, ticks: int) -> Array:
     found = np.empty(ticks)
     for tick in range(ticks):
         free = sum(tap * value for tap, value in zip(law.taps[1:], x, strict=False))
-        if body.rule == "trapezoidal":
+        if body.integrator == "lossless":
             # The two rules of a trapezoidal body added up, for its position; first order where a part is absent.
             if body.mass:
                 a0, a1, a2 = 2 * inertia + loss + k / 2, k - 4 * inertia, 2 * inertia - loss + k / 2

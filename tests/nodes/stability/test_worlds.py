@@ -175,21 +175,21 @@ def test_mass_of_an_euler_tool() -> None:
     assert needed_tool_mass(with_spring(pd(0.5), 10.0), heavy) == pytest.approx((10.0 * T**2 + 2.0 * 0.5 * T) / 4.0, rel=0.05)
 
 
-def bodies_of(*rules: str) -> st.SearchStrategy[Body]:
+def bodies_of(*integrators: str) -> st.SearchStrategy[Body]:
     """Bodies on a spring to the ground."""
     return st.builds(
         Body,
         mass=st.one_of(st.just(0.0), st.floats(-4.0, 1.0).map(lambda e: 10.0**e)),
         damping=st.one_of(st.just(0.0), st.floats(-2.0, 1.0).map(lambda e: 10.0**e)),
         stiffness=st.floats(0.0, 5.0).map(lambda e: 10.0**e),
-        rule=st.sampled_from(rules),
+        integrator=st.sampled_from(integrators),
     )
 
 
 # Two lossless ones in series could swing against each other, without the loop; the second one loses some by its rule.
 BODIES = st.one_of(
-    bodies_of("backward_euler", "trapezoidal").map(lambda body: [body]),
-    st.tuples(bodies_of("backward_euler", "trapezoidal"), bodies_of("backward_euler")).map(list),
+    bodies_of("implicit", "lossless").map(lambda body: [body]),
+    st.tuples(bodies_of("implicit", "lossless"), bodies_of("implicit")).map(list),
 )
 PLANTS = st.builds(
     Plant,
@@ -367,14 +367,21 @@ def test_no_implicit_rest_behind_an_euler_tool_breaks_it() -> None:
     assert unstable[0.5] > 5
 
 
-def test_the_euler_tool_by_matrix_is_that_by_polynomial() -> None:
-    z1, z = np.array([1.0, -1.0]), np.array([1.0, 0.0])
-    body, law, plant = Body(0.05, 0.3, 800.0, "semi_implicit"), with_spring(pd(0.5), 200.0), device(1.0)
-    # m (z − 1)²/T² + c (z − 1)/T z⁰ ... with the damper at the new velocity and the spring at the old position.
-    below = np.polyadd(
-        np.polyadd(body.mass / T**2 * np.polymul(z1, z1), body.damping / T * np.polymul(z1, z)), body.stiffness * z
-    )
-    assert world_radius(law, plant, body) == pytest.approx(polynomial_radius(law, plant, [(z, below)]), rel=1e-9)
+@pytest.mark.parametrize("delay", [0.0, 1.0, 0.4])
+def test_stepped_bodies_by_matrix_are_those_by_other_ways(delay: float) -> None:
+    law, plant = with_spring(pd(0.5), 200.0), device(delay)
+    for spring in (800.0, 0.0):
+        # Exact: by matrix exponentials of both sides. Many small steps of Euler come to the same, to the first order.
+        exact = chains_radius(law.taps, T, Chain(0.1, 1.0, delay), Chain(0.05, 0.3, delay, link=spring))
+        assert world_radius(law, plant, Body(0.05, 0.3, spring, "exact")) == pytest.approx(exact, rel=1e-9)
+        assert world_radius(law, plant, Body(0.05, 0.3, spring, "semi_implicit", 1000)) == pytest.approx(exact, abs=1e-4)
+    if delay != 0.4:
+        # One step: m (z − 1)²/T² + c (z − 1) z/T + k z, the damper at the new velocity and the spring at the old position.
+        z1, z = np.array([1.0, -1.0]), np.array([1.0, 0.0])
+        below = np.polyadd(np.polyadd(0.05 / T**2 * np.polymul(z1, z1), 0.3 / T * np.polymul(z1, z)), 800.0 * z)
+        late = np.concatenate([below, np.zeros(int(delay))])
+        radius = polynomial_radius(law, plant, [(z, late)])
+        assert world_radius(law, plant, Body(0.05, 0.3, 800.0, "semi_implicit")) == pytest.approx(radius, rel=1e-9)
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0])
