@@ -15,8 +15,8 @@ ROWS = (
 def world_figures(shown: Mapping[str, Any]) -> dict[str, Any]:
     """Return K_max for a wall, any implicit world, and any hand as well; empty where device or law do not allow it.
 
-    `shown`: figures of a law with ``kind`` and its parameters, ``plant``, ``rate_hz`` and ``delay_ticks``. Of a device whose mass
-    depends on its position the least over its ends and its worst mass counts.
+    `shown`: figures of a law with ``kind`` and its parameters, ``plant``, ``rate_hz`` and
+    ``delay_ticks``. Where the mass depends on the position: the least over both ends and the worst.
     """
     from nodes.laws import load_law
     from nodes.laws.parse import parse_law

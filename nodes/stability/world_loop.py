@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
+from nodes.stability.dips import Reals
 from nodes.stability.plant import Plant, held_step
 
 Integrator: TypeAlias = Literal["implicit", "lossless", "semi_implicit", "exact"]
 STEPPED = ("semi_implicit", "exact")  # they answer a force after the tick in which it acts
-Row: TypeAlias = NDArray[np.float64]
 HeldStep: TypeAlias = tuple[int, tuple[float, float, float, float], tuple[float, float], tuple[float, float]]
 
 
@@ -137,7 +137,7 @@ def world_matrix(law: CompiledLaw, plant: Plant, body: Body) -> NDArray[np.float
     # F = free + gain x, with x = p − y and y = rest + give F.
     free = sum((tap * unit * before for tap, before in zip(law.taps[1:], past, strict=False)), 0.0 * p)
     gain = law.taps[0] * unit
-    answers: list[Row] = []
+    answers: list[Reals] = []
     for s, (b0, b1, a1, a2) in enumerate(law.sections):
         answers.append(b1 * unit * past[0] - a1 * sections[2 * s] - a2 * sections[2 * s + 1])
         free, gain = free + answers[-1], gain + b0 * unit

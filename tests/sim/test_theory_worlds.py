@@ -13,7 +13,7 @@ from nodes.laws.parse import parse_law
 from nodes.stability.k_max import with_spring, without_spring
 from nodes.stability.loop_region import known_answer
 from nodes.stability.plant import Plant
-from nodes.stability.worlds import AnyWorld, EulerTool, OtherDevice, SteppedTool, World, world_k_max
+from nodes.stability.worlds import AnyWorld, EulerTool, OtherDevice, SteppedTool, WorldKind, world_k_max
 from tests.support import ROOT
 
 T = 0.002
@@ -91,7 +91,9 @@ PD = without_spring(parse_law({"kind": "pd", "stiffness": 1.0, "damping": 0.2}),
         (7, OtherDevice(1.5, 2.0), True, 1.0),
     ],
 )
-def test_the_formulas_of_the_page_end_where_the_engine_does(number: int, world: World, any_hand: bool, delay: float) -> None:
+def test_the_formulas_of_the_page_end_where_the_engine_does(
+    number: int, world: WorldKind, any_hand: bool, delay: float
+) -> None:
     plant = Plant(T, 0.1, 1.0, delay)
     edge = world_k_max(PD, plant, world, any_hand).k_max_n_per_m
     assert edge is not None

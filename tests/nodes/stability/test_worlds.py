@@ -25,7 +25,7 @@ from nodes.stability.worlds import (
     Springs,
     SteppedTool,
     Wall,
-    World,
+    WorldKind,
     WorldKMax,
     certified,
     world_k_max,
@@ -54,7 +54,7 @@ def device(delay: float) -> Plant:
     return Plant(T, 0.1, 1.0, delay)
 
 
-def figure(law: CompiledLaw, plant: Plant, world: World, any_hand: bool = False) -> float | None:
+def figure(law: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool = False) -> float | None:
     return world_k_max(law, plant, world, any_hand).k_max_n_per_m
 
 
@@ -112,23 +112,20 @@ def test_two_devices_in_any_two_hands() -> None:
     """500, 236.07, 166.67, 151.39 N/m for a spring at (0,0), (0,1), (1,1), (0,2) ticks and 1 N s/m each."""
     spring = pd(0.0)
     for (first, second), expected in {(0, 0): 500.0, (0, 1): 236.0680, (1, 1): 166.6667, (0, 2): 151.3878}.items():
-        found = [
-            figure(spring, device(float(one)), OtherDevice(1.0, float(other)), True)
-            for one, other in ((first, second), (second, first))
-        ]
-        assert found == [pytest.approx(expected, abs=5.1e-5)] * 2
+        for one, other in ((first, second), (second, first)):
+            both = figure(spring, device(float(one)), OtherDevice(1.0, float(other)), True)
+            assert both == pytest.approx(expected, abs=5.1e-5)
     # s₁/b₁ + s₂/b₂ + T²|H|²(1 − cos((d₁−d₂)θ))/(4 b₁ b₂ (1 − cos θ)) < 1, tried on a law with taps at many frequencies.
-    b, other, delays = 1.3, 0.7, (1.0, 3.0)
-    plant = Plant(T, 0.1, b, delays[0])
-    found = figure(HALF, plant, OtherDevice(other, delays[1]), True)
+    b, b_2, delays = 1.3, 0.7, (1.0, 3.0)
+    found = figure(HALF, Plant(T, 0.1, b, delays[0]), OtherDevice(b_2, delays[1]), True)
     theta = np.linspace(1e-3, np.pi, 100001)
     z = np.exp(1j * theta)
 
     def most(k: float) -> float:
         h = with_spring(HALF, k).response(z)
         s = [T * (z**-d * h / (1.0 - z)).real for d in delays]
-        apart = T**2 * abs(h) ** 2 * (1.0 - np.cos(2.0 * theta)) / (4.0 * b * other * (1.0 - np.cos(theta)))
-        return float((s[0] / b + s[1] / other + apart).max())
+        apart = T**2 * abs(h) ** 2 * (1.0 - np.cos(2.0 * theta)) / (4.0 * b * b_2 * (1.0 - np.cos(theta)))
+        return float((s[0] / b + s[1] / b_2 + apart).max())
 
     if found is None:
         assert most(1e-6) > 1.0
@@ -157,6 +154,7 @@ def test_damping_of_a_tool_in_closed_form() -> None:
         plant, law = device(delay), with_spring(pd(0.2), 150.0)
         x = z ** (1 + delay) * ((1.0 - 1.0 / z) / T / law.response(z) + known_answer(plant, theta) / T)
         needed = needed_tool_damping(law, plant)
+        assert needed is not None
         assert needed == pytest.approx(float(np.max(-(1.0 / x).real)), rel=1e-7)  # curvature times the grid's square
         edge = figure(pd(0.2), plant, SteppedTool(needed))
         assert edge == pytest.approx(150.0, rel=1e-8)
