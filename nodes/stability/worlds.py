@@ -1,7 +1,7 @@
 """Worlds that a coupling may be asked to render, and the stiffness and damping that are certified for all of one kind.
 
 A wall is not the worst world. Which worlds a certificate is about decides everything, so each kind names them: how they are
-integrated, how late they answer, what damping they have (THEORY.md §17).
+integrated, how late they answer, what damping they have (THEORY.md §18).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a law bears when the world behind it moves (THEORY.md §17): tables, random worlds, edges from both sides, traps."""
+"""What a law bears when the world behind it moves (THEORY.md §18): tables, random worlds, edges from both sides, traps."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from nodes.stability.loop_region import known_answer
 from nodes.stability.needed import needed_device_damping, needed_tool_damping, needed_tool_mass
 from nodes.stability.plant import Plant
 from nodes.stability.spring_world import spring_window
+from nodes.stability.two_hands import TwoHands, damping_share
 from nodes.stability.world_loop import Body, world_radius
 from nodes.stability.worlds import (
     AnyWorld,
@@ -131,6 +132,17 @@ def test_two_devices_in_any_two_hands() -> None:
         assert most(1e-6) > 1.0
     else:
         assert most(found * 0.999) < 1.0 < most(found * 1.001)
+
+
+@pytest.mark.parametrize(("first", "second"), [(0, 1), (1, 1), (3, 1)])
+def test_a_law_between_two_hands_is_the_two_port_of_the_matrix(first: int, second: int) -> None:
+    """`nodes.stability.two_hands` decides by eigenvalues of a matrix, for each law as it is."""
+    for law in (pd(0.05), HALF):
+        edge = figure(law, Plant(T, 0.1, 1.3, float(first)), OtherDevice(0.7, float(second)), True)
+        for factor in (0.999, 1.001):
+            if edge is not None:
+                hands = TwoHands.in_the_middle(with_spring(law, factor * edge), first, second)
+                assert (damping_share(hands, T, (1.3, 0.7)) < 1.0) is (factor < 1.0)
 
 
 def test_a_tool_is_one_more_device_whose_damping_adds_like_resistors() -> None:
