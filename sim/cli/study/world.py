@@ -51,7 +51,8 @@ def text(limits: WorldLimits) -> list[str]:
     lines = []
     for name, k in limits.k_max_n_per_m.items():
         shown = "none certified" if k is None else "without limit" if name in limits.unlimited else f"{k:.6g} N/m"
-        lines.append(f"  {name:24} {shown:>16}  {limits.about[name]}")
+        kinds = limits.about[name].partition(";")[0]
+        lines.append(f"  {name.replace('_', ' '):24} {shown:>16}  {kinds}")
     worst = limits.worst_world
     if worst is None:
         return [*lines, "worst world: none to build"]
