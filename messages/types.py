@@ -156,6 +156,9 @@ class Proxy(Message, frozen=True, kw_only=True, gc=False):
         Whether the surface is touched at this tick.
     delay : float
         The loop's measured delay, forwarded from the device state [ticks].
+    compliance : float
+        How far the force of this very tick moves the proxy, against the force [m/N]: it ends at `proxy` − `compliance` times
+        the force, which the coupling solves for. 0 (or less) for a surface, and for a body that answers a tick later.
     """
 
     position: Vector
@@ -164,6 +167,7 @@ class Proxy(Message, frozen=True, kw_only=True, gc=False):
     distance: Real = 0.0
     contact: bool = False
     delay: Real = 0.0
+    compliance: Real = 0.0
 
 
 class Force(Message, frozen=True, kw_only=True, gc=False):

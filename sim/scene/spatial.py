@@ -24,6 +24,7 @@ from nodes.environment.node import EnvironmentParameters
 from nodes.environment.shapes.scene import Solid, new_memory, scene_table
 from nodes.environment.state import SHAPES
 from nodes.environment.surfaces import Meeting, meet_axes, numbers_of, parse_surface
+from nodes.environment.world.node import World, WorldParameters, check_world
 from nodes.launcher.launch_spec import Launch
 from sim.arrays import Array
 from sim.device.driver import SimDriverParameters, parts_of
@@ -80,14 +81,17 @@ class _Coupling:
         return force if math.isfinite(force[0] + force[1] + force[2]) else renderer.fall_back(proxy)
 
 
-# From a tick, the position [m] and the force handed over last [N] to proxy, normal, distance and contact.
-Ask = Callable[[int, Vector, Vector], Meeting]
+# From a tick, the position [m] and the force handed over last [N] to proxy, normal, distance and contact, and compliance [m/N].
+Ask = Callable[[int, Vector, Vector], tuple[Meeting, float]]
 
 
 def _environment(launch: Launch, next_tick: bool, solids: Sequence[Solid] | None, world: MovingScene | None) -> Ask:
     """Make what the device meets: a surface, other solids in its place, or a scene in which things move."""
     period = launch.run.period
-    if not any(spec.kind == "mujoco" for spec in launch.nodes.values()):
+    kinds = {spec.kind for spec in launch.nodes.values()}
+    if "world" in kinds:
+        return _body(launch, float(next_tick))
+    if "mujoco" not in kinds:
         name, environment = parameters_of(launch, "environment", EnvironmentParameters)
         surface = parse_surface(environment.surface, f"{name}.surface")
         meet_axes(surface, launch.run.axes, f"{name}.surface")
@@ -97,14 +101,27 @@ def _environment(launch: Launch, next_tick: bool, solids: Sequence[Solid] | None
         else:
             found = numbers_of(surface, period)
             meet = surface.meeting_every(period) if found is None else meeting_of(found)
-        return lambda _, position, __: meet(position)
+        return lambda _, position, __: (meet(position), 0.0)
     name, bodies = parameters_of(launch, "mujoco", MujocoParameters)
     scene = load_world(bodies, period, name) if world is None else world
     delay = float(next_tick)
 
     def ask(tick: int, position: Vector, force: Vector) -> Meeting:
         scene.follow(tick, position, force, tick - 1, delay, tick == 0)
-        return scene.tool_position, ZERO, 0.0, True
+        return (scene.tool_position, ZERO, 0.0, True), 0.0
+
+    return ask
+
+
+def _body(launch: Launch, delay: float) -> Ask:
+    """Make a world of one body."""
+    name, parameters = parameters_of(launch, "world", WorldParameters)
+    check_world(parameters, launch.run.period, name)
+    world = World(parameters, launch.run.period, launch.run.axes)
+
+    def ask(tick: int, position: Vector, force: Vector) -> tuple[Meeting, float]:
+        at = world.follow(tick, position, force, tick - 1, delay)
+        return (at.proxy, ZERO, 0.0, True), at.compliance
 
     return ask
 
@@ -142,10 +159,9 @@ def play(
         else:
             place = path[k].tolist()
         position = rules.sample(k, (place[0], place[1], place[2]))
-        proxy, normal, distance, contact = meet(k, position, force)
-        wanted = coupling.answer(
-            Proxy(seq=k, stamp=k * period, position=position, proxy=proxy, normal=normal, distance=distance, contact=contact)
-        )
+        (proxy, normal, distance, contact), compliance = meet(k, position, force)
+        met = {"proxy": proxy, "normal": normal, "distance": distance, "contact": contact, "compliance": compliance}
+        wanted = coupling.answer(Proxy(seq=k, stamp=k * period, position=position, **met))
         force = rules.command(k, wanted)
         for part in parts:
             write_axis(part, force[part.axis], k, 0.0)
