@@ -108,6 +108,10 @@ class Judgement:
     def _complaint(self, what: str, verdict: Verdict) -> str:
         plant = verdict.plant
         hand = f", hand {plant.stiffness:g} N/m" if plant.stiffness else ""
+        if plant.partner is not None:
+            other = plant.partner
+            held = f", hand {other.stiffness:g} N/m" if other.stiffness else ""
+            hand += f", coupled to {other.mass:g} kg, {other.damping:g} N s/m{held}"
         return (
             f"{self._node}.{what}: pole radius {verdict.pole_radius:.6g} (limit: < 1) with mass {plant.mass:g} kg, "
             f"damping {plant.damping:g} N s/m{hand} at a delay of {plant.delay:.3g} ticks: the loop is unstable"

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import msgspec
 
 from nodes.laws import CompiledLaw
 from nodes.parameters.checked import NonNegative, Positive
-from nodes.stability.plant import Plant
+from nodes.stability.plant import Partner, Plant
 
 LawName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
 """A law's name is part of paths (laws.NAME.stiffness) and travels with every force."""
@@ -43,6 +44,21 @@ class Fallback(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 MASSES = 9  # with so many masses a law is judged where the mass depends on the position
 
 
+class PartnerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The second of two devices on one law.
+
+    mass: m [kg].
+    damping: b [N s/m].
+    stiffness: Stiffness of its hand [N/m].
+    later: How much later forces act on it than on the first; negative for earlier [ticks].
+    """
+
+    mass: Positive
+    damping: NonNegative = 0.0
+    stiffness: NonNegative = 0.0
+    later: float = 0.0
+
+
 class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The device that a law's pole radius is computed for.
 
@@ -54,6 +70,8 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     heaviest: The greatest mass where it depends on where the device is, and ``mass`` is the least: a law is judged with both
         and with some between [kg].
     tool_mass: Mass of what the coupling holds the device to, where that moves (kind ``mujoco``) [kg]; None for a wall.
+    tool_damping: Viscous damping of that to ground [N s/m].
+    partner: The other device, where two are coupled position to position; None for one.
     """
 
     mass: Positive
@@ -63,12 +81,21 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     device_delay: NonNegative = 0.0
     heaviest: Positive | None = None
     tool_mass: Positive | None = None
+    tool_damping: NonNegative = 0.0
+    partner: PartnerParameters | None = None
 
     def at(self, period: float, measured: float) -> Plant:
-        """Give the device in a loop of a period and a measured delay, as a law is judged on it."""
-        delay = (measured if self.delay is None else self.delay) + self.device_delay
-        plant = Plant(period, self.mass, self.damping, delay, self.stiffness)
-        return plant if self.tool_mass is None else plant.with_tool(self.tool_mass)
+        """Return the device in a loop of a period and a measured delay, as a law is judged on it."""
+        loop = measured if self.delay is None else self.delay
+        plant = Plant(period, self.mass, self.damping, loop + self.device_delay, self.stiffness)
+        if self.partner is not None:
+            other = self.partner
+            later = max(other.later, -plant.delay)
+            return replace(plant, partner=Partner(other.mass, other.damping, other.stiffness, later))
+        if self.tool_mass is None:
+            return plant
+        # The tool is pushed when the loop hands the force over: what the device adds to the delay is its own.
+        return replace(plant, partner=Partner(self.tool_mass, self.tool_damping, later=-self.device_delay))
 
     @property
     def masses(self) -> list[float]:

@@ -2,8 +2,8 @@
 
 The position of the pair is that of the first device less that of the second; a force on the pair acts on the first, and its
 opposite on the second. So the deflection of the law is how far the hands are apart, and everything that holds for one device
-holds for the pair: history, swaps, limits, and energy, because F·(v₁ − v₂) is the power on both. Two equal devices of mass m
-and damping b are to the law one of m/2 and b/2, which is the `plant` of its stability figures (`Plant.paired_with`).
+holds for the pair: history, swaps, limits, and energy, because F·(v₁ − v₂) is the power on both. The stability figures take the
+second device as the `partner` of the coupling's `plant` (nodes/stability/pair.py).
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from nodes.driver.limits import SafetyParameters, lower, undeclared
 from nodes.driver.node import Driver
 from nodes.driver.parameters import DriverParameters
 from nodes.parameters.store import ParameterError, convert
-from nodes.stability.plant import Plant
 
 
 class PairedMember(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -139,10 +138,9 @@ class PairedDriver(Driver):
                 return None
             changed[which] = {"kind": member.kind, "parameters": stood[0]}
             plants.append(stood[1])
-        first, second = (Plant(1.0, one["mass"], one["damping"], one["device_delay"], one["stiffness"]) for one in plants)
-        pair = first.paired_with(second)
-        facts = {"mass": pair.mass, "damping": pair.damping, "stiffness": pair.stiffness, "device_delay": pair.delay}
-        return changed, {"heaviest": None, **facts}
+        first, second = ({name: one[name] for name in ("mass", "damping", "stiffness")} for one in plants)
+        delay, later = plants[0]["device_delay"], plants[1]["device_delay"] - plants[0]["device_delay"]
+        return changed, {"heaviest": None, **first, "device_delay": delay, "partner": {**second, "later": later}}
 
     def make_device(self) -> Device:
         """Take hold of both, forces off."""

@@ -25,7 +25,7 @@ from typing import Protocol
 from nodes.stability.plant import Plant, held_step
 
 
-class Motion(Protocol):
+class BodyMotion(Protocol):
     """A body on one axis, about the rest of its spring.
 
     Attributes
@@ -184,7 +184,7 @@ class Exact(Stepped):
         self._v = a21 * y + a22 * v - g2 * self._acting
 
 
-INTEGRATORS: dict[str, type[Motion]] = {
+INTEGRATORS: dict[str, type[BodyMotion]] = {
     "implicit": Implicit,
     "lossless": Lossless,
     "semi_implicit": SemiImplicit,

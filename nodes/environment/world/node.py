@@ -16,7 +16,7 @@ from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.environment.spent import SpentCounters, note_spent, spent_us
-from nodes.environment.world.dynamics import INTEGRATORS, Motion, Stepped, lag_of
+from nodes.environment.world.dynamics import INTEGRATORS, BodyMotion, Stepped, lag_of
 from nodes.parameters.checked import NonNegative
 from nodes.parameters.store import ParameterError, convert
 
@@ -98,7 +98,7 @@ def _steps_factor(mass: float, damping: float, stiffness: float) -> float:
     return stiffness / (damping + math.sqrt(damping * damping + 4.0 * mass * stiffness)) * (1.0 + 1e-9)
 
 
-class Answer(NamedTuple):
+class BodyPlace(NamedTuple):
     """Where the world is at a tick."""
 
     proxy: Vector  # where it would be without this tick's force; the device's position along axes that are not computed [m]
@@ -120,10 +120,10 @@ class World:
         states = [motion.state() for motion in self._motions] if self._tick >= 0 else [(0.0, 0.0)] * len(self._axes)
         kind = INTEGRATORS[parameters.integrator]
         self._parameters = parameters
-        self._motions: list[Motion] = [kind(parameters.body, self._period, parameters.steps, at) for at in states]
+        self._motions: list[BodyMotion] = [kind(parameters.body, self._period, parameters.steps, at) for at in states]
         self.compliance = self._motions[0].compliance
 
-    def follow(self, tick: int, position: Vector, force: Vector, since: int, delay: float) -> Answer:
+    def follow(self, tick: int, position: Vector, force: Vector, since: int, delay: float) -> BodyPlace:
         """Go on to a tick.
 
         Parameters
@@ -141,7 +141,7 @@ class World:
 
         Returns
         -------
-        Answer
+        BodyPlace
             Where the body is.
         """
         if self._tick < 0:
@@ -158,7 +158,7 @@ class World:
         at = list(position)
         for i, motion in zip(self._axes, self._motions, strict=True):
             at[i] = self._rest[i] + motion.free()
-        return Answer((at[0], at[1], at[2]), self.compliance)
+        return BodyPlace((at[0], at[1], at[2]), self.compliance)
 
 
 class WorldEnvironment(Node):
@@ -213,7 +213,7 @@ class WorldEnvironment(Node):
         return {"spent_us": spent_us(self.counters.spent)}
 
     def loop(self) -> None:
-        """Answer until stopped; asked again (lockstep), the body is not moved twice."""
+        """BodyPlace until stopped; asked again (lockstep), the body is not moved twice."""
         answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self._answer)
 
 

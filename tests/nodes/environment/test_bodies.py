@@ -176,6 +176,6 @@ def test_the_figures_know_the_tool(mass: float, tool: float, damping: float) -> 
     )
     assert alone is not None
     assert seen is not None
-    # Exact without damping; with it, what pulls on both together is left out.
-    assert seen == pytest.approx(low, rel=1e-4 if damping == 0.0 else 0.01)
+    # What is allowed for the double pole at 1 moves the edge that is looked for here by up to 1e-4.
+    assert seen == pytest.approx(low, rel=1e-4)
     assert seen < alone

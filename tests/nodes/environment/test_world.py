@@ -14,7 +14,7 @@ from scipy.linalg import expm
 from scipy.signal import cont2discrete, lfilter
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY
-from nodes.environment.world.dynamics import INTEGRATORS, Motion, Stepped, lag_of
+from nodes.environment.world.dynamics import INTEGRATORS, BodyMotion, Stepped, lag_of
 from nodes.environment.world.node import World, WorldParameters, check_world
 from nodes.launcher import launch_file
 from nodes.parameters.store import ParameterError
@@ -28,7 +28,7 @@ EPS = np.finfo(float).eps
 
 def moved(integrator: str, body: tuple[float, float, float], forces: np.ndarray, steps: int = 1) -> np.ndarray:
     """Positions of a body that answer forces on the device, the same tick included [m]."""
-    motion: Motion = INTEGRATORS[integrator](body, PERIOD, steps, (0.0, 0.0))
+    motion: BodyMotion = INTEGRATORS[integrator](body, PERIOD, steps, (0.0, 0.0))
     found = []
     for force in forces.tolist():
         found.append(motion.free() - motion.compliance * force)
