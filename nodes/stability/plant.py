@@ -10,7 +10,6 @@ import functools
 import math
 from dataclasses import dataclass, replace
 
-
 _SHORTEST = 1e-15  # part of a tick that is none: a delay of some ticks is not known to it [ticks]
 
 
