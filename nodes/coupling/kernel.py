@@ -5,7 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 from messages.types import Force, Proxy
-from nodes.arithmetic import SMOOTHING, cross_fade, deflection, fir, newest_gain, one_sided, push, revise_sections, sections
+from nodes.arithmetic import (
+    SMOOTHING,
+    cross_fade,
+    deflection,
+    eased,
+    fir,
+    newest_gain,
+    one_sided,
+    push,
+    revise_sections,
+    sections,
+)
 from nodes.compiled.kernels.encode import make_encode
 from nodes.compiled.kernels.follow_kernel import count_gap, in_order, overtaken
 from nodes.compiled.kernels.hop import answer, called, flush, monotonic, out_at, receive
@@ -16,14 +27,14 @@ from nodes.compiled.message_fields import fields_of, slots
 from nodes.coupling.render import LawPort, evaluate, make_render
 from nodes.coupling.state import SLOTS, CouplingState
 
-for _function in (cross_fade, deflection, fir, newest_gain, one_sided, push, revise_sections, sections, evaluate):
+for _function in (cross_fade, deflection, eased, fir, newest_gain, one_sided, push, revise_sections, sections, evaluate):
     kernel(_function)
 _look = record_at(record_of(CouplingState))
 _scan = make_scan(Proxy)
 _encode = make_encode(Force)
 _IN, _OUT = fields_of(Proxy), fields_of(Force)
-_SEQ, _CONTACT, _STAMP, _POSITION, _PROXY, _NORMAL, _DISTANCE, _DELAY, _COMPLIANCE = slots(
-    _IN, "seq", "contact", "stamp", "position", "proxy", "normal", "distance", "delay", "compliance"
+_SEQ, _CONTACT, _REBASED, _STAMP, _POSITION, _PROXY, _NORMAL, _DISTANCE, _DELAY, _COMPLIANCE = slots(
+    _IN, "seq", "contact", "rebased", "stamp", "position", "proxy", "normal", "distance", "delay", "compliance"
 )
 _TO_SEQ, _TO_REVISION, _TO_STAMP, _TO_FORCE = slots(_OUT, "seq", "revision", "stamp", "force")
 _SLOTS = SLOTS
@@ -113,8 +124,8 @@ def ticks(address: int) -> int:
         if not receive(s, 0) or not _scan(s.payload, s.payload + s.payload_size, s.reals, s.wholes):
             break
         seq = s.wholes[_SEQ]
-        if not in_order(s, seq):
-            break
+        if not in_order(s, seq) or s.answered < 0 or s.wholes[_REBASED] != s.rebased or s.jumps != 0:
+            break  # a beginning or a jump: the plain tick begins the histories anew
         if overtaken(s, s.reals[_STAMP]):
             continue
         contact, distance = s.wholes[_CONTACT] != 0, s.reals[_DISTANCE]

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, TypeAlias, cast
 
-from nodes.arithmetic import newest_gain, push, revise_sections, sections, warm_up
+from nodes.arithmetic import newest_gain, push, revise_sections, sections, settle, warm_up
 from nodes.compiled.layout import state_of
 from nodes.coupling.state import LEAVING, CouplingState
 from nodes.laws import CompiledLaw
@@ -48,8 +48,9 @@ class History:
         self.pushes += 1
 
     def fill(self, value: float) -> None:
-        """Take it that the deflection has always been the same."""
+        """Replace all values by one: the deflection has always been the same."""
         self.values[:] = array("d", [value]) * len(self.values)
+        self.pushes += self.length  # for a snapshot under way, and for laws that have seen what is gone now
 
     def snapshot(self) -> History:
         """Copy the history from another thread than the one that pushes, once: a long one takes longer than a tick."""
@@ -124,6 +125,11 @@ class LawOnAxis:
             self.state[:] = array("d", [0.0]) * len(self.state)
             warm_up(self.coefficients, self.state, history.values, history.head, history.known)
         self._pushes = history.pushes
+
+    def settle(self, value: float) -> None:
+        """Put the sections where they rest under a deflection that has always been the same."""
+        settle(self.coefficients, self.state, value)
+        self._pushes = self._history.pushes
 
     def catch_up(self) -> None:
         """Let the sections see what was pushed since they last did (loop's thread)."""

@@ -25,8 +25,7 @@ from nodes.coupling.judgement import ASKED_FOR, VIRTUAL, Judgement, refuses_star
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.law_on_axis import History
 from nodes.coupling.parameters import CouplingParameters
-from nodes.coupling.render import begin_turning
-from nodes.coupling.renderer import ActiveLaw, Renderer
+from nodes.coupling.renderer import ActiveLaw, Renderer, settle_conventions
 from nodes.coupling.state import CouplingState
 from nodes.coupling.time_budget import Budget
 from nodes.parameters.store import ParameterError, convert
@@ -123,8 +122,7 @@ class Coupling(Node):
         return changed
 
     def _settle(self, parameters: CouplingParameters, fallback: ActiveLaw) -> None:
-        self.counters.raw, self.counters.clamp = parameters.history == "position", parameters.clamp
-        begin_turning(self.counters, parameters.frame)
+        settle_conventions(self.counters, parameters, self.setup.period)
         self._renderer.fallback = fallback
         self._budget = self._budget_of(parameters)
 
@@ -328,19 +326,26 @@ class Coupling(Node):
         )
         return force
 
+    def _report_jump(self, proxy: Proxy) -> None:
+        """Publish the force step of a jump."""
+        step, ramp = self._renderer.force_step, proxy.ease or self.counters.ease_usual
+        if step > 0.0:
+            began = self.counters.answered < 0
+            what = "the loop begins in contact" if began else "position, surface or proxy jumped without motion"
+            how = f"eased over {ramp * self.setup.period:.3g} s" if ramp > 1 else "at once: ease is 0"
+            self.events.emit_each("eased", f"tick {proxy.seq}: {what}: a force step of {step:.4g} N, {how}")
+
     def _answer(self, proxy: Proxy) -> bytes:
         seq, s, renderer = proxy.seq, self.counters, self._renderer
-        last = s.answered
-        if 0 <= last < seq - 1:
-            renderer.bridge(proxy, seq - last - 1)
-        elif last < 0 < seq:
-            renderer.begin(proxy)
+        jumped = renderer.follow(proxy, s.answered)
         if self._schedule:
             self._follow_schedule(seq)
         s.delay += (proxy.delay - s.delay) * SMOOTHING
         force = self._watched(proxy) if renderer.watched else renderer.render(proxy)
         if not math.isfinite(force[0] + force[1] + force[2]):
             force = self._fall_back(proxy, f"returned a force that is not finite: {force}")
+        if jumped:
+            self._report_jump(proxy)
         stamp = proxy.stamp if self.clock.simulated else self.clock.now()
         return encode(Force(seq=seq, stamp=stamp, force=force, law=renderer.name, revision=s.revision))
 

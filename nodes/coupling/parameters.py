@@ -124,6 +124,8 @@ class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     clamp: Whether a force into the wall is set to zero.
     memory: Ticks of deflection that are kept; bounds the longest law.
     ramp: Cross-fade of swaps that do not ask for another [ticks].
+    ease: Time in which the force goes from what was felt to what is asked where the device begins in contact, or position,
+        surface or proxy jump without motion [s]; 0 for at once.
     schedule: Swaps at given times.
     fallback: What renders when a law fails.
     budget: Part of the period that a law's own code may take.
@@ -141,6 +143,7 @@ class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     clamp: bool = True
     memory: Annotated[int, msgspec.Meta(ge=2, le=1_000_000)] = 2048
     ramp: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 0
+    ease: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.15
     schedule: list[Swap] = []
     fallback: Fallback = Fallback()
     budget: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.5

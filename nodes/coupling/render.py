@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, MutableSequence, Sequence
 from typing import Any, Final, NamedTuple
 
-from nodes.arithmetic import cross_fade, deflection, fir, one_sided, push, sections
+from nodes.arithmetic import cross_fade, deflection, eased, fir, one_sided, push, sections
 from nodes.coupling.state import SLOTS
 
 
@@ -69,6 +69,14 @@ def turn(turned: MutableSequence[float], upright: MutableSequence[float], normal
             scale = 1.5 - 0.5 * (p * p + q * q + r * r)
             turned[row], turned[row + 1], turned[row + 2] = scale * p, scale * q, scale * r
     upright[0], upright[1], upright[2] = x, y, z
+
+
+def deflections(s: Any, position: Any, proxy: Any, distance: float, normal: Any, contact: bool) -> list[float]:
+    """Return what a tick would push into each history [m], in the axes that the histories have now."""
+    world = [deflection(position[i], proxy[i], distance, normal[i], contact, s.raw != 0) for i in range(3)]
+    if s.turning == 0:
+        return [world[s.axis[n]] for n in range(s.axes)]
+    return [sum((s.turned[3 * n + i] * world[i] for i in range(3)), 0.0) for n in range(s.axes)]
 
 
 def make_render(
@@ -160,6 +168,17 @@ def make_render(
             s.fade_done += 1
             if s.fade_done >= s.fade_ramp:
                 s.fade_ramp = 0
+        if s.ease_ramp > 0:
+            for n in range(s.axes):
+                i = s.axis[n]
+                if s.ease_done == 0:
+                    s.ease_from[i], s.ease_offset[i] = s.felt[i], s.felt[i] - force[i]
+                force[i] = eased(force[i], s.ease_from[i], s.ease_offset[i], s.ease_done, s.ease_ramp)
+            s.ease_done += 1
+            if s.ease_done >= s.ease_ramp:
+                s.ease_ramp = 0
+        for i in range(3):
+            s.felt[i] = force[i]
         return True
 
     @made

@@ -110,6 +110,7 @@ def from_launch(launch: Launch) -> LaunchedScene:
             workspace=None if safety.workspace is None else safety.workspace[0],
             next_tick=launch.run.apply == "next_tick",
             passivity=driver.passivity,
+            ease=round(coupling.ease / period),
             safety=safety,
         ),
         law=law(coupling.law),

@@ -15,8 +15,7 @@ from messages.types import ZERO, Proxy, Vector
 from nodes.base.setup import AXIS_INDEX
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
-from nodes.coupling.render import begin_turning
-from nodes.coupling.renderer import ActiveLaw, Renderer
+from nodes.coupling.renderer import ActiveLaw, Renderer, settle_conventions
 from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoParameters, load_world
 from nodes.environment.meet import Numbers, meeting_of
@@ -24,7 +23,7 @@ from nodes.environment.node import EnvironmentParameters
 from nodes.environment.shapes.scene import Solid, new_memory, scene_table
 from nodes.environment.state import SHAPES
 from nodes.environment.surfaces import Meeting, meet_axes, numbers_of, parse_surface
-from nodes.environment.world.node import World, WorldParameters, check_world
+from nodes.environment.world.node import FeltWorld, WorldParameters, check_world
 from nodes.launcher.launch_spec import Launch
 from sim.arrays import Array
 from sim.device.driver import SimDriverParameters, parts_of
@@ -52,8 +51,7 @@ class _Coupling:
         period = launch.run.period
         book = LawBook(name, period)
         self.renderer = renderer = Renderer([AXIS_INDEX[axis] for axis in launch.run.axes], parameters.memory)
-        renderer.state.raw, renderer.state.clamp = parameters.history == "position", parameters.clamp
-        begin_turning(renderer.state, parameters.frame)
+        settle_conventions(renderer.state, parameters, period)
 
         def law(name: str) -> ActiveLaw:
             return ActiveLaw(name, "", book.compile(parameters, name), renderer.histories)
@@ -66,6 +64,7 @@ class _Coupling:
     def answer(self, proxy: Proxy) -> Vector:
         """Render the force of a tick."""
         renderer = self.renderer
+        renderer.follow(proxy, proxy.seq - 1 if proxy.seq else -1)
         while self._schedule and self._schedule[0][0] <= proxy.seq:
             _, law, ramp = self._schedule.pop(0)
             law.warm_up(renderer.histories)
@@ -117,7 +116,7 @@ def _body(launch: Launch, delay: float) -> Ask:
     """Make a world of one body."""
     name, parameters = parameters_of(launch, "world", WorldParameters)
     check_world(parameters, launch.run.period, name)
-    world = World(parameters, launch.run.period, launch.run.axes)
+    world = FeltWorld(parameters, launch.run.period, launch.run.axes)
 
     def ask(tick: int, position: Vector, force: Vector) -> tuple[Meeting, float]:
         at = world.follow(tick, position, force, tick - 1, delay)

@@ -105,7 +105,7 @@ class BodyPlace(NamedTuple):
     compliance: float  # how far this tick's force moves it [m/N]
 
 
-class World:
+class FeltWorld:
     """A body along some axes, which follows the ticks of a loop."""
 
     def __init__(self, parameters: WorldParameters, period: float, axes: Sequence[str]) -> None:
@@ -182,7 +182,7 @@ class WorldEnvironment(Node):
         """Make the body, and report which world it is."""
         parameters: WorldParameters = self.store.current
         check_world(parameters, self.setup.period, self.setup.name)
-        self._world = World(parameters, self.setup.period, self.setup.axes)
+        self._world = FeltWorld(parameters, self.setup.period, self.setup.axes)
         self.events.emit_each("world", described(parameters))
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:

@@ -15,7 +15,7 @@ from scipy.signal import cont2discrete, lfilter
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.environment.world.dynamics import INTEGRATORS, BodyMotion, Stepped, lag_of
-from nodes.environment.world.node import World, WorldParameters, check_world
+from nodes.environment.world.node import FeltWorld, WorldParameters, check_world
 from nodes.launcher import launch_file
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
@@ -244,7 +244,7 @@ def test_other_parameters_leave_the_body_where_it_is_and_ticks_that_were_lost_ar
     zero = (0.0, 0.0, 0.0)
     for integrator in INTEGRATORS:
         fields = {"mass": 0.1, "stiffness": 50.0, "damping": 1.0, "integrator": integrator}
-        world = World(WorldParameters(**fields), PERIOD, ["x"])
+        world = FeltWorld(WorldParameters(**fields), PERIOD, ["x"])
         world.follow(0, (0.01, 0.02, 0.0), zero, -1, 0.0)
         for tick in range(1, 50):
             at = world.follow(tick, zero, (2.0, 0.0, 0.0), tick - 1, 0.0)
@@ -253,13 +253,13 @@ def test_other_parameters_leave_the_body_where_it_is_and_ticks_that_were_lost_ar
         world.set(WorldParameters(**{**fields, "stiffness": 100.0}))
         assert world._motions[0].state() == pytest.approx((before, speed), rel=1e-12)
         # 20 ticks at once, and one by one: the same force was on the device meanwhile.
-        other = World(WorldParameters(**fields), PERIOD, ["x"])
+        other = FeltWorld(WorldParameters(**fields), PERIOD, ["x"])
         other.follow(0, (0.01, 0.02, 0.0), zero, -1, 0.0)
         other.follow(29, zero, (2.0, 0.0, 0.0), 0, 0.0)
         at_once = other.follow(49, zero, (2.0, 0.0, 0.0), 48, 0.0)
         assert at_once.proxy[0] == pytest.approx(at.proxy[0], rel=1e-9)
         # After a second without a state it goes on for a tenth of it.
-        gone = World(WorldParameters(mass=0.1, damping=1e-9, integrator=integrator), PERIOD, ["x"])
+        gone = FeltWorld(WorldParameters(mass=0.1, damping=1e-9, integrator=integrator), PERIOD, ["x"])
         gone.follow(0, zero, zero, -1, 0.0)
         gone.follow(1, zero, (1.0, 0.0, 0.0), 0, 0.0)
         start = gone.follow(2, zero, zero, 1, 0.0).proxy[0]
