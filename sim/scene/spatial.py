@@ -6,7 +6,7 @@ driver's safety. It is interpreted, for few runs (`sim.scene.loop` is for thousa
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,10 @@ from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoParameters, load_world
 from nodes.environment.meet import Numbers, meeting_of
 from nodes.environment.node import EnvironmentParameters
+from nodes.environment.place import Place
 from nodes.environment.shapes.scene import Solid, new_memory, scene_table
 from nodes.environment.state import SHAPES
-from nodes.environment.surfaces import Meeting, meet_axes, numbers_of, parse_surface
+from nodes.environment.surfaces import Meeting, Surface, meet_axes, parse_surface
 from nodes.environment.world.node import FeltWorld, WorldParameters, check_world
 from nodes.launcher.launch_spec import Launch
 from sim.arrays import Array
@@ -80,16 +81,31 @@ class _Coupling:
         return force if math.isfinite(force[0] + force[1] + force[2]) else renderer.fall_back(proxy)
 
 
-# From a tick, the position [m] and the force handed over last [N] to proxy, normal, distance and contact, and compliance [m/N].
-Ask = Callable[[int, Vector, Vector], tuple[Meeting, float]]
+class _Jumps:
+    """The latest jump that no motion made, as the environment counts it, and how far the force moves the proxy [m/N]."""
+
+    def __init__(self) -> None:
+        self.tick, self.compliance = 0, 0.0
 
 
-def _environment(launch: Launch, next_tick: bool, solids: Sequence[Solid] | None, world: MovingScene | None) -> Ask:
+# From a tick, the position [m] and the force handed over last [N] to proxy, normal, distance and contact.
+Ask = Callable[[int, Vector, Vector], Meeting]
+Change = tuple[int, dict[str, Any]]  # the first tick on another surface, and its parameters
+
+
+def _environment(
+    launch: Launch,
+    next_tick: bool,
+    solids: Sequence[Solid] | None,
+    world: MovingScene | None,
+    jumps: _Jumps,
+    changes: Sequence[Change],
+) -> Ask:
     """Make what the device meets: a surface, other solids in its place, or a scene in which things move."""
     period = launch.run.period
     kinds = {spec.kind for spec in launch.nodes.values()}
     if "world" in kinds:
-        return _body(launch, float(next_tick))
+        return _body(launch, float(next_tick), jumps)
     if "mujoco" not in kinds:
         name, environment = parameters_of(launch, "environment", EnvironmentParameters)
         surface = parse_surface(environment.surface, f"{name}.surface")
@@ -97,30 +113,48 @@ def _environment(launch: Launch, next_tick: bool, solids: Sequence[Solid] | None
         if solids is not None:
             radius = getattr(surface, "tool_radius", 0.0)
             meet = meeting_of(Numbers(SHAPES, scene_table(solids, radius, period), new_memory(len(solids))))
-        else:
-            found = numbers_of(surface, period)
-            meet = surface.meeting_every(period) if found is None else meeting_of(found)
-        return lambda _, position, __: (meet(position), 0.0)
+            return lambda _, position, __: meet(position)
+        return _surfaces(surface, launch, jumps, sorted(changes, key=lambda change: change[0]))
     name, bodies = parameters_of(launch, "mujoco", MujocoParameters)
     scene = load_world(bodies, period, name) if world is None else world
     delay = float(next_tick)
 
     def ask(tick: int, position: Vector, force: Vector) -> Meeting:
-        scene.follow(tick, position, force, tick - 1, delay, tick == 0)
-        return (scene.tool_position, ZERO, 0.0, True), 0.0
+        if scene.follow(tick, position, force, tick - 1, delay, tick == 0):
+            jumps.tick = tick
+        return scene.tool_position, ZERO, 0.0, True
 
     return ask
 
 
-def _body(launch: Launch, delay: float) -> Ask:
+def _body(launch: Launch, delay: float, jumps: _Jumps) -> Ask:
     """Make a world of one body."""
     name, parameters = parameters_of(launch, "world", WorldParameters)
     check_world(parameters, launch.run.period, name)
     world = FeltWorld(parameters, launch.run.period, launch.run.axes)
 
-    def ask(tick: int, position: Vector, force: Vector) -> tuple[Meeting, float]:
+    def ask(tick: int, position: Vector, force: Vector) -> Meeting:
         at = world.follow(tick, position, force, tick - 1, delay)
-        return (at.proxy, ZERO, 0.0, True), at.compliance
+        jumps.compliance = at.compliance
+        return at.proxy, ZERO, 0.0, True
+
+    return ask
+
+
+def _surfaces(surface: Surface, launch: Launch, jumps: _Jumps, changes: list[Change]) -> Ask:
+    """Meet a surface, and others from some tick on, as the environment node changes them."""
+    period, changes = launch.run.period, list(changes)
+    place = Place(surface, period)
+
+    def ask(tick: int, position: Vector, _: Vector) -> Meeting:
+        while changes and changes[0][0] <= tick:
+            parameters = changes.pop(0)[1]
+            if place.take(Place(parse_surface(parameters, "surface"), period)):
+                jumps.tick = tick
+        met = place.meet(position)
+        if place.jumped:
+            jumps.tick = tick
+        return met
 
     return ask
 
@@ -131,17 +165,20 @@ def play(
     solids: Sequence[Solid] | None = None,
     path: Array | None = None,
     world: MovingScene | None = None,
+    changes: Sequence[Change] = (),
 ) -> SpatialTrace:
     """Play a launch file of one chain and virtual devices: the bits of a run in lockstep.
 
     `path`, shape (at least ticks, 3): where the encoders find the device [m], whatever the force; no device is played then.
+    `changes` are other surfaces, each from a tick on.
     `solids` and `world` take the place of the launch file's own. ParameterError says what is wrong, as a launch would.
     """
     run = launch.run
     period, ticks = run.period, ticks or run.ticks or round(10.0 / run.period)
     _, driver = parameters_of(launch, "sim_driver", SimDriverParameters)
     next_tick = run.apply == "next_tick"
-    meet = _environment(launch, next_tick, solids, world)
+    jumps = _Jumps()
+    meet = _environment(launch, next_tick, solids, world, jumps, changes)
     axes = [AXIS_INDEX[axis] for axis in run.axes]
     devices = parts_of(driver.device, run.axes, period, next_tick, driver.ends)
     parts = [device.state for device in devices]
@@ -158,8 +195,9 @@ def play(
         else:
             place = path[k].tolist()
         position = rules.sample(k, (place[0], place[1], place[2]))
-        (proxy, normal, distance, contact), compliance = meet(k, position, force)
-        met = {"proxy": proxy, "normal": normal, "distance": distance, "contact": contact, "compliance": compliance}
+        proxy, normal, distance, contact = meet(k, position, force)
+        met: dict[str, Any] = {"proxy": proxy, "normal": normal, "distance": distance, "contact": contact}
+        met |= {"rebased": jumps.tick, "compliance": jumps.compliance}
         wanted = coupling.answer(Proxy(seq=k, stamp=k * period, position=position, **met))
         force = rules.command(k, wanted)
         for part in parts:

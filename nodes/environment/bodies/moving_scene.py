@@ -25,6 +25,7 @@ WIDEST = 1.0  # largest radius around a geom of the tool [m]: what is larger was
 GAP = 0.1  # of a longer time without a state only so much is stepped: a scene that made up for all of it would be late [s]
 
 _MOST_STEPS = 1000
+_OVERLAP = 1e-4  # deeper than this in another body the tool begins unfelt [m]: MuJoCo would throw it out
 _LIGHTEST = 1e-6
 
 _OF_CONTACT = ("solref", "solimp", "friction", "solmix", "priority", "condim")
@@ -55,7 +56,8 @@ def load_mujoco(where: str) -> Any:
 class MovingScene:
     """A scene and its tool on three slide joints; `held`: all else is held. ParameterError says why it cannot be had."""
 
-    def __init__(self, file: Path, tool: str, period: float, where: str, held: bool = False) -> None:
+    def __init__(self, file: Path, tool: str, period: float, where: str, held: bool = False, lost: float = math.inf) -> None:
+        self.lost = lost  # distance from the device at which the tool is put back to it [m]
         self._mujoco = mujoco = load_mujoco(f"{where}.scene")
         try:
             # Opened here: the words of the operating system are clearer.
@@ -78,6 +80,8 @@ class MovingScene:
             raise ParameterError(f"{where}.scene: {file}: {' '.join(' '.join(warnings).split())}")
         self.data = mujoco.MjData(self.model)
         self.tool, self._slides = self._find_tool(tool, file, where)  # the tool's body in the model
+        first = int(self.model.body_dofadr[self.tool])
+        self._speeds = slice(first, first + 3)
         self.mass = float(self.model.body_subtreemass[self.tool])  # of the tool, with what is fixed to it [kg]
         if self.mass < _LIGHTEST:
             raise ParameterError(f"{where}.tool: body {tool!r} weighs {self.mass:g} kg, expected at least {_LIGHTEST:g} kg")
@@ -100,6 +104,8 @@ class MovingScene:
         self._forces: deque[tuple[int, Vector]] = deque([(-1, (0.0, 0.0, 0.0))])
         self._done = 0
         self.resets = 0  # how often the scene diverged and was put back to its beginning
+        self._touches = {i: (int(self.model.geom_contype[i]), int(self.model.geom_conaffinity[i])) for i in self._geoms()}
+        self.inside = False  # whether the tool meets nothing, because it began inside of another body
         mujoco.mj_forward(self.model, self.data)
 
     def _find_tool(self, tool: str, file: Path, where: str) -> tuple[int, list[int]]:
@@ -122,6 +128,9 @@ class MovingScene:
     def _of_tool(self, geom: int) -> bool:
         return int(self.model.body_rootid[self.model.geom_bodyid[geom]]) == self.tool
 
+    def _geoms(self) -> list[int]:
+        return [i for i in range(self.model.ngeom) if self._of_tool(i)]
+
     @property
     def tool_position(self) -> Vector:
         """Where the tool is now [m]."""
@@ -129,23 +138,65 @@ class MovingScene:
         return x, y, z
 
     def begin(self, position: Vector) -> None:
-        """Put the tool where the device is, at rest: a coupling that begins stretched would throw it."""
+        """Put the tool where the device is, at rest: a coupling that begins stretched would throw it.
+
+        A tool that is inside of another body there meets nothing until it is outside of all: its contacts would throw it.
+        """
+        self._meet_bodies(True)
         for at, wanted, now in zip(self._slides, position, self.tool_position, strict=True):
             self.data.qpos[at] += wanted - now
         self._mujoco.mj_forward(self.model, self.data)
+        self.inside = self._deepest() > _OVERLAP
+        if self.inside:
+            self._meet_bodies(False)
+            self._mujoco.mj_forward(self.model, self.data)
 
-    def follow(self, tick: int, position: Vector, force: Vector, since: int, delay: float, first: bool) -> bool:
-        """Go to a tick whose state tells the last force, the tick it answered and its delay; whether the scene diverged."""
+    def _meet_bodies(self, meets: bool) -> None:
+        """Switch the contacts of the tool on or off."""
+        for i, (kind, affinity) in self._touches.items():
+            self.model.geom_contype[i], self.model.geom_conaffinity[i] = (kind, affinity) if meets else (0, 0)
+
+    def _deepest(self) -> float:
+        """Depth of the tool in other bodies, by the contacts that were found last [m]."""
+        contact = self.data.contact
+        of_tool = (int(i) in self._touches or int(j) in self._touches for i, j in contact.geom)
+        return max((-float(away) for away, own in zip(contact.dist, of_tool, strict=True) if own), default=0.0)
+
+    def _leave_bodies(self) -> None:
+        """Meet other bodies again as soon as the tool is wholly outside of them."""
+        self._meet_bodies(True)
+        self._mujoco.mj_collision(self.model, self.data)
+        self.inside = self._deepest() > 0.0
+        if self.inside:
+            self._meet_bodies(False)
+
+    def follow(
+        self, tick: int, position: Vector, force: Vector, since: int, delay: float, first: bool, jumped: bool = False
+    ) -> str:
+        """Go to a tick whose state tells the last force, the tick it answered and its delay.
+
+        `first` and `jumped` say that no motion led the device to its position. Return why the tool was put back to the device;
+        empty where it was not.
+        """
         if first:
             self.begin(position)
             self._done = tick * self.steps  # A node that was killed goes on with the present
+            return "the scene begins"
+        self.hand_over(force, since, delay)
+        self.advance(tick)
+        if self.diverged():
+            why = "the scene diverged and was put back to its beginning; a smaller option timestep may help"
+        elif jumped:
+            why = "the device's position jumped"
+        elif (away := math.dist(self.tool_position, position)) > self.lost:
+            why = f"the tool was {away:.3g} m away from the device, more than {self.lost:g} m: it was thrown, or left behind"
         else:
-            self.hand_over(force, since, delay)
-            self.advance(tick)
-        diverged = self.diverged()
-        if diverged:
-            self.begin(position)
-        return diverged
+            if self.inside:
+                self._leave_bodies()
+            return ""
+        self.data.qvel[self._speeds] = 0.0
+        self.begin(position)
+        return why
 
     def hand_over(self, force: Vector, tick: int, delay: float) -> None:
         """Note a force that was handed to the device at a tick, and how much later it took effect [ticks]."""

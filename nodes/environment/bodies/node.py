@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 
@@ -27,11 +27,13 @@ class MujocoParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     scene: MJCF file; ``$(dirname)`` in a launch file is the folder that it stands in.
     tool: Body of it that the coupling holds to the device.
     bodies: ``dynamic``, or ``fixed`` to hold all but the tool where it begins.
+    lost: Distance between device and tool from which the tool is put back to the device, without a force [m].
     """
 
     scene: str
     tool: str = "tool"
     bodies: Literal["dynamic", "fixed"] = "dynamic"
+    lost: Annotated[float, msgspec.Meta(gt=0.0)] = 0.25
 
 
 class MujocoEnvironment(Node):
@@ -64,6 +66,7 @@ class MujocoEnvironment(Node):
 
     def configure(self) -> None:
         """Load the scene, measure its contacts, and say what the stability figures have to know."""
+        self._rebased = self._driver_rebased = 0
         self._world = load_world(self.store.current, self.setup.period, self.setup.name)
         self._poses = Poses(poses_file(self.setup.run_dir, self.setup.name), self._world.model.ngeom, make=True)
         self._every = max(1, round(1.0 / (RATE * self.setup.period)))
@@ -79,10 +82,16 @@ class MujocoEnvironment(Node):
         if state.safety == "fault" and not simulated:
             return None
         begin = 0.0 if simulated else time.monotonic()
-        first = self.counters.answered < 0
-        if world.follow(seq, state.position, state.force, seq - 1 - state.age, state.delay, first):
-            text = "the scene diverged and was put back to its beginning; a smaller option timestep may help"
-            self.events.emit("bodies", text)
+        first = not 0 <= self.counters.answered < seq
+        jumped = state.rebased != self._driver_rebased
+        inside = world.inside
+        if why := world.follow(seq, state.position, state.force, seq - 1 - state.age, state.delay, first, jumped):
+            self._rebased, self._driver_rebased = seq, state.rebased
+            if not first:
+                self.events.emit("bodies", f"{why}; the tool begins at the device again")
+        if world.inside != inside:
+            unfelt = "begins inside of another body: nothing is felt until it is outside"
+            self.events.emit("inside", f"the tool {unfelt if world.inside else 'has come outside: all is felt now'}")
         at = world.tool_position
         if not simulated:
             note_spent(self.counters.spent, time.monotonic() - begin)
@@ -91,6 +100,7 @@ class MujocoEnvironment(Node):
         stamp = state.stamp if simulated else self.clock.now()
         # The coupling holds the tool from all sides: no normal, and nothing to clamp.
         held: dict[str, Any] = {"proxy": at, "normal": ZERO, "distance": 0.0, "contact": True}
+        held["rebased"] = max(self._rebased, state.rebased)
         return encode(Proxy(seq=seq, stamp=stamp, position=state.position, delay=state.delay, **held))
 
     def report(self) -> dict[str, Any]:
@@ -105,4 +115,4 @@ class MujocoEnvironment(Node):
 def load_world(parameters: MujocoParameters, period: float, name: str) -> MovingScene:
     """Load the scene of a node of this name."""
     held = parameters.bodies == "fixed"
-    return MovingScene(Path(parameters.scene).expanduser(), parameters.tool, period, name, held)
+    return MovingScene(Path(parameters.scene).expanduser(), parameters.tool, period, name, held, parameters.lost)

@@ -206,6 +206,7 @@ class WorldEnvironment(Node):
         stamp = state.stamp if simulated else self.clock.now()
         # The coupling holds the body from both sides: no normal, and nothing to clamp.
         met: dict[str, Any] = {"proxy": at.proxy, "normal": ZERO, "distance": 0.0, "contact": True, "compliance": at.compliance}
+        met["rebased"] = state.rebased
         return encode(Proxy(seq=state.seq, stamp=stamp, position=state.position, delay=state.delay, **met))
 
     def report(self) -> dict[str, Any]:
