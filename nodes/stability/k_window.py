@@ -1,8 +1,9 @@
 """The window of stiffness in which a law stays outside a region at every frequency.
 
-At each frequency the inequality a K² + b K + c > 0 excludes an interval of K, or all but one. The window is the lowest gap
-between the excluded intervals in which the loop with the wall is stable too. Its edges are found by exchange: where a finer
-look at the ends or at the middle finds a frequency that is violated, that frequency joins the grid and the window is found again.
+At each frequency the inequality a K² + b K + c > 0 excludes an interval of K, or all but one. The
+window is the lowest gap between the excluded intervals in which the loop with the wall is stable
+too. Its edges are found by exchange: a finer search at the ends and in the middle adds the
+frequencies that are violated to the grid, until there are none.
 """
 
 from __future__ import annotations
@@ -119,7 +120,10 @@ def _roots(a: Reals, b: Reals, c: Reals) -> tuple[Reals, Reals, Reals]:
 
 
 def _unresolved(theta: Reals, a: Reals, b: Reals, c: Reals) -> Reals:
-    """Return frequencies between neighbours that exclude intervals apart: the interval moves without a jump, so one is missing."""
+    """Return frequencies between neighbours whose excluded intervals lie apart.
+
+    The interval moves without a jump, so what lies between them is missing from the grid.
+    """
     square, below, above = _roots(a, b, c)
     whole = (a > 0.0) & (square > 0.0)
     with np.errstate(invalid="ignore"):

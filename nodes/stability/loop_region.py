@@ -1,14 +1,16 @@
 """The region in which device and world lie at each frequency, and the stiffness that it allows.
 
-Deflection x = p − y, force F = H x. The device answers p = −P F, the world D' y = V F, with D' = 1 − w and w = exp(−jωT). The
-loop swings at ω iff D'/H + D' P + V = 0. What is not known about P and V is a region of the complex plane:
+Deflection x = p − y, force F = H x. The device answers p = −P F, the world D' y = V F, with
+D' = 1 − w and w = exp(−jωT). The loop swings at ω iff D'/H + D' P + V = 0. What is not known about P
+and V is a region of the complex plane:
 
-- a device of damping b that a hand of any kind holds, its force held and late by d ticks: a disc of radius T/2b about ψ T/2b
-  (Colgate's aliases included), ψ = (1 − φ) w^(1+i) + φ w^(2+i) for d = i + φ. A stepped tool with anything hung on it is another;
+- a device of damping b in any hand, its force held and late by d = i + φ ticks: a disc of radius T/2b
+  about ψ T/2b with ψ = (1 − φ) w^(1+i) + φ w^(2+i), aliases included. A stepped tool with anything
+  passive hung on it is another disc;
 - any passive world that answers the force in the same tick: the half plane Re V ≥ 0.
 
-Discs add up. With H = K + h, being outside the region is a quadratic inequality in K at each frequency (THEORY.md §17), so all
-certificates are the same search (`nodes.stability.k_window`).
+Discs add up. With H = K + h, the loop is outside the region iff a quadratic inequality in K holds at
+each frequency (THEORY.md §17), so one search serves all certificates (`nodes.stability.k_window`).
 """
 
 from __future__ import annotations

@@ -25,8 +25,9 @@ from nodes.stability.spring_world import spring_window, stable_with_springs
 class Wall:
     """A surface that does not move."""
 
-    def about(self, plant: Plant) -> str:
-        """Return which worlds these are."""
+    @property
+    def about(self) -> str:
+        """Which worlds these are."""
         return "a wall"
 
 
@@ -42,8 +43,9 @@ class Springs:
         if not 0.0 < self.softest <= self.stiffest:
             raise ValueError(f"softest = {self.softest!r}, stiffest = {self.stiffest!r} N/m: expected 0 < softest <= stiffest")
 
-    def about(self, plant: Plant) -> str:
-        """Return which worlds these are."""
+    @property
+    def about(self) -> str:
+        """Which worlds these are."""
         return f"a spring of {self.softest:g} to {self.stiffest:g} N/m that answers in the same tick"
 
 
@@ -51,8 +53,9 @@ class Springs:
 class AnyWorld:
     """Every passive world that answers the force in the same tick: implicit bodies, static springs, proxies."""
 
-    def about(self, plant: Plant) -> str:
-        """Return which worlds these are."""
+    @property
+    def about(self) -> str:
+        """Which worlds these are."""
         return "any passive world solved implicitly in the same tick (lag 0; backward Euler, a static spring, a proxy)"
 
 
@@ -71,12 +74,13 @@ class SteppedTool:
         if not (math.isfinite(self.damping) and self.damping >= 0.0):
             raise ValueError(f"damping = {self.damping!r} N s/m: expected a finite value of at least 0")
 
-    def about(self, plant: Plant) -> str:
-        """Return which worlds these are."""
-        late = plant.delay if self.delay is None else self.delay
+    @property
+    def about(self) -> str:
+        """Which worlds these are."""
+        late = "as late as on the device" if self.delay is None else f"{self.delay:g} ticks late"
         return (
             f"a stepped tool of at least {self.damping:g} N s/m to the ground with anything passive hung on it "
-            f"(force held, {late:g} ticks late, any sub-steps)"
+            f"(force held, {late}, any sub-steps)"
         )
 
 
@@ -91,8 +95,9 @@ class EulerTool:
         if not (math.isfinite(self.mass) and self.mass > 0.0):
             raise ValueError(f"mass = {self.mass!r} kg: expected a finite value above 0")
 
-    def about(self, plant: Plant) -> str:
-        """Return which worlds these are."""
+    @property
+    def about(self) -> str:
+        """Which worlds these are."""
         return (
             f"a tool of at least {self.mass:g} kg, one step of semi-implicit Euler a tick, "
             "with any passive bodies behind it that are solved implicitly"
@@ -106,8 +111,9 @@ class OtherDevice:
     damping: float  # [N s/m]
     delay: float  # of its loop [ticks]
 
-    def about(self, plant: Plant) -> str:
-        """Return which worlds these are."""
+    @property
+    def about(self) -> str:
+        """Which worlds these are."""
         return f"a second device of {self.damping:g} N s/m at {self.delay:g} ticks, in any hand"
 
 
@@ -191,7 +197,7 @@ def world_k_max(derivative: CompiledLaw, plant: Plant, world: World, any_hand: b
     """
     if derivative.evaluate is not None:
         raise ValueError("law: has code of its own and no transfer function; use --method simulation or lockstep")
-    about = f"{world.about(plant)}; {hand_text(plant, any_hand)}"
+    about = f"{world.about}; {hand_text(plant, any_hand)}"
     none = WorldKMax(None, None, None, about)
     if isinstance(world, Wall) and not any_hand:
         wall = k_max(derivative, plant)

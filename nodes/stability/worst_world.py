@@ -1,8 +1,8 @@
 """The worst world for a law on a known device: one body of first order with which the loop swings just above the limit.
 
-At the edge of "any world that answers in the same tick" the answer of law and device is purely imaginary at one frequency. A
-lossless mass or spring has just the opposite there, so it puts a pole on the unit circle: the certificate is necessary, not only
-sufficient (THEORY.md §17).
+At the edge of "any world that answers in the same tick" the answer of law and device is purely
+imaginary at one frequency. A lossless mass or spring has the opposite there, so it puts a pole on the
+unit circle: the certificate is necessary, not only sufficient (THEORY.md §17).
 """
 
 from __future__ import annotations
@@ -30,6 +30,12 @@ class WorstWorld:
     frequency_hz: float  # at which the loop swings [Hz]
     rule: str  # how the body is integrated (`nodes.stability.world_loop.Body`)
     k_max_n_per_m: float  # the edge [N/m]
+
+    @property
+    def text(self) -> str:
+        """What it is, and what it does."""
+        what = f"a mass of {self.mass_kg:.4g} kg" if self.mass_kg else f"a spring of {self.stiffness_n_per_m:.5g} N/m"
+        return f"{what} ({self.rule}), swings at {self.frequency_hz:.4g} Hz above {self.k_max_n_per_m:.6g} N/m"
 
     @property
     def body(self) -> Body:
