@@ -137,6 +137,7 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
         "plot": None,
         "exit_reason": supervisor.exit_reason,
         "failures": supervisor.failures,
+        "not_judged": supervisor.unjudged,
         "startup_s": round(supervisor.startup_s, 3),
         "nodes": {name: report["status"] for name, report in supervisor.reports.items()},
         **({"chains": chains} if len(chains) > 1 else {}),
@@ -188,6 +189,7 @@ def _text(launch: Launch, figures: dict[str, Any]) -> str:
         ticks = sorted(set(by_node.values()))
         shown = [f"{tick}: {', '.join(name for name in by_node if by_node[name] == tick)}" for tick in ticks]
         lines.append(f"  tick      {'; '.join(shown) if len(ticks) > 1 else ticks[0]}")
+    lines += [f"  stability not judged: {why}" for why in figures["not_judged"].values()]
     for chain, own in figures.get("chains", {"": figures}).items():
         lines += [f" /{chain}"] if chain else []
         lines += _chain_text(own)

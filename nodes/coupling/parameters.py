@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import msgspec
 
 from nodes.laws import CompiledLaw
-from nodes.parameters.checked import NonNegative, Positive
+from nodes.parameters.checked import Mass, NonNegative
 from nodes.stability.plant import Partner, Plant
 
 LawName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
@@ -41,22 +40,12 @@ class Fallback(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         return CompiledLaw((self.damping / period, -self.damping / period))
 
 
+Delay = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
+"""A delay that a law is judged at [ticks]: the closed loop has one more state for each tick."""
+
+LONGEST_MEASURED = 100.0  # a loop that was held up for longer is judged as one of this delay [ticks]
+
 MASSES = 9  # with so many masses a law is judged where the mass depends on the position
-
-
-class PartnerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The second of two devices on one law.
-
-    mass: m [kg].
-    damping: b [N s/m].
-    stiffness: Stiffness of its hand [N/m].
-    later: How much later forces act on it than on the first; negative for earlier [ticks].
-    """
-
-    mass: Positive
-    damping: NonNegative = 0.0
-    stiffness: NonNegative = 0.0
-    later: float = 0.0
 
 
 class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -71,31 +60,40 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         and with some between [kg].
     tool_mass: Mass of what the coupling holds the device to, where that moves (kind ``mujoco``) [kg]; None for a wall.
     tool_damping: Viscous damping of that to ground [N s/m].
-    partner: The other device, where two are coupled position to position; None for one.
+    partner_mass: Mass of the other device, where two are coupled position to position [kg]; None for one.
+    partner_damping: Its damping [N s/m].
+    partner_stiffness: Stiffness of its hand [N/m].
+    partner_later: How much later forces act on it than on the first; negative for earlier [ticks].
+    scale: Metres of the scene for a metre of the device (``mapping.scale`` of a driver). Mass, damping and stiffness above are
+        the device's own; a law meets them divided by the square of it.
     """
 
-    mass: Positive
+    mass: Mass
     damping: NonNegative = 0.0
     stiffness: NonNegative = 0.0
-    delay: NonNegative | None = None
-    device_delay: NonNegative = 0.0
-    heaviest: Positive | None = None
-    tool_mass: Positive | None = None
+    delay: Delay | None = None
+    device_delay: Delay = 0.0
+    heaviest: Mass | None = None
+    tool_mass: Mass | None = None
     tool_damping: NonNegative = 0.0
-    partner: PartnerParameters | None = None
+    partner_mass: Mass | None = None
+    partner_damping: NonNegative = 0.0
+    partner_stiffness: NonNegative = 0.0
+    partner_later: Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)] = 0.0
+    scale: Annotated[float, msgspec.Meta(ge=0.01, le=100.0)] = 1.0
 
     def at(self, period: float, measured: float) -> Plant:
-        """Return the device in a loop of a period and a measured delay, as a law is judged on it."""
-        loop = measured if self.delay is None else self.delay
-        plant = Plant(period, self.mass, self.damping, loop + self.device_delay, self.stiffness)
-        if self.partner is not None:
-            other = self.partner
-            later = max(other.later, -plant.delay)
-            return replace(plant, partner=Partner(other.mass, other.damping, other.stiffness, later))
-        if self.tool_mass is None:
-            return plant
-        # The tool is pushed when the loop hands the force over: what the device adds to the delay is its own.
-        return replace(plant, partner=Partner(self.tool_mass, self.tool_damping, later=-self.device_delay))
+        """Return the device in a loop of a `period` [s] and a `measured` delay [ticks], as a law is judged on it."""
+        delay = (min(measured, LONGEST_MEASURED) if self.delay is None else self.delay) + self.device_delay
+        felt = self.scale * self.scale  # a force F of the scene is s F on the device, which moves 1/s as far
+        partner = None
+        if self.partner_mass is not None:
+            body = (self.partner_mass / felt, self.partner_damping / felt, self.partner_stiffness / felt)
+            partner = Partner(*body, max(self.partner_later, -delay))
+        elif self.tool_mass is not None:
+            # The tool is pushed when the loop hands the force over: what the device adds to the delay is its own.
+            partner = Partner(self.tool_mass, self.tool_damping, later=-self.device_delay)
+        return Plant(period, self.mass / felt, self.damping / felt, delay, self.stiffness / felt, partner)
 
     @property
     def masses(self) -> list[float]:

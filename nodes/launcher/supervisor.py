@@ -23,6 +23,7 @@ from messages.transport.context import new_context
 from messages.transport.requests import ControlError, call
 from nodes.base import realtime
 from nodes.base.hang_watchdog import LOOK, HangWatchdog
+from nodes.base.node_kinds import load
 from nodes.launcher import reaper, runs
 from nodes.launcher.child import PYTHON, Child
 from nodes.launcher.external_child import ByHand
@@ -56,6 +57,7 @@ class Supervisor:
         self.failed = False
         self.failures: list[str] = []
         self.startup_s = 0.0
+        self.unjudged: dict[str, str] = {}  # nodes whose force nobody judges for stability, and why
         self._stop_asked = ""
         self._hurry = False
 
@@ -94,6 +96,9 @@ class Supervisor:
             self.tick = self._launch.run.tick
             manifest = manifest_of(self._launch, self.run, offset)
             setups = wire(self._launch, self.run, run_dir, manifest)
+            self.unjudged = {name: why for name, setup in setups.items() if (why := load(setup.factory).unjudged(setup))}
+            for why in self.unjudged.values():
+                self._say(f"stability not judged: {why}")
             info = runs.RunInfo(
                 run=self.run,
                 scenario=self._launch.scenario,

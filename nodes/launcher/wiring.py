@@ -16,6 +16,7 @@ from nodes.base.setup import Scheduling, Setup
 from nodes.compiled.choose_tick import SCARCE, choose
 from nodes.launcher.external_child import LEASE, PATIENCE
 from nodes.launcher.launch_spec import Launch, NodeSpec, unusual
+from nodes.launcher.plants import has_plant, known_plant
 from nodes.parameters.refusals import choices
 from nodes.parameters.store import ParameterError, convert
 
@@ -271,6 +272,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             listeners=sum(subscribed[other] for other in launch.nodes if other != name and takes(other, name)),
             scheduling=_scheduling(launch, kind, name.rpartition("/")[0], cores),
             parameters=spec.parameters,
+            plant=known_plant(launch, name.rpartition("/")[0]) if has_plant(kind) else {},
             watch=os.path.abspath(spec.watch) if spec.watch else "",
             manifest=chain_manifest(launch, manifest, name.rpartition("/")[0]) if everything else {},
         )

@@ -7,12 +7,12 @@ command line and the control requests all go through it, so an error always carr
 import math
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 
 from messages.errors import HapticError
-from nodes.parameters.refusals import STEP, choices, worded
+from nodes.parameters.refusals import STEP, choices, short, worded
 
 __all__ = ["ParameterError", "ParameterStore", "convert", "describe", "differences", "flattened", "merge", "of_node"]
 
@@ -45,7 +45,7 @@ def convert(data: Any, target: Any, where: str) -> Any:
     ParameterError
         With the path, the value where it helps, and the limit.
     """
-    _refuse_non_finite(data, where)
+    _refuse_unbounded(data, where)
     try:
         return msgspec.convert(data, target)
     except (msgspec.ValidationError, OverflowError) as error:
@@ -53,15 +53,24 @@ def convert(data: Any, target: Any, where: str) -> Any:
         raise ParameterError(f"{where}{path}: {text}") from error
 
 
-def _refuse_non_finite(data: Any, where: str) -> None:
+MAX_ENTRIES: Final = 100_000  # longest list, and most names of a mapping, in any parameter
+MAX_WHOLE: Final = 2**53  # largest whole number of any parameter: what a double counts exactly
+
+
+def _refuse_unbounded(data: Any, where: str) -> None:
+    """Refuse numbers that are not finite, and what would size an array or a loop without any limit of its own."""
     if isinstance(data, float) and not math.isfinite(data):
         raise ParameterError(f"{where}: {data} is not a finite number")
+    if isinstance(data, int) and not -MAX_WHOLE <= data <= MAX_WHOLE:
+        raise ParameterError(f"{where}: expected a whole number of at most {MAX_WHOLE} either way, got {short(data)}")
+    if isinstance(data, Mapping | list | tuple) and len(data) > MAX_ENTRIES:
+        raise ParameterError(f"{where}: {len(data)} entries, limit {MAX_ENTRIES}")
     if isinstance(data, Mapping):
         for key, value in data.items():
-            _refuse_non_finite(value, f"{where}.{key}")
+            _refuse_unbounded(value, f"{where}.{key}")
     elif isinstance(data, list | tuple):
         for i, value in enumerate(data):
-            _refuse_non_finite(value, f"{where}[{i}]")
+            _refuse_unbounded(value, f"{where}[{i}]")
 
 
 def merge(base: Any, over: Any) -> Any:

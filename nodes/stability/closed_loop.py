@@ -7,6 +7,7 @@ judged when it is parsed, shown, switched or designed.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -58,11 +59,14 @@ def closed_loop(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
 
 
 def pole_radius(law: CompiledLaw, plant: Plant) -> float:
-    """Largest pole of the closed loop, by which it decays per tick: stable iff below 1."""
-    plant = as_one(plant)
-    if not law.sections and plant.partner is None:
-        return largest_root(closed_loop(law, plant))
-    return float(np.abs(np.linalg.eigvals(state_matrix(law, plant))).max())
+    """Return the largest pole of the closed loop; stable iff below 1, inf where no double holds it."""
+    try:
+        plant = as_one(plant)
+        if not law.sections and plant.partner is None:
+            return largest_root(closed_loop(law, plant))
+        return float(np.abs(np.linalg.eigvals(state_matrix(law, plant))).max())
+    except (ArithmeticError, np.linalg.LinAlgError):
+        return math.inf  # of a mass of 1e-300 kg, say, nothing can be computed: such a loop is taken for unstable
 
 
 def state_matrix(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:

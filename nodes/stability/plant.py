@@ -10,6 +10,7 @@ import functools
 import math
 from dataclasses import dataclass, replace
 
+MAX_DELAY = 1100.0  # longest delay of a loop [ticks]: its matrix has a row and a column for each
 _SHORTEST = 1e-15  # part of a tick that is none: a delay of some ticks is not known to it [ticks]
 
 
@@ -80,6 +81,8 @@ class Plant:
             value, positive = getattr(self, name), name in ("mass", "period")
             if isinstance(value, str) or not math.isfinite(value) or value < 0.0 or (positive and value == 0.0):
                 raise ValueError(f"{name} = {value!r}: must be finite and {'positive' if positive else 'at least 0'}")
+        if self.delay > MAX_DELAY:
+            raise ValueError(f"delay = {self.delay!r}: must be at most {MAX_DELAY:g} ticks")
 
     def with_tool(self, mass: float, damping: float = 0.0) -> Plant:
         """Return this device coupled to a tool that is free to move: the force on the device is the tool's, turned round.

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from nodes.parameters.checked import NonNegative, Positive, check_fields
+from nodes.parameters.checked import Mass, NonNegative, Positive, check_fields
 from nodes.parameters.store import convert
 
 Coefficients = tuple[float, float, float, float, float, float]
@@ -183,17 +183,17 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     axes: What is different along an axis of the scene: the other fields, by name of the axis; of a hand, only what differs.
     """
 
-    mass: Positive
+    mass: Mass
     damping: NonNegative = 0.0
     gravity: float | None = None
     position: float = 0.0
     velocity: float = 0.0
-    resolution: Positive | None = None
+    resolution: Annotated[float, msgspec.Meta(ge=1e-15)] | None = None
     friction: NonNegative | None = None
     peak_force: Positive | None = None
     delay: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 0.0
     hand: Hand | None = None
-    mass_by_position: list[tuple[float, Positive]] = []
+    mass_by_position: list[tuple[float, Mass]] = []
     axes: dict[Literal["x", "y", "z"], dict[str, Any]] = {}
 
     def __post_init__(self) -> None:

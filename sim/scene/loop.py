@@ -8,7 +8,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ from sim.device.model import DeviceModel, coefficients, ends_of, split_delay
 from sim.scene.compiled import numbers_of
 from sim.scene.driver_rules import DriverRules
 from sim.scene.tick_loop import Arrivals, Contact, Guard, LawTables, Motion, Records, play, play_compiled
+
+MAX_TICKS: Final = 10_000_000  # longest run of one process: it keeps some 100 bytes of each tick
 
 
 @dataclass(frozen=True)
@@ -164,6 +166,8 @@ def run(
 def _check(law: CompiledLaw, ticks: int, swaps: Sequence[PlannedSwap]) -> None:
     if ticks < 1:
         raise ValueError(f"ticks is {ticks}, expected at least 1")
+    if ticks > MAX_TICKS:
+        raise ValueError(f"ticks is {ticks}, expected at most {MAX_TICKS}: one process keeps all of a run; launch a longer one")
     for i, swap in enumerate(swaps):
         earliest = swaps[i - 1].tick if i else 0
         if swap.tick < earliest:

@@ -26,11 +26,13 @@ from nodes.environment.state import SHAPES
 from nodes.environment.surfaces import Meeting, Surface, meet_axes, parse_surface
 from nodes.environment.world.node import FeltWorld, WorldParameters, check_world
 from nodes.launcher.launch_spec import Launch
+from nodes.parameters.store import ParameterError
 from sim.arrays import Array
 from sim.device.driver import SimDriverParameters, parts_of
 from sim.device.state import read_axis, write_axis
 from sim.scene.driver_rules import DriverRules
 from sim.scene.from_launch import parameters_of
+from sim.scene.loop import MAX_TICKS
 
 
 class SpatialTrace(NamedTuple):
@@ -175,6 +177,8 @@ def play(
     """
     run = launch.run
     period, ticks = run.period, ticks or run.ticks or round(10.0 / run.period)
+    if ticks > MAX_TICKS:
+        raise ParameterError(f"run.duration: {ticks} ticks, limit {MAX_TICKS} in one process; launch a longer run")
     _, driver = parameters_of(launch, "sim_driver", SimDriverParameters)
     next_tick = run.apply == "next_tick"
     jumps = _Jumps()

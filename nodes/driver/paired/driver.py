@@ -17,7 +17,7 @@ import msgspec
 
 from messages.types import Vector
 from nodes.base.node_kinds import load, node_kinds
-from nodes.base.setup import Setup
+from nodes.base.setup import Axis, Setup
 from nodes.driver.device import Device, DeviceLimits, Workspace
 from nodes.driver.limits import SafetyParameters, lower, undeclared
 from nodes.driver.node import Driver
@@ -138,9 +138,20 @@ class PairedDriver(Driver):
                 return None
             changed[which] = {"kind": member.kind, "parameters": stood[0]}
             plants.append(stood[1])
-        first, second = ({name: one[name] for name in ("mass", "damping", "stiffness")} for one in plants)
-        delay, later = plants[0]["device_delay"], plants[1]["device_delay"] - plants[0]["device_delay"]
-        return changed, {"heaviest": None, **first, "device_delay": delay, "partner": {**second, "later": later}}
+        return changed, {"heaviest": None, **_pair(*plants)}
+
+    @classmethod
+    def plant(cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]) -> dict[str, float]:
+        """Return the plant of two known devices, each with its hand; of two real ones the scale that both have."""
+        known = []
+        for which, member in _both(convert(parameters, PairedDriverParameters, name)):
+            where = f"{name}.{which}"
+            known.append(_kind_of(member, where)[1].plant(member.parameters, where, axes))
+        if not all("mass" in one for one in known):
+            scales = {one.get("scale", 1.0) for one in known}
+            return {"scale": scales.pop()} if len(scales) == 1 else {}
+        heaviest = known[0].get("heaviest", known[0]["mass"])
+        return {**_pair(*known), **({"heaviest": heaviest} if heaviest > known[0]["mass"] else {})}
 
     def make_device(self) -> Device:
         """Take hold of both, forces off."""
@@ -192,6 +203,13 @@ class PairedDriver(Driver):
 
         pair = (("first", self.pair.first), ("second", self.pair.second))
         return [(name, device) for name, device in pair if isinstance(device, MailboxDevice)]
+
+
+def _pair(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
+    """Return two plants as the plant of their coupling: the first one, and the second one as its partner."""
+    own = ("mass", "damping", "stiffness")
+    found = {name: first[name] for name in (*own, "device_delay")} | {f"partner_{name}": second[name] for name in own}
+    return {**found, "partner_later": second["device_delay"] - first["device_delay"]}
 
 
 def _both(parameters: PairedDriverParameters) -> tuple[tuple[str, PairedMember], tuple[str, PairedMember]]:

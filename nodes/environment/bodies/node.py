@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -60,6 +62,17 @@ class MujocoEnvironment(Node):
         del parameters, name
         return ("x", "y", "z")
 
+    @classmethod
+    def plant(cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]) -> dict[str, float]:
+        """Return the mass of the tool [kg], which gives way when the coupling pushes it."""
+        del axes
+        wanted: MujocoParameters = convert(parameters, MujocoParameters, name)
+        version = 0, 0
+        with contextlib.suppress(OSError):  # `load_world` refuses in its own words what cannot be read
+            seen = Path(wanted.scene).expanduser().stat()
+            version = seen.st_mtime_ns, seen.st_size
+        return {"tool_mass": _tool_mass(wanted, name, *version)}
+
     def make_counters(self) -> SpentCounters:
         """Make its counters."""
         return SpentCounters()
@@ -110,6 +123,15 @@ class MujocoEnvironment(Node):
     def loop(self) -> None:
         """Answer until stopped; asked again (lockstep), the scene is not stepped twice."""
         answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self._answer)
+
+
+_SHORT = 1e-6  # a period that no scene is too fine for [s]: nothing is stepped, only the mass is read
+
+
+@functools.lru_cache(maxsize=64)  # a launch asks when it is read, and again when it is wired
+def _tool_mass(parameters: MujocoParameters, name: str, *_version: int) -> float:
+    """Return the mass of the tool of a scene [kg]; `_version` tells a file that has been saved again."""
+    return load_world(parameters, _SHORT, name).mass
 
 
 def load_world(parameters: MujocoParameters, period: float, name: str) -> MovingScene:

@@ -203,8 +203,8 @@ def test_two_devices_of_different_kinds_on_one_law(kinds: tuple[str, str], tmp_p
         for which, stand in zip(("first", "second"), stands, strict=True):
             driver["parameters"][which] = {"kind": stand.kind, "parameters": stand.written()}
         content["nodes"]["driver"] = driver
-        arm = {"mass": 0.1, "damping": 1.0}
-        content["nodes"]["coupling"]["parameters"]["plant"] = {**arm, "partner": arm}
+        arms = {"mass": 0.1, "damping": 1.0, "partner_mass": 0.1, "partner_damping": 1.0}
+        content["nodes"]["coupling"]["parameters"]["plant"] = arms
         path = tmp_path / "pair.yaml"
         path.write_text(json.dumps(content), encoding="utf-8")
         first, second = stands
