@@ -87,6 +87,22 @@ class Judgement:
             return f"{self._node}.plant, the device, is not declared"
         return f"{self._node}.stability is off" if parameters.stability == "off" else "the law has code of its own"
 
+    def of_moving_world(self, parameters: CouplingParameters, delay: float) -> list[str]:
+        """Return what is certain of the law of tick 0 whatever a tool that is stepped touches, for this hand and for any hand.
+
+        Empty for a coupling to a wall, to a second device, and for a law without poles.
+        """
+        plant = parameters.plant
+        if plant is None or plant.tool_mass is None or plant.partner_mass is not None or parameters.stability == "off":
+            return []
+        from nodes.stability.world_verdict import judge_world
+        from nodes.stability.worlds import SteppedTool
+
+        law, loop = self._book.compile(parameters, parameters.law), plant.at(self._period, delay)
+        tool = SteppedTool(plant.tool_damping, loop.delay - plant.device_delay)
+        found = [judge_world(law, replace(loop, partner=None), tool, any_hand) for any_hand in (False, True)]
+        return [f"{self._node}.laws.{parameters.law}: {verdict.text}" for verdict in found if verdict is not None]
+
     def unjudged(self, parameters: CouplingParameters) -> str:
         """Return why a law that will render has no verdict; empty when all of them have."""
         if parameters.plant is None or parameters.stability == "off":

@@ -102,6 +102,8 @@ class Coupling(Node):
         because = ASKED_FOR if self.resumed_at >= 0 else VIRTUAL if self.setup.virtual else ""
         for text in self._judgement.at_start(parameters, self._felt_delay, because):
             self.events.emit_each("stability", text)
+        for text in self._judgement.of_moving_world(parameters, self._felt_delay):
+            self.events.emit_each("world", text)
         self._settle(parameters, self._make_fallback(parameters))
         self._renderer.law = self._prepare_law(parameters, parameters.law)
         swaps = [(round(swap.at / self.setup.period), swap) for swap in sorted(parameters.schedule, key=lambda swap: swap.at)]
