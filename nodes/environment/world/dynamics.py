@@ -5,10 +5,10 @@ force on the device, −F[k] on the world and y[k] its position, passive means �
 world gives the coupling is bounded by what was stored in it before. So y[k] must answer F[k] *in the same tick*:
 
 ==============  ==============================================================================  =======================
-integrator      rule                                                                            lag, of the lossless one
+integrator      rule                                                                            lag behind the second
 ==============  ==============================================================================  =======================
 implicit        backward Euler; adds damping of its own                                         −½ tick
-lossless        bilinear (trapezoidal): Z(s), s = 2(1 − w)/(T(1 + w)); neither adds nor loses   0
+trapezoidal     Z(s) at s = 2(1 − w)/(T(1 + w)); neither adds energy nor loses any              0
 semi_implicit   velocity, then position, n sub-steps; the damper is implicit, as in MuJoCo      1 − 1/(2n) ticks
 exact           the differential equation itself under the held force                           1 tick
 ==============  ==============================================================================  =======================
@@ -76,8 +76,8 @@ class Implicit:
         return self._y, self._v
 
 
-class Lossless:
-    """Bilinear: the velocity u = (y − y₋₁)/T obeys m u' + c u + k ∫u = −F by the trapezoidal rule.
+class Trapezoidal:
+    """Trapezoidal rule, also called bilinear, of m u' + c u + k ∫u = −F with the velocity u = (y − y₋₁)/T.
 
     With g = T/2 and ξ = ∫u: ξ = ξ₋₁ + g (u + u₋₁), and y = ξ + g u.
     """
@@ -186,12 +186,12 @@ class Exact(Stepped):
 
 INTEGRATORS: dict[str, type[BodyMotion]] = {
     "implicit": Implicit,
-    "lossless": Lossless,
+    "trapezoidal": Trapezoidal,
     "semi_implicit": SemiImplicit,
     "exact": Exact,
 }
 
 
 def lag_of(integrator: str, steps: int) -> float:
-    """Return how much later than the lossless integrator one answers a force [ticks]."""
-    return {"implicit": -0.5, "lossless": 0.0, "semi_implicit": 1.0 - 0.5 / steps, "exact": 1.0}[integrator]
+    """Return how much later than the trapezoidal rule one answers a force [ticks]."""
+    return {"implicit": -0.5, "trapezoidal": 0.0, "semi_implicit": 1.0 - 0.5 / steps, "exact": 1.0}[integrator]
