@@ -78,7 +78,7 @@ def from_launch(launch: Launch) -> LaunchedScene:
         )
     if any(spec.kind == "world" for spec in launch.nodes.values()):
         raise ParameterError(
-            f"{launch.scenario}.nodes: a body of kind world, which one process plays in sim.scene.spatial; here it plays surfaces"
+            f"{launch.scenario}.nodes: a body of kind world; one process plays surfaces here; sim.scene.spatial plays it"
         )
     name, environment = parameters_of(launch, "environment", EnvironmentParameters)
     coupling_name, coupling = parameters_of(launch, "coupling", CouplingParameters)

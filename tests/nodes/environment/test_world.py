@@ -301,7 +301,7 @@ def test_real_launches_swing_one_percent_above_the_edge_and_rest_one_percent_bel
             laws = {"designed": {"kind": "fir", "taps": taps, "period": PERIOD}}
             path.write_text(json.dumps({"coupling": {"laws": laws}}), encoding="utf-8")
             words += ["--params", str(path)]
-        figures = launch_json(tmp_path, "world_edge", "duration:=12", *body, *words)
+        figures = launch_json(tmp_path, "world_edge", "pace:=lockstep", "duration:=12", *body, *words)
         states = Recording(tmp_path / figures["recording"]).messages(DEVICE_STATE)[1:6001]
         swing = np.abs([state.position[0] for state in states]).reshape(4, -1).max(axis=1)
         found.append(float((swing[3] / swing[1]) ** (1.0 / 3000)))
