@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nodes.laws import CompiledLaw
-from nodes.stability.dips import dips
-from nodes.stability.loop_region import Reals, Region
+from nodes.stability.dips import Reals, dips
+from nodes.stability.loop_region import Region
 
 _EXCHANGES = 60
 _HALVINGS = 40

@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
+from nodes.stability.dips import Reals
 from nodes.stability.plant import Plant, held_step
 
-Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 

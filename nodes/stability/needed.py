@@ -8,19 +8,19 @@ from dataclasses import replace
 import numpy as np
 
 from nodes.laws import CompiledLaw
-from nodes.stability.dips import dips
+from nodes.stability.dips import Reals, dips
 from nodes.stability.effective_damping import damping_needed
 from nodes.stability.judge import last_inside
 from nodes.stability.k_window import outside
-from nodes.stability.loop_region import Disc, Reals, Region
+from nodes.stability.loop_region import Disc, Region
 from nodes.stability.plant import Plant
-from nodes.stability.worlds import AnyWorld, Wall, World, certified, euler_disc, held_disc, is_stable, region_of
+from nodes.stability.worlds import AnyWorld, Wall, WorldKind, certified, euler_disc, held_disc, is_stable, region_of
 
 _DECADES = range(-4, 5)
 _HALVINGS = 34  # of a decade: to 1e-10 of the value
 
 
-def needed_device_damping(law: CompiledLaw, plant: Plant, world: World, any_hand: bool = False) -> float | None:
+def needed_device_damping(law: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool = False) -> float | None:
     """Return the least damping of the device with which a law is certified [N s/m]; None when none is enough.
 
     Parameters
@@ -29,7 +29,7 @@ def needed_device_damping(law: CompiledLaw, plant: Plant, world: World, any_hand
         The law.
     plant : Plant
         The device and its loop; its damping does not matter.
-    world : World
+    world : WorldKind
         The kind of world.
     any_hand : bool
         Whether every passive hand may hold the device. For a wall and for any world this is a closed form; else a bisection

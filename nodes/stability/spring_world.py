@@ -8,16 +8,18 @@ therefore points on two curves over the frequency; the window ends where such a 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
+from nodes.stability.dips import Reals
 from nodes.stability.judge import last_inside
 from nodes.stability.k_max import with_spring
 from nodes.stability.k_window import Window
-from nodes.stability.loop_region import Complexes, Reals, Region, known_answer
+from nodes.stability.loop_region import Complexes, Region, known_answer
 from nodes.stability.plant import Plant
 from nodes.stability.world_loop import Body, world_radius
 
@@ -59,17 +61,26 @@ def stable_with_springs(law: CompiledLaw, plant: Plant, softest: float, stiffest
         return False
     theta = Region(plant.period, plant).frequencies(law)
 
-    def balance(at: Reals | float) -> Complexes:
-        angle = np.atleast_1d(np.asarray(at, dtype=np.float64))
-        return 1.0 / law.response(np.exp(1j * angle)) + _answer(plant, angle)
+    def balance(at: Reals) -> Complexes:
+        return np.asarray(1.0 / law.response(np.exp(1j * at)) + _answer(plant, at), dtype=np.complex128)
 
     value = balance(theta)
-    sign = np.sign(value.imag[:-1])
-    found = [complex(value[-1].real)]  # z = −1 is always real
-    for i in np.flatnonzero(sign[:-1] * sign[1:] < 0.0):
-        there = last_inside(lambda at, side=sign[i]: bool(balance(at).imag[0] * side > 0.0), theta[i], theta[i + 1], 60)
-        found.append(complex(balance(there)[0]))
-    return not any(1.0 / stiffest <= -one.real <= 1.0 / softest for one in found)
+    found = [float(value[-1].real)]  # z = −1 is always real
+    found += [float(balance(np.array([at]))[0].real) for at in _real_at(balance, theta[:-1], value[:-1])]
+    return not any(1.0 / stiffest <= -real <= 1.0 / softest for real in found)
+
+
+def _real_at(curve: Callable[[Reals], Complexes], theta: Reals, value: Complexes) -> list[float]:
+    """Return the ωT at which a curve crosses the real axis, by bisection between grid points."""
+    above = value.imag >= 0.0
+    found = []
+    for i in np.flatnonzero(above[:-1] != above[1:]):
+
+        def before(at: float, side: bool = bool(above[i])) -> bool:
+            return bool(curve(np.array([at]))[0].imag >= 0.0) is side
+
+        found.append(last_inside(before, float(theta[i]), float(theta[i + 1]), 60))
+    return found
 
 
 def _answer(plant: Plant, theta: Reals) -> Complexes:
@@ -137,13 +148,4 @@ class _Swings:
             answer = _answer(self.plant, at) + end
             return np.asarray(-1.0 / answer - self.derivative.response(np.exp(1j * at)), dtype=np.complex128)
 
-        side = np.sign(curve(theta).imag)
-        found = []
-        for i in np.flatnonzero(side[:-1] * side[1:] < 0.0):
-
-            def before(at: float, sign: float = float(side[i])) -> bool:
-                return bool(curve(np.array([at]))[0].imag * sign > 0.0)
-
-            at = last_inside(before, float(theta[i]), float(theta[i + 1]), 60)
-            found.append((float(curve(np.array([at]))[0].real), at))
-        return found
+        return [(float(curve(np.array([at]))[0].real), at) for at in _real_at(curve, theta, curve(theta))]

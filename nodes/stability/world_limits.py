@@ -9,7 +9,17 @@ from dataclasses import dataclass
 from nodes.laws import CompiledLaw
 from nodes.stability.needed import needed_device_damping, needed_tool_damping, needed_tool_mass
 from nodes.stability.plant import Plant
-from nodes.stability.worlds import AnyWorld, EulerTool, OtherDevice, Springs, SteppedTool, Wall, World, hand_text, world_k_max
+from nodes.stability.worlds import (
+    AnyWorld,
+    EulerTool,
+    OtherDevice,
+    Springs,
+    SteppedTool,
+    Wall,
+    WorldKind,
+    hand_text,
+    world_k_max,
+)
 from nodes.stability.worst_world import WorstWorld, worst_world
 
 _WALL = Springs(math.inf, math.inf)  # a rigid spring: the wall's edge without scipy, which takes half a second to import
@@ -24,9 +34,9 @@ class Moving:
     tool_mass: float | None = None  # of a tool that semi-implicit Euler moves [kg]
     other: OtherDevice | None = None  # a second device, any hands on both
 
-    def asked(self) -> dict[str, tuple[World, bool]]:
+    def asked(self) -> dict[str, tuple[WorldKind, bool]]:
         """Return the worlds and whether any hand is meant, by the name of their figure."""
-        found: dict[str, tuple[World, bool]] = {
+        found: dict[str, tuple[WorldKind, bool]] = {
             "wall": (_WALL, False),
             "any_world": (AnyWorld(), False),
             "any_hand_any_world": (AnyWorld(), True),
@@ -57,7 +67,7 @@ class WorldLimits:
         worst = self.worst_world
         found["worst_world"] = None
         if worst is not None:
-            keys = ("mass_kg", "stiffness_n_per_m", "damping_n_s_per_m", "frequency_hz", "rule")
+            keys = ("mass_kg", "stiffness_n_per_m", "damping_n_s_per_m", "frequency_hz", "integrator")
             found["worst_world"] = {key: getattr(worst, key) for key in keys}
         return found | {"about": dict(self.about), "unlimited": self.unlimited}
 

@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
+from nodes.stability.dips import Reals
 from nodes.stability.plant import Plant, held_step
 
-Rule: TypeAlias = Literal["backward_euler", "trapezoidal", "semi_implicit"]
-Row: TypeAlias = NDArray[np.float64]
+Integrator: TypeAlias = Literal["implicit", "lossless", "semi_implicit", "exact"]
+STEPPED = ("semi_implicit", "exact")  # they answer a force after the tick in which it acts
+HeldStep: TypeAlias = tuple[int, tuple[float, float, float, float], tuple[float, float], tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -28,10 +30,12 @@ class Body:
     ----------
     mass, damping, stiffness : float
         [kg], [N s/m], [N/m]; 0 where absent, not all three.
-    rule : str
-        ``backward_euler``: solved with the force of the same tick, and damped by the rule itself. ``trapezoidal``: solved so as
-        well, but lossless: the velocity (y_k − y_k₋₁)/T obeys the trapezoidal rule. ``semi_implicit``: moved after the force,
-        by `steps` steps of semi-implicit Euler a tick with implicit damping, as MuJoCo does; needs a mass.
+    integrator : str
+        ``implicit``: backward Euler, solved with the force of the same tick and damped by the rule
+        itself. ``lossless``: solved so as well; the velocity (y_k − y_k₋₁)/T obeys the trapezoidal
+        rule. ``semi_implicit``: moved after the force, which is held and as late as on the device, by
+        `steps` steps a tick with implicit damping, as MuJoCo does. ``exact``: the differential
+        equation under that held force. The last two need a mass.
     steps : int
         Steps a tick of ``semi_implicit``.
 
@@ -44,7 +48,7 @@ class Body:
     mass: float = 0.0
     damping: float = 0.0
     stiffness: float = 0.0
-    rule: Rule = "backward_euler"
+    integrator: Integrator = "implicit"
     steps: int = 1
 
     def __post_init__(self) -> None:
@@ -52,18 +56,19 @@ class Body:
         values = (self.mass, self.damping, self.stiffness)
         if not all(math.isfinite(value) and value >= 0.0 for value in values) or not any(values):
             raise ValueError(f"mass, damping, stiffness = {values!r}: expected at least 0, finite, and not all 0")
-        if self.steps < 1 or (self.rule == "semi_implicit" and self.mass == 0.0):
+        if self.steps < 1 or (self.integrator in STEPPED and self.mass == 0.0):
             raise ValueError(f"steps = {self.steps!r}, mass = {self.mass!r}: a stepped body needs both above 0")
 
-    def rational(self, period: float, free: bool = False) -> tuple[list[float], list[float]]:
+    def rational(self, period: float, free: bool = False, delay: float = 0.0) -> tuple[list[float], list[float]]:
         """Return y/F of the coupling's point, or with `free` its way in a tick over F, by rising powers of w [m/N].
 
-        `free` needs a body without a spring. Numerator and denominator have no common factor.
+        `free` needs a body without a spring. `delay`: of the force, which matters to stepped bodies only [ticks]. Numerator and
+        denominator have no common factor.
         """
         inertia, loss, k = self.mass / period**2, self.damping / period, self.stiffness
-        if self.rule == "semi_implicit":
-            return self._stepped(period, free)
-        if self.rule == "trapezoidal":
+        if self.integrator in STEPPED:
+            return self._stepped(period, free, delay)
+        if self.integrator == "lossless":
             if free:
                 return ([1.0, 1.0], [2.0 * inertia + loss, loss - 2.0 * inertia]) if self.mass else ([1.0], [loss])
             if not self.mass:
@@ -74,19 +79,35 @@ class Body:
         below = [inertia + loss + k, -2.0 * inertia - loss, inertia]
         return [1.0], below[: 3 if self.mass else 2 if self.damping else 1]
 
-    def _stepped(self, period: float, free: bool) -> tuple[list[float], list[float]]:
-        # One step of [y, way in a tick]: the spring pulls at the old position, the damper at the new velocity.
-        n, stay = self.steps, 1.0 / (1.0 + self.damping * period / (self.steps * self.mass))
-        push = stay * period * period / (n * self.mass)
-        one = np.array([[1.0 - self.stiffness * push / n, stay / n], [-self.stiffness * push, stay]])
-        kick = np.array([push / n, push])
-        whole, moved = np.eye(2), np.zeros(2)
-        for _ in range(n):
-            whole, moved = one @ whole, one @ moved + kick
-        above = [0.0, float(moved[0]), float(whole[0, 1] * moved[1] - whole[1, 1] * moved[0])]
+    def _stepped(self, period: float, free: bool, delay: float) -> tuple[list[float], list[float]]:
+        if self.integrator == "exact":
+            whole, (a11, a12, a21, a22), new, old = held_step(Plant(period, self.mass, self.damping, delay, self.stiffness))
+        else:
+            whole, (a11, a12, a21, a22), new, old = self._euler(period, delay)
+        # y = [1 0](zI − A)⁻¹ (new + w old) wⁱ F.
+        above = [0.0] * (whole + 1) + [new[0], a12 * new[1] - a22 * new[0] + old[0], a12 * old[1] - a22 * old[0]]
         if free:
-            return above, [1.0, -float(whole[1, 1])]
-        return above, [1.0, -float(np.trace(whole)), float(np.linalg.det(whole))]
+            return above, [1.0, -a22]
+        return above, [1.0, -a11 - a22, a11 * a22 - a12 * a21]
+
+    def _euler(self, period: float, delay: float) -> HeldStep:
+        """Return one tick of semi-implicit Euler in the terms of `held_step`; a part of a tick is rounded to a step."""
+        step, whole = period / self.steps, math.floor(delay)
+        late = round((delay - whole) * self.steps)
+        whole, late = (whole + 1, 0) if late == self.steps else (whole, late)
+        stay = 1.0 / (1.0 + self.damping * step / self.mass)
+        pull, push = stay * step / self.mass * self.stiffness, stay * step / self.mass
+        one = np.array([[1.0 - step * pull, step * stay], [-pull, stay]])
+        kick = np.array([step * push, push])
+        moved, new, old = np.eye(2), np.zeros(2), np.zeros(2)
+        for i in range(self.steps):
+            moved, new, old = one @ moved, one @ new, one @ old
+            if i < late:
+                old = old + kick
+            else:
+                new = new + kick
+        (a11, a12), (a21, a22) = moved.tolist()
+        return whole, (a11, a12, a21, a22), (float(new[0]), float(new[1])), (float(old[0]), float(old[1]))
 
 
 def world_radius(law: CompiledLaw, plant: Plant, body: Body) -> float:
@@ -104,7 +125,7 @@ def world_matrix(law: CompiledLaw, plant: Plant, body: Body) -> NDArray[np.float
     unit = plant.period**2 / plant.mass
     whole, (a11, a12, a21, a22), new, old = held_step(plant)
     drifts = body.stiffness == 0.0 and plant.stiffness == 0.0
-    above, below = body.rational(plant.period, drifts)
+    above, below = body.rational(plant.period, drifts, plant.delay)
     order = max(len(above), len(below)) - 1
     ahead = [value / below[0] / unit for value in above] + [0.0] * (order + 1 - len(above))
     back = [value / below[0] for value in below] + [0.0] * (order + 1 - len(below))
@@ -116,7 +137,7 @@ def world_matrix(law: CompiledLaw, plant: Plant, body: Body) -> NDArray[np.float
     # F = free + gain x, with x = p − y and y = rest + give F.
     free = sum((tap * unit * before for tap, before in zip(law.taps[1:], past, strict=False)), 0.0 * p)
     gain = law.taps[0] * unit
-    answers: list[Row] = []
+    answers: list[Reals] = []
     for s, (b0, b1, a1, a2) in enumerate(law.sections):
         answers.append(b1 * unit * past[0] - a1 * sections[2 * s] - a2 * sections[2 * s + 1])
         free, gain = free + answers[-1], gain + b0 * unit

@@ -9,7 +9,7 @@ from nodes.laws import CompiledLaw
 from nodes.stability.k_max import with_spring
 from nodes.stability.needed import needed_device_damping, needed_tool_damping, needed_tool_mass
 from nodes.stability.plant import Plant
-from nodes.stability.worlds import EulerTool, OtherDevice, SteppedTool, Wall, World, hand_text, world_k_max
+from nodes.stability.worlds import EulerTool, OtherDevice, SteppedTool, Wall, WorldKind, hand_text, world_k_max
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class WorldVerdict:
         return f"not certified with {self.about}: {limit}, and it has {self.h1_n_per_m:.4g} N/m{remedy}"
 
 
-def judge_world(law: CompiledLaw, plant: Plant, world: World, any_hand: bool = False) -> WorldVerdict | None:
+def judge_world(law: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool = False) -> WorldVerdict | None:
     """Judge a law on a device for every world of a kind; None for a law with code of its own, which has no poles.
 
     Parameters
@@ -54,7 +54,7 @@ def judge_world(law: CompiledLaw, plant: Plant, world: World, any_hand: bool = F
         The law as it renders.
     plant : Plant
         The device itself and its loop (no tool reduced into its mass).
-    world : World
+    world : WorldKind
         `SteppedTool` for a body that is stepped with the force held (kind ``mujoco``), its damping as measured or declared;
         `EulerTool`, `OtherDevice`, `AnyWorld`, `Springs` or `Wall`.
     any_hand : bool

@@ -14,9 +14,10 @@ import numpy as np
 
 from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
+from nodes.stability.dips import Reals
 from nodes.stability.k_max import k_max, with_spring
 from nodes.stability.k_window import k_window, outside
-from nodes.stability.loop_region import Disc, Reals, Region
+from nodes.stability.loop_region import Disc, Region
 from nodes.stability.plant import Plant
 from nodes.stability.spring_world import spring_window, stable_with_springs
 
@@ -51,12 +52,12 @@ class Springs:
 
 @dataclass(frozen=True)
 class AnyWorld:
-    """Every passive world that answers the force in the same tick: implicit bodies, static springs, proxies."""
+    """Every passive world that answers the force in the same tick: implicit and lossless bodies, static springs, proxies."""
 
     @property
     def about(self) -> str:
         """Which worlds these are."""
-        return "any passive world solved implicitly in the same tick (lag 0; backward Euler, a static spring, a proxy)"
+        return "any passive world that answers in the same tick (implicit or lossless, a static spring, a proxy)"
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ class OtherDevice:
         return f"a second device of {self.damping:g} N s/m at {self.delay:g} ticks, in any hand"
 
 
-World: TypeAlias = Wall | Springs | AnyWorld | SteppedTool | EulerTool | OtherDevice
+WorldKind: TypeAlias = Wall | Springs | AnyWorld | SteppedTool | EulerTool | OtherDevice
 
 
 @dataclass(frozen=True)
@@ -130,14 +131,14 @@ class WorldKMax:
     about: str  # which worlds and hands it is about
 
 
-def region_of(plant: Plant, world: World, any_hand: bool) -> Region:
+def region_of(plant: Plant, world: WorldKind, any_hand: bool) -> Region:
     """Return where device and world may lie; for `Springs` see `nodes.stability.spring_world`.
 
     Parameters
     ----------
     plant : Plant
         The device and its loop; with `any_hand` its mass and its hand do not matter.
-    world : World
+    world : WorldKind
         The kind of world.
     any_hand : bool
         Whether every passive hand may hold the device; else the hand is that of the plant.
@@ -171,7 +172,7 @@ def euler_disc(plant: Plant, mass: float) -> Disc:
     return Disc(radius, 0.0)
 
 
-def world_k_max(derivative: CompiledLaw, plant: Plant, world: World, any_hand: bool = False) -> WorldKMax:
+def world_k_max(derivative: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool = False) -> WorldKMax:
     """Return the largest nominal stiffness that is certified for every world of a kind.
 
     Parameters
@@ -180,7 +181,7 @@ def world_k_max(derivative: CompiledLaw, plant: Plant, world: World, any_hand: b
         The law without its spring (`nodes.stability.k_max.without_spring`).
     plant : Plant
         The device and its loop. Without damping nothing but a wall or a spring is certified.
-    world : World
+    world : WorldKind
         The kind of world.
     any_hand : bool
         Whether every passive hand may hold the device; else the hand is that of the plant.
@@ -222,7 +223,7 @@ def is_stable(law: CompiledLaw, plant: Plant) -> bool:
     return pole_radius(law, plant) < 1.0
 
 
-def undamped(plant: Plant, world: World) -> bool:
+def undamped(plant: Plant, world: WorldKind) -> bool:
     """Return whether device or tool lack the damping without which nothing is provable."""
     return plant.damping == 0.0 or (isinstance(world, SteppedTool | OtherDevice) and world.damping == 0.0)
 
@@ -235,7 +236,7 @@ def hand_text(plant: Plant, any_hand: bool) -> str:
     return f"the known device of {plant.mass:g} kg, {plant.damping:g} N s/m{hand}"
 
 
-def certified(law: CompiledLaw, plant: Plant, world: World, any_hand: bool = False) -> bool:
+def certified(law: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool = False) -> bool:
     """Return whether a law as it is is certified for every world of a kind; parameters as of `world_k_max`."""
     if law.evaluate is not None:
         raise ValueError("law: has code of its own and no transfer function")

@@ -28,19 +28,19 @@ class WorstWorld:
     stiffness_n_per_m: float | None
     damping_n_s_per_m: float | None
     frequency_hz: float  # at which the loop swings [Hz]
-    rule: str  # how the body is integrated (`nodes.stability.world_loop.Body`)
+    integrator: str  # how the body is integrated (`nodes.stability.world_loop.Body`)
     k_max_n_per_m: float  # the edge [N/m]
 
     @property
     def text(self) -> str:
         """What it is, and what it does."""
         what = f"a mass of {self.mass_kg:.4g} kg" if self.mass_kg else f"a spring of {self.stiffness_n_per_m:.5g} N/m"
-        return f"{what} ({self.rule}), swings at {self.frequency_hz:.4g} Hz above {self.k_max_n_per_m:.6g} N/m"
+        return f"{what} ({self.integrator}), swings at {self.frequency_hz:.4g} Hz above {self.k_max_n_per_m:.6g} N/m"
 
     @property
     def body(self) -> Body:
         """Return the body."""
-        return Body(self.mass_kg or 0.0, self.damping_n_s_per_m or 0.0, self.stiffness_n_per_m or 0.0, "trapezoidal")
+        return Body(self.mass_kg or 0.0, self.damping_n_s_per_m or 0.0, self.stiffness_n_per_m or 0.0, "lossless")
 
 
 def worst_world(derivative: CompiledLaw, plant: Plant) -> WorstWorld | None:
@@ -70,4 +70,4 @@ def worst_world(derivative: CompiledLaw, plant: Plant) -> WorstWorld | None:
         return None
     mass = 0.5 * plant.period**2 / (left * half) if left > 0.0 else None
     stiffness = -2.0 * half / left if left < 0.0 else None
-    return WorstWorld(mass, stiffness, None, edge.frequency_hz, "trapezoidal", edge.k_max_n_per_m)
+    return WorstWorld(mass, stiffness, None, edge.frequency_hz, "lossless", edge.k_max_n_per_m)

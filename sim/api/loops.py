@@ -13,8 +13,8 @@ from nodes.stability.plant import Plant
 from nodes.stability.worlds import hand_text, world_k_max
 from sim.api.laws import LawLike, compiled, plain
 from sim.api.laws import law as made
+from sim.api.named_worlds import read_world
 from sim.api.notebook_results import Result, new_figure
-from sim.api.worlds import read_world
 from sim.arrays import Array
 
 if TYPE_CHECKING:

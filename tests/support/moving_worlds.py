@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import mpmath
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
@@ -21,7 +23,7 @@ Z1, ONE_MORE, Z = np.array([1.0, -1.0]), np.array([1.0, 1.0]), np.array([1.0, 0.
 def body_in_z(body: Body, period: float) -> tuple[Array, Array]:
     """Position over force of an implicit body as numerator and denominator in z, from its difference equations."""
     m, c, k = body.mass / period**2, body.damping / period, body.stiffness
-    if body.rule == "trapezoidal":
+    if body.integrator == "lossless":
         # F = (2 m (z − 1)/(z + 1) + c + (k/2)(z + 1)/(z − 1)) q, and y = q z/(z − 1).
         below = np.polyadd(
             np.polyadd(2.0 * m * np.polymul(Z1, Z1), c * np.polymul(Z1, ONE_MORE)), 0.5 * k * np.polymul(ONE_MORE, ONE_MORE)
@@ -31,14 +33,64 @@ def body_in_z(body: Body, period: float) -> tuple[Array, Array]:
     return np.polymul(Z, Z), below
 
 
-def polynomial_radius(law: CompiledLaw, plant: Plant, worlds: Sequence[tuple[Array, Array]]) -> float:
-    """Largest root of 1 + H (P + Σ W), taps only; worlds in series, each a fraction in z."""
+def characteristic(law: CompiledLaw, plant: Plant, worlds: Sequence[tuple[Array, Array]]) -> Array:
+    """Polynomial of 1 + H (P + Σ W), taps only; worlds in series, each a fraction in z."""
     held = held_plant(plant)
     above, below = np.array(held.numerator), np.concatenate([held.denominator, np.zeros(held.whole + 1)])
     for top, bottom in worlds:
         above, below = np.polyadd(np.polymul(above, bottom), np.polymul(top, below)), np.polymul(below, bottom)
     shift = np.concatenate([[1.0], np.zeros(len(law.taps) - 1)])
-    return float(np.abs(np.roots(np.polyadd(np.polymul(below, shift), np.polymul(above, np.array(law.taps))))).max())
+    return np.asarray(np.polyadd(np.polymul(below, shift), np.polymul(above, np.array(law.taps))))
+
+
+def stable_in_many_digits(law: CompiledLaw, plant: Plant, bodies: Sequence[Body]) -> bool:
+    """Tell by Schur and Cohn in 150 digits whether all poles are inside; bodies of backward Euler and trapezoidal ones."""
+    with mpmath.workdps(150):
+        exact = np.vectorize(mpmath.mpf, otypes=[object])
+        m = [
+            (mpmath.mpf(b.mass) / mpmath.mpf(plant.period) ** 2, mpmath.mpf(b.damping) / mpmath.mpf(plant.period))
+            for b in bodies
+        ]
+        held = held_plant(plant)
+        above, below = exact(held.numerator), exact([*held.denominator, *[0.0] * (held.whole + 1)])
+        for body, (inertia, loss) in zip(bodies, m, strict=True):
+            k = mpmath.mpf(body.stiffness)
+            if body.integrator == "lossless":
+                top = [1, 1, 0]
+                bottom = [2 * inertia + loss + k / 2, k - 4 * inertia, 2 * inertia - loss + k / 2]
+                if not inertia:  # the factor z + 1 of both
+                    top, bottom = [1, 0], [loss + k / 2, k / 2 - loss]
+            else:
+                top, bottom = [1, 0, 0], [inertia + loss + k, -2 * inertia - loss, inertia]
+            above, below = _plus(_times(above, bottom), _times(top, below)), _times(below, bottom)
+        rest = _plus(_times(below, [1, *[0] * (len(law.taps) - 1)]), _times(above, exact(law.taps)))
+        while len(rest) > 1:
+            if not rest[-1]:
+                rest = rest[:-1]
+                continue
+            share = rest[-1] / rest[0]
+            if not abs(share) < 1:
+                return False
+            rest = [a - share * b for a, b in zip(rest[:-1], rest[:0:-1], strict=True)]
+        return True
+
+
+def _times(a: Sequence[Any], b: Sequence[Any]) -> list[Any]:
+    found = [mpmath.mpf(0)] * (len(a) + len(b) - 1)
+    for i, one in enumerate(a):
+        for j, other in enumerate(b):
+            found[i + j] += one * other
+    return found
+
+
+def _plus(a: Sequence[Any], b: Sequence[Any]) -> list[Any]:
+    size = max(len(a), len(b))
+    return [one + other for one, other in zip([*[0] * (size - len(a)), *a], [*[0] * (size - len(b)), *b], strict=True)]
+
+
+def polynomial_radius(law: CompiledLaw, plant: Plant, worlds: Sequence[tuple[Array, Array]]) -> float:
+    """Largest root of 1 + H (P + Σ W), taps only; worlds in series, each a fraction in z."""
+    return float(np.abs(np.roots(characteristic(law, plant, worlds))).max())
 
 
 @dataclass(frozen=True)
@@ -114,7 +166,7 @@ def played(law: CompiledLaw, plant: Plant, body: Body, ticks: int) -> Array:
     found = np.empty(ticks)
     for tick in range(ticks):
         free = sum(tap * value for tap, value in zip(law.taps[1:], x, strict=False))
-        if body.rule == "trapezoidal":
+        if body.integrator == "lossless":
             # The two rules of a trapezoidal body added up, for its position; first order where a part is absent.
             if body.mass:
                 a0, a1, a2 = 2 * inertia + loss + k / 2, k - 4 * inertia, 2 * inertia - loss + k / 2

@@ -55,8 +55,4 @@ def text(limits: WorldLimits) -> list[str]:
     worst = limits.worst_world
     if worst is None:
         return [*lines, "worst world: none to build"]
-    what = f"a mass of {worst.mass_kg:.4g} kg" if worst.mass_kg else f"a spring of {worst.stiffness_n_per_m:.5g} N/m"
-    return [
-        *lines,
-        f"worst world: {what} ({worst.rule}), swings at {worst.frequency_hz:.4g} Hz above {worst.k_max_n_per_m:.6g} N/m",
-    ]
+    return [*lines, f"worst world: {worst.text}"]

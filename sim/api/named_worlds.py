@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from nodes.stability.plant import Plant
-from nodes.stability.worlds import AnyWorld, EulerTool, OtherDevice, Springs, SteppedTool, Wall, World
+from nodes.stability.worlds import AnyWorld, EulerTool, OtherDevice, Springs, SteppedTool, Wall, WorldKind
 
 # Name to the options that it needs and whether any hand may hold the device.
 NAMES: dict[str, tuple[tuple[str, ...], bool]] = {
@@ -21,7 +21,7 @@ NAMES: dict[str, tuple[tuple[str, ...], bool]] = {
 }
 
 
-def read_world(name: str, options: dict[str, Any]) -> tuple[World, bool]:
+def read_world(name: str, options: dict[str, Any]) -> tuple[WorldKind, bool]:
     """Return a kind of world and whether any hand is meant; raises ValueError for a name or options that do not fit."""
     if name not in NAMES:
         raise ValueError(f"world = {name!r}: expected one of {', '.join(NAMES)}")
