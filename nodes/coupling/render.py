@@ -177,8 +177,7 @@ def make_render(
             s.ease_done += 1
             if s.ease_done >= s.ease_ramp:
                 s.ease_ramp = 0
-        for i in range(3):
-            s.felt[i] = force[i]
+        s.felt[0], s.felt[1], s.felt[2] = force[0], force[1], force[2]
         return True
 
     @made
