@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from nodes.laws import CompiledLaw
-from nodes.parameters.checked import Mass, NonNegative
+from nodes.parameters.checked import NonNegative, Positive
 from nodes.stability.plant import Partner, Plant
 
 LawName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
@@ -68,15 +68,15 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         the device's own; a law meets them divided by the square of it.
     """
 
-    mass: Mass
+    mass: Positive
     damping: NonNegative = 0.0
     stiffness: NonNegative = 0.0
     delay: Delay | None = None
     device_delay: Delay = 0.0
-    heaviest: Mass | None = None
-    tool_mass: Mass | None = None
+    heaviest: Positive | None = None
+    tool_mass: Positive | None = None
     tool_damping: NonNegative = 0.0
-    partner_mass: Mass | None = None
+    partner_mass: Positive | None = None
     partner_damping: NonNegative = 0.0
     partner_stiffness: NonNegative = 0.0
     partner_later: Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)] = 0.0

@@ -8,7 +8,6 @@ import msgspec
 from nodes.parameters.store import convert
 
 Positive: TypeAlias = Annotated[float, msgspec.Meta(gt=0.0)]
-Mass: TypeAlias = Annotated[float, msgspec.Meta(ge=1e-9, le=1e9)]  # [kg]; beyond, a step of the device is no number
 NonNegative: TypeAlias = Annotated[float, msgspec.Meta(ge=0.0)]
 
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 import msgspec
 
 from messages.errors import HapticError
-from nodes.parameters.refusals import STEP, choices, short, worded
+from nodes.parameters.refusals import STEP, choices, worded
 
 __all__ = ["ParameterError", "ParameterStore", "convert", "describe", "differences", "flattened", "merge", "of_node"]
 
@@ -54,15 +54,12 @@ def convert(data: Any, target: Any, where: str) -> Any:
 
 
 MAX_ENTRIES: Final = 100_000  # longest list, and most names of a mapping, in any parameter
-MAX_WHOLE: Final = 2**53  # largest whole number of any parameter: what a double counts exactly
 
 
 def _refuse_unbounded(data: Any, where: str) -> None:
-    """Refuse numbers that are not finite, and what would size an array or a loop without any limit of its own."""
+    """Refuse numbers that are not finite, and lists and mappings too long for any parameter."""
     if isinstance(data, float) and not math.isfinite(data):
         raise ParameterError(f"{where}: {data} is not a finite number")
-    if isinstance(data, int) and not -MAX_WHOLE <= data <= MAX_WHOLE:
-        raise ParameterError(f"{where}: expected a whole number of at most {MAX_WHOLE} either way, got {short(data)}")
     if isinstance(data, Mapping | list | tuple) and len(data) > MAX_ENTRIES:
         raise ParameterError(f"{where}: {len(data)} entries, limit {MAX_ENTRIES}")
     if isinstance(data, Mapping):

@@ -124,12 +124,16 @@ def _over_delay(law: Law, devices: Sequence[Plant], margin: float | None) -> lis
 
 
 def with_inertia(declared: PlantParameters | None, seen: Mapping[str, Any] | None) -> PlantParameters | None:
-    """Put the masses that a device itself tells, over the poses it was in, into its plant; a hand's is not among them."""
+    """Return the plant with the masses that a device itself tells, over the poses it was in; a hand's is not among them.
+
+    The device tells what the scene moves; the plant has its own masses, those times the square of the scale.
+    """
     if seen is None:
         return declared
     least, greatest = float(seen["least_kg"]), float(seen["greatest_kg"])
     if declared is None:
         return PlantParameters(mass=least, heaviest=greatest)
+    least, greatest = least * declared.scale**2, greatest * declared.scale**2
     return msgspec.structs.replace(
         declared, mass=min(declared.mass, least), heaviest=max(declared.heaviest or declared.mass, greatest)
     )

@@ -8,7 +8,7 @@ world gives the coupling is bounded by what was stored in it before. So y[k] mus
 integrator      rule                                                                            lag behind the second
 ==============  ==============================================================================  =======================
 implicit        backward Euler; adds damping of its own                                         −½ tick
-trapezoidal     Z(s) at s = 2(1 − w)/(T(1 + w)); neither adds energy nor loses any              0
+lossless        Z(s) at s = 2(1 − w)/(T(1 + w)); the trapezoidal rule; neither adds nor loses   0
 semi_implicit   velocity, then position, n sub-steps; the damper is implicit, as in MuJoCo      1 − 1/(2n) ticks
 exact           the differential equation itself under the held force                           1 tick
 ==============  ==============================================================================  =======================
@@ -76,7 +76,7 @@ class Implicit:
         return self._y, self._v
 
 
-class Trapezoidal:
+class Lossless:
     """Trapezoidal rule, also called bilinear, of m u' + c u + k ∫u = −F with the velocity u = (y − y₋₁)/T.
 
     With g = T/2 and ξ = ∫u: ξ = ξ₋₁ + g (u + u₋₁), and y = ξ + g u.
@@ -186,7 +186,7 @@ class Exact(Stepped):
 
 INTEGRATORS: dict[str, type[BodyMotion]] = {
     "implicit": Implicit,
-    "trapezoidal": Trapezoidal,
+    "lossless": Lossless,
     "semi_implicit": SemiImplicit,
     "exact": Exact,
 }
@@ -194,4 +194,4 @@ INTEGRATORS: dict[str, type[BodyMotion]] = {
 
 def lag_of(integrator: str, steps: int) -> float:
     """Return how much later than the trapezoidal rule one answers a force [ticks]."""
-    return {"implicit": -0.5, "trapezoidal": 0.0, "semi_implicit": 1.0 - 0.5 / steps, "exact": 1.0}[integrator]
+    return {"implicit": -0.5, "lossless": 0.0, "semi_implicit": 1.0 - 0.5 / steps, "exact": 1.0}[integrator]

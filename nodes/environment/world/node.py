@@ -31,7 +31,7 @@ class WorldParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     mass: Mass [kg].
     stiffness: Spring to ground [N/m].
     damping: Viscous damper to ground [N s/m].
-    integrator: ``implicit`` (backward Euler) and ``trapezoidal`` answer a force in the same tick and are passive
+    integrator: ``implicit`` (backward Euler) and ``lossless`` answer a force in the same tick and are passive
         whatever the body is; ``semi_implicit`` and ``exact`` step under the held force, which moves the body a tick later.
     steps: Sub-steps a tick of ``semi_implicit``.
     position: Rest of the spring, where the body is at first [m]; None for where the device is at the first tick.
@@ -40,7 +40,7 @@ class WorldParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     mass: NonNegative = 0.0
     stiffness: NonNegative = 0.0
     damping: NonNegative = 0.0
-    integrator: Literal["implicit", "trapezoidal", "semi_implicit", "exact"] = "implicit"
+    integrator: Literal["implicit", "lossless", "semi_implicit", "exact"] = "implicit"
     steps: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 1
     position: Vector | None = None
 
@@ -70,7 +70,7 @@ def check_world(parameters: WorldParameters, period: float, name: str) -> None:
     mass, damping, stiffness = parameters.body
     if not math.isfinite(mass + damping + stiffness):
         raise ParameterError(f"{name}: mass, damping and stiffness must be finite, got {mass}, {damping}, {stiffness}")
-    if parameters.integrator in ("implicit", "trapezoidal"):
+    if parameters.integrator in ("implicit", "lossless"):
         held = mass / period**2 + damping / period + stiffness
         if held < SOFTEST:
             raise ParameterError(
@@ -81,7 +81,7 @@ def check_world(parameters: WorldParameters, period: float, name: str) -> None:
     if mass < LIGHTEST:
         raise ParameterError(
             f"{name}.mass: {mass:g} kg, expected at least {LIGHTEST:g} kg for integrator {parameters.integrator}; a body "
-            "without mass needs integrator implicit or trapezoidal"
+            "without mass needs integrator implicit or lossless"
         )
     h = period / parameters.steps
     # Semi-implicit Euler with an implicit damper: (m + h c)(z − 1)² + … has a root outside iff h² k > 4 m + 2 h c.

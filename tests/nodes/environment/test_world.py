@@ -59,7 +59,7 @@ def test_implicit_and_trapezoidal_are_the_rules_of_these_names(body: tuple[float
     else:  # a damped spring: improper, its rule written out
         s = np.array([2.0 / PERIOD, -2.0 / PERIOD])
         speed = lfilter(s, damping * s + stiffness * np.array([1.0, 1.0]), -forces)
-    found = moved("trapezoidal", body, forces)
+    found = moved("lossless", body, forces)
     size = np.abs(found).max()
     assert found == pytest.approx(PERIOD * np.cumsum(speed), abs=1e-9 * size)  # 400 ticks of rounding
     # Backward Euler: s = (1 − w)/T in m s² + c s + k.
@@ -87,7 +87,7 @@ def test_an_exact_body_is_the_matrix_exponential_of_the_force_that_is_held(part:
 
 
 @pytest.mark.parametrize(
-    ("integrator", "steps"), [("implicit", 1), ("trapezoidal", 1), ("semi_implicit", 1), ("semi_implicit", 4), ("exact", 1)]
+    ("integrator", "steps"), [("implicit", 1), ("lossless", 1), ("semi_implicit", 1), ("semi_implicit", 4), ("exact", 1)]
 )
 def test_the_lag_that_is_named_is_the_one_of_a_free_mass(integrator: str, steps: int) -> None:
     """Pushed once, a mass by the trapezoidal rule is at T² (k + ½)/m; another one lags behind that by so many ticks."""
@@ -101,7 +101,7 @@ bodies = st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 10.0), st.floats(0.0, 1e4
 
 
 @settings(max_examples=60, deadline=None)
-@given(bodies, st.sampled_from(["implicit", "trapezoidal"]), st.integers(0, 2**32 - 1), st.booleans())
+@given(bodies, st.sampled_from(["implicit", "lossless"]), st.integers(0, 2**32 - 1), st.booleans())
 def test_a_body_that_answers_in_the_same_tick_never_gives_out_energy(
     body: tuple[float, float, float], integrator: str, seed: int, resonant: bool
 ) -> None:
@@ -150,7 +150,7 @@ def simulated(launch: Any, ticks: int, world: tuple[np.ndarray, np.ndarray], law
     return np.array(found)
 
 
-@pytest.mark.parametrize("integrator", ["implicit", "trapezoidal"])
+@pytest.mark.parametrize("integrator", ["implicit", "lossless"])
 @pytest.mark.parametrize("law", ["pd", "filtered", "multi_term"])
 @pytest.mark.parametrize("apply", ["on_arrival", "next_tick"])
 def test_the_loop_solves_for_the_force_of_the_same_tick(integrator: str, law: str, apply: str) -> None:
@@ -185,7 +185,7 @@ def test_the_worst_world_of_pd_swings_above_the_edge_and_rests_below() -> None:
     The worst one is a spring by the trapezoidal rule: at the edge Re{D/H + D P} touches 0 at 16 Hz, and its Im there is that
     of 1844 N/m.
     """
-    worst = {"body_stiffness": 1843.766, "integrator": "trapezoidal"}
+    worst = {"body_stiffness": 1843.766, "integrator": "lossless"}
     for part, swings in ((0.995, False), (1.005, True)):
         found = growth(launch_file.read("world_edge", {"stiffness": part * 2244.217, **worst}), 4000)
         # 0.5 % from the edge the pole is 8e-5 from the circle; a swing that is read off peaks is known to 1e-5.
@@ -198,7 +198,7 @@ def test_the_worst_world_of_pd_swings_above_the_edge_and_rests_below() -> None:
 @pytest.mark.parametrize(
     ("words", "tick"),
     [
-        (("integrator:=trapezoidal", "law:=filtered", "apply:=next_tick"), "compiled"),
+        (("integrator:=lossless", "law:=filtered", "apply:=next_tick"), "compiled"),
         pytest.param(("integrator:=implicit", "law:=multi_term"), "plain", marks=pytest.mark.slow),
         pytest.param(("integrator:=semi_implicit", "steps:=3"), "compiled", marks=pytest.mark.slow),
         pytest.param(("integrator:=exact", "law:=pd_alpha", "apply:=next_tick"), "compiled", marks=pytest.mark.slow),
@@ -214,7 +214,7 @@ def test_a_launch_gives_the_bits_of_one_process(words: tuple[str, ...], tick: st
     assert np.array_equal(alone.proxy, [proxy.proxy for proxy in proxies[:-1]])
     assert np.array_equal(alone.force, [force.force for force in forces[:-1]])
     assert np.abs(alone.force).max() > 0.1
-    assert (proxies[5].compliance > 0.0) == ("integrator:=trapezoidal" in words or "integrator:=implicit" in words)
+    assert (proxies[5].compliance > 0.0) == ("integrator:=lossless" in words or "integrator:=implicit" in words)
 
 
 @pytest.mark.parametrize(
@@ -290,7 +290,7 @@ def test_real_launches_swing_one_percent_above_the_edge_and_rest_one_percent_bel
     worst = worst_world(derivative, Plant(PERIOD, 0.1, 1.0, float(apply == "next_tick")))
     assert worst is not None
     assert worst.stiffness_n_per_m is not None
-    body = f"body_stiffness:={worst.stiffness_n_per_m!r}", "integrator:=trapezoidal", f"apply:={apply}"
+    body = f"body_stiffness:={worst.stiffness_n_per_m!r}", "integrator:=lossless", f"apply:={apply}"
     found = []
     for part in (0.99, 1.01):
         stiffness = part * worst.k_max_n_per_m

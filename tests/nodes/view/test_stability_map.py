@@ -91,6 +91,9 @@ def test_what_a_device_says_of_its_masses_goes_into_the_map() -> None:
     assert with_inertia(declared, None) == declared
     assert with_inertia(None, seen) == PlantParameters(mass=0.08, heaviest=0.2)
     assert with_inertia(declared, seen) == PlantParameters(mass=0.08, heaviest=0.2, damping=1.0)
+    # What the device tells is as the scene moves it, at a scale of two a quarter of its own mass.
+    larger = PlantParameters(mass=0.4, damping=1.0, scale=2.0)
+    assert with_inertia(larger, seen) == PlantParameters(mass=0.32, heaviest=0.8, damping=1.0, scale=2.0)
     # A hand makes the declared one heavier than the device by itself.
     held = PlantParameters(mass=0.05, heaviest=0.5, damping=1.0)
     assert with_inertia(held, seen) == held
