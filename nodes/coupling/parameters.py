@@ -60,6 +60,9 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         and with some between [kg].
     tool_mass: Mass of what the coupling holds the device to, where that moves (kind ``mujoco``) [kg]; None for a wall.
     tool_damping: Viscous damping of that to ground [N s/m].
+    tool_stiffness: Stiffness of a spring from that to ground [N/m].
+    tool_lag: How much later than a tick's force the other end of the coupling answers: 0 in the same tick, whatever it is, and
+        above 0 for a tool that is stepped [ticks]; None for a wall, or a tool that is stepped.
     partner_mass: Mass of the other device, where two are coupled position to position [kg]; None for one.
     partner_damping: Its damping [N s/m].
     partner_stiffness: Stiffness of its hand [N/m].
@@ -76,6 +79,8 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     heaviest: Positive | None = None
     tool_mass: Positive | None = None
     tool_damping: NonNegative = 0.0
+    tool_stiffness: NonNegative = 0.0
+    tool_lag: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] | None = None
     partner_mass: Positive | None = None
     partner_damping: NonNegative = 0.0
     partner_stiffness: NonNegative = 0.0
@@ -90,9 +95,9 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         if self.partner_mass is not None:
             body = (self.partner_mass / felt, self.partner_damping / felt, self.partner_stiffness / felt)
             partner = Partner(*body, max(self.partner_later, -delay))
-        elif self.tool_mass is not None:
+        elif self.tool_mass is not None and self.tool_lag != 0.0:
             # The tool is pushed when the loop hands the force over: what the device adds to the delay is its own.
-            partner = Partner(self.tool_mass, self.tool_damping, later=-self.device_delay)
+            partner = Partner(self.tool_mass, self.tool_damping, self.tool_stiffness, -self.device_delay)
         return Plant(period, self.mass / felt, self.damping / felt, delay, self.stiffness / felt, partner)
 
     @property

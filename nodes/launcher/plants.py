@@ -16,10 +16,9 @@ from nodes.base.node_kinds import load, node_kinds
 from nodes.launcher.launch_spec import Launch
 
 _PLANT = "plant"
-_USUAL = {"damping": 0.0, "stiffness": 0.0, "device_delay": 0.0, "scale": 1.0}
-_USUAL |= dict.fromkeys(
-    ("tool_damping", "partner_damping", "partner_stiffness", "partner_later"), 0.0
-)  # fields as they are when they are left out
+# Fields as they are when they are left out.
+_OF_PARTNERS = ("tool_damping", "tool_stiffness", "partner_damping", "partner_stiffness", "partner_later")
+_USUAL = {"damping": 0.0, "stiffness": 0.0, "device_delay": 0.0, "scale": 1.0, **dict.fromkeys(_OF_PARTNERS, 0.0)}
 _DIGITS = 12  # significant digits: 0.1 kg and a hand of 0.05 kg are 0.15 kg, as a person adds them
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple
 
 import msgspec
@@ -14,7 +14,7 @@ from messages.codec import encode
 from messages.types import ZERO, DeviceState, Proxy, Vector
 from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
-from nodes.base.setup import AXIS_INDEX, Setup
+from nodes.base.setup import AXIS_INDEX, Axis, Setup
 from nodes.environment.spent import SpentCounters, note_spent, spent_us
 from nodes.environment.world.dynamics import INTEGRATORS, BodyMotion, Stepped, lag_of
 from nodes.parameters.checked import NonNegative
@@ -174,6 +174,17 @@ class WorldEnvironment(Node):
         """Refuse a body that cannot be moved before anything is started."""
         check_world(convert(setup.parameters, WorldParameters, setup.name), setup.period, setup.name)
 
+    @classmethod
+    def plant(cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]) -> dict[str, float]:
+        """Return a stepped body as a tool of the coupling; of one that answers in the same tick only that it does."""
+        del axes
+        wanted: WorldParameters = convert(parameters, WorldParameters, name)
+        if not issubclass(INTEGRATORS[wanted.integrator], Stepped):
+            return {"tool_lag": 0.0}
+        mass, damping, stiffness = wanted.body
+        lag = lag_of(wanted.integrator, wanted.steps)
+        return {"tool_mass": mass, "tool_damping": damping, "tool_stiffness": stiffness, "tool_lag": lag}
+
     def make_counters(self) -> SpentCounters:
         """Make its counters."""
         return SpentCounters()
@@ -227,6 +238,6 @@ def described(parameters: WorldParameters) -> str:
         return f"{body}, {integrator}: answers a force in the same tick, and is passive whatever its numbers are"
     sub_steps = f", {steps} sub-steps a tick" if integrator == "semi_implicit" else ""
     return (
-        f"{body}, {integrator}{sub_steps}: stepped, answers a force {lag_of(integrator, steps):.3g} ticks late, and is "
+        f"{body}, {integrator}{sub_steps}: stepped, answers a force {lag_of(integrator, steps):.3g} of a tick late, and is "
         "passive to the loop by its own damping only"
     )

@@ -15,12 +15,17 @@ from scipy.linalg import expm
 from scipy.signal import cont2discrete, lfilter
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY
+from nodes.coupling.judgement import Judgement
+from nodes.coupling.law_book import LawBook
+from nodes.coupling.parameters import CouplingParameters
 from nodes.environment.world.dynamics import INTEGRATORS, BodyMotion, Stepped, lag_of
 from nodes.environment.world.node import FeltWorld, WorldParameters, check_world
 from nodes.launcher import launch_file
+from nodes.laws import CompiledLaw
 from nodes.laws.parse import compile_law, parse_law
-from nodes.parameters.store import ParameterError
+from nodes.parameters.store import ParameterError, convert
 from nodes.recording.reader import Recording
+from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import with_spring, without_spring
 from nodes.stability.plant import Plant
 from nodes.stability.worst_world import worst_world
@@ -269,6 +274,31 @@ def test_other_parameters_leave_the_body_where_it_is_and_ticks_that_were_lost_ar
         start = gone.follow(2, zero, zero, 1, 0.0).proxy[0]
         after = gone.follow(502, zero, zero, 1, 0.0).proxy[0]
         assert after - start == pytest.approx(-0.1 * PERIOD / 0.1, rel=1e-6)
+
+
+def test_a_launch_is_judged_on_the_body_that_it_couples_to() -> None:
+    """20 g on 170 N/m under a held force, PD with B 0 and 300 N/m: radius 1.017, where a wall bears 1003 N/m."""
+    words = {"body_mass": 0.02, "body_stiffness": 170.0, "integrator": "exact", "stiffness": 300.0, "damping": 0.0}
+    launch = launch_file.read("world_edge", words)
+    coupling = convert(launch.nodes["coupling"].parameters, CouplingParameters, "coupling")
+    assert coupling.plant is not None
+    radius = pole_radius(CompiledLaw((300.0,)), coupling.plant.at(PERIOD, 0.0))
+    assert radius == pytest.approx(1.017, abs=5e-4)
+    # Of the swing that the launch plays, once it is nothing but that: a window of 200 ticks ends within 5 % of a peak.
+    swing = np.abs(play(launch, 800).position[:, 0])
+    peaks = swing[400:600].max(), swing[600:].max()
+    assert (peaks[1] / peaks[0]) ** (1.0 / 200.0) == pytest.approx(radius, abs=3e-4)
+    judgement = Judgement("coupling", PERIOD, LawBook("coupling", PERIOD))
+    assert "a stepped tool of at least 0 N s/m" in judgement.of_moving_world(coupling, 0.0)[0]
+    # A body that answers in the same tick is one of all of them; on a wall the same law is stable.
+    launch = launch_file.read("world_edge", {"stiffness": 2244.0})
+    coupling = convert(launch.nodes["coupling"].parameters, CouplingParameters, "coupling")
+    assert coupling.plant is not None
+    assert coupling.plant.at(PERIOD, 0.0).partner is None
+    assert judgement.of_moving_world(coupling, 0.0)[0].startswith("coupling.laws.pd: certified with any passive world")
+    launch = launch_file.read("world_edge", {"stiffness": 2245.0})
+    coupling = convert(launch.nodes["coupling"].parameters, CouplingParameters, "coupling")
+    assert judgement.of_moving_world(coupling, 0.0)[0].startswith("coupling.laws.pd: not certified with any passive world")
 
 
 LAWS: dict[str, dict[str, Any]] = {
