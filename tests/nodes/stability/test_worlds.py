@@ -498,6 +498,9 @@ def test_what_cannot_be_certified_is_refused_with_the_reason() -> None:
         world_k_max(own, device(0.0), AnyWorld())
     with pytest.raises(ValueError, match="known device only"):
         world_k_max(pd(1.0), device(0.0), Springs(10.0), True)
+    for world in (AnyWorld(), Springs(10.0), SteppedTool(1.0)):
+        with pytest.raises(ValueError, match="name the partner as its world"):
+            world_k_max(pd(1.0), device(0.0).with_tool(0.1), world)
     for wrong in (lambda: Springs(0.0), lambda: Springs(2.0, 1.0), lambda: SteppedTool(-1.0), lambda: EulerTool(0.0)):
         with pytest.raises(ValueError, match="expected"):
             wrong()
