@@ -241,7 +241,7 @@ def undamped(plant: Plant, world: WorldKind) -> bool:
 def hand_text(plant: Plant, any_hand: bool) -> str:
     """Return which hands a certificate is about."""
     if any_hand:
-        return f"a device of {plant.damping:g} N s/m in any passive hand"
+        return f"a device of at least {plant.damping:g} N s/m, its hand's share included, in any passive hand"
     hand = f" and a hand of {plant.stiffness:g} N/m" if plant.stiffness else ""
     return f"the known device of {plant.mass:g} kg, {plant.damping:g} N s/m{hand}"
 
