@@ -170,6 +170,9 @@ class Proxy(Message, frozen=True, kw_only=True, gc=False):
         Length of that easing [ticks]; 0 for the coupling's own.
     credit : float
         Energy that a partner has put in for this device so far, its `surplus` [J].
+    compliance : float
+        How far the force of this very tick moves the proxy, against the force [m/N]: it ends at `proxy` − `compliance` times
+        the force, which the coupling solves for. 0 (or less) for a surface, and for a body that answers a tick later.
     """
 
     position: Vector
@@ -181,6 +184,7 @@ class Proxy(Message, frozen=True, kw_only=True, gc=False):
     rebased: Count = 0
     ease: Count = 0
     credit: Real = 0.0
+    compliance: Real = 0.0
 
 
 class Force(Message, frozen=True, kw_only=True, gc=False):

@@ -112,6 +112,22 @@ def sections(coefficients: Sequence[float], state: MutableSequence[float], newes
     return force
 
 
+@rule
+def newest_gain(taps: Sequence[float], coefficients: Sequence[float]) -> float:
+    """Return the gain of taps and parallel sections on the newest deflection, dF/dx₀ [N/m]."""
+    gain = taps[0]
+    for i in range(len(coefficients) // 4):
+        gain += coefficients[4 * i]
+    return gain
+
+
+@rule
+def revise_sections(coefficients: Sequence[float], state: MutableSequence[float], by: float) -> None:
+    """Correct sections in place that have seen a newest deflection which is too large by `by` [m]."""
+    for i in range(len(state) // 2):
+        state[2 * i] -= coefficients[4 * i] * by
+
+
 def warm_up(
     coefficients: Sequence[float], state: MutableSequence[float], history: Sequence[float], head: int, length: int
 ) -> None:

@@ -87,6 +87,32 @@ class Judgement:
             return f"{self._node}.plant, the device, is not declared"
         return f"{self._node}.stability is off" if parameters.stability == "off" else "the law has code of its own"
 
+    def of_moving_world(self, parameters: CouplingParameters, delay: float) -> list[str]:
+        """Return what is certain of the law of tick 0 whatever a world that moves is, for this hand and for any hand.
+
+        A world that answers in the same tick may be any; a tool that is stepped may touch anything; a second device may be in
+        any hand, as this one. Empty for a coupling to a wall, and for a law without poles.
+        """
+        plant = parameters.plant
+        if plant is None or parameters.stability == "off":
+            return []
+        if plant.tool_mass is None and plant.tool_lag is None and plant.partner_mass is None:
+            return []
+        from nodes.stability.world_verdict import judge_world
+        from nodes.stability.worlds import AnyWorld, OtherDevice, SteppedTool, WorldKind
+
+        law, loop = self._book.compile(parameters, parameters.law), plant.at(self._period, delay)
+        world: WorldKind
+        if plant.partner_mass is not None and loop.other is not None:
+            world = OtherDevice(loop.other.damping, loop.other.delay)
+        elif plant.tool_lag == 0.0:
+            world = AnyWorld()
+        else:
+            world = SteppedTool(plant.tool_damping, loop.delay - plant.device_delay)
+        hands = (True,) if isinstance(world, OtherDevice) else (False, True)
+        found = [judge_world(law, replace(loop, partner=None), world, any_hand) for any_hand in hands]
+        return [f"{self._node}.laws.{parameters.law}: {verdict.text}" for verdict in found if verdict is not None]
+
     def unjudged(self, parameters: CouplingParameters) -> str:
         """Return why a law that will render has no verdict; empty when all of them have."""
         if parameters.plant is None or parameters.stability == "off":
@@ -148,6 +174,10 @@ class Judgement:
     def _complaint(self, what: str, verdict: Verdict) -> str:
         plant = verdict.plant
         hand = f", hand {plant.stiffness:g} N/m" if plant.stiffness else ""
+        if plant.partner is not None:
+            other = plant.partner
+            held = f" on a spring of {other.stiffness:g} N/m" if other.stiffness else ""
+            hand += f", coupled to {other.mass:g} kg, {other.damping:g} N s/m{held}"
         return (
             f"{self._node}.{what}: pole radius {verdict.pole_radius:.6g} (limit: < 1) with mass {plant.mass:g} kg, "
             f"damping {plant.damping:g} N s/m{hand} at a delay of {plant.delay:.3g} ticks: the loop is unstable"
@@ -198,9 +228,17 @@ class Judgement:
 
 _CLOSE = 0.01  # relative difference up to which a written value is the known one, rounded
 _UNITS = {"mass": "kg", "heaviest": "kg", "tool_mass": "kg", "damping": "N s/m", "stiffness": "N/m", "device_delay": "ticks"}
-_UNITS |= {"scale": ""}
+_UNITS |= {"scale": "", "tool_stiffness": "N/m", "tool_lag": "ticks"}
+_UNITS |= {"tool_damping": "N s/m", "partner_mass": "kg", "partner_damping": "N s/m", "partner_stiffness": "N/m"}
 _MOVABLE = ("device_delay", "scale")  # what a driver may change while it runs
-_WHOSE = {"tool_mass": "the tool of the scene weighs", "scale": "the driver maps at a scale of"}
+_WHOSE = {
+    "tool_mass": "the tool of the scene weighs",
+    "tool_damping": "the tool of the scene is damped to ground by",
+    "tool_stiffness": "the body that is felt is on a spring of",
+    "tool_lag": "what is felt answers later by",
+    **dict.fromkeys(("partner_mass", "partner_damping", "partner_stiffness"), "the second device has"),
+    "scale": "the driver maps at a scale of",
+}
 
 
 def contradictions(plant: PlantParameters, known: Mapping[str, float]) -> dict[str, str]:
@@ -225,11 +263,13 @@ def contradictions(plant: PlantParameters, known: Mapping[str, float]) -> dict[s
     for field, limit in limits.items():
         value = getattr(plant, field)
         low, high = limit * (1.0 - _CLOSE), limit * (1.0 + _CLOSE)
-        if field == "scale":
-            kept = low <= value <= high
+        if field in ("scale", "tool_stiffness", "tool_lag"):
+            kept = value is not None and low <= value <= high
         elif field == "heaviest":
             kept = value is None or value >= low
-        elif field in ("stiffness", "device_delay"):
+        elif field == "partner_later":
+            kept = True  # what is worse, an earlier or a later one, no number tells
+        elif field in ("stiffness", "partner_stiffness", "device_delay"):
             kept = value >= low
         else:
             kept = value is not None and value <= high

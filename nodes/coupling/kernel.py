@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from messages.types import Force, Proxy
-from nodes.arithmetic import SMOOTHING, sections
+from nodes.arithmetic import SMOOTHING, newest_gain, revise_sections, sections
 from nodes.compiled.kernels.encode import make_encode
 from nodes.compiled.kernels.follow_kernel import count_gap, in_order, overtaken
 from nodes.compiled.kernels.hop import answer, called, flush, monotonic, out_at, receive
@@ -21,8 +21,8 @@ _look = record_at(record_of(CouplingState))
 _scan = make_scan(Proxy)
 _encode = make_encode(Force)
 _IN, _OUT = fields_of(Proxy), fields_of(Force)
-_SEQ, _CONTACT, _REBASED, _STAMP, _POSITION, _PROXY, _NORMAL, _DISTANCE, _DELAY, _CREDIT = slots(
-    _IN, "seq", "contact", "rebased", "stamp", "position", "proxy", "normal", "distance", "delay", "credit"
+_SEQ, _CONTACT, _REBASED, _STAMP, _POSITION, _PROXY, _NORMAL, _DISTANCE, _DELAY, _CREDIT, _COMPLIANCE = slots(
+    _IN, "seq", "contact", "rebased", "stamp", "position", "proxy", "normal", "distance", "delay", "credit", "compliance"
 )
 _TO_SEQ, _TO_REVISION, _TO_STAMP, _TO_FORCE, _TO_NORMAL, _TO_CREDIT = slots(
     _OUT, "seq", "revision", "stamp", "force", "normal", "credit"
@@ -52,7 +52,20 @@ def _see(s: CouplingState, n: int, m: int, history: Any, head: int) -> None:
         sections(reals_at(s.sections[at], 4 * count), state, history[head], history[head + 1])
 
 
-_render, _bridge = make_render(LawPort(_ring, _force_of, _see), compilable)
+@compilable
+def _gain_of(s: CouplingState, n: int, m: int) -> float:
+    at = _SLOTS * n + m
+    return newest_gain(reals_at(s.taps[at], s.taps_count[at]), reals_at(s.sections[at], 4 * s.sections_count[at]))
+
+
+@compilable
+def _revise(s: CouplingState, n: int, m: int, by: float) -> None:
+    at = _SLOTS * n + m
+    count = s.sections_count[at]
+    revise_sections(reals_at(s.sections[at], 4 * count), reals_at(s.sections_state[at], 2 * count), by)
+
+
+_render, _bridge = make_render(LawPort(_ring, _force_of, _see, _gain_of, _revise), compilable)
 
 
 @compilable
@@ -113,7 +126,8 @@ def ticks(address: int) -> int:
             s.seq += missing
             s.answered = s.seq
         _note(s, True)
-        if not _render(s, position, proxy, normal, distance, contact, force, s.pushes[s.axes - 1] + 1):
+        compliance = s.reals[_COMPLIANCE]
+        if not _render(s, position, proxy, normal, distance, contact, compliance, force, s.pushes[s.axes - 1] + 1):
             _note(s, False)  # the plain tick does it, and falls back
             break
         s.frames = 0

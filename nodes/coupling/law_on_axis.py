@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, TypeAlias, cast
 
-from nodes.arithmetic import push, sections, settle, warm_up
+from nodes.arithmetic import newest_gain, push, revise_sections, sections, settle, warm_up
 from nodes.compiled.layout import state_of
 from nodes.coupling.state import LEAVING, CouplingState
 from nodes.laws import CompiledLaw
@@ -112,6 +112,7 @@ class LawOnAxis:
         self.state = array("d", [0.0]) * (2 * len(law.sections))  # state of the sections [N], shape (2 * s,)
         self._pushes = history.pushes
         self.taps = law.taps  # its taps [N/m], shape (n + 1,)
+        self.gain = newest_gain(self.numbers, self.coefficients)  # of taps and sections on the newest deflection [N/m]
         self.plain = not law.sections and law.evaluate is None  # whether it is nothing but taps
         self.sum_of_taps = sum_of_taps(law.taps, history)  # adds them, from the history's head to the force [N]
         self._own = law.own_code(axis)
@@ -145,6 +146,11 @@ class LawOnAxis:
         if self.state:
             values = self._history.values
             sections(self.coefficients, self.state, values[head], values[head + 1])
+
+    def revise(self, by: float) -> None:
+        """Correct the sections for a newest deflection that was too large by so much [m]."""
+        if self.state:
+            revise_sections(self.coefficients, self.state, by)
 
     def first_force(self, history: History) -> float:
         """Force that the law's own code begins with; nothing of it is remembered."""

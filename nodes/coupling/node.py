@@ -102,6 +102,8 @@ class Coupling(Node):
         because = ASKED_FOR if self.resumed_at >= 0 else VIRTUAL if self.setup.virtual else ""
         for text in self._judgement.at_start(parameters, self._felt_delay, because):
             self.events.emit_each("stability", text)
+        for text in self._judgement.of_moving_world(parameters, self._felt_delay):
+            self.events.emit_each("world", text)
         self._settle(parameters, self._make_fallback(parameters))
         self._renderer.law = self._prepare_law(parameters, parameters.law)
         swaps = [(round(swap.at / self.setup.period), swap) for swap in sorted(parameters.schedule, key=lambda swap: swap.at)]
@@ -265,12 +267,13 @@ class Coupling(Node):
 
     def _show_law(self, law: str = "") -> dict[str, Any]:
         parameters: CouplingParameters = self.store.current
+        plant = {} if parameters.plant is None else {"plant": msgspec.to_builtins(parameters.plant)}
         if law:
             described = self._book.description(parameters, law)
-            return {"law": law, **described, **self._book.figures(parameters, law, self._felt_delay)}
+            return {"law": law, **described, **plant, **self._book.figures(parameters, law, self._felt_delay)}
         active = self._renderer.law
         described = msgspec.json.decode(active.text)
-        return {**described, **self._book.figures(parameters, active.compiled, self._felt_delay)}
+        return {**described, **plant, **self._book.figures(parameters, active.compiled, self._felt_delay)}
 
     def _switch_law(self, law: str, ramp: int | None = None, force: bool = False) -> dict[str, Any]:
         usual = self.store.current.ramp

@@ -32,6 +32,8 @@ class LawPort(NamedTuple):
     ring: Callable[[Any, int], Any]  # gives the history of an axis
     force_of: Callable[[Any, int, int, Any, int], float]  # renders the newest deflection with the law in a slot of that axis
     see: Callable[[Any, int, int, Any, int], None]  # lets that law's sections see a deflection that nobody renders
+    gain_of: Callable[[Any, int, int], float]  # gain of that law on the newest deflection [N/m]
+    revise: Callable[[Any, int, int, float], None]  # corrects that law's sections for a newest deflection too large by so much
 
 
 LEAST_COSINE: Final = 0.9  # of how far a normal turns in a tick: beyond some 25° it is an edge, and the history stays
@@ -83,7 +85,7 @@ def make_render(
     port: LawPort, made: Callable[[Any], Any] = lambda function: function
 ) -> tuple[Callable[..., bool], Callable[..., None]]:
     """Make the tick of a port, and the bridge over ticks that were left out."""
-    ring, force_of, see = port
+    ring, force_of, see, gain_of, revise = port
     slots = SLOTS
     turn_axes = made(turn)
 
@@ -98,8 +100,39 @@ def make_render(
         return value
 
     @made
+    def give_way(s: CouplingState, n: int, history: Any, head: int, force: float, compliance: float) -> float:
+        """Return the force on a proxy that yields to it in the same tick; history and sections get the deflection left.
+
+        F = F̂ − g·C·F with F̂ the force as if the proxy did not yield, g the gain on the newest deflection, C the compliance.
+        """
+        fading = s.fade_ramp > 0
+        gain = gain_of(s, n, 0)
+        if fading:
+            old = 0.0
+            for m in range(1, 1 + s.leaving):
+                old += s.weight[slots * n + m] * gain_of(s, n, m)
+            gain = cross_fade(old, gain, s.fade_done, s.fade_ramp)
+        if not 1.0 + compliance * gain > 0.0 or not math.isfinite(force):
+            return force  # no law that is stable anywhere: it answers the proxy as it came
+        force = force / (1.0 + compliance * gain)
+        by = compliance * force
+        history[head] -= by
+        history[head + s.length] -= by
+        for m in range(1 + s.leaving if fading else 1):
+            revise(s, n, m, by)
+        return force
+
+    @made
     def render(
-        s: CouplingState, position: Any, proxy: Any, normal: Any, distance: float, contact: bool, force: Any, due: int
+        s: CouplingState,
+        position: Any,
+        proxy: Any,
+        normal: Any,
+        distance: float,
+        contact: bool,
+        compliance: float,
+        force: Any,
+        due: int,
     ) -> bool:
         """Render the force of one tick, whose deflection is the one number `due` in each history; whether it is finite."""
         raw, clamp = s.raw != 0, s.clamp != 0
@@ -112,7 +145,8 @@ def make_render(
             i = s.axis[n]
             history = ring(s, n)
             head = s.head[n]
-            if s.pushes[n] < due:
+            is_new = s.pushes[n] < due
+            if is_new:
                 if turned:
                     value = turned_deflection(s, n, position, proxy, distance, normal, contact, raw)
                 else:
@@ -125,6 +159,8 @@ def make_render(
                 for m in range(1, 1 + s.leaving):
                     old += s.weight[slots * n + m] * force_of(s, n, m, history, head)
                 value = cross_fade(old, value, s.fade_done, s.fade_ramp)
+            if compliance > 0.0 and is_new:
+                value = give_way(s, n, history, head, value, compliance)
             if turned:
                 for j in range(3):
                     force[j] += s.turned[3 * n + j] * value

@@ -79,6 +79,8 @@ class Renderer:
             ring=lambda _, n: rings[n],
             force_of=lambda _, n, m, __, head: laws[n][m].force(head),
             see=lambda _, n, m, __, head: laws[n][m].see(head),
+            gain_of=lambda _, n, m: laws[n][m].gain,
+            revise=lambda _, n, m, by: laws[n][m].revise(by),
         )
         self._render, self._bridge = make_render(port)
 
@@ -115,7 +117,8 @@ class Renderer:
     def render(self, proxy: Proxy) -> Vector:
         """Take one tick's deflection and render the force that answers it."""
         force = [0.0, 0.0, 0.0]
-        self._render(self.state, proxy.position, proxy.proxy, proxy.normal, proxy.distance, proxy.contact, force, self.due())
+        met = proxy.position, proxy.proxy, proxy.normal, proxy.distance, proxy.contact, proxy.compliance
+        self._render(self.state, *met, force, self.due())
         if self._leaving or self.standby:
             self.went_on()
         return force[0], force[1], force[2]
@@ -203,7 +206,8 @@ class Renderer:
         self._law, self.name = self.fallback, self.fallback.name
         self._end_fade()
         force = [0.0, 0.0, 0.0]
-        self._render(self.state, proxy.position, proxy.proxy, proxy.normal, proxy.distance, proxy.contact, force, due)
+        met = proxy.position, proxy.proxy, proxy.normal, proxy.distance, proxy.contact, proxy.compliance
+        self._render(self.state, *met, force, due)
         for law in self.standby:
             law.catch_up()
         x, y, z = (value if math.isfinite(value) else 0.0 for value in force)

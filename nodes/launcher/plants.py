@@ -18,7 +18,9 @@ from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError
 
 _PLANT = "plant"
-_USUAL = {"damping": 0.0, "stiffness": 0.0, "device_delay": 0.0, "scale": 1.0}  # fields as they are when they are left out
+# Fields as they are when they are left out.
+_OF_PARTNERS = ("tool_damping", "tool_stiffness", "partner_damping", "partner_stiffness", "partner_later")
+_USUAL = {"damping": 0.0, "stiffness": 0.0, "device_delay": 0.0, "scale": 1.0, **dict.fromkeys(_OF_PARTNERS, 0.0)}
 _DIGITS = 12  # significant digits: 0.1 kg and a hand of 0.05 kg are 0.15 kg, as a person adds them
 
 

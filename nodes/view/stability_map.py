@@ -22,11 +22,13 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.judge import last_inside
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
+from nodes.stability.worlds import AnyWorld, SteppedTool, WorldKind, world_k_max
 
 NEAR, FAR = 33, 24  # points of the edge: evenly spaced around the gain, then in equal ratios
 FARTHEST = 4096.0  # how far beyond the near part the far end is looked for, as a ratio
 MOST_DELAY = 20.0  # longest delay that the margin is looked for [ticks]
 DELAYS = 25  # points of the edge over the delay
+ANY_NEAR, ANY_DELAYS = 13, 9  # points of the edge for any world, over the gain and over the delay: 8 ms each
 
 
 def plant_of(declared: Any, driver: Mapping[str, Any]) -> PlantParameters | None:
@@ -55,6 +57,25 @@ def _edges(law: Law, devices: Sequence[Plant]) -> tuple[float, float] | None:
             return None
         low, high = max(low, edge.stable[0][0]), min(high, edge.stable[0][1])
     return (low, high) if low < high else None
+
+
+def _moving(plant: PlantParameters) -> WorldKind | None:
+    """Return the worlds that move for which the map has a dashed line; None where two devices share the law."""
+    if plant.partner_mass is not None:
+        return None
+    stepped = plant.tool_mass is not None and plant.tool_lag != 0.0
+    return SteppedTool(plant.tool_damping) if stepped else AnyWorld()
+
+
+def _certified(law: Law, devices: Sequence[Plant], world: WorldKind) -> float | None:
+    """Return the largest K that is certified on all devices for worlds that move (THEORY.md §18); None for none."""
+    least = math.inf
+    for device in devices:
+        found = world_k_max(without_spring(law, device.period), device, world)
+        if found.k_max_n_per_m is None:
+            return None
+        least = min(least, found.k_max_n_per_m)
+    return least if math.isfinite(least) else None
 
 
 def _at(law: Law, damping: float) -> Law:
@@ -158,7 +179,22 @@ def stability_map(law: Law, period: float, plant: PlantParameters, delay: float)
     if end > near:
         rows += _bounds(law, devices, np.geomspace(near, end, FAR)[1:].tolist())
     over = _over_delay(law, devices, found["delay_margin_ticks"])
-    return found | {"b_n_s_per_m": b, "near": near, "edge": rows, "over_delay": over}
+    drawn = found | {"b_n_s_per_m": b, "near": near, "edge": rows, "over_delay": over}
+    world = _moving(plant)
+    if world is None:
+        return drawn
+    # The device itself, without the tool that the coupling holds it to: the tool is part of the world.
+    some = [replace(devices[i], partner=None) for i in sorted({0, worst, len(devices) - 1})]
+    gains = np.linspace(0.0, near, ANY_NEAR).tolist()
+    delays = ((over[-1][0] or 0.0) * np.linspace(0.0, 1.0, ANY_DELAYS) ** 2).tolist()  # it falls fastest at first
+    return drawn | {
+        "world": world.about,
+        "k_max_any_world_n_per_m": _certified(law, some, world),
+        "any_world": [[gain, _certified(_at(law, gain), some, world)] for gain in gains],
+        "any_world_over_delay": [
+            [delay, _certified(law, [replace(device, delay=delay) for device in some], world)] for delay in delays
+        ],
+    }
 
 
 def drawn_map(

@@ -24,6 +24,7 @@ from nodes.environment.shapes.scene import Solid, new_memory, scene_table
 from nodes.environment.state import SHAPES
 from nodes.environment.surfaces import Meeting, Surface, meet_axes, parse_surface
 from nodes.environment.touched_surface import TouchedSurface
+from nodes.environment.world.node import FeltWorld, WorldParameters, check_world
 from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError
 from sim.arrays import Array
@@ -83,10 +84,10 @@ class _Coupling:
 
 
 class _Jumps:
-    """The latest jump that no motion made, as the environment counts it."""
+    """The latest jump that no motion made, as the environment counts it, and how far the force moves the proxy [m/N]."""
 
     def __init__(self) -> None:
-        self.tick = 0
+        self.tick, self.compliance = 0, 0.0
 
 
 # From a tick, the position [m] and the force handed over last [N] to proxy, normal, distance and contact.
@@ -104,7 +105,10 @@ def _environment(
 ) -> Ask:
     """Make what the device meets: a surface, other solids in its place, or a scene in which things move."""
     period = launch.run.period
-    if not any(spec.kind == "mujoco" for spec in launch.nodes.values()):
+    kinds = {spec.kind for spec in launch.nodes.values()}
+    if "world" in kinds:
+        return _body(launch, float(next_tick), jumps)
+    if "mujoco" not in kinds:
         name, environment = parameters_of(launch, "environment", EnvironmentParameters)
         surface = parse_surface(environment.surface, f"{name}.surface")
         meet_axes(surface, launch.run.axes, f"{name}.surface")
@@ -121,6 +125,20 @@ def _environment(
         if scene.follow(tick, position, force, tick - 1, delay, tick == 0):
             jumps.tick = tick
         return scene.tool_position, ZERO, 0.0, True
+
+    return ask
+
+
+def _body(launch: Launch, delay: float, jumps: _Jumps) -> Ask:
+    """Make a world of one body."""
+    name, parameters = parameters_of(launch, "world", WorldParameters)
+    check_world(parameters, launch.run.period, name)
+    world = FeltWorld(parameters, launch.run.period, launch.run.axes)
+
+    def ask(tick: int, position: Vector, force: Vector) -> Meeting:
+        at = world.follow(tick, position, force, tick - 1, delay)
+        jumps.compliance = at.compliance
+        return at.proxy, ZERO, 0.0, True
 
     return ask
 
@@ -183,7 +201,8 @@ def play(
         position = rules.sample(k, (place[0], place[1], place[2]))
         proxy, normal, distance, contact = meet(k, position, force)
         met: dict[str, Any] = {"proxy": proxy, "normal": normal, "distance": distance, "contact": contact}
-        wanted = coupling.answer(Proxy(seq=k, stamp=k * period, position=position, rebased=jumps.tick, **met))
+        met |= {"rebased": jumps.tick, "compliance": jumps.compliance}
+        wanted = coupling.answer(Proxy(seq=k, stamp=k * period, position=position, **met))
         force = rules.command(k, wanted, normal if contact else ZERO)
         for part in parts:
             write_axis(part, force[part.axis], k, 0.0)

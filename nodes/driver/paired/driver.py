@@ -2,8 +2,8 @@
 
 The position of the pair is that of the first device less that of the second; a force on the pair acts on the first, and its
 opposite on the second. So the deflection of the law is how far the hands are apart, and everything that holds for one device
-holds for the pair: history, swaps, limits, and energy, because F·(v₁ − v₂) is the power on both. Two equal devices of mass m
-and damping b are to the law one of m/2 and b/2, which is the `plant` of its stability figures (`Plant.paired_with`).
+holds for the pair: history, swaps, limits, and energy, because F·(v₁ − v₂) is the power on both. The stability figures take the
+second device as the `partner` of the coupling's `plant` (nodes/stability/pair.py).
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from nodes.driver.limits import SafetyParameters, lower, undeclared
 from nodes.driver.node import Driver
 from nodes.driver.parameters import DriverParameters
 from nodes.parameters.store import ParameterError, convert
-from nodes.stability.plant import Plant
 
 
 class PairedMember(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -198,14 +197,11 @@ class PairedDriver(Driver):
                 return None
             changed[which] = {"kind": member.kind, "parameters": stood[0]}
             plants.append(stood[1])
-        first, second = (Plant(1.0, one["mass"], one["damping"], one["device_delay"], one["stiffness"]) for one in plants)
-        pair = first.paired_with(second)
-        facts = {"mass": pair.mass, "damping": pair.damping, "stiffness": pair.stiffness, "device_delay": pair.delay}
-        return changed, {"heaviest": None, **facts}
+        return changed, {"heaviest": None, **_pair(*plants)}
 
     @classmethod
     def plant(cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]) -> dict[str, float]:
-        """Return the plant that two known devices are as one; of two real ones the scale that both have."""
+        """Return the plant of two known devices, each with its hand; of two real ones the scale that both have."""
         known = []
         for which, member in _both(convert(parameters, PairedDriverParameters, name)):
             where = f"{name}.{which}"
@@ -213,15 +209,8 @@ class PairedDriver(Driver):
         if not all("mass" in one for one in known):
             scales = {one.get("scale", 1.0) for one in known}
             return {"scale": scales.pop()} if len(scales) == 1 else {}
-        light, heavy = (
-            Plant(1.0, one[mass], one["damping"], one["device_delay"], one["stiffness"]).paired_with(
-                Plant(1.0, other[mass], other["damping"], other["device_delay"], other["stiffness"])
-            )
-            for one, other in [({"heaviest": one["mass"], **one} for one in known)]
-            for mass in ("mass", "heaviest")
-        )
-        found = {"mass": light.mass, "damping": light.damping, "stiffness": light.stiffness, "device_delay": light.delay}
-        return {**found, "heaviest": heavy.mass} if heavy.mass > light.mass else found
+        heaviest = known[0].get("heaviest", known[0]["mass"])
+        return {**_pair(*known), **({"heaviest": heaviest} if heaviest > known[0]["mass"] else {})}
 
     def make_device(self) -> Device:
         """Take hold of both, forces off."""
@@ -284,6 +273,13 @@ class PairedDriver(Driver):
 
         pair = (("first", self.pair.first), ("second", self.pair.second))
         return [(name, device) for name, device in pair if isinstance(device, MailboxDevice)]
+
+
+def _pair(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
+    """Return two plants as the plant of their coupling: the first one, and the second one as its partner."""
+    own = ("mass", "damping", "stiffness")
+    found = {name: first[name] for name in (*own, "device_delay")} | {f"partner_{name}": second[name] for name in own}
+    return {**found, "partner_later": second["device_delay"] - first["device_delay"]}
 
 
 def _both(parameters: PairedDriverParameters) -> tuple[tuple[str, PairedMember], tuple[str, PairedMember]]:

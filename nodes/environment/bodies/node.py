@@ -17,8 +17,10 @@ from messages.types import ZERO, DeviceState, Proxy
 from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
 from nodes.base.setup import Axis, Setup
+from nodes.environment.bodies.contacts import contacts_text
 from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.poses import RATE, Poses, poses_file
+from nodes.environment.bodies.tool import ToolParameters, response_text
 from nodes.environment.spent import SpentCounters, note_spent, spent_us
 from nodes.parameters.store import ParameterError, convert
 
@@ -27,13 +29,14 @@ class MujocoParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     """Parameters of an environment with things that move.
 
     scene: MJCF file; ``$(dirname)`` in a launch file is the folder that it stands in.
-    tool: Body of it that the coupling holds to the device.
+    tool: Body of it that the coupling holds to the device; or what that is: ``{mass: 0.05, radius: 0.005}`` adds a ball,
+        ``{body: NAME, damping: 0.5}`` damps a body of the scene to ground.
     bodies: ``dynamic``, or ``fixed`` to hold all but the tool where it begins.
     lost: Distance between device and tool from which the tool is put back to the device, without a force [m].
     """
 
     scene: str
-    tool: str = "tool"
+    tool: str | ToolParameters = "tool"
     bodies: Literal["dynamic", "fixed"] = "dynamic"
     lost: Annotated[float, msgspec.Meta(gt=0.0)] = 0.25
 
@@ -64,14 +67,15 @@ class MujocoEnvironment(Node):
 
     @classmethod
     def plant(cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]) -> dict[str, float]:
-        """Return the mass of the tool [kg], which gives way when the coupling pushes it."""
+        """Return mass [kg] and damping [N s/m] of the tool, which gives way when the coupling pushes it."""
         del axes
         wanted: MujocoParameters = convert(parameters, MujocoParameters, name)
         version = 0, 0
         with contextlib.suppress(OSError):  # `load_world` refuses in its own words what cannot be read
             seen = Path(wanted.scene).expanduser().stat()
             version = seen.st_mtime_ns, seen.st_size
-        return {"tool_mass": _tool_mass(wanted, name, *version)}
+        mass, damping = _tool_facts(wanted, name, *version)
+        return {"tool_mass": mass, "tool_damping": damping}
 
     def make_counters(self) -> SpentCounters:
         """Make its counters."""
@@ -83,11 +87,10 @@ class MujocoEnvironment(Node):
         self._world = load_world(self.store.current, self.setup.period, self.setup.name)
         self._poses = Poses(poses_file(self.setup.run_dir, self.setup.name), self._world.model.ngeom, make=True)
         self._every = max(1, round(1.0 / (RATE * self.setup.period)))
-        text = ", ".join(f"{pair.geom} {pair.stiffness:.3g} N/m" for pair in self._world.stiffness()) or "none"
         self.events.emit_each(
             "bodies",
             f"the tool weighs {self._world.mass:.4g} kg (a coupling's plant.tool_mass); {self._world.steps} steps a tick; "
-            f"its contacts, measured: {text}",
+            f"{response_text(self._world.response())}; its contacts, measured: {contacts_text(self._world.stiffness())}",
         )
 
     def _answer(self, state: DeviceState) -> bytes | None:
@@ -129,9 +132,10 @@ _SHORT = 1e-6  # a period that no scene is too fine for [s]: nothing is stepped,
 
 
 @functools.lru_cache(maxsize=64)  # a launch asks when it is read, and again when it is wired
-def _tool_mass(parameters: MujocoParameters, name: str, *_version: int) -> float:
-    """Return the mass of the tool of a scene [kg]; `_version` tells a file that has been saved again."""
-    return load_world(parameters, _SHORT, name).mass
+def _tool_facts(parameters: MujocoParameters, name: str, *_version: int) -> tuple[float, float]:
+    """Return mass [kg] and damping [N s/m] of the tool of a scene; `_version` tells a file that has been saved again."""
+    world = load_world(parameters, _SHORT, name)
+    return world.mass, world.damping
 
 
 def load_world(parameters: MujocoParameters, period: float, name: str) -> MovingScene:

@@ -29,7 +29,7 @@ PROMISED = {
 
 IN_LOCKSTEP = {
     *("box_edges", "floor_buzz", "floor_guarded", "floor_swap", "identify"),
-    *("rough_plane", "sphere_feel", "touch_wall", "two_loggers"),
+    *("rough_plane", "sphere_feel", "touch_wall", "two_loggers", "world_feel"),
 }
 """Scenarios that every run of the tests launches in lockstep (tests/sim/scene)."""
 

@@ -10,7 +10,9 @@ import pytest
 from nodes.coupling.parameters import PlantParameters
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
+from nodes.stability.k_max import without_spring
 from nodes.stability.plant import Plant
+from nodes.stability.worlds import SteppedTool, world_k_max
 from nodes.view.stability_map import drawn_map, plant_of, stability_map, with_inertia
 
 T = 0.002
@@ -42,6 +44,34 @@ def test_inside_is_stable_and_outside_is_not(described: dict[str, Any], delay: f
     assert radius(described, delay + margin + 1e-6) > 1.0
     assert margin == 0.0 or radius(described, delay + margin - 1e-6) < 1.0
     assert found["k_max_n_per_m"] == pytest.approx(next(high for b, _, high in rows if b == found["b_n_s_per_m"]), rel=1e-9)
+
+
+def test_the_edge_for_any_world_lies_below_that_of_a_wall() -> None:
+    found = stability_map(parse_law(LAWS[0]), T, PLANT, 0.0)
+    assert found["k_max_any_world_n_per_m"] == pytest.approx(2244.217, abs=1e-3)  # THEORY.md §18
+    walls = {b: high for b, _, high in found["edge"]}
+    shared = [(k, walls[b]) for b, k in found["any_world"] if b in walls]
+    assert len(shared) > 2
+    assert all(k < wall for k, wall in shared)
+    assert found["any_world"][0][1] == pytest.approx(1003.342, abs=1e-3)
+    assert found["any_world_over_delay"][0] == [0.0, found["k_max_any_world_n_per_m"]]
+    over = [k for _, k in found["any_world_over_delay"]]
+    assert over == sorted(over, reverse=True)
+    assert "same tick" in found["world"]
+
+
+def test_the_edge_of_a_stepped_tool_is_that_of_its_damping() -> None:
+    """For what the tool touches, its damping counts and not its mass; two devices on one law have no such line."""
+    spring = parse_law({"kind": "pd", "stiffness": 100.0, "damping": 0.0})
+    held = msgspec.structs.replace(PLANT, tool_mass=0.02, tool_damping=1.0)
+    found = stability_map(spring, T, held, 0.0)
+    assert "stepped tool" in found["world"]
+    derivative = without_spring(spring, T)
+    edge = world_k_max(derivative, Plant(T, 0.1, 1.0), SteppedTool(1.0)).k_max_n_per_m
+    assert found["k_max_any_world_n_per_m"] == edge
+    loose = stability_map(spring, T, msgspec.structs.replace(held, tool_damping=0.0), 0.0)
+    assert loose["k_max_any_world_n_per_m"] is None
+    assert "any_world" not in stability_map(spring, T, msgspec.structs.replace(PLANT, partner_mass=0.1), 0.0)
 
 
 def test_the_map_follows_law_device_and_delay() -> None:
