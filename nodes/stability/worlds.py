@@ -1,7 +1,7 @@
 """Worlds that a coupling may be asked to render, and the stiffness and damping that are certified for all of one kind.
 
 A wall is not the worst world. Which worlds a certificate is about decides everything, so each kind names them: how they are
-integrated, how late they answer, what damping they have (THEORY.md §17).
+integrated, how late they answer, what damping they have (THEORY.md §18).
 """
 
 from __future__ import annotations
@@ -78,6 +78,8 @@ class SteppedTool:
     @property
     def about(self) -> str:
         """Which worlds these are."""
+        if self.damping == 0.0:
+            return "a stepped tool without damping to the ground, for which nothing is provable"
         late = "as late as on the device" if self.delay is None else f"{self.delay:g} ticks late"
         return (
             f"a stepped tool of at least {self.damping:g} N s/m to the ground with anything passive hung on it "

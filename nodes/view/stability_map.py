@@ -175,7 +175,7 @@ def stability_map(law: Law, period: float, plant: PlantParameters, delay: float)
     alone = msgspec.structs.replace(plant, tool_mass=None).over_workspace(period, delay)
     some = [alone[i] for i in sorted({0, worst, len(alone) - 1})]
     gains = np.linspace(0.0, near, ANY_NEAR).tolist()
-    delays = np.linspace(0.0, over[-1][0] or 0.0, ANY_DELAYS).tolist()
+    delays = ((over[-1][0] or 0.0) * np.linspace(0.0, 1.0, ANY_DELAYS) ** 2).tolist()  # it falls fastest at first
     return found | {
         "b_n_s_per_m": b,
         "near": near,
