@@ -38,6 +38,7 @@ SHORTER = {
     "haptic bench loop": "--rounds 1 --seconds 0.2 --ticks 200 --rates 500 --cases",
     "haptic study detail": "duration:=1",
     "haptic study proxies": "--finest 3 --ticks 300 --steps 20000",
+    "haptic bench chains": "--most 2 --seconds 0.6",
     "haptic bench listeners": "--rounds 1 --seconds 0.3",
     "haptic bench ros2": "--rounds 1 --seconds 0.4",
     "haptic bench loop --scenes": "--rounds 1 --seconds 0.5 --finest 3 --json",

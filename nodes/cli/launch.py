@@ -24,6 +24,7 @@ from nodes.cli.page import PageAnnouncer, with_view
 from nodes.cli.status_line import StatusLine
 from nodes.compiled.choose_tick import compile_later
 from nodes.launcher import launch_file
+from nodes.launcher.chain_load import OVERLOADED
 from nodes.launcher.launch_spec import Launch
 from nodes.launcher.runs import STOPPED, ended_why, place_of
 from nodes.launcher.supervisor import LaunchFailedError, Supervisor
@@ -31,8 +32,6 @@ from nodes.launcher.wiring import kernel_modules
 from nodes.parameters.store import ParameterError
 from nodes.recording.logger import LoggerParameters, file_of
 from nodes.recording.writer import Ended, write_ended
-
-OVERLOADED = 4  # exit code of a launch whose own chains were too many for its processors
 
 
 def add(parser: argparse.ArgumentParser) -> None:

@@ -11,8 +11,6 @@ from nodes.base.node_kinds import load
 from nodes.launcher.plants import has_plant
 from nodes.launcher.runs import RunInfo
 
-Ask = Callable[..., Any]  # takes node, operation and its arguments
-
 FIELDS: Final = {"device.delay": "device_delay", "mapping.scale": "scale"}  # a driver's parameter to that of the plant
 
 
@@ -32,8 +30,8 @@ def _coupling(run: RunInfo, driver: str) -> str:
     return next(inside, "")
 
 
-def set_moved(run: RunInfo, driver: str, values: Mapping[str, Any], ask: Ask, force: bool) -> Any:
-    """Set `values` of a driver; return its receipt.
+def set_moved(run: RunInfo, driver: str, values: Mapping[str, Any], ask: Callable[..., Any], force: bool) -> Any:
+    """Set `values` of a driver; return its receipt. `ask` takes a node, an operation and its arguments.
 
     Raises
     ------

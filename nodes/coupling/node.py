@@ -25,7 +25,7 @@ from nodes.compiled.layout import NEVER, state_of
 from nodes.coupling.judgement import ASKED_FOR, VIRTUAL, Judgement, refuses_start
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.law_on_axis import History
-from nodes.coupling.parameters import CouplingParameters
+from nodes.coupling.parameters import LONGEST_DELAY, CouplingParameters
 from nodes.coupling.renderer import ActiveLaw, Renderer, settle_conventions
 from nodes.coupling.state import CouplingState
 from nodes.coupling.time_budget import Budget
@@ -152,8 +152,8 @@ class Coupling(Node):
 
     @property
     def _felt_delay(self) -> float:
-        """Delay of the loop as measured by now [ticks]; from any thread."""
-        return float(self.counters.delay)
+        """Delay of the loop as measured by now [ticks], no more than a law is judged at; from any thread."""
+        return min(float(self.counters.delay), LONGEST_DELAY)
 
     def _judge(self, now: CouplingParameters, wanted: CouplingParameters, law: ActiveLaw, force: bool) -> dict[str, Any]:
         """Refuse a change that the stability figures call unstable, or tell these figures, before and after it."""

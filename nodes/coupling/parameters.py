@@ -40,10 +40,9 @@ class Fallback(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         return CompiledLaw((self.damping / period, -self.damping / period))
 
 
-Delay = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
-"""A delay that a law is judged at [ticks]: the closed loop has one more state for each tick."""
+LONGEST_DELAY = 100.0  # longest delay that a law is judged at [ticks]: the closed loop has one more state for each
 
-LONGEST_MEASURED = 100.0  # a loop that was held up for longer is judged as one of this delay [ticks]
+Delay = Annotated[float, msgspec.Meta(ge=0.0, le=LONGEST_DELAY)]
 
 MASSES = 9  # with so many masses a law is judged where the mass depends on the position
 
@@ -89,7 +88,7 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
     def at(self, period: float, measured: float) -> Plant:
         """Return the device in a loop of a `period` [s] and a `measured` delay [ticks], as a law is judged on it."""
-        delay = (min(measured, LONGEST_MEASURED) if self.delay is None else self.delay) + self.device_delay
+        delay = (measured if self.delay is None else self.delay) + self.device_delay
         felt = self.scale * self.scale  # a force F of the scene is s F on the device, which moves 1/s as far
         partner = None
         if self.partner_mass is not None:

@@ -22,6 +22,8 @@ GO_ON, SILENT, BROKEN = range(3)  # why `ticks` ended: nothing unusual; no answe
 
 BEHIND = 3  # after so many ticks without their answer in a row a tick waits for one period more, after twice as many for two
 
+MOST_BEHIND = 64
+
 
 class Port(NamedTuple):
     """What a tick needs of the world; each takes the state first."""
@@ -216,7 +218,10 @@ def make_ticks(
         s.oldest_age = max(s.oldest_age, s.age)
         if s.next_tick == 0:
             split(s, 1.0)
-        s.unanswered = 0 if s.answered != 0 else s.unanswered + 1
+        if s.answered == 0:
+            s.unanswered = min(s.unanswered + 1, MOST_BEHIND)
+        elif s.arrival < following:
+            s.unanswered //= 2  # on time again; an answer that had to be waited for leaves the patience as it is
         if s.answered == 0:
             s.missed += 1 if s.safety != FAULT else 0  # in a fault there is no position that could have been answered
             s.response = 0.0

@@ -25,6 +25,7 @@ CARRIED: Final = 0.75  # part of a processor that chains may take: from there on
 LISTENERS: Final = 0.25  # part of a processor that is left to loggers, pages and the launcher where chains take all processors
 LATE: Final = 0.05  # share of lost ticks from which a run was overloaded, where its processors had no time left
 BUSY: Final = 0.85  # part of a processor's time from which it had none left; FIFO tasks get 0.95 at most
+OVERLOADED: Final = 4  # exit code of a launch whose own chains were too many for its processors
 _SHORTEST: Final = 0.5  # a shorter run tells nothing of what a tick costs [s]
 _KINDS_KEPT: Final = 256
 
@@ -57,17 +58,21 @@ class Load(msgspec.Struct, frozen=True, kw_only=True):
         """What a summary says of it; empty where nothing is wrong."""
         if not self.cause:
             return ""
-        chains = f"{self.chains} chain{'s' if self.chains > 1 else ''} at {self.rate_hz:g} Hz lost {self.lost:.1%} of the ticks"
+        chains = f"{_counted(self.chains)} at {self.rate_hz:g} Hz lost {self.lost:.1%} of the ticks"
         of = "one processor" if self.processors == 1 else f"{self.processors} processors"
         if self.cause == "chains":
             return (
                 f"{chains}: they took {self.busy:.0%} of {of}, {self.tick_cost_us:.0f} µs a tick; this machine carries about "
-                f"{self.carried} of them: start fewer, lower run.rate, or take --tick compiled"
+                f"{_counted(self.carried)} of that kind: start fewer, lower run.rate, or take --tick compiled"
             )
         return (
             f"{chains}: they took {self.busy:.0%} of {of}, and waited for others {self.waited:.2g} s a second; end what else "
             "keeps this machine busy, or grant SCHED_FIFO (haptic doctor)"
         )
+
+
+def _counted(chains: int) -> str:
+    return f"{chains or 'no'} chain{'' if chains == 1 else 's'}"
 
 
 def _hops(launch: Launch, namespace: str) -> list[str]:
@@ -77,8 +82,11 @@ def _hops(launch: Launch, namespace: str) -> list[str]:
 
 
 def kind_of_chain(launch: Launch, namespace: str, tick: str) -> str:
-    """Return what the cost of a chain's tick depends on: its kinds of node, its surface, its axes and how ticks are taken."""
-    parts = [tick]
+    """Return what the cost of a chain's tick depends on: its nodes, surface and axes, how ticks are taken, and about how often.
+
+    A tick after a long pause finds cold caches: at 500 Hz it costs twice as much as at 8 kHz.
+    """
+    parts = [tick, f"{2 ** round(math.log2(launch.run.rate))} Hz"]
     for name in _hops(launch, namespace):
         spec = launch.nodes[name]
         surface = spec.parameters.get("surface")
@@ -101,7 +109,7 @@ def known_costs() -> dict[str, float]:
 
 
 def keep_costs(measured: Mapping[str, float]) -> None:
-    """Keep what ticks cost [s], by kind of chain; a folder that cannot be written to keeps nothing."""
+    """Store what ticks cost [s], by kind of chain, unless the folder cannot be written to."""
     known = known_costs()
     for kind, cost in measured.items():
         known.pop(kind, None)
@@ -138,9 +146,9 @@ def warning(launch: Launch, chains: list[str], tick: str, processors: int) -> st
     rate = launch.run.rate
     most = carried(mean / rate, rate, processors)
     return (
-        f"overload ahead: {len(chains)} chains at {rate:g} Hz take {whole:.0%} of one processor, as measured here "
-        f"({mean / rate * 1e6:.0f} µs a tick), and there are {processors}; this machine carries about {most} such chains: "
-        f"start fewer, lower run.rate{'' if tick == 'compiled' else ', or take --tick compiled'}"
+        f"overload ahead: {_counted(len(chains))} at {rate:g} Hz will take {whole:.0%} of one processor, as measured here "
+        f"({mean / rate * 1e6:.0f} µs a tick), and there are {processors}; this machine carries about {_counted(most)} of that "
+        f"kind: start fewer, lower run.rate{'' if tick == 'compiled' else ', or take --tick compiled'}"
     )
 
 
@@ -195,7 +203,7 @@ class Meter:
         self._waits: dict[str, float] = {}
 
     def look(self) -> None:
-        """Look how long the nodes that are still there have waited."""
+        """Read how long the nodes that are still there have waited."""
         for name, pid in self._pids.items():
             at, before = self._began[name]
             if (waited := _waited(pid)) > before and time.monotonic() > at:

@@ -13,7 +13,9 @@ import msgspec
 
 from nodes.base.node import Node
 from nodes.base.node_kinds import load, node_kinds
+from nodes.coupling.parameters import LONGEST_DELAY
 from nodes.launcher.launch_spec import Launch
+from nodes.parameters.store import ParameterError
 
 _PLANT = "plant"
 # Fields as they are when they are left out.
@@ -38,13 +40,24 @@ def known_plant(launch: Launch, namespace: str) -> dict[str, float]:
 
 
 def with_plants(launch: Launch) -> Launch:
-    """Return the launch with each coupling's plant filled in; ``plant: null`` stays as it is."""
+    """Return the launch with each coupling's plant filled in; ``plant: null`` stays as it is.
+
+    Raises
+    ------
+    ParameterError
+        When a node's parameters describe no device, or one that answers later than a law is judged at.
+    """
     kinds, nodes = node_kinds(), dict(launch.nodes)
     for name, spec in launch.nodes.items():
         written: Any = spec.parameters.get(_PLANT, {})
         if not (has_plant(load(kinds[spec.kind])) and isinstance(written, Mapping)):
             continue
         known = known_plant(launch, name.rpartition("/")[0])
+        if (late := known.get("device_delay", 0.0)) > LONGEST_DELAY:
+            raise ParameterError(
+                f"{name}.plant.device_delay: the device answers {late:g} ticks late, limit {LONGEST_DELAY:g}: no law is judged "
+                f"at so much. Shorten the device's delay, or set {name}.plant to null"
+            )
         telling = {field: value for field, value in known.items() if value != _USUAL.get(field)}
         whole = {**telling, **written}
         if written or "mass" in whole:

@@ -27,8 +27,8 @@ from messages.transport.context import new_context
 from messages.transport.requests import ControlError, call
 from messages.types import DeviceState
 from nodes.base.realtime import die_with_parent
-from nodes.cli.launch import OVERLOADED
 from nodes.client.launches import ask, roles
+from nodes.launcher.chain_load import OVERLOADED
 from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunInfo, alive, runs
 from nodes.recording.summary import quantile

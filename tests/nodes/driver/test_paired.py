@@ -20,7 +20,7 @@ from nodes.laws.parse import parse_law
 from nodes.parameters.store import ParameterError
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant, held_plant
-from sim.device.driver import SimDriver
+from sim.device.driver import SimDriver, SimDriverParameters
 from tests.nodes.driver.test_touch import needs_cc
 from tests.sim.test_stand_ins import SOFT, through
 from tests.support import ROOT, slowly
@@ -127,8 +127,9 @@ def test_the_limits_of_each_hold_for_the_pair(monkeypatch: pytest.MonkeyPatch) -
     assert s.device_hold_ticks == 0.03 / 0.002
     driver.pair.places = (0.0, 0.0, 0.05), (0.0, 0.0, 0.15)
     assert driver.condition() == "second: z = 0.15 m, outside its workspace of -0.1 to 0.1 m"
-    # A real one declares what it must, each of the two.
+    # A real one has no usual limits, and declares what it must, each of the two.
     monkeypatch.setattr(SimDriver, "virtual", False)
+    monkeypatch.setattr(SimDriverParameters, "_limit", lambda _: None)
     with pytest.raises(ParameterError, match=r"^driver\.second: the device declares no workspace"):
         _paired({}, {"peak_force": 7.9, "workspace": [[-0.2, 0.2]] * 3}, workspace=box).configure()
     _paired({}, {"peak_force": 7.9, "workspace": box, "without": ["workspace"]}, workspace=box).configure()

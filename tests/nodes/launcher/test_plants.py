@@ -67,7 +67,10 @@ def test_a_launch_file_names_its_device_once(tmp_path: Path) -> None:
     arm = {**DEVICE, "mass_by_position": [[0.0, 0.05], [0.1, 0.3]], "axes": {"x": {"damping": 0.5}}}
     assert plant_of(written(tmp_path, device=arm)) == {**WHOLE, "heaviest": 0.4, "damping": 2.5}
     assert plant_of(written(tmp_path), device="touch_x")["mass"] == pytest.approx(0.035 + 0.1, rel=1e-11)
-    launch = launch_file.read(written(tmp_path, {"plant": None}), {})
+    late = {**DEVICE, "delay": 100.0 + 1e-9}
+    with pytest.raises(ParameterError, match=r"plant\.device_delay: the device answers 100 ticks late, limit 100: .* to null"):
+        launch_file.read(written(tmp_path, device=late), {})
+    launch = launch_file.read(written(tmp_path, {"plant": None}, device=late), {})
     assert launch.nodes["coupling"].parameters["plant"] is None
 
 

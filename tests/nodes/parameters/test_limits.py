@@ -157,7 +157,7 @@ def try_all() -> None:
 
 
 def bounded() -> None:
-    """Let this process have no more than a parameter may take, and try them all."""
+    """Limit this process to what a parameter may take, and try them all."""
     used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
     resource.setrlimit(resource.RLIMIT_CPU, (PROCESSOR, PROCESSOR))

@@ -166,7 +166,7 @@ def test_judgement_tolerance_and_passivity_know_the_partner() -> None:
     assert margins.delay_max_ticks is not None
     edges = [stepped(soft, replace(heavy, delay=part * margins.delay_max_ticks)) for part in (0.999, 1.001)]
     assert edges[0] < 1.0 < edges[1]
-    # Any hand and anything on the tool: b b'/(b + b') in place of b (THEORY.md §17).
+    # Any hand and anything on the tool: b b'/(b + b') in place of b (THEORY.md §18).
     passive = rendered(law, device).passive_scale
     assert passive is not None
     assert rendered(law, device.with_tool(0.05, 0.25)).passive_scale == pytest.approx(0.2 * passive)
