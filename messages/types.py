@@ -101,6 +101,9 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
         Where a hand pulls the device to during the tick that begins here [m]; zero without a simulated hand.
     rebased : int
         Tick of the latest jump of `position` that no motion made (re-centred, another scale, a partner met anew); 0 for none.
+    surplus : float
+        Energy that was put into this device so far and that its law cannot give back, as the passivity guard counts it [J]: a
+        partner's device may give out as much. 0 without a guard.
     """
 
     position: Vector
@@ -119,6 +122,7 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
     guard: Real = 0.0
     target: Vector = ZERO
     rebased: Count = 0
+    surplus: Real = 0.0
 
 
 class Handle(Message, frozen=True, kw_only=True, gc=False):
@@ -164,6 +168,8 @@ class Proxy(Message, frozen=True, kw_only=True, gc=False):
         over each.
     ease : int
         Length of that easing [ticks]; 0 for the coupling's own.
+    credit : float
+        Energy that a partner has put in for this device so far, its `surplus` [J].
     compliance : float
         How far the force of this very tick moves the proxy, against the force [m/N]: it ends at `proxy` − `compliance` times
         the force, which the coupling solves for. 0 (or less) for a surface, and for a body that answers a tick later.
@@ -177,6 +183,7 @@ class Proxy(Message, frozen=True, kw_only=True, gc=False):
     delay: Real = 0.0
     rebased: Count = 0
     ease: Count = 0
+    credit: Real = 0.0
     compliance: Real = 0.0
 
 
@@ -191,11 +198,18 @@ class Force(Message, frozen=True, kw_only=True, gc=False):
         Name of the law that computed it (the fallback's, after a failure).
     revision : int
         Counts the applied changes of law or parameters; the receipts tell what each one was.
+    normal : tuple of float, shape (3,)
+        Outward normal of the surface that is touched; zero where nothing is, or the law holds from all sides. The guard keeps
+        what the law stores along it apart from what the surface rubs away.
+    credit : float
+        Energy that a partner has put in for this device so far, forwarded from the proxy [J].
     """
 
     force: Vector
     law: Name = ""
     revision: Count = 0
+    normal: Vector = ZERO
+    credit: Real = 0.0
 
 
 class NodeStatus(Message, frozen=True, kw_only=True, gc=False):

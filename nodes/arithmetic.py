@@ -7,14 +7,18 @@ A term that a scene does not have is passed as None: numba compiles a separate v
 
 from collections.abc import MutableSequence, Sequence
 
+from nodes.compiled.rules import rule
+
 SMOOTHING = 1.0 / 64.0  # part of each tick's delay in the measured one: a mean over some 64 ticks, not thrown by a late one
 
 
+@rule
 def plane_distance(position: float, surface: float, normal: float) -> float:
     """Signed distance to a plane across one axis [m]: along its normal, ±1, negative inside the wall."""
     return (position - surface) * normal
 
 
+@rule
 def deflection(position: float, proxy: float, distance: float, normal: float, contact: bool, raw: bool) -> float:
     """Deflection of the coupling [m], in the direction in which it pushes the device: from the device to its proxy.
 
@@ -27,6 +31,7 @@ def deflection(position: float, proxy: float, distance: float, normal: float, co
     return -distance * normal
 
 
+@rule
 def push(history: MutableSequence[float], head: int, length: int, value: float) -> int:
     """Put the newest deflection in front of a history that remembers so many, in place; the new head.
 
@@ -39,6 +44,7 @@ def push(history: MutableSequence[float], head: int, length: int, value: float) 
     return head
 
 
+@rule
 def fir(taps: Sequence[float], history: Sequence[float], head: int) -> float:
     """Force [N] of taps h_0 ... h_n [N/m] over the history, added from the newest value to the oldest."""
     force = 0.0
@@ -47,6 +53,7 @@ def fir(taps: Sequence[float], history: Sequence[float], head: int) -> float:
     return force
 
 
+@rule
 def one_sided(force: float, normal: float, along: float, contact: bool, raw: bool, clamp: bool) -> float:
     """Contact conventions for a law's force on an axis [N]: none outside a raw-history wall, no pull to the wall when clamped.
 
@@ -61,6 +68,7 @@ def one_sided(force: float, normal: float, along: float, contact: bool, raw: boo
     return force
 
 
+@rule
 def limit(force: float, previous: float, peak: float | None, slew: float | None) -> float:
     """Limit the magnitude of a force [N], and its change from the one of the tick before; None is no limit."""
     if peak is not None:
@@ -76,6 +84,7 @@ def limit(force: float, previous: float, peak: float | None, slew: float | None)
     return force
 
 
+@rule
 def limit_within_tick(force: float, previous: float, peak: float | None, slew: float | None, slewed: float) -> float:
     """Limit a force as `limit` does where several in one tick share one slew, of which `slewed` is spent [N]."""
     if slew is None:
@@ -83,6 +92,7 @@ def limit_within_tick(force: float, previous: float, peak: float | None, slew: f
     return limit(force, previous, peak, max(slew - slewed, 0.0))
 
 
+@rule
 def sections(coefficients: Sequence[float], state: MutableSequence[float], newest: float, previous: float) -> float:
     """Force of parallel second-order recursive sections, y = b0·x + b1·x₋₁ − a1·y₋₁ − a2·y₋₂ each, summed in order [N].
 
@@ -102,6 +112,7 @@ def sections(coefficients: Sequence[float], state: MutableSequence[float], newes
     return force
 
 
+@rule
 def newest_gain(taps: Sequence[float], coefficients: Sequence[float]) -> float:
     """Return the gain of taps and parallel sections on the newest deflection, dF/dx₀ [N/m]."""
     gain = taps[0]
@@ -110,6 +121,7 @@ def newest_gain(taps: Sequence[float], coefficients: Sequence[float]) -> float:
     return gain
 
 
+@rule
 def revise_sections(coefficients: Sequence[float], state: MutableSequence[float], by: float) -> None:
     """Correct sections in place that have seen a newest deflection which is too large by `by` [m]."""
     for i in range(len(state) // 2):
@@ -128,6 +140,7 @@ def warm_up(
         sections(coefficients, state, history[head + m], history[head + m + 1])
 
 
+@rule
 def cross_fade(old: float, new: float, done: int, ramp: int) -> float:
     """Force during a cross-fade from one law to another, both evaluated over the same history [N].
 
@@ -150,6 +163,7 @@ def settle(coefficients: Sequence[float], state: MutableSequence[float], value: 
         state[2 * i] = state[2 * i + 1] = y
 
 
+@rule
 def eased(asked: float, felt: float, offset: float, done: int, ramp: int) -> float:
     """Force on its way from what was felt at a jump to what is asked now [N].
 

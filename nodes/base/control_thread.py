@@ -148,8 +148,8 @@ class ControlServer(threading.Thread):
         if self.is_alive():
             self._fetched.wait(timeout)
 
-    def _watch_lease(self, now: float) -> None:
-        lease = self._node.setup.lease
+    def _watch_lease(self) -> None:
+        lease, now = self._node.setup.lease, time.monotonic()
         if lease and now - self._asked > lease and not self._node.stopping:
             reason = f"launcher lost: no request for {lease:g} s"
             self._node.events.log(f"{reason}; stopping")
@@ -230,21 +230,29 @@ class ControlServer(threading.Thread):
                 self._serve()
             except zmq.ZMQError as error:
                 self._node.events.emit("control", f"a request could not be served: {error}")
-            self._node.look_after()
-            self._keep()
-            self._watch_lease(time.monotonic())
-            self._put_back()
-            try:
-                self._look_around(time.monotonic())
-            except OSError as error:
-                # Descriptors or memory ran out: what the lease and the next request are for goes on.
-                self._node.events.emit("control", f"{error}")
+            for duty in (self._node.look_after, self._keep, self._watch_lease, self._put_back, self._look_around):
+                try:
+                    duty()
+                except OSError as error:
+                    # Descriptors or memory ran out: what the lease and the next request are for goes on.
+                    self._node.events.emit("control", f"{error}")
+                except Exception as error:  # noqa: BLE001  # e.g. code of a device: the node ends softly, and is reachable
+                    self._end_softly(error)
         self._links.close()
         self._socket.close(linger=100)
         remove_ipc(self._node.setup.control)
 
-    def _look_around(self, now: float) -> None:
+    def _end_softly(self, error: Exception) -> None:
+        """End the node as a request to stop does, because something that it calls beside its loop failed."""
         node = self._node
+        if not node.failing:
+            reason = f"{node.setup.name}: {type(error).__name__} beside the loop: {error}"
+            node.events.emit("control", f"{reason}; the node ends")
+            node.failing = True
+            node.stop(reason)
+
+    def _look_around(self) -> None:
+        node, now = self._node, time.monotonic()
         if self._watched is not None and now >= self._next_watch:
             self._next_watch = now + WATCH_PERIOD
             self._poll_file(self._watched)

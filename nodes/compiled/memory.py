@@ -31,7 +31,7 @@ def shared_real(address: int) -> float:
     return c_double.from_address(address).value
 
 
-def monotonic(s: Any) -> float:
+def monotonic(s: object) -> float:
     """Read the monotonic clock [s]."""
     del s
     return time.monotonic()

@@ -5,48 +5,38 @@ from __future__ import annotations
 from typing import Any
 
 from messages.types import Force, Proxy
-from nodes.arithmetic import (
-    SMOOTHING,
-    cross_fade,
-    deflection,
-    eased,
-    fir,
-    newest_gain,
-    one_sided,
-    push,
-    revise_sections,
-    sections,
-)
+from nodes.arithmetic import SMOOTHING, newest_gain, revise_sections, sections
 from nodes.compiled.kernels.encode import make_encode
 from nodes.compiled.kernels.follow_kernel import count_gap, in_order, overtaken
 from nodes.compiled.kernels.hop import answer, called, flush, monotonic, out_at, receive
 from nodes.compiled.kernels.machine import compilable, reals_at, record_at
 from nodes.compiled.kernels.scan import make_scan
-from nodes.compiled.kernels.sources import kernel, record_of
+from nodes.compiled.kernels.sources import record_of, register_rules
 from nodes.compiled.message_fields import fields_of, slots
 from nodes.coupling.render import LawPort, evaluate, make_render
 from nodes.coupling.state import SLOTS, CouplingState
 
-for _function in (cross_fade, deflection, eased, fir, newest_gain, one_sided, push, revise_sections, sections, evaluate):
-    kernel(_function)
+register_rules()
 _look = record_at(record_of(CouplingState))
 _scan = make_scan(Proxy)
 _encode = make_encode(Force)
 _IN, _OUT = fields_of(Proxy), fields_of(Force)
-_SEQ, _CONTACT, _REBASED, _STAMP, _POSITION, _PROXY, _NORMAL, _DISTANCE, _DELAY, _COMPLIANCE = slots(
-    _IN, "seq", "contact", "rebased", "stamp", "position", "proxy", "normal", "distance", "delay", "compliance"
+_SEQ, _CONTACT, _REBASED, _STAMP, _POSITION, _PROXY, _NORMAL, _DISTANCE, _DELAY, _CREDIT, _COMPLIANCE = slots(
+    _IN, "seq", "contact", "rebased", "stamp", "position", "proxy", "normal", "distance", "delay", "credit", "compliance"
 )
-_TO_SEQ, _TO_REVISION, _TO_STAMP, _TO_FORCE = slots(_OUT, "seq", "revision", "stamp", "force")
+_TO_SEQ, _TO_REVISION, _TO_STAMP, _TO_FORCE, _TO_NORMAL, _TO_CREDIT = slots(
+    _OUT, "seq", "revision", "stamp", "force", "normal", "credit"
+)
 _SLOTS = SLOTS
 
 
 @compilable
-def _ring(s: Any, n: int) -> Any:
+def _ring(s: CouplingState, n: int) -> Any:
     return reals_at(s.history[n], 2 * s.length)
 
 
 @compilable
-def _force_of(s: Any, n: int, m: int, history: Any, head: int) -> float:
+def _force_of(s: CouplingState, n: int, m: int, history: Any, head: int) -> float:
     at = _SLOTS * n + m
     count = s.sections_count[at]
     taps, recursive = reals_at(s.taps[at], s.taps_count[at]), reals_at(s.sections[at], 4 * count)
@@ -54,7 +44,7 @@ def _force_of(s: Any, n: int, m: int, history: Any, head: int) -> float:
 
 
 @compilable
-def _see(s: Any, n: int, m: int, history: Any, head: int) -> None:
+def _see(s: CouplingState, n: int, m: int, history: Any, head: int) -> None:
     at = _SLOTS * n + m
     count = s.sections_count[at]
     if count > 0:
@@ -63,13 +53,13 @@ def _see(s: Any, n: int, m: int, history: Any, head: int) -> None:
 
 
 @compilable
-def _gain_of(s: Any, n: int, m: int) -> float:
+def _gain_of(s: CouplingState, n: int, m: int) -> float:
     at = _SLOTS * n + m
     return newest_gain(reals_at(s.taps[at], s.taps_count[at]), reals_at(s.sections[at], 4 * s.sections_count[at]))
 
 
 @compilable
-def _revise(s: Any, n: int, m: int, by: float) -> None:
+def _revise(s: CouplingState, n: int, m: int, by: float) -> None:
     at = _SLOTS * n + m
     count = s.sections_count[at]
     revise_sections(reals_at(s.sections[at], 4 * count), reals_at(s.sections_state[at], 2 * count), by)
@@ -79,7 +69,7 @@ _render, _bridge = make_render(LawPort(_ring, _force_of, _see, _gain_of, _revise
 
 
 @compilable
-def _note(s: Any, saves: bool) -> None:
+def _note(s: CouplingState, saves: bool) -> None:
     """Save what a tick overwrites, or put it back."""
     undo = reals_at(s.undo, s.undo_count)
     at = 0
@@ -145,6 +135,9 @@ def ticks(address: int) -> int:
         s.delay += (s.reals[_DELAY] - s.delay) * SMOOTHING
         s.out_wholes[_TO_SEQ] = seq
         s.out_wholes[_TO_REVISION] = s.revision
+        for i in range(3):
+            s.out_reals[_TO_NORMAL + i] = normal[i] if contact else 0.0
+        s.out_reals[_TO_CREDIT] = s.reals[_CREDIT]
         s.out_reals[_TO_STAMP] = monotonic(s) + s.clock_offset if s.realtime != 0 else s.reals[_STAMP]
         s.ticks += 1  # before it is sent: whoever has the answer and asks for the count finds it there
         at = out_at(s)

@@ -16,7 +16,7 @@ import msgspec
 
 from messages import topics
 from messages.codec import encode
-from messages.types import Force, Proxy, Receipt, Vector
+from messages.types import ZERO, Force, Proxy, Receipt, Vector
 from nodes.arithmetic import SMOOTHING
 from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
@@ -389,7 +389,9 @@ class Coupling(Node):
         if jumped:
             self._report_jump(proxy)
         stamp = proxy.stamp if self.clock.simulated else self.clock.now()
-        return encode(Force(seq=seq, stamp=stamp, force=force, law=renderer.name, revision=s.revision))
+        normal = proxy.normal if proxy.contact else ZERO
+        told: dict[str, Any] = {"law": renderer.name, "revision": s.revision, "normal": normal, "credit": proxy.credit}
+        return encode(Force(seq=seq, stamp=stamp, force=force, **told))
 
     def loop(self) -> None:
         """Answer until stopped."""

@@ -11,9 +11,11 @@ from collections.abc import Callable, MutableSequence, Sequence
 from typing import Any, Final, NamedTuple
 
 from nodes.arithmetic import cross_fade, deflection, eased, fir, one_sided, push, sections
-from nodes.coupling.state import SLOTS
+from nodes.compiled.rules import rule
+from nodes.coupling.state import SLOTS, CouplingState
 
 
+@rule
 def evaluate(
     taps: Sequence[float], recursive: Sequence[float] | None, state: MutableSequence[float], history: Sequence[float], head: int
 ) -> float:
@@ -38,7 +40,7 @@ LEAST_COSINE: Final = 0.9  # of how far a normal turns in a tick: beyond some 25
 _SHORTEST: Final = 0.5  # length below which a normal is none; 1 for all that surfaces give
 
 
-def begin_turning(s: Any, frame: str) -> None:
+def begin_turning(s: CouplingState, frame: str) -> None:
     """Let the axes of the history turn with the surface from now on, or no more: what was pushed stays true either way."""
     turns = frame == "surface" or (frame == "auto" and s.axes == 3)
     if turns == (s.turning == 1):
@@ -71,7 +73,7 @@ def turn(turned: MutableSequence[float], upright: MutableSequence[float], normal
     upright[0], upright[1], upright[2] = x, y, z
 
 
-def deflections(s: Any, position: Any, proxy: Any, distance: float, normal: Any, contact: bool) -> list[float]:
+def deflections(s: CouplingState, position: Any, proxy: Any, distance: float, normal: Any, contact: bool) -> list[float]:
     """Return what a tick would push into each history [m], in the axes that the histories have now."""
     world = [deflection(position[i], proxy[i], distance, normal[i], contact, s.raw != 0) for i in range(3)]
     if s.turning == 0:
@@ -89,7 +91,7 @@ def make_render(
 
     @made
     def turned_deflection(
-        s: Any, n: int, position: Any, proxy: Any, distance: float, normal: Any, contact: bool, raw: bool
+        s: CouplingState, n: int, position: Any, proxy: Any, distance: float, normal: Any, contact: bool, raw: bool
     ) -> float:
         """Deflection along an axis that turns; all three of the world are computed then."""
         value = 0.0
@@ -98,7 +100,7 @@ def make_render(
         return value
 
     @made
-    def give_way(s: Any, n: int, history: Any, head: int, force: float, compliance: float) -> float:
+    def give_way(s: CouplingState, n: int, history: Any, head: int, force: float, compliance: float) -> float:
         """Return the force on a proxy that yields to it in the same tick; history and sections get the deflection left.
 
         F = F̂ − g·C·F with F̂ the force as if the proxy did not yield, g the gain on the newest deflection, C the compliance.
@@ -122,7 +124,15 @@ def make_render(
 
     @made
     def render(
-        s: Any, position: Any, proxy: Any, normal: Any, distance: float, contact: bool, compliance: float, force: Any, due: int
+        s: CouplingState,
+        position: Any,
+        proxy: Any,
+        normal: Any,
+        distance: float,
+        contact: bool,
+        compliance: float,
+        force: Any,
+        due: int,
     ) -> bool:
         """Render the force of one tick, whose deflection is the one number `due` in each history; whether it is finite."""
         raw, clamp = s.raw != 0, s.clamp != 0
@@ -181,7 +191,7 @@ def make_render(
         return True
 
     @made
-    def bridge(s: Any, position: Any, proxy: Any, normal: Any, distance: float, contact: bool, missing: int) -> None:
+    def bridge(s: CouplingState, position: Any, proxy: Any, normal: Any, distance: float, contact: bool, missing: int) -> None:
         """Fill ticks that were left out by a straight line up to the newest deflection: a jump would read as velocity."""
         laws = 1 + s.leaving if s.fade_ramp > 0 else 1
         for n in range(s.axes):

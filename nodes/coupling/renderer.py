@@ -50,7 +50,7 @@ class ActiveLaw:
                 raise ParameterError(f"law {self.name!r}: returned {force}, which is not a finite force")
 
 
-def settle_conventions(s: Any, parameters: CouplingParameters, period: float) -> None:
+def settle_conventions(s: CouplingState, parameters: CouplingParameters, period: float) -> None:
     """Set contact conventions, axes of the history and easing; conventions that change are a jump that no motion made."""
     raw, clamp = int(parameters.history == "position"), int(parameters.clamp)
     if (s.raw, s.clamp) != (raw, clamp):

@@ -5,46 +5,66 @@ Laws stand in slots, `SLOTS` for each axis of the scene: the one that renders, t
 
 from __future__ import annotations
 
-from ctypes import Structure, c_double, c_int64
-from typing import Final
+from typing import Annotated, Final, TypeAlias
 
-from nodes.compiled.layout import LOOP, named
+from nodes.compiled.layout import LoopState, Vector3, struct
 
 LEAVING: Final = 8  # laws that may fade out together, to bound a tick's work: of faster swaps some are joined
 SLOTS: Final = 1 + LEAVING
 
 
-class CouplingState(Structure):
-    """All that a coupling keeps from tick to tick."""
+Slots: TypeAlias = Annotated[list[int], 3 * SLOTS]
 
-    _fields_ = [
-        *LOOP,
-        # contact conventions, receipts given so far, delay of the loop as measured [ticks]
-        *named(c_int64, "raw", "clamp", "revision"),
-        ("delay", c_double),
-        # axes of the scene, and per axis the history: where it is, index of the newest value, values pushed so far
-        ("axes", c_int64),
-        ("axis", c_int64 * 3),
-        ("length", c_int64),
-        *named(c_int64 * 3, "history", "head", "pushes"),
-        # laws, slot by slot: where their numbers are and how many, and the weight of those that leave
-        *named(c_int64 * (3 * SLOTS), "taps", "taps_count", "sections", "sections_count", "sections_state"),
-        ("weight", c_double * (3 * SLOTS)),
-        # the cross-fade under way, 0 ticks for none: its length, how much of it is done, how many laws leave
-        *named(c_int64, "fade_ramp", "fade_done", "leaving"),
-        # what a tick overwrites, for one that must be undone
-        *named(c_int64, "undo", "undo_count"),
-        ("oldest", c_double * 3),
-        # axes of the history: 0 the world's, 1 turning with the surface, 2 turned no more; which ones they are (rows), the
-        # normal that they turned to last, and both as they were before the tick
-        ("turning", c_int64),
-        ("turned", c_double * 9),
-        ("upright", c_double * 3),
-        ("turned_before", c_double * 12),
-        # the latest jump that no motion made (Proxy.rebased), and whether a change of conventions makes the next tick one
-        *named(c_int64, "rebased", "jumps"),
-        # the easing after it, 0 ticks for none: its length, the usual one, how much of it is done; the force of the last tick,
-        # that at the jump, and how much that was more than was asked [N]
-        *named(c_int64, "ease_ramp", "ease_usual", "ease_done"),
-        *named(c_double * 3, "felt", "ease_from", "ease_offset"),
-    ]
+
+@struct
+class CouplingState(LoopState):
+    """Everything a coupling keeps from tick to tick."""
+
+    raw: int  # 1 where the history goes on outside contact (`history: position`)
+    clamp: int  # 1 where a force never pulls
+    revision: int  # receipts given so far
+    delay: float  # delay of the loop, as measured [ticks]
+
+    # Axes of the scene, and per axis the history
+    axes: int  # how many
+    axis: Annotated[list[int], 3]  # which
+    length: int  # values of a history
+    history: Annotated[list[int], 3]  # address of a history, its values twice
+    head: Annotated[list[int], 3]  # index of the newest value
+    pushes: Annotated[list[int], 3]  # values pushed so far
+
+    # Laws, slot by slot
+    taps: Slots  # address
+    taps_count: Slots
+    sections: Slots  # address of the coefficients
+    sections_count: Slots
+    sections_state: Slots  # address
+    weight: Annotated[list[float], 3 * SLOTS]  # of the laws that leave [1]
+
+    # The cross-fade under way
+    fade_ramp: int  # its length [ticks]; 0 for none
+    fade_done: int  # how much of it is done [ticks]
+    leaving: int  # laws that leave
+
+    # What a tick overwrites, for one that must be undone
+    undo: int  # address of the sections' states
+    undo_count: int
+    oldest: Vector3  # value of a history that the newest one replaced [m]
+
+    # Axes of the history
+    turning: int  # 0 the world's, 1 turning with the surface, 2 turned no more
+    turned: Annotated[list[float], 9]  # which ones, in rows
+    upright: Vector3  # normal that they turned to last
+    turned_before: Annotated[list[float], 12]  # both as they were before the tick
+
+    # Jumps that no motion made
+    rebased: int  # tick of the latest one (Proxy.rebased)
+    jumps: int  # 1 where a change of conventions makes the next tick one
+
+    # The easing after a jump
+    ease_ramp: int  # its length [ticks]; 0 for none
+    ease_usual: int  # the coupling's own length [ticks]
+    ease_done: int  # how much of it is done [ticks]
+    felt: Vector3  # force of the last tick [N]
+    ease_from: Vector3  # force at the jump [N]
+    ease_offset: Vector3  # how much that was more than was asked [N]

@@ -4,7 +4,8 @@
 for a simulated hand, where it pulls to in the others, which are zero before the call [m];
 ``int write(int64_t context, const double *force, int64_t seq, double offset)`` hands a force over, as the methods of
 `nodes.driver.device.Device` do. A negative status says that the call failed: `out` is left as it was then, and the driver asks
-the method, which raises or gives what there is. So no position is ever taken for 0 because it could not be read.
+the method, which raises or gives what there is. So no position is ever taken for 0 because it could not be read. `JUMPED` from
+``read`` says that the position is elsewhere without a motion; a device in Python has a counter of that, ``jumps``.
 
 A device that lives without the interpreter offers its own calls (`Compiled`); for any other one they are made here.
 """
@@ -14,12 +15,13 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from ctypes import POINTER, c_double, c_int, c_int64
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Final, NamedTuple, Protocol
 
 from messages.types import Vector
 from nodes.driver.device import Device
 
 READ = ctypes.CFUNCTYPE(c_int, c_int64, c_int64, POINTER(c_double))
+JUMPED: Final = 1
 WRITE = ctypes.CFUNCTYPE(c_int, c_int64, POINTER(c_double), c_int64, c_double)
 """Types of the two calls."""
 
@@ -32,13 +34,33 @@ class Calls(NamedTuple):
     context: int  # their first argument
 
 
-@runtime_checkable
 class Compiled(Protocol):
     """A device that can be called without the interpreter."""
 
     def calls(self) -> Calls | None:
         """Give its calls, valid until it is closed; None where they could not be had."""
         ...
+
+
+class Jumps:
+    """The counter of a device whose position may jump without a motion; one without such a counter never jumps."""
+
+    def __init__(self, device: Any) -> None:
+        self._device = device
+        self._last = getattr(device, "jumps", 0)
+
+    def again(self) -> bool:
+        """Return whether the position has jumped since the last call."""
+        now = getattr(self._device, "jumps", 0)
+        jumped, self._last = now != self._last, now
+        return jumped
+
+
+def own_calls(device: Any) -> Calls | None:
+    """Return the calls of a device that has its own; None for another one, whatever its attribute ``calls`` is."""
+    method = getattr(type(device), "calls", None)
+    found = device.calls() if callable(method) else None
+    return found if isinstance(found, Calls) else None
 
 
 def numbers_of(position: Any, what: str) -> Vector:
@@ -53,12 +75,11 @@ def numbers_of(position: Any, what: str) -> Vector:
 class DeviceCalls:
     """The calls of a device, its own or made of its methods and of a simulated hand's target, and what one raised."""
 
-    def __init__(self, device: Device, target: Callable[[], Vector]) -> None:
-        self._device, self._target = device, target
+    def __init__(self, device: Device, target: Callable[[], Vector], jumps: Jumps) -> None:
+        self._device, self._target, self._jumps = device, target, jumps
         self._kept = READ(self._read), WRITE(self._write)
         read, write = (ctypes.cast(function, ctypes.c_void_p).value or 0 for function in self._kept)
-        own = device.calls() if isinstance(device, Compiled) else None
-        self.calls = own or Calls(read, write, 0)  # its two calls
+        self.calls = own_calls(device) or Calls(read, write, 0)  # its two calls
         self._error: BaseException | None = None
 
     def _read(self, _context: int, seq: int, out: Any) -> int:
@@ -68,7 +89,7 @@ class DeviceCalls:
         except BaseException as error:  # noqa: BLE001  # nothing can be raised through compiled code
             self._error = error
             return -1
-        return 0
+        return JUMPED if self._jumps.again() else 0
 
     def _write(self, _context: int, force: Any, seq: int, offset: float) -> int:
         try:

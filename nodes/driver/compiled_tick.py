@@ -13,7 +13,7 @@ from nodes.compiled.answering import WAIT_MS, CompiledTicks
 from nodes.compiled.library import Kernel
 from nodes.driver.calls import DeviceCalls
 from nodes.driver.device import Device
-from nodes.driver.state import SAFETY
+from nodes.driver.state import SAFETY, DriverState
 from nodes.driver.tick import SILENT, UNREAD
 
 
@@ -21,10 +21,10 @@ class DriverTicks(CompiledTicks):
     """The compiled ticks of one driver."""
 
     def __init__(self, node: Any, kernel: Kernel, device: Device) -> None:
-        s: Any = node.driving
+        s: DriverState = node.driving
         super().__init__(node, kernel, topics.FORCE, topics.DEVICE_STATE)
         self._driver = node
-        self._device = DeviceCalls(device, lambda: node.target)
+        self._device = DeviceCalls(device, lambda: node.target, node.jumps)
         s.device_read, s.device_write, s.device_context = self._device.calls
         self._room("device_room", 48)
         # struct pollfd: descriptor, then two shorts: POLLIN, and the answer
@@ -37,7 +37,7 @@ class DriverTicks(CompiledTicks):
         s.most = 0  # in and out once without a tick: the first time, with cold caches, it takes some ticks of 8 kHz
         self.go()
 
-    def run(self, s: Any) -> int:
+    def run(self, s: DriverState) -> int:
         """Tick until something waits; why it ended, as of nodes/driver/tick.py."""
         node = self._driver
         s.attention = 0  # before looking: what comes in between stops it

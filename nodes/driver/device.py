@@ -65,6 +65,9 @@ class Device(Protocol):
 
     A call that waits must give up the interpreter's lock meanwhile, as ctypes does: a watchdog of the driver then notices when
     it hangs.
+
+    A device whose position may be elsewhere without a motion (re-centred, clutched) counts that in an attribute ``jumps``: an
+    integer that another position goes with. Then history begins anew, and the force goes from what is felt by a ramp.
     """
 
     @property

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import msgspec
 
 from messages.types import ZERO, Vector
+from nodes.driver.state import DriverState
 from nodes.parameters.store import ParameterError, convert
 
 
@@ -28,7 +29,7 @@ class ExternalParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     age: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 0.1
 
 
-def give(s: Any, allowed: ExternalParameters | None, where: str, force: Sequence[float]) -> dict[str, Any]:
+def give(s: DriverState, allowed: ExternalParameters | None, where: str, force: Sequence[float]) -> dict[str, Any]:
     """Let a force act from the next tick on, until it is renewed or too old (control thread)."""
     if allowed is None:
         raise ParameterError(

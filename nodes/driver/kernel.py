@@ -2,41 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from messages.types import DeviceState, Force
-from nodes import arithmetic
 from nodes.compiled.kernels import hop, machine
 from nodes.compiled.kernels.encode import make_encode
 from nodes.compiled.kernels.hop import called, flush, has_message, keep, monotonic, out_at, receive, send_hop
 from nodes.compiled.kernels.machine import compilable, copy16, reals_at, record_at, wholes_at
 from nodes.compiled.kernels.scan import make_scan
-from nodes.compiled.kernels.sources import kernel, record_of
+from nodes.compiled.kernels.sources import record_of, register_rules
 from nodes.compiled.message_fields import fields_of, slots
-from nodes.driver import motion, motor_heat, passivity, response_times, safety, state, tick
+from nodes.driver.calls import JUMPED
 from nodes.driver.state import BETWEEN, DriverState
 from nodes.driver.tick import GOT, NONE, UNREAD, Port, make_ticks
 
-for _function in (
-    *(state.note, state.seldom, arithmetic.limit, arithmetic.limit_within_tick),
-    *(passivity.observe, passivity.through, passivity.backlog, passivity.forget, passivity.control),
-    *(passivity.count_step, passivity.guarded),
-    *(motion.sample, motion.act, motion.split, motion.find_velocity),
-    *(motor_heat.close_tick, motor_heat.note_heat, motor_heat._fits, motor_heat.lower_heat),
-    *(safety.enter, safety.admit, safety.command, safety._regrowth, safety._become_active, safety.missed, safety.let_go),
-    *(safety.watch_position, safety.watch_swings, safety.hand_over),
-    *(response_times.note_response, tick.lost, tick.patience, tick.take_sample, tick.decide, tick.close),
-):
-    kernel(_function)
+register_rules()
 _look = record_at(record_of(DriverState))
 _scan = make_scan(Force)
 _encode = make_encode(DeviceState)
 _IN, _OUT = fields_of(Force), fields_of(DeviceState)
-_SEQ, _FORCE = slots(_IN, "seq", "force")
-_TO_SEQ, _TO_FORCE_SEQ, _TO_AGE, _TO_MISSED, _TO_OVERRUNS = slots(_OUT, "seq", "force_seq", "age", "missed", "overruns")
+_SEQ, _FORCE, _NORMAL, _CREDIT = slots(_IN, "seq", "force", "normal", "credit")
+_TO_SEQ, _TO_FORCE_SEQ, _TO_AGE, _TO_MISSED, _TO_OVERRUNS, _TO_REBASED = slots(
+    _OUT, "seq", "force_seq", "age", "missed", "overruns", "rebased"
+)
 _TO_POSITION, _TO_FORCE, _TO_MEAN, _TO_TARGET = slots(_OUT, "position", "force", "mean_force", "target")
-_TO_STAMP, _TO_CHANGED_AT, _TO_RESPONSE, _TO_LATENESS, _TO_ENERGY, _TO_DELAY, _TO_GUARD = slots(
-    _OUT, "stamp", "changed_at", "response", "lateness", "energy", "delay", "guard"
+_TO_STAMP, _TO_CHANGED_AT, _TO_RESPONSE, _TO_LATENESS, _TO_ENERGY, _TO_DELAY, _TO_GUARD, _TO_SURPLUS = slots(
+    _OUT, "stamp", "changed_at", "response", "lateness", "energy", "delay", "guard", "surplus"
 )
 _TIMER_ABSTIME = 1
 # As long as ZeroMQ waits at least in `Subscription.receive_soon` [s].
@@ -44,7 +33,12 @@ _SOON = 1e-3
 
 
 @compilable
-def _sleep_until(s: Any, deadline: float) -> float:
+def _clock(s: DriverState) -> float:
+    return monotonic(s)
+
+
+@compilable
+def _sleep_until(s: DriverState, deadline: float) -> float:
     now = monotonic(s)
     if now < deadline:
         until = wholes_at(s.time, 2)
@@ -56,18 +50,21 @@ def _sleep_until(s: Any, deadline: float) -> float:
 
 
 @compilable
-def _read(s: Any, seq: int) -> bool:
+def _read(s: DriverState, seq: int) -> bool:
     room = reals_at(s.device_room, 6)
     room[3] = room[4] = room[5] = 0.0
-    if machine.call_read(s.device_read, (s.device_context, seq, s.device_room)) < 0:
+    status = machine.call_read(s.device_read, (s.device_context, seq, s.device_room))
+    if status < 0:
         return False
+    if status == JUMPED:
+        s.jumped = 1
     for i in range(3):
         s.place[i], s.target[i] = room[i], room[3 + i]
     return True
 
 
 @compilable
-def _write(s: Any, seq: int, offset: float) -> bool:
+def _write(s: DriverState, seq: int, offset: float) -> bool:
     room = reals_at(s.device_room, 6)
     for i in range(3):
         room[i] = s.handed[i]
@@ -75,7 +72,7 @@ def _write(s: Any, seq: int, offset: float) -> bool:
 
 
 @compilable
-def _publish(s: Any, seq: int, stamp: float) -> None:
+def _publish(s: DriverState, seq: int, stamp: float) -> None:
     out, whole = s.out_reals, s.out_wholes
     for i in range(3):
         out[_TO_POSITION + i], out[_TO_FORCE + i], out[_TO_MEAN + i] = s.position[i], s.force[i], s.acting[i]
@@ -83,8 +80,9 @@ def _publish(s: Any, seq: int, stamp: float) -> None:
     out[_TO_STAMP], out[_TO_RESPONSE], out[_TO_LATENESS] = stamp, s.response, s.lateness
     out[_TO_ENERGY], out[_TO_DELAY], out[_TO_CHANGED_AT] = s.energy, s.delay, s.changed_at
     out[_TO_GUARD] = s.guard_energy[0] + s.guard_energy[1] + s.guard_energy[2]
+    out[_TO_SURPLUS] = s.guard_surplus
     whole[_TO_SEQ], whole[_TO_FORCE_SEQ], whole[_TO_AGE] = seq, s.force_seq, s.age
-    whole[_TO_MISSED], whole[_TO_OVERRUNS] = s.missed, s.overruns
+    whole[_TO_MISSED], whole[_TO_OVERRUNS], whole[_TO_REBASED] = s.missed, s.overruns, s.rebased
     at = out_at(s)
     size = _encode(at, s.out_keys, out, whole, s.texts[s.safety], s.text_sizes[s.safety]) - at
     s.sent, s.sent_size = at, size
@@ -94,7 +92,7 @@ def _publish(s: Any, seq: int, stamp: float) -> None:
 
 
 @compilable
-def _await(s: Any, deadline: float) -> bool:
+def _await(s: DriverState, deadline: float) -> bool:
     """Wait for a message until an absolute time, to the microsecond (`Subscription.receive_until`)."""
     while True:
         if has_message(s, s.inbox):
@@ -109,7 +107,7 @@ def _await(s: Any, deadline: float) -> bool:
 
 
 @compilable
-def _receive(s: Any, until: float) -> int:
+def _receive(s: DriverState, until: float) -> int:
     flags = 0
     if s.realtime != 0:
         # An answer that is late is waited for a little, as ZeroMQ's own time-outs do.
@@ -126,26 +124,27 @@ def _receive(s: Any, until: float) -> int:
     s.taken += 1
     s.got_seq = s.wholes[_SEQ]
     for i in range(3):
-        s.got[i] = s.reals[_FORCE + i]
+        s.got[i], s.got_normal[i] = s.reals[_FORCE + i], s.reals[_NORMAL + i]
+    s.got_credit = s.reals[_CREDIT]
     return GOT
 
 
 @compilable
-def _aside(s: Any) -> None:
+def _aside(s: DriverState) -> None:
     if keep(s, s.sent_size):
         flush(s)
 
 
 @compilable
-def _called(s: Any) -> bool:
+def _called(s: DriverState) -> bool:
     return bool(called(s) or s.attention != 0)
 
 
-_lockstep, _realtime = make_ticks(Port(_sleep_until, _read, _write, _publish, _receive, _aside, _called), compilable)
+_lockstep, _realtime = make_ticks(Port(_clock, _sleep_until, _read, _write, _publish, _receive, _aside, _called), compilable)
 
 
 @compilable
-def _settle(s: Any) -> None:
+def _settle(s: DriverState) -> None:
     """Send what was collected; the message of a tick that goes on later keeps the place where the next one would stand."""
     flush(s)
     if s.aside != 0 and s.phase != BETWEEN and s.sent != s.held:

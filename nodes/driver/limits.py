@@ -25,13 +25,15 @@ class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     continuous_force: Largest root-mean-square force over `thermal_time` [N].
     thermal_time: Time constant of the motor's heating [s].
     slew: Fastest change of force [N/s].
-    ramp: Time in which forces grow to their full size after a start [s].
-    recovery: The same after damping, zero force, a fault or a driver that was started again [s]; `ramp` where that is longer. A
-        force that was away for less than a fifth of it begins with a part: each tick away costs five ticks of ramp.
+    ramp: Time in which forces grow to their full size after a start [s]. None for `recovery`, unless the first force is zero:
+        contacts that a motion makes have no ramp.
+    recovery: The same after a jump of the position, damping, zero force, a fault or a driver that was started again [s]; `ramp`
+        where that is longer. A force that was away for less than a fifth of it begins with a part: each tick away costs five
+        ticks of ramp.
     workspace: Smallest and largest coordinate of each axis [m]; a position outside is a fault, not data, and the force is zero.
     stop_after: How often within 2 s the force may come to `peak_force` while the loop gives out energy; then the loop is
         unstable, and the driver stops for good: damping, then no force until ``haptic node rearm`` asks for it, or the driver
-        is started again. At most 64; None for never.
+        is started again. A force that stays there while energy is given out stops it after 1 s. At most 64; None for never.
     hang: After so long within one tick the device is taken to hang, and the driver ends [s]; None for a debugger.
     without: Which of ``peak_force``, ``slew``, ``workspace`` and ``hold`` need not be declared; a virtual device then has none.
     """
@@ -44,12 +46,22 @@ class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     continuous_force: Positive | None = None
     thermal_time: Positive = 1.0
     slew: Positive | None = None
-    ramp: NonNegative = 0.0
+    ramp: NonNegative | None = None
     recovery: NonNegative = 0.15
     workspace: Workspace | None = None
     stop_after: Annotated[int, msgspec.Meta(ge=2, le=PEAKS)] | None = 6
     hang: Positive | None = 1.0
     without: list[Literal["peak_force", "slew", "workspace", "hold"]] = []
+
+
+def start_ramp(parameters: SafetyParameters) -> float:
+    """Return the time in which a first force that is not zero grows to its full size [s]."""
+    return parameters.recovery if parameters.ramp is None else parameters.ramp
+
+
+def recovery_ramp(parameters: SafetyParameters) -> float:
+    """Return the time in which a force that was away, or that jumped, grows to its full size [s]."""
+    return max(parameters.recovery, parameters.ramp or 0.0)
 
 
 class Limits(msgspec.Struct, frozen=True, kw_only=True):

@@ -11,10 +11,12 @@ from __future__ import annotations
 from array import array
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from nodes.compiled.memory import reals_at
+from nodes.compiled.rules import rule
 from nodes.driver.passivity import line_of, observe, through
+from nodes.driver.state import DriverState
 
 RECENT: Final = 0.25  # time at the end of a run that tells how it ends [s]; at least `LEAST` ticks
 LEAST: Final = 64
@@ -22,7 +24,7 @@ REST = 1e-6  # largest swing that counts as rest [m]: about what a fingertip fee
 _FALL = 1.0  # least acceleration without a force that is called falling [m/s²]: a damped device that glides has less
 
 
-def set_motion(s: Any, latency: float) -> list[array[float]]:
+def set_motion(s: DriverState, latency: float) -> list[array[float]]:
     """Lay down samples and forces under way, which act so many ticks late; the arrays must live as long as the state."""
     s.places_count = max(LEAST, round(RECENT / s.period))
     places = array("d", [0.0]) * (3 * s.places_count)
@@ -31,7 +33,7 @@ def set_motion(s: Any, latency: float) -> list[array[float]]:
     return [places, set_latency(s, latency)]
 
 
-def set_latency(s: Any, latency: float) -> array[float]:
+def set_latency(s: DriverState, latency: float) -> array[float]:
     """Lay down the forces under way, with those that are; the array, which must live as long as the state."""
     line, part = line_of(latency) if latency else ([], 0.0)
     length, before = len(line), s.line_length
@@ -44,8 +46,12 @@ def set_latency(s: Any, latency: float) -> array[float]:
     return kept
 
 
-def sample(s: Any, at: float) -> bool:
-    """Take the position that was read as the newest sample; whether ticks have passed since the one before."""
+@rule
+def sample(s: DriverState, at: float) -> bool:
+    """Take the position that was read as the newest sample; whether ticks have passed since the one before.
+
+    A position that `jumped` ends no motion: its step is zero, and so are velocity and energy.
+    """
     if s.begun != 0 and s.covered == 0:
         s.at = at  # at the end of a run
         for i in range(3):
@@ -56,7 +62,7 @@ def sample(s: Any, at: float) -> bool:
     stepped = bool(s.begun != 0)
     for i in range(3):
         places[i] = s.place[i]
-        s.before[i] = s.position[i] if stepped else s.place[i]
+        s.before[i] = s.position[i] if stepped and s.jumped == 0 else s.place[i]
         s.position[i] = s.place[i]
     s.samples += 1
     if stepped:
@@ -80,7 +86,8 @@ def sample(s: Any, at: float) -> bool:
     return stepped
 
 
-def act(s: Any, ticks: int) -> None:
+@rule
+def act(s: DriverState, ticks: int) -> None:
     """Let ticks pass with the mean force."""
     covered = s.covered
     for i in range(3):
@@ -91,7 +98,8 @@ def act(s: Any, ticks: int) -> None:
     s.covered = covered + ticks
 
 
-def split(s: Any, offset: float) -> None:
+@rule
+def split(s: DriverState, offset: float) -> None:
     """Take into the tick's mean force what acted up to a place in it."""
     share = offset - s.split
     if share > 0.0:
@@ -100,7 +108,8 @@ def split(s: Any, offset: float) -> None:
         s.split = offset
 
 
-def find_velocity(s: Any) -> None:
+@rule
+def find_velocity(s: DriverState) -> None:
     """Find the velocity between the last two samples; a real device goes on moving while a sample is late."""
     span = s.elapsed * s.period
     if s.virtual == 0:
@@ -109,7 +118,7 @@ def find_velocity(s: Any) -> None:
         s.velocity[i] = (s.position[i] - s.before[i]) / span
 
 
-def endings(s: Any) -> list[Ending]:
+def endings(s: DriverState) -> list[Ending]:
     """Tell how the device has moved lately, axis by axis."""
     places = reals_at(s.places, 3 * s.places_count)
     order = [n % s.places_count for n in range(max(0, s.samples - s.places_count), s.samples)]

@@ -14,19 +14,23 @@ so there is always a force that respects it.
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Final
+
+from nodes.compiled.rules import rule
+from nodes.driver.state import DriverState
 
 HALVINGS: Final = 24  # steps of the bisection between the forces that are safe and wanted: 1e-7 of their difference
 
 
-def set_heat(s: Any, continuous: float | None, thermal_time: float, period: float) -> None:
+def set_heat(s: DriverState, continuous: float | None, thermal_time: float, period: float) -> None:
     """Lay down a limit, if there is one."""
     s.continuous = math.inf if continuous is None else continuous
     s.heat_keep = 1.0 if continuous is None else math.exp(-period / thermal_time)
     s.heat_reserve = s.heat_keep ** (1 + s.watchdog)
 
 
-def close_tick(s: Any, ticks: int) -> None:
+@rule
+def close_tick(s: DriverState, ticks: int) -> None:
     """Count the tick that is over, and further ones during which the force was held."""
     if s.heat_keep < 1.0 and ticks > 0:
         held = s.force[0] * s.force[0] + s.force[1] * s.force[1] + s.force[2] * s.force[2]
@@ -37,23 +41,28 @@ def close_tick(s: Any, ticks: int) -> None:
         s.heat_largest = 0.0
 
 
-def note_heat(s: Any) -> None:
+@rule
+def note_heat(s: DriverState) -> None:
     """Note a force of this tick; the largest one counts."""
     squared = s.wanted[0] * s.wanted[0] + s.wanted[1] * s.wanted[1] + s.wanted[2] * s.wanted[2]
     s.heat_largest = max(s.heat_largest, squared)
 
 
-def _fits(s: Any, x: float, y: float, z: float) -> bool:
+@rule
+def _fits(s: DriverState, x: float, y: float, z: float) -> bool:
     squared = x * x + y * y + z * z
     size = math.sqrt(squared)
     way = 0.0
     if size > s.continuous and math.isfinite(s.slew):
-        way = (size**3 - s.continuous**3) / (3.0 * s.slew)
+        # Products, not powers: compiled code makes other last bits of a power.
+        limit = s.continuous
+        way = (size * size * size - limit * limit * limit) / (3.0 * s.slew)
     reserved = s.heat_reserve * s.heat + (1.0 - s.heat_reserve) * (squared + way)
     return bool(reserved <= s.continuous * s.continuous)
 
 
-def lower_heat(s: Any) -> bool:
+@rule
+def lower_heat(s: DriverState) -> bool:
     """Lower what is wanted as far as the heat asks for; whether it was."""
     a, b, c = s.wanted[0], s.wanted[1], s.wanted[2]
     if _fits(s, a, b, c):

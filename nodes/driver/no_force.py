@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
-from nodes.driver.state import ACTIVE, DAMPING, FAULT, IDLE, NOTHING, RAMP, SAFETY, STOPPED
+from nodes.driver.state import ACTIVE, DAMPING, FAULT, IDLE, NOTHING, RAMP, SAFETY, STOPPED, DriverState
 
 _STATES: Final = {
     IDLE: "no force has come from the coupling yet: does it run, and does the environment? haptic node list",
@@ -14,7 +14,7 @@ _STATES: Final = {
 }
 
 
-def why_no_force(s: Any, condition: str = "") -> str:
+def why_no_force(s: DriverState, condition: str = "") -> str:
     """Say what keeps a force from the hand (`condition`: what the device itself says), or how much is handed over."""
     if s.ticks == 0:
         return "the driver has not ticked yet"

@@ -23,7 +23,7 @@ from nodes.base.node import IDLE_MS, Node
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.base.status_report import Counted
 from nodes.compiled.layout import NEVER, state_of
-from nodes.driver.calls import numbers_of
+from nodes.driver.calls import Jumps, numbers_of
 from nodes.driver.device import Device
 from nodes.driver.external import give
 from nodes.driver.limits import STOP_TIME, lower, undeclared
@@ -72,6 +72,7 @@ class Driver(Node):
     """
 
     _condition = ""  # what it said last of its device that gives no force
+    _condition_failed = ""  # what `condition` raised, which ends the run
     Parameters: ClassVar[type[msgspec.Struct]] = DriverParameters
     publishes: ClassVar[tuple[str, ...]] = (topics.DEVICE_STATE,)
     listens_to: ClassVar[tuple[str, ...]] = (topics.FORCE,)
@@ -150,6 +151,7 @@ class Driver(Node):
         set_guard(s, parameters.passivity)
         # One that was started again may have a guard that somebody set while it ran, which is not the launch file's.
         written: DriverParameters = convert(self.setup.parameters, self.Parameters, self.setup.name)
+        self.jumps = Jumps(self._device)
         self._report.begin(self._device, held, written.passivity is not None and written.passivity.guard == "on")
         for text in held.overruled:
             self.events.emit("limit", text)
@@ -223,15 +225,18 @@ class Driver(Node):
             self.compiled.raise_error()
         if s.failed:
             s.failed = 0
-            self._device.write_force(tuple(s.handed), s.seq, 0.0)
+            held = not s.realtime or time.monotonic() < s.epoch + (s.written + s.device_hold_ticks) * s.period
+            self._device.write_force(tuple(s.handed) if held else ZERO, s.seq, 0.0)
         else:
             s.place[:] = numbers_of(self._device.read_position(s.seq), f"{self.setup.name}: {type(self._device).__name__}")
+            s.jumped |= self.jumps.again()
             s.place_given = 1
 
     def _last_sample(self, stamp: float) -> None:
         """Publish where the device came to rest."""
         s = self.driving
         s.place[:] = numbers_of(self._device.read_position(s.seq), self.setup.name)
+        s.jumped |= self.jumps.again()
         s.target[:] = self.target
         take_sample(s, s.seq, stamp)
         self._plain.publish(s, s.seq, stamp)
@@ -271,21 +276,38 @@ class Driver(Node):
     def look_after(self) -> None:
         """Look whether the loop goes on, and tell when the device keeps forces off (control thread)."""
         self._watch.look((*self.counted(), self._report.soft_stop_ticks))
-        condition = self.condition() if self.state == "running" else ""
+        if self.state != "running":
+            return
+        condition = self._told_condition()
         if condition != self._condition:
             self._condition = condition
             kind = "device_force" if condition else "device_force_back"
             self.events.emit_each(kind, condition or "nothing keeps forces off any more")
 
+    def _told_condition(self) -> str:
+        """Return what `condition` says; one that raises ends the run softly, and is what it says from then on."""
+        if self._condition_failed:
+            return self._condition_failed
+        try:
+            return self.condition()
+        except Exception as error:  # noqa: BLE001  # code of a device, on the thread that serves requests
+            name = f"{self.setup.name}: {type(self._device).__name__}"
+            reason = f"{name} cannot tell its condition: {type(error).__name__}: {error}"
+            self._condition_failed = reason
+            self.events.emit("device", f"{reason}; the force is brought down to zero, and the driver ends")
+            self.failing = True
+            self.stop(reason)
+            return reason
+
     def operations(self) -> dict[str, Callable[..., Any]]:
         """Offer what the launcher's status line asks for, and take forces from outside."""
         limits = self._device.limits
         return {
-            "progress": lambda: {**self._report.progress(self.setup.ticks), "condition": self.condition()},
+            "progress": lambda: {**self._report.progress(self.setup.ticks), "condition": self._told_condition()},
             "device": lambda: {"opening_s": limits.opening, "closing_s": limits.closing},
             "rearm": self._rearm,
             "stand": self._stand,
-            "force": lambda: {"why": why_no_force(self.driving, self.condition())},
+            "force": lambda: {"why": why_no_force(self.driving, self._told_condition())},
             "external": lambda force: give(self.driving, self.store.current.external, self.setup.name, force),
         }
 
@@ -340,7 +362,8 @@ class Driver(Node):
         s = self.driving
         path = Path(self.setup.run_dir) / f"{self.setup.name}.epoch"
         if path.exists():
-            s.ramp_ticks = s.recovery_ticks  # it was killed with a force on the device: the first force is a recovery
+            # It was killed with a force on the device: the first force is a recovery.
+            s.ramp_ticks, s.always_ramp = s.recovery_ticks, 1
             s.epoch = float(path.read_text(encoding="ascii"))
         else:
             s.epoch = time.monotonic() + 0.002
@@ -358,13 +381,19 @@ class Driver(Node):
         x, y, z = s.handed
         try:
             self._watch.begin("the soft stop", SOFT_STOP)
-            start = time.monotonic()
+            written = s.epoch + s.written * period
             for n, force in enumerate(soft_stop((x, y, z), s.slew, period), 1):
                 self._report.soft_stop_ticks = n
+                if s.realtime and time.monotonic() >= written + s.device_hold_ticks * period:
+                    # Held up on the way, until the device let go by itself: nothing comes back.
+                    force = ZERO
                 self._device.write_force(force, s.seq + n - 1, 0.0)
                 s.handed[:] = force
+                if force == ZERO:
+                    break
                 if s.realtime:
-                    realtime.sleep_until(start + n * period)
+                    written = time.monotonic()
+                    realtime.sleep_until(written + period)
         finally:
             self._watch.begin("close()", self._device.limits.closing)
             self._device.close()

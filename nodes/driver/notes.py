@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
-from nodes.driver.state import NOTE, REFUSED, SAFETY
+from nodes.driver.state import NOTE, REFUSED, SAFETY, DriverState
 
 FIRST_FORCE, FRESH_FORCE, DONE_RAMP, SILENT, STILL_SILENT, LET_GO, NO_POSITION, OUTSIDE, BACK_INSIDE, SWINGS = range(10)
-CONTINUOUS, HELD_UP, REARMED, REFUSED_FIRST = range(10, 14)  # the last: future, replayed, stale, not finite
+CONTINUOUS, HELD_UP, REARMED, JUMPED, REFUSED_FIRST = range(10, 15)  # the last: future, replayed, stale, not finite
 _WORDS: Final[tuple[Callable[..., str], ...]] = (
     lambda *_: "the first force",
     lambda *_: "fresh forces again",
@@ -20,13 +20,14 @@ _WORDS: Final[tuple[Callable[..., str], ...]] = (
     lambda _, axis, at, low, high, *__: f"{'xyz'[int(axis)]} = {at:.4g} m, workspace {low:.4g} to {high:.4g} m",
     lambda *_: "back inside the workspace",
     lambda _, peak, times, span, gained, *__: (
-        f"the loop gives out energy: its force came to the limit of {peak:g} N {times:.0f} times within {span:.2g} s "
-        f"and gave out {gained * 1e3:.3g} mJ; no force until it is asked for: a softer law first, then haptic node rearm, "
-        "or launch again"
+        f"the loop gives out energy: its force came to the limit of {peak:g} N, or stayed there, {times:.0f} times within "
+        f"{span:.2g} s and gave out {gained * 1e3:.3g} mJ; no force until it is asked for: a softer law first, then "
+        "haptic node rearm, or launch again"
     ),
     lambda tick, _, most, *__: f"continuous force at tick {tick}: limit {most:.3g} N reached",
     lambda tick, written, *_: f"no force from tick {written:.0f} to {tick}; the device let go by itself",
     lambda *_: "armed again on request: the force comes back by its ramp, and swings are counted from zero",
+    lambda *_: "the position jumped without a motion: what is felt goes to what is asked by the ramp",
     lambda tick, _, answers, *__: f"a force for tick {answers:.0f}, which is still to come: now is {tick}",
     lambda _, __, answers, last, *___: (
         f"a force for tick {answers:.0f} once more: {last:.0f} was the last (replayed or out of order)"
@@ -53,7 +54,7 @@ class Note(NamedTuple):
     which: int
 
 
-def take_notes(s: Any) -> list[Note]:
+def take_notes(s: DriverState) -> list[Note]:
     """Take what the rules have noted since last time, in words."""
     lines = []
     for n in range(s.notes_count):

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import Any
 
 from messages import topics
 from messages.codec import Decoder, encode
 from messages.transport.sockets import TimedOut
-from messages.types import DeviceState, Force
+from messages.types import DeviceState, Force, Vector
 from nodes.base import realtime
 from nodes.driver.calls import numbers_of
 from nodes.driver.device import Device
-from nodes.driver.state import SAFETY
+from nodes.driver.state import SAFETY, DriverState
 from nodes.driver.tick import GOT, NONE, REFUSED, Port, make_ticks
+
+
+def _vector(values: Sequence[float]) -> Vector:
+    x, y, z = values
+    return x, y, z
 
 
 class PlainTicks:
@@ -25,9 +31,11 @@ class PlainTicks:
         self._topic, self._expected = (node.setup.topic(name).encode() for name in (topics.DEVICE_STATE, topics.FORCE))
         self._decoder, self._clock = Decoder(Force), time.monotonic
         self._what = f"{node.setup.name}: {type(device).__name__}"
+        self._jumps = node.jumps
         self.payload = b""  # the state that was published last
         lockstep, paced = make_ticks(
             Port(
+                clock=lambda _: self._clock(),
                 sleep_until=lambda _, deadline: realtime.sleep_until(deadline),
                 read=self._read,
                 write=self._write,
@@ -40,25 +48,27 @@ class PlainTicks:
         # Ticks until something waits; why it ended, as of nodes/driver/tick.py.
         self.run = paced if node.driving.realtime else lockstep
 
-    def _read(self, s: Any, seq: int) -> bool:
+    def _read(self, s: DriverState, seq: int) -> bool:
         s.place[:] = numbers_of(self._device.read_position(seq), self._what)
+        if self._jumps.again():
+            s.jumped = 1
         s.target[:] = self._node.target
         return True
 
-    def _write(self, s: Any, seq: int, offset: float) -> bool:
+    def _write(self, s: DriverState, seq: int, offset: float) -> bool:
         x, y, z = s.handed
         self._device.write_force((x, y, z), seq, offset)
         return True
 
-    def publish(self, s: Any, seq: int, stamp: float) -> None:
+    def publish(self, s: DriverState, seq: int, stamp: float) -> None:
         """Send the state of a tick to the next hop."""
         payload = encode(
             DeviceState(
                 seq=seq,
                 stamp=stamp,
-                position=tuple(s.position),
-                force=tuple(s.force),
-                mean_force=tuple(s.acting),
+                position=_vector(s.position),
+                force=_vector(s.force),
+                mean_force=_vector(s.acting),
                 changed_at=s.changed_at,
                 force_seq=s.force_seq,
                 age=s.age,
@@ -70,7 +80,9 @@ class PlainTicks:
                 energy=s.energy,
                 delay=s.delay,
                 guard=s.guard_energy[0] + s.guard_energy[1] + s.guard_energy[2],
-                target=tuple(s.target),
+                target=_vector(s.target),
+                surplus=s.guard_surplus,
+                rebased=s.rebased,
             )
         )
         s.states_sent += 1
@@ -78,7 +90,7 @@ class PlainTicks:
         self._publisher.send_hop(self._topic, payload)
         self.payload = payload
 
-    def receive(self, s: Any, until: float) -> int:
+    def receive(self, s: DriverState, until: float) -> int:
         """Wait for a force until a time, or in lockstep for a while; what came of it."""
         inbox = self._inbox
         if s.realtime == 0:
@@ -94,11 +106,11 @@ class PlainTicks:
         s.arrival = self._clock()
         return self._read_force(s, frames)
 
-    def take_up(self, s: Any) -> int:
+    def take_up(self, s: DriverState) -> int:
         """Take the message that compiled ticks put back when it came; what came of it."""
         return self._read_force(s, self._inbox.receive_until(0.0))
 
-    def _read_force(self, s: Any, frames: tuple[bytes, bytes]) -> int:
+    def _read_force(self, s: DriverState, frames: tuple[bytes, bytes]) -> int:
         expected = self._expected
         while frames[1] == expected:
             # A message of one frame, and the beginning of the next.
@@ -109,10 +121,10 @@ class PlainTicks:
         if force is None:
             return REFUSED
         s.got_seq = force.seq
-        s.got[:] = force.force
+        s.got[:], s.got_normal[:], s.got_credit = force.force, force.normal, force.credit
         return GOT
 
-    def aside(self, s: Any) -> None:
+    def aside(self, s: DriverState) -> None:
         """Send what was published last to the listeners."""
         del s
         if self._publisher.apart:

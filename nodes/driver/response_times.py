@@ -11,12 +11,14 @@ from typing import Any, Final
 
 from nodes.compiled.layout import state_of
 from nodes.compiled.memory import wholes_at
+from nodes.compiled.rules import rule
 from nodes.driver.state import BINS, RECENT, DriverState
 
 BLOCK: Final = 64  # responses that are counted together; a divisor of RECENT
 
 
-def note_response(s: Any, response: float) -> None:
+@rule
+def note_response(s: DriverState, response: float) -> None:
     """Note one response."""
     at = s.recent_at
     s.recent[at] = response

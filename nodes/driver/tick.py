@@ -10,26 +10,27 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from nodes.compiled.rules import rule
 from nodes.driver.motion import act, sample, split
-from nodes.driver.notes import HELD_UP
+from nodes.driver.notes import HELD_UP, REFUSED_FIRST
 from nodes.driver.passivity import count_step
 from nodes.driver.response_times import note_response
-from nodes.driver.safety import admit, command, let_go, missed, watch_position, watch_swings
-from nodes.driver.state import ACTIVE, BETWEEN, DAMPING, FAULT, RAMP, WAITING, note
+from nodes.driver.safety import STALE, admit, command, let_go, missed, rebase, watch_position, watch_swings
+from nodes.driver.state import ACTIVE, BETWEEN, DAMPING, FAULT, RAMP, WAITING, DriverState, note, seldom
 
 GOT, NONE, REFUSED, UNREAD = range(4)  # of waiting for a message: one; none in time; refused; the port cannot judge it
 GO_ON, SILENT, BROKEN = range(3)  # why `ticks` ended: nothing unusual; no answer for a while; the device did not do as asked
 
 BEHIND = 3  # after so many ticks without their answer in a row a tick waits for one period more, after twice as many for two
-
-MOST_BEHIND = 64
+MOST_BEHIND = 64  # so far such ticks are counted; each answer that is on time halves the count
 
 
 class Port(NamedTuple):
     """What a tick needs of the world; each takes the state first."""
 
+    clock: Callable[[Any], float]  # the time [s]
     sleep_until: Callable[[Any, float], float]  # gives the time on waking
-    read: Callable[[Any, int], bool]  # fills `place`; this and the next tell whether the device did it
+    read: Callable[[Any, int], bool]  # fills `place` and `jumped`; this and the next tell whether the device did it
     write: Callable[[Any, int, float], bool]  # hands over `handed`
     publish: Callable[[Any, int, float], None]  # sends the state of a tick
     receive: Callable[[Any, float], int]  # waits for a message until a time, or in lockstep for a while
@@ -37,7 +38,8 @@ class Port(NamedTuple):
     called: Callable[[Any], bool]  # tells whether something waits between two ticks
 
 
-def lost(s: Any, seq: int, late: float) -> None:
+@rule
+def lost(s: DriverState, seq: int, late: float) -> None:
     """Leave out ticks that are over: they cannot be sampled any more, only counted; a device may let go by itself meanwhile."""
     ticks = min(int(late / s.period), s.until - seq)
     s.overruns += ticks
@@ -58,26 +60,53 @@ def lost(s: Any, seq: int, late: float) -> None:
             s.force[i] = s.handed[i]
 
 
-def patience(s: Any, deadline: float, following: float) -> float:
+@rule
+def patience(s: DriverState, deadline: float, following: float) -> float:
     """Return until when a tick waits for its answer [s]: the next tick, or later where several in a row were not answered.
 
     Whoever answers is behind then, and a state more would only wait there and make the next answer late as well. So a loop
     that is too fast for its machine goes on as fast as it is answered, and loses the ticks that are too much. It waits no
-    longer than a force may be old, and never past the watchdog.
+    longer than a force may be old, and never past the watchdog or the moment at which the device lets go.
     """
     more = min(s.unanswered // BEHIND, s.max_age)
     if more == 0 or s.safety == DAMPING or s.safety == FAULT:
         return following
     last = following + more * s.period
     if s.safety == ACTIVE or s.safety == RAMP:
-        last = min(last, deadline + (s.since + s.watchdog - s.seq) * s.period)
+        ends = min(float(s.since + s.watchdog), s.written + s.device_hold_ticks)
+        last = min(last, deadline + (ends - s.seq) * s.period)
     return following if following > last else last
 
 
-def take_sample(s: Any, seq: int, stamp: float) -> None:
+@rule
+def in_time(s: DriverState, now: float, answers: int) -> bool:
+    """Return whether a force may still be written; otherwise the driver was held up, and what it holds stays.
+
+    The device may have let go of the force before it meanwhile, which must not come back without a ramp, and an answer may have
+    become too old. `answers` is the tick of that answer, or -1 for a force of the driver's own.
+    """
+    held = s.handed[0] != 0.0 or s.handed[1] != 0.0 or s.handed[2] != 0.0
+    is_late = held and now >= s.epoch + (s.written + s.device_hold_ticks) * s.period
+    if answers >= 0 and now >= s.epoch + (answers + s.max_age + 1) * s.period:
+        is_late = True
+        s.refused_for[STALE] += 1
+        if seldom(s.refused_for[STALE]):
+            age = (now - s.epoch) / s.period - answers
+            note(s, REFUSED_FIRST + STALE, s.seq, -1, float(s.refused_for[STALE]), age, float(s.max_age))
+    if is_late:
+        for i in range(3):
+            s.force[i] = s.handed[i]
+    return not is_late
+
+
+@rule
+def take_sample(s: DriverState, seq: int, stamp: float) -> None:
     """Take the position that was read as the tick's sample, with what follows from it for energy, guard and safety."""
     if watch_position(s, seq):
+        if s.jumped != 0:
+            rebase(s, seq)
         stepped = sample(s, stamp)
+        s.jumped = 0
         if s.guard_on != 0 and stepped:
             count_step(s)
         if s.stop_after != 0:
@@ -85,7 +114,8 @@ def take_sample(s: Any, seq: int, stamp: float) -> None:
     s.asked = seq
 
 
-def decide(s: Any, seq: int) -> None:
+@rule
+def decide(s: DriverState, seq: int) -> None:
     """Take the answer of a tick in lockstep: `force` and `handed` are what follows from it, `mean` is what acts in the tick."""
     command(s, seq, float(s.next_tick))
     for i in range(3):
@@ -93,7 +123,8 @@ def decide(s: Any, seq: int) -> None:
         s.handed[i] = s.force[i]
 
 
-def close(s: Any) -> None:
+@rule
+def close(s: DriverState) -> None:
     """End a tick."""
     act(s, 1)
     s.ticks += 1
@@ -105,10 +136,10 @@ def make_ticks(
     port: Port, made: Callable[[Any], Any] = lambda function: function
 ) -> tuple[Callable[[Any], int], Callable[[Any], int]]:
     """Make the ticks of a port, in lockstep and in real time: they go on until something waits, and tell why they ended."""
-    sleep_until, read, write, publish, receive, aside, called = port
+    clock, sleep_until, read, write, publish, receive, aside, called = port
 
     @made
-    def begin(s: Any, seq: int, stamp: float) -> bool:
+    def begin(s: DriverState, seq: int, stamp: float) -> bool:
         if s.place_given == 0 and not read(s, seq):
             return False
         s.place_given = 0
@@ -118,7 +149,7 @@ def make_ticks(
         return True
 
     @made
-    def hand_over(s: Any, force: Any, seq: int, offset: float) -> None:
+    def hand_over(s: DriverState, force: Any, seq: int, offset: float) -> None:
         for i in range(3):
             s.handed[i] = force[i]
         s.written = seq
@@ -126,7 +157,15 @@ def make_ticks(
             s.failed = 1
 
     @made
-    def lockstep_tick(s: Any) -> int:
+    def hand_over_in_time(s: DriverState, force: Any, seq: int, offset: float, answers: int) -> bool:
+        # The last look at the clock before the device is called: the driver may be held up after every wait.
+        if not in_time(s, clock(s), answers):
+            return False
+        hand_over(s, force, seq, offset)
+        return True
+
+    @made
+    def lockstep_tick(s: DriverState) -> int:
         seq = s.seq
         if s.phase == BETWEEN and not begin(s, seq, seq * s.period):
             return BROKEN
@@ -150,7 +189,7 @@ def make_ticks(
         return GO_ON
 
     @made
-    def realtime_tick(s: Any) -> int:
+    def realtime_tick(s: DriverState) -> int:
         seq = s.seq
         deadline = s.epoch + seq * s.period
         following = deadline + s.period
@@ -166,7 +205,7 @@ def make_ticks(
                 s.lateness = now - deadline
                 if s.has_following != 0:
                     s.has_following = 0  # under ``next_tick`` hardware, too, gets its force at the start of the tick
-                    hand_over(s, s.following, seq, 0.0)
+                    hand_over_in_time(s, s.following, seq, 0.0, s.force_seq)
             if not begin(s, seq, now + s.clock_offset):
                 return BROKEN
             s.age = max(seq - s.force_seq, 0) if s.force_seq >= 0 else 0
@@ -209,8 +248,8 @@ def make_ticks(
                 s.delay = 1.0 + s.age
             else:
                 split(s, offset)
-                s.changed_at = min(s.changed_at, offset)
-                hand_over(s, s.force, seq, offset)
+                if hand_over_in_time(s, s.force, seq, offset, s.got_seq):
+                    s.changed_at = min(s.changed_at, offset)
                 s.delay = max(offset, (s.arrival - deadline) / s.period) + s.age
             if s.answered != 0:
                 s.response = s.arrival - s.sampled
@@ -225,17 +264,18 @@ def make_ticks(
         if s.answered == 0:
             s.missed += 1 if s.safety != FAULT else 0  # in a fault there is no position that could have been answered
             s.response = 0.0
+            is_written = False
             if missed(s, seq):
                 s.has_following = 0
-                hand_over(s, s.force, seq + 1, 0.0)
-            elif s.has_following == 0 and seq + 1 - s.written >= s.device_hold_ticks:
+                is_written = hand_over_in_time(s, s.force, seq + 1, 0.0, -1)
+            if not is_written and s.has_following == 0 and seq + 1 - s.written >= s.device_hold_ticks:
                 let_go(s, seq, s.written + s.device_hold_ticks)
         close(s)
         return GO_ON
 
     def ticks_of(tick: Callable[[Any], int]) -> Callable[[Any], int]:
         @made
-        def ticks(s: Any) -> int:
+        def ticks(s: DriverState) -> int:
             done = 0
             while done < s.most and s.seq < s.until:
                 before = s.ticks

@@ -6,21 +6,19 @@ from collections.abc import Callable
 from typing import Any
 
 from messages.types import DeviceState, Proxy
-from nodes.arithmetic import plane_distance
 from nodes.compiled.kernels.encode import make_encode
 from nodes.compiled.kernels.follow_kernel import count_gap, in_order, overtaken
 from nodes.compiled.kernels.hop import answer, called, flush, monotonic, out_at, receive
 from nodes.compiled.kernels.machine import compilable, reals_at, record_at
 from nodes.compiled.kernels.scan import make_match, make_scan
-from nodes.compiled.kernels.sources import kernel, record_of
+from nodes.compiled.kernels.sources import record_of, register_rules
 from nodes.compiled.layout import TEXTS
 from nodes.compiled.message_fields import fields_of, slots
-from nodes.environment.meet import meet_flat, meet_plane
+from nodes.environment.meet import meet_flat
 from nodes.environment.spent import note_spent
 from nodes.environment.state import JUMPED, EnvironmentState
 
-for _function in (plane_distance, meet_plane, meet_flat, note_spent):
-    kernel(_function)
+register_rules()
 _look = record_at(record_of(EnvironmentState))
 _scan = make_scan(DeviceState)
 # In a fault the position is no new one. A message without the word is of an active driver.
@@ -52,8 +50,8 @@ def make_ticks(meet: Callable[[int, Any, Any, float, float, float, Any], bool]) 
             seq = s.wholes[_SEQ]
             if not in_order(s, seq) or (s.wholes[_TEXTS + 1] >= 0 and _tells_fault(s.wholes)):
                 break
-            if s.answered < 0 or s.wholes[_REBASED] != s.driver_rebased:
-                break  # a beginning or a jump of the device: the plain tick meets it anew
+            if s.wholes[_REBASED] != s.driver_rebased:
+                break  # a jump of the device: the plain tick meets it anew
             if overtaken(s, taken[_STAMP]):
                 continue
             s.frames = 0

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from messages.types import Vector
 from nodes.arithmetic import plane_distance
+from nodes.compiled.rules import rule
 from nodes.environment.shapes import proxy
 from nodes.environment.shapes.tables import DISTANCE, IN_CONTACT, LOST, NORMAL, PLACED, PROXY
 from nodes.environment.state import ANCHOR, MET, PLANE, SHAPES
@@ -25,6 +26,7 @@ class Numbers(NamedTuple):
     repairs: tuple[str, ...] = ()
 
 
+@rule
 def meet_plane(position: float, surface: float, side: float) -> tuple[float, float, bool]:
     """Meet a plane across one axis: the proxy there and the signed distance [m], and whether there is contact."""
     distance = plane_distance(position, surface, side)
@@ -32,6 +34,7 @@ def meet_plane(position: float, surface: float, side: float) -> tuple[float, flo
     return surface if contact else position, distance, contact
 
 
+@rule
 def meet_flat(kind: int, table: Sequence[float], x: float, y: float, z: float, met: MutableSequence[float]) -> bool:
     """Let a proxy follow the device to a position [m] on a surface without shapes."""
     met[0], met[1], met[2] = x, y, z

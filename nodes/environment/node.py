@@ -19,10 +19,10 @@ from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Axis, Setup
 from nodes.compiled.layout import state_of
-from nodes.environment.place import Place
 from nodes.environment.spent import note_spent, spent_us
 from nodes.environment.state import UNKNOWN, EnvironmentState
 from nodes.environment.surfaces import SURFACES, Meeting, Surface, meet_axes, parse_surface
+from nodes.environment.touched_surface import TouchedSurface
 
 if TYPE_CHECKING:
     from nodes.compiled.answering import CompiledTicks
@@ -91,11 +91,11 @@ class Environment(Node):
             s.table, s.table_count = numbers.table.buffer_info()
             s.memory, s.memory_count = numbers.memory.buffer_info()
 
-    def _built(self, parameters: EnvironmentParameters) -> tuple[Place, Callable[[Vector], Meeting]]:
+    def _built(self, parameters: EnvironmentParameters) -> tuple[TouchedSurface, Callable[[Vector], Meeting]]:
         where = f"{self.setup.name}.surface"
         surface = parse_surface(parameters.surface, where)
         meet_axes(surface, self.setup.axes, where)
-        place = Place(surface, self.setup.period, self.counters.met)
+        place = TouchedSurface(surface, self.setup.period, self.counters.met)
         return place, place.meet if surface.pushes() is not None else self._watched(place.meet)
 
     def _watched(self, meet: Callable[[Vector], Meeting]) -> Callable[[Vector], Meeting]:

@@ -63,6 +63,7 @@ class Partner:
         self._seq = -1  # the partner's tick that it was heard of
         self._heard_at = 0  # own tick at which a message came last
         self._fresh = False  # whether one came since the last tick
+        self.credit = 0.0  # energy that it has put in so far, by what was heard last [J]
 
     def hear(self, state: DeviceState) -> bool:
         """Take a message of the partner; return False for one that is old or tells no position."""
@@ -76,6 +77,7 @@ class Partner:
             if math.hypot(*step) > self._parameters.fastest * self._period * ticks:
                 self._offset = _minus(self._offset, step)
         self._seq, self.place, self._fresh = state.seq, state.position, True
+        self.credit = state.surplus
         return True
 
     def present(self, own: Vector, seq: int) -> tuple[Vector, bool]:
@@ -175,7 +177,14 @@ class PartnerEnvironment(Node):
         # The coupling holds the device to the partner from all sides: no normal, and nothing to clamp.
         return encode(
             Proxy(
-                seq=state.seq, stamp=self.clock.now(), position=state.position, proxy=proxy, contact=contact, delay=state.delay
+                seq=state.seq,
+                stamp=self.clock.now(),
+                position=state.position,
+                proxy=proxy,
+                contact=contact,
+                delay=state.delay,
+                credit=self._partner.credit,
+                rebased=state.rebased,
             )
         )
 

@@ -13,6 +13,7 @@ from itertools import accumulate
 from typing import Final
 
 from nodes.base.status_report import Counters
+from nodes.compiled.rules import rule
 
 BINS: Final = 136  # room for counts: from `LEAST` to 13 ms
 LEAST: Final = 1e-7  # where the first bin begins [s]
@@ -28,6 +29,7 @@ class SpentCounters(Counters):
         self.spent = [0] * BINS
 
 
+@rule
 def note_spent(counts: MutableSequence[int], seconds: float) -> None:
     """Count one tick."""
     place = 0

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from ctypes import Structure, c_double, c_int64
-from typing import Final
+from typing import Annotated, Final
 
-from nodes.compiled.layout import LOOP, named
+from nodes.compiled.layout import LoopState, struct
 from nodes.environment.spent import BINS
 
 FREE, PLANE, ANCHOR, SHAPES = range(4)  # kinds of surface that are numbers
@@ -14,17 +13,17 @@ MET: Final = 8  # numbers of an answer: proxy (3) [m], outward normal (3), signe
 JUMPED: Final = 7
 
 
-class EnvironmentState(Structure):
-    """All that an environment keeps from tick to tick."""
+@struct
+class EnvironmentState(LoopState):
+    """Everything an environment keeps from tick to tick."""
 
-    _fields_ = [
-        *LOOP,
-        # the kind of the surface, its numbers, what its proxy remembers, and the answer of the last tick
-        *named(c_int64, "kind", "table", "table_count", "memory", "memory_count"),
-        ("met", c_double * MET),
-        # the tick of the environment's own latest jump and the length of its easing, 0 for the coupling's own [ticks]; the
-        # latest jump that the driver told
-        *named(c_int64, "rebased", "ease", "driver_rebased"),
-        # ticks by the time that they took (nodes/environment/spent.py)
-        ("spent", c_int64 * BINS),
-    ]
+    kind: int  # FREE, PLANE, ANCHOR, SHAPES or UNKNOWN
+    table: int  # address of the surface's numbers
+    table_count: int
+    memory: int  # address of what its proxy remembers
+    memory_count: int
+    met: Annotated[list[float], MET]  # answer of the last tick
+    rebased: int  # tick of the environment's own latest jump
+    ease: int  # length of its easing [ticks]; 0 for the coupling's own
+    driver_rebased: int  # latest jump that the driver sent
+    spent: Annotated[list[int], BINS]  # ticks by the time that they took (nodes/environment/spent.py)

@@ -289,7 +289,7 @@ class Supervisor:
             child.again_at = time.monotonic() + child.delay
         else:
             child.over = True
-            reason = f"{name}: ended with {child.end}"
+            reason = f"{name}: ended with {child.end}{self._own_reason(name, child)}"
             if child.required:
                 self.failed = True
                 self.exit_reason = reason
@@ -297,6 +297,12 @@ class Supervisor:
             if child.required or child.ended_badly:
                 self.failures.append(reason)
             self._say(f"{reason}{'; ending the launch' if child.required else ''}")
+
+    def _own_reason(self, name: str, child: Child) -> str:
+        """Return what a node said itself when it ended in order, although something failed; empty for any other end."""
+        status = self._read_report(name).get("status", {})
+        said = str(status.get("reason", "")) if child.code == 1 and status.get("state") == "failed" else ""
+        return f": {said.removeprefix(f'{name}: ')}" if said else ""
 
     def _restart_driver(self, child: Child) -> None:
         # It is not there yet at the first tries; the other nodes are looked after in between.

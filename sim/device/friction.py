@@ -6,9 +6,11 @@ the device sticks or turns. Kernels as those of `sim.device.model`: plain functi
 
 import math
 
+from nodes.compiled.rules import rule
 from sim.device.model import Coefficients, advance, coefficients
 
 
+@rule
 def halt_time(x: float, v: float, u: float, direction: float, mass: float, damping: float, stiffness: float) -> float:
     """When the velocity first returns to zero, with the force held: closed form.
 
@@ -31,6 +33,7 @@ def halt_time(x: float, v: float, u: float, direction: float, mass: float, dampi
     return 0.5 * math.log1p(2.0 * root * speed / (-w - root * speed)) / root
 
 
+@rule
 def slide(
     x: float,
     v: float,
@@ -65,6 +68,7 @@ def slide(
         whole = False
 
 
+@rule
 def move(
     x: float,
     v: float,

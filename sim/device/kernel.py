@@ -4,26 +4,10 @@ from typing import Final
 
 import nodes.compiled.kernels.hop  # noqa: F401  # what a kernel does in place of the clock
 from nodes.compiled.kernels.machine import compilable, reals_at, record_at, wholes_at
-from nodes.compiled.kernels.sources import kernel, record_of
-from sim.device import friction, model, state
+from nodes.compiled.kernels.sources import record_of, register_rules
 from sim.device.state import AxisState, read_axis, write_axis
 
-for _function in (
-    *(model.move_towards, model.decay_mean, model.coefficients, model.advance, model.end_stop, model.quantise),
-    *(model.saturate, model.path_position, friction.halt_time, friction.slide, friction.move),
-    *(
-        state.measured,
-        state.point,
-        state.target,
-        state._pulled,
-        state.mass_here,
-        state._move,
-        state.device_tick,
-        state.device_part,
-    ),
-    *(state.pass_tick, state.read_axis, state.write_axis),
-):
-    kernel(_function)
+register_rules()
 _look = record_at(record_of(AxisState))
 
 

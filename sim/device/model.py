@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
+from nodes.compiled.rules import rule
 from nodes.parameters.checked import NonNegative, Positive, check_fields
 from nodes.parameters.store import convert
 
@@ -29,6 +30,7 @@ Coefficients = tuple[float, float, float, float, float, float]
 _WHOLE = 6755399441055744.0
 
 
+@rule
 def decay_mean(y: float) -> float:
     """Mean of e^{−t} over (0, y): (1 − e^{−y})/y without cancellation, for y ≥ 0."""
     if y == 0.0:
@@ -36,6 +38,7 @@ def decay_mean(y: float) -> float:
     return -math.expm1(-y) / y
 
 
+@rule
 def coefficients(mass: float, damping: float, stiffness: float, duration: float) -> Coefficients:
     """Exact map of m x'' + b x' + k x = u over a time [s] in which u is held, for m > 0 [kg], b ≥ 0 [N s/m], k ≥ 0 [N/m].
 
@@ -86,11 +89,13 @@ def coefficients(mass: float, damping: float, stiffness: float, duration: float)
     return a11, a12, -(stiffness / mass) * a12, a22, b1, a12 / mass
 
 
+@rule
 def advance(x: float, v: float, u: float, coefs: Coefficients) -> tuple[float, float]:
     """Take one exact step from x [m], v [m/s] under a held force u [N], without dry friction; x and v after it."""
     return coefs[0] * x + coefs[1] * v + coefs[4] * u, coefs[2] * x + coefs[3] * v + coefs[5] * u
 
 
+@rule
 def quantise(x: float, resolution: float | None) -> float:
     """Read the encoder: the nearest whole count (halves to the even one), in metres; None or 0 is a perfect sensor."""
     if resolution is None or resolution == 0.0:
@@ -98,6 +103,7 @@ def quantise(x: float, resolution: float | None) -> float:
     return ((x / resolution + _WHOLE) - _WHOLE) * resolution
 
 
+@rule
 def end_stop(x: float, v: float, low: float, high: float) -> tuple[float, float]:
     """Stop a step that leads to x [m], v [m/s] at the ends of the device [m], inelastically."""
     if x < low:
@@ -121,6 +127,7 @@ def ends_of(workspace: tuple[float, float], resolution: float | None) -> tuple[f
     return low, high
 
 
+@rule
 def saturate(force: float, peak: float | None) -> float:
     """Limit a force to what the motor can give [N], at the moment it is applied; None is a motor without limit."""
     if peak is not None:
@@ -267,6 +274,7 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return load
 
 
+@rule
 def move_towards(wanted: float, before: float, farthest: float) -> float:
     """Move a dragged target by one tick: to where it should be [m], from where it is, by the longest way of a tick at most."""
     if wanted > before + farthest:
@@ -276,6 +284,7 @@ def move_towards(wanted: float, before: float, farthest: float) -> float:
     return wanted
 
 
+@rule
 def path_position(path: Sequence[tuple[float, float]], time: float) -> float:
     """Find the point of a piecewise linear path of times [s] and positions [m] at a time; held before it and after it."""
     # The first corner after that time.

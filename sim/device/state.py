@@ -5,14 +5,13 @@ the same order, gives the same bits. The rules are plain functions: the interpre
 sim/device/kernel.py compiles them into the two calls that a compiled driver makes of a device.
 """
 
-import ctypes
 import math
 from array import array
-from ctypes import Structure, c_double, c_int64
-from typing import Any, Final
+from typing import Annotated, Final, TypeAlias
 
-from nodes.compiled.layout import state_of
+from nodes.compiled.layout import address_of, state_of, struct
 from nodes.compiled.memory import monotonic, pairs_at, shared_real, shared_whole
+from nodes.compiled.rules import rule
 from sim.device.friction import move
 from sim.device.model import (
     Coefficients,
@@ -31,51 +30,83 @@ PENDING: Final = 2048  # room for forces on their way to the device; a delay is 
 _LONGEST: Final = 1004  # room for the forces under way in lockstep: a delay of 1000 ticks, one of ``next_tick``, and two
 
 
-class AxisState(Structure):
+Map: TypeAlias = Annotated[list[float], 6]
+
+
+@struct
+class AxisState:
     """A virtual device along one axis."""
 
-    _fields_ = [
-        # what it is: nodes of `DeviceModel`; infinity for a motor without limit
-        *(
-            (name, c_double)
-            for name in (
-                *("mass", "damping", "grip", "friction", "resolution", "motor", "low", "high", "weight", "period", "carried"),
-                # true position and velocity
-                *("x", "v"),
-                # the hand: after how long its path repeats, and where it pulls to when it is dragged
-                *("repeat", "pull"),
-                # the page that may drag it: what it wrote last and when, when that expires, longest way of a tick, where it is
-                *("wanted", "wanted_at", "silence", "farthest", "away"),
-                # lockstep: for how long of a tick the older and the newer force acts
-                *("early", "late"),
-                # real time: delay and deadline [ticks, s], the force that acts, and since when [ticks]
-                *("delay", "hold", "acting", "commanded"),
-            )
-        ),
-        *(
-            (name, c_int64)
-            for name in (
-                *("axis", "lockstep", "path", "corners", "has_repeat", "pointer", "is_away", "masses", "masses_count"),
-                # ticks done; tick up to which real time has passed, -1 before the first sample
-                *("ticks", "tick"),
-                *("commands_count", "slot", "pending_first", "pending_count"),
-                # for the clock
-                *("clock_gettime", "time"),
-            )
-        ),
-        ("early_map", c_double * 6),
-        ("late_map", c_double * 6),
-        ("commands", c_double * _LONGEST),
-        ("pending", c_double * (2 * PENDING)),
-    ]
+    # What it is: of `DeviceModel`
+    mass: float  # [kg]
+    damping: float  # [N s/m]
+    grip: float  # stiffness of its hand [N/m]; 0 for none
+    friction: float  # [N]
+    resolution: float  # encoder step [m]; 0 for none
+    motor: float  # largest force [N]; infinite for a motor without limit
+    low: float  # ends of its workspace [m]
+    high: float
+    weight: float  # gravity's force [N]
+    period: float  # sampling period T [s]
+    carried: float  # mass of the hand [kg]
+    masses: int  # address of mass by position, pairs [m, kg]
+    masses_count: int  # 0 for one mass everywhere
+    axis: int  # of the scene
+    lockstep: int  # 1 where a whole tick passes with each force
+
+    # Motion
+    x: float  # true position [m]
+    v: float  # true velocity [m/s]
+    ticks: int  # ticks done
+    tick: int  # tick up to which real time has passed; -1 before the first sample
+
+    # The hand
+    path: int  # address of its path, pairs [s, m]
+    corners: int  # 0 without a hand
+    has_repeat: int
+    repeat: float  # time after which the path repeats [s]
+    pull: float  # where it pulls to [m]
+
+    # The page that may drag it (nodes/driver/pointer.py)
+    pointer: int  # address of what it writes; 0 for none
+    wanted: float  # where it wants the hand [m]
+    wanted_at: float  # when it said so [s]
+    silence: float  # after how long that expires [s]
+    farthest: float  # longest way of the hand in a tick [m]
+    away: float  # where the hand is while it is not on its path [m]
+    is_away: int
+
+    # Lockstep: for how long of a tick the older and the newer force acts [s], and the maps of both
+    early: float
+    late: float
+    early_map: Map
+    late_map: Map
+    commands: Annotated[list[float], _LONGEST]  # ring of forces under way [N]
+    commands_count: int
+    slot: int  # where the newest goes
+
+    # Real time
+    delay: float  # of the device [ticks]
+    hold: float  # time without a force after which it lets go [s]
+    acting: float  # force that acts [N]
+    commanded: float  # since when [ticks]
+    pending: Annotated[list[float], 2 * PENDING]  # ring of forces on their way: when [ticks], and how large [N]
+    pending_first: int
+    pending_count: int
+
+    # For the clock
+    clock_gettime: int
+    time: int
 
 
-def measured(d: Any) -> float:
+@rule
+def measured(d: AxisState) -> float:
     """Read the encoder [m]."""
     return quantise(d.x, d.resolution)
 
 
-def point(d: Any, tick: int) -> float:
+@rule
+def point(d: AxisState, tick: int) -> float:
     """Where the path of its hand is at a tick [m]; 0 without a hand."""
     if d.corners == 0:
         return 0.0
@@ -85,7 +116,8 @@ def point(d: Any, tick: int) -> float:
     return path_position(pairs_at(d.path, d.corners), time)
 
 
-def target(d: Any, seq: int) -> float:
+@rule
+def target(d: AxisState, seq: int) -> float:
     """Move the target of the hand by one tick [m]: along its path, unless a page drags it, at a limited speed."""
     rest = point(d, seq)
     if d.pointer == 0:
@@ -105,7 +137,8 @@ def target(d: Any, seq: int) -> float:
     return float(d.pull)
 
 
-def _pulled(d: Any, force: float) -> float:
+@rule
+def _pulled(d: AxisState, force: float) -> float:
     """Add to what the motor gives of a force what pulls besides [N]."""
     load = d.weight
     if d.corners > 0:
@@ -113,12 +146,14 @@ def _pulled(d: Any, force: float) -> float:
     return float(saturate(force, d.motor) + load)
 
 
-def mass_here(d: Any) -> float:
+@rule
+def mass_here(d: AxisState) -> float:
     """Mass that moves where the device is [kg]."""
     return float(d.carried + path_position(pairs_at(d.masses, d.masses_count), d.x))
 
 
-def _move(d: Any, u: float, duration: float, step: Coefficients) -> None:
+@rule
+def _move(d: AxisState, u: float, duration: float, step: Coefficients) -> None:
     mass = d.mass
     if d.masses_count > 0:
         mass = mass_here(d)
@@ -130,7 +165,8 @@ def _move(d: Any, u: float, duration: float, step: Coefficients) -> None:
         d.v *= math.sqrt(mass / mass_here(d))
 
 
-def device_tick(d: Any, force: float) -> None:
+@rule
+def device_tick(d: AxisState, force: float) -> None:
     """Go through one whole tick with the model's own delay: lockstep, where the force is known before the tick passes."""
     waiting = d.commands_count
     # A ring: of the forces still under way, the oldest acts first, then the one after it.
@@ -146,14 +182,16 @@ def device_tick(d: Any, force: float) -> None:
     d.ticks += 1
 
 
-def device_part(d: Any, force: float, duration: float) -> None:
+@rule
+def device_part(d: AxisState, force: float, duration: float) -> None:
     """Hold one force for part of a tick."""
     if duration > 0.0:
         # Where the mass depends on the position this is of no use, and does no harm.
         _move(d, _pulled(d, force), duration, coefficients(d.mass, d.damping, d.grip, duration))
 
 
-def pass_tick(d: Any) -> None:
+@rule
+def pass_tick(d: AxisState) -> None:
     """Let one tick of real time pass: forces take effect when they arrive, plus the model's own delay."""
     start, now = float(d.tick), 0.0
     if (start - d.commanded) * d.period >= d.hold:
@@ -171,7 +209,8 @@ def pass_tick(d: Any) -> None:
     d.tick += 1
 
 
-def read_axis(d: Any, seq: int) -> float:
+@rule
+def read_axis(d: AxisState, seq: int) -> float:
     """Let the time up to a tick pass, then read the encoder [m]; the hand's target is that of the tick that begins."""
     if d.lockstep == 0:
         if d.tick < 0:
@@ -184,7 +223,8 @@ def read_axis(d: Any, seq: int) -> float:
     return measured(d)
 
 
-def write_axis(d: Any, force: float, seq: int, offset: float) -> bool:
+@rule
+def write_axis(d: AxisState, force: float, seq: int, offset: float) -> bool:
     """Hand over a force; whether there is room for it."""
     if d.lockstep != 0:
         # The model itself knows about ``next_tick``: the whole tick passes here.
@@ -245,4 +285,4 @@ class VirtualDevice:
     @property
     def address(self) -> int:
         """Where compiled code finds it."""
-        return ctypes.addressof(self.state)
+        return address_of(self.state)

@@ -245,12 +245,14 @@ class _Watched(MovingScene):
         self.times: list[int] = []
         self.went: list[tuple[Array, Array]] = []
 
-    def follow(self, tick: int, position: Vector, force: Vector, since: int, delay: float, first: bool) -> bool:
+    def follow(
+        self, tick: int, position: Vector, force: Vector, since: int, delay: float, first: bool, jumped: bool = False
+    ) -> str:
         """Take the scene to a tick."""
         begin = time.perf_counter_ns()
-        diverged = super().follow(tick, position, force, since, delay, first)
+        told = super().follow(tick, position, force, since, delay, first, jumped)
         self.times.append(time.perf_counter_ns() - begin)
-        return diverged
+        return told
 
     def step(self) -> None:
         """Go one step further."""
@@ -269,7 +271,8 @@ class _Led(_Watched):
         self.model.body_inertia[others] *= _HEAVY
         # What contacts are regularised by follows from the masses.
         self._mujoco.mj_setConst(self.model, self.data)
-        places, speeds = np.ones(self.model.nq, dtype=bool), np.ones(self.model.nv, dtype=bool)
+        places: Any = np.ones(self.model.nq, dtype=bool)
+        speeds: Any = np.ones(self.model.nv, dtype=bool)
         places[self._slides] = False
         speeds[[int(self.model.jnt_dofadr[j]) for j in range(self.model.njnt) if self.model.jnt_qposadr[j] in self._slides]] = (
             False

@@ -5,7 +5,6 @@ only to show what that costs. The choice of the coupling, `nodes.coupling.law_on
 Timed beside them: what a history that turns with the surface costs in three axes, by the kernel's own function.
 """
 
-import ctypes
 import math
 import subprocess
 from array import array
@@ -18,6 +17,7 @@ import numpy as np
 from nodes.arithmetic import fir
 from nodes.compiled.kernels.machine import record_at
 from nodes.compiled.kernels.sources import record_of
+from nodes.compiled.layout import address_of
 from nodes.coupling.kernel import _render as render
 from nodes.coupling.law_on_axis import UNROLLED_TAPS, History, LawOnAxis, unrolled
 from nodes.coupling.render import begin_turning
@@ -204,7 +204,7 @@ def time_turning(rounds: int, step: Callable[[str], None]) -> dict[str, Timing]:
         begin_turning(renderer.state, frame)
         renderer.law = ActiveLaw("pd", "", law, renderer.histories)
         kept.append(renderer)
-        at, rooms = ctypes.addressof(renderer.state), [np.zeros(3) for _ in range(3)]
+        at, rooms = address_of(renderer.state), [np.zeros(3) for _ in range(3)]
         return lambda: _played(at, normals, *rooms)
 
     return interleaved({frame: (job(frame), _TICKS) for frame in FRAMES}, rounds, step)

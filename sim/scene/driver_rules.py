@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import msgspec
 
-from messages.types import Vector
+from messages.types import ZERO, Vector
 from nodes.compiled.layout import state_of
 from nodes.driver.device import DeviceLimits
 from nodes.driver.limits import SafetyParameters, lower
@@ -50,10 +50,10 @@ class DriverRules:
         take_sample(s, tick, tick * s.period)
         return s.position[0], s.position[1], s.position[2]
 
-    def command(self, tick: int, wanted: Vector) -> Vector:
-        """Turn the law's force into what the device gets."""
+    def command(self, tick: int, wanted: Vector, normal: Vector = ZERO) -> Vector:
+        """Turn the law's force, and the normal of the surface that it comes from, into what the device gets."""
         s = self.state
-        s.got_seq, s.got[:] = tick, wanted
+        s.got_seq, s.got[:], s.got_normal[:] = tick, wanted, normal
         decide(s, tick)
         act(s, 1)
         return s.force[0], s.force[1], s.force[2]

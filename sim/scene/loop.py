@@ -13,9 +13,9 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nodes.driver.limits import SafetyParameters
+from nodes.driver.limits import SafetyParameters, start_ramp
 from nodes.driver.passivity import PassivityParameters, line_of
-from nodes.driver.safety import REACH
+from nodes.driver.safety import REACH, pressed_ticks
 from nodes.environment.state import ANCHOR, FREE, PLANE
 from nodes.laws import CompiledLaw
 from sim.arrays import Array
@@ -154,7 +154,8 @@ def run(
         return _played(scene, law, ticks, swaps, memory, interpreted, given, None)[0]
     if given.arrivals is None and not (safety.ramp or safety.continuous_force):
         trace, asked = _played(scene, law, ticks, swaps, memory, interpreted, given, None)
-        if not _stops(safety, scene.peak, asked, trace.measured):
+        begins = asked[0] != 0.0 and start_ramp(safety) > 0.0
+        if not (begins or _stops(safety, scene.peak, scene.period, asked, trace.measured)):
             return trace
     # Its ramp, its stop or its motor's heat had a say.
     rules = None
@@ -181,14 +182,16 @@ def _check(law: CompiledLaw, ticks: int, swaps: Sequence[PlannedSwap]) -> None:
             raise ValueError(f"law {i} of the run has code of its own, which one process cannot swap: use the nodes")
 
 
-def _stops(safety: SafetyParameters, peak: float | None, asked: Array, measured: Array) -> bool:
+def _stops(safety: SafetyParameters, peak: float | None, period: float, asked: Array, measured: Array) -> bool:
     """Whether the driver might have stopped: the force came to its largest magnitude often, or the device went astray."""
     if not np.all(np.abs(measured) <= REACH):
         return True
     if safety.stop_after is None or peak is None:
         return False
     sides = np.where(np.abs(asked) > peak, np.sign(asked), 0.0)
-    return int(np.count_nonzero((sides != 0.0) & (np.diff(sides, prepend=0.0) != 0.0))) >= safety.stop_after
+    comes = np.count_nonzero((sides != 0.0) & (np.diff(sides, prepend=0.0) != 0.0))
+    stays = np.count_nonzero(sides) // pressed_ticks(safety.stop_after, period)
+    return int(comes + stays) >= safety.stop_after
 
 
 def _played(

@@ -20,10 +20,10 @@ from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoParameters, load_world
 from nodes.environment.meet import Numbers, meeting_of
 from nodes.environment.node import EnvironmentParameters
-from nodes.environment.place import Place
 from nodes.environment.shapes.scene import Solid, new_memory, scene_table
 from nodes.environment.state import SHAPES
 from nodes.environment.surfaces import Meeting, Surface, meet_axes, parse_surface
+from nodes.environment.touched_surface import TouchedSurface
 from nodes.environment.world.node import FeltWorld, WorldParameters, check_world
 from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError
@@ -92,7 +92,7 @@ class _Jumps:
 
 # From a tick, the position [m] and the force handed over last [N] to proxy, normal, distance and contact.
 Ask = Callable[[int, Vector, Vector], Meeting]
-Change = tuple[int, dict[str, Any]]  # the first tick on another surface, and its parameters
+SurfaceChange = tuple[int, dict[str, Any]]  # the first tick on another surface, and its parameters
 
 
 def _environment(
@@ -101,7 +101,7 @@ def _environment(
     solids: Sequence[Solid] | None,
     world: MovingScene | None,
     jumps: _Jumps,
-    changes: Sequence[Change],
+    changes: Sequence[SurfaceChange],
 ) -> Ask:
     """Make what the device meets: a surface, other solids in its place, or a scene in which things move."""
     period = launch.run.period
@@ -143,15 +143,15 @@ def _body(launch: Launch, delay: float, jumps: _Jumps) -> Ask:
     return ask
 
 
-def _surfaces(surface: Surface, launch: Launch, jumps: _Jumps, changes: list[Change]) -> Ask:
+def _surfaces(surface: Surface, launch: Launch, jumps: _Jumps, changes: list[SurfaceChange]) -> Ask:
     """Meet a surface, and others from some tick on, as the environment node changes them."""
     period, changes = launch.run.period, list(changes)
-    place = Place(surface, period)
+    place = TouchedSurface(surface, period)
 
     def ask(tick: int, position: Vector, _: Vector) -> Meeting:
         while changes and changes[0][0] <= tick:
             parameters = changes.pop(0)[1]
-            if place.take(Place(parse_surface(parameters, "surface"), period)):
+            if place.take(TouchedSurface(parse_surface(parameters, "surface"), period)):
                 jumps.tick = tick
         met = place.meet(position)
         if place.jumped:
@@ -167,7 +167,7 @@ def play(
     solids: Sequence[Solid] | None = None,
     path: Array | None = None,
     world: MovingScene | None = None,
-    changes: Sequence[Change] = (),
+    changes: Sequence[SurfaceChange] = (),
 ) -> SpatialTrace:
     """Play a launch file of one chain and virtual devices: the bits of a run in lockstep.
 
@@ -203,7 +203,7 @@ def play(
         met: dict[str, Any] = {"proxy": proxy, "normal": normal, "distance": distance, "contact": contact}
         met |= {"rebased": jumps.tick, "compliance": jumps.compliance}
         wanted = coupling.answer(Proxy(seq=k, stamp=k * period, position=position, **met))
-        force = rules.command(k, wanted)
+        force = rules.command(k, wanted, normal if contact else ZERO)
         for part in parts:
             write_axis(part, force[part.axis], k, 0.0)
         positions[k], proxies[k], normals[k], contacts[k], forces[k] = position, proxy, normal, contact, force

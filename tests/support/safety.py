@@ -41,7 +41,8 @@ class Port:
     ) -> None:
         self.s = state_of(axes)
         self._events: list[tuple[str, str]] = []
-        given = SafetyParameters(**parameters)
+        # What a first force does is said where it is tried.
+        given = SafetyParameters(**{"ramp": 0.0, **parameters})
         self.limits = lower(given, device or DeviceLimits(), T)
         safety.set_safety(self.s, given, self.limits, T)
         set_guard(self.s, guard)

@@ -20,9 +20,9 @@ from messages import topics
 from messages.transport.sockets import Subscription
 from messages.types import Vector
 from nodes.base.node import Node
-from nodes.compiled.layout import LOOP
+from nodes.compiled.layout import LoopState
 from nodes.compiled.load import load_kernel
-from nodes.driver.calls import READ, WRITE, Calls
+from nodes.driver.calls import JUMPED, READ, WRITE, Calls
 from nodes.driver.device import DeviceLimits
 from nodes.driver.node import Driver
 from nodes.driver.parameters import DriverParameters
@@ -43,11 +43,31 @@ class Hand:
         Where it is at a tick [m].
     fails : collection of int
         Ticks at which `read_position` raises once.
+    jumps_at : collection of int
+        Ticks whose position is elsewhere without a motion, as its counter `jumps` says.
     """
 
-    def __init__(self, limits: DeviceLimits, position: Callable[[int], Vector], fails: Iterable[int] = ()) -> None:
-        self.limits, self._position, self._fails = limits, position, set(fails)
+    world: World | None = None
+
+    def __init__(
+        self, limits: DeviceLimits, position: Callable[[int], Vector], fails: Iterable[int] = (), jumps_at: Iterable[int] = ()
+    ) -> None:
+        self.limits, self._position, self._fails, self._jumps_at = limits, position, set(fails), set(jumps_at)
         self.given: list[tuple[int, Vector, float]] = []
+        self.log: list[tuple[int, Vector]] = []
+        self.jumps = 0
+
+    def _at(self, seq: int) -> Vector:
+        if self.world is not None:
+            self.world.stall("read")
+        self.jumps += seq in self._jumps_at
+        return self._position(seq)
+
+    def _take(self, force: Vector, seq: int, offset: float) -> None:
+        self.given.append((seq, force, offset))
+        if self.world is not None:
+            self.world.stall("write")
+            self.log.append((self.world.now, force))
 
     def open(self) -> None:
         """Nothing to connect."""
@@ -57,11 +77,11 @@ class Hand:
         if seq in self._fails:
             self._fails.remove(seq)
             raise BlockingIOError(f"no position at tick {seq}")
-        return self._position(seq)
+        return self._at(seq)
 
     def write_force(self, force: Vector, seq: int, offset: float) -> None:
         """Keep what it is given."""
-        self.given.append((seq, force, offset))
+        self._take(force, seq, offset)
 
     def close(self) -> None:
         """Nothing to disconnect."""
@@ -72,7 +92,7 @@ class HandInC(Hand):
 
     def read_position(self, seq: int) -> Vector:
         """Give the position."""
-        return self._position(seq)
+        return self._at(seq)
 
     def calls(self) -> Calls:
         """Give its calls."""
@@ -80,11 +100,12 @@ class HandInC(Hand):
         def read(_: int, seq: int, out: Any) -> int:
             if seq in self._fails:
                 return -1
-            out[0], out[1], out[2] = self._position(seq)
-            return 0
+            before = self.jumps
+            out[0], out[1], out[2] = self._at(seq)
+            return JUMPED if self.jumps != before else 0
 
         def write(_: int, force: Any, seq: int, offset: float) -> int:
-            self.given.append((seq, (force[0], force[1], force[2]), offset))
+            self._take((force[0], force[1], force[2]), seq, offset)
             return 0
 
         self._kept = READ(read), WRITE(write)
@@ -125,6 +146,7 @@ class Outcome(NamedTuple):
     counted: tuple[int, ...]
     state: dict[str, Any]
     given: list[tuple[int, Vector, float]]
+    log: list[tuple[int, Vector]]
 
 
 _NOT_ALIKE = {
@@ -138,7 +160,7 @@ _NOT_ALIKE = {
 def _numbers(state: Any) -> dict[str, Any]:
     """Give the numbers of a node's state, beyond what its compiled ticks need of the world."""
     found: dict[str, Any] = {name: getattr(state, name) for name in ("seq", "answered", "gaps", "skipped", "ticks")}
-    for name, _ in type(state)._fields_[len(LOOP) :]:
+    for name, _ in type(state)._fields_[len(LoopState._fields_) :]:
         if name not in _NOT_ALIKE:
             # How long a tick took is measured, not ruled; that it was counted is.
             value = sum(state.spent) if name == "spent" else getattr(state, name)
@@ -159,6 +181,8 @@ class Script(NamedTuple):
         Its parameters.
     late : mapping of int to int
         By how much the sleep until a tick is too long [µs].
+    stalls : mapping of (int, str) to int
+        For how long the process is stopped in a tick, by the place in it (`World`) [µs].
     ticks : int
         How many ticks a driver runs.
     pace, apply : str
@@ -175,11 +199,12 @@ class Script(NamedTuple):
     pace: str = "realtime"
     apply: str = "on_arrival"
     hand: Callable[[], Hand] | None = None
+    stalls: Mapping[tuple[int, str], int] = {}
 
 
 def played(script: Script, tick: str, folder: Path) -> tuple[Outcome, Any]:
     """Play a script with one kind of tick; what the node did, and the node."""
-    world = World(script.arrivals, script.late)
+    world = World(script.arrivals, script.late, script.stalls)
     name = script.kind.__name__.lower()
     for left in folder.glob("*.epoch"):
         left.unlink()
@@ -198,6 +223,7 @@ def played(script: Script, tick: str, folder: Path) -> tuple[Outcome, Any]:
     )
     if script.hand is not None:
         node.hand = script.hand()
+        node.hand.world = world
     socket = ScriptedSocket(world)
     functions = ScriptedFunctions(world, socket)
     time = SimpleNamespace(monotonic=world.clock, sleep=world.sleep)
@@ -256,6 +282,7 @@ def _outcome(world: World, node: Any, script: Script) -> Outcome:
         counted=(status.seq, status.ticks, status.gaps, status.skipped, status.received, status.refused, status.sent),
         state=_numbers(node.counters),
         given=node.hand.given if script.hand is not None else [],
+        log=node.hand.log if script.hand is not None else [],
     )
 
 

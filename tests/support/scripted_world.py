@@ -56,6 +56,9 @@ class World:
         What comes.
     late : mapping of int to int
         By how much a wait until the start of a tick is too long [µs].
+    stalls : mapping of (int, str) to int
+        For how long the process is stopped in a tick, and where in it [µs]: in the device's ``read``, after the ``publish`` of
+        its state, after an ``answer`` was received, when its arrival was ``stamped``, or in the device's ``write``.
 
     Attributes
     ----------
@@ -67,10 +70,16 @@ class World:
         Called by who waits when nothing more will come.
     """
 
-    def __init__(self, arrivals: Iterable[Arrival], late: Mapping[int, int] | None = None) -> None:
+    def __init__(
+        self,
+        arrivals: Iterable[Arrival],
+        late: Mapping[int, int] | None = None,
+        stalls: Mapping[tuple[int, str], int] | None = None,
+    ) -> None:
         self.now = START
         self._coming = deque(sorted(arrivals, key=lambda arrival: arrival.at))
-        self._late = dict(late or {})
+        self._late, self._stalls = dict(late or {}), dict(stalls or {})
+        self._stamps = False  # whether the next look at the clock is the one that stamps an arrival
         self._frames: deque[bytes] = deque()
         self._begun: dict[int, list[bytes]] = {HOP: [], ASIDE: []}
         self.sent: dict[int, list[tuple[int, tuple[bytes, ...]]]] = {HOP: [], ASIDE: []}
@@ -79,7 +88,19 @@ class World:
 
     def clock(self) -> float:
         """Read it as the kernel does [s]."""
-        return float(self.now // _SECOND + self.now % _SECOND * 1e-9)
+        now = self.now
+        self.looked()
+        return float(now // _SECOND + now % _SECOND * 1e-9)
+
+    def looked(self) -> None:
+        """Stop the process after a look at the clock, where the script says so."""
+        if self._stamps:
+            self._stamps = False
+            self.stall("stamped")
+
+    def stall(self, place: str) -> None:
+        """Stop the process in a place of the present tick for as long as the script says, once."""
+        self.now += 1000 * self._stalls.pop(((self.now - EPOCH) // TICK, place), 0)
 
     def sleep(self, seconds: float) -> None:
         """Sleep at least for so long."""
@@ -124,7 +145,11 @@ class World:
             return None
         if not self._frames:
             self._frames.extend(self._coming.popleft().frames)
-        return self._frames.popleft()
+        frame = self._frames.popleft()
+        if not self._frames:
+            self._stamps = True
+            self.stall("answer")
+        return frame
 
     @property
     def more(self) -> bool:
@@ -137,6 +162,8 @@ class World:
         if not more:
             self.sent[socket].append((self.now, tuple(self._begun[socket])))
             self._begun[socket] = []
+            if socket == HOP:
+                self.stall("publish")
 
 
 # -- for the interpreter ---------------------------------------------------------------------------------------------
@@ -241,6 +268,7 @@ class ScriptedFunctions:
     def clock_gettime(self, _: int, value: int) -> int:
         """Tell the time."""
         (c_int64 * 2).from_address(value)[:] = [*divmod(self._world.now, _SECOND)]
+        self._world.looked()
         return 0
 
     def clock_nanosleep(self, _: int, __: int, until: int, ___: int) -> int:

@@ -53,12 +53,12 @@ def driver(
     ticks: int = TICKS,
     **safety: Any,
 ) -> Script:
-    """Make the script of a driver."""
+    """Make the script of a driver, whose first force has no ramp unless one is asked for."""
     bears = DeviceLimits(**{"peak_force": 8.0, "hold": 10.0, "workspace": BOX, "latency": 0.0, **(limits or {})})
     return Script(
         ScriptedDriver,
         arrivals,
-        {"safety": {"hang": None, **safety}, **({"passivity": guard} if guard else {})},
+        {"safety": {"hang": None, "ramp": 0.0, **safety}, **({"passivity": guard} if guard else {})},
         late or {},
         ticks,
         hand=lambda: Hand(bears, position),

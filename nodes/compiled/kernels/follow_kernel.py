@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from messages.types import MAX_COUNT
 from nodes.compiled.kernels.hop import has_message, monotonic
 from nodes.compiled.kernels.machine import compilable
+from nodes.compiled.layout import LoopState
 
 _MOST = MAX_COUNT
 
 
 @compilable
-def in_order(s: Any, seq: int) -> bool:
+def in_order(s: LoopState, seq: int) -> bool:
     """Whether a message is the next one, or one after ticks that the driver left out, and not to be left to the plain tick."""
     if seq <= s.seq or seq >= s.until:
         return False
@@ -20,13 +19,13 @@ def in_order(s: Any, seq: int) -> bool:
 
 
 @compilable
-def count_gap(s: Any, missing: int) -> None:
+def count_gap(s: LoopState, missing: int) -> None:
     """Count ticks that were left out; no more than any status can tell."""
     s.gaps = min(s.gaps + missing, _MOST)
 
 
 @compilable
-def overtaken(s: Any, stamp: float) -> bool:
+def overtaken(s: LoopState, stamp: float) -> bool:
     """Whether a message is older than a period and a newer one is there: then the node goes on with the newest."""
     if s.realtime == 0 or (s.skipping == 0 and monotonic(s) + s.clock_offset - stamp <= s.period):
         return False

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from numba.extending import overload
 
 from messages.codec import MAX_PAYLOAD
 from nodes.compiled.kernels.machine import byte, call_clock, call_option, call_pass, call_yield, compilable, wholes_at
-from nodes.compiled.layout import LONGEST_IN, LONGEST_OUT, LONGEST_TOPIC
+from nodes.compiled.layout import LONGEST_IN, LONGEST_OUT, LONGEST_TOPIC, LoopState
 from nodes.compiled.memory import monotonic as monotonic
 
 SNDMORE = 2
@@ -21,7 +19,7 @@ _ROOM, _ROOM_IN, _ROOM_TOPIC = LONGEST_OUT, LONGEST_IN, LONGEST_TOPIC
 
 
 @compilable
-def _read_clock(s: Any) -> float:
+def _read_clock(s: LoopState) -> float:
     call_clock(s.clock_gettime, (CLOCK_MONOTONIC, s.time))
     now = wholes_at(s.time, 2)
     return float(now[0] + now[1] * 1e-9)
@@ -31,7 +29,7 @@ overload(monotonic)(lambda s: lambda s: _read_clock(s))  # noqa: ARG005
 
 
 @compilable
-def receive(s: Any, flags: int) -> bool:
+def receive(s: LoopState, flags: int) -> bool:
     """Take one message of the expected topic; what else came is left in the buffers to be put back."""
     s.frames = 0
     size = call_pass(s.zmq_recv, (s.inbox, s.frame, _ROOM_TOPIC, flags))
@@ -59,7 +57,7 @@ def receive(s: Any, flags: int) -> bool:
 
 
 @compilable
-def has_message(s: Any, socket: int) -> bool:
+def has_message(s: LoopState, socket: int) -> bool:
     """Whether a socket has something to be received."""
     events = wholes_at(s.events, 1)
     events[0] = 0
@@ -68,20 +66,20 @@ def has_message(s: Any, socket: int) -> bool:
 
 
 @compilable
-def out_at(s: Any) -> int:
+def out_at(s: LoopState) -> int:
     """Choose where the next message is written: where it can wait for the listeners, if it has to."""
     return int(s.held + s.held_count * _ROOM if s.aside != 0 else s.out)
 
 
 @compilable
-def send_hop(s: Any, at: int, size: int) -> None:
+def send_hop(s: LoopState, at: int, size: int) -> None:
     """Send a message to the next hop."""
     call_pass(s.zmq_send, (s.hop, s.topic, s.topic_size, SNDMORE))
     call_pass(s.zmq_send, (s.hop, at, size, 0))
 
 
 @compilable
-def flush(s: Any) -> None:
+def flush(s: LoopState) -> None:
     """Send what was collected for the listeners."""
     sizes = wholes_at(s.held_sizes, s.batch)
     for k in range(s.held_count):
@@ -91,7 +89,7 @@ def flush(s: Any) -> None:
 
 
 @compilable
-def keep(s: Any, size: int) -> bool:
+def keep(s: LoopState, size: int) -> bool:
     """Keep the message written at `out_at` for the listeners; whether so many are kept that they should be sent."""
     if s.aside == 0:
         return False
@@ -101,7 +99,7 @@ def keep(s: Any, size: int) -> bool:
 
 
 @compilable
-def answer(s: Any, at: int, size: int) -> None:
+def answer(s: LoopState, at: int, size: int) -> None:
     """Send a message to the next hop, then to the listeners."""
     send_hop(s, at, size)
     if keep(s, size):
@@ -112,7 +110,7 @@ def answer(s: Any, at: int, size: int) -> None:
 
 
 @compilable
-def called(s: Any) -> bool:
+def called(s: LoopState) -> bool:
     """Send what another thread has to say, once per batch; whether a listener has sent something, which Python takes in."""
     s.unlooked += 1
     if s.unlooked < s.batch:

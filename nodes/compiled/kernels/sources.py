@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from ctypes import Structure
 from typing import Any, TypeVar
 
 import numba
 import numpy as np
 from numba.extending import register_jitable
+
+from nodes.compiled.rules import RULES
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -20,6 +21,12 @@ def kernel(function: Function) -> Function:
     return same
 
 
-def record_of(structure: type[Structure]) -> Any:
+def register_rules() -> None:
+    """Let compiled functions call every rule that was defined so far."""
+    while RULES:
+        kernel(RULES.pop())
+
+
+def record_of(structure: type[Any]) -> Any:
     """Give a struct of nodes/compiled/layout.py its type in kernels."""
     return numba.from_dtype(np.dtype(structure))

@@ -65,7 +65,14 @@ class HardwareDriver(Driver):
         last: Any = None
         silent = 0
         while not ended.wait(HANDLE_PERIOD):
-            if self.state != "running" or (handle := self.held.handle()) is None:
+            if self.state != "running":
+                continue
+            try:
+                handle = self.held.handle()
+            except Exception as error:  # noqa: BLE001  # code of a device, in a thread of its own: the loop goes on
+                self.events.emit("device", f"the handle cannot be read and is not published any more: {error}")
+                return
+            if handle is None:
                 continue
             seen = (handle.orientation, handle.gripper, handle.buttons)
             silent += 1

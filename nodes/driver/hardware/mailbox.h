@@ -27,6 +27,13 @@
 #define BUTTONS 11
 #define SAMPLE 12
 
+/* A force, and when the sample was asked for after which it was decided; 0 where none ever was. */
+#define DECIDED 3
+#define COMMAND 4
+
+/* `device_read` gives a position that is elsewhere without a motion. */
+#define JUMPED 1
+
 typedef struct {
     /* Set before the start. Ours = turn · theirs · unit + origin; theirs = turnᵀ · ours for forces, so that power is the same. */
     double turn[9];
@@ -41,8 +48,11 @@ typedef struct {
     int64_t clutch;
     /* Written by the driver. */
     unsigned int commands;
-    double force[3];
+    double force[COMMAND];
     unsigned int stop;
+    unsigned int jumps;
+    unsigned int told;
+    double decided_at;
     unsigned int seen;
     double seen_at;
     int64_t held;
@@ -61,6 +71,7 @@ typedef struct {
     /* The servo loop's own. */
     unsigned int last_command;
     unsigned int silent;
+    double silent_at;
     double commanded_at;
     double acting[3];
     double looked_at;
@@ -107,21 +118,30 @@ void mailbox_ticked(mailbox *m) { __atomic_add_fetch(&m->ticks, 1, __ATOMIC_RELE
 
 /* The force that the device gets now, in its own axes, zero where it is `blind`, without a position; whether one acts. */
 int mailbox_force(mailbox *m, double *out, int blind) {
-    double force[3], now = mailbox_now();
-    unsigned int command = mailbox_take(&m->commands, m->force, force, 3);
+    double force[COMMAND], now = mailbox_now();
+    if (m->last_command && !m->silent && now - m->commanded_at > m->deadline) {
+        m->silent = 1;
+        m->silent_at = m->commanded_at + m->deadline;
+        __atomic_add_fetch(&m->let_go, 1, __ATOMIC_RELAXED);
+    }
+    int is_old = 0;
+    unsigned int command = mailbox_take(&m->commands, m->force, force, COMMAND);
     if (command && command != m->last_command) {
         m->last_command = command;
-        m->commanded_at = now;
-        m->silent = 0;
+        /* A force that was decided before the device let go of the one before it must not bring that back: its driver was held
+           up on the way here, does not know, and goes on from a force that is none. So it comes back by a ramp. */
+        is_old = m->silent && force[DECIDED] != 0.0 && force[DECIDED] < m->silent_at;
+        if (!is_old) {
+            m->commanded_at = now;
+            m->silent = 0;
+        }
         for (int i = 0; i < 3; i++) {
             m->acting[i] = isfinite(force[i]) ? fmin(fmax(force[i], -m->peak), m->peak) : 0.0;
         }
-    } else if (m->last_command && !m->silent && now - m->commanded_at > m->deadline) {
-        m->silent = 1;
-        __atomic_add_fetch(&m->let_go, 1, __ATOMIC_RELAXED);
     }
     double passed = m->looked_at != 0.0 ? now - m->looked_at : 0.0;
     m->looked_at = now;
+    if (is_old) m->owed = m->recovery;
     m->owed = blind ? fmin(m->owed + REGAIN * passed, m->recovery) : fmax(m->owed - passed, 0.0);
     double share = m->owed > 0.0 ? 1.0 - m->owed / m->recovery : 1.0;
     int acts = m->last_command && !m->silent && !m->fault && !m->stop && !blind;
@@ -136,11 +156,12 @@ size_t mailbox_size(void) { return sizeof(mailbox); }
 /* Take the newest sample as it stands; 0, or why there is none. */
 int mailbox_sample(mailbox *m, double *sample) {
     if (__atomic_load_n(&m->fault, __ATOMIC_RELAXED)) return -FAULT;
+    double now = mailbox_now();
     unsigned int ticks = __atomic_load_n(&m->ticks, __ATOMIC_ACQUIRE);
     if (ticks != m->seen || m->seen_at == 0.0) {
         m->seen = ticks;
-        m->seen_at = mailbox_now();
-    } else if (mailbox_now() - m->seen_at > m->patience) {
+        m->seen_at = now;
+    } else if (now - m->seen_at > m->patience) {
         return -STALLED;
     }
     for (int attempt = 0; attempt < 1000; attempt++) {
@@ -151,7 +172,7 @@ int mailbox_sample(mailbox *m, double *sample) {
 
 /* While the clutch is held the scene stands still and the device moves on without a force; then it goes on from there. */
 static void mailbox_clutch(mailbox *m, const double *sample, double *out) {
-    int held = ((int64_t) sample[BUTTONS] & m->clutch) != 0;
+    int held = ((int64_t) sample[BUTTONS] & m->clutch) != 0, is_jump = 0;
     for (int i = 0; i < 3; i++) {
         double here = out[i] + m->shift[i];
         if (held && !m->held) m->frozen[i] = here;
@@ -159,10 +180,13 @@ static void mailbox_clutch(mailbox *m, const double *sample, double *out) {
         if (!held && m->held) {
             m->shift[i] = fmin(fmax(m->frozen[i] - out[i], -m->reach), m->reach);
             here = out[i] + m->shift[i];
+            /* Beyond its reach the clutch leaves the device elsewhere in the scene. */
+            is_jump |= fabs(m->frozen[i] - out[i]) > m->reach;
         }
         out[i] = here;
     }
     if (!held && m->held) m->share_from = mailbox_now();
+    if (is_jump) m->jumps++;
     m->held = held;
 }
 
@@ -170,6 +194,8 @@ int device_read(int64_t context, int64_t seq, double *out) {
     mailbox *m = (mailbox *) (intptr_t) context;
     double sample[SAMPLE], place[3];
     (void) seq;
+    /* Before the sample is taken, and also without one: what is decided now is no older. */
+    m->decided_at = mailbox_now();
     int status = mailbox_sample(m, sample);
     if (status) return status;
     for (int i = 0; i < 3; i++) {
@@ -178,12 +204,14 @@ int device_read(int64_t context, int64_t seq, double *out) {
     }
     if (m->clutch) mailbox_clutch(m, sample, place);
     for (int i = 0; i < 3; i++) out[i] = place[i];
-    return 0;
+    if (m->told == m->jumps) return 0;
+    m->told = m->jumps;
+    return JUMPED;
 }
 
 int device_write(int64_t context, const double *force, int64_t seq, double offset) {
     mailbox *m = (mailbox *) (intptr_t) context;
-    double theirs[3] = {0.0, 0.0, 0.0}, share = 1.0;
+    double theirs[COMMAND] = {0.0, 0.0, 0.0, m->decided_at}, share = 1.0;
     (void) seq;
     (void) offset;
     /* After the clutch was let go forces grow from zero: the hand is elsewhere now. */
@@ -192,7 +220,7 @@ int device_write(int64_t context, const double *force, int64_t seq, double offse
     for (int i = 0; i < 3; i++) {
         for (int j = 0; j < 3; j++) theirs[i] += m->turn[3 * j + i] * force[j] * share;
     }
-    mailbox_put(&m->commands, m->force, theirs, 3);
+    mailbox_put(&m->commands, m->force, theirs, COMMAND);
     return 0;
 }
 

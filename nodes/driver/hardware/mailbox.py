@@ -18,13 +18,12 @@ import msgspec
 import numpy as np
 
 from messages.types import ZERO, Vector
-from nodes.compiled.layout import named
-from nodes.driver.calls import Calls
+from nodes.driver.calls import JUMPED, Calls
 from nodes.driver.device import DeviceLimits, Workspace
 from nodes.driver.hardware.compile import servo_library
 from nodes.driver.hardware.libraries import Search, find
 from nodes.driver.hardware.mapping import Mapping, limits_in_scene, matrix
-from nodes.driver.limits import SafetyParameters
+from nodes.driver.limits import SafetyParameters, recovery_ramp
 from nodes.driver.parameters import DriverParameters
 
 FAULT, STALLED, UNREAD = 1, 2, 3  # what ``device_read`` of mailbox.h fails with, as negative numbers
@@ -36,6 +35,10 @@ SILENCE: Final = 0.1  # longest watchdog that a launch file may ask for on these
 _kept: Final[list[Any]] = []  # mailboxes of servo loops that may hang: they must not write into freed memory
 
 
+def _named(kind: Any, *names: str) -> list[tuple[str, Any]]:
+    return [(name, kind) for name in names]
+
+
 class Mailbox(ctypes.Structure):
     """What driver and servo loop share, as in nodes/driver/hardware/mailbox.h."""
 
@@ -43,20 +46,21 @@ class Mailbox(ctypes.Structure):
         ("turn", ctypes.c_double * 9),
         ("unit", ctypes.c_double),
         ("origin", ctypes.c_double * 3),
-        *named(ctypes.c_double, "deadline", "patience", "peak", "reach", "back", "recovery"),
+        *_named(ctypes.c_double, "deadline", "patience", "peak", "reach", "back", "recovery"),
         *(("clutch", ctypes.c_int64), ("commands", ctypes.c_uint)),
-        ("force", ctypes.c_double * 3),
-        *named(ctypes.c_uint, "stop", "seen"),
+        ("force", ctypes.c_double * 4),
+        *_named(ctypes.c_uint, "stop", "jumps", "told"),
+        *(("decided_at", ctypes.c_double), ("seen", ctypes.c_uint)),
         *(("seen_at", ctypes.c_double), ("held", ctypes.c_int64)),
-        *named(ctypes.c_double * 3, "frozen", "shift"),
+        *_named(ctypes.c_double * 3, "frozen", "shift"),
         *(("share_from", ctypes.c_double), ("samples", ctypes.c_uint)),
         ("sample", ctypes.c_double * SAMPLE),
-        *named(ctypes.c_uint, "ticks", "let_go", "errors"),
-        *named(ctypes.c_int, "error", "fault", "condition"),
-        *named(ctypes.c_uint, "last_command", "silent"),
-        ("commanded_at", ctypes.c_double),
+        *_named(ctypes.c_uint, "ticks", "let_go", "errors"),
+        *_named(ctypes.c_int, "error", "fault", "condition"),
+        *_named(ctypes.c_uint, "last_command", "silent"),
+        *_named(ctypes.c_double, "silent_at", "commanded_at"),
         ("acting", ctypes.c_double * 3),
-        *named(ctypes.c_double, "looked_at", "owed"),
+        *_named(ctypes.c_double, "looked_at", "owed"),
     ]
 
 
@@ -114,6 +118,7 @@ class MailboxDevice(ABC):
         self.turn = matrix(parameters.mapping, self.AXES)  # from the device's axes into the scene's
         self._code: Any = None
         self._shared: Any = None
+        self.jumps = 0
         self._box: Any = None
 
     @property
@@ -202,7 +207,7 @@ class MailboxDevice(ABC):
 
     def come_back_within(self, safety: SafetyParameters) -> None:
         """Take the ramp by which a force comes back that was lost for a moment."""
-        self._box.recovery = max(safety.recovery, safety.ramp)
+        self._box.recovery = recovery_ramp(safety)
 
     def await_samples(self) -> None:
         """Wait until the servo loop runs, and set its force to zero; where asked for, the device stands in the middle then."""
@@ -226,6 +231,7 @@ class MailboxDevice(ABC):
             raise OSError(f"{self.TITLE}: the device gives no position; it cannot be re-centred")
         for i, step in enumerate((x, y, z)):
             self._box.origin[i] += step
+        self._box.jumps += 1
         # Where the device stands is known now.
         a, b, c = self._box.origin
         self.limits = limits_in_scene(
@@ -242,6 +248,8 @@ class MailboxDevice(ABC):
         position = (ctypes.c_double * 3)()
         status = -self._code.device_read(self._at, seq, position)
         box = self._box
+        if status == -JUMPED:
+            self.jumps, status = self.jumps + 1, 0
         if status == FAULT:
             raise OSError(f"{self.TITLE}: {self.error_text(box.fault)}; forces are off until the node is started again")
         if status == STALLED and (silent := time.monotonic() - box.seen_at) > LOST:

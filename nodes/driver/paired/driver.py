@@ -11,13 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import msgspec
 
-from messages.types import Vector
+from messages.types import ZERO, Vector
 from nodes.base.node_kinds import load, node_kinds
 from nodes.base.setup import Axis, Setup
+from nodes.driver.calls import Jumps
 from nodes.driver.device import Device, DeviceLimits, Workspace
 from nodes.driver.limits import SafetyParameters, lower, undeclared
 from nodes.driver.node import Driver
@@ -40,17 +41,49 @@ class PairedDriverParameters(DriverParameters, frozen=True, forbid_unknown_field
     """Parameters of the driver of a pair.
 
     first, second: The devices.
+    align: Speed at which devices that stand apart at the start, or when one of them is read again, are taken to come together
+        [m/s]: their distance counts as none at first, and fades. 0 keeps that offset for good.
+    apart: Largest distance at the start along an axis [m]; the driver refuses to begin beyond it. None for any.
     """
 
     first: PairedMember
     second: PairedMember
+    align: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.05
+    apart: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
+
+
+class Alignment(msgspec.Struct, frozen=True, kw_only=True):
+    """How two devices that stand apart are brought together.
+
+    Attributes
+    ----------
+    step : float
+        By how much their offset fades in a tick [m].
+    apart : float
+        Largest distance at the start along an axis [m].
+    """
+
+    step: float
+    apart: float = math.inf
 
 
 class PairedDevice:
-    """Two devices as one; `bears` is what each of them bears, where that is less than it says itself."""
+    """Two devices as one; `bears` is what each of them bears, where that is less than it says itself.
 
-    def __init__(self, first: Device, second: Device, bears: Sequence[DeviceLimits] = ()) -> None:
+    With an `alignment` the pair begins at zero, wherever its devices stand: the distance that no motion made is an offset,
+    which fades. After a gap in either position, or a jump of either, the pair goes on from where it was in the same way.
+    """
+
+    def __init__(
+        self, first: Device, second: Device, bears: Sequence[DeviceLimits] = (), alignment: Alignment | None = None
+    ) -> None:
         self.first, self.second = first, second
+        self._alignment = alignment
+        self._jumps = Jumps(first), Jumps(second)
+        self._place: Vector = ZERO  # position of the pair that was given last
+        self._offset: Vector = ZERO
+        self._read_at = -1
+        self.met_apart = 0.0  # how far from the pair's position they were when they were aligned last [m]
         self._bears = tuple(bears) or (first.limits, second.limits)
         nowhere = (math.nan, math.nan, math.nan)
         self.places: tuple[Vector, Vector] = (nowhere, nowhere)
@@ -89,8 +122,34 @@ class PairedDevice:
         """Tell how far they are apart; unknown where one of them is, or is outside its own workspace."""
         a, b = self.first.read_position(seq), self.second.read_position(seq)
         self.places = a, b
+        # A jump is taken note of while a position is unknown, too.
+        jumped = [jumps.again() for jumps in self._jumps]
+        was_known = self._known and not any(jumped)
         self._known = all(math.isfinite(x) for x in (*a, *b)) and not self.outside()
-        return (a[0] - b[0], a[1] - b[1], a[2] - b[2]) if self._known else (math.nan, math.nan, math.nan)
+        if not self._known:
+            return (math.nan, math.nan, math.nan)
+        apart = (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+        return apart if self._alignment is None else self._aligned(apart, seq, was_known, self._alignment)
+
+    def _aligned(self, apart: Vector, seq: int, was_known: bool, alignment: Alignment) -> Vector:
+        """Return the position of the pair: how far its devices are apart, less an offset that fades."""
+        if self._read_at < 0 and max(map(abs, apart)) > alignment.apart:
+            raise OSError(
+                f"the devices stand ({', '.join(f'{x:.4g}' for x in apart)}) m apart, limit apart: {alignment.apart:g} m; move "
+                "them together, or raise the limit"
+            )
+        x, y, z = self._offset
+        if not was_known:
+            x, y, z = (now - before for now, before in zip(apart, self._place, strict=True))
+            self.met_apart = math.hypot(x, y, z)
+        else:
+            size = math.hypot(x, y, z)
+            left = size - alignment.step * (seq - self._read_at)
+            share = left / size if left > 0.0 else 0.0
+            x, y, z = x * share, y * share, z * share
+        self._offset, self._read_at = (x, y, z), seq
+        self._place = apart[0] - x, apart[1] - y, apart[2] - z
+        return self._place
 
     def outside(self) -> str:
         """Say which of them is outside its own workspace; empty for none."""
@@ -163,7 +222,9 @@ class PairedDriver(Driver):
                 held.callback(made[-1].close)
             bears = [self._bears(driver, device) for driver, device in zip(self._drivers, made, strict=True)]
             held.pop_all()
-        self.pair = PairedDevice(made[0], made[1], bears)
+        wanted: PairedDriverParameters = self.store.current
+        alignment = Alignment(step=wanted.align * self.setup.period, apart=math.inf if wanted.apart is None else wanted.apart)
+        self.pair = PairedDevice(made[0], made[1], bears, alignment)
         for _, device in self._hardware():
             device.come_back_within(self.store.current.safety)
         return self.pair
@@ -191,6 +252,15 @@ class PairedDriver(Driver):
     def operations(self) -> dict[str, Any]:
         """Offer where each of the two is."""
         return {**super().operations(), "places": lambda: {"first_m": self.pair.places[0], "second_m": self.pair.places[1]}}
+
+    def look_after(self) -> None:
+        """Report devices that are being brought together (control thread)."""
+        super().look_after()
+        met, self.pair.met_apart = self.pair.met_apart, 0.0
+        if met > 0.0:
+            speed = self.store.current.align
+            how = f"are brought together at {speed:g} m/s" if speed > 0.0 else "keep that offset"
+            self.events.emit_each("device", f"the devices stand {met:.4g} m apart without a motion, and {how}")
 
     def condition(self) -> str:
         """Say which of them keeps forces off, and why."""

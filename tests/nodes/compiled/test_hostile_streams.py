@@ -109,7 +109,7 @@ def without_texts(outcome: Outcome) -> Outcome:
 def test_what_is_refused_is_refused_alike_and_costs_no_other_message(bad: str, kind: str, pace: str, tmp_path: Path) -> None:
     outcome, node = assert_alike(with_one_refused(kind, BAD[bad], pace), tmp_path)
     assert node.events.refused == 20
-    assert {name for name, *_ in outcome.events} <= {"refused", "safety"}
+    assert {name for name, *_ in outcome.events} <= {"refused", "safety", "eased"}
     # Told at the first, and at powers of two: 1, 2, 4, 8, 16.
     assert [name for name, *_ in outcome.events].count("refused") == 5
     assert node.counters.ticks == 32

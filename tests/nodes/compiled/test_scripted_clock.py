@@ -51,6 +51,7 @@ class Rule(NamedTuple):
 
 
 SILENT = tuple(range(20, 70))
+BEARS = DeviceLimits(peak_force=8.0, hold=10.0, workspace=BOX, latency=0.0)
 RULES = {
     "nothing unusual": Rule(driver(ANSWERED), lambda s: s.ticks == TICKS and s.missed == s.overruns == 0),
     "watchdog, damping, zero": Rule(
@@ -148,6 +149,30 @@ RULES = {
         ),
         lambda s: s.entered[STOPPED] == 1,
     ),
+    "a jump of the position": Rule(
+        driver([answer(seq, force=(0.0, 0.0, 2.0 if seq < 30 else -5.0)) for seq in range(TICKS)])._replace(
+            hand=lambda: Hand(BEARS, moving, jumps_at=[30, 70])
+        ),
+        lambda s: s.entered[RAMP] == 1 and s.rebased == 70,
+    ),
+    "a first force that is not zero": Rule(driver(ANSWERED, ramp=None), lambda s: s.entered[RAMP] == 1),
+    "a force that stays at its limit": Rule(
+        driver(
+            [answer(seq, force=(0.0, 0.0, 20.0)) for seq in range(TICKS)],
+            position=lambda seq: (0.0, 0.0, 1e-5 * seq),
+            peak_force=7.9,
+            stop_after=64,
+        ),
+        # Once for coming there, seen by the sample of tick 1, and then every 1 s / 64 while 79 µJ more a tick are given out.
+        lambda s: s.peaks_count == 1 + (TICKS - 1) // 8,
+    ),
+    **{
+        f"held up in mid-tick, {place}": Rule(
+            driver(ANSWERED, limits={"hold": 5 * T})._replace(stalls={(40, place): 21_000, (70, place): 4_000}),
+            lambda s: s.entered[NOTHING] == 1 and s.entered[RAMP] == 1,
+        )
+        for place in ("read", "publish", "answer", "stamped")
+    },
     "the guard": Rule(
         driver(
             [answer(seq, force=(0.0, 0.0, -2.0)) for seq in range(TICKS)],
@@ -180,6 +205,9 @@ def test_a_driver_keeps_every_rule_of_time_alike(rule: str, apply: str, tmp_path
         # What acted is what gave out the energy: sums of 120 terms, each rounded once.
         states = [Decoder(DeviceState).decode(frames[1]) for _, frames in outcome.sent]
         for before, state in pairwise(states):
+            if state.rebased == state.seq > 0:
+                assert state.energy == before.energy  # a jump is no motion
+                continue
             work = sum(f * (x - y) for f, x, y in zip(state.mean_force, state.position, before.position, strict=True))
             assert state.energy - before.energy == pytest.approx(work, abs=1e-12), state.seq
 
@@ -287,6 +315,11 @@ def test_who_follows_a_driver_follows_alike(kind: str, coming: str, pace: str, t
 
 micros = st.integers(0, 9_000)
 lates = st.dictionaries(st.integers(0, 40), st.integers(0, 3_000).map(lambda tens: 10 * tens), max_size=6)
+stalls = st.dictionaries(
+    st.tuples(st.integers(0, 40), st.sampled_from(["read", "publish", "answer", "stamped"])),
+    st.integers(0, 3_000).map(lambda tens: 10 * tens),
+    max_size=4,
+)
 answers = st.lists(
     st.tuples(st.integers(0, 40), st.integers(-2_500, 9_000), st.integers(-6, 1), st.floats(-9.0, 9.0), st.booleans()),
     max_size=60,
@@ -295,9 +328,22 @@ quick = settings(max_examples=60)
 
 
 @quick
-@given(late=lates, coming=answers, apply=st.sampled_from(["on_arrival", "next_tick"]), patient=st.integers(1, 12))
+@given(
+    late=lates,
+    held=stalls,
+    coming=answers,
+    apply=st.sampled_from(["on_arrival", "next_tick"]),
+    patient=st.integers(1, 12),
+    jumps=st.lists(st.integers(0, 40), max_size=3),
+)
 def test_a_driver_does_the_same_in_whatever_order(
-    late: dict[int, int], coming: list[tuple[int, int, int, float, bool]], apply: str, patient: int, tmp_path: Path
+    late: dict[int, int],
+    held: dict[tuple[int, str], int],
+    coming: list[tuple[int, int, int, float, bool]],
+    apply: str,
+    patient: int,
+    jumps: list[int],
+    tmp_path: Path,
 ) -> None:
     topic = topics.FORCE.encode()
     arrivals = []
@@ -315,8 +361,11 @@ def test_a_driver_does_the_same_in_whatever_order(
         slew=900.0,
         continuous_force=2.0,
         thermal_time=0.05,
+        ramp=None,
     )
-    assert_alike(script._replace(apply=apply), tmp_path)
+    limits = msgspec.structs.replace(BEARS, hold=7 * T, latency=0.4 * T)
+    script = script._replace(apply=apply, stalls=held, hand=lambda: Hand(limits, moving, jumps_at=jumps))
+    assert_alike(script, tmp_path)
 
 
 @quick

@@ -12,9 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from messages.codec import Decoder
+from messages.types import Force, Proxy
 from nodes.arithmetic import eased, sections, settle
 from nodes.coupling.law_book import LawBook
+from nodes.coupling.node import Coupling
 from nodes.coupling.parameters import CouplingParameters
+from nodes.environment.shapes.kinds import TOOL_RADIUS
 from nodes.environment.shapes.tables import SKIN
 from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
@@ -22,6 +26,7 @@ from nodes.laws import CompiledLaw
 from nodes.parameters.store import convert
 from sim.scene.from_launch import from_launch
 from sim.scene.spatial import SpatialTrace, play
+from tests.support.setups import setup_of
 from tests.support.shapes import wander
 
 FIXTURES = Path(__file__).parents[2] / "fixtures" / "begin"
@@ -34,8 +39,13 @@ EPSILON = 1e-12  # rounding of forces of some 100 N
 
 def drop(law: str, height: float, **coupling: Any) -> Any:
     """Prepare the drop of the paper from a height [m]."""
+    return from_launch(with_values(dropped(law, height), "coupling", coupling))
+
+
+def dropped(law: str, height: float) -> Launch:
+    """Read the drop of the paper, without the driver's own ramp."""
     launch = launch_file.read("floor_drop", {"law": law, "height": height, "duration": 0.6})
-    return from_launch(with_coupling(launch, coupling))
+    return with_values(launch, "driver", {"safety": {**launch.nodes["driver"].parameters["safety"], "ramp": 0.0}})
 
 
 def gain_at_rest(law: CompiledLaw) -> float:
@@ -43,11 +53,11 @@ def gain_at_rest(law: CompiledLaw) -> float:
     return sum(law.taps) + sum((b0 + b1) / (1.0 + a1 + a2) for b0, b1, a1, a2 in law.sections)
 
 
-def with_coupling(launch: Launch, values: dict[str, Any]) -> Launch:
-    """Set parameters of the coupling of a launch."""
-    node = launch.nodes["coupling"]
+def with_values(launch: Launch, name: str, values: dict[str, Any]) -> Launch:
+    """Set parameters of a node of a launch."""
+    node = launch.nodes[name]
     parameters = {**node.parameters, **values}
-    nodes = {**launch.nodes, "coupling": msgspec.structs.replace(node, parameters=parameters)}
+    nodes = {**launch.nodes, name: msgspec.structs.replace(node, parameters=parameters)}
     return msgspec.structs.replace(launch, nodes=nodes)
 
 
@@ -79,8 +89,7 @@ def test_the_compiled_loop_and_the_nodes_rules_begin_with_the_same_bits(law: str
     """One process, interpreted over the loop's own rules, and over the nodes' renderer and driver."""
     played = drop(law, -0.0012)
     trace = played.play(150, interpreted=True)
-    launch = launch_file.read("floor_drop", {"law": law, "height": -0.0012, "duration": 0.6})
-    assert np.array_equal(play(launch, 150).force[:, 2], trace.force)
+    assert np.array_equal(play(dropped(law, -0.0012), 150).force[:, 2], trace.force)
 
 
 @given(
@@ -206,7 +215,8 @@ def test_no_change_of_a_surface_makes_a_force_that_no_motion_made(
     ticks = np.cumsum(gaps)[: len(surfaces) - 1].tolist()
     changes = list(zip(ticks, surfaces[1:], strict=False))
     found = play(with_surface(surfaces[0], frame="world"), len(path), path=path, changes=changes)
-    assert unexplained(found, ticks) <= EPSILON
+    jumps = [tick for tick, one, other in zip(ticks, surfaces, surfaces[1:], strict=False) if one != other]
+    assert unexplained(found, jumps) <= EPSILON
 
 
 @pytest.mark.parametrize("law", ["pd_alpha", "multi_term", "designed_d0"])
@@ -219,7 +229,7 @@ def test_a_surface_that_moves_under_a_hand_at_rest_is_felt_by_the_ramp_alone(law
     force = found.force[:, 2]
     step = np.abs(np.diff(force[1100:])).max()
     gain = gain_at_rest(LawBook("coupling", PERIOD).compile(couplings(ball, law), law))
-    assert force[-1] == pytest.approx(gain * 0.013, abs=2.0 * gain * SKIN)
+    assert force[-1] == pytest.approx(gain * (0.013 + TOOL_RADIUS), abs=2.0 * gain * SKIN)
     # Of what a law remembers of the way in, nothing is left but what fades with the ramp.
     assert step <= 1.02 * (gain * 0.013 - force[1199]) / RAMP
 
@@ -231,3 +241,56 @@ def test_a_solid_that_moves_onto_a_free_device_is_not_felt_until_it_is_outside()
     found = play(with_surface(ball), len(path), path=path, changes=[(20, moved)])
     assert not found.force[:350].any()
     assert found.force[-1, 2] > 1.0
+
+
+# -- the node ------------------------------------------------------------------------------------------------------------
+
+PD = {"kind": "pd", "stiffness": STIFFNESS, "damping": 0.0}
+
+
+def coupling(**given_: Any) -> Coupling:
+    node = Coupling(setup_of(name="coupling", parameters={"law": "pd", "laws": {"pd": PD}, "stability": "off", **given_}))
+    node.configure()
+    return node
+
+
+def force_at(node: Coupling, seq: int, depth: float, **given_: Any) -> float:
+    """Answer a tick at a depth behind a floor [m]; the force along z [N]."""
+    contact = {"normal": (0.0, 0.0, 1.0), "distance": -depth, "contact": depth > 0.0}
+    place = (0.0, 0.0, -depth)
+    proxy = (0.0, 0.0, 0.0) if depth > 0.0 else place
+    payload = node._answer(Proxy(seq=seq, stamp=0.0, position=place, proxy=proxy, **contact, **given_))
+    node.counters.seq = node.counters.answered = seq
+    return Decoder(Force).decode(payload).force[2]
+
+
+def test_a_jump_has_the_ramp_that_its_message_asks_for_and_the_next_one_begins_where_that_is() -> None:
+    node = coupling()
+    assert force_at(node, 0, 0.0) == 0.0
+    assert [force_at(node, k, 0.01, rebased=1, ease=4) for k in range(1, 6)] == pytest.approx([2.0, 4.0, 6.0, 8.0, 8.0])
+    # Lost ticks are no motion either: the message after them tells of the jump.
+    assert force_at(node, 9, 0.02, rebased=8, ease=4) == pytest.approx(8.0 + 2.0)
+    assert force_at(node, 10, 0.02, rebased=8, ease=4) == pytest.approx(8.0 + 4.0)
+    # In the middle of it another one, to nothing.
+    assert [force_at(node, k, 0.0, rebased=11, ease=3) for k in range(11, 15)] == pytest.approx([8.0, 4.0, 0.0, 0.0])
+
+
+def test_a_coupling_that_is_started_again_begins_at_rest_from_nothing() -> None:
+    node = coupling(laws={"pd": {**PD, "damping": 8.0}})
+    assert force_at(node, 5000, 0.01, rebased=12) == pytest.approx(8.0 / RAMP)
+    assert node.counters.rebased == 12
+
+
+def test_conventions_that_are_changed_while_they_act_are_a_jump() -> None:
+    """A law that pulls is clamped from now on: its 4 N are taken down, not off."""
+    node = coupling(laws={"pd": {**PD, "damping": 8.0}}, clamp=False, ease=0.008)
+    force_at(node, 0, 0.0)
+    force_at(node, 1, 0.010)
+    pulls = force_at(node, 2, 0.007)
+    assert pulls == pytest.approx(800.0 * 0.007 - 8.0 * 0.003 / PERIOD)
+    changed = node.store.changed({"clamp": True})
+    node.prepare(changed)(3)
+    node.store.accept(changed)
+    rest = 800.0 * 0.007
+    found = [force_at(node, k, 0.007) for k in range(3, 8)]
+    assert found == pytest.approx([pulls + (rest - pulls) * share for share in (0.25, 0.5, 0.75, 1.0, 1.0)])

@@ -10,7 +10,7 @@ import pytest
 
 from messages.codec import Decoder, encode
 from messages.types import ZERO, DeviceState, Vector
-from nodes.driver.calls import DeviceCalls, numbers_of
+from nodes.driver.calls import DeviceCalls, Jumps, numbers_of
 from nodes.driver.device import DeviceLimits
 
 
@@ -59,7 +59,7 @@ def test_numbers_of_numpy_are_plain_numbers_in_every_message(given: Any) -> None
 
 def read(device: Arm) -> tuple[int, list[float], DeviceCalls]:
     """Read a position as compiled ticks do: by its address."""
-    calls = DeviceCalls(device, lambda: ZERO)
+    calls = DeviceCalls(device, lambda: ZERO, Jumps(device))
     function = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int64, ctypes.c_int64, ctypes.POINTER(ctypes.c_double))
     out = (ctypes.c_double * 6)(*[7.0] * 6)
     status = function(calls.calls.read)(calls.calls.context, 0, out)

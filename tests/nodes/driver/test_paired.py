@@ -7,6 +7,7 @@ import math
 import re
 import subprocess
 from contextlib import ExitStack
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,10 @@ import pytest
 import yaml
 
 from nodes.driver.device import DeviceLimits
-from nodes.driver.paired.driver import PairedDevice, PairedDriver
+from nodes.driver.paired.driver import Alignment, PairedDevice, PairedDriver
 from nodes.laws.parse import parse_law
 from nodes.parameters.store import ParameterError
+from nodes.recording.reader import Recording
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant, held_plant
 from sim.device.driver import SimDriver, SimDriverParameters
@@ -306,3 +308,73 @@ def test_a_member_that_is_no_device_is_refused_before_anything_starts(
     assert done.returncode == 2
     assert told in done.stderr
     assert "Traceback" not in done.stderr
+
+
+# -- devices that stand apart -------------------------------------------------------------------------------------------
+
+
+def _aligned(step: float = 1e-3, apart: float = math.inf) -> tuple[_Recorded, _Recorded, PairedDevice]:
+    box = ((-0.1, 0.1),) * 3
+    first, second = _Recorded((0.03, 0.0, 0.0), workspace=box), _Recorded((0.0, 0.0, -0.04), workspace=box)
+    return first, second, PairedDevice(first, second, alignment=Alignment(step=step, apart=apart))
+
+
+def test_devices_that_start_apart_count_as_together_and_are_brought_there_evenly() -> None:
+    """30 mm apart, 30 N were asked for at tick 0."""
+    first, _, pair = _aligned()
+    path = [pair.read_position(seq) for seq in range(60)]
+    # 50 mm in a straight line, a millimetre a tick: each part exact to a rounding of 30 or 40 mm, each tick.
+    shares = [min(seq / 50.0, 1.0) for seq in range(60)]
+    assert path == [pytest.approx((0.03 * s, 0.0, 0.04 * s), abs=60 * 1e-17) for s in shares]
+    # A motion is felt at once, and ticks that are left out count.
+    first.place = (0.05, 0.0, 0.0)
+    assert pair.read_position(60) == pytest.approx((0.05, 0.0, 0.04), abs=1e-16)
+
+
+def test_an_offset_may_stay_and_devices_too_far_apart_may_be_refused() -> None:
+    first, _, pair = _aligned(step=0.0)
+    assert pair.read_position(0) == (0.0, 0.0, 0.0)
+    first.place = (0.031, 0.0, 0.0)
+    assert pair.read_position(500) == pytest.approx((0.001, 0.0, 0.0), abs=1e-17)
+    # At the edge, both sides: the larger part decides.
+    assert _aligned(apart=0.04)[2].read_position(0) == (0.0, 0.0, 0.0)
+    with pytest.raises(OSError, match=r"stand \(0.03, 0, 0.04\) m apart, limit apart: 0.0399 m; move them together"):
+        _aligned(apart=0.0399)[2].read_position(0)
+
+
+def test_a_pair_goes_on_from_where_it_was_when_one_is_read_again_elsewhere_or_jumps() -> None:
+    first, second, pair = _aligned()
+    for seq in range(60):
+        pair.read_position(seq)
+    there = (0.03, 0.0, 0.04)
+    # Lost for some ticks, and moved by 20 mm meanwhile.
+    second.place = (math.nan, 0.0, -0.04)
+    assert math.isnan(pair.read_position(60)[0])
+    second.place = (0.02, 0.0, -0.04)
+    assert pair.read_position(65) == pytest.approx(there, abs=1e-16)
+    assert pair.read_position(75) == pytest.approx((0.02, 0.0, 0.04), abs=1e-16)
+    assert pair.read_position(85) == pytest.approx((0.01, 0.0, 0.04), abs=1e-16)
+    # Re-centred: elsewhere without a motion.
+    first.jumps = 1  # type: ignore[attr-defined]
+    first.place = (0.08, 0.0, 0.0)
+    assert pair.read_position(86) == pytest.approx((0.01, 0.0, 0.04), abs=1e-16)
+    assert pair.read_position(87) == pytest.approx((0.011, 0.0, 0.04), abs=1e-16)
+
+
+def test_two_hands_that_start_apart_feel_no_step(tmp_path: Path) -> None:
+    """As hands_coupled, with the second 30 mm away: at 50 mm/s that is a force that grows by what law and speed make it."""
+    scene = yaml.safe_load((ROOT / "launch" / "hands_coupled.yaml").read_text())
+    driver = scene["nodes"]["driver"]["parameters"]
+    driver["second"]["parameters"]["device"] |= {"position": 0.03}
+    driver["second"]["parameters"]["device"]["hand"]["path"] = [[0.0, 0.03]]
+    scene["nodes"]["logger"]["parameters"] = {"path": "run.mcap", "overwrite": True}
+    path = tmp_path / "apart.yaml"
+    path.write_text(yaml.safe_dump(scene))
+    with running(tmp_path, path, "duration:=0.5", ready=False) as launch:
+        launch.finish()
+        assert "the devices stand 0.03 m apart without a motion, and are brought together at 0.05 m/s" in launch.errors
+    states = list(Recording(tmp_path / "run.mcap").messages("/device/state"))
+    forces = [state.force[0] for state in states]
+    assert forces[0] == 0.0
+    # K·v·T + B·Δv, of 500 N/m and 1 N s/m; the hands move meanwhile, at no more than the offset does.
+    assert max(abs(b - a) for a, b in pairwise(forces)) < 2.0 * (500.0 * 0.05 * 0.002 + 1.0 * 0.05)

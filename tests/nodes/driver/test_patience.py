@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from nodes.driver.state import ACTIVE, DAMPING, FAULT, IDLE, NOTHING, RAMP, DriverState
@@ -11,11 +13,10 @@ T = 0.002
 DEADLINE = 10.0
 
 
-def waits(
-    unanswered: int, safety: int = ACTIVE, since: int = 1000, seq: int = 1000, watchdog: int = 10, max_age: int = 5
-) -> float:
-    """Return how many periods a tick waits for its answer."""
-    s = DriverState(unanswered=unanswered, safety=safety, since=since, seq=seq, watchdog=watchdog, max_age=max_age, period=T)
+def waits(unanswered: int, safety: int = ACTIVE, since: int = 1000, max_age: int = 5, hold: float = math.inf) -> float:
+    """Return how many periods tick 1000 waits for its answer, when a force was written last in the tick before it."""
+    s = DriverState(unanswered=unanswered, safety=safety, since=since, seq=1000, watchdog=10, max_age=max_age, period=T)
+    s.written, s.device_hold_ticks = 999, hold
     return (patience(s, DEADLINE, DEADLINE + T) - DEADLINE) / T
 
 
@@ -42,6 +43,11 @@ def test_a_lockstep_driver_or_one_that_takes_no_old_force_waits_for_one_tick() -
 def test_the_watchdog_is_looked_at_on_time(safety: int, silent: int, periods: int) -> None:
     # The last fresh force was `silent` ticks ago; damping begins ten ticks after it.
     assert waits(10**9, safety, since=1000 - silent) == pytest.approx(periods, abs=CLOSE)
+
+
+@pytest.mark.parametrize(("hold", "periods"), [(10.0, 6), (7.0, 6), (4.5, 3.5), (2.0, 1), (0.5, 1)])
+def test_it_asks_again_before_the_device_lets_go(hold: float, periods: float) -> None:
+    assert waits(10**9, hold=hold) == pytest.approx(periods, abs=CLOSE)
 
 
 @pytest.mark.parametrize("safety", [DAMPING, FAULT])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 import threading
 import time
 from pathlib import Path
@@ -94,8 +95,10 @@ def test_a_torn_value_gives_the_one_before(tmp_path: Path) -> None:
     writer = PointerWriter(path)
     writer.write((1.0, 0.0, 0.0))
     assert reader.read() == (1.0, 0.0, 0.0)
+    # The count before the value is written, and half of the value is another one.
     torn = bytearray(path.read_bytes())
     torn[-8:] = (99).to_bytes(8, "little")
+    torn[8:16] = struct.pack("<d", 5.0)
     with open(path, "r+b") as file:
         file.write(torn)
     assert reader.read() == (1.0, 0.0, 0.0)

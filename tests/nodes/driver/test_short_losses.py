@@ -47,6 +47,42 @@ def test_a_force_that_was_off_for_want_of_a_position_comes_back_by_a_ramp() -> N
 
 
 @needs_cc
+def test_a_force_that_was_decided_before_the_device_let_go_is_not_played_and_the_next_comes_by_a_ramp() -> None:
+    """A process may be stopped between its last look at the clock and the write: only the servo loop can know then."""
+    code: Any = servo_library(Path(mailbox.__file__).with_name("mailbox.c"))
+    code.device_write.argtypes = [ctypes.c_int64, ctypes.POINTER(ctypes.c_double), ctypes.c_int64, ctypes.c_double]
+    box: Any = Mailbox()
+    box.turn[:] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    # The times are so long that a slow machine does not matter.
+    box.deadline, box.peak, box.recovery = 100.0, 8.0, 10_000.0
+    out = (ctypes.c_double * 3)()
+
+    def written(decided: float, held_up: float = 0.0) -> tuple[float, ...]:
+        """Write a force that was decided at a time, while the servo loop, too, is stopped for so long before it sees it."""
+        box.decided_at = decided
+        box.commanded_at -= held_up
+        code.device_write(ctypes.addressof(box), (ctypes.c_double * 3)(*FORCE), 0, 0.0)
+        code.mailbox_force(ctypes.byref(box), out, 0)
+        return tuple(out)
+
+    now = time.monotonic()
+    assert written(now) == FORCE
+    # Decided in the tick before the stop of 300 s, after 100 of which the device had let go.
+    assert written(now - 299.0, held_up=300.0) == (0.0, 0.0, 0.0)
+    assert box.let_go == 1
+    assert written(now - 201.0) == (0.0, 0.0, 0.0)
+    # The next sample was taken after it: its driver may not know, so its force begins from nothing.
+    after = written(time.monotonic())
+    assert 0.0 < after[2] < 0.01 * FORCE[2]
+    # A force after a silence that the driver knows of is played as it is: its ramp is the driver's.
+    box.owed = 0.0
+    box.commanded_at -= 300.0
+    code.mailbox_force(ctypes.byref(box), out, 0)
+    assert tuple(out) == (0.0, 0.0, 0.0)
+    assert written(time.monotonic()) == FORCE
+
+
+@needs_cc
 @pytest.mark.parametrize(("kind", "call"), [("force_dimension_driver", "dhdGetPosition"), ("inverse3_driver", "state")])
 def test_on_a_device_too(kind: str, call: str, tmp_path: Path) -> None:
     with bench(kind, tmp_path) as stand:

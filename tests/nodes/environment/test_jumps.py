@@ -12,9 +12,9 @@ from messages.codec import Decoder
 from messages.topics import DEVICE_STATE, FORCE, PROXY, event
 from messages.types import DeviceState, Proxy, Vector
 from nodes.environment.node import Environment
-from nodes.environment.place import Place
 from nodes.environment.shapes.kinds import TOOL_RADIUS
 from nodes.environment.surfaces import parse_surface
+from nodes.environment.touched_surface import TouchedSurface
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
 from sim.scene.spatial import play
@@ -105,7 +105,7 @@ def test_a_device_that_is_re_centred_into_a_solid_is_free_of_it() -> None:
 
 def test_a_sample_that_is_lost_for_one_tick_frees_nobody() -> None:
     """The proxy waits: it does not begin free inside of the solid that held it, nor at the other side of a thin one."""
-    place = Place(parse_surface({"kind": "box", "size": [0.1, 0.1, 0.002]}, "surface"), PERIOD)
+    place = TouchedSurface(parse_surface({"kind": "box", "size": [0.1, 0.1, 0.002]}, "surface"), PERIOD)
     held = [(0.0, 0.0, 0.01), (0.0, 0.0, -0.004)]
     for position in held:
         before = place.meet(position)
@@ -123,17 +123,17 @@ def test_a_sample_that_is_lost_for_one_tick_frees_nobody() -> None:
 @pytest.mark.parametrize("deep", [0.02, 4e-4])
 def test_a_solid_that_grows_carries_its_proxy_and_one_that_comes_does_not(deep: float) -> None:
     """On the ball that it presses the proxy goes on; of another, which comes over it, it is free if it is deep inside."""
-    place = Place(parse_surface({"kind": "union", "shapes": [BALL]}, "surface"), PERIOD)
+    place = TouchedSurface(parse_surface({"kind": "union", "shapes": [BALL]}, "surface"), PERIOD)
     place.meet((0.0, 0.0, 0.04))
     place.meet((0.0, 0.0, 0.028))
     grown = {**BALL, "radius": 0.03 + deep}
     came = {"kind": "box", "position": [0.0, 0.0, 0.05 + deep - 0.02], "size": [0.1, 0.1, 0.04]}
-    assert place.take(Place(parse_surface({"kind": "union", "shapes": [grown]}, "surface"), PERIOD))
+    assert place.take(TouchedSurface(parse_surface({"kind": "union", "shapes": [grown]}, "surface"), PERIOD))
     proxy, _, _, contact = place.meet((0.0, 0.0, 0.028))
     assert contact
     assert proxy[2] == pytest.approx(0.03 + deep + TOOL_RADIUS, abs=1e-9)
-    free = Place(parse_surface({"kind": "free"}, "surface"), PERIOD)
-    other = Place(parse_surface({"kind": "union", "shapes": [came]}, "surface"), PERIOD)
+    free = TouchedSurface(parse_surface({"kind": "free"}, "surface"), PERIOD)
+    other = TouchedSurface(parse_surface({"kind": "union", "shapes": [came]}, "surface"), PERIOD)
     free.take(other)
     free.meet((0.0, 0.0, 0.05))
     assert free.inside == (1 if deep > 5e-4 else 0)

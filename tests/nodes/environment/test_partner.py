@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from messages.topics import PROXY
+from messages.topics import DEVICE_STATE, PROXY
 from messages.types import DeviceState
 from nodes.environment.partner import HEARD, SILENT, UNHEARD, Partner, PartnerParameters
 from nodes.recording.reader import Recording
@@ -139,3 +140,21 @@ def test_lockstep_is_refused_with_the_way_out(tmp_path: Path, capfd: pytest.Capt
     told = capfd.readouterr().err
     assert "run.pace is lockstep" in told
     assert "haptic study hands" in told
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+def test_guards_at_both_ends_hold_hands_that_a_network_would_set_swinging(tmp_path: Path) -> None:
+    # 800 N/m over 60 ms there and back: ten times what any two hands bear (haptic study hands).
+    words = ("stiffness:=800", "delay:=0.03", "duration:=3.0")
+    unrest = {}
+    for guard in ("on", "off"):
+        folder = tmp_path / guard
+        folder.mkdir()
+        launch_json(folder, "hands_apart", f"guard:={guard}", *words)
+        (right,) = folder.glob("recordings/*-right.mcap")
+        held = [state.position[0] for state in Recording(right).messages(DEVICE_STATE) if 500 < state.seq < 1000]
+        # From 1 to 2 s the left hand rests at 30 mm: whatever moves is the loop's own.
+        unrest[guard] = float(np.ptp(held))
+    assert unrest["off"] > 1e-3
+    assert unrest["on"] < 0.3 * unrest["off"]

@@ -15,6 +15,7 @@ from typing import Any
 
 import msgspec
 import pytest
+import yaml
 
 from messages import topics
 from messages.transport import keys
@@ -22,7 +23,7 @@ from nodes.launcher.external_child import DRIFT, ClockOffset
 from nodes.launcher.runs import RunInfo
 from nodes.recording.accounts import accounts, clocks
 from nodes.recording.reader import Recording
-from tests.support import slowly
+from tests.support import ROOT, slowly
 from tests.support.launching import DEADLINE, HAPTIC, assert_nothing_left, private_runtime_dir, wait_for
 from tests.support.twohosts import Cable, Host, NoRightsError, two_hosts
 
@@ -425,3 +426,41 @@ def test_a_launch_starts_over_a_cable_with_a_long_round_trip(pair: Pair, node: s
     assert figures["age_ticks_max"] >= 100.0 * round_trip
     # Who tried again was no enemy.
     assert "plain client" not in pair.errors(0) + pair.errors(1)
+
+
+@pytest.mark.slow
+def test_two_hands_on_two_machines_feel_each_other_over_the_cable(pair: Pair) -> None:
+    pair.cable.delay, pair.cable.jitter, pair.cable.loss = 0.01, 0.003, 0.01
+    whole = yaml.safe_load((ROOT / "launch" / "hands_apart.yaml").read_text(encoding="utf-8"))
+    nodes = {name: spec for name, spec in whole["nodes"].items() if not name.endswith("/network")}
+    for side, other in (("left", "right"), ("right", "left")):
+        # Straight from the other driver: the cable is the network.
+        nodes[f"{side}/environment"]["remap"] = {"/partner/state": f"/{other}/device/state"}
+    far = ["right/driver", "right/environment", "right/coupling"]
+    for name in far:
+        nodes[name] |= {"host": pair.far.address}
+    run = {**whole["run"], "rate": 250.0, "duration": 4.0, "host": pair.near.address}
+    apart = {"summary": whole["summary"], "arguments": whole["arguments"], "run": run, "nodes": nodes}
+    (pair.folder / "apart.yaml").write_text(yaml.safe_dump(apart), encoding="utf-8")
+    launcher = pair.start(0, "launch", str(pair.folder / "apart.yaml"), "--json", "--no-plot")
+    started: list[subprocess.Popen[bytes]] = []
+    try:
+
+        def commands() -> list[str]:
+            return [line.partition(": haptic ")[2] for line in pair.errors(0).splitlines() if "haptic node start" in line]
+
+        wait_for(lambda: len(commands()) == len(far) or launcher.poll() is not None, "a command for each far node")
+        started = [pair.start(1, *command.split()) for command in commands()]
+        assert launcher.wait(DEADLINE) == 0, pair.errors(0) + pair.errors(1)
+        assert [process.wait(DEADLINE) for process in started] == [0, 0, 0], pair.errors(1)
+    finally:
+        for process in (launcher, *started):
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+    pair.assert_nothing_left()
+    (right,) = (pair.folder / "near").glob("recordings/*-right.mcap")
+    states = Recording(right).messages(topics.DEVICE_STATE)
+    # The left hand leads by 30 mm from 0.7 s on; the right one follows against its own grip.
+    assert max(state.position[0] for state in states) > 2e-3
+    assert "heard" in pair.errors(0) + pair.errors(1)

@@ -12,7 +12,7 @@ from nodes.environment.state import JUMPED, MET, SHAPES, UNKNOWN
 from nodes.environment.surfaces import Meeting, Surface, numbers_of
 
 
-class Place:
+class TouchedSurface:
     """A surface with its proxy."""
 
     meet: Callable[[Vector], Meeting]  # from a device position [m] to proxy, normal, distance and contact
@@ -37,7 +37,7 @@ class Place:
         """How many solids are not felt because the tool began inside of them."""
         return int(self.numbers.memory[INSIDE]) if self.numbers is not None and self.kind == SHAPES else 0
 
-    def take(self, other: Place) -> bool:
+    def take(self, other: TouchedSurface) -> bool:
         """Become another surface, whose proxy begins where this one's is. Return whether that is a jump.
 
         Where only friction is another, the proxy stays as it is, and nothing jumps.

@@ -1,0 +1,19 @@
+"""Rules: plain functions on a state, which the interpreter calls and compiled ticks compile as they stand.
+
+A rule registers by itself; nodes/compiled/kernels/sources.py hands all of them to numba. Nothing here imports numba.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final, TypeVar
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+RULES: Final[list[Callable[..., Any]]] = []  # all that were defined so far in this process
+
+
+def rule(function: Function) -> Function:
+    """Register a function that compiled code may call; it stays a plain function."""
+    RULES.append(function)
+    return function

@@ -1,0 +1,157 @@
+"""Limits, ages, holds and delays of a driver, recomputed from the log of its device and from what was scripted alone.
+
+Plain and compiled ticks are made of the same rules: that they are alike says nothing about a rule that is wrong.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from messages.codec import Decoder
+from messages.types import DeviceState
+from nodes.driver import motion
+from tests.support.safety import Port, T, force, state_of
+from tests.support.scripted import played
+from tests.support.scripted_world import EPOCH, TICK
+from tests.support.scripts import answer, driver
+
+LENGTH = 160
+APPLY = ["on_arrival", "next_tick"]
+
+
+def _states(outcome: Any) -> list[DeviceState]:
+    return [Decoder(DeviceState).decode(frames[1]) for _, frames in outcome.sent]
+
+
+def _still(_: int) -> tuple[float, float, float]:
+    return 0.0, 0.0, 0.0
+
+
+# -- age ---------------------------------------------------------------------------------------------------------------
+
+lates = st.dictionaries(st.integers(1, LENGTH), st.sampled_from([300, 2_100, 9_000, 21_000, 40_000]), max_size=5)
+stalls = st.dictionaries(
+    st.tuples(st.integers(1, LENGTH), st.sampled_from(["read", "publish", "answer", "stamped"])),
+    st.sampled_from([1_500, 9_000, 21_000, 60_000]),
+    max_size=4,
+)
+
+
+def _ages(outcome: Any) -> list[float]:
+    """Return how old each answer was when the device got it [ticks]: a force of 1 N and a thousandth for each tick names it."""
+    ages = []
+    for at, wrote in outcome.log:
+        # What is written at the end of a run, and by a driver on its own, names no tick.
+        named = (wrote[2] - 1.0) * 1000.0
+        if wrote[2] >= 1.0 and abs(named - round(named)) < 1e-6:
+            ages.append((at - EPOCH) / TICK - round(named))
+    return ages
+
+
+@pytest.mark.parametrize("apply", APPLY)
+def test_what_waits_for_the_next_tick_is_not_handed_over_when_that_comes_too_late(apply: str, tmp_path: Path) -> None:
+    """Under ``next_tick`` nothing else came after a stall of ten ticks, and what had waited was handed over, ten ticks old."""
+    arrivals = [answer(seq, force=(0.0, 0.0, 1.0 + 1e-3 * seq)) for seq in range(LENGTH) if not 70 <= seq < 90]
+    script = driver(arrivals, {70: 21_000}, _still, ticks=100, watchdog=100, max_age=5)
+    outcome, _ = played(script._replace(apply=apply), "plain", tmp_path)
+    assert max(_ages(outcome)) <= 6.0
+
+
+@settings(max_examples=40)
+@given(late=lates, held=stalls, oldest=st.integers(0, 6), after=st.integers(100, 9_000), apply=st.sampled_from(APPLY))
+def test_no_answer_is_older_than_it_may_be_when_the_device_gets_it(
+    late: dict[int, int], held: dict[tuple[int, str], int], oldest: int, after: int, apply: str, tmp_path: Path
+) -> None:
+    arrivals = [answer(seq, float(after), (0.0, 0.0, 1.0 + 1e-3 * seq)) for seq in range(LENGTH)]
+    script = driver(arrivals, late, _still, ticks=LENGTH, watchdog=50, max_age=oldest)
+    outcome, _ = played(script._replace(apply=apply, stalls=held), "plain", tmp_path)
+    # By the clock an answer may come in the whole of the last tick that takes it; one that waits for the next tick, there.
+    assert max(_ages(outcome), default=0.0) <= oldest + 1 + 1e-3
+
+
+# -- hold ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("hold", [3.0, 6.0])
+def test_the_driver_takes_a_force_to_be_gone_in_the_tick_in_which_the_device_lets_go(hold: float, tmp_path: Path) -> None:
+    arrivals = [answer(seq, force=(0.0, 0.0, 2.0)) for seq in range(20)]
+    script = driver(arrivals, None, _still, {"hold": hold * T}, ticks=60, watchdog=50)
+    outcome, _ = played(script, "plain", tmp_path)
+    lets_go = max((at - EPOCH) / TICK for at, wrote in outcome.log if any(wrote)) + hold
+    # A state tells the force when the tick before it closed.
+    gone = next(state.seq for state in _states(outcome) if state.seq > 5 and not any(state.force))
+    assert lets_go - 1.0 < gone <= lets_go
+
+
+@pytest.mark.parametrize("hold", [3.0, 5.5, 6.0, 12.0])
+def test_what_acted_while_the_driver_was_held_up_is_what_the_device_held(hold: float, tmp_path: Path) -> None:
+    arrivals = [answer(seq, force=(0.0, 0.0, 2.0)) for seq in range(20)]
+    script = driver(arrivals, {20: 20_000}, _still, {"hold": hold * T}, ticks=60, watchdog=50)
+    outcome, _ = played(script, "plain", tmp_path)
+    newest = max((at - EPOCH) / TICK for at, wrote in outcome.log if any(wrote))
+    states = _states(outcome)
+    before, after = next((a, b) for a, b in pairwise(states) if b.seq - a.seq > 5)
+    told = after.mean_force[2] * (after.seq - before.seq)
+    # The device's own: 2 N from tick 19 on, by the write of that tick, until it let go or was read again.
+    held = 2.0 * (min(newest + hold, float(after.seq)) - before.seq)
+    # The driver knows the tick of the write, not the place in it: a tick at most, to the safe side.
+    assert held - 2.0 < told <= held + 1e-9
+
+
+# -- delay and limits ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("apply", APPLY)
+@pytest.mark.parametrize("after", [300, 1_700, 2_600, 4_500])
+def test_the_delay_that_is_told_is_the_time_from_sample_to_write(after: int, apply: str, tmp_path: Path) -> None:
+    arrivals = [answer(seq, float(after), (0.0, 0.0, 1.0 + 1e-3 * seq)) for seq in range(60)]
+    outcome, _ = played(driver(arrivals, None, _still, ticks=60)._replace(apply=apply), "plain", tmp_path)
+    told = [state.delay for state in _states(outcome)][10:50]
+    measured = _ages(outcome)[10:50]
+    # Waits end a microsecond late: 5e-4 ticks.
+    assert told == pytest.approx(measured, abs=1.1e-3)
+
+
+def test_the_velocity_of_a_late_sample_of_hardware_is_over_the_time_that_passed() -> None:
+    """The device went on moving meanwhile: over the nominal period it would seem twice as fast, and be damped twice."""
+    s = state_of()
+    s.virtual, s.elapsed = 0, 1
+    s.before[:], s.position[:] = (0.0, 0.0, 0.0), (0.0, 0.0, 0.004)
+    for late, speed in ((0.0, 2.0), (T, 1.0)):
+        s.at_before, s.at = 1.0, 1.0 + T + late
+        motion.find_velocity(s)
+        # A clock at 1 s has steps of 2e-16 s, a period of 2 ms.
+        assert s.velocity[2] == pytest.approx(speed, rel=1e-12)
+    # One that lives in simulated time has moved for a period.
+    s.virtual = 1
+    motion.find_velocity(s)
+    assert s.velocity[2] == pytest.approx(2.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("slew", [12.0, 40.0, 300.0])
+@pytest.mark.parametrize("watchdog", [1, 5, 20])
+def test_the_motor_s_heat_has_room_for_the_way_down_whatever_is_lost_on_it(watchdog: int, slew: float) -> None:
+    """Half of that room lets the mean square exceed its limit by a quarter; here it is summed anew from what was held."""
+    limit, thermal, peak = 1.75, 0.1, 20.0
+    drawn = random.Random(watchdog)  # noqa: S311  # no secret
+    keep = math.exp(-T / thermal)
+    worst = 0.0
+    for _ in range(6):
+        port = Port(continuous_force=limit, thermal_time=thermal, slew=slew, peak_force=peak, watchdog=watchdog)
+        heat, tick, near = 0.0, 0, drawn.uniform(0.6, 0.99)
+        for _ in range(250):
+            port.answer(force(tick, peak), tick)
+            held = 1 + (watchdog if heat > near * limit**2 else 0)
+            heat = keep**held * heat + (1.0 - keep**held) * port.force[2] ** 2
+            tick += held
+            worst = max(worst, heat / limit**2)
+    # A bisection ends 1e-7 of a force below what would do.
+    assert 0.9 < worst <= 1.0 + 1e-9
