@@ -288,6 +288,7 @@ LONG = {
     "nodes.compiled.kernels.scan.make_scan": TICK,
     "nodes.compiled.kernels.scan.scan": TICK,
     "nodes.coupling.render.make_render": TICK,
+    "nodes.coupling.render.render": TICK,
     "nodes.driver.tick.make_ticks": TICK,
     "nodes.driver.tick.realtime_tick": TICK,
     "nodes.environment.shapes.proxy._descend": TICK,

@@ -8,7 +8,7 @@ import msgspec
 
 from nodes.laws import CompiledLaw
 from nodes.parameters.checked import NonNegative, Positive
-from nodes.stability.plant import Partner, Plant
+from nodes.stability.plant import Counterpart, Plant
 
 LawName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
 """A law's name is part of paths (laws.NAME.stiffness) and travels with every force."""
@@ -93,10 +93,10 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         partner = None
         if self.partner_mass is not None:
             body = (self.partner_mass / felt, self.partner_damping / felt, self.partner_stiffness / felt)
-            partner = Partner(*body, max(self.partner_later, -delay))
+            partner = Counterpart(*body, max(self.partner_later, -delay))
         elif self.tool_mass is not None and self.tool_lag != 0.0:
             # The tool is pushed when the loop hands the force over: what the device adds to the delay is its own.
-            partner = Partner(self.tool_mass, self.tool_damping, self.tool_stiffness, -self.device_delay)
+            partner = Counterpart(self.tool_mass, self.tool_damping, self.tool_stiffness, -self.device_delay)
         return Plant(period, self.mass / felt, self.damping / felt, delay, self.stiffness / felt, partner)
 
     @property

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -204,12 +205,16 @@ def tolerance(law: CompiledLaw, plant: Plant) -> Tolerance | None:
     hands = plant.stiffness + np.geomspace(1.0, 1e6, 61)
     delays = plant.delay + np.concatenate([np.arange(1, 81) / 20.0, np.arange(5, 101)])
 
+    def changed(field: str, value: float) -> Plant:
+        fields: dict[str, Any] = {field: value}
+        return replace(plant, **fields)
+
     def edge(field: str, steps: NDArray[np.float64]) -> float | None:
         """First limit along the steps, by bisection between the last one inside and the first outside."""
         inside: float = getattr(plant, field)
         for step in steps.tolist():
-            if not within(replace(plant, **{field: step})):
-                return last_inside(lambda value: within(replace(plant, **{field: value})), inside, step, 40)
+            if not within(changed(field, step)):
+                return last_inside(lambda value: within(changed(field, value)), inside, step, 40)
             inside = step
         return None
 

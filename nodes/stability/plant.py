@@ -15,7 +15,7 @@ _SHORTEST = 1e-15  # part of a tick that is none: a delay of some ticks is not k
 
 
 @dataclass(frozen=True)
-class Partner:
+class Counterpart:
     """What stands at the other end of a coupling and moves: a tool in a scene, or a second device on the same law.
 
     Attributes
@@ -52,7 +52,7 @@ class Plant:
         Delay of the loop, whole or fractional [ticks].
     stiffness : float
         Stiffness of a hand [N/m].
-    partner : Partner or None
+    partner : Counterpart or None
         What moves at the other end of the coupling; None for a wall or a point.
 
     Raises
@@ -71,7 +71,7 @@ class Plant:
     damping: float
     delay: float = 0.0
     stiffness: float = 0.0
-    partner: Partner | None = None
+    partner: Counterpart | None = None
 
     def __post_init__(self) -> None:
         """Refuse what no device is."""
@@ -101,7 +101,7 @@ class Plant:
         Plant
             With the tool as its `partner`, pushed as late as the device.
         """
-        return replace(self, partner=Partner(mass, damping))
+        return replace(self, partner=Counterpart(mass, damping))
 
     def paired_with(self, other: Plant) -> Plant:
         """Return this device coupled to another one, position to position, by one law.
@@ -116,7 +116,7 @@ class Plant:
         Plant
             With the other one as its `partner`.
         """
-        return replace(self, partner=Partner(other.mass, other.damping, other.stiffness, other.delay - self.delay))
+        return replace(self, partner=Counterpart(other.mass, other.damping, other.stiffness, other.delay - self.delay))
 
     @property
     def other(self) -> Plant | None:

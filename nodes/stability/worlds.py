@@ -7,7 +7,7 @@ integrated, how late they answer, what damping they have (THEORY.md §18).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -189,7 +189,8 @@ def world_k_max(derivative: CompiledLaw, plant: Plant, world: WorldKind, any_han
     derivative : CompiledLaw
         The law without its spring (`nodes.stability.k_max.without_spring`).
     plant : Plant
-        The device and its loop. Without damping nothing but a wall or a spring is certified.
+        The device and its loop; its partner does not matter, the world takes its place. Without damping nothing but a wall or
+        a spring is certified.
     world : WorldKind
         The kind of world.
     any_hand : bool
@@ -205,6 +206,7 @@ def world_k_max(derivative: CompiledLaw, plant: Plant, world: WorldKind, any_han
     ValueError
         For a law with code of its own, which has no transfer function; for springs with any hand.
     """
+    plant = replace(plant, partner=None)
     if derivative.evaluate is not None:
         raise ValueError("law: has code of its own and no transfer function; use --method simulation or lockstep")
     about = f"{world.about}; {hand_text(plant, any_hand)}"
@@ -248,6 +250,7 @@ def hand_text(plant: Plant, any_hand: bool) -> str:
 
 def certified(law: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool = False) -> bool:
     """Return whether a law as it is is certified for every world of a kind; parameters as of `world_k_max`."""
+    plant = replace(plant, partner=None)
     if law.evaluate is not None:
         raise ValueError("law: has code of its own and no transfer function")
     if not (law.h1 > 0.0 and is_stable(law, plant)):

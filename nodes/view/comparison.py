@@ -38,7 +38,8 @@ class Comparison:
         self._period = setup.period if setup else 1.0
         self._axis = AXIS_INDEX[setup.axes[0]] if setup else 0
         self._kind = setup.kind if setup and len(setup.axes) == 1 else ""
-        self.there = self._kind in PLAYERS.names()  # whether this launch can be compared: a virtual device on one axis
+        # Whether this launch can be compared: a virtual device on one axis, at a surface and not at a body.
+        self.there = self._kind in PLAYERS.names() and all(one.kind != "world" for one in run.nodes.values())
         self._late = 1.0 if setup and setup.apply == "next_tick" else 0.0
         self._pool: Workers | None = None
         self._described: Mapping[str, Any] = {}

@@ -223,6 +223,8 @@ def drop(law: LawLike, plant: Plant, height: float = 0.01, ticks: int = 1500) ->
 
     if plant.stiffness:
         raise ValueError(f"plant.stiffness is {plant.stiffness:g} N/m, expected 0: no hand holds a dropped mass")
+    if plant.partner is not None:
+        raise ValueError("plant.partner: a mass is dropped on a floor, which does not move; leave the partner out")
     if not 0.0 <= height < np.inf:
         raise ValueError(f"height is {height:g} m, expected at least 0: the floor is at 0")
     scene = drop_scene(held(plant), plant.period, raw=False, clamp=False, height=height)

@@ -1,6 +1,6 @@
 """Integrators of a mass, a spring and a damper to ground, on one axis: what the coupling pushes, one tick at a time.
 
-Whether a world is passive as the loop sees it depends on its integrator (THEORY.md, "Any hand, any world"). With F[k] the
+Whether a world is passive as the loop sees it depends on its integrator (THEORY.md §18). With F[k] the
 force on the device, −F[k] on the world and y[k] its position, passive means Σ F[k]·(y[k−1] − y[k]) ≥ −E₀: the energy that the
 world gives the coupling is bounded by what was stored in it before. So y[k] must answer F[k] *in the same tick*:
 

@@ -236,8 +236,10 @@ def described(parameters: WorldParameters) -> str:
     body = f"{mass:g} kg, {stiffness:g} N/m, {damping:g} N s/m"
     if not issubclass(INTEGRATORS[integrator], Stepped):
         return f"{body}, {integrator}: answers a force in the same tick, and is passive whatever its numbers are"
+    lag = lag_of(integrator, steps)
+    late = "1 tick" if lag == 1.0 else f"{lag:.3g} ticks"
     sub_steps = f", {steps} sub-steps a tick" if integrator == "semi_implicit" else ""
     return (
-        f"{body}, {integrator}{sub_steps}: stepped, answers a force {lag_of(integrator, steps):.3g} of a tick late, and is "
+        f"{body}, {integrator}{sub_steps}: stepped, answers a force late by {late}, and is "
         "passive to the loop by its own damping only"
     )
