@@ -149,6 +149,7 @@ def _felt(record: Mapping[str, Any]) -> Figure | None:
     """Draw force over depth as the identified device falls on the wall of the law, beside the stiffness felt at rest."""
     if "designed" not in record or "identified" not in record:
         return None
+    from nodes.laws import CompiledLaw
     from sim.design.fall import fallen
     from sim.design.landing import HEIGHTS
 
@@ -158,7 +159,7 @@ def _felt(record: Mapping[str, Any]) -> Figure | None:
     # Nobody holds what falls.
     plant = replace(found.plant(), stiffness=0.0)
     ticks = round(FALL / found.period)
-    position, force = fallen(plant, found.period, designed["taps_n_per_m"], HEIGHTS[0], ticks)
+    position, force = fallen(plant, found.period, CompiledLaw(tuple(designed["taps_n_per_m"])), HEIGHTS[0], ticks)
     depth = -1e3 * position
     figure = new_figure(8.0, 3.6)
     axes = figure.subplots()
