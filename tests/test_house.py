@@ -307,6 +307,7 @@ WIDE = {
     "nodes.view.feed.Feed": "one binning a curve of the page",
     "nodes.view.live.LiveRun": "what a page sees of a run, one attribute each",
     "sim.identify.identified.Identified": "what is known of a device: one field a figure",
+    "sim.scene.richer.RicherModel": "what a device may have beyond a mass: one field a term",
 }
 """Classes of more than 20 attributes, and why."""
 

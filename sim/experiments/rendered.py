@@ -28,7 +28,7 @@ PRECISION = 1e-5  # of a passive stiffness, as a part of it
 
 
 @dataclass(frozen=True)
-class Rendered:
+class FeltResponse:
     """What a law renders against frequency, each shape (n,)."""
 
     frequency_hz: Array
@@ -61,7 +61,7 @@ def _linear(law: CompiledLaw) -> None:
         raise ValueError("law: has code of its own and no response; play it instead")
 
 
-def rendered(law: CompiledLaw, period: float, delay: float = 0.0, frequency_hz: Array | None = None) -> Rendered:
+def rendered(law: CompiledLaw, period: float, delay: float = 0.0, frequency_hz: Array | None = None) -> FeltResponse:
     """Return what a law renders at a period [s] and a delay [ticks], by default at `frequencies`."""
     at = frequencies(period) if frequency_hz is None else np.asarray(frequency_hz, dtype=np.float64)
     if not (at.size and np.all(at > 0.0) and np.all(at <= 0.5 / period * (1.0 + 1e-12))):
@@ -70,7 +70,7 @@ def rendered(law: CompiledLaw, period: float, delay: float = 0.0, frequency_hz: 
     own = law.response(np.exp(2j * np.pi * at * period))
     pulse = 2.0 * np.pi * at
     phase = np.degrees(np.unwrap(np.angle(felt)))
-    return Rendered(at, felt.real, felt.imag / pulse, own.real, own.imag / pulse, np.abs(felt), phase)
+    return FeltResponse(at, felt.real, felt.imag / pulse, own.real, own.imag / pulse, np.abs(felt), phase)
 
 
 @dataclass(frozen=True)

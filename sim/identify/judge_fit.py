@@ -175,4 +175,4 @@ def _carried(what: Left, suspect: Suspect, factors: Array, explained: Array) -> 
     margin = QUANTILE * math.sqrt(float(np.sum(votes**2)) * windows / max(windows - 1, 1)) / size
     whole = _freed(np.tensordot(factors, suspect.shapes, 1), what.states, what.unknowns[:, :0])
     moves = np.linalg.lstsq(what.slopes.T, whole.ravel(), rcond=None)[0] if len(what.slopes) else np.zeros(0)
-    return margin, -moves
+    return margin, -np.asarray(moves, dtype=np.float64)

@@ -77,7 +77,10 @@ def _interval(low: float, high: float) -> str:
 def _device(record: Mapping[str, Any]) -> str:
     lines = ["<tr><th></th><th>value</th><th>95 % interval</th><th></th></tr>"]
     for key, _, name, unit in ROWS:
-        one = record[key]
+        one = record.get(key)
+        # A record of an earlier version lacks it, and most sensors do not average.
+        if one is None or (key == "sensor_average" and not one["value"]):
+            continue
         if one["value"] is None:
             lines.append(f"<tr><td>{name}</td><td colspan=3>cannot tell: {_plain(one['why'])}</td></tr>")
         else:
@@ -88,6 +91,10 @@ def _device(record: Mapping[str, Any]) -> str:
     steps = record["residual_steps"]
     ended = f"The push ended: {_plain(record['stopped'])}. "
     residual = f"Residual {number(steps)} encoder steps; rounding alone leaves 0.29."
+    left = record.get("remainder") or {}
+    if left.get("cause") and not record.get("refuted"):
+        share = 100.0 * (left["k_max_change"] or 0.0)
+        refuted = f"<p>The recording also shows {_plain(left['cause'])}: it may change K_max by {share:.2g} %.</p>"
     return f"{refuted}<table>{''.join(lines)}</table><p>{ended}{residual}</p>"
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sim.api.loops import drop, k_max, play, poles
     from sim.api.python_runs import LaunchError, Run, connect, launch
     from sim.api.recordings import plot, read
-    from sim.api.rendered import bode, response, z_width
+    from sim.api.responses import bode, response, z_width
     from sim.api.verbs import design, identify, study, tune
 
 __all__ = [
@@ -56,7 +56,7 @@ _NAMES = {
     "sim.api.loops": ("drop", "k_max", "play", "poles"),
     "sim.api.python_runs": ("LaunchError", "Run", "connect", "launch"),
     "sim.api.recordings": ("plot", "read"),
-    "sim.api.rendered": ("bode", "response", "z_width"),
+    "sim.api.responses": ("bode", "response", "z_width"),
     "sim.api.verbs": ("design", "identify", "study", "tune"),
 }
 _HOME = {name: module for module, names in _NAMES.items() for name in names}

@@ -51,7 +51,7 @@ ORDERS = st.floats(0.05, 1.0)
 RELAXATIONS = st.floats(0.5 * T, 10.0)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(ORDERS, RELAXATIONS, st.floats(0.0, 2000.0))
 def test_with_its_whole_memory_it_is_the_fraction_and_relaxes(order: float, relaxation: float, stiffness: float) -> None:
     """By the closed form on the unit circle, (B/τ^α) c G/(1 + c G); H(1) is K: eight taps held 87 % of a Maxwell element."""
@@ -65,7 +65,7 @@ def test_with_its_whole_memory_it_is_the_fraction_and_relaxes(order: float, rela
     assert law.stable_sections()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.floats(0.05, 0.999), RELAXATIONS)
 def test_the_exponentials_are_positive_and_sum_to_the_first_answer(order: float, relaxation: float) -> None:
     share = (relaxation / T) ** order

@@ -88,7 +88,7 @@ def test_a_launch_s_floor_and_every_other_drop_have_the_convention_of_the_coupli
     assert (ours.raw, ours.clamp) == CONVENTION
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(st.floats(1.0, 40.0), st.floats(0.6, 1.1), st.floats(0.002, 0.02))
 def test_python_the_command_line_and_the_designer_drop_alike(damping: float, share: float, height: float) -> None:
     """Where a wall that pulls settles and one that does not bounces, too: 14 500 N/m for 12 300 at B = 21 N s/m."""

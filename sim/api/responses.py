@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -205,12 +205,17 @@ def z_width(
     array([1003., 3782.])
     """
     device = plant or USUAL
-    several = laws if isinstance(laws, list | tuple) else [laws]
+    several = list(cast("Sequence[LawLike]", laws)) if _several(laws) else [cast("LawLike", laws)]
     chosen = [made(one, **_missing(one)) for one in several]
     top = 2.0 * device.mass / device.period / (1.0 + 2.0 * device.delay)
     at = np.linspace(0.0, top, 41) if gains is None else np.asarray(gains, dtype=np.float64)
     planes = tuple(plane(one, device, at.tolist()) for one in chosen)
     return ZWidthResult(tuple(_name(one) for one in several), device, planes)
+
+
+def _several(laws: object) -> bool:
+    """Whether a list names laws; one of numbers is the taps of one law."""
+    return isinstance(laws, list | tuple) and not all(isinstance(one, int | float) for one in laws)
 
 
 def _missing(law: LawLike) -> dict[str, float]:
