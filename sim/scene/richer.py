@@ -49,10 +49,13 @@ class RicherModel:
 
     @property
     def plant(self) -> FlexiblePlant:
-        """The linear device that it is, for poles of its loop."""
+        """The linear device that it is, for poles of its loop; a sensor that averages is no part of it.
+
+        A filter at the sensor is a lag of the actuator to a linear loop.
+        """
         rigid = self.rigid
         joint = {"share": self.share, "frequency": self.frequency, "loss": self.loss} if self.share else {}
-        return FlexiblePlant(rigid.mass, rigid.damping, rigid.delay, lag=self.lag, **joint)
+        return FlexiblePlant(rigid.mass, rigid.damping, rigid.delay, lag=self.lag + self.sensor_lag, **joint)
 
 
 _ODD = (

@@ -214,6 +214,19 @@ def test_a_delay_that_jitters_counts_at_its_worst() -> None:
     assert (late or 0.0) > (later or 0.0)
 
 
+def test_a_sensor_that_averages_lowers_the_true_edge() -> None:
+    """The judge left the sensor out: 2347 N/m, where the loop on what is read has 1801."""
+    rigid, law = DeviceModel(mass=0.1, damping=1.0, delay=1.0), CompiledLaw((1500.0, -1000.0))
+    edges = [true_edge(law, RicherModel(rigid, average=part), T) for part in (0.0, 0.25, 0.5)]
+    assert None not in edges
+    assert edges == sorted(edges, key=lambda edge: -(edge or 0.0))
+    # By convolution: two samples averaged are the law's taps, half of them a tick later.
+    averaged = CompiledLaw((750.0, 250.0, -500.0))
+    assert edges[2] == pytest.approx(true_edge(averaged, RicherModel(rigid), T), rel=1e-12)
+    with pytest.raises(ValueError, match="only taps are judged"):
+        true_radius(CompiledLaw((1.0,), ((1.0, 0.0, -0.5, 0.0),)), RicherModel(rigid, average=0.5), T)
+
+
 def test_nothing_is_told_of_an_edge_far_above_the_law() -> None:
     assert true_edge(CompiledLaw((1.0,)), RicherModel(DeviceModel(mass=0.1, damping=1.0)), T) is None
 
