@@ -53,6 +53,7 @@ SHORTER = {
     "haptic study chart": "--quick --parts kmax",
     "haptic study curved": "--slides 0.02",
     "haptic study needs": "--rounds 1",
+    "haptic study response": "--points 3",
     "haptic study needs sphere_feel": "duration:=1 --rounds 0",
     "haptic study design": "--mass 0.1 --taps 2",
     "haptic study design --compare": "--mass 0.1 --taps 2 --delays 0 --margins 0 --no-land",

@@ -35,6 +35,9 @@ ROWS = (
 _NO_PARAMETERS = ("run", "law", "kind", "rate_hz", "plant", "taps_n_per_m", "sections", "passive_scale")
 
 
+LEAK = 0.05  # difference of H(1) and K, as a part of the larger, that is warned of
+
+
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
     sub = parser.add_subparsers(dest="chosen", metavar="list|show|switch", required=True)
@@ -139,11 +142,22 @@ def _show(arguments: argparse.Namespace) -> int:
         low, high = figures["masses_kg"]
         worst = f"{figures['worst_mass_kg']:.4g} kg, the worst for this loop"
         lines.append(f"  with {worst} of the device's {low:g} to {high:g} kg over its workspace")
+    lines += _leak(figures)
     if figures["h_nyquist_n_per_m"] is None:
         lines.append("  its own code is left out of H(1), which is that of its taps; the other figures need taps alone")
     if arguments.damping is not None and arguments.gain is None and "damping" in figures:
         lines.append(f"  --damping {arguments.damping:g} is the device's; the law's own is --gain, {figures['damping']:g} here")
     return answer(arguments.json, figures | worlds, "\n".join(lines))
+
+
+def _leak(figures: dict[str, Any]) -> list[str]:
+    """Warn of a short memory whose end leaks: what it adds to K is felt for ever, or taken from it."""
+    nominal, felt = figures.get("stiffness"), figures["h1_n_per_m"]
+    if not isinstance(nominal, int | float) or felt is None or figures["h_nyquist_n_per_m"] is None:
+        return []
+    if abs(felt - nominal) <= LEAK * max(abs(nominal), abs(felt)):
+        return []
+    return [f"  warning: H(1) is {felt:.6g} N/m and K {nominal:.6g} N/m: a short memory leaks: take more taps, or sections"]
 
 
 def _describes(arguments: argparse.Namespace) -> bool:

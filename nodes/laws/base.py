@@ -32,6 +32,8 @@ def _wrong_law(name: str, found: Any) -> str:
 
 
 LAWS = Registry("haptic.laws", "law", _wrong_law)
+# What is worked out of a law beside its coefficients, by packages above this one: its response, its plane of K and B.
+RESULTS = Registry("haptic.results", "result of a law")
 
 
 @dataclass(frozen=True)
@@ -167,6 +169,59 @@ class Law(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
             When the parameters cannot be realised; the text names the parameter, its value and the limit.
         """
         raise TypeError(f"law kind {type(self).kind!r} does not define compile(), asked for T = {period:g} s")
+
+    def response(self, plant: Any = None, **options: Any) -> Any:
+        """Return stiffness and damping that are rendered against frequency.
+
+        Parameters
+        ----------
+        plant : Plant, optional
+            Gives period [s] and delay [ticks]; 2 ms without a delay where there is none.
+        **options : object
+            See ``haptic.response``.
+
+        Returns
+        -------
+        haptic.Response
+            Arrays over the frequency; ``.plot()`` draws them.
+        """
+        return RESULTS.load("response")(self, plant, **options)
+
+    def bode(self, plant: Any = None, ax: Any = None, **options: Any) -> Any:
+        """Draw magnitude and phase of what is rendered.
+
+        Parameters
+        ----------
+        plant : Plant, optional
+            Gives period [s] and delay [ticks]; 2 ms without a delay where there is none.
+        ax : pair of matplotlib.axes.Axes, optional
+            Where to draw magnitude and phase; a figure of its own where none is given.
+        **options : object
+            See ``haptic.bode``.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure.
+        """
+        return RESULTS.load("bode")(self, plant, ax=ax, **options)
+
+    def z_width(self, plant: Any = None, **options: Any) -> Any:
+        """Return the K–B plane: how stiff the law may be at each gain of its damper.
+
+        Parameters
+        ----------
+        plant : Plant, optional
+            The device; 0.1 kg and 1 N s/m at 500 Hz where there is none.
+        **options : object
+            See ``haptic.z_width``.
+
+        Returns
+        -------
+        haptic.ZWidthResult
+            Arrays over the gain; ``.plot()`` draws them.
+        """
+        return RESULTS.load("z_width")(self, plant, **options)
 
 
 def law_kinds() -> dict[str, type[Law]]:

@@ -2,7 +2,7 @@
 
 The arm is a spring in series with a fractional damper: τ^α D^α of its force is felt back. Without relaxation the law is
 `pd_alpha` (Kelvin–Voigt); with order 1 the arm is a velocity behind a filter; without the spring it is Maxwell's, which bears
-nothing for ever.
+nothing for ever. With its whole memory the arm is a sum of exponentials (`nodes.laws.derivatives.relaxation`), and relaxes.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar
 import msgspec
 
 from nodes.laws import CompiledLaw, Law
-from nodes.laws.derivatives.gl import coefficients
+from nodes.laws.derivatives.relaxation import relaxation, step_answer
 from nodes.laws.fields import Damping, Taps
 
 
@@ -23,7 +23,7 @@ class FractionalSLS(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     damping: B_α of the arm [N s^α/m]; at high frequency the arm is a spring of B_α/τ^α.
     order: α, 0 < α ≤ 1.
     relaxation: τ [s].
-    taps: Length of the arm's response that is kept, n + 1: a short memory, whose end leaks.
+    taps: Length of a short memory, n + 1 deflections: its end leaks, H(1) is not K. None: the whole memory, which relaxes.
     """
 
     kind: ClassVar[str] = "fractional_sls"
@@ -31,17 +31,16 @@ class FractionalSLS(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     damping: Damping
     order: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)]
     relaxation: Annotated[float, msgspec.Meta(gt=0.0)]
-    taps: Taps
+    taps: Taps | None = None
 
     def compile(self, period: float) -> CompiledLaw:
-        """Turn the parameters into taps: the quotient of two power series."""
-        share = (self.relaxation / period) ** self.order
-        series = coefficients(self.order, self.taps)
-        arm: list[float] = []  # with G = (1 − w)^α the arm is (B_α/τ^α) c G/(1 + c G), c = (τ/T)^α
-        for m, g in enumerate(series):
-            felt = sum(series[j] * arm[m - j] for j in range(1, m + 1))
-            arm.append(share * (g - felt) / (1.0 + share))
+        """Turn the parameters into taps and sections: one section at order 1, eleven below it, none for a short memory."""
         spring = self.damping / self.relaxation**self.order
-        taps = [spring * one for one in arm]
-        taps[0] += self.stiffness
-        return CompiledLaw(tuple(taps))
+        if self.taps is not None:
+            answer = step_answer(self.order, (self.relaxation / period) ** self.order, self.taps)
+            arm = [spring * (now - before) for now, before in zip(answer, [0.0, *answer], strict=False)]
+            return CompiledLaw((arm[0] + self.stiffness, *arm[1:]))
+        whole = relaxation(self.order, self.relaxation, period)
+        taps = [spring * tap for tap in whole.taps]
+        sections = [(spring * b0, spring * b1, a1, a2) for b0, b1, a1, a2 in whole.sections]
+        return CompiledLaw((taps[0] + self.stiffness, *taps[1:]), tuple(sections))

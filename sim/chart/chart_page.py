@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.transforms import BboxBase
 
+FEWEST = 8  # laws whose ranks are correlated: of fewer any order comes by chance too often
+CHANCE = 0.05  # p above which a rank correlation is no verdict
 _FLOOR = 1e-16
 _FRONT, _REST, _SEED = COLOURS[0], "#B9BEC5", COLOURS[1]
 
@@ -131,7 +133,19 @@ def conclusions(groups: Sequence[Group]) -> list[str]:
         lines.append(_rates(named["rate_force"], named["rate_stiffness"]))
     if "proxy_error" in named:
         lines.append(_proxies(named["proxy_error"]))
+    lines += [_loop(group) for name, group in named.items() if name.startswith("loop_impedance_")]
     return lines
+
+
+def _loop(group: Group) -> str:
+    """Say what buys an impedance: the best point and the cheapest that is as good to a tenth, against the first one."""
+    best, first = _best(group.points), group.points[0]
+    near = min((p for p in group.points if p.error <= 1.1 * best.error), key=lambda p: p.cost)
+    return (
+        f"{group.title}: {best.name} errs least ({_figure(100 * best.error)} % over the band, {_figure(best.cost)} µs); "
+        f"{near.name} comes within a tenth of that in {_figure(near.cost)} µs, {first.name}, the cheapest, errs by "
+        f"{_figure(100 * first.error)} % in {_figure(first.cost)} µs."
+    )
 
 
 def _best(points: Sequence[Point]) -> Point:
@@ -171,21 +185,32 @@ def _derivatives(time: Group, stiffness: Group | None, order: str) -> str:
     return text + "."
 
 
-def _equal_demand(groups: Sequence[Group]) -> str:
-    """Say what accuracy is worth in stiffness, when all keep one demand: by Spearman's rank correlation."""
+def _correlation(errors: Sequence[float], stiffnesses: Sequence[float]) -> str:
+    """Return the rank correlation of error and stiffness with n and p, and a verdict only where neither is chance."""
     from scipy.stats import spearmanr
 
+    if len(errors) < FEWEST:
+        return f"{len(errors)} laws, too few for a rank correlation of error and stiffness"
+    found = spearmanr(errors, stiffnesses)
+    ranks, p = float(found.statistic), float(found.pvalue)
+    word = "accuracy is not seen to matter"
+    if p < CHANCE:
+        word = "accuracy costs stiffness" if ranks > 0.0 else "accuracy brings stiffness"
+    return f"{word}: rank correlation of error and stiffness {ranks:+.2f}, n = {len(errors)}, p = {p:.2g}"
+
+
+def _equal_demand(groups: Sequence[Group]) -> str:
+    """Return what accuracy is worth in stiffness when all keep one demand."""
     parts = []
     for group in groups:
         kept = [p for p in group.points if _number(p, "h1_tuned_n_per_m") > 0.0]
         if len(kept) < 3:
             continue
         stiff, exact = min(kept, key=lambda p: p.error), min(kept, key=lambda p: (p.cost, p.error))
-        ranks = float(spearmanr([p.cost for p in kept], [_number(p, "h1_tuned_n_per_m") for p in kept]).statistic)
-        word = "costs stiffness" if ranks > 0.3 else "brings stiffness" if ranks < -0.3 else "is not stiffness"
+        told = _correlation([p.cost for p in kept], [_number(p, "h1_tuned_n_per_m") for p in kept])
         parts.append(
-            f"{group.title.partition(':')[0]}{group.title.rpartition(',')[2]}: accuracy {word} (rank correlation of error and "
-            f"stiffness {ranks:+.2f}, {len(kept)} of {len(group.points)} keep the demand); the stiffest, {stiff.name}, has "
+            f"{group.title.partition(':')[0]}{group.title.rpartition(',')[2]}: {told} "
+            f"({len(kept)} of {len(group.points)} keep the demand); the stiffest, {stiff.name}, has "
             f"{_number(stiff, 'h1_tuned_n_per_m'):.0f} N/m and errs by {_figure(100 * stiff.cost)} %, the most accurate, "
             f"{exact.name}, {_number(exact, 'h1_tuned_n_per_m'):.0f} N/m and {_figure(100 * exact.cost)} %"
         )

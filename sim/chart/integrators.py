@@ -16,9 +16,10 @@ from nodes.laws.pd import PD
 from sim.chart.derivatives import largest_stable
 from sim.chart.points import Extra, Group, Point
 from sim.device.model import advance, coefficients
+from sim.experiments.drop import CONVENTION, GRAVITY, floor_force
 from sim.measure.stopwatch import interleaved
 
-PERIOD, MASS, DAMPING, GRAVITY = 0.002, 0.1, 1.0, 9.81
+PERIOD, MASS, DAMPING = 0.002, 0.1, 1.0
 _LAW = PD(stiffness=400.0, damping=1.0)
 _HEIGHT = 0.005
 _TICKS = 250
@@ -57,13 +58,12 @@ def reference() -> Step:
 def drop(step: Step, ticks: int = _TICKS) -> NDArray[np.float64]:
     """Drop the device on a floor rendered by a spring and a damper, forces held between ticks."""
     taps = _LAW.compile(PERIOD).taps
-    x, v, before = _HEIGHT, 0.0, 0.0
+    x, v, head = _HEIGHT, 0.0, 0
+    history = [0.0] * (2 * len(taps))
     heights = np.empty(ticks)
     for k in range(ticks):
         heights[k] = x
-        depth = max(-x, 0.0)
-        force = max(taps[0] * depth + taps[1] * before, 0.0)
-        before = depth
+        head, force, _ = floor_force(x, taps, (), (), history, head, len(taps), *CONVENTION)
         x, v = step(x, v, force - MASS * GRAVITY)
     return heights
 

@@ -11,15 +11,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nodes.arithmetic import fir, one_sided, push, sections
 from nodes.compiled.kernels.sources import kernel
 from nodes.laws import CompiledLaw
 from nodes.stability.flexible import FlexiblePlant
 from sim.design.demand import RIGID, Demand
-from sim.experiments.drop import Criterion
+from sim.experiments.drop import CONVENTION as USUAL
+from sim.experiments.drop import GRAVITY, Convention, Criterion, floor_force, rests, rises
 from sim.scene.compiled import compiled
 
-GRAVITY = 9.81  # [m/s²]
 CLOSE = 0.01  # a drop that stays so close to its rest, as a part of the tolerance, settles
 
 
@@ -79,14 +78,13 @@ def settles_one(i: int, drops: Any, taps: Any, recursive: Any, ticks: int, toler
     rest = -drops.weight[i] / stiffness
     quarter = ticks - ticks // 4
     patience = 60 + length + whole
-    head, close, touched = 0, 0, False
+    head, close, fallen_in, touches = 0, 0, False, False
     low, high, total = np.inf, -np.inf, 0.0
     for k in range(ticks):
         x = state[0]
-        touches = x < 0.0
-        touched = touched or touches
-        # Not at once when it is not a number either.
-        if touched and not x <= start + tolerance:
+        head, force, touches = floor_force(x, taps, recursive, memory, history, head, length, drops.raw[i], drops.clamp[i])
+        fallen_in = fallen_in or touches
+        if fallen_in and rises(x, start, tolerance):
             return False
         if k >= quarter:
             low, high = min(low, x), max(high, x)
@@ -97,11 +95,6 @@ def settles_one(i: int, drops: Any, taps: Any, recursive: Any, ticks: int, toler
             close = close + 1 if abs(x - rest) <= CLOSE * tolerance else 0
             if close > patience:
                 return True
-        head = push(history, head, length, -x if touches or drops.raw[i] else 0.0)
-        force = fir(taps, history, head)
-        if len(recursive) > 0:
-            force += sections(recursive, memory, history[head], history[head + 1])
-        force = one_sided(force, 1.0, force, touches, drops.raw[i], drops.clamp[i])
         for j in range(whole + 1, 0, -1):
             forces[j] = forces[j - 1]
         forces[0] = force
@@ -110,15 +103,18 @@ def settles_one(i: int, drops: Any, taps: Any, recursive: Any, ticks: int, toler
             for b in range(size):
                 moved[a] += drops.step[i, a, b] * state[b]
         state, moved = moved, state
-    near: bool = abs(total / (ticks - quarter) - rest) <= tolerance
-    return near
+    return rests(high - low, total / (ticks - quarter), rest, tolerance, tolerance)
 
 
-def fallen(plant: FlexiblePlant, period: float, taps: Sequence[float], height: float, ticks: int) -> tuple[Any, Any]:
-    """Let a device, joint and lag included, fall on the wall of a law: its position [m] and the force [N] at each tick."""
+def fallen(
+    plant: FlexiblePlant, period: float, law: CompiledLaw, height: float, ticks: int, convention: Convention = USUAL
+) -> tuple[Any, Any]:
+    """Return position [m] and force [N] at each tick of a device, joint and lag included, that falls on a law's wall."""
     whole, step, new, old = plant.held(period)
     pull = plant.pulled(period, GRAVITY)
-    history, head, forces = [0.0] * (2 * max(len(taps), 2)), 0, [0.0] * (whole + 2)
+    length = max(len(law.taps), 2)
+    recursive = [number for section in law.sections for number in section]
+    history, memory, head, forces = [0.0] * (2 * length), [0.0] * (2 * len(law.sections)), 0, [0.0] * (whole + 2)
     state = np.zeros(len(new))
     state[0] = height
     if len(new) >= 4:
@@ -126,9 +122,8 @@ def fallen(plant: FlexiblePlant, period: float, taps: Sequence[float], height: f
     seen = np.empty((2, ticks))
     for k in range(ticks):
         x = float(state[0])
-        head = push(history, head, len(history) // 2, max(0.0, -x))
-        force = fir(taps, history, head)
-        forces = [one_sided(force, 1.0, force, x < 0.0, False, True), *forces[:-1]]
+        head, force, _ = floor_force(x, law.taps, recursive, memory, history, head, length, *convention)
+        forces = [force, *forces[:-1]]
         seen[:, k] = x, forces[0]
         state = step @ state + pull + new * forces[whole] + old * forces[whole + 1]
     return seen[0], seen[1]

@@ -13,22 +13,45 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 
+from nodes.arithmetic import one_sided
 from nodes.compiled.kernels.sources import kernel
+from nodes.coupling.parameters import CouplingParameters
+from nodes.coupling.render import evaluate
+from nodes.environment.state import PLANE
 from nodes.laws import CompiledLaw
 from nodes.laws.pd_windowed import WindowedDamper
 from nodes.stability.plant import Plant
 from sim.arrays import Array
 from sim.device.model import DeviceModel, Hand
 from sim.scene.compiled import compiled
-from sim.scene.loop import Scene, SceneSurface, contact_of, in_numbers, motion_of, run
-from sim.scene.tick_loop import Contact, LawTables, Motion, Records, play_compiled
+from sim.scene.loop import Scene, SceneSurface, Trace, contact_of, in_numbers, motion_of, run
+from sim.scene.tick_loop import Contact, LawTables, Motion, Records, play_compiled, respond
 
 SHORTEST = 8  # horizon of which a quarter is two ticks [ticks]
+GRAVITY = 9.81  # of a device without gravity of its own [m/s²]
+HEIGHT = 0.01  # of a drop where none is given [m]
+BALANCE = 0.01  # how far the mean force of a law with its own code may be from the load at rest, as a part of it
+
+
+class Convention(NamedTuple):
+    """Contact convention of the coupling: what feeds the law outside contact, and whether a wall may pull."""
+
+    raw: bool  # whether the raw position is fed (``history: position``), not the penetration
+    clamp: bool  # whether a force into the wall is set to zero
+
+
+def coupling_convention() -> Convention:
+    """Return the convention of a coupling whose launch file states none: every drop's default."""
+    usual = {field.name: field.default for field in msgspec.structs.fields(CouplingParameters)}
+    return Convention(usual["history"] == "position", bool(usual["clamp"]))
+
+
+CONVENTION = coupling_convention()
 
 
 @dataclass(frozen=True)
@@ -51,9 +74,11 @@ def held(plant: Plant) -> DeviceModel:
     return DeviceModel(mass=plant.mass, damping=plant.damping, delay=plant.delay, hand=hand)
 
 
-def drop_scene(device: DeviceModel, period: float, raw: bool, clamp: bool, height: float = 0.01) -> Scene:
-    """Let the device fall on a floor at 0 from a height [m]; it weighs 9.81 m/s² where it has no gravity of its own."""
-    gravity = 9.81 if device.gravity is None else device.gravity
+def drop_scene(
+    device: DeviceModel, period: float, raw: bool = CONVENTION.raw, clamp: bool = CONVENTION.clamp, height: float = HEIGHT
+) -> Scene:
+    """Return the drop of a device on a floor at 0 from a height [m]; `GRAVITY` acts where it has none of its own."""
+    gravity = GRAVITY if device.gravity is None else device.gravity
     dropped = msgspec.structs.replace(device, position=height, velocity=0.0, gravity=gravity)
     return Scene(device=dropped, surface=SceneSurface("plane"), period=period, raw=raw, clamp=clamp)
 
@@ -74,6 +99,31 @@ def free_scene(device: DeviceModel, period: float, amplitude: float = 0.01) -> S
 
 
 @kernel
+def floor_force(
+    x: float, taps: Any, recursive: Any, memory: Any, history: Any, head: int, length: int, raw: bool, clamp: bool
+) -> tuple[int, float, bool]:
+    """Return the new head of the history, the force [N] of a law on a floor at 0, and whether it is touched.
+
+    Every drop that is not played by `sim.scene.tick_loop` calls this: that loop's own kernels, in its order.
+    """
+    head, _, touches = respond(x, PLANE, 0.0, 1.0, raw, history, head, length)
+    force = evaluate(taps, recursive, memory, history, head)
+    return head, one_sided(force, 1.0, force, touches, raw, clamp), touches
+
+
+@kernel
+def rises(distance: float, start: float, tolerance: float) -> bool:
+    """Whether a device is farther from the wall than it started, after the first touch; true for NaN."""
+    return not distance <= start + tolerance
+
+
+@kernel
+def rests(motion: float, mean: float, rest: float, tolerance: float, band: float) -> bool:
+    """Whether the last quarter of a run rests, within `band` of where the forces balance; false for NaN."""
+    return motion <= tolerance and abs(mean - rest) <= band
+
+
+@kernel
 def _row(table: Any, p: int) -> Any:
     if table is None:
         return None
@@ -82,7 +132,7 @@ def _row(table: Any, p: int) -> Any:
 
 @kernel
 def _judge(positions: Any, forces: Any, surface: float, normal: float) -> Any:
-    """Furthest from the surface after the first touch; in the last quarter: the same, motion, mean, largest force."""
+    """Return the farthest after the first touch; of the last quarter: motion, mean, farthest, largest and mean force."""
     ticks = len(positions)
     quarter = ticks - ticks // 4
     highest = -math.inf
@@ -97,13 +147,16 @@ def _judge(positions: Any, forces: Any, surface: float, normal: float) -> Any:
     total = 0.0
     last = -math.inf
     strongest = 0.0
+    push = 0.0
     for k in range(quarter, ticks):
         low = min(low, positions[k])
         high = max(high, positions[k])
         total += positions[k]
         last = max(last, (positions[k] - surface) * normal)
         strongest = max(strongest, abs(forces[k]))
-    return highest, high - low, total / (ticks - quarter), last, strongest
+        push += forces[k]
+    count = ticks - quarter
+    return highest, high - low, total / count, last, strongest, push / count
 
 
 def _trials(
@@ -121,15 +174,20 @@ def _trials(
         records = Records(positions, None, None, None, forces, None)
         play_compiled(ticks, motion, contact, laws, states, history, commands, records, None, _row(windows, p))
         verdict = _judge(positions, forces, contact.surface, contact.normal)
-        for i in range(5):
+        for i in range(6):
             results[p, i] = verdict[i]
 
 
 _trials_compiled = compiled()(_trials)
 
 
+def linear_at_rest(law: CompiledLaw) -> bool:
+    """Whether a law renders H(1) to a held deflection: it has no code of its own, or only a damper."""
+    return law.evaluate is None or isinstance(law.evaluate, WindowedDamper)
+
+
 def rest_position(scene: Scene, law: CompiledLaw, ticks: int) -> float | None:
-    """Where the forces balance at the end of a run [m]; None when H(1) ≤ 0 or nothing holds the device."""
+    """Return where the forces of a linear law balance at the end of a run [m]; None when H(1) ≤ 0 or nothing holds it."""
     load, grip = scene.device.load(ticks - 1, scene.period), scene.device.grip
     if law.h1 <= 0.0:
         return None
@@ -151,6 +209,8 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
     """Play one experiment with each of several laws, spread over the cores; refused with a guard, which `run` plays."""
     if scene.passivity is not None and scene.passivity.guard == "on":
         raise ValueError("scene.passivity.guard is on: K_max is searched for the law alone; leave the guard out")
+    if not laws:
+        return []
     own = [law.evaluate for law in laws]
     dampers = [one for one in own if isinstance(one, WindowedDamper)]
     if any(one is not None for one in own) and len(dampers) < len(laws):
@@ -169,7 +229,7 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
     for i, law in enumerate(laws):
         taps[i, : len(law.taps)] = law.taps
         recursive[i, : 4 * len(law.sections)] = [c for section in law.sections for c in section]
-    results = np.empty((len(laws), 5))
+    results = np.empty((len(laws), 6))
     found, contact = motion_of(scene, ticks), contact_of(scene)
     motion, contact = in_numbers(ticks, found, contact)
     # Few scenes have ends, and looking for them takes a twelfth of a tick.
@@ -206,17 +266,46 @@ def settled(scene: Scene, law: CompiledLaw, position: Array, force: Array, crite
 
 def _verdict(scene: Scene, law: CompiledLaw, end: Sequence[float], criterion: Criterion) -> bool:
     device, surface = scene.device, scene.surface
-    highest, motion, mean, last, strongest = end
-    rest = rest_position(scene, law, criterion.ticks)
-    if rest is None:
-        return False
-    start = device.position - surface.position
-    # About an anchor the damper sees the start as a jump, and may kick the device a few times as far: that is linear.
-    highest_allowed = start * surface.normal + criterion.tolerance if surface.kind == "plane" else 10.0 * abs(start)
-    limit = min(value for value in (device.peak_force, scene.peak, math.inf) if value is not None)
+    highest, motion, mean, last, strongest, push = end
     # Friction holds it anywhere within f_c of balance; the encoder sees no less than a count.
-    band = criterion.tolerance + (device.friction or 0.0) / (law.h1 + device.grip) + (device.resolution or 0.0)
+    friction = device.friction or 0.0
+    if linear_at_rest(law):
+        rest = rest_position(scene, law, criterion.ticks)
+        if rest is None:
+            return False
+        band = criterion.tolerance + friction / (law.h1 + device.grip) + (device.resolution or 0.0)
+        still = rests(motion, mean, rest, criterion.tolerance, band)
+    else:
+        # Such a law has no H(1) that tells where it rests: there the forces that were played balance.
+        load = device.load(criterion.ticks - 1, scene.period) - device.grip * mean
+        still = rests(motion, push, -load, criterion.tolerance, friction + BALANCE * abs(load))
+    start = device.position - surface.position
+    if surface.kind == "plane":
+        high = rises(highest, start * surface.normal, criterion.tolerance)
+    else:
+        # About an anchor the damper sees the start as a jump, and may kick the device a few times as far: that is linear.
+        high = rises(highest, 10.0 * abs(start), 0.0)
+    limit = min(value for value in (device.peak_force, scene.peak, math.inf) if value is not None)
     bounces = surface.kind == "plane" and last > (device.resolution or 0.0)
-    # Comparisons with NaN are false: a run that overflowed does not settle.
-    still = motion <= criterion.tolerance and abs(mean - rest) <= band
-    return bool(still and highest <= highest_allowed and strongest < limit and not bounces)
+    return bool(still and not high and strongest < limit and not bounces)
+
+
+class Dropped(NamedTuple):
+    """A drop that was played."""
+
+    trace: Trace  # its ticks
+    settled: bool  # the verdict of `settles`
+
+
+def dropped(
+    device: DeviceModel,
+    law: CompiledLaw,
+    period: float,
+    ticks: int = Criterion.ticks,
+    convention: Convention = CONVENTION,
+    height: float = HEIGHT,
+) -> Dropped:
+    """Drop a device with a law and return every tick of it, by default as a launch without other settings drops it."""
+    scene = drop_scene(device, period, *convention, height)
+    trace = run(scene, law, ticks)
+    return Dropped(trace, settled(scene, law, trace.position, trace.force, Criterion(ticks)))

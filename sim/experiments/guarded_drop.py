@@ -4,14 +4,15 @@ Without the guard, a wall beyond K_max gives out energy at every bounce; with it
 forces are lowered on the way out, so the wall felt at rest (mean force over mean penetration) is softer than nominal.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from nodes.driver.passivity import PassivityParameters
 from nodes.laws.pd import PD
 from sim.device.model import DeviceModel
-from sim.scene.loop import Scene, SceneSurface, Trace, run
+from sim.experiments.drop import drop_scene
+from sim.scene.loop import Trace, run
 
 SHARE = 0.25  # part of a run, its last, that is looked at as rest
 
@@ -56,8 +57,8 @@ def compare(
     """Drop a mass on a wall of PD, without the guard and with it."""
     found = []
     for guard in (None, PassivityParameters(stiffness=wall, damping=guard_damping)):
-        floor = SceneSurface("plane")
-        scene = Scene(device=device, surface=floor, period=period, raw=False, clamp=True, next_tick=next_tick, passivity=guard)
+        floor = drop_scene(device, period, height=device.position)
+        scene = replace(floor, next_tick=next_tick, passivity=guard)
         trace = run(scene, PD(stiffness=wall, damping=damping).compile(period), ticks)
         found.append(measure(trace, wall, guard is not None, device.delay + float(next_tick)))
     return found

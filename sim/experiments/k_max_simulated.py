@@ -8,11 +8,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
-from nodes.laws import CompiledLaw
+from nodes.laws import CompiledLaw, Law
+from nodes.stability.k_max import with_spring, without_spring
 from sim.arrays import Array
-from sim.experiments.drop import Criterion, rest_position, settles
+from sim.experiments.drop import Criterion, linear_at_rest, rest_position, settles
 from sim.scene.loop import Scene, run
 
 LawOfStiffness = Callable[[float], CompiledLaw]
@@ -26,10 +28,27 @@ class SimulatedKMax:
     # Largest K that settled, of the lowest interval that does [N/m]; None when none did, infinite when the stiffest that was
     # tried did.
     k_max_n_per_m: float | None
-    h1_max_n_per_m: float | None  # H(1) there [N/m]
+    h1_max_n_per_m: float | None  # H(1) there [N/m]; None for a law with code of its own, which need not have one
     unsettled_n_per_m: float | None  # smallest K above it that did not [N/m]
     frequency_hz: float | None  # frequency of the last swings seen at K_max [Hz]; None when it did not swing
     ticks: int  # simulated ticks
+    searched_n_per_m: tuple[float, float] = (math.nan, math.nan)  # softest and stiffest K that were tried [N/m]
+
+
+def at_stiffness(law: Law, period: float) -> LawOfStiffness:
+    """Return the law as a function of its nominal stiffness K [N/m], compiled anew for each.
+
+    A law without a parameter ``stiffness`` gets its spring in tap 0. That is refused for one with code of its own, whose
+    code would keep its stiffness: ValueError.
+    """
+    if "stiffness" in law.__struct_fields__:
+        return lambda stiffness: msgspec.structs.replace(law, stiffness=stiffness).compile(period)
+    if law.compile(period).evaluate is not None:
+        raise ValueError(
+            f"law kind {law.kind} has code of its own and no parameter 'stiffness' that could be raised; name its stiffness so"
+        )
+    derivative = without_spring(law, period)
+    return lambda stiffness: with_spring(derivative, stiffness)
 
 
 def swing_frequency(position: Array, period: float, rest: float, smallest: float = 1e-7) -> float | None:
@@ -61,20 +80,24 @@ def simulated_k_max(
     bad: float | None = None
     ticks = 0
     rungs = np.geomspace(low, high, 1 + math.ceil(math.log(high / low) / math.log(1.1))).tolist()
+    last = low
     # Eight rungs at a time: few enough to stop early, enough to keep the cores busy.
     for tried in (rungs[first : first + 8] for first in range(0, len(rungs), 8)):
-        ticks += criterion.ticks * len(tried)
-        for k, settled in zip(tried, settles(scene, [law_of_stiffness(k) for k in tried], criterion), strict=True):
+        laws = _compiled(law_of_stiffness, tried, first=tried[0] == rungs[0])
+        ticks += criterion.ticks * len(laws)
+        for k, settled in zip(tried, settles(scene, laws, criterion), strict=False):
             if bad is None and settled:
                 good = k
             elif bad is None and good is not None:
                 bad = k
-        if bad is not None:
+        last = tried[len(laws) - 1] if laws else last
+        if bad is not None or len(laws) < len(tried):
             break
+    searched = low, last
     if good is None:
-        return SimulatedKMax(None, None, None, None, ticks)
+        return SimulatedKMax(None, None, None, None, ticks, searched)
     if bad is None:
-        return SimulatedKMax(math.inf, math.inf, None, None, ticks)
+        return SimulatedKMax(math.inf, math.inf, None, None, ticks, searched)
     while bad - good > precision * good:
         middle = 0.5 * (good + bad)
         ticks += criterion.ticks
@@ -83,6 +106,21 @@ def simulated_k_max(
         else:
             bad = middle
     best = law_of_stiffness(good)
-    rest = rest_position(scene, best, criterion.ticks)
-    swing = None if rest is None else swing_frequency(run(scene, best, criterion.ticks).position, scene.period, rest)
-    return SimulatedKMax(good, best.h1, bad, swing, ticks)
+    linear = linear_at_rest(best)
+    position = run(scene, best, criterion.ticks).position
+    rest = rest_position(scene, best, criterion.ticks) if linear else float(np.mean(position[-(criterion.ticks // 4) :]))
+    swing = None if rest is None else swing_frequency(position, scene.period, rest)
+    return SimulatedKMax(good, best.h1 if linear else None, bad, swing, ticks, searched)
+
+
+def _compiled(law_of_stiffness: LawOfStiffness, stiffnesses: list[float], first: bool) -> list[CompiledLaw]:
+    """Compile a law at rising stiffnesses, up to the first that it refuses; its refusal of the softest of all is raised."""
+    laws: list[CompiledLaw] = []
+    for stiffness in stiffnesses:
+        try:
+            laws.append(law_of_stiffness(stiffness))
+        except ValueError:
+            if first and not laws:
+                raise
+            break
+    return laws

@@ -15,6 +15,7 @@ import numpy as np
 from nodes.launcher.launch_spec import Launch, Model
 from nodes.stability.k_max import k_max, with_spring
 from sim.arrays import Array
+from sim.experiments.perception import tolerances
 from sim.experiments.spatial_terms import SPATIAL_CONVENTIONS, SPATIAL_TERMS, SpatialScene, spatial_scene
 from sim.experiments.terms import BROUGHT, CONVENTIONS, PROTECTS, TERMS, TOGETHER, NeedTerm
 from sim.measure.stopwatch import Timing, interleaved
@@ -78,6 +79,11 @@ class Needs:
     def superfluous(self) -> tuple[str, ...]:
         """Declared terms without which nothing moves."""
         return tuple(f.term for f in self.findings if f.verdict == "superfluous")
+
+    @property
+    def left_out(self) -> tuple[Finding, ...]:
+        """Terms that are left out on purpose although they move something."""
+        return tuple(f for f in self.findings if f.verdict == "left out")
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -154,8 +160,9 @@ def needs(
     rounds: int = 5,
     step: Callable[[str], None] = lambda _: None,
     players: Play[Trace] = here,
+    tolerance: Callable[[str], float] | None = None,
 ) -> Needs:
-    """Switch every term of a scene."""
+    """Switch every term of a scene; `tolerance` of each outcome, by default the model's."""
 
     def changes(changed: LaunchedScene, trace: Trace) -> dict[str, float]:
         return movement(before, outcome(changed, trace), scene.scene.period)
@@ -164,7 +171,7 @@ def needs(
     variants, play = variants_of(scene, TERMS, CONVENTIONS if contact else {}, TOGETHER), partial(_play, interpreted=True)
     with np.errstate(all="ignore"):
         before = outcome(scene, play(scene))
-        findings, tick = judge(scene, variants, play, changes, scene.ticks, model, rounds, step, players)
+        findings, tick = judge(scene, variants, play, changes, scene.ticks, model, rounds, step, players, tolerance)
     return Needs(before, findings, tick)
 
 
@@ -183,6 +190,7 @@ def judge(
     rounds: int,
     step: Callable[[str], None],
     players: Play[R] = here,
+    tolerance: Callable[[str], float] | None = None,
 ) -> tuple[tuple[Finding, ...], float | None]:
     """Play a scene and its variants: what each moves and, in turns, what it costs on this machine; time per tick [µs]."""
     played = players([partial(play, variant.scene) for variant in variants])
@@ -192,7 +200,9 @@ def judge(
     timings: dict[str, Timing] = interleaved(jobs, rounds, step) if rounds else {}
     found = []
     for i, variant in enumerate(variants, 1):
-        finding = _finding(variant, changes(variant.scene, played[i - 1]), model)
+        finding = _finding(
+            variant, changes(variant.scene, played[i - 1]), model, tolerance or tolerances(model.tolerance, felt=False)
+        )
         if timings:
             whole, mine = timings["0"], timings[str(i)]
             cost = 1e6 * (whole.median - mine.median) * (1.0 if finding.switched.startswith("off") else -1.0)
@@ -227,13 +237,13 @@ def variants_of(
     return found + [Variant((name,), switch(scene), "other") for name, switch in conventions.items()]
 
 
-def _finding(variant: Variant[S], moved_by: dict[str, float], model: Model) -> Finding:
+def _finding(variant: Variant[S], moved_by: dict[str, float], model: Model, tolerance: Callable[[str], float]) -> Finding:
     terms, _, switched = variant
     counts: set[str] = {*model.outcome}
     changes = {name: value for name, value in moved_by.items() if name in counts}
-    most = max(changes, key=lambda name: changes[name], default="")
+    most = max(changes, key=lambda name: changes[name] / tolerance(name), default="")
     moved = changes.get(most, 0.0)
-    matters = moved > model.tolerance
+    matters = bool(most) and moved > tolerance(most)
     if switched.startswith("off"):
         why = {"needed": matters, "sought": set(terms) <= {*model.sought}, "protects": set(terms) <= PROTECTS}
         verdict = next((word for word, so in why.items() if so), "superfluous")
@@ -260,7 +270,11 @@ def apart(before: Array, after: Array, scale: Array) -> float:
 
 
 def spatial_needs(
-    launch: Launch, rounds: int = 5, step: Callable[[str], None] = lambda _: None, players: Play[SpatialTrace] = here
+    launch: Launch,
+    rounds: int = 5,
+    step: Callable[[str], None] = lambda _: None,
+    players: Play[SpatialTrace] = here,
+    tolerance: Callable[[str], float] | None = None,
 ) -> Needs:
     """Switch every term of a scene with several axes, judged by force and proxy along its way too."""
     scene, period = spatial_scene(launch), launch.run.period
@@ -276,5 +290,6 @@ def spatial_needs(
                 "proxy": apart(first.proxy, trace.proxy, first.proxy - first.position),
             }
 
-        findings, tick = judge(scene, variants, _play, changes, len(first.position), launch.model, rounds, step, players)
+        ticks = len(first.position)
+        findings, tick = judge(scene, variants, _play, changes, ticks, launch.model, rounds, step, players, tolerance)
     return Needs(before, findings, tick)

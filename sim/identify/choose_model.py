@@ -15,16 +15,21 @@ from numpy.typing import NDArray
 
 from sim.arrays import Array, WholeArray
 from sim.identify.experiment import Experiment
-from sim.identify.identified_motion import FREQUENCY, LAG, LOSS, QUADRATIC, SHARE
+from sim.identify.identified_motion import AVERAGE, DELAY, FREQUENCY, LAG, LOSS, QUADRATIC, SHARE
 from sim.identify.judge_fit import FINEST, IMPROBABLE, SURE, Evidence, left, scan, unsteady, whiteness
 from sim.identify.output_error import Fit, fit
+from sim.identify.remainder import CLEAR, NAMED, NOTHING, REFUSED, Remainder, likeliest, remainder
 from sim.identify.suspects import describe
 
 # Terms that the model can have, and their unknowns.
-TERMS = {"quadratic damping": (QUADRATIC,), "actuator lag": (LAG,), "flexible mode": (SHARE, FREQUENCY, LOSS)}
+TERMS = {
+    "quadratic damping": (QUADRATIC,),
+    "actuator lag": (LAG,),
+    "sensor filter": (AVERAGE,),
+    "flexible mode": (SHARE, FREQUENCY, LOSS),
+}
 QUARTER = 1.0 / 3.0  # a quarter of the mass beyond a joint, as a ratio of the two: what a bound on joints is told for
-EXPLAINS = 0.27  # part of what is left that a suspect must take up to be named
-FLEXIBLE = 0.6  # a suspect of several shapes fits anything a little: so much of its part counts when one is named
+HALVES = 0.5  # part of a remainder that a term must leave at most, to be kept where the model still leaves something
 HELD_OUT = 4  # every so many windows one is held out, to judge the fit by what it has not seen
 LEAST = 6  # fewer windows without such answers are too few to leave out the others
 PROMISES = 0.15  # part that a term must take up by the scan to be fitted in full
@@ -45,6 +50,7 @@ class Choice:
     lag_bound: float
     quadratic_bound: float
     dropped: int  # windows that a stall spoilt
+    remainder: Remainder = NOTHING  # what is left that is not noise, and what it may do
 
 
 @dataclass(frozen=True)
@@ -63,17 +69,41 @@ class Windows:
 
 
 def choose(experiment: Experiment, found: Fit, windows: Windows, scale: float, step: float | None) -> Choice:
-    """Judge a rigid fit, and add terms while the data ask for them."""
-    rigid, first, kept = _judged(experiment, found, windows, (), scale, step)
-    choice, evidence = rigid, first
+    """Judge a rigid fit, and add terms while the data ask for them; what is left at last is weighed."""
+    choice, evidence, kept = _judged(experiment, found, windows, (), scale, step)
+    tried = [(choice, evidence)]
     while _doubted(choice, evidence) and len(choice.terms) < len(TERMS):
         richer = _richer(experiment, choice, evidence, kept, scale)
         if richer is None:
             break
         choice, evidence, kept = _judged(experiment, richer[0], kept, (*choice.terms, richer[1]), scale, step)
-    if _doubted(choice, evidence):
-        return replace(rigid, why=_why(experiment, rigid.model, first, step))
-    return choice
+        tried.append((choice, evidence))
+    return _weighed(experiment, tried, step) if _doubted(choice, evidence) else choice
+
+
+def _weighed(experiment: Experiment, tried: list[tuple[Choice, list[Evidence]]], step: float | None) -> Choice:
+    """Return a model whose remainder changes little, a richer one only if it leaves much less; else the rigid one, refuted."""
+    rigid, first = tried[0]
+    best: tuple[Choice, float] | None = None
+    for choice, evidence in tried:
+        left_out = remainder(experiment, choice.model, evidence, step)
+        beyond = max(choice.model.rms**2 - (step or FINEST) ** 2 / 12.0, 0.0)
+        if left_out.k_max_change <= REFUSED and (best is None or beyond <= HALVES * best[1]):
+            best = _with(choice, left_out), beyond
+    if best is not None:
+        return best[0]
+    left_out = remainder(experiment, rigid.model, first, step)
+    why = f"{_why(experiment, rigid.model, first, step)}; it may change K_max by {_percent(left_out.k_max_change)}"
+    return replace(rigid, remainder=left_out, unsteady=0.0, why=why)
+
+
+def _with(choice: Choice, left_out: Remainder) -> Choice:
+    """Return a choice with what it leaves: where a term explains that, it was no unsteady sampling."""
+    return replace(choice, remainder=left_out, unsteady=0.0 if left_out.explained >= CLEAR else choice.unsteady)
+
+
+def _percent(change: float) -> str:
+    return f"{100.0 * change:.2g} %" if change <= 1.0 else "more than its half"
 
 
 def _doubted(choice: Choice, evidence: list[Evidence]) -> bool:
@@ -163,6 +193,8 @@ def _richer(
             continue
         theta = before.theta.copy()
         theta[list(unknowns)] = _start(asked)
+        # A sensor that averages is late by its mean, which stood in the delay.
+        theta[DELAY] = max(theta[DELAY] - theta[AVERAGE] + before.theta[AVERAGE], 0.0)
         free = (*before.free.tolist(), *unknowns)
         found = fit(experiment, windows.seen, windows.length, theta, free, scale, before.states[at], steps=30)
         error = float(fit(experiment, windows.unseen, windows.length, found.theta, (), scale).errors.sum())
@@ -179,6 +211,8 @@ def _start(asked: Evidence) -> tuple[float, ...]:
         return (max(asked.factor, 1e-3),)
     if asked.suspect.term == "actuator lag":
         return asked.suspect.start
+    if asked.suspect.term == "sensor filter":
+        return (0.4,)
     # The mode moves the motor's side by as much as the mass beyond is of its own.
     ratio = max(asked.factor, 0.05)
     return (min(ratio / (1.0 + ratio), 0.7), *asked.suspect.start[1:])
@@ -188,8 +222,8 @@ def _why(experiment: Experiment, found: Fit, evidence: list[Evidence], step: flo
     """Say what refutes a model and what the data ask for."""
     size = f"{found.rms * 1e6:.3g} µm" if step is None else f"{found.rms / step:.2f} encoder steps (rounding: 0.29)"
     strong = [one for one in evidence if one.strength > SURE]
-    asked = max(strong, key=lambda one: one.share * (FLEXIBLE if len(one.suspect.shapes) > 1 else 1.0), default=None)
-    if asked is None or asked.share < EXPLAINS:
+    asked = likeliest(strong)
+    if asked is None or asked.share < NAMED:
         cause = "no term that was tried explains it"
         if asked is not None:
             cause += f" (nearest: {describe(asked.suspect.term, asked.suspect.size)}, {100 * asked.share:.0f} % of it)"

@@ -1,6 +1,7 @@
 """From a fit to what it tells: estimates with 95 % intervals, and reasons where there are none."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -49,14 +50,16 @@ def covariance_of(found: Fit) -> Array:
 class _Widths:
     """Values of a fit's unknowns, each with the half width of its 95 % interval."""
 
-    def __init__(self, found: Fit) -> None:
+    def __init__(self, found: Fit, moved: Sequence[float] = ()) -> None:
         from scipy.stats import t
 
         self._found, self._covariance = found, covariance_of(found)
+        # What terms that the model does not have may move each unknown by: no chance, so it is added to the width.
+        self._moved = np.array(moved) if len(moved) else np.zeros(len(found.free))
         self._quantile = float(t.ppf(0.5 + 0.5 * CONFIDENCE, max(1, len(found.starts) - len(found.free))))
         self._index = {int(which): i for i, which in enumerate(found.free)}
         self.mobility = float(found.theta[motion.MOBILITY])
-        self.mass_off = self._quantile * math.sqrt(self._covariance[0, 0]) / self.mobility
+        self.mass_off = (self._quantile * math.sqrt(self._covariance[0, 0]) + float(self._moved[0])) / self.mobility
 
     def __contains__(self, which: int) -> bool:
         return which in self._index
@@ -68,18 +71,29 @@ class _Widths:
         slope = np.zeros(len(self._found.free))
         slope[index[which]] = 1.0 / g
         slope[index[motion.MOBILITY]] -= value / g
-        return value, self._quantile * math.sqrt(max(float(slope @ self._covariance @ slope), 0.0))
+        chance = self._quantile * math.sqrt(max(float(slope @ self._covariance @ slope), 0.0))
+        return value, chance + float(np.abs(slope) @ self._moved)
 
     def direct(self, which: int, unit: float = 1.0) -> tuple[float, float]:
         """Give an unknown as it stands."""
         i = self._index[which]
-        return float(self._found.theta[which]) * unit, self._quantile * math.sqrt(self._covariance[i, i]) * unit
+        width = self._quantile * math.sqrt(self._covariance[i, i]) + float(self._moved[i])
+        return float(self._found.theta[which]) * unit, width * unit
+
+    def total_delay(self) -> tuple[float, float]:
+        """Return the device's delay, the mean of a sensor that averages included [ticks]."""
+        late, width = self.direct(motion.DELAY)
+        if motion.AVERAGE not in self:
+            return late, width
+        pair = [self._index[motion.DELAY], self._index[motion.AVERAGE]]
+        chance = self._quantile * math.sqrt(max(float(self._covariance[np.ix_(pair, pair)].sum()), 0.0))
+        return late + float(self._found.theta[motion.AVERAGE]), chance + float(self._moved[pair].sum())
 
 
 def conclude(experiment: Experiment, choice: Choice, grid: Estimate) -> Identified:
     """Turn what was chosen into estimates; a refuted model gives its parameters no value."""
     found, test = choice.model, choice.test
-    widths = _Widths(found)
+    widths = _Widths(found, () if choice.why else choice.remainder.moved)
     own = _own_delay(experiment, choice, widths)
     total = own
     median, shortest, longest, jitter = _delays(experiment)
@@ -112,6 +126,8 @@ def conclude(experiment: Experiment, choice: Choice, grid: Estimate) -> Identifi
         refuted=bool(choice.why),
         why=choice.why,
         unbelieved=unbelieved,
+        remainder=choice.remainder.cause,
+        remainder_k_max=choice.remainder.k_max_change,
     )
 
 
@@ -138,7 +154,7 @@ def _mechanics(experiment: Experiment, widths: _Widths, damping_per_mass: float)
 
 def _own_delay(experiment: Experiment, choice: Choice, widths: _Widths) -> Estimate:
     """Estimate the device's own delay [ticks]."""
-    late, width = widths.direct(motion.DELAY)
+    late, width = widths.total_delay()
     # Nobody knows how late an unsteady sample is on average; evenly spread from 0 on it is 1.7 of its standard deviations.
     width += 2.0 * choice.unsteady / experiment.period
     if width > 0.5:
@@ -165,6 +181,9 @@ def _terms(period: float, choice: Choice, widths: _Widths) -> dict[str, Estimate
         terms["quadratic"] = positive(*widths.per_mass(motion.QUADRATIC))
     if motion.LAG in widths:
         terms["lag"] = positive(*widths.direct(motion.LAG, period))
+    terms["average"] = Estimate(0.0, 0.0, 0.0)
+    if motion.AVERAGE in widths:
+        terms["average"] = positive(*widths.direct(motion.AVERAGE))
     for name, which in (("frequency", motion.FREQUENCY), ("share", motion.SHARE), ("loss", motion.LOSS)):
         if which in widths:
             terms[name] = positive(*widths.direct(which))

@@ -64,10 +64,16 @@ class Identified:
     # leaves one at least so far from white, by rounding alone; None where there are none.
     held_out: float | None = None
     whiteness: float | None = None
+    # Part of the sample before in each reading: 0.5 for a sensor that averages two. Its mean delay is in `delay`.
+    average: Estimate = Estimate(0.0, 0.0, 0.0)
     # What the model has beyond mass, damping, friction, delay and hand because the data ask for it.
     terms: tuple[str, ...] = ()
     refuted: bool = False  # whether the held-out windows refute the model, and no richer one explains them
     why: str = ""  # what refutes it, and what the data ask for; empty for a model that holds
+    # What the residual asks for that the model does not have, and by how much of itself that may change K_max of a PD (a damper
+    # of 0.3 m/(T (1 + 2d))). The intervals hold what it may move. Empty and 0 where the residual is noise.
+    remainder: str = ""
+    remainder_k_max: float = 0.0
     # What a refuted model says of its parameters, which have no value then.
     unbelieved: Mapping[str, Estimate] = field(default_factory=dict)
 

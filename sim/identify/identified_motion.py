@@ -17,11 +17,13 @@ from sim.device.friction import slide
 from sim.device.model import Coefficients, coefficients
 from sim.scene.compiled import compiled
 
-MOBILITY, DAMPING, FRICTION, STIFFNESS, LOAD, DELAY, QUADRATIC, LAG, SHARE, FREQUENCY, LOSS = range(11)
+MOBILITY, DAMPING, FRICTION, STIFFNESS, LOAD, DELAY, QUADRATIC, LAG, SHARE, FREQUENCY, LOSS, AVERAGE = range(12)
 # The unknowns: 1/m [1/kg]; b/m [1/s]; c/m [m/s²]; k/m of a hand [1/s²]; load/m [m/s²]; delay [ticks]; quadratic damping per
-# mass [1/m]; lag [ticks]; part of the mass beyond a joint; frequency [Hz] and damping ratio of the joint.
+# mass [1/m]; lag [ticks]; part of the mass beyond a joint; frequency [Hz] and damping ratio of the joint; part of the sample
+# before in each reading.
 NAMES = (
     "mobility", "damping", "friction", "stiffness", "load", "delay", "quadratic", "lag", "share", "frequency", "loss",
+    "average",
 )  # fmt: skip
 STATES = 4  # position [m] and velocity [m/s] of the motor's side, then what the joint is stretched by and how fast
 _PARTS = 4  # steps of a tick in a richer model
@@ -212,11 +214,19 @@ def _richer(theta: Array, initial: Array, start: int, length: int, period: float
 
 @compiled()
 def window(theta: Array, state: Array, start: int, length: int, period: float, at: Array, force: Array, out: Array) -> None:
-    """Positions of one window from its initial state."""
+    """Positions that are read in one window, from its initial state."""
     if theta[6] == 0.0 and theta[7] == 0.0 and theta[8] == 0.0:
         _rigid(theta, state, start, length, period, at, force, out)
     else:
         _richer(theta, state, start, length, period, at, force, out)
+    part = theta[11]
+    if part != 0.0:
+        # The sample before the first of a window is not known: drawn on with a constant acceleration, and never compared.
+        before = 3.0 * out[0] - 3.0 * out[1] + out[2]
+        for k in range(length):
+            here = out[k]
+            out[k] = here + part * (before - here)
+            before = here
 
 
 @compiled()
@@ -241,6 +251,10 @@ def slopes(
     length, p = residuals.shape[1], len(free)
     here, there = np.empty(length), np.empty(length)
     moved, near = np.empty(len(theta)), np.empty(STATES)
+    first = 1 if theta[11] != 0.0 else 0
+    for i in range(p):
+        if free[i] == 11:
+            first = 1
     for w in range(len(starts)):
         start = starts[w]
         for i in range(STATES):
@@ -257,10 +271,10 @@ def slopes(
                 near[i - p] += step
             window(moved, near, start, length, period, at, force, there)
             for k in range(length):
-                out[w, i, k] = 0.0 if missing[start + k] else (there[k] - here[k]) / step
+                out[w, i, k] = 0.0 if missing[start + k] or k < first else (there[k] - here[k]) / step
             if i < p:
                 moved[free[i]] = theta[free[i]]
             else:
                 near[i - p] = states[w, i - p]
         for k in range(length):
-            residuals[w, k] = 0.0 if missing[start + k] else position[start + k] - here[k]
+            residuals[w, k] = 0.0 if missing[start + k] or k < first else position[start + k] - here[k]

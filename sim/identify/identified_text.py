@@ -19,6 +19,7 @@ ROWS = (
     ("load_n", "load", "constant load", "N"),
     ("quadratic_damping_n_s2_per_m2", "quadratic", "quadratic damping", "N s²/m²"),
     ("lag_s", "lag", "lag of the actuator", "s"),
+    ("sensor_average", "average", "part of the sample before", "1"),
     ("mode_hz", "frequency", "second mode", "Hz"),
     ("mode_mass_share", "share", "  mass beyond its joint, part", "1"),
     ("mode_damping_ratio", "loss", "  its damping ratio", "1"),
@@ -41,6 +42,10 @@ def figures(found: Identified) -> dict[str, Any]:
         "residual_steps": found.steps(found.residual),
         "residual_m": None if math.isnan(found.residual) else found.residual,
         "terms": list(found.terms),
+        "remainder": {
+            "cause": found.remainder,
+            "k_max_change": found.remainder_k_max if math.isfinite(found.remainder_k_max) else None,
+        },
         "unbelieved": {key: _estimate(found.unbelieved[name]) for key, name, _, _ in ROWS if name in found.unbelieved},
         "held_out": {"residual_steps": found.steps(found.held_out), "residual_m": found.held_out, "whiteness": found.whiteness},
         "windows_dropped": found.dropped,
@@ -50,7 +55,7 @@ def figures(found: Identified) -> dict[str, Any]:
 
 def from_figures(record: Mapping[str, Any]) -> Identified:
     """Read back what `figures` gave: the inverse, for a step that is run alone."""
-    estimates: dict[str, Any] = {name: Estimate(**record[key]) for key, name, _, _ in ROWS}
+    estimates: dict[str, Any] = {name: Estimate(**record[key]) for key, name, _, _ in ROWS if key in record}
     low, high = record["delay_range_ticks"]
     return Identified(
         **estimates,
@@ -63,8 +68,17 @@ def from_figures(record: Mapping[str, Any]) -> Identified:
         ticks=record["window_ticks"],
         period=1.0 / record["rate_hz"],
         terms=tuple(record["terms"]),
+        **_remainder(record.get("remainder")),
         unbelieved={name: Estimate(**record["unbelieved"][key]) for key, name, _, _ in ROWS if key in record["unbelieved"]},
     )
+
+
+def _remainder(record: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Read back what is left; a recording of an earlier version told none."""
+    if record is None:
+        return {}
+    change = record["k_max_change"]
+    return {"remainder": record["cause"], "remainder_k_max": math.inf if change is None else change}
 
 
 def verdict(found: Identified) -> str:
@@ -74,6 +88,11 @@ def verdict(found: Identified) -> str:
     if found.mass.value is None:
         return f"cannot tell: {found.mass.why}"
     model = " with ".join(["a rigid device", *(" and ".join(found.terms) for _ in found.terms[:1])])
+    if found.remainder:
+        return (
+            f"holds for a design: {model}; the recording also shows {found.remainder}, which the model does not have and which "
+            f"may change K_max by {100.0 * found.remainder_k_max:.2g} %"
+        )
     return f"holds: {model} leaves no more than noise in windows that it was not fitted to"
 
 
@@ -90,6 +109,8 @@ def text(found: Identified) -> str:
             lines.append(f"  {label:30} not believed{by}")
         elif estimate.value is None:
             lines.append(f"  {label:30} cannot tell: {estimate.why}")
+        elif name == "average" and estimate.value == 0.0:
+            continue
         elif name in ("quadratic", "lag") and estimate.value == 0.0:
             lines.append(f"  {label:30} none seen; below {estimate.high:.2g} {unit} it would not show")
         else:

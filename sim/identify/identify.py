@@ -15,7 +15,7 @@ from sim.identify.choose_model import Windows, choose
 from sim.identify.conclude import conclude, covariance_of, nothing
 from sim.identify.experiment import Experiment, encoder
 from sim.identify.identified import Identified
-from sim.identify.identified_motion import DAMPING, DELAY, FRICTION, LAG, LOAD, MOBILITY, NAMES, STIFFNESS, window
+from sim.identify.identified_motion import AVERAGE, DAMPING, DELAY, FRICTION, LAG, LOAD, MOBILITY, NAMES, STIFFNESS, window
 from sim.identify.output_error import Fit, fit, windows
 
 WINDOW = 100  # ticks of a window
@@ -67,7 +67,9 @@ def _begun(experiment: Experiment, found: Identified, starts: NDArray[np.int64])
         theta[NAMES.index(name)] = (getattr(found, name).value or 0.0) / mass
     for name in ("share", "frequency", "loss"):
         theta[NAMES.index(name)] = getattr(found, name).value or 0.0
-    theta[DELAY] = found.device_delay.value or 0.0
+    theta[AVERAGE] = found.average.value or 0.0
+    # The mean delay of a sensor that averages is told with the device's own.
+    theta[DELAY] = max((found.device_delay.value or 0.0) - theta[AVERAGE], 0.0)
     theta[LAG] = (found.lag.value or 0.0) / experiment.period
     return fit(experiment, starts, found.ticks, theta, (), found.encoder.value or 1e-6)
 
@@ -113,7 +115,7 @@ def first_guess(experiment: Experiment, held: bool) -> Array:
     bend = (-8.0 * (1.0 - s**2) ** 3 + 48.0 * s**2 * (1.0 - s**2) ** 2) / unit**2
     # ∫ force dt at the forces' own instants is piecewise linear, and so exact at any delay.
     impulse = np.concatenate([[0.0], np.cumsum(experiment.force[:-1] * np.diff(experiment.at))])
-    best: tuple[float, Array] = (np.inf, np.array([10.0, 5.0, 0.3, 0.0, 0.0, 0.0, *[0.0] * 5]))
+    best: tuple[float, Array] = (np.inf, np.array([10.0, 5.0, 0.3, 0.0, 0.0, 0.0, *[0.0] * 6]))
     parts = [part for part in experiment.segments if part[1] - part[0] > 3 * HALF_WIDTH]
 
     def over(signal: Array, kernel: Array) -> Array:
@@ -140,5 +142,5 @@ def first_guess(experiment: Experiment, held: bool) -> Array:
         error = float(np.linalg.norm(matrix @ solution - target))
         if error < best[0]:
             g, b, c, load, k = (*solution.tolist(), 0.0)[:5]
-            best = error, np.array([max(g, 0.1), max(b, 0.0), max(c, 0.0), max(k, 0.0), load, delay, *[0.0] * 5])
+            best = error, np.array([max(g, 0.1), max(b, 0.0), max(c, 0.0), max(k, 0.0), load, delay, *[0.0] * 6])
     return best[1]

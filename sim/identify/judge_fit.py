@@ -18,6 +18,7 @@ DRAWS = 40  # how often a model that holds is drawn
 FINEST = 1e-9  # grid of an encoder whose own is not seen; what is left below its rounding is arithmetic [m]
 LAGS = 20  # of the autocorrelation [ticks]
 SURE = 5.0  # so many standard deviations are no chance, among some hundred suspects
+QUANTILE = 1.96  # of a 95 % interval [standard deviations]
 IMPROBABLE = 1e-4  # whiteness below which a model does not hold
 
 
@@ -34,6 +35,7 @@ class Left:
     # Orthonormal bases of what those move.
     states: Array
     unknowns: Array
+    slopes: Array  # what each unknown moves, freed of the windows' own states, shape (p, W L)
 
 
 def _freed(what: Array, states: Array, unknowns: Array) -> Array:
@@ -59,9 +61,9 @@ def left(experiment: Experiment, found: Fit, step: float | None, seed: int = 1) 
     u, s, _ = np.linalg.svd(columns, full_matrices=False)
     states = u * (s > 1e-9 * s[:, :1])[:, None, :]
     unknowns = np.zeros((residual.size, 0))
+    raw = _freed(np.moveaxis(moved[:, :p], 1, 0), states, unknowns).reshape(p, residual.size)
     if p:
-        along = _freed(np.moveaxis(moved[:, :p], 1, 0), states, unknowns).reshape(p, -1)
-        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
+        along = raw / np.maximum(np.linalg.norm(raw, axis=1, keepdims=True), 1e-300)
         u, s, _ = np.linalg.svd(along.T, full_matrices=False)
         unknowns = u[:, s > 1e-9 * s[0]]
     clean = _freed(residual, states, unknowns)
@@ -85,7 +87,7 @@ def left(experiment: Experiment, found: Fit, step: float | None, seed: int = 1) 
     noise = math.sqrt(max(size**2 - rounding, 0.0))
     if noise > 0.1 * size:
         draws = drawn(noise)
-    return Left(clean, draws, size, math.sqrt(rounding), modelled, states, unknowns)
+    return Left(clean, draws, size, math.sqrt(rounding), modelled, states, unknowns, raw)
 
 
 def whiteness(what: Left) -> float:
@@ -129,6 +131,10 @@ class Evidence:
     share: float  # part that it takes up of what the residual has beyond rounding
     factor: float  # of its first shape
     visible: float  # factor that would have `SURE` standard deviations
+    factors: Array  # of each shape, fitted together, shape (g,)
+    # By how much more of itself the term may be, at 95 %, by how the windows differ about it.
+    margin: float
+    moves: Array  # what the unknowns of the fit would change by if the term were added, in the order of `Fit.free`
 
 
 def scan(experiment: Experiment, found: Fit, what: Left) -> list[Evidence]:
@@ -147,6 +153,26 @@ def scan(experiment: Experiment, found: Fit, what: Left) -> list[Evidence]:
         drawn = np.linalg.norm(what.draws.reshape(DRAWS, -1) @ q, axis=1)
         spread = math.sqrt(float(np.mean(drawn**2)) / q.shape[1])
         factor = float(what.residual.ravel() @ shapes[0]) / float(norms[0]) ** 2
+        residual = what.residual.ravel()
+        factors = np.linalg.lstsq((shapes / norms[:, None]).T, residual, rcond=None)[0] / norms
+        explained = factors @ shapes
         strength, share = seen / spread / math.sqrt(q.shape[1]), min(seen**2 / power, 1.0) if power > 0.0 else 0.0
-        findings.append(Evidence(suspect, strength, share, factor, SURE * spread / float(norms[0])))
+        carried = _carried(what, suspect, factors, explained)
+        visible = SURE * spread / float(norms[0])
+        findings.append(Evidence(suspect, strength, share, factor, visible, factors, *carried))
     return sorted(findings, key=lambda one: -one.share)
+
+
+def _carried(what: Left, suspect: Suspect, factors: Array, explained: Array) -> tuple[float, Array]:
+    """Return how much more of itself a term may be, and what it would move the unknowns of the fit by."""
+    size = float(np.linalg.norm(explained))
+    windows = len(what.residual)
+    if size == 0.0:
+        return 0.0, np.zeros(len(what.slopes))
+    unit = (explained / size).reshape(windows, -1)
+    # Each window's own vote: what is left besides, of whatever colour, makes them differ.
+    votes = np.sum(what.residual * unit, axis=1) - np.sum(unit**2, axis=1) * size
+    margin = QUANTILE * math.sqrt(float(np.sum(votes**2)) * windows / max(windows - 1, 1)) / size
+    whole = _freed(np.tensordot(factors, suspect.shapes, 1), what.states, what.unknowns[:, :0])
+    moves = np.linalg.lstsq(what.slopes.T, whole.ravel(), rcond=None)[0] if len(what.slopes) else np.zeros(0)
+    return margin, -np.asarray(moves, dtype=np.float64)

@@ -17,20 +17,20 @@ from sim.identify.experiment import Experiment
 from sim.identify.identified_motion import SHARE, STATES, slopes
 
 # Smallest value of each unknown, in the order and the units of `NAMES`.
-LEAST = np.array([1e-3, 0.0, 0.0, 0.0, -math.inf, 0.0, 0.0, 0.0, 1e-3, 1.0, 0.0])
+LEAST = np.array([1e-3, 0.0, 0.0, 0.0, -math.inf, 0.0, 0.0, 0.0, 1e-3, 1.0, 0.0, 0.0])
 # Largest value of each.
-MOST = np.array([1e5, math.inf, math.inf, math.inf, math.inf, 100.0, math.inf, 50.0, 0.98, 1000.0, 2.0])
+MOST = np.array([1e5, math.inf, math.inf, math.inf, math.inf, 100.0, math.inf, 50.0, 0.98, 1000.0, 2.0, 0.5])
 _DIVERGED = 1e100  # of a position [m]: its square can still be added up
 # Differences that slopes are taken over, as a part of `_SIZES` or of the value, whichever is larger.
-_STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-3, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-5, 1e-3])
-_SIZES = np.array([1.0, 1.0, 0.1, 100.0, 1.0, 1.0, 1.0, 1.0, 0.1, 10.0, 0.01])
+_STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-3, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-5, 1e-3, 1e-3])
+_SIZES = np.array([1.0, 1.0, 0.1, 100.0, 1.0, 1.0, 1.0, 1.0, 0.1, 10.0, 0.01, 1.0])
 
 
 @dataclass
 class Fit:
     """What the search came to."""
 
-    theta: Array  # the unknowns, in the order of `NAMES`, shape (11,)
+    theta: Array  # the unknowns, in the order of `NAMES`, shape (12,)
     free: NDArray[np.int64]  # which of them were looked for
     # Initial position [m] and velocity [m/s] of each window, and stretch [m] and its rate [m/s] of a joint, shape (W, 4).
     states: Array

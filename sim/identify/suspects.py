@@ -19,6 +19,8 @@ LOWEST = 8.0  # of a joint [Hz]; what is slower is a hand
 HIGHEST = 0.9  # of a joint, as a part of half the rate: faster ones cannot be told from slow ones
 LOSSES = (0.02, 0.08)  # damping ratios of a joint
 LAGS = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the actuator [ticks]
+AVERAGES = (0.15, 0.5)  # part of the sample before in each reading
+FORCE_STEPS = (1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1)  # of what the motor gives [N]
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,9 @@ SIZES: dict[str, tuple[str, float]] = {
     "cogging": ("a force that repeats every {:.2g} mm", 1e3),
     "encoder ripple": ("an encoder error that repeats every {:.2g} mm", 1e3),
     "drift": ("friction or damping that changes during the run", 1.0),
+    "sensor filter": ("a sensor that averages: {:.0f} % of the sample before in each reading", 100.0),
+    "force steps": ("a force that comes in steps of {:.2g} mN", 1e3),
+    "gain by sign": ("a motor that gives more force one way than the other", 1.0),
     "deadband": ("a force that the motor does not give as commanded: a dead band, or a gain that depends on the force", 1.0),
 }
 
@@ -70,17 +75,22 @@ class Shapes:
         self._rows = found.starts[:, None] + np.arange(found.length)
         self._x, self._v = modelled, np.gradient(modelled, period, axis=1)
         ticks = np.arange(len(experiment.position), dtype=np.float64)
-        impulse = np.concatenate([[0.0], np.cumsum(experiment.force[:-1] * np.diff(experiment.at))])
+        self._ticks, self._given, self._at, self._delay = ticks, experiment.force, experiment.at, float(theta[DELAY])
+        self._force = self._mean(experiment.force)
+        direction = np.sign(np.gradient(np.convolve(experiment.position, np.ones(5) / 5.0, "same")))
+        self._net = self._force - theta[FRICTION] * direction + theta[LOAD]
+
+    def _mean(self, given: Array) -> Array:
+        """Return the mean over each tick, per mass, of forces that are given at the recorded instants."""
+        impulse = np.concatenate([[0.0], np.cumsum(given[:-1] * np.diff(self._at))])
 
         def pushed(until: Array) -> Array:
             """Integral of the force up to an instant [N ticks]."""
-            then = np.interp(until, experiment.at, impulse)
-            return np.asarray(then + experiment.force[-1] * np.maximum(until - experiment.at[-1], 0.0))
+            then = np.interp(until, self._at, impulse)
+            return np.asarray(then + given[-1] * np.maximum(until - self._at[-1], 0.0))
 
-        # Mean of the force that acts during each tick, per mass.
-        self._force = theta[MOBILITY] * (pushed(ticks + 1.0 - theta[DELAY]) - pushed(ticks - theta[DELAY]))
-        direction = np.sign(np.gradient(np.convolve(experiment.position, np.ones(5) / 5.0, "same")))
-        self._net = self._force - theta[FRICTION] * direction + theta[LOAD]
+        late = self._ticks - self._delay
+        return np.asarray(self._theta[MOBILITY] * (pushed(late + 1.0) - pushed(late)))
 
     def _moved_by(self, force: Array) -> Array:
         """Motion of the model by a force per mass (W, L), from rest in each window."""
@@ -89,7 +99,8 @@ class Shapes:
 
     def all(self) -> Iterator[Suspect]:
         """Give every suspect at every size."""
-        for part in (self._modes, self._lags, self._frictions, self._springs, self._gaps, self._repeated, self._others):
+        parts = (self._modes, self._lags, self._frictions, self._springs, self._gaps, self._repeated, self._others, self._read)
+        for part in parts:
             yield from part()
 
     def _modes(self) -> Iterator[Suspect]:
@@ -166,4 +177,17 @@ class Shapes:
         force = self._force[self._rows]
         strongest = np.abs(force).max() or 1.0
         shapes = (np.tanh(force / (0.1 * strongest)), force * np.abs(force))
-        yield Suspect("deadband", 0.0, np.stack([self._moved_by(shape) for shape in shapes]))
+        yield Suspect("deadband", 0.0, np.stack([self._moved_by(shape) for shape in shapes]), (strongest,))
+        yield Suspect("gain by sign", 0.0, self._moved_by(np.abs(force))[None])
+        largest = float(np.abs(self._given).max())
+        for step in FORCE_STEPS:
+            if step < largest:
+                lost = self._mean(np.round(self._given / step) * step - self._given)
+                yield Suspect("force steps", step, self._moved_by(lost[self._rows])[None])
+
+    def _read(self) -> Iterator[Suspect]:
+        x = self._x
+        before = np.concatenate([3.0 * x[:, :1] - 3.0 * x[:, 1:2] + x[:, 2:3], x[:, :-1]], axis=1)
+        for part in AVERAGES:
+            # Freed of what a delay moves by `judge_fit`: what is left is the blur.
+            yield Suspect("sensor filter", part, (part * (before - x))[None], (part,))

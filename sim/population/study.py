@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from sim.device.model import DeviceModel
 from sim.identify.identified import Identified
 from sim.identify.identified_text import ROWS
 from sim.identify.identify import identify
+from sim.identify.remainder import reference_gain, stiffest
 from sim.population.virtual import KINDS, draw, draw_outside, excite, excite_outside
 from sim.scene.richer import RicherModel
 from sim.tune.design import Wanted, demand
@@ -98,6 +99,9 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 FAR = 2.0  # half widths of a 95 % interval beyond which an estimate is false certainty: by chance one in ten thousand is
 ALLOWED = 0.05  # largest part of devices of which anything may be told that is false
+NEEDLESS = 0.10  # largest part of the devices with a good fit that may be refused
+GOOD = 0.01  # a fit whose K_max is so close to the truth serves a design, as a part of K_max
+WRONG = 0.05  # a believed fit whose K_max is farther off is false certainty, as a part of K_max
 # Terms that a kind should come out with.
 ASKED = {
     "flexible mode": {"flexible mode"},
@@ -105,6 +109,9 @@ ASKED = {
     "quadratic damping": {"quadratic damping"},
     "sampling jitter": {"sampling jitter"},
     "lag and mode": {"actuator lag", "flexible mode"},
+    "sensor average": {"sensor filter"},
+    # At the sensor or at the actuator: the linear loop is the same.
+    "sensor lag": {"actuator lag"},
 }
 # Words by which a kind that no model has should be refused.
 NAMED = {
@@ -114,6 +121,9 @@ NAMED = {
     "stribeck": "friction that falls",
     "cogging": "a force that repeats",
     "encoder ripple": "an encoder error",
+    "eccentricity": "an encoder error",
+    "gain by sign": "more force one way",
+    "force steps": "a force that comes in steps",
     "warming up": "changes during the run",
     "deadband": "dead band",
 }
@@ -123,14 +133,17 @@ def truths(device: RicherModel, found: Identified, period: float) -> dict[str, f
     """Say what each parameter is that a run could tell."""
     rigid = device.rigid
     # A lag that is not told apart belongs to the delay, and so does what forces come late by on average.
-    unseen = 0.0 if "actuator lag" in found.terms else device.lag / period
+    late = device.lag + device.sensor_lag
+    unseen = device.average + (0.0 if "actuator lag" in found.terms else late / period)
     return {
         "mass": rigid.mass,
         "damping": rigid.damping * (1.0 - 0.5 * device.warming),
         "friction": rigid.friction or 0.0,
         "delay": rigid.delay + unseen + 0.5 * device.late,
         "quadratic": device.quadratic,
-        "lag": device.lag,
+        "lag": late,
+        # A slower filter blurs as an average of two samples does: that is no truth of its own.
+        **({} if device.sensor_lag else {"average": device.average}),
         "frequency": device.frequency,
         "share": device.share,
         "loss": device.loss,
@@ -147,6 +160,9 @@ def study_outside(job: Mapping[str, Any]) -> dict[str, Any]:
         "refuted": found.refuted,
         "why": found.why,
         "terms": list(found.terms),
+        "remainder": found.remainder,
+        "remainder_k_max": found.remainder_k_max if math.isfinite(found.remainder_k_max) else None,
+        "k_max_off": k_max_off(device, found, period),
         "residual_steps": found.steps(found.residual),
         "whiteness": found.whiteness,
         "off": {},
@@ -154,25 +170,46 @@ def study_outside(job: Mapping[str, Any]) -> dict[str, Any]:
     for name, truth in truths(device, found, period).items():
         estimate = getattr(found, name)
         # What is 0 because the data do not ask for it has a bound, no interval.
-        if estimate.value is not None and not (name in ("quadratic", "lag") and estimate.value == 0.0):
+        if estimate.value is not None and not (name in ("quadratic", "lag", "average") and estimate.value == 0.0):
             half = 0.5 * (estimate.high - estimate.low)
             row["off"][name] = abs(estimate.value - truth) / max(half, 1e-300)
     return row
+
+
+def k_max_off(device: RicherModel, found: Identified, period: float) -> float | None:
+    """Return how far K_max of the best fit is from that of the linear device, as a part of it; None where a fit tells none."""
+    believed = found.anyway() if found.refuted else found
+    try:
+        fitted = believed.plant()
+    except ValueError:
+        return None
+    truth = replace(
+        device.plant,
+        lag=device.lag + device.sensor_lag,
+        delay=max(device.plant.delay + 0.5 * device.late - 0.5 * device.jitter, 0.0),
+    )
+    gain = reference_gain(truth, period)
+    known = stiffest(truth, period, gain, device.average)
+    told = stiffest(fitted, period, gain)
+    return abs(told / known - 1.0) if told is not None and known is not None else None
 
 
 def named(row: Mapping[str, Any]) -> bool:
     """Tell whether a device came out as what it is."""
     if row["kind"] in ASKED:
         return not row["refuted"] and set(row["terms"]) == ASKED[row["kind"]]
-    return bool(row["refuted"] and row["kind"] in NAMED and NAMED[row["kind"]] in row["why"])
+    said = row["why"] if row["refuted"] else row["remainder"]
+    return row["kind"] in NAMED and NAMED[row["kind"]] in said
 
 
 def outcome(row: Mapping[str, Any]) -> str:
     """Say in a word what became of a device."""
     if row["refuted"]:
         return "refused"
-    if any(off > FAR for off in row["off"].values()):
+    if any(off > FAR for off in row["off"].values()) or (row["k_max_off"] or 0.0) > WRONG:
         return "false"
+    if row["remainder"]:
+        return "reported"
     return "richer" if set(row["terms"]) - {"sampling jitter"} else "rigid"
 
 
@@ -185,12 +222,21 @@ def summary_outside(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         offs = [off for row in of for off in row["off"].values()]
         result["kinds"][kind] = {
             "devices": len(of),
-            **{word: sum(outcome(row) == word for row in of) for word in ("rigid", "richer", "refused", "false")},
+            **{word: sum(outcome(row) == word for row in of) for word in ("rigid", "richer", "reported", "refused", "false")},
             "named": sum(named(row) for row in of),
             "intervals": len(offs),
             "missed": sum(off > 1.0 for off in offs),
-            "false_of": sorted({labels[name] for row in of for name, off in row["off"].items() if off > FAR}),
+            "false_of": sorted(
+                {labels[name] for row in of for name, off in row["off"].items() if off > FAR}
+                | {"K_max" for row in of if not row["refuted"] and (row["k_max_off"] or 0.0) > WRONG}
+            ),
+            "good": sum(_good(row) for row in of),
+            "needless": sum(_good(row) and row["refuted"] for row in of),
         }
-    for word in ("refused", "false", "named", "intervals", "missed"):
+    for word in ("reported", "refused", "false", "named", "intervals", "missed", "good", "needless"):
         result[word] = sum(one[word] for one in result["kinds"].values())
     return result
+
+
+def _good(row: Mapping[str, Any]) -> bool:
+    return row["k_max_off"] is not None and row["k_max_off"] <= GOOD

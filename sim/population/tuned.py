@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from nodes.laws import CompiledLaw
 from nodes.stability.flexible import flexible_radius
 from sim.identify.identified import refusal
@@ -70,9 +72,18 @@ def knocks(device: RicherModel, law: CompiledLaw, knock: float, period: float) -
 
 
 def true_radius(law: CompiledLaw, device: RicherModel, period: float) -> float:
-    """Find the largest pole of the loop with the true device, at its shortest delay and its longest; dry friction left out."""
+    """Return the largest pole of the loop with the true device, at its shortest and longest delay; dry friction left out."""
     plants = (replace(device.plant, delay=device.plant.delay + late) for late in {0.0, device.late})
-    return max(flexible_radius(law, period, plant) for plant in plants)
+    return max(flexible_radius(_as_read(law, device), period, plant) for plant in plants)
+
+
+def _as_read(law: CompiledLaw, device: RicherModel) -> CompiledLaw:
+    """Return a law of taps behind the sensor of a device: on readings that average two samples."""
+    if device.average == 0.0:
+        return law
+    if law.sections:
+        raise ValueError("law: has sections; behind a sensor that averages only taps are judged")
+    return CompiledLaw(tuple(np.convolve(law.taps, [1.0 - device.average, device.average]).tolist()))
 
 
 def true_edge(law: CompiledLaw, device: RicherModel, period: float) -> float | None:

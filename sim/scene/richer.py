@@ -41,16 +41,27 @@ class RicherModel:
     late: float = 0.0  # forces come late by up to so much more than the delay [ticks]
     warming: float = 0.0  # part by which damping falls during the run
     deadband: float = 0.0  # forces below it do nothing, and larger ones so much less [N]
+    average: float = 0.0  # part of the sample before in each reading: 0.5 for a sensor that averages two samples
+    sensor_lag: float = 0.0  # time constant of a filter at the sensor [s]
+    gain_by_sign: float = 0.0  # part by which positive forces are larger, and negative ones smaller
+    force_step: float = 0.0  # of the force that the motor gives [N]
+    pitch: float = 0.0013  # over which the encoder's error repeats [m]
 
     @property
     def plant(self) -> FlexiblePlant:
-        """The linear device that it is, for poles of its loop."""
+        """The linear device that it is, for poles of its loop; a sensor that averages is no part of it.
+
+        A filter at the sensor is a lag of the actuator to a linear loop.
+        """
         rigid = self.rigid
         joint = {"share": self.share, "frequency": self.frequency, "loss": self.loss} if self.share else {}
-        return FlexiblePlant(rigid.mass, rigid.damping, rigid.delay, lag=self.lag, **joint)
+        return FlexiblePlant(rigid.mass, rigid.damping, rigid.delay, lag=self.lag + self.sensor_lag, **joint)
 
 
-_ODD = "quadratic", "lag", "gap", "hardening", "presliding", "stribeck", "uneven", "cogging", "ripple", "warming", "deadband"
+_ODD = (
+    "quadratic", "lag", "gap", "hardening", "presliding", "stribeck", "uneven", "cogging", "ripple", "warming", "deadband",
+    "average", "sensor_lag", "gain_by_sign", "force_step", "pitch",
+)  # fmt: skip
 
 
 @compiled()
@@ -72,7 +83,9 @@ def _push(
     """Push in closed loop, as the nodes do in lockstep; everything that acts is taken in the middle of each step."""
     centre, reach, peak, start = law
     mass, damping, friction, share, joint, loss = body
-    grip, quadratic, lag, gap, hardening, presliding, stribeck, uneven, cogging, ripple, warming, deadband = odd
+    grip, quadratic, lag, gap, hardening, presliding, stribeck, uneven, cogging, ripple, warming, deadband = odd[:12]
+    average, sensor_lag, by_sign, force_step, pitch = odd[12:]
+    seen, before = start, start
     own = mass * (1.0 - share)
     applied = 0.0
     beyond = mass * share
@@ -104,6 +117,10 @@ def _push(
                 if deadband > 0.0:
                     u = math.copysign(max(abs(mean) - deadband, 0.0), mean)
                 mx, my = x + 0.5 * h * v, y + 0.5 * h * w
+                if by_sign != 0.0:
+                    u *= 1.0 + math.copysign(by_sign, u)
+                if sensor_lag > 0.0:
+                    seen = mx + (seen - mx) * math.exp(-h / sensor_lag)
                 speed = abs(v)
                 u -= quadratic * v * speed + (grip + hardening * mx * mx) * mx
                 if cogging > 0.0:
@@ -133,9 +150,13 @@ def _push(
             now = until
             if what == 1:
                 sampled = True
-                read = x + noise[k]
+                read = (x if sensor_lag == 0.0 else seen) + noise[k]
                 if ripple > 0.0:
-                    read += ripple * math.sin(2.0 * math.pi * x / 0.0013)
+                    read += ripple * math.sin(2.0 * math.pi * x / pitch)
+                if average > 0.0:
+                    now_read = read
+                    read = (1.0 - average) * read + average * before
+                    before = now_read
                 measured = quantise(read, resolution)
                 deflections[1:] = deflections[:-1].copy()
                 deflections[0] = centre - measured
@@ -147,6 +168,8 @@ def _push(
                 forces[k] = applied
             elif what == 2:
                 acting = forces[arrived]
+                if force_step > 0.0:
+                    acting = round(acting / force_step) * force_step
                 arrived += 1
 
 

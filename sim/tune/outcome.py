@@ -1,6 +1,5 @@
 """What the knocks on a device say of the law that was tried: whether it holds, where its edge is, and how sure that is."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
@@ -46,7 +45,8 @@ def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
         "complete": edge.complete,
         "edge_factor": factor,
         "edge_h1_n_per_m": None if factor is None else factor * h1,
-        "edge_by_poles_h1_n_per_m": math.sqrt(ends[0] * ends[1]) * h1 if ends and certain else None,
+        # The lower end: a middle would lie above the true edge as often as below.
+        "edge_by_poles_h1_n_per_m": min(ends[0], rested or ends[0]) * h1 if ends and certain else None,
         "edge_by_poles_between_n_per_m": [end * h1 for end in ends] if ends else None,
         "stiffest_at_rest_n_per_m": None if rested is None else rested * h1,
         **compared(predicted["edge_factor"], factor),
@@ -98,9 +98,9 @@ def headline(record: Mapping[str, Any]) -> str:
 
 
 def edge_in_words(after: Mapping[str, Any]) -> str:
-    """Say where the edge is: a figure where it is known to 5 %, else the interval alone."""
+    """Return where the edge is: its lower end where the interval is known to 5 %, else the interval alone."""
     ends, edge = after["edge_by_poles_between_n_per_m"], after["edge_by_poles_h1_n_per_m"]
     if ends is None:
         return f"no edge was found up to {number(after['stiffest_at_rest_n_per_m'] or 0.0, 'N/m')}"
     between = f"between {number(ends[0])} and {number(ends[1], 'N/m')}"
-    return f"its edge lies {between}" if edge is None else f"its edge is at {number(edge, 'N/m')}, {between}"
+    return f"its edge lies {between}" if edge is None else f"its edge is at {number(edge, 'N/m')} or above ({between})"

@@ -77,7 +77,10 @@ def _interval(low: float, high: float) -> str:
 def _device(record: Mapping[str, Any]) -> str:
     lines = ["<tr><th></th><th>value</th><th>95 % interval</th><th></th></tr>"]
     for key, _, name, unit in ROWS:
-        one = record[key]
+        one = record.get(key)
+        # A record of an earlier version lacks it, and most sensors do not average.
+        if one is None or (key == "sensor_average" and not one["value"]):
+            continue
         if one["value"] is None:
             lines.append(f"<tr><td>{name}</td><td colspan=3>cannot tell: {_plain(one['why'])}</td></tr>")
         else:
@@ -88,6 +91,10 @@ def _device(record: Mapping[str, Any]) -> str:
     steps = record["residual_steps"]
     ended = f"The push ended: {_plain(record['stopped'])}. "
     residual = f"Residual {number(steps)} encoder steps; rounding alone leaves 0.29."
+    left = record.get("remainder") or {}
+    if left.get("cause") and not record.get("refuted"):
+        share = 100.0 * (left["k_max_change"] or 0.0)
+        refuted = f"<p>The recording also shows {_plain(left['cause'])}: it may change K_max by {share:.2g} %.</p>"
     return f"{refuted}<table>{''.join(lines)}</table><p>{ended}{residual}</p>"
 
 
@@ -149,6 +156,7 @@ def _felt(record: Mapping[str, Any]) -> Figure | None:
     """Draw force over depth as the identified device falls on the wall of the law, beside the stiffness felt at rest."""
     if "designed" not in record or "identified" not in record:
         return None
+    from nodes.laws import CompiledLaw
     from sim.design.fall import fallen
     from sim.design.landing import HEIGHTS
 
@@ -158,7 +166,7 @@ def _felt(record: Mapping[str, Any]) -> Figure | None:
     # Nobody holds what falls.
     plant = replace(found.plant(), stiffness=0.0)
     ticks = round(FALL / found.period)
-    position, force = fallen(plant, found.period, designed["taps_n_per_m"], HEIGHTS[0], ticks)
+    position, force = fallen(plant, found.period, CompiledLaw(tuple(designed["taps_n_per_m"])), HEIGHTS[0], ticks)
     depth = -1e3 * position
     figure = new_figure(8.0, 3.6)
     axes = figure.subplots()

@@ -55,7 +55,7 @@ def predicted_rows(record: Mapping[str, Any]) -> list[TextRow]:
     later = record["stable_up_to_delay_ticks"]
     every = record["every_delay_stable"]
     decided = record.get("every_delay_why") or ("not decided" if every is None else number(every))
-    quiet = {True: "yes", "estimated": "by estimate", None: "cannot tell"}.get(rest, "NO")
+    quiet = {True: "yes", "estimated": "by estimate", None: "cannot tell"}.get(rest, "not proven")
     return [
         ("edge, by knocks on the model", "none was found" if knocked is None else number(knocked, "N/m")),
         ("edge, by its poles", number(record["edge_linear_h1_n_per_m"], "N/m")),
@@ -72,7 +72,7 @@ def verified_rows(record: Mapping[str, Any]) -> list[TextRow]:
     edge, rested = record["edge_h1_n_per_m"], record["stiffest_at_rest_n_per_m"]
     ends, poles = record["edge_by_poles_between_n_per_m"], record["edge_by_poles_h1_n_per_m"]
     between = number(None) if ends is None else f"{number(ends[0])} to {number(ends[1], 'N/m')}"
-    by_poles = between if poles is None else f"{number(poles, 'N/m')} ({between})"
+    by_poles = between if poles is None else f"at least {number(poles, 'N/m')} ({between})"
     return [
         ("the law holds", number(record["holds"])),
         ("came to rest up to", "nothing" if rested is None else number(rested, "N/m")),

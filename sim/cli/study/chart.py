@@ -1,4 +1,4 @@
-"""Chart speed against accuracy: realisations of D^α, also at equal demand, integrators, ways to K_max, loop rates, proxies."""
+"""Chart speed against accuracy: realisations of D^α, also at equal demand, integrators, K_max, rates, proxies, the loop."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sim.chart.points import Group
     from sim.measure.stopwatch import Progress
 
-PARTS = ("derivatives", "demand", "integrators", "kmax", "rates", "proxies")
+PARTS = ("derivatives", "demand", "integrators", "kmax", "rates", "proxies", "loop")
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -68,6 +68,7 @@ def _measured(parts: list[str], quick: bool, diary: Path, beside: Runner) -> tup
     from sim.chart.equal_demand import demand_groups, demand_steps
     from sim.chart.integrators import integrator_groups, integrator_steps
     from sim.chart.k_max_ways import kmax_groups, kmax_steps
+    from sim.chart.loop_panel import loop_groups, loop_steps
     from sim.chart.points import keep, kept, with_front
     from sim.chart.proxies_panel import proxy_groups, proxy_steps
     from sim.chart.rates import rate_groups, rate_steps
@@ -82,6 +83,7 @@ def _measured(parts: list[str], quick: bool, diary: Path, beside: Runner) -> tup
         "kmax": (kmax_groups, kmax_steps, 1),
         "rates": (rate_groups, rate_steps, 30),
         "proxies": (proxy_groups, proxy_steps, 20),
+        "loop": (loop_groups, loop_steps, 1),
     }
     progress = Progress(sum(makers[part][1](quick) * makers[part][2] for part in parts))
     groups: list[Group] = []

@@ -49,7 +49,7 @@ def _outside(arguments: argparse.Namespace) -> int:
     """Sweep over devices that are not rigid."""
     from scipy.stats import binom
 
-    from sim.population.study import ALLOWED, study_outside, summary_outside
+    from sim.population.study import ALLOWED, NEEDLESS, study_outside, summary_outside
     from sim.population.virtual import KINDS
 
     if arguments.tune:
@@ -60,22 +60,34 @@ def _outside(arguments: argparse.Namespace) -> int:
     rows, ledger = swept(arguments, study_outside, jobs, "coverage_outside")
     found = summary_outside(rows)
     lines = [
-        f"{'kind':18} {'devices':>7} {'rigid':>6} {'richer':>7} {'refused':>8} {'false':>6} {'named':>6}  intervals missed"
+        f"{'kind':18} {'devices':>7} {'rigid':>6} {'richer':>7} {'reported':>9} {'refused':>8} {'needless':>9} {'false':>6} "
+        f"{'named':>6}  intervals missed"
     ]
     for kind, one in found["kinds"].items():
         wrong = f"  false: {', '.join(one['false_of'])}" if one["false_of"] else ""
         lines.append(
-            f"{kind:18} {one['devices']:7d} {one['rigid']:6d} {one['richer']:7d} {one['refused']:8d} {one['false']:6d} "
-            f"{one['named']:6d}  {one['missed']} of {one['intervals']}{wrong}"
+            f"{kind:18} {one['devices']:7d} {one['rigid']:6d} {one['richer']:7d} {one['reported']:9d} {one['refused']:8d} "
+            f"{one['needless']:9d} {one['false']:6d} {one['named']:6d}  {one['missed']} of {one['intervals']}{wrong}"
         )
     lines.append(
         f"{found['devices']} devices: something false of {found['false']}, {found['refused']} refused, {found['named']} named "
         f"rightly; {found['missed']} of {found['intervals']} 95 % intervals miss"
     )
-    # More than allowed, and not by chance.
-    share = found["false"] / found["devices"]
-    held = share <= ALLOWED or binom.sf(found["false"] - 1, found["devices"], ALLOWED) >= 0.01
+    lines.append(
+        f"false certainty {_share(found['false'], found['devices'])}, at most {ALLOWED:.0%}; needless refusals "
+        f"{_share(found['needless'], found['good'])} of the devices whose fit has K_max within 1 %, at most {NEEDLESS:.0%}"
+    )
+
+    def kept(count: int, of: int, allowed: float) -> bool:
+        # More than allowed, and not by chance.
+        return count <= allowed * of or bool(binom.sf(count - 1, of, allowed) >= 0.01)
+
+    held = kept(found["false"], found["devices"], ALLOWED) and kept(found["needless"], found["good"], NEEDLESS)
     return report(arguments, found, lines, ledger=ledger, held=held)
+
+
+def _share(count: int, of: int) -> str:
+    return f"{count} of {of} ({count / of:.1%})" if of else "0 of 0"
 
 
 def _kept(coverage: float, devices: int) -> bool:

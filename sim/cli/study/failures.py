@@ -27,17 +27,20 @@ def run(arguments: argparse.Namespace) -> int:
     """Look at all boundaries, spring all traps."""
     from sim.paper.claims import save, table
     from sim.paper.failures import MARGIN, both_sides, boundaries, euler_bias, traps
+    from sim.paper.failures_beyond import BEYOND, BeyondEdge
 
     cases, steps = boundaries(), (2, 3, 4, 5, 7, 10, 20, 50)
     jobs: list[partial[Any]] = [partial(both_sides, case) for case in cases]
-    jobs += [partial(traps), *(partial(euler_bias, n) for n in steps)]
+    jobs += [partial(traps), *(partial(euler_bias, n) for n in steps), *(partial(find) for find in BEYOND)]
     done = spread(arguments, jobs)
+    beyond: list[BeyondEdge] = done[-len(BEYOND) :]
     found: list[FailureEdge] = [edge for edge in done[: len(cases)] if edge is not None]
     claims = done[len(cases)]
-    bias = dict(zip(steps, done[len(cases) + 1 :], strict=True))
+    bias = dict(zip(steps, done[len(cases) + 1 : -len(BEYOND)], strict=True))
     figures = {
         "margin": MARGIN,
         "edges": [asdict(edge) | {"agreed": edge.agreed} for edge in found],
+        "beyond": [asdict(edge) | {"agreed": edge.agreed} for edge in beyond],
         "euler_bias": [{"substeps": n, "found": a, "predicted": b} for n, (a, b) in bias.items()],
     }
     saved = save("failures", figures, claims, _draw(found, bias), arguments.out)
@@ -48,7 +51,16 @@ def run(arguments: argparse.Namespace) -> int:
             f"{edge.name:64.64} {edge.stiffness:9.1f}  {edge.inside - 1.0:+.1e} / {edge.outside - 1.0:+.1e}"
             f"        {simulated}{'' if edge.agreed else '   DISAGREE'}"
         )
-    return report(arguments, saved, [*lines, "", table(claims), saved["plot"]], held=all(edge.agreed for edge in found))
+    lines += ["", f"{'beyond a rigid device at one rate':48} {'boundary':>26}  from both sides, by a second method"]
+    for one in beyond:
+        sides = " / ".join("settled" if s else "not" for s in (one.inside, one.outside))
+        at = f"{one.quantity.partition(' [')[0]} {one.value:.5g} {one.quantity.partition('[')[2].rstrip(']')}"
+        lines.append(
+            f"{one.name:48.48} {at:>26}  ∓ {100.0 * abs(one.margin):g} %: {sides} ({one.methods})"
+            f"{'' if one.agreed else '   DISAGREE'}"
+        )
+    held = all(edge.agreed for edge in found) and all(edge.agreed for edge in beyond)
+    return report(arguments, saved, [*lines, "", table(claims), saved["plot"]], held=held)
 
 
 @styled

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,9 +13,9 @@ import numpy as np
 
 from messages.errors import UsageError
 from nodes.cli.quantities import Interval, declare, declare_law, whole
-from nodes.laws import CompiledLaw, Law
+from nodes.laws import Law
 from nodes.recording.figure_style import label_ends, new_figure, save_figure, styled
-from nodes.stability.k_max import KMax, k_max, with_spring, without_spring
+from nodes.stability.k_max import KMax, k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.cli import arguments as shared
 from sim.cli.answers import add_answer, given, idle, report
@@ -27,6 +27,13 @@ if TYPE_CHECKING:
     from sim.scene.loop import Scene
 
 _PRESSING = 100.0  # stiffness of the hand that presses where none is given [N/m]
+
+
+@dataclass(frozen=True)
+class _Found(KMax):
+    """What a simulation found."""
+
+    searched: tuple[float, float] = (math.nan, math.nan)  # softest and stiffest K that were tried [N/m]
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -79,20 +86,16 @@ def run(arguments: argparse.Namespace) -> int:
     loop = _loop(arguments, gain, device)
     found = _found(_method(arguments), shared.law(arguments, arguments.law, gain), device)
     stable = [[low, high if math.isfinite(high) else None] for low, high in found.stable]
-    simulated = found.method == "simulation"
     if found.k_max_n_per_m is None:
-        text = f"{_nothing(simulated, device)}: lower the gain, the delay or the order"
+        text = f"{_nothing(found)}: lower the gain, the delay or the order"
     elif not math.isfinite(found.k_max_n_per_m):
         text = "stable however stiff: no K_max"
-        if simulated:
-            text = f"K_max    above {_searched(device)[1]:.6g} N/m (nominal), where the search ends"
+        if isinstance(found, _Found):
+            text = f"K_max    above {found.searched[1]:.6g} N/m (nominal), where the search ends"
     else:
-        text = (
-            f"K_max    {found.k_max_n_per_m:.6g} N/m (nominal)\n"
-            f"H(1)_max {found.h1_max_n_per_m:.6g} N/m (felt)\n"
-            f"method   {found.method}"
-        )
-    figures = {"loop": loop} | _figures(found, device) | {"stable_n_per_m": stable}
+        felt = f"{found.h1_max_n_per_m:.6g} N/m (felt)" if found.h1_max_n_per_m is not None else "none: the law is not linear"
+        text = f"K_max    {found.k_max_n_per_m:.6g} N/m (nominal)\nH(1)_max {felt}\nmethod   {found.method}"
+    figures = {"loop": loop} | _figures(found) | {"stable_n_per_m": stable}
     return report(arguments, figures, [loop, text], held=found.k_max_n_per_m is not None)
 
 
@@ -121,10 +124,9 @@ def _method(arguments: argparse.Namespace) -> argparse.Namespace:
 
 def _found(method: argparse.Namespace, law: Law, device: Plant) -> KMax:
     try:
-        derivative = without_spring(law, device.period)
         if method.method == "simulation":
-            return _simulated(method, derivative, device)
-        return k_max(derivative, device, method.method)
+            return _simulated(method, law, device)
+        return k_max(without_spring(law, device.period), device, method.method)
     except ValueError as error:
         raise UsageError(str(error)) from error
 
@@ -138,7 +140,7 @@ def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Plant) 
 
     law = shared.law(arguments, arguments.law, gain)
     try:
-        guess = _simulated(arguments, without_spring(law, device.period), device).k_max_n_per_m
+        guess = _simulated(arguments, law, device).k_max_n_per_m
         if guess is None or not math.isfinite(guess):
             raise UsageError("--method lockstep: the simulation found no K_max to look around")
         steps = np.geomspace(0.5, 2.0, arguments.grid)
@@ -188,31 +190,23 @@ def _scene(arguments: argparse.Namespace, device: Plant) -> Scene:
     return drop_scene(held(device), device.period, raw=raw, clamp=True)
 
 
-def _simulated(arguments: argparse.Namespace, derivative: CompiledLaw, device: Plant) -> KMax:
+def _simulated(arguments: argparse.Namespace, law: Law, device: Plant) -> _Found:
     """Raise K until the drop no longer settles."""
     from sim.experiments.drop import Criterion
-    from sim.experiments.k_max_simulated import simulated_k_max
+    from sim.experiments.k_max_simulated import at_stiffness, simulated_k_max
 
     scene = _scene(arguments, device)
-    found = simulated_k_max(lambda k: with_spring(derivative, k), scene, Criterion(ticks=arguments.horizon))
-    return KMax(found.k_max_n_per_m, found.h1_max_n_per_m, "simulation", ())
+    found = simulated_k_max(at_stiffness(law, device.period), scene, Criterion(ticks=arguments.horizon))
+    return _Found(found.k_max_n_per_m, found.h1_max_n_per_m, "simulation", (), found.searched_n_per_m)
 
 
-def _searched(device: Plant) -> tuple[float, float]:
-    """Softest and stiffest K that a simulation tries [N/m]."""
-    from sim.experiments.k_max_simulated import SEARCHED
-
-    return SEARCHED[0] * device.mass / device.period**2, SEARCHED[1] * device.mass / device.period**2
-
-
-def _nothing(simulated: bool, device: Plant) -> str:
-    if not simulated:
+def _nothing(found: KMax) -> str:
+    if not isinstance(found, _Found):
         return "no stiffness is stable"
-    softest, stiffest = _searched(device)
-    return f"nothing from {softest:.4g} to {stiffest:.4g} N/m settles"
+    return f"nothing from {found.searched[0]:.4g} to {found.searched[1]:.4g} N/m settles"
 
 
-def _figures(found: KMax, device: Plant) -> dict[str, Any]:
+def _figures(found: KMax) -> dict[str, Any]:
     # JSON has no infinity: without a limit the figure is null, and the stable interval is open.
     bounded = found.k_max_n_per_m is not None and math.isfinite(found.k_max_n_per_m)
     figures = {
@@ -221,7 +215,7 @@ def _figures(found: KMax, device: Plant) -> dict[str, Any]:
         "method": found.method,
     }
     if found.k_max_n_per_m == math.inf:
-        figures["at_least_n_per_m"] = _searched(device)[1] if found.method == "simulation" else None
+        figures["at_least_n_per_m"] = found.searched[1] if isinstance(found, _Found) else None
     return figures
 
 
@@ -230,11 +224,11 @@ def _boundary(arguments: argparse.Namespace, device: Plant) -> int:
     gains = [low + (high - low) * i / (arguments.points - 1) for i in range(arguments.points)]
     laws = [shared.law(arguments, arguments.law, gain) for gain in gains]
     found = spread(arguments, [partial(_found, _method(arguments), law, device) for law in laws])
-    points = [{"gain": gain, **_figures(one, device)} for gain, one in zip(gains, found, strict=True)]
+    points = [{"gain": gain, **_figures(one)} for gain, one in zip(gains, found, strict=True)]
     stable = [point for point in points if point["k_max_n_per_m"] is not None]
     without_end = [point for point in points if "at_least_n_per_m" in point]
     if not stable and not without_end:
-        text = f"{_nothing(arguments.method == 'simulation', device)} anywhere in this range"
+        text = f"{_nothing(found[0])} anywhere in this range"
         return report(arguments, {"points": points, "plot": None}, text, held=False)
     loop = _loop(arguments, low, device, f"B {low:g} .. {high:g}")
     lines = [loop, "      gain     K_max N/m   H(1)_max N/m"]
@@ -249,8 +243,10 @@ def _boundary(arguments: argparse.Namespace, device: Plant) -> int:
     if without_end:
         lines.append(f"no end was found at {len(without_end)} of {len(points)} gains: the stiffest is not known")
     else:
-        best = max(stable, key=lambda point: float(point["h1_max_n_per_m"]))
-        lines.append(f"stiffest: gain {best['gain']:.4g}, H(1) {best['h1_max_n_per_m']:.6g} N/m")
+        felt = all(point["h1_max_n_per_m"] is not None for point in stable)
+        key, name = ("h1_max_n_per_m", "H(1)") if felt else ("k_max_n_per_m", "K_max")
+        best = max(stable, key=lambda point: float(point[key]))
+        lines.append(f"stiffest: gain {best['gain']:.4g}, {name} {best[key]:.6g} N/m")
         figures |= best
     return report(arguments, figures | {"points": points}, lines, plot=_draw(arguments, points))
 

@@ -27,6 +27,12 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rounds", type=whole(0, 10_000), default=5, help="interleaved rounds of timing; 0 times nothing (default: 5)"
     )
+    parser.add_argument(
+        "--tolerance",
+        choices=("model", "jnd"),
+        default="model",
+        help="a change that counts: the launch file's tolerance, or what a hand notices (default: model)",
+    )
     add_spread(parser)
     add_answer(parser, run)
 
@@ -35,24 +41,30 @@ def run(arguments: argparse.Namespace) -> int:
     """Say whether a scene models enough and no more."""
     from nodes.launcher import launch_file
     from sim.experiments.needs import needs, spatial_needs
+    from sim.experiments.perception import THRESHOLDS, tolerances
     from sim.measure.stopwatch import Progress
     from sim.scene.from_launch import from_launch
 
     launch = launch_file.read(arguments.scenario, launch_file.parse_assignments(arguments.assignments))
-    timed = arguments.rounds, Progress(arguments.rounds).step, partial(spread, arguments)
+    felt = arguments.tolerance == "jnd"
+    tolerance = tolerances(launch.model.tolerance, felt)
+    timed = arguments.rounds, Progress(arguments.rounds).step, partial(spread, arguments), tolerance
     scene = from_launch(launch) if len(launch.run.axes) == 1 else None
     found = spatial_needs(launch, *timed) if scene is None else needs(scene, launch.model, *timed)
     figures: dict[str, Any] = {
         "scenario": launch.scenario,
         "outcome": asdict(found.outcome),
         "tolerance": launch.model.tolerance,
+        "tolerances": {name: tolerance(name) for name in launch.model.outcome},
+        "thresholds": [asdict(threshold) for threshold in THRESHOLDS],
         "tick_us": found.tick_us,
         "terms": [asdict(finding) for finding in found.findings],
         "superfluous": list(found.superfluous),
         "missing": list(found.missing),
+        "left_out": [finding.term for finding in found.left_out],
         "rest": None if scene is None else _rest(scene, arguments.out / "needs_rest.png"),
     }
-    text = _text(launch.scenario, launch.model, found)
+    text = _text(launch.scenario, launch.model, found, felt)
     if (told := figures["rest"]) is not None:
         text += (
             f"\nrest: {1e6 * told['resolution_m']:.3g} µm of encoder and {told['friction_n']:.3g} N of friction"
@@ -85,12 +97,15 @@ def _micrometres(length: float) -> str:
     return "0" if length < _ROUNDING else f"{1e6 * length:.3g}"
 
 
-def _text(name: str, model: Any, found: Needs) -> str:
+def _text(name: str, model: Any, found: Needs, felt: bool) -> str:
+    from sim.experiments.perception import THRESHOLDS
+
     now = found.outcome
     stiffest = "" if now.h1_max_n_per_m is None else f", K_max (H(1)) {now.h1_max_n_per_m:.5g} N/m"
     timed = "" if found.tick_us is None else f"; {found.tick_us:.3g} µs per tick in plain Python"
     lines = [
-        f"{name}: for {', '.join(model.outcome)}; tolerance {100 * model.tolerance:g} %",
+        f"{name}: for {', '.join(model.outcome)}; tolerance {100 * model.tolerance:g} %"
+        + (", and what a hand notices of force and stiffness" if felt else ""),
         f"settles in {now.settling_s:.3g} s, peak {now.peak_force_n:.3g} N, at rest {now.rest_force_n:.3g} N, swing at rest "
         f"{_micrometres(now.limit_cycle_m)} µm{stiffest}{timed}",
         "",
@@ -101,4 +116,10 @@ def _text(name: str, model: Any, found: Needs) -> str:
         cost = "" if f.cost_us is None else f"{f.cost_us:+.2f} ± {f.cost_spread_us:.2f}"
         lines.append(f"{f.term:24} {f.switched:34} {moved:>9}  {f.most:14} {cost:>14}  {f.verdict}")
     missing, superfluous = (", ".join(names) or "nothing" for names in (found.missing, found.superfluous))
-    return "\n".join([*lines, "", f"superfluous: {superfluous}", f"missing: {missing}"])
+    lines += ["", f"superfluous: {superfluous}", f"missing: {missing}"]
+    if found.left_out:
+        told = ", ".join(f"{f.term} ({f.most} by {100 * f.moved:.3g} %)" for f in found.left_out)
+        lines.append(f"left out on purpose although it matters: {told}")
+    for one in THRESHOLDS:
+        lines.append(f"a hand notices {100 * one.low:.0f} to {100 * one.high:.0f} % of {one.quantity} ({one.source})")
+    return "\n".join(lines)

@@ -28,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     period = 1.0 / arguments.rate
     rows = []
     for ratio in arguments.ratios:
-        device = TwoRate(arguments.mass, arguments.damping, arguments.servo, ratio, round(arguments.delay * ratio))
+        device = TwoRate(arguments.mass, arguments.damping, arguments.servo, ratio, math.ceil(arguments.delay * ratio - 1e-9))
         found = two_rate_k_max(CompiledLaw((0.0,)), period, device)
         rows.append(
             {

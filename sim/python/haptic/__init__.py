@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from sim.api.loops import drop, k_max, play, poles
     from sim.api.python_runs import LaunchError, Run, connect, launch
     from sim.api.recordings import plot, read
+    from sim.api.responses import bode, response, z_width
     from sim.api.verbs import design, identify, study, tune
 
 __all__ = [
@@ -27,6 +28,7 @@ __all__ = [
     "LawRefusedError",
     "Plant",
     "Run",
+    "bode",
     "connect",
     "design",
     "drop",
@@ -39,9 +41,11 @@ __all__ = [
     "plot",
     "poles",
     "read",
+    "response",
     "scenarios",
     "study",
     "tune",
+    "z_width",
 ]
 
 _NAMES = {
@@ -52,6 +56,7 @@ _NAMES = {
     "sim.api.loops": ("drop", "k_max", "play", "poles"),
     "sim.api.python_runs": ("LaunchError", "Run", "connect", "launch"),
     "sim.api.recordings": ("plot", "read"),
+    "sim.api.responses": ("bode", "response", "z_width"),
     "sim.api.verbs": ("design", "identify", "study", "tune"),
 }
 _HOME = {name: module for module, names in _NAMES.items() for name in names}

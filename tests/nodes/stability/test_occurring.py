@@ -100,3 +100,18 @@ def test_a_hand_s_spring_counts_with_damping_and_without(damping: float) -> None
     edge = edge_of(law, device)
     assert edge is not None
     assert edge.k_exact_n_per_m == pytest.approx(k_max(law, device).k_max_n_per_m, rel=1e-9)
+
+
+def test_the_pages_range_of_what_leaving_r_out_costs() -> None:
+    """THEORY.md §9: 0.2 to 1.5 % over three devices and three gains; up to 9.4 % over the default gains of figure 4."""
+
+    def off(name: str, gain: float, device: Plant) -> float | None:
+        edge = edge_of(derivative(name, gain), device)
+        return None if edge is None else 1.0 - edge.k_simple_n_per_m / edge.k_exact_n_per_m
+
+    few = [off(name, gain, device) for name in KINDS for gain in (3.0, 8.0, 25.0) for device in DEVICES]
+    known = [one for one in few if one is not None]
+    assert (len(known), round(100.0 * min(known), 1), round(100.0 * max(known), 1)) == (35, 0.2, 1.5)
+    gains = np.geomspace(0.5, 60.0, 24).tolist()
+    wide = [one for name in KINDS for gain in gains if (one := off(name, gain, DEVICES[0])) is not None]
+    assert round(100.0 * max(wide), 1) == 9.4

@@ -51,6 +51,8 @@ MAKERS: dict[str, Callable[[haptic.Run], Result]] = {
     "KMaxResult": lambda _: haptic.k_max(LAW, PLANT),
     "Poles": lambda _: haptic.poles(LAW, PLANT),
     "Played": lambda _: haptic.drop(LAW, PLANT),
+    "Response": lambda _: haptic.response(LAW, PLANT),
+    "ZWidthResult": lambda _: haptic.z_width(LAW, PLANT, gains=[0.0, 3.0]),
     "Recorded": lambda run: run.recording,
     "RunSummary": lambda run: run.summary,
     "Answer": lambda _: studied(),

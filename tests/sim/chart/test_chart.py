@@ -20,6 +20,7 @@ from nodes.laws import CompiledLaw
 from nodes.laws.pd import PD
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
+from sim.chart.chart_page import FEWEST, _correlation
 from sim.chart.derivative_errors import analyse
 from sim.chart.derivatives import largest_stable, with_stiffness
 from sim.chart.equal_demand import NYQUIST, RADII, keeps, laws, tuned
@@ -399,3 +400,19 @@ def test_the_panel_of_proxies_has_closed_forms_meshes_and_bodies(tmp_path: Path,
     assert stiff["error"] < 0.1 * soft["error"]
     assert "a tool that is a body" in answer["conclusions"][0]
     assert (tmp_path / "chart_proxy_error.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_ranks_of_a_few_laws_are_no_verdict() -> None:
+    """Four and six points gave one; perfect order of seven comes by chance 1 time in 2520 and is not told either."""
+    for count in (3, 6, FEWEST - 1):
+        told = _correlation(list(range(count)), list(range(count)))
+        assert told == f"{count} laws, too few for a rank correlation of error and stiffness"
+    rising = list(map(float, range(12)))
+    ranks = "rank correlation of error and stiffness"
+    assert _correlation(rising, rising).startswith(f"accuracy costs stiffness: {ranks} +1.00, n = 12, p = ")
+    assert _correlation(rising, rising[::-1]).startswith(f"accuracy brings stiffness: {ranks} -1.00")
+    # By Spearman's own table: rs = 0.14 of eight is p = 0.74.
+    shuffled = [3.0, 7.0, 0.0, 5.0, 2.0, 6.0, 1.0, 4.0]
+    told = _correlation(list(map(float, range(8))), shuffled)
+    assert told.startswith("accuracy is not seen to matter")
+    assert "n = 8" in told

@@ -47,17 +47,17 @@ def test_a_rigid_device_falls_as_in_the_simulator() -> None:
 def test_a_fall_that_is_watched_is_the_simulator_s(law: CompiledLaw) -> None:
     """Rigid: its positions and forces; with joint and lag: what it comes to is the verdict."""
     scene = dropped(RIGID, 0.1, False, True, HEIGHTS[0])
-    trace, taps = run(scene, CompiledLaw(law.taps), 300), law.taps
-    position, force = fallen(FlexiblePlant(0.1, RIGID.damping, RIGID.delay[1]), T, taps, HEIGHTS[0], 300)
+    trace = run(scene, law, 300)
+    position, force = fallen(FlexiblePlant(0.1, RIGID.damping, RIGID.delay[1]), T, law, HEIGHTS[0], 300)
     # Two exact maps of one tick, 300 times rounded; a bounce multiplies that.
     assert position == pytest.approx(trace.measured, abs=1e-9)
     assert force == pytest.approx(trace.force, abs=1e-5)
     beyond = (0.004, 0.4, 30.0, 0.02)
     whole, rules = replace(RIGID, beyond=(beyond,)), Criterion()
-    verdict = settled(CompiledLaw(taps), falls(whole, [0.1], [(False, True)], HEIGHTS[:1]), rules)[0]
-    position, _ = fallen(FlexiblePlant(0.1, 1.0, 1.3, 0.0, *beyond), T, taps, HEIGHTS[0], rules.ticks)
+    verdict = settled(law, falls(whole, [0.1], [(False, True)], HEIGHTS[:1]), rules)[0]
+    position, _ = fallen(FlexiblePlant(0.1, 1.0, 1.3, 0.0, *beyond), T, law, HEIGHTS[0], rules.ticks)
     last = position[-(rules.ticks // 4) :]
-    rests = abs(last.mean() + 0.1 * 9.81 / sum(taps)) <= rules.tolerance and np.ptp(last) <= rules.tolerance
+    rests = abs(last.mean() + 0.1 * 9.81 / law.h1) <= rules.tolerance and np.ptp(last) <= rules.tolerance
     assert rests == verdict
 
 

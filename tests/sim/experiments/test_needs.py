@@ -16,6 +16,7 @@ from nodes.cli.main import main
 from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Model
 from nodes.parameters.store import ParameterError
+from sim.cli.study.needs import _text
 from sim.experiments.needs import Needs, Outcome, movement, needs, outcome, spatial_needs
 from sim.experiments.terms import TERMS
 from sim.scene.from_launch import LaunchedScene, from_launch
@@ -238,3 +239,19 @@ def test_model_counts_only_what_the_scene_is_for() -> None:
     assert judged["gravity"] == "needed"
     # How it settles does not count here, so damping has nothing to move.
     assert judged["damping"] == "superfluous"
+
+
+def test_what_is_left_out_although_it_matters_is_said() -> None:
+    """`missing: nothing` stood beside friction that moves settling by 21 %."""
+    launch = launch_file.read("floor_drop", {})
+    scene = from_launch(launch)
+    found = needs(scene, launch.model, rounds=0)
+    assert found.missing == ()
+    assert "friction" in [finding.term for finding in found.left_out]
+    lines = _text(launch.scenario, launch.model, found, felt=False).splitlines()
+    assert any(line.startswith("left out on purpose although it matters: friction (settling by 21 %)") for line in lines)
+    assert any(line.startswith("a hand notices 7 to 10 % of force (Jones") for line in lines)
+    # By a tolerance that lets it move by so much it is not said to matter.
+    loose = needs(scene, launch.model, rounds=0, tolerance=lambda _: 0.5)
+    assert "friction" not in [finding.term for finding in loose.left_out]
+    assert verdicts(loose)["gravity"] == "needed"

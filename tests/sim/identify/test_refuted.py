@@ -36,7 +36,7 @@ def recorded(folder: Path, device: RicherModel) -> Path:
 @pytest.fixture(scope="module")
 def cogging(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Record a motor whose force repeats with its poles."""
-    return recorded(tmp_path_factory.mktemp("cogging"), RicherModel(RIGID, cogging=0.02))
+    return recorded(tmp_path_factory.mktemp("cogging"), RicherModel(RIGID, cogging=0.05))
 
 
 def identified(path: Path, capsys: pytest.CaptureFixture[str], code: int) -> dict[str, Any]:

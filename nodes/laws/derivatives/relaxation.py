@@ -1,0 +1,93 @@
+"""A fractional relaxation with its whole memory, as a sum of exponentials.
+
+The arm of a fractional solid, A + τ^α D^α A = E τ^α D^α x with Grünwald and Letnikov's D^α = ((1 − w)/T)^α, answers a step x
+with E s_m, where Σ s_m w^m = c (1 − w)^(α−1) / (1 + c (1 − w)^α), c = (τ/T)^α. For 0 < α < 1 this function is analytic but for
+a cut along w > 1, so s_m = ∫ t^m μ(t) dt over (0, 1) with a positive density: the jump across the cut (Gorenflo & Mainardi,
+"Fractional calculus", 1997, have it for continuous time). With t = e^−s and r = (1 − t)/t,
+
+    μ(t) dt = (1/π) sin(πα) u / (1 + 2 u cos(πα) + u²) (s/r) d ln s,   u = c r^α.
+
+Gauss's rule of two nodes in each cell of ln s makes exponentials of it, with positive weights: the sum relaxes to nothing, as
+the solid does, and stays passive where that is. The first answers are exact.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+from nodes.laws import CompiledLaw
+from nodes.laws.derivatives.gl import coefficients
+from nodes.laws.derivatives.parallel import parallel
+
+_HEAD = 4  # answers that are exact
+_CELL = 1.8  # width of a cell of ln s
+_POINTS = 48  # at which the density is taken in a cell
+_FASTEST = 12.0  # rate that is gone within a tick [1/tick]
+_SLOWEST = 5e-7  # rate; what is slower relaxes as fast as that [1/tick]
+
+
+def relaxation(order: float, time: float, period: float) -> CompiledLaw:
+    """Return the arm of unit stiffness: relaxation time τ and sampling period T [s]; the step decays by t^−α at last."""
+    share = (time / period) ** order
+    if order == 1.0:
+        # One exponential, exactly: (1 − w) c/(1 + c) / (1 − p w).
+        pole = share / (1.0 + share)
+        return CompiledLaw((0.0,), ((pole, -pole, -pole, 0.0),))
+    poles, weights = exponentials(order, share)
+    exact = step_answer(order, share, _HEAD)
+    fitted = [math.fsum(w * p**m for w, p in zip(weights, poles, strict=True)) for m in range(_HEAD)]
+    direct = [exact[0], *(a - b for a, b in zip(exact[1:], fitted[1:], strict=True))]
+    return parallel(direct, poles, [w * p for w, p in zip(weights, poles, strict=True)], 1, 1.0)
+
+
+def step_answer(order: float, share: float, count: int) -> list[float]:
+    """Return the first answers to a step, s_0 ... s_(count − 1): the quotient of two power series, summed."""
+    series = coefficients(order, count)
+    arm: list[float] = []
+    for m, g in enumerate(series):
+        felt = math.fsum(series[j] * arm[m - j] for j in range(1, m + 1))
+        arm.append(share * (g - felt) / (1.0 + share))
+    total, answer = 0.0, []
+    for one in arm:
+        total += one
+        answer.append(total)
+    return answer
+
+
+def exponentials(order: float, share: float) -> tuple[list[float], list[float]]:
+    """Return poles and weights of the answer to a step, s_m ≈ Σ weight pole^m; the weights are positive."""
+    top = math.log(_FASTEST)
+    count = math.ceil((top - math.log(_SLOWEST)) / _CELL)
+    poles: list[float] = []
+    weights: list[float] = []
+    for cell in range(count):
+        ends = [math.exp(top - (cell + j / _POINTS) * _CELL) for j in range(_POINTS + 1)]
+        below = [_below(s, order, share) for s in ends]
+        rates = [math.sqrt(fast * slow) for fast, slow in itertools.pairwise(ends)]
+        # Over ln r, d ln s is r t/s of it: (s/r) of that is t.
+        masses = [(fast - slow) * math.exp(-s) for (fast, slow), s in zip(itertools.pairwise(below), rates, strict=True)]
+        _two_nodes(rates, masses, poles, weights)
+    # What is slower: t is 1 there.
+    slowest = math.exp(top - count * _CELL)
+    return [*poles, math.exp(-slowest)], [*weights, _below(slowest, order, share)]
+
+
+def _below(rate: float, order: float, share: float) -> float:
+    """Return the integral of the density over ln r up to a rate s, in closed form: however narrow its peak is near order 1."""
+    u = share * math.expm1(rate) ** order
+    angle = math.pi * order
+    return math.atan2(u * math.sin(angle), 1.0 + u * math.cos(angle)) / angle
+
+
+def _two_nodes(rates: list[float], masses: list[float], poles: list[float], weights: list[float]) -> None:
+    """Add two exponentials that have the moments of a cell up to the third."""
+    total = math.fsum(masses)
+    mean = math.fsum(s * m for s, m in zip(rates, masses, strict=True)) / total
+    second = math.fsum((s - mean) ** 2 * m for s, m in zip(rates, masses, strict=True)) / total
+    third = math.fsum((s - mean) ** 3 * m for s, m in zip(rates, masses, strict=True)) / total
+    half = 0.5 * third / second
+    root = math.sqrt(half * half + second)
+    low, high = half - root, half + root
+    poles += [math.exp(-(mean + low)), math.exp(-(mean + high))]
+    weights += [total * high / (high - low), -total * low / (high - low)]

@@ -1,0 +1,145 @@
+"""What a law renders: stiffness and damping against frequency, and the plane of both in which it may be set (Z-width).
+
+Between its samples the force is held, and it acts late: at the port the law H is G(jω) = H(e^{jωT}) e^{−jω(d + ½)T} sinc(ωT/2),
+for motions below half the rate. A spring and a damper in its place have G = K + jωB, so Re G is the stiffness that is felt at a
+frequency, and Im G/ω the damping: a delay takes K (d + ½) T of it (Colgate & Brown, "Factors affecting the Z-width of a haptic
+display", 1994).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from nodes.laws import CompiledLaw, Law
+from nodes.stability.effective_damping import damping_needed
+from nodes.stability.k_max import k_max, without_spring
+from nodes.stability.plant import Plant
+from sim.arrays import Array
+from sim.experiments.k_max_simulated import at_stiffness
+
+LOWEST = 0.1  # frequency from which a response is given by default [Hz]
+POINTS = 400  # of it
+PRECISION = 1e-5  # of a passive stiffness, as a part of it
+
+
+@dataclass(frozen=True)
+class FeltResponse:
+    """What a law renders against frequency, each shape (n,)."""
+
+    frequency_hz: Array
+    stiffness_n_per_m: Array  # felt at the port, with the hold and the delay
+    damping_n_s_per_m: Array
+    law_stiffness_n_per_m: Array  # of the law alone, as if its force acted at once
+    law_damping_n_s_per_m: Array
+    magnitude_n_per_m: Array  # of what is felt at the port
+    phase_deg: Array
+
+
+def frequencies(period: float, lowest: float = LOWEST, points: int = POINTS) -> Array:
+    """Return frequencies up to half the rate, evenly spread over the decades [Hz]."""
+    highest = 0.5 / period
+    if not 0.0 < lowest < highest:
+        raise ValueError(f"lowest is {lowest:g} Hz, expected between 0 and half the rate, {highest:g} Hz")
+    return np.asarray(np.geomspace(lowest, highest, points))
+
+
+def port(law: CompiledLaw, period: float, delay: float, frequency_hz: Array) -> NDArray[np.complex128]:
+    """Return G(jω) at the port [N/m]: the law, held, `delay` ticks late. ValueError for a law with code of its own."""
+    _linear(law)
+    angle = 2.0 * np.pi * frequency_hz * period
+    late = np.exp(-1j * angle * (delay + 0.5)) * np.sinc(angle / (2.0 * np.pi))
+    return np.asarray(law.response(np.exp(1j * angle)) * late)
+
+
+def _linear(law: CompiledLaw) -> None:
+    if law.evaluate is not None:
+        raise ValueError("law: has code of its own and no response; play it instead")
+
+
+def rendered(law: CompiledLaw, period: float, delay: float = 0.0, frequency_hz: Array | None = None) -> FeltResponse:
+    """Return what a law renders at a period [s] and a delay [ticks], by default at `frequencies`."""
+    at = frequencies(period) if frequency_hz is None else np.asarray(frequency_hz, dtype=np.float64)
+    if not (at.size and np.all(at > 0.0) and np.all(at <= 0.5 / period * (1.0 + 1e-12))):
+        raise ValueError(f"frequency_hz: expected above 0 and up to half the rate, {0.5 / period:g} Hz")
+    felt = port(law, period, delay, at)
+    own = law.response(np.exp(2j * np.pi * at * period))
+    pulse = 2.0 * np.pi * at
+    phase = np.degrees(np.unwrap(np.angle(felt)))
+    return FeltResponse(at, felt.real, felt.imag / pulse, own.real, own.imag / pulse, np.abs(felt), phase)
+
+
+@dataclass(frozen=True)
+class ZWidth:
+    """How stiff a law may be over its damper's gain, each shape (n,); NaN where no stiffness will do."""
+
+    kind: str  # of the law
+    gain: Array  # B, in the law's own unit
+    k_max_n_per_m: Array  # stable on the known device: nominal K
+    h1_max_n_per_m: Array  # and the stiffness felt there
+    passive_n_per_m: Array  # passive on the device's damping, for any hand: nominal K
+
+
+def z_width(law: Law, plant: Plant, gains: Sequence[float]) -> ZWidth:
+    """Return the K–B plane of a law on a device: how stiff it may be at each gain, stable in known hands and passive in any."""
+    for field in ("stiffness", "damping"):
+        if field not in law.__struct_fields__:
+            raise ValueError(f"law kind {law.kind} has no parameter {field!r}: its K-B plane has no axis for it")
+    rows = [_widest(msgspec.structs.replace(law, damping=float(gain)), plant) for gain in gains]
+    edges, felt, passive = (np.array(column) for column in zip(*rows, strict=True))
+    return ZWidth(law.kind, np.asarray(gains, dtype=np.float64), edges, felt, passive)
+
+
+def _widest(law: Law, plant: Plant) -> tuple[float, float, float]:
+    found = k_max(without_spring(law, plant.period), plant)
+    edge, felt = (np.nan if value is None else value for value in (found.k_max_n_per_m, found.h1_max_n_per_m))
+    return edge, felt, passive_stiffness(at_stiffness(law, plant.period), plant)
+
+
+def passive_stiffness(law_of_stiffness: Callable[[float], CompiledLaw], plant: Plant) -> float:
+    """Return the largest K with which a law is passive on the damping of a device [N/m]; NaN where none is.
+
+    The damping that a law needs is a maximum of functions linear in K: convex, so the K that are passive are one interval.
+    """
+
+    def needed(stiffness: float) -> float:
+        law = law_of_stiffness(stiffness)
+        return damping_needed(law, plant.period, plant.delay) if law.h1 > 0.0 else np.inf
+
+    # Without delay a spring takes K T/2 of the damping: far beyond this bound no law is passive.
+    grid = np.geomspace(1e-3, 1.0, 17) * 4.0 * plant.damping / plant.period
+    values = [needed(k) for k in grid.tolist()] if plant.damping > 0.0 else [np.inf]
+    if not min(values) <= plant.damping:
+        low, high, found = _least_between(needed, grid, int(np.argmin(values)), plant.damping)
+        if found is None:
+            return float("nan")
+        low = found
+    else:
+        last = max(i for i, value in enumerate(values) if value <= plant.damping)
+        low, high = float(grid[last]), float(grid[min(last + 1, len(grid) - 1)])
+    while high - low > PRECISION * high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if needed(middle) <= plant.damping else (low, middle)
+    return low
+
+
+def _least_between(needed: Callable[[float], float], grid: Array, at: int, enough: float) -> tuple[float, float, float | None]:
+    """Look between the neighbours of the least of a grid for a K that needs no more than `enough`; None where there is none."""
+    low, high = float(grid[max(at - 1, 0)]), float(grid[min(at + 1, len(grid) - 1)])
+    for _ in range(24 if np.isfinite(needed(float(grid[at]))) else 0):
+        left, right = low + (high - low) / 3.0, high - (high - low) / 3.0
+        values = needed(left), needed(right)
+        if min(values) <= enough:
+            return low, high, left if values[0] <= enough else right
+        low, high = (low, right) if values[0] <= values[1] else (left, high)
+    return low, high, None
+
+
+def error_of(law: CompiledLaw, period: float, delay: float, wanted: NDArray[np.complex128], frequency_hz: Array) -> float:
+    """Return how far what is felt is from an impedance [N/m], root mean square over the frequencies, as a part of it."""
+    felt = port(law, period, delay, frequency_hz)
+    return float(np.sqrt(np.mean(np.abs(felt / wanted - 1.0) ** 2)))

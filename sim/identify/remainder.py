@@ -1,0 +1,254 @@
+"""What a residual that is not noise may do to a design: to K_max, and to the intervals of the device.
+
+A recording of a few seconds sees terms that change nothing: 1 mN of cogging, half a step of the encoder's eccentricity. So a
+term that is seen does not refute a model by itself. Each term that takes up part of the residual is added to the device, at the
+largest size that the windows leave open, and the largest stable stiffness of a reference law tells what that matters (model
+error modelling: Ljung 1999; Reinelt, Garulli & Ljung 2002). What it would move the unknowns by widens their intervals.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nodes.laws import CompiledLaw
+from nodes.stability.flexible import FlexiblePlant, flexible_radius
+from sim.arrays import Array
+from sim.identify import identified_motion as motion
+from sim.identify.experiment import Experiment
+from sim.identify.judge_fit import SURE, Evidence
+from sim.identify.output_error import Fit
+from sim.identify.suspects import describe
+
+REFUSED = 0.05  # change of K_max, as a part of it, beyond which a remainder refutes the model
+DAMPER = 0.3  # gain B of the law that K_max is told for, in m/(T (1 + 2d)): a PD's in the middle of its range
+ALTERNATIVE = 0.3  # a term that takes up so much of what the best one does may be the cause as well
+CLEAR = 0.5  # where the best one takes up less, every term that is seen may be the cause
+NAMED = 0.27  # less of it tells no cause
+FLEXIBLE = 0.6  # part of the share of a term of several shapes that counts when one is named
+PARTS = 4  # of the run, and of the range of the motion
+# Terms whose factor is positive in every device: with the other sign a term only resembles what is left.
+POSITIVE = {
+    "flexible mode", "backlash", "actuator lag", "sensor filter", "presliding", "stribeck", "quadratic damping", "force steps",
+}  # fmt: skip
+WHOLE = 2.0  # largest factor of a term that is whole at 1, with room for its grid
+SHOWN = 8  # terms that are tried, those that take up most first; then each other kind at the size that does
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What the residual asks for that the model does not have."""
+
+    cause: str = ""  # the term that takes up most of it, in words; empty where the residual is noise
+    explained: float = 0.0  # part of the residual, beyond rounding, that the term takes up
+    k_max_change: float = 0.0  # largest change of K_max by it or another term that may be the cause, as a part of K_max
+    moved: tuple[float, ...] = ()  # largest change of each unknown of the fit, in the order of `Fit.free`
+
+
+NOTHING = Remainder()
+
+
+def likeliest(seen: Sequence[Evidence]) -> Evidence | None:
+    """Return the term to name; one of several shapes fits anything a little, so only a part of its share counts."""
+    return max(seen, key=lambda one: one.share * (FLEXIBLE if len(one.suspect.shapes) > 1 else 1.0), default=None)
+
+
+def plant_of(experiment: Experiment, found: Fit) -> FlexiblePlant:
+    """Return the linear device of a fit, with the median delay of the loop."""
+    return _plant(experiment, found.theta)
+
+
+def _plant(experiment: Experiment, theta: Array) -> FlexiblePlant:
+    mass = 1.0 / float(theta[motion.MOBILITY])
+    late = float(np.median(experiment.delay)) if len(experiment.delay) else 0.0
+    joint = {}
+    if theta[motion.SHARE] > 0.0:
+        joint = {
+            "share": float(theta[motion.SHARE]),
+            "frequency": float(theta[motion.FREQUENCY]),
+            "loss": max(float(theta[motion.LOSS]), 0.0),
+        }
+    return FlexiblePlant(
+        mass,
+        max(float(theta[motion.DAMPING]), 0.0) * mass,
+        max(late + float(theta[motion.DELAY]) + float(theta[motion.AVERAGE]), 0.0),
+        max(float(theta[motion.STIFFNESS]), 0.0) * mass,
+        max(float(theta[motion.LAG]), 0.0) * experiment.period,
+        **joint,
+    )
+
+
+def reference_gain(plant: FlexiblePlant, period: float) -> float:
+    """Return the gain B of the PD that K_max is told for [N s/m]."""
+    return DAMPER * plant.mass / (period * (1.0 + 2.0 * plant.delay))
+
+
+def stiffest(plant: FlexiblePlant, period: float, gain: float, average: float = 0.0) -> float | None:
+    """Return K_max [N/m] of a PD on a flexible device, behind a sensor that averages; None where no K is stable.
+
+    All boundaries lie on one curve K = −1/P(z) − D(z) over the unit circle, as in `nodes.stability.k_max`.
+    """
+    whole, numerator, denominator = plant.rational(period)
+    mode = 2.0 * math.pi * plant.frequency * period if math.isfinite(plant.frequency) else math.pi
+    near = mode * (1.0 + np.linspace(-0.2, 0.2, 801))
+    grid = np.union1d(np.linspace(0.0, math.pi, 4001)[1:-1], np.geomspace(1e-6, math.pi, 801)[:-1])
+    grid = np.union1d(grid, near[(near > 0.0) & (near < math.pi)])
+    w = np.exp(-1j * grid)
+    z = 1.0 / w
+    device = np.polyval(numerator, z) / (np.polyval(denominator, z) * z ** (whole + 1)) * (1.0 - average + average * w)
+    curve = -1.0 / device - gain / period * (1.0 - w)
+    turns = np.flatnonzero(curve.imag[:-1] * curve.imag[1:] < 0.0)
+    part = curve.imag[turns] / (curve.imag[turns] - curve.imag[turns + 1])
+    cuts = np.append(curve.real[turns] + part * (curve.real[turns + 1] - curve.real[turns]), curve.real[-1])
+    low = 0.0
+    for cut in np.sort(cuts[cuts > 0.0]).tolist():
+        if flexible_radius(_pd(0.5 * (low + cut), gain, period, average), period, plant) < 1.0:
+            return float(cut)
+        low = cut
+    return None
+
+
+def _pd(stiffness: float, gain: float, period: float, average: float) -> CompiledLaw:
+    """Return PD behind a sensor that averages: taps of the two, one after the other."""
+    taps = np.convolve([stiffness + gain / period, -gain / period], [1.0 - average, average])
+    return CompiledLaw(tuple(float(tap) for tap in taps))
+
+
+def remainder(experiment: Experiment, found: Fit, evidence: Sequence[Evidence], step: float | None = None) -> Remainder:
+    """Return what the terms that a residual shows may do, the largest of each; `evidence` has the strongest first.
+
+    `step` is that of the encoder [m].
+    """
+    seen = [one for one in evidence if one.strength > SURE and _possible(one)]
+    plant = plant_of(experiment, found)
+    gain = reference_gain(plant, experiment.period)
+    average = float(found.theta[motion.AVERAGE])
+    here = stiffest(_averaging(plant, average), experiment.period, gain, average)
+    least = ALTERNATIVE * seen[0].share if seen and seen[0].share >= CLEAR else 0.0
+    changes, moved = [0.0], np.zeros(len(found.free))
+    if not seen or seen[0].share < NAMED:
+        # No term tells what it is: how much the parts of the run differ does.
+        change, moved = _by_parts(experiment, found, here, gain)
+        changes.append(change)
+    for one in _alternatives([one for one in seen if one.share >= least]):
+        changes.append(_change(experiment, found, one, here, gain, step or 0.0))
+        moved = np.maximum(moved, np.abs(_told(found, one)) * (1.0 + one.margin))
+    cause, explained = "a residual that no term that was tried explains", 0.0
+    first = likeliest(seen)
+    if first is not None and first.share >= NAMED:
+        cause, explained = describe(first.suspect.term, first.suspect.size), first.share
+    return Remainder(cause, explained, max(changes), tuple(moved.tolist()))
+
+
+def _possible(one: Evidence) -> bool:
+    """Whether a device can have a term of this sign and size."""
+    factor = float(one.factors[0])
+    return one.suspect.term not in POSITIVE or (factor > 0.0 and not (one.suspect.term == "force steps" and factor > WHOLE))
+
+
+def _told(found: Fit, one: Evidence) -> Array:
+    """Return what a term moves the unknowns by as they are told: the mean delay of a lag or a filter is in the delay."""
+    moves = one.moves.copy()
+    if one.suspect.term in ("actuator lag", "sensor filter"):
+        moves[found.free == motion.DELAY] += float(one.factors[0]) * one.suspect.start[0]
+    return moves
+
+
+def _alternatives(seen: Sequence[Evidence]) -> list[Evidence]:
+    """Return the first of all, and of each kind of term the size that takes up most."""
+    kinds = {one.suspect.term for one in seen[:SHOWN]}
+    first = {one.suspect.term: one for one in reversed(seen)}
+    return [*seen[:SHOWN], *(one for term, one in first.items() if term not in kinds)]
+
+
+def _by_parts(experiment: Experiment, found: Fit, here: float | None, gain: float) -> tuple[float, Array]:
+    """Return how K_max, as a part of it, and the unknowns differ between the quarters of a run, and of its range."""
+    place = experiment.position[found.starts + found.length // 2]
+    change, moved = 0.0, np.zeros(len(found.free))
+    for order in (np.arange(len(place)), np.argsort(place)):
+        for part in np.array_split(order, PARTS):
+            step = np.linalg.lstsq(found.matrices[part].sum(axis=0), found.sides[part].sum(axis=0), rcond=None)[0]
+            theta = found.theta.copy()
+            theta[found.free] += step
+            theta[motion.MOBILITY] = max(theta[motion.MOBILITY], 1e-3)
+            average = float(np.clip(theta[motion.AVERAGE], 0.0, 0.5))
+            there = stiffest(_averaging(_plant(experiment, theta), average), experiment.period, gain, average)
+            if here is None or there is None:
+                change = change if here is there else math.inf
+            else:
+                change = max(change, abs(there / here - 1.0))
+            # The mean of the parts is the fit: half of what one of them is off by.
+            moved = np.maximum(moved, 0.5 * np.abs(step))
+    return change, moved
+
+
+def _averaging(plant: FlexiblePlant, average: float) -> FlexiblePlant:
+    """Take the mean delay of a sensor that averages from a plant's: it stands in the law then."""
+    return replace(plant, delay=max(plant.delay - average, 0.0))
+
+
+def _change(experiment: Experiment, found: Fit, one: Evidence, here: float | None, gain: float, step: float = 0.0) -> float:
+    """Return what one term may change K_max by, as a part of it: infinite where nothing is stable with it."""
+    period, size = experiment.period, 1.0 + one.margin
+    theta = found.theta.copy()
+    theta[found.free] += one.moves * size
+    theta[motion.MOBILITY] = max(theta[motion.MOBILITY], 1e-3)
+    own = float(theta[motion.AVERAGE])
+    plant, average, softer, stronger = _with(experiment, _plant(experiment, theta), one, size, own, step)
+    there = stiffest(_averaging(plant, average), period, gain, average)
+    if here is None or there is None:
+        return 0.0 if here is there else math.inf
+    # Springs beside the law's own and a gain before it act at once, at any K.
+    lowest = (there - softer) / stronger
+    return max(abs(there / here - 1.0), 1.0 - lowest / here)
+
+
+def _with(
+    experiment: Experiment, plant: FlexiblePlant, one: Evidence, size: float, own: float, step: float
+) -> tuple[FlexiblePlant, float, float, float]:
+    """Return a device with a term: the plant, part that its sensor averages, spring to ground [N/m], and gain [1]."""
+    term, factor, period, mass = one.suspect.term, float(one.factors[0]) * size, experiment.period, plant.mass
+    factors = np.abs(one.factors) * size
+    average, spring, gain = own, 0.0, 1.0
+    if term == "flexible mode" and factor > 0.0 and plant.rigid:
+        share = min(factor / (1.0 + factor), 0.95)
+        plant = replace(plant, share=share, frequency=one.suspect.start[1], loss=one.suspect.start[2])
+    elif term == "backlash" and factor > 0.0:
+        # Within the gap only the motor's side moves.
+        plant = replace(plant, mass=mass / (1.0 + factor))
+    elif term == "actuator lag" and factor > 0.0 and plant.lag == 0.0:
+        # A part of a lag blurs like a shorter one, whose square is that part; the mean delay stays.
+        lag = one.suspect.start[0]
+        short = lag * math.sqrt(factor)
+        plant = replace(plant, lag=short * period, delay=max(plant.delay + factor * lag - short, 0.0))
+    elif term == "sensor filter" and factor > 0.0 and own == 0.0:
+        part = one.suspect.start[0]
+        blur, late = factor * part * (1.0 - part), plant.delay + factor * part
+        if blur <= 0.25:
+            average = 0.5 * (1.0 - math.sqrt(1.0 - 4.0 * blur))
+            plant = replace(plant, delay=max(late, 0.0))
+        elif plant.lag == 0.0:
+            # Two samples blur by no more: a longer filter, which is a lag of the same square.
+            plant = replace(plant, lag=math.sqrt(blur) * period, delay=max(late - math.sqrt(blur), 0.0))
+    elif term == "spring":
+        reach = float(np.ptp(experiment.position)) / 2.0
+        spring = mass * float(factors @ np.array([1.0, 2.0 * reach, 3.0 * reach**2])[: len(factors)])
+    elif term == "cogging":
+        spring = mass * float(np.linalg.norm(factors)) * 2.0 * math.pi / one.suspect.size
+    elif term == "encoder ripple":
+        gain = 1.0 + float(np.linalg.norm(factors)) * 2.0 * math.pi / one.suspect.size
+    elif term == "presliding" and one.suspect.size > step:
+        # Within less than a step of the encoder it is the friction that the model has.
+        spring = mass * factors[0] / one.suspect.size
+    elif term == "gain by sign":
+        gain = 1.0 + factors[0]
+    elif term == "deadband":
+        # Steepest where the force is 0, or where it is largest.
+        strongest = one.suspect.start[0]
+        gain = 1.0 + size * max(0.0, float(one.factors[0]) / (0.1 * strongest), 2.0 * float(one.factors[1]) * strongest)
+    elif term == "drift":
+        plant = replace(plant, damping=max(plant.damping - 0.5 * mass * factors[0], 0.0))
+    return plant, average, float(spring), float(gain)

@@ -1,0 +1,257 @@
+"""Where methods fail beyond a rigid device at one rate: joint, two rates, encoder and friction, jitter, bounce, slide, world.
+
+Each boundary comes from one method and is looked at from both sides by another that shares nothing with it: poles of a joint
+by an integration in small steps, a certificate for jitter by a sequence of delays, an unknown world by the worst one, built.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from nodes.laws import CompiledLaw
+from nodes.laws.pd import PD
+from nodes.stability.every_delay import every_delay
+from nodes.stability.flexible import FlexiblePlant
+from nodes.stability.k_max import k_max, without_spring
+from nodes.stability.plant import HeldPlant, Plant, held_plant
+from nodes.stability.rest import rest
+from nodes.stability.two_rate import TwoRate, two_rate_k_max
+from sim.arrays import Array
+from sim.device.model import DeviceModel, advance, coefficients, quantise
+
+PERIOD = 0.002  # T of everything below [s]: the paper's
+MASS, DAMPING = 0.1, 1.0  # of the device [kg], [N s/m]
+RESOLUTION = 2.3e-5  # of its encoder [m]
+TURNS = 2e-5  # second difference of a position, root mean square, beyond which a contact chatters [m]
+
+
+@dataclass(frozen=True)
+class BeyondEdge:
+    """A boundary by one method, looked at from both sides by another."""
+
+    name: str  # what is beyond a rigid device at one rate
+    quantity: str  # what is raised, with its unit
+    value: float  # where the first method has the boundary, in that unit
+    margin: float  # how far inside and outside it is looked at, as a part of it
+    methods: str  # the first method, and the second
+    # Whether the second method finds it stable on the inner side, and on the outer.
+    inside: bool
+    outside: bool
+
+    @property
+    def agreed(self) -> bool:
+        """Whether the second method puts the boundary between the two sides."""
+        return self.inside and not self.outside
+
+
+def _pd(stiffness: float, gain: float) -> CompiledLaw:
+    return PD(stiffness=stiffness, damping=gain).compile(PERIOD)
+
+
+def joint() -> BeyondEdge:
+    """Return the edge of a device with a joint of 40 Hz: by its poles, and by an integration of 64 steps a tick."""
+    from sim.identify.remainder import stiffest
+    from sim.scene.richer import RicherModel, pushed
+
+    beyond = {"share": 0.4, "frequency": 40.0, "loss": 0.02}
+    gain, margin, ticks = 2.0, 0.02, 6000
+    edge = stiffest(FlexiblePlant(MASS, DAMPING, **beyond), PERIOD, gain)
+    assert edge is not None  # noqa: S101 - a soft wall is stable on this device
+    model = RicherModel(DeviceModel(mass=MASS, damping=DAMPING), "flexible mode", **beyond)
+
+    def rests(stiffness: float) -> bool:
+        taps = np.array(_pd(stiffness, gain).taps)
+        # Released 10 mm from an anchor, without a push.
+        position, _ = pushed(model, PERIOD, np.zeros(ticks), taps, (0.0, 1.0, math.inf, 0.01), 1)
+        return _shrinks(position)
+
+    sides = rests(edge * (1.0 - margin)), rests(edge * (1.0 + margin))
+    return BeyondEdge("a joint of 40 Hz, two fifths of the mass", "K [N/m]", edge, margin, "poles; small steps", *sides)
+
+
+def _shrinks(position: Array) -> bool:
+    """Whether a swing about 0 gets smaller from its second quarter to its last."""
+    quarter = len(position) // 4
+    early, late = np.abs(position[quarter : 2 * quarter]).max(), np.abs(position[-quarter:]).max()
+    return bool(late < early)
+
+
+def two_rates() -> BeyondEdge:
+    """Return the edge of a spring under a servo at four times the rate: by the lifted map, and tick by tick of the servo."""
+    device, margin = TwoRate(MASS, DAMPING, 3.0, 4, 4), 0.002
+    edge = two_rate_k_max(CompiledLaw((0.0,)), PERIOD, device)
+    assert edge is not None  # noqa: S101
+    short = PERIOD / device.ratio
+    step = coefficients(MASS, DAMPING, 0.0, short)
+
+    def rests(stiffness: float) -> bool:
+        x, v, before, seen = 0.01, 0.0, 0.01, []
+        waiting = [0.0] * (device.delay + 1)
+        for k in range(60_000):
+            if k % device.ratio == 0:
+                force = -stiffness * x
+                seen.append(x)
+            waiting = [force, *waiting[:-1]]
+            servo = -device.servo_damping * (x - before) / short
+            before = x
+            x, v = advance(x, v, waiting[device.delay] + servo, step)
+        return _shrinks(np.array(seen))
+
+    sides = rests(edge * (1.0 - margin)), rests(edge * (1.0 + margin))
+    return BeyondEdge("a servo at four times the rate", "K [N/m]", edge, margin, "lifted map; servo ticks", *sides)
+
+
+def encoder_and_friction() -> BeyondEdge:
+    """Return the friction that stops chatter across one encoder edge: by H(−1), and by the work of that motion."""
+    law, margin, path = _pd(1000.0, 3.0), 0.002, 1e-9
+    edge = rest(law, PERIOD, RESOLUTION).friction_alternating_n
+    x = np.where(np.arange(4000) % 2, 10.5 * RESOLUTION + 0.5 * path, 10.5 * RESOLUTION - 0.5 * path)
+    read = np.array([quantise(float(value), RESOLUTION) for value in x])
+    force = -np.convolve(read, law.taps)[: len(x)]
+    # An even number of ticks: the mean force does no work. Whoever moves the device chooses the way round.
+    work = abs(float((force[100:-2] * np.diff(x)[100:-1]).mean()))
+
+    def moves(friction: float) -> bool:
+        return work > friction * path
+
+    sides = not moves(edge * (1.0 + margin)), not moves(edge * (1.0 - margin))
+    return BeyondEdge("encoder of 23 µm and friction", "friction [N]", edge, -margin, "Δ |H(−1)|/2; work of a motion", *sides)
+
+
+def jitter() -> BeyondEdge:
+    """Return the edge of a delay that jitters by half a tick: by certificate, and by the sequence of delays that grows."""
+    gain, delays, margin = 3.0, (0.5, 1.0), 0.05
+    plant = Plant(PERIOD, MASS, DAMPING)
+    low, high = 100.0, k_max(without_spring(PD(stiffness=1.0, damping=gain), PERIOD), plant).k_max_n_per_m or 0.0
+    while high - low > 0.01 * high:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if every_delay(_pd(middle, gain), plant, delays).stable is False else (middle, high)
+    outer = _pd(high * (1.0 + margin), gain)
+    worst = every_delay(outer, plant, delays).growing
+    inner = _pd(high * (1.0 - margin), gain)
+    certified = every_delay(inner, plant, delays).stable is True
+    sides = certified and not _grows(inner, plant, worst), not _grows(outer, plant, worst)
+    return BeyondEdge("a delay of 0.5 to 1 ticks", "K [N/m]", high, margin, "certificate; the sequence, played", *sides)
+
+
+def _grows(law: CompiledLaw, plant: Plant, delays: tuple[float, ...]) -> bool:
+    """Play a swing with a sequence of delays, over and over, each force acting from where in the tick it arrives."""
+    x, v = 0.01, 0.0
+    history = [0.0] * len(law.taps)
+    arrivals: list[tuple[float, float]] = []
+    acting, seen = 0.0, []
+    for k in range(4000):
+        seen.append(x)
+        history = [-x, *history[:-1]]
+        force = sum(tap * one for tap, one in zip(law.taps, history, strict=True))
+        arrivals.append((k + delays[k % len(delays)], force))
+        now = 0.0
+        while arrivals and arrivals[0][0] < k + 1:
+            at, following = arrivals.pop(0)
+            x, v = _moved(x, v, acting, (at - k - now) * plant.period, plant)
+            acting, now = following, at - k
+        x, v = _moved(x, v, acting, (1.0 - now) * plant.period, plant)
+    return not _shrinks(np.array(seen))
+
+
+def _moved(x: float, v: float, force: float, duration: float, plant: Plant) -> tuple[float, float]:
+    if duration <= 0.0:
+        return x, v
+    return advance(x, v, force, coefficients(plant.mass, plant.damping, plant.stiffness, duration))
+
+
+def bounce() -> BeyondEdge:
+    """Return the stiffness at which a drop bounces below the linear edge: by the simulator, and by the map of the designer."""
+    from sim.design.demand import Demand
+    from sim.design.fall import falls, settled
+    from sim.experiments.drop import CONVENTION, Criterion, drop_scene, held, settles
+
+    horizon = Criterion(20_000)
+    gain, margin, plant = 8.0, 0.03, Plant(PERIOD, MASS, DAMPING)
+    linear = k_max(without_spring(PD(stiffness=1.0, damping=gain), PERIOD), plant).k_max_n_per_m or 0.0
+    low, high = 0.5 * linear, linear
+    while high - low > 1e-3 * high:
+        middle = 0.5 * (low + high)
+        low, high = (
+            (middle, high) if settles(drop_scene(held(plant), PERIOD), [_pd(middle, gain)], horizon)[0] else (low, middle)
+        )
+    drops = falls(Demand((MASS, MASS), DAMPING, (0.0, 0.0), PERIOD, 0.99, 1e6), [MASS], [CONVENTION], [0.01])
+    sides = (settled(_pd(high * share, gain), drops, horizon)[0] for share in (1.0 - margin, 1.0 + margin))
+    name = f"a landing, at {100.0 * high / linear:.0f} % of the linear edge"
+    return BeyondEdge(name, "K [N/m]", high, margin, "drop by closed form; by matrix exponential", *sides)
+
+
+def slide() -> BeyondEdge:
+    """Return the edge of a device that a hand draws along a rough plane: by poles, and by playing the launch in space."""
+    from nodes.launcher import launch_file
+    from sim.scene.spatial import play
+
+    margin, gain = 0.1, 2.0
+    plant = Plant(PERIOD, 0.15, 3.0, 0.0, 150.0)
+    edge = k_max(without_spring(PD(stiffness=1.0, damping=gain), PERIOD), plant).k_max_n_per_m or 0.0
+
+    def quiet(stiffness: float) -> bool:
+        launch = launch_file.read("rough_plane", {"stiffness": stiffness, "damping": gain, "duration": 2.0})
+        position = play(launch).position
+        # What a hand and a slide do bends slowly; an unstable contact turns every few ticks.
+        turns = np.diff(position[len(position) // 2 :], 2, axis=0)
+        return bool(np.sqrt(np.mean(np.sum(turns**2, axis=1))) < TURNS)
+
+    sides = quiet(edge * (1.0 - margin)), quiet(edge * (1.0 + margin))
+    return BeyondEdge("a slide along a rough plane", "K [N/m]", edge, margin, "poles; the launch, played", *sides)
+
+
+def unknown_world() -> BeyondEdge:
+    """Return the edge before any passive world that answers in the same tick: by its real part, and by the worst one, built.
+
+    Colgate & Schenkel, "Passivity of a class of sampled-data systems" (1997), give the way; here for taps and a known device:
+    Re{D/H + D P} > 0, D = (1 − w)/T, on the whole circle, and stable at the wall.
+    """
+    gain, margin = 3.0, 0.002
+    plant = Plant(PERIOD, MASS, DAMPING)
+    held = held_plant(plant)
+    theta = np.concatenate([np.geomspace(1e-4, 1e-2, 400), np.linspace(1e-2, math.pi, 40_001)])
+    z = np.exp(1j * theta)
+    slope = (1.0 - 1.0 / z) / PERIOD
+    device = slope * np.polyval(held.numerator, z) / (np.polyval(held.denominator, z) * z)
+
+    def share(stiffness: float) -> Array:
+        return np.asarray(slope / _pd(stiffness, gain).response(z) + device)
+
+    low, high = 10.0, k_max(without_spring(PD(stiffness=1.0, damping=gain), PERIOD), plant).k_max_n_per_m or 0.0
+    while high - low > 1e-6 * high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if share(middle).real.min() > 0.0 else (low, middle)
+    edge = low
+
+    def stands(stiffness: float) -> bool:
+        """Whether the poles stay inside before the lossless world of first order that cancels what is left at its frequency."""
+        left = share(stiffness)
+        at = int(np.argmin(left.real))
+        # Y = j y there: a spring, y = c tan(θ/2), where y > 0; a mass, y = −c cot(θ/2), where y < 0.
+        y = -float(left[at].imag)
+        half = math.tan(0.5 * float(theta[at]))
+        world = ([y / half, -y / half], [1.0, 1.0]) if y > 0.0 else ([-y * half, -y * half], [1.0, -1.0])
+        return _world_radius(_pd(stiffness, gain), held, world) < 1.0
+
+    sides = stands(edge * (1.0 - margin)), stands(edge * (1.0 + margin))
+    return BeyondEdge("any passive world, answering at once", "K [N/m]", edge, margin, "real part; worst world's poles", *sides)
+
+
+def _world_radius(law: CompiledLaw, held: HeldPlant, world: tuple[list[float], list[float]]) -> float:
+    """Return the largest pole of law, device and a world D y = Y F in series: 1 + H P + H Y/D = 0, H of two taps."""
+    above, below = world
+    force, squared, difference = np.array(law.taps), [1.0, 0.0, 0.0], [1.0, -1.0]
+    # In powers of z, highest first: H = (h0 z + h1)/z, D = (z − 1)/(T z), P = num/(den z); times z² den (z − 1) below.
+    own = np.polymul(np.polymul(squared, held.denominator), np.polymul(difference, below))
+    by_device = np.polymul(np.polymul(force, held.numerator), np.polymul(difference, below))
+    by_world = PERIOD * np.polymul(np.polymul(force, above), np.polymul(held.denominator, squared))
+    return float(np.abs(np.roots(np.polyadd(np.polyadd(own, by_device), by_world))).max())
+
+
+# What is looked at; another edge is another function here.
+BEYOND: tuple[Callable[[], BeyondEdge], ...] = (joint, two_rates, encoder_and_friction, jitter, bounce, slide, unknown_world)
