@@ -29,6 +29,15 @@ def _poses(record: Mapping[str, Any]) -> str:
     return f", with {number(lighter)} less and {number(heavier)} more in other poses" if lighter or heavier else ""
 
 
+def _proven(record: Mapping[str, Any]) -> list[TextRow]:
+    """What is proven of its landings (THEORY.md §17); tunings of earlier versions have nothing of it."""
+    proof = record.get("landing_proof")
+    if proof is None:
+        return []
+    told = f"proven for {proof['cases']} devices and delays" if proof["proven"] else f"no proof: {proof['why']}"
+    return [(f"from any height ({proof['convention']})", told)]
+
+
 def law_rows(record: Mapping[str, Any]) -> list[TextRow]:
     """Tell the designed law."""
     asked = record["demand"]
@@ -39,6 +48,7 @@ def law_rows(record: Mapping[str, Any]) -> list[TextRow]:
         ("stiffness that is felt, H(1)", number(record["h1_n_per_m"], "N/m")),
         ("beside PD of the same demand", compared),
         ("settles after every drop on a floor", "yes" if record["lands"] else "NO: it does not survive a landing"),
+        *_proven(record),
         ("taps", ", ".join(f"{tap:.4g}" for tap in record["taps_n_per_m"]) + " N/m"),
         ("for masses", f"{number(asked['mass'][0])} to {number(asked['mass'][1])} kg{_poses(record)}"),
         ("for delays", f"{number(asked['delay'][0])} to {number(asked['delay'][1])} ticks"),

@@ -26,7 +26,7 @@ from sim.cli.answers import add_answer, idle, report
 from sim.cli.sweeps import SPREAD, add_spread, spread
 from sim.design.demand import CONVENTIONS, Demand, Robust
 from sim.design.families import Tuned, best_pd, certificate, certified, compare, designed, fir, latest_delay, to_yaml
-from sim.design.landing import best_pd_windowed, drops
+from sim.design.landing import best_pd_windowed, drops, prove_over
 from sim.design.passive import Passive, certain_damping, stiffest_passive
 from sim.design.recorded_loop import Measured, replayed_radius
 from sim.experiments.terms import RESOLUTION
@@ -180,15 +180,17 @@ def _designed(arguments: argparse.Namespace, demand: Demand, law: Tuned, pd: Tun
     assert law.law is not None  # noqa: S101  # the caller looked
     path = fresh(arguments.out / "designed.yaml")
     lands = all(drops(law.found.law, demand).values())
-    comment = _describe(demand) + ("" if lands else "\nit does NOT survive a landing")
-    path.write_text(to_yaml(law.law, comment=comment), encoding="utf-8")
-    every = certificate(law.found.law, demand)
+    every, landing = certificate(law.found.law, demand), prove_over(law.found.law, demand)
     result = _row(law, demand) | {"yaml": str(path), "lands": lands, "every_delay": every}
+    result["landing_proof"] = asdict(landing)
+    comment = "\n".join([_describe(demand), *([] if lands else ["it does NOT survive a landing"]), landing.text()])
+    path.write_text(to_yaml(law.law, comment=comment), encoding="utf-8")
     proofs: dict[Any, str] = {True: "certified", False: "NOT stable", None: "not decided"}
     proof = proofs.get(every, "the range is wider than a tick")
     return result, [
         _line(result),
         f"{'':13}  every sequence of these delays, five masses: {proof} (THEORY.md §10)",
+        f"{'':13}  {landing.text()} (THEORY.md §17)",
         _line(_row(pd, demand)),
         f"haptic param load coupling {path}",
     ]
