@@ -21,6 +21,7 @@ from nodes.stability.plant import Plant
 from nodes.stability.rest import rest
 from sim.axes import plain_log
 from sim.chart.rest_map import rest_map
+from sim.cli import any_world
 from sim.cli import arguments as shared
 from sim.cli.answers import add_answer, idle, report
 from sim.cli.sweeps import SPREAD, add_spread, spread
@@ -45,6 +46,14 @@ def add(parser: argparse.ArgumentParser) -> None:
         type=shared.hand,
         default=(0.0, 0.0),
         help="stiffness of a hand, LOW..HIGH [N/m], or one of `haptic device presets`",
+    )
+    parser.add_argument(
+        "--for",
+        dest="world",
+        choices=("wall", "any_world", "any_hand"),
+        default="wall",
+        help="what is behind the coupling: a wall and the hand given; any passive world and the device given; any hand and any "
+        "passive world (default: %(default)s)",
     )
     parser.add_argument("--radius", type=positive, default=0.99, help="pole radius allowed (default: %(default)s)")
     parser.add_argument("--nyquist", type=positive, default=1e4, help="|H(-1)| allowed [N/m] (default: 10000)")
@@ -86,6 +95,12 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--every-delay: of one design, not of --compare")
     if arguments.radius > 1.0:
         raise UsageError(f"--radius {arguments.radius:g}: above 1 is unstable")
+    if arguments.world != "wall":
+        unused = ("hand", "radius", "from-run", "effort", "every-delay", "resolution", "friction", "margins", *SPREAD)
+        idle(arguments, f"--for {arguments.world} is a condition on frequencies", *unused)
+        if arguments.compare:
+            idle(arguments, "--compare takes --delays", "delay")
+        return any_world.run(arguments)
     if not arguments.mass[0] > 0.0:
         raise UsageError(f"--mass {arguments.mass[0]:g}..{arguments.mass[1]:g}: must be positive")
     if arguments.compare:
