@@ -16,7 +16,7 @@ import numpy as np
 
 from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.cosine_sums import Array, Laurent, positive, values
+from nodes.stability.cosine_sums import Array, Laurent, positive
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.plant import Plant, held_plant
 
@@ -51,7 +51,7 @@ class LandingProof:
     why: str
 
     def text(self) -> str:
-        """The verdict in a sentence."""
+        """Return the verdict in a sentence."""
         if self.proven:
             return f"every drop settles: proven ({self.convention})"
         return f"every drop settles: no proof ({self.convention}): {self.why}"
@@ -71,7 +71,7 @@ class _Loop:
         return product.real_over_one_less_w() if self.free else product.real()
 
     def scale(self, theta: Array) -> Array:
-        """What the sums are divided by to be Re{M (1 + G)}: |below|² (a pole at w = 1 has cancelled)."""
+        """Return what the sums are divided by to be Re{M (1 + G)}: |below|² (a pole at w = 1 has cancelled)."""
         return np.asarray(np.abs(self.below.at(theta)) ** 2, dtype=np.float64)
 
 

@@ -53,9 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _members(arguments: argparse.Namespace, delay: tuple[float, float]) -> list[Member]:
     mass = arguments.mass if arguments.world == "any_world" else None
     try:
-        surroundings = Surroundings(
-            1.0 / (arguments.rate or 500.0), arguments.damping[0], delay, arguments.nyquist, mass
-        )
+        surroundings = Surroundings(1.0 / (arguments.rate or 500.0), arguments.damping[0], delay, arguments.nyquist, mass)
     except ValueError as error:
         raise UsageError(f"--{error}") from error
     members = []
@@ -103,7 +101,9 @@ def _lines(arguments: argparse.Namespace, row: Mapping[str, Any]) -> list[str]:
             f"{proof}  taps {taps}{sections}"
         )
     if arguments.world == "any_hand":
-        lines.append(f"  no causal linear law has more than 2b/(T(1 + d)) = {row['closed_limit_n_per_m']:.1f} N/m (THEORY.md §18)")
+        lines.append(
+            f"  no causal linear law has more than 2b/(T(1 + d)) = {row['closed_limit_n_per_m']:.1f} N/m (THEORY.md §18)"
+        )
     else:
         lines.append("  H(1) has no bound for a known device: it is |H(-1)| and the number of taps that limit these")
     gain = row["fractional_gain"]

@@ -46,16 +46,14 @@ class Surroundings:
         return 2.0 * self.damping / (self.period * (1.0 + self.delay[1]))
 
     def conditions(self, masses: int) -> list["Condition"]:
-        """The conditions to keep: at the ends and whole ticks of the delay for any hand; else at some masses and delays."""
+        """Return what to keep: for any hand at the ends and whole ticks of the delay, else at some masses and delays."""
         low, high = self.delay
         whole = np.arange(math.ceil(low), math.floor(high) + 1).tolist()
         if self.mass is None:
             # r is straight in the fraction of a tick: between two whole delays the ends are the worst.
             return [_any_hand(self, delay) for delay in sorted({low, high, *whole})]
         delays = sorted({*np.linspace(low, high, 5).tolist(), *whole})
-        return [
-            _known(self, mass, delay) for mass in np.unique(np.geomspace(*self.mass, masses)).tolist() for delay in delays
-        ]
+        return [_known(self, mass, delay) for mass in np.unique(np.geomspace(*self.mass, masses)).tolist() for delay in delays]
 
 
 @dataclass(frozen=True)
@@ -275,7 +273,7 @@ def keeps(surroundings: Surroundings, law: CompiledLaw, masses: int = 15) -> boo
 
 
 def _any_hand(surroundings: Surroundings, delay: float) -> Condition:
-    """r = [1 − (1−φ) cos((1+i)θ) − φ cos((2+i)θ)]/(2b), over 1 − cos θ."""
+    """Set r = [1 − (1−φ) cos((1+i)θ) − φ cos((2+i)θ)]/(2b), over 1 − cos θ."""
     whole = math.floor(delay)
     fraction = delay - whole
     rest = (1.0 - fraction) * np.append(one_less_cosine(1 + whole), 0.0) + fraction * one_less_cosine(2 + whole)
@@ -283,7 +281,7 @@ def _any_hand(surroundings: Surroundings, delay: float) -> Condition:
 
 
 def _known(surroundings: Surroundings, mass: float, delay: float) -> Condition:
-    """r = −Re{D P_d} of a known device, over |1 − w e|² / (1 − cos θ) of its own denominator."""
+    """Set r = −Re{D P_d} of a known device, over |1 − w e|² / (1 − cos θ) of its own denominator."""
     held = held_plant(Plant(surroundings.period, mass, surroundings.damping, delay))
     own = Laurent(np.cumsum(held.denominator)[:-1])  # the denominator without 1 − w
     path = Laurent(np.array(held.numerator), held.whole + 1)

@@ -1,4 +1,4 @@
-"""Families of laws that are compared where the world, or hand and world, are not known: PD, PDα, the paper's optimum, free taps."""
+"""Families of laws compared where the world, or hand and world, are not known: PD, PDα, the optimum, free taps, a pole."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -26,7 +26,7 @@ class Member:
 
 
 def stiffest_members(surroundings: Surroundings, taps: int) -> Iterator[Member]:
-    """The stiffest member of each family, PD first; of `taps` taps where a family has a choice."""
+    """Yield the stiffest member of each family, PD first; of `taps` taps where a family has a choice."""
     yield stiffest_pd(surroundings)
     yield stiffest_pd_alpha(surroundings, taps)
     yield stiffest_linear("paper_optimum", {**PRESETS["paper_optimum"], "kind": "paper_optimum"}, surroundings)
@@ -35,12 +35,12 @@ def stiffest_members(surroundings: Surroundings, taps: int) -> Iterator[Member]:
 
 
 def stiffest_pd(surroundings: Surroundings) -> Member:
-    """Stiffness and damping of PD."""
+    """Tune stiffness and damping of PD."""
     return stiffest_linear("pd", {"kind": "pd"}, surroundings)
 
 
 def stiffest_pd_alpha(surroundings: Surroundings, taps: int) -> Member:
-    """Stiffness, damping and order of PDα of so many taps."""
+    """Tune stiffness, damping and order of PDα of so many taps."""
 
     def at(order: float) -> Member:
         return stiffest_linear("pd_alpha", {"kind": "pd_alpha", "order": order, "taps": taps, "gains": "paper"}, surroundings)
@@ -49,7 +49,7 @@ def stiffest_pd_alpha(surroundings: Surroundings, taps: int) -> Member:
 
 
 def stiffest_taps(surroundings: Surroundings, taps: int) -> Member:
-    """So many free taps, or fewer where those are as stiff: a longer law with zeros behind is a shorter one."""
+    """Design so many free taps, or fewer where those are as stiff: a longer law with zeros behind is a shorter one."""
     best: Member | None = None
     for length in range(1 if surroundings.mass is None else min(2, taps), taps + 1):
         design = stiffest_for_any_world(surroundings, np.eye(length))
@@ -63,7 +63,7 @@ def stiffest_taps(surroundings: Surroundings, taps: int) -> Member:
 
 
 def stiffest_one_pole(surroundings: Surroundings) -> Member:
-    """Two taps over one pole, anywhere inside the unit circle."""
+    """Design two taps over one pole, anywhere inside the unit circle."""
 
     def at(pole: float) -> Member:
         design = stiffest_for_any_world(surroundings, np.eye(2), pole=pole)
@@ -73,7 +73,7 @@ def stiffest_one_pole(surroundings: Surroundings) -> Member:
 
 
 def stiffest_linear(family: str, shape: dict[str, Any], surroundings: Surroundings) -> Member:
-    """Stiffness and damping of a law of taps that is linear in both."""
+    """Tune stiffness and damping of a law of taps that is linear in both."""
     spring, both = (
         np.array(parse_law({**shape, "stiffness": 1.0, "damping": gain}).compile(surroundings.period).taps)
         for gain in (0.0, 1.0)
@@ -92,7 +92,7 @@ def stiffness(member: Member) -> float:
 
 
 def _refined(at: Callable[[float], Member], values: tuple[float, ...], step: float, ends: tuple[float, float]) -> Member:
-    """The best of some values, then of values closer and closer about it."""
+    """Return the best of some values, then of values closer and closer about it."""
     tried = {value: at(value) for value in values}
     best = max(tried, key=lambda value: stiffness(tried[value]))
     while step > 0.004 * (ends[1] - ends[0]) / 4.0:
@@ -111,7 +111,7 @@ def _fir(design: WorldDesign, period: float) -> dict[str, Any]:
 
 
 def fractional_gain(members: list[Member]) -> float | None:
-    """What a fractional term buys over PD, as a ratio of H(1); None where one of the two has no stiffness."""
+    """Compute what a fractional term buys over PD, as a ratio of H(1); None where one of the two has no stiffness."""
     found = {member.family: stiffness(member) for member in members}
     return found["pd_alpha"] / found["pd"] if min(found["pd_alpha"], found["pd"]) > 0.0 else None
 
@@ -128,4 +128,3 @@ def margin_figures(design: WorldDesign) -> dict[str, Any]:
         "bound_n_per_m": bound if bound is not None and math.isfinite(bound) else None,
         "proven": design.proven,
     }
-

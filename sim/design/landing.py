@@ -61,7 +61,7 @@ class ProvenLanding:
     why: str  # where and why there is no proof; empty with one
 
     def text(self) -> str:
-        """The verdict in a sentence."""
+        """Return the verdict in a sentence."""
         if self.proven:
             return f"every drop settles: proven for {self.cases} devices and delays of these ranges ({self.convention})"
         return f"every drop settles: no proof ({self.convention}): {self.why}"

@@ -93,7 +93,7 @@ def test_a_hand_that_holds_the_device_has_a_proof() -> None:
         (pd(3500.0), Plant(T, 0.1, 1.0), "no multiplier"),
         (pd(100.0), Plant(T, 0.1, 0.0), "no damping"),
         (CompiledLaw((1.0, -2.0)), Plant(T, 0.1, 1.0), "pulls into the wall"),
-        (CompiledLaw((100.0,), evaluate=lambda ring, head: 0.0), Plant(T, 0.1, 1.0), "code of its own"),
+        (CompiledLaw((100.0,), evaluate=lambda ring, head: ring[head]), Plant(T, 0.1, 1.0), "code of its own"),
     ],
 )
 def test_without_a_proof_it_says_why(law: CompiledLaw, plant: Plant, why: str) -> None:
