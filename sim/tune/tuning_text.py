@@ -58,6 +58,15 @@ def law_rows(record: Mapping[str, Any]) -> list[TextRow]:
     ]
 
 
+def _grasped(record: Mapping[str, Any]) -> list[TextRow]:
+    """Return how the law does in the grasp of a stylus; tunings of earlier versions have nothing of it."""
+    if (judged := record.get("grasp")) is None:
+        return []
+    worst = judged["worst"]
+    told = {True: "stable, certified", False: "NOT stable"}.get(worst["certified"], "stable where it was tried, not certified")
+    return [("held as a stylus is, by 0.2 kg behind 380 to 770 N/m", f"{told}; pole radius {worst['radius']:.4f}")]
+
+
 def predicted_rows(record: Mapping[str, Any]) -> list[TextRow]:
     """Tell what the law does on the identified device."""
     knocked = record["edge_h1_n_per_m"]
@@ -73,6 +82,7 @@ def predicted_rows(record: Mapping[str, Any]) -> list[TextRow]:
         ("drops that settle", f"{record['drops_settled']} of {record['drops']}"),
         ("stable up to a delay of", "100 ticks and on" if later is None else number(later, "ticks")),
         ("stable for every sequence of delays", decided),
+        *_grasped(record),
         ("comes to rest without a buzz", quiet),
     ]
 

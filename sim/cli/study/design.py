@@ -27,6 +27,7 @@ from sim.cli.answers import add_answer, idle, report
 from sim.cli.sweeps import SPREAD, add_spread, spread
 from sim.design.demand import CONVENTIONS, Demand, Robust
 from sim.design.families import Tuned, best_pd, certificate, certified, compare, designed, fir, latest_delay, to_yaml
+from sim.design.hands import judge_grasps
 from sim.design.landing import best_pd_windowed, drops, prove_over
 from sim.design.passive import Passive, certain_damping, stiffest_passive
 from sim.design.recorded_loop import Measured, replayed_radius
@@ -55,6 +56,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="what is behind the coupling: a wall and the hand given; any passive world and the device given; any hand and any "
         "passive world (default: %(default)s)",
     )
+    shared.add_grasp(parser, "judge the law in every grasp of a box too")
     parser.add_argument("--radius", type=positive, default=0.99, help="pole radius allowed (default: %(default)s)")
     parser.add_argument("--nyquist", type=positive, default=1e4, help="|H(-1)| allowed [N/m] (default: 10000)")
     parser.add_argument("--from-run", type=Path, metavar="RECORDING", help="take rate, delay and jitter from a recording")
@@ -96,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.radius > 1.0:
         raise UsageError(f"--radius {arguments.radius:g}: above 1 is unstable")
     if arguments.world != "wall":
-        unused = ("hand", "radius", "from-run", "effort", "every-delay", "resolution", "friction", "margins", *SPREAD)
+        unused = ("hand", "grasp", "radius", "from-run", "effort", "every-delay", "resolution", "friction", "margins", *SPREAD)
         idle(arguments, f"--for {arguments.world} is a condition on frequencies", *unused)
         if arguments.compare:
             idle(arguments, "--compare takes --delays", "delay")
@@ -104,7 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.mass[0] > 0.0:
         raise UsageError(f"--mass {arguments.mass[0]:g}..{arguments.mass[1]:g}: must be positive")
     if arguments.compare:
-        idle(arguments, "--compare takes --delays and --margins, and --rate", "delay", "from-run", "effort")
+        idle(arguments, "--compare takes --delays and --margins, and --rate", "delay", "from-run", "effort", "grasp")
     else:
         idle(arguments, "it is of --compare", "delays", "margins", *SPREAD)
     demand, measured = _demand(arguments)
@@ -179,6 +181,10 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
         if not result["lands"]:
             lines[:0] = ["This law does NOT survive a landing: a drop on a floor does not settle; without --no-land it would"]
         lines += [*said, str(plot)]
+        if arguments.grasp is not None:
+            judged = judge_grasps(law.found.law, demand, arguments.grasp)
+            result["grasp"] = asdict(judged)
+            lines.append(f"{'':13}  {judged.text()}")
         if arguments.friction is not None:
             lines += _at_rest(arguments, law.found, demand, result)
     else:
