@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from messages.errors import UsageError
 from nodes.cli.ask import chosen_node, sub_verb
+from nodes.cli.law_worlds import world_figures, world_lines
 from nodes.cli.main import answer
 from nodes.cli.param import FORCE, forced, receipt_text
 from nodes.cli.quantities import declare as declare_quantities
@@ -127,6 +128,7 @@ def _show(arguments: argparse.Namespace) -> int:
         run, node = chosen_node(arguments)
         figures = {"run": run.run, "rate_hz": 1.0 / run.nodes[node].period}
         figures |= ask(run, node, "law.show", law=arguments.law or "")
+    worlds = world_figures(figures)
     skipped = {*_NO_PARAMETERS, "masses_kg", "worst_mass_kg", *(key for key, _, _ in ROWS)}
     parameters = ", ".join(
         f"{key} {_short(value)}" for key, value in figures.items() if key not in skipped and not key.startswith("f_")
@@ -137,6 +139,7 @@ def _show(arguments: argparse.Namespace) -> int:
         f"  taps {', '.join(f'{tap:.6g}' for tap in taps[:8])}{f', … ({len(taps)})' if len(taps) > 8 else ''} N/m"
         + (f", {figures['sections']} recursive sections" if figures["sections"] else ""),
         *_table({"": figures}),
+        *world_lines(worlds, max(len(label) for _, label, _ in ROWS)),
     ]
     if "masses_kg" in figures:
         low, high = figures["masses_kg"]
@@ -148,7 +151,7 @@ def _show(arguments: argparse.Namespace) -> int:
         lines.append("  its own code is left out of H(1), which is that of its taps; the other figures need taps alone")
     if arguments.damping is not None and arguments.gain is None and "damping" in figures:
         lines.append(f"  --damping {arguments.damping:g} is the device's; the law's own is --gain, {figures['damping']:g} here")
-    return answer(arguments.json, figures, "\n".join(lines))
+    return answer(arguments.json, figures | worlds, "\n".join(lines))
 
 
 def _landing(law: CompiledLaw, plants: list[Plant], contact: str | None = None) -> dict[str, Any]:

@@ -228,12 +228,13 @@ class Coupling(Node):
 
     def _show_law(self, law: str = "") -> dict[str, Any]:
         parameters: CouplingParameters = self.store.current
+        plant = {} if parameters.plant is None else {"plant": msgspec.to_builtins(parameters.plant)}
         if law:
             described = self._book.description(parameters, law)
-            return {"law": law, **described, **self._book.figures(parameters, law, self._felt_delay)}
+            return {"law": law, **described, **plant, **self._book.figures(parameters, law, self._felt_delay)}
         active = self._renderer.law
         described = msgspec.json.decode(active.text)
-        return {**described, **self._book.figures(parameters, active.compiled, self._felt_delay)}
+        return {**described, **plant, **self._book.figures(parameters, active.compiled, self._felt_delay)}
 
     def _switch_law(self, law: str, ramp: int | None = None, force: bool = False) -> dict[str, Any]:
         usual = self.store.current.ramp

@@ -22,11 +22,13 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.judge import last_inside
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
+from nodes.stability.worlds import AnyWorld, world_k_max
 
 NEAR, FAR = 33, 24  # points of the edge: evenly spaced around the gain, then in equal ratios
 FARTHEST = 4096.0  # how far beyond the near part the far end is looked for, as a ratio
 MOST_DELAY = 20.0  # longest delay that the margin is looked for [ticks]
 DELAYS = 25  # points of the edge over the delay
+ANY_NEAR, ANY_DELAYS = 13, 9  # points of the edge for any world, over the gain and over the delay: 8 ms each
 
 
 def plant_of(declared: Any, driver: Mapping[str, Any]) -> PlantParameters | None:
@@ -55,6 +57,17 @@ def _edges(law: Law, devices: Sequence[Plant]) -> tuple[float, float] | None:
             return None
         low, high = max(low, edge.stable[0][0]), min(high, edge.stable[0][1])
     return (low, high) if low < high else None
+
+
+def _any_world(law: Law, devices: Sequence[Plant]) -> float | None:
+    """Return the largest K certified on all devices with any world that answers in the same tick; None for none."""
+    least = math.inf
+    for device in devices:
+        found = world_k_max(without_spring(law, device.period), device, AnyWorld())
+        if found.k_max_n_per_m is None:
+            return None
+        least = min(least, found.k_max_n_per_m)
+    return least if math.isfinite(least) else None
 
 
 def _at(law: Law, damping: float) -> Law:
@@ -154,7 +167,22 @@ def stability_map(law: Law, period: float, plant: PlantParameters, delay: float)
     if end > near:
         rows += _bounds(law, devices, np.geomspace(near, end, FAR)[1:].tolist())
     over = _over_delay(law, devices, found["delay_margin_ticks"])
-    return found | {"b_n_s_per_m": b, "near": near, "edge": rows, "over_delay": over}
+    # The device itself, without the body that the coupling holds it to: that body is part of the world.
+    alone = msgspec.structs.replace(plant, tool_mass=None).over_workspace(period, delay)
+    some = [alone[i] for i in sorted({0, worst, len(alone) - 1})]
+    gains = np.linspace(0.0, near, ANY_NEAR).tolist()
+    delays = np.linspace(0.0, over[-1][0] or 0.0, ANY_DELAYS).tolist()
+    return found | {
+        "b_n_s_per_m": b,
+        "near": near,
+        "edge": rows,
+        "over_delay": over,
+        "k_max_any_world_n_per_m": _any_world(law, some),
+        "any_world": [[gain, _any_world(_at(law, gain), some)] for gain in gains],
+        "any_world_over_delay": [
+            [delay, _any_world(law, [replace(device, delay=delay) for device in some])] for delay in delays
+        ],
+    }
 
 
 def drawn_map(

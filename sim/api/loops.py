@@ -10,8 +10,10 @@ import numpy as np
 from nodes.stability import k_max as stability
 from nodes.stability.closed_loop import pole_radius, state_matrix
 from nodes.stability.plant import Plant
+from nodes.stability.worlds import hand_text, world_k_max
 from sim.api.laws import LawLike, compiled, plain
 from sim.api.laws import law as made
+from sim.api.named_worlds import read_world
 from sim.api.notebook_results import Result, new_figure
 from sim.arrays import Array
 
@@ -30,9 +32,10 @@ class KMaxResult(Result):
 
     k_max_n_per_m: float | None  # largest stable nominal stiffness [N/m]; None when none is stable
     h1_max_n_per_m: float | None  # stiffness that is felt there, H(1) [N/m]
-    method: str  # ``closed_form`` or ``pole_radius``
+    method: str  # ``closed_form``, ``pole_radius``, or ``certificate`` for worlds other than a wall
     stable: tuple[tuple[float, float], ...]  # stable intervals of the nominal stiffness [N/m]
     plant: Plant  # the device and the loop's period
+    about: str  # which worlds and hands it is about
     _derivative: Any
 
     def plot(self) -> Figure:
@@ -98,7 +101,7 @@ class Played(Result):
         return figure
 
 
-def k_max(law: LawLike, plant: Plant) -> KMaxResult:
+def k_max(law: LawLike, plant: Plant, world: str = "wall", **options: Any) -> KMaxResult:
     """Find the largest stable stiffness of a law, everything else fixed.
 
     Parameters
@@ -107,21 +110,31 @@ def k_max(law: LawLike, plant: Plant) -> KMaxResult:
         Its own stiffness does not matter.
     plant : Plant
         Period [s], mass [kg], damping [N s/m], delay [ticks] and a hand's stiffness [N/m].
+    world : str
+        What the device is coupled to (THEORY.md §17). ``wall``; ``spring``, of any stiffness of a range; ``any``, every passive
+        world that answers in the same tick; ``any_hand``, the same in every passive hand; ``any_hand_wall``; ``tool`` and
+        ``any_hand_tool``, a stepped tool with anything passive hung on it; ``euler_tool``, one of known mass that semi-implicit
+        Euler moves, implicit bodies behind it; ``two_hands``, a second device in any hand.
+    **options : object
+        What a world needs: ``springs`` (softest, stiffest) [N/m], ``tool_damping`` [N s/m], ``tool_mass`` [kg], ``other``, the
+        second device (Plant).
 
     Returns
     -------
     KMaxResult
-        The edge; ``.plot()`` draws the way to it.
+        The edge; ``.plot()`` draws the way to it. For other worlds than a wall the edge of what is certified.
 
     Raises
     ------
     ValueError
-        For a law with code of its own, which has no poles.
+        For a law with code of its own, which has no poles; for an unknown world or options that it does not have.
 
     Examples
     --------
     >>> k_max(made("pd", stiffness=1, damping=3), Plant(period=0.002, mass=0.1, damping=1.0)).k_max_n_per_m
     3781.8664...
+    >>> k_max(made("pd", stiffness=1, damping=3), Plant(period=0.002, mass=0.1, damping=1.0), world="any").k_max_n_per_m
+    2244.217...
     """
     from nodes.laws import CompiledLaw
 
@@ -129,8 +142,16 @@ def k_max(law: LawLike, plant: Plant) -> KMaxResult:
         derivative = stability.with_spring(law, -law.h1)
     else:
         derivative = stability.without_spring(made(law), plant.period)
-    found = stability.k_max(derivative, plant)
-    return KMaxResult(found.k_max_n_per_m, found.h1_max_n_per_m, found.method, found.stable, plant, derivative)
+    kind, any_hand = read_world(world, options)
+    if world == "wall":
+        found = stability.k_max(derivative, plant)
+        about = f"{kind.about}; {hand_text(plant, any_hand)}"
+        return KMaxResult(found.k_max_n_per_m, found.h1_max_n_per_m, found.method, found.stable, plant, about, derivative)
+    edge = world_k_max(derivative, plant, kind, any_hand)
+    top, low = edge.k_max_n_per_m, edge.low_n_per_m
+    if top is None or low is None:
+        return KMaxResult(None, None, "certificate", (), plant, edge.about, derivative)
+    return KMaxResult(top, top + derivative.h1, "certificate", ((low, top),), plant, edge.about, derivative)
 
 
 def poles(law: LawLike, plant: Plant) -> Poles:

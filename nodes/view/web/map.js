@@ -93,7 +93,14 @@ export class StabilityMap {
     }
     const k = map.k_max_n_per_m === null ? "without limit" : `${figure(map.k_max_n_per_m / map.k_n_per_m)} × K`;
     const delay = map.delay_margin_ticks === null ? "over 20 ticks" : `${fixed(map.delay_margin_ticks, 2)} ticks`;
-    return ["Stable", `${at}. To the edge: `, bold(k), map.k_max_n_per_m === null ? "" : ` (${figure(map.k_max_n_per_m)} N/m)`, ", or ", bold(`${delay} more delay`), "."];
+    return ["Stable", `${at}. To the edge: `, bold(k), map.k_max_n_per_m === null ? "" : ` (${figure(map.k_max_n_per_m)} N/m)`, ", or ", bold(`${delay} more delay`), `. ${this.moving(map)}`];
+  }
+
+  // What is certified when the wall moves: any passive world that answers in the same tick.
+  moving(map) {
+    if (!map.any_world) return "";
+    const k = map.k_max_any_world_n_per_m;
+    return k === null ? "With a world that moves, no K is certified." : `With any world that answers in the same tick: K up to ${figure(k)} N/m (dashed).`;
   }
 
   // Whether the driver has stopped the loop, whatever is computed.
@@ -132,6 +139,8 @@ export class StabilityMap {
     this.frame = { left, bottom, top, end, right, most, begin, last, far };
     this.regions(g, stable, x, y, right, most);
     this.later(g, over, u, y);
+    this.dashed(g, map.any_world, x, y);
+    this.dashed(g, map.any_world_over_delay, u, y);
     this.where(g, x, y);
     const dot = y(map.k_n_per_m), b = x(Math.min(map.b_n_s_per_m, right)), margin = map.delay_margin_ticks;
     this.point(g, b, dot, map.k_max_n_per_m === null ? null : [b, y(map.k_max_n_per_m)]);
@@ -175,6 +184,22 @@ export class StabilityMap {
     for (const [delay, text] of nice(far, 3)) g.fillText(text, u(delay), bottom + 14);
     g.textAlign = "right";
     g.fillText("delay [ticks]", last, bottom + 27);
+  }
+
+  // The edge for any world that moves.
+  dashed(g, rows, across, y) {
+    g.save();
+    g.setLineDash([5, 4]);
+    g.strokeStyle = colour("good");
+    g.lineWidth = 1.5;
+    g.beginPath();
+    let on = false;
+    for (const [at, k] of rows ?? []) {
+      if (k !== null) g[on ? "lineTo" : "moveTo"](across(at), y(k));
+      on = k !== null;
+    }
+    g.stroke();
+    g.restore();
   }
 
   // Where one was.

@@ -19,6 +19,7 @@ from nodes.stability.every_delay import every_delay
 from nodes.stability.k_max import edge_of, k_max, tolerance, without_spring
 from nodes.stability.plant import Plant
 from nodes.stability.rest import rest, stiffest_at_rest
+from nodes.stability.world_limits import finite, world_limits
 from sim.chart.rest_map import rest_map
 from sim.cli import arguments as shared
 from sim.cli.answers import add_answer, report
@@ -53,10 +54,12 @@ def run(arguments: argparse.Namespace) -> int:
             "haptic study kmax --method simulation"
         )
     limits, edge, boundary = tolerance(compiled, device), edge_of(derivative, device), asdict(k_max(derivative, device))
+    worlds = world_limits(derivative, device)
     figures = law_figures(compiled, device) | {
         "tolerance": limits and asdict(limits),
         **{key: boundary[key] for key in ("k_max_n_per_m", "h1_max_n_per_m", "method")},
         "edge": edge and asdict(edge),
+        **{f"k_max_{name}_n_per_m": finite(k) for name, k in worlds.k_max_n_per_m.items()},
         "every_delay": _every_delay(arguments, compiled, device),
         "rest": _rest(arguments, compiled, derivative, device, boundary["k_max_n_per_m"] or 0.0),
     }
@@ -112,6 +115,8 @@ def _text(figures: dict[str, Any]) -> list[str]:
         f"K_max           {shown(figures['k_max_n_per_m'], 'N/m')} nominal, "
         f"{shown(figures['h1_max_n_per_m'], 'N/m')} felt ({figures['method']})",
     ]
+    for key, label in (("any_world", "K_max any world"), ("any_hand_any_world", "any hand, world")):
+        lines.append(f"{label} {shown(figures[f'k_max_{key}_n_per_m'], 'N/m', 'none certified')} (THEORY.md §17)")
     lines += _beyond(figures)
     limits = figures["tolerance"]
     if limits is not None:

@@ -44,6 +44,22 @@ def test_inside_is_stable_and_outside_is_not(described: dict[str, Any], delay: f
     assert found["k_max_n_per_m"] == pytest.approx(next(high for b, _, high in rows if b == found["b_n_s_per_m"]), rel=1e-9)
 
 
+def test_the_edge_for_any_world_lies_below_that_of_a_wall() -> None:
+    found = stability_map(parse_law(LAWS[0]), T, PLANT, 0.0)
+    assert found["k_max_any_world_n_per_m"] == pytest.approx(2244.217, abs=1e-3)  # THEORY.md §17
+    walls = {b: high for b, _, high in found["edge"]}
+    shared = [(k, walls[b]) for b, k in found["any_world"] if b in walls]
+    assert len(shared) > 2
+    assert all(k < wall for k, wall in shared)
+    assert found["any_world"][0][1] == pytest.approx(1003.342, abs=1e-3)
+    assert found["any_world_over_delay"][0] == [0.0, found["k_max_any_world_n_per_m"]]
+    over = [k for _, k in found["any_world_over_delay"]]
+    assert over == sorted(over, reverse=True)
+    # The body that the coupling holds the device to belongs to the world, and is not reduced into the device.
+    held = msgspec.structs.replace(PLANT, tool_mass=0.02)
+    assert stability_map(parse_law(LAWS[0]), T, held, 0.0)["k_max_any_world_n_per_m"] == found["k_max_any_world_n_per_m"]
+
+
 def test_the_map_follows_law_device_and_delay() -> None:
     pd = parse_law(LAWS[0])
     plain = stability_map(pd, T, PLANT, 0.0)

@@ -1,0 +1,162 @@
+"""The window of stiffness in which a law stays outside a region at every frequency.
+
+At each frequency the inequality a K² + b K + c > 0 excludes an interval of K, or all but one. The
+window is the lowest gap between the excluded intervals in which the loop with the wall is stable
+too. Its edges are found by exchange: a finer search at the ends and in the middle adds the
+frequencies that are violated to the grid, until there are none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from nodes.laws import CompiledLaw
+from nodes.stability.dips import Reals, dips
+from nodes.stability.loop_region import Region
+
+_EXCHANGES = 60
+_HALVINGS = 40
+_ROUNDING = 1e-12  # largest violation that is rounding, relative to the terms of the inequality
+_EMPTY = 1e-9  # narrowest window, relative to the sum of the taps
+
+
+@dataclass(frozen=True)
+class Window:
+    """Nominal stiffnesses for which a certificate is valid."""
+
+    low_n_per_m: float  # lower end [N/m]
+    high_n_per_m: float  # upper end, K_max [N/m]; infinite where every stiffness above `low_n_per_m` is certified
+    theta: float  # ωT at which the upper end is reached [rad]; π where there is no upper end
+
+
+def k_window(derivative: CompiledLaw, region: Region, stable: Callable[[float], bool]) -> Window | None:
+    """Return the lowest window of K above max(0, −D(1)); None when no K is certified.
+
+    Parameters
+    ----------
+    derivative : CompiledLaw
+        The law without its spring (`nodes.stability.k_max.without_spring`).
+    region : Region
+        Where device and world may lie.
+    stable : callable
+        Whether the loop of one member of the region is stable with a stiffness K [N/m]: the others follow, because none of
+        them can cross the unit circle within the window.
+    """
+    floor = max(0.0, -derivative.h1)
+    narrow = _EMPTY * (sum(map(abs, derivative.taps)) + sum(abs(b) for s in derivative.sections for b in s[:2]) + floor + 1.0)
+    theta = region.frequencies(derivative)
+    a, b, c = region.quadratic(derivative, theta)
+    for _ in range(_HALVINGS):
+        between = _unresolved(theta, a, b, c)
+        if not between.size:
+            break
+        theta, a, b, c = _joined(derivative, region, theta, (a, b, c), between)
+    refused: list[float] = []  # middles of gaps in which the loop itself is unstable
+    for _ in range(_EXCHANGES):
+        gaps = [gap for gap in _gaps(theta, a, b, c, floor) if gap[1] - gap[0] > narrow]
+        gap = next((gap for gap in gaps if not any(gap[0] < middle < gap[1] for middle in refused)), None)
+        if gap is None:
+            return None
+        low, high, at = gap
+        middle = 0.5 * (low + high) if math.isfinite(high) else 2.0 * low + 1e3
+        found = np.concatenate(
+            [_violated(derivative, region, k, theta, (a, b, c)) for k in (low, middle, high) if k > floor and math.isfinite(k)]
+        )
+        found = np.setdiff1d(found, theta)
+        if found.size:
+            theta, a, b, c = _joined(derivative, region, theta, (a, b, c), found)
+        elif stable(middle):
+            return Window(low, high, at)
+        else:
+            refused.append(middle)
+    return None
+
+
+def outside(law: CompiledLaw, region: Region) -> bool:
+    """Return whether a whole law is outside a region at every frequency."""
+    theta = region.frequencies(law)
+    terms = region.quadratic(law, theta)
+    return bool(np.all(terms[2] > 0.0)) and not _violated(law, region, 0.0, theta, terms).size
+
+
+def _violated(
+    derivative: CompiledLaw, region: Region, stiffness: float, theta: Reals, terms: tuple[Reals, Reals, Reals]
+) -> Reals:
+    """Return the frequencies at the bottom of the deepest dips at which the inequality fails by more than rounding."""
+
+    def margin(at: Reals) -> Reals:
+        # Divided by 1 − cos ωT, which is what all terms shrink with: smooth down to 0.
+        a, b, c = region.quadratic(derivative, at)
+        return np.asarray(((a * stiffness + b) * stiffness + c) / np.sin(0.5 * at) ** 2, dtype=np.float64)
+
+    a, b, c = terms
+    at, _ = dips(margin, theta, ((a * stiffness + b) * stiffness + c) / np.sin(0.5 * theta) ** 2)
+    a, b, c = region.quadratic(derivative, at)
+    size = np.abs(a) * stiffness**2 + np.abs(b * stiffness) + np.abs(c)
+    return at[(a * stiffness + b) * stiffness + c < -_ROUNDING * size]
+
+
+def _joined(
+    derivative: CompiledLaw, region: Region, theta: Reals, terms: tuple[Reals, Reals, Reals], more: Reals
+) -> tuple[Reals, Reals, Reals, Reals]:
+    extra = region.quadratic(derivative, more)
+    whole = np.concatenate([theta, more])
+    order = np.argsort(whole)
+    a, b, c = (np.concatenate([old, new])[order] for old, new in zip(terms, extra, strict=True))
+    return whole[order], a, b, c
+
+
+def _roots(a: Reals, b: Reals, c: Reals) -> tuple[Reals, Reals, Reals]:
+    """Return the discriminant of a K² + b K + c and its two roots in order; without real roots their common real part."""
+    square = b * b - 4.0 * a * c
+    with np.errstate(divide="ignore", invalid="ignore"):
+        half = -0.5 * (b + np.copysign(np.sqrt(np.maximum(square, 0.0)), b))
+        first, second = half / a, np.where(half == 0.0, 0.0, c / half)
+    return square, np.minimum(first, second), np.maximum(first, second)
+
+
+def _unresolved(theta: Reals, a: Reals, b: Reals, c: Reals) -> Reals:
+    """Return frequencies between neighbours whose excluded intervals lie apart.
+
+    The interval moves without a jump, so what lies between them is missing from the grid.
+    """
+    square, below, above = _roots(a, b, c)
+    whole = (a > 0.0) & (square > 0.0)
+    with np.errstate(invalid="ignore"):
+        apart = (below[1:] > above[:-1]) | (below[:-1] > above[1:])
+    jumps = np.flatnonzero(whole[:-1] & whole[1:] & apart & (np.diff(theta) > 1e-12 * theta[1:]))
+    return np.asarray(0.5 * (theta[jumps] + theta[jumps + 1]), dtype=np.float64)
+
+
+def _gaps(theta: Reals, a: Reals, b: Reals, c: Reals, floor: float) -> list[tuple[float, float, float]]:
+    """Return the gaps of K above `floor` that no frequency excludes: low, high, and the frequency of the upper end."""
+    square, below, above = _roots(a, b, c)
+    if np.any((a <= 0.0) & (square < 0.0)) or np.any((a == 0.0) & (b == 0.0) & (c <= 0.0)):
+        return []
+    inner = (a < 0.0) & (square >= 0.0)
+    whole = (a > 0.0) & (square > 0.0)
+    linear = a == 0.0
+    low, high, at = floor, math.inf, math.pi
+    if inner.any():
+        low = max(low, float(below[inner].max()))
+        least = np.flatnonzero(inner)[int(np.argmin(above[inner]))]
+        high, at = float(above[least]), float(theta[least])
+    for i in np.flatnonzero(linear & (b != 0.0)):
+        crossing = float(-c[i] / b[i])
+        if b[i] > 0.0:
+            low = max(low, crossing)
+        elif crossing < high:
+            high, at = crossing, float(theta[i])
+    ends = [(float(below[i]), float(above[i]), float(theta[i])) for i in np.flatnonzero(whole)]
+    gaps = []
+    for start, end, where in sorted(ends):
+        if end <= low or start >= high:
+            continue
+        if start > low:
+            gaps.append((low, start, where))
+        low = max(low, end)
+    return [*gaps, (low, high, at)] if low < high else gaps

@@ -1,0 +1,114 @@
+"""What device or tool a law needs for a certificate: least damping of the device, least damping or mass of the tool."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from nodes.laws import CompiledLaw
+from nodes.stability.dips import Reals, dips
+from nodes.stability.effective_damping import damping_needed
+from nodes.stability.judge import last_inside
+from nodes.stability.k_window import outside
+from nodes.stability.loop_region import Disc, Region
+from nodes.stability.plant import Plant
+from nodes.stability.worlds import AnyWorld, Wall, WorldKind, certified, euler_disc, held_disc, is_stable, region_of
+
+_DECADES = range(-4, 5)
+_HALVINGS = 34  # of a decade: to 1e-10 of the value
+
+
+def needed_device_damping(law: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool = False) -> float | None:
+    """Return the least damping of the device with which a law is certified [N s/m]; None when none is enough.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        The law.
+    plant : Plant
+        The device and its loop; its damping does not matter.
+    world : WorldKind
+        The kind of world.
+    any_hand : bool
+        Whether every passive hand may hold the device. For a wall and for any world this is a closed form; else a bisection
+        from the lowest decade that is certified, over eight decades about |H| T/2.
+    """
+    if any_hand and isinstance(world, Wall):
+        return max(0.0, damping_needed(law, plant.period, plant.delay))
+    if any_hand and isinstance(world, AnyWorld):
+        return _for_any_hand_any_world(law, plant)
+    unit = 0.5 * plant.period * max(abs(law.h1), abs(law.h_nyquist), 1e-9)
+
+    def holds(damping: float) -> bool:
+        return certified(law, replace(plant, damping=damping), world, any_hand)
+
+    inside = next((unit * 10.0**power for power in _DECADES if holds(unit * 10.0**power)), None)
+    if inside is None:
+        return None
+    return last_inside(holds, inside, 0.1 * inside if inside > unit * 10.0 ** _DECADES[0] else 0.0, _HALVINGS)
+
+
+def _for_any_hand_any_world(law: CompiledLaw, plant: Plant) -> float | None:
+    """Return max (1 − Re ψ)/(2 Re{D/H}), which is a proof where Re{D/H} > 0 and H has no zero outside the unit circle."""
+    region = Region(plant.period, None, (Disc(1.0, plant.delay),), any_world=True)
+
+    def below(theta: Reals) -> Reals:
+        # c of a region is room |H|² + Re{D'* H}: room = −(1 − Re ψ) for a radius of 1.
+        room, _, whole = region.quadratic(law, theta)
+        over = whole - room * np.abs(law.response(np.exp(1j * theta))) ** 2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            needed = -room * np.abs(law.response(np.exp(1j * theta))) ** 2 / over
+        return np.where(over > 0.0, -needed, -math.inf)
+
+    theta = region.frequencies(law)
+    values = below(theta)
+    if np.isneginf(values).any():
+        return None
+    _, lowest = dips(below, theta, values)
+    if np.isneginf(lowest).any():
+        return None
+    # The loop of a damped device is a member of the family; with this damping it has to be stable itself.
+    damping = 0.5 * plant.period * max(0.0, -float(lowest.min()))
+    return damping if is_stable(law, replace(plant, damping=damping * (1.0 + 1e-9))) else None
+
+
+def needed_tool_damping(law: CompiledLaw, plant: Plant, any_hand: bool = False, delay: float | None = None) -> float | None:
+    """Return the least damping to the ground of a stepped tool with anything passive on it [N s/m]; None: none is enough.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        The law.
+    plant : Plant
+        The device and its loop.
+    any_hand : bool
+        Whether every passive hand may hold the device; else the hand is that of the plant.
+    delay : float or None
+        From the sample to the force that moves the tool [ticks]; None: as late as on the device.
+    """
+    unit = held_disc(plant, 1.0, plant.delay if delay is None else delay)
+    return _largest(law, plant, any_hand, unit)
+
+
+def needed_tool_mass(law: CompiledLaw, plant: Plant, any_hand: bool = False) -> float | None:
+    """Return the least mass of a tool of semi-implicit Euler with implicit bodies behind it [kg]; None: none is enough."""
+    return _largest(law, plant, any_hand, euler_disc(plant, 1.0))
+
+
+def _largest(law: CompiledLaw, plant: Plant, any_hand: bool, unit: Disc) -> float | None:
+    """Return the least number by which the disc of a unit tool must be divided until the law is outside it."""
+    region = region_of(plant, Wall(), any_hand)
+    if plant.damping == 0.0 or not (law.h1 > 0.0 and is_stable(law, plant) and outside(law, region)):
+        return None
+    theta = region.frequencies(law)
+
+    def size(at: Reals) -> Reals:
+        a, b, c = region.grown(law, unit, at)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            largest = c / (np.sqrt(np.maximum(b * b - a * c, 0.0)) - b)
+        return np.where(np.isfinite(largest) & (largest > 0.0), largest, math.inf) / unit.radii(at)
+
+    _, least = dips(size, theta, size(theta))
+    return 0.0 if not least.size else 1.0 / float(least.min())

@@ -1,0 +1,124 @@
+"""The stiffness of a law for each kind of world that a device may be coupled to, and the damping that its law needs there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from nodes.laws import CompiledLaw
+from nodes.stability.needed import needed_device_damping, needed_tool_damping, needed_tool_mass
+from nodes.stability.plant import Plant
+from nodes.stability.worlds import (
+    AnyWorld,
+    EulerTool,
+    OtherDevice,
+    Springs,
+    SteppedTool,
+    Wall,
+    WorldKind,
+    hand_text,
+    world_k_max,
+)
+from nodes.stability.worst_world import WorstWorld, worst_world
+
+_WALL = Springs(math.inf, math.inf)  # a rigid spring: the wall's edge without scipy, which takes half a second to import
+
+
+@dataclass(frozen=True)
+class Moving:
+    """Which moving worlds are asked about beside a wall and any implicit one."""
+
+    springs: tuple[float, float] | None = None  # softest and stiffest spring [N/m]
+    tool_damping: float | None = None  # of a stepped tool to the ground [N s/m]
+    tool_mass: float | None = None  # of a tool that semi-implicit Euler moves [kg]
+    other: OtherDevice | None = None  # a second device, any hands on both
+
+    def asked(self) -> dict[str, tuple[WorldKind, bool]]:
+        """Return the worlds and whether any hand is meant, by the name of their figure."""
+        found: dict[str, tuple[WorldKind, bool]] = {
+            "wall": (_WALL, False),
+            "any_world": (AnyWorld(), False),
+            "any_hand_any_world": (AnyWorld(), True),
+        }
+        if self.springs is not None:
+            found["springs"] = (Springs(*self.springs), False)
+        if self.tool_damping is not None:
+            found["tool_any_world"] = (SteppedTool(self.tool_damping), False)
+            found["any_hand_tool_any_world"] = (SteppedTool(self.tool_damping), True)
+        if self.tool_mass is not None:
+            found["euler_tool_any_world"] = (EulerTool(self.tool_mass), False)
+        if self.other is not None:
+            found["two_hands"] = (self.other, True)
+        return found
+
+
+@dataclass(frozen=True)
+class WorldLimits:
+    """Largest nominal stiffness for each kind of world, by name; None: none is certified, infinite: every one is."""
+
+    k_max_n_per_m: Mapping[str, float | None]
+    about: Mapping[str, str]  # which worlds and hands each figure is about
+    worst_world: WorstWorld | None = None  # at the edge of ``any_world``
+
+    def as_json(self) -> dict[str, object]:
+        """Return the figures with their units in the keys; null: none, and for a stiffness without limit too."""
+        found: dict[str, object] = {f"k_max_{name}_n_per_m": finite(k) for name, k in self.k_max_n_per_m.items()}
+        worst = self.worst_world
+        found["worst_world"] = None
+        if worst is not None:
+            keys = ("mass_kg", "stiffness_n_per_m", "damping_n_s_per_m", "frequency_hz", "integrator")
+            found["worst_world"] = {key: getattr(worst, key) for key in keys}
+        return found | {"about": dict(self.about), "unlimited": self.unlimited}
+
+    @property
+    def unlimited(self) -> list[str]:
+        """Names of the worlds for which every stiffness is certified."""
+        return [name for name, k in self.k_max_n_per_m.items() if k == math.inf]
+
+
+def finite(value: float | None) -> float | None:
+    """Return a finite value, else None."""
+    return value if value is not None and math.isfinite(value) else None
+
+
+def world_limits(derivative: CompiledLaw, plant: Plant, moving: Moving | None = None, worst: bool = False) -> WorldLimits:
+    """Return the largest stiffness of a law for each kind of world.
+
+    Parameters
+    ----------
+    derivative : CompiledLaw
+        The law without its spring (`nodes.stability.k_max.without_spring`).
+    plant : Plant
+        The device and its loop.
+    moving : Moving or None
+        Worlds beside a wall, any implicit world, and both any hand and any implicit world.
+    worst : bool
+        Whether the worst world is built as well.
+
+    Raises
+    ------
+    ValueError
+        For a law with code of its own, which has no transfer function.
+    """
+    found, about = {}, {}
+    for name, (world, any_hand) in (moving or Moving()).asked().items():
+        one = world_k_max(derivative, plant, world, any_hand)
+        found[name] = one.k_max_n_per_m
+        about[name] = one.about if world is not _WALL else f"{Wall().about}; {hand_text(plant, any_hand)}"
+    return WorldLimits(found, about, worst_world(derivative, plant) if worst else None)
+
+
+def world_needs(law: CompiledLaw, plant: Plant) -> dict[str, float | None]:
+    """Return what a law as it is needs for each kind of moving world; None: nothing is enough.
+
+    ``device_damping_…`` of the device [N s/m], ``tool_damping_…`` of a stepped tool to the ground [N s/m], ``tool_mass_…`` of a
+    tool that semi-implicit Euler moves [kg].
+    """
+    return {
+        "device_damping_any_world_n_s_per_m": needed_device_damping(law, plant, AnyWorld()),
+        "device_damping_any_hand_any_world_n_s_per_m": needed_device_damping(law, plant, AnyWorld(), any_hand=True),
+        "tool_damping_any_world_n_s_per_m": needed_tool_damping(law, plant),
+        "tool_damping_any_hand_any_world_n_s_per_m": needed_tool_damping(law, plant, any_hand=True),
+        "tool_mass_euler_kg": needed_tool_mass(law, plant),
+    }
