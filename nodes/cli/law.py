@@ -156,7 +156,7 @@ def _show(arguments: argparse.Namespace) -> int:
 
 def _landing(law: CompiledLaw, plants: list[Plant], contact: str | None = None) -> dict[str, Any]:
     """Whether every drop settles on a wall of the law, proven on each device; `contact`: the convention of a launch."""
-    from nodes.stability.landing import prove_landing
+    from nodes.stability.landing_proof import prove_landing
 
     worst = min((prove_landing(law, plant) for plant in plants), key=lambda one: (one.proven, one.margin))
     text = worst.text()

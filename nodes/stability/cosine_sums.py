@@ -1,7 +1,7 @@
 """Cosine sums Σ c_j cos jθ, and whether one is positive at *every* θ: what turns a check on a grid into a proof.
 
 A frequency condition on a sampled loop is Re{N(w)} > 0 or Re{N(w)/(1 − w)} > 0 on the unit circle, w = e^{−jθ}, N with real
-coefficients: both are cosine sums (THEORY.md §17). Between two neighbouring points a sum is above its chord less h²/8 times
+coefficients: both are cosine sums (THEORY.md §18). Between two neighbouring points a sum is above its chord less h²/8 times
 the bound Σ j² |c_j| of its curvature; where that does not decide, the cell is divided.
 """
 
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+Cosines = NDArray[np.float64]
 
 _DEPTH = 40
 _CELLS = 2_000_000  # cells that are looked at before the answer is "not decided"
@@ -30,7 +30,7 @@ class Laurent:
         Lowest power of w.
     """
 
-    coefficients: Array
+    coefficients: Cosines
     low: int = 0
 
     def __mul__(self, other: Laurent) -> Laurent:
@@ -51,19 +51,19 @@ class Laurent:
         """N(1/w), which is the complex conjugate on the unit circle."""
         return Laurent(self.coefficients[::-1].copy(), -(self.low + len(self.coefficients) - 1))
 
-    def at(self, theta: Array) -> NDArray[np.complex128]:
+    def at(self, theta: Cosines) -> NDArray[np.complex128]:
         """Values at w = e^{−jθ}."""
         powers = self.low + np.arange(len(self.coefficients))
         return np.asarray(np.exp(-1j * np.multiply.outer(theta, powers)) @ self.coefficients, dtype=np.complex128)
 
-    def real(self) -> Array:
+    def real(self) -> Cosines:
         """Coefficients of the cosine sum Re{N(w)}."""
         size = max(abs(self.low), abs(self.low + len(self.coefficients) - 1)) + 1
         cosines = np.zeros(size)
         np.add.at(cosines, np.abs(self.low + np.arange(len(self.coefficients))), self.coefficients)
         return cosines
 
-    def real_over_one_less_w(self) -> Array:
+    def real_over_one_less_w(self) -> Cosines:
         """Coefficients of the cosine sum Re{N(w)/(1 − w)}, which has no singularity at w = 1.
 
         Re{w^k/(1 − w)} = ½ + Σ_{j=1..−k} cos jθ for k ≤ 0 and −½ − Σ_{j=1..k−1} cos jθ for k ≥ 1.
@@ -77,19 +77,19 @@ class Laurent:
         return cosines
 
 
-def one_less_cosine(multiple: int) -> Array:
+def one_less_cosine(multiple: int) -> Cosines:
     """Coefficients of (1 − cos nθ)/(1 − cos θ) = n + 2 Σ_{j<n} (n − j) cos jθ, n ≥ 1."""
     cosines = 2.0 * np.arange(multiple, 0.0, -1.0)
     cosines[0] = multiple
     return cosines
 
 
-def values(cosines: Array, theta: Array) -> Array:
+def values(cosines: Cosines, theta: Cosines) -> Cosines:
     """Σ c_j cos jθ at some angles [rad]."""
     return np.asarray(np.cos(np.multiply.outer(theta, np.arange(len(cosines)))) @ cosines, dtype=np.float64)
 
 
-def positive(cosines: Array, rounding: float = 1e-13) -> bool | None:
+def positive(cosines: Cosines, rounding: float = 1e-13) -> bool | None:
     """Whether a cosine sum is above 0 at every θ.
 
     Parameters

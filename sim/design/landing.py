@@ -16,7 +16,7 @@ import numpy as np
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.stability.flexible import FlexiblePlant
-from nodes.stability.landing import CONVENTION, prove_landing
+from nodes.stability.landing_proof import CONVENTION, prove_landing
 from nodes.stability.plant import Plant
 from sim.arrays import Array
 from sim.design.demand import CONVENTIONS, Demand, LoopCase, alternating, cases_of, corners, filtered, keeps
@@ -52,7 +52,7 @@ def drops(law: CompiledLaw, demand: Demand) -> dict[str, bool]:
 
 @dataclass(frozen=True)
 class ProvenLanding:
-    """Whether every drop settles at all corners of a demand, proven (THEORY.md §17)."""
+    """Whether every drop settles at all corners of a demand, proven (THEORY.md §18)."""
 
     proven: bool
     cases: int  # devices and delays that were looked at: all of them, or up to the first without a proof

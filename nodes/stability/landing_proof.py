@@ -3,7 +3,7 @@
 Contact comes and goes, so no pole radius tells whether a drop on a wall settles. Where penetration feeds the law and its
 force is not clamped, the wall is one static nonlinearity max(p, 0) of slope 0 to 1 around the loop G = z^{−d} H P. If a
 multiplier M = 1 − Σ m_i w^i with m_i ≥ 0, Σ m_i ≤ 1 has Re{M (1 + G)} > 0 on the unit circle and the loop in contact is
-stable, every motion under a constant pull comes to rest, from any height and at any speed (THEORY.md §17). The multiplier
+stable, every motion under a constant pull comes to rest, from any height and at any speed (THEORY.md §18). The multiplier
 is found by a linear programme on a grid; what it proves is then checked at every frequency (`nodes.stability.cosine_sums`).
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.cosine_sums import Array, Laurent, positive
+from nodes.stability.cosine_sums import Cosines, Laurent, positive
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.plant import Plant, held_plant
 
@@ -65,12 +65,12 @@ class _Loop:
     below: Laurent
     free: bool  # whether nothing holds the device: a pole at w = 1
 
-    def sum_of(self, multiplier: Laurent) -> Array:
+    def sum_of(self, multiplier: Laurent) -> Cosines:
         """Cosine sum that has the sign of Re{M (1 + G)} at every frequency."""
         product = multiplier * self.top * self.below.conjugate
         return product.real_over_one_less_w() if self.free else product.real()
 
-    def scale(self, theta: Array) -> Array:
+    def scale(self, theta: Cosines) -> Cosines:
         """Return what the sums are divided by to be Re{M (1 + G)}: |below|² (a pole at w = 1 has cancelled)."""
         return np.asarray(np.abs(self.below.at(theta)) ** 2, dtype=np.float64)
 
@@ -195,6 +195,6 @@ def _search(loop: _Loop, taps: int) -> LandingProof:
     return LandingProof(True, CONVENTION, tuple(weights.tolist()), margin, "")
 
 
-def values_of(table: Array, theta: Array) -> Array:
+def values_of(table: Cosines, theta: Cosines) -> Cosines:
     """Values of several cosine sums (s, n + 1) at some angles: (s, t)."""
     return np.asarray(table @ np.cos(np.multiply.outer(np.arange(table.shape[1]), theta)), dtype=np.float64)

@@ -15,7 +15,7 @@ from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.stability.cosine_sums import Laurent, one_less_cosine, positive, values
 from nodes.stability.flexible import FlexiblePlant
-from nodes.stability.landing import prove_landing
+from nodes.stability.landing_proof import prove_landing
 from nodes.stability.plant import Plant
 
 T = 0.002
