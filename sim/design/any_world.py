@@ -10,6 +10,7 @@ largest scale in closed form, and the shapes are searched.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -198,7 +199,7 @@ def _for_device(
         first = (1.0 - gain[1:] @ others) / gain[0]
         return None if not free and first < 0.0 else np.append(first, others)
 
-    def less_stiffness(free_ones: Array, grid: _Table = coarse) -> float:
+    def less_stiffness(free_ones: Array, grid: _Table) -> float:
         parameters = shape(np.asarray(free_ones))
         if parameters is None:
             return 1.0
@@ -211,9 +212,11 @@ def _for_device(
     if len(basis) == 1:
         best = np.zeros(0)
     else:
-        box = [(-6.0 if free else 0.0, 12.0)] * (len(basis) - 1)
-        found = differential_evolution(less_stiffness, box, rng=0, popsize=8, maxiter=25 * len(basis), tol=1e-5, polish=False)
-        options = {"maxiter": 150 * len(basis), "xatol": 1e-8, "fatol": 1e-9}
+        box: Any = [(-6.0 if free else 0.0, 12.0)] * (len(basis) - 1)
+        found = differential_evolution(
+            less_stiffness, box, args=(coarse,), rng=0, popsize=8, maxiter=25 * len(basis), tol=1e-5, polish=False
+        )
+        options: Any = {"maxiter": 150 * len(basis), "xatol": 1e-8, "fatol": 1e-9}
         polished = minimize(less_stiffness, found.x, args=(table,), method="Nelder-Mead", options=options)
         best = np.asarray(polished.x, dtype=np.float64)
     value, parameters = less_stiffness(best, table), shape(best)

@@ -164,7 +164,8 @@ def k_max_over(make: Callable[[float], CompiledLaw], plant: Plant, box: HandBox,
 def _axis(low: float, high: float, linear: bool) -> list[float]:
     if low == high:
         return [low]
-    return (np.linspace if linear or low == 0.0 else np.geomspace)(low, high, _POINTS).tolist()
+    points = np.linspace(low, high, _POINTS) if linear else np.geomspace(low, high, _POINTS)
+    return [float(one) for one in points]
 
 
 def _closer(axis: list[float], value: float) -> list[float]:
@@ -277,8 +278,8 @@ class _Ticks:
         # Beyond first order: series with all signs positive bound it, entry by entry.
         size, change = np.abs(generator), np.einsum("ck,kij->cij", np.abs(corners).max(axis=1), np.abs(_PARTS))
         both, own, linear = self._motion(size + change), self._motion(size), self._motion(size, change)
-        beyond = tuple(np.maximum(a - b - c, 0.0) + _SERIES for a, b, c in zip(both, own, linear, strict=True))
-        rest = np.abs(norm) @ self._bound(beyond) @ np.abs(inverse)  # type: ignore[arg-type]  # three of three
+        beyond = [np.maximum(a - b - c, 0.0) + _SERIES * (1.0 + a) for a, b, c in zip(both, own, linear, strict=True)]
+        rest = np.abs(norm) @ self._bound((beyond[0], beyond[1], beyond[2])) @ np.abs(inverse)
         return np.asarray(sure & (largest + np.linalg.norm(rest, ord=2, axis=(1, 2)) < 1.0 - 1e-9))
 
     def halved(self, cells: Array) -> Array:
@@ -297,15 +298,20 @@ class _Ticks:
         return np.concatenate([low, high])
 
 
-_SERIES = 1e-12  # what a series of `_TERMS` leaves out, and rounding, of a generator of norm 1 or so
-_TERMS = 26
+_SERIES = 1e-11  # what a series of `_TERMS` leaves out, and rounding, as a share of a motion
+_TERMS = 20  # of a generator with a norm of at most 1
 
 
 def _exponential(matrix: Array) -> Array:
-    """Exponential of many small matrices by its series: a tick's generator has a norm of about 1."""
+    """Exponential of many small matrices by its series, halved to a norm of 1 and squared: stiff grasps are beyond that."""
+    largest = float(np.abs(matrix).sum(axis=2).max(initial=0.0))
+    halvings = max(0, math.ceil(math.log2(largest))) if largest > 1.0 else 0
+    small = matrix / 2.0**halvings
     total = np.repeat(np.eye(matrix.shape[1])[None], len(matrix), axis=0)
     for k in range(_TERMS, 0, -1):
-        total = np.eye(matrix.shape[1]) + matrix @ total / k
+        total = np.eye(matrix.shape[1]) + small @ total / k
+    for _ in range(halvings):
+        total = total @ total
     return total
 
 

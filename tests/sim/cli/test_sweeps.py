@@ -285,7 +285,7 @@ def test_an_edge_is_within_5_percent_or_counted_as_off() -> None:
 
 def test_all_three_numbers_of_a_joint_are_varied() -> None:
     """Nine joints: the declared one, and every combination of a factor either way; or one number alone."""
-    job = {"share": 0.3, "frequency": 40.0, "loss": 0.03, "spread": 1.5, "vary": ["share", "frequency", "loss"]}
+    job: dict[str, Any] = {"share": 0.3, "frequency": 40.0, "loss": 0.03, "spread": 1.5, "vary": ["share", "frequency", "loss"]}
     joints = possible_joints(job)
     assert len(joints) == 9
     for index, name in enumerate(("share", "frequency", "loss"), 1):
