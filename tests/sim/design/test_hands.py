@@ -89,6 +89,20 @@ def test_near_the_edge_the_certificate_ends_where_the_poles_do() -> None:
     assert worst_grasp(pd(1.01 * low, 1.0), plant, box, certify=True).certified is False
 
 
+@pytest.mark.parametrize("side", ["mass", "stiffness", "damping"])
+def test_a_box_across_the_edge_is_never_certified(side: str) -> None:
+    """At the edge of its middle one end of the box is unstable, and by little: 2 % of one number."""
+    plant, middle = Plant(T, 0.1, 1.0, 1.0), {"mass": 0.05, "stiffness": 500.0, "damping": 1.0}
+    low, high = 100.0, 5000.0
+    for _ in range(40):
+        stiffness = 0.5 * (low + high)
+        low, high = (stiffness, high) if alone(plant, Grasp(**middle), pd(stiffness, 1.0)) < 1.0 else (low, stiffness)
+    box = HandBox(**{name: (0.98 * value, 1.02 * value) if name == side else (value, value) for name, value in middle.items()})
+    ends = [alone(plant, grasp, pd(low, 1.0)) for grasp in box.corners()]
+    assert min(ends) < 1.0 < max(ends) < 1.01
+    assert certify_box(pd(low, 1.0), plant, box, 3000)[0] is None
+
+
 def test_k_max_of_one_grasp_is_its_edge() -> None:
     plant, grasp = Plant(T, 0.1, 1.0, 1.0), Grasp(0.05, 500.0, 1.0)
     box = HandBox((0.05, 0.05), (500.0, 500.0), (1.0, 1.0))
