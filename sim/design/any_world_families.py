@@ -107,7 +107,7 @@ def _refined(at: Callable[[float], Member], values: tuple[float, ...], step: flo
 def _fir(design: WorldDesign, period: float) -> dict[str, Any]:
     law = design.law
     described: dict[str, Any] = {"kind": "fir", "taps": list(law.taps), "period": period}
-    return described | ({"sections": [list(section) for section in law.sections]} if law.sections else {})
+    return described | ({"recursive": [list(section) for section in law.sections]} if law.sections else {})
 
 
 def fractional_gain(members: list[Member]) -> float | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any
 
@@ -11,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from nodes.cli.main import main
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.stability.cosine_sums import Laurent, one_less_cosine, positive, values
@@ -142,3 +144,21 @@ def test_one_less_cosine_is_the_quotient(multiple: int) -> None:
     theta = np.linspace(0.3, np.pi, 9)
     quotient = (1.0 - np.cos(multiple * theta)) / (1.0 - np.cos(theta))
     assert values(one_less_cosine(multiple), theta) == pytest.approx(quotient, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("words", "proven", "said"),
+    [
+        (["pd", "--stiffness", "800", "--gain", "3"], True, "every drop settles: proven"),
+        (["pd", "--stiffness", "3500", "--gain", "3"], False, "every drop settles: no proof"),
+        (["--launch", "floor_drop", "designed_d0"], True, "this launch has penetration history, force clamped, which no proof"),
+        (["--launch", "floor_drop", "designed_d0", "--heaviest", "0.3"], True, "every drop settles: proven"),
+    ],
+)
+def test_law_show_says_whether_there_is_a_proof(
+    words: list[str], proven: bool, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["law", "show", *words]) == 0
+    assert said in capsys.readouterr().out
+    assert main(["law", "show", *words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["landing_proof"]["proven"] is proven
