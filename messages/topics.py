@@ -8,6 +8,7 @@ __all__ = [
     "FORCE",
     "HANDLE",
     "LOOP",
+    "PARTNER",
     "PROXY",
     "RECEIPT",
     "event",
@@ -22,11 +23,12 @@ PROXY = "/environment/proxy"
 FORCE = "/coupling/force"
 HANDLE = "/device/handle"
 RECEIPT = "/coupling/receipt"
+PARTNER = "/partner/state"
 
 LOOP: dict[str, type[Message]] = {DEVICE_STATE: DeviceState, PROXY: Proxy, FORCE: Force}
 """One message per tick on each of these."""
 
-FIXED: dict[str, type[Message]] = {**LOOP, RECEIPT: Receipt, HANDLE: Handle}
+FIXED: dict[str, type[Message]] = {**LOOP, RECEIPT: Receipt, HANDLE: Handle, PARTNER: DeviceState}
 
 
 def status(node: str) -> str:

@@ -99,6 +99,8 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
         positive is owed [J]; 0 without a guard.
     target : tuple of float, shape (3,)
         Where a hand pulls the device to during the tick that begins here [m]; zero without a simulated hand.
+    rebased : int
+        Tick of the latest jump of `position` that no motion made (re-centred, another scale, a partner met anew); 0 for none.
     """
 
     position: Vector
@@ -116,6 +118,7 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
     delay: Real = 0.0
     guard: Real = 0.0
     target: Vector = ZERO
+    rebased: Count = 0
 
 
 class Handle(Message, frozen=True, kw_only=True, gc=False):
@@ -156,6 +159,14 @@ class Proxy(Message, frozen=True, kw_only=True, gc=False):
         Whether the surface is touched at this tick.
     delay : float
         The loop's measured delay, forwarded from the device state [ticks].
+    rebased : int
+        Tick of the latest jump of position, surface or proxy that no motion made; 0 for none. The coupling eases its force
+        over each.
+    ease : int
+        Length of that easing [ticks]; 0 for the coupling's own.
+    compliance : float
+        How far the force of this very tick moves the proxy, against the force [m/N]: it ends at `proxy` − `compliance` times
+        the force, which the coupling solves for. 0 (or less) for a surface, and for a body that answers a tick later.
     """
 
     position: Vector
@@ -164,6 +175,9 @@ class Proxy(Message, frozen=True, kw_only=True, gc=False):
     distance: Real = 0.0
     contact: bool = False
     delay: Real = 0.0
+    rebased: Count = 0
+    ease: Count = 0
+    compliance: Real = 0.0
 
 
 class Force(Message, frozen=True, kw_only=True, gc=False):

@@ -102,6 +102,20 @@ def sections(coefficients: Sequence[float], state: MutableSequence[float], newes
     return force
 
 
+def newest_gain(taps: Sequence[float], coefficients: Sequence[float]) -> float:
+    """Return the gain of taps and parallel sections on the newest deflection, dF/dx₀ [N/m]."""
+    gain = taps[0]
+    for i in range(len(coefficients) // 4):
+        gain += coefficients[4 * i]
+    return gain
+
+
+def revise_sections(coefficients: Sequence[float], state: MutableSequence[float], by: float) -> None:
+    """Correct sections in place that have seen a newest deflection which is too large by `by` [m]."""
+    for i in range(len(state) // 2):
+        state[2 * i] -= coefficients[4 * i] * by
+
+
 def warm_up(
     coefficients: Sequence[float], state: MutableSequence[float], history: Sequence[float], head: int, length: int
 ) -> None:
@@ -121,3 +135,31 @@ def cross_fade(old: float, new: float, done: int, ramp: int) -> float:
     """
     weight = (done + 1) / ramp
     return (1.0 - weight) * old + weight * new
+
+
+def settle(coefficients: Sequence[float], state: MutableSequence[float], value: float) -> None:
+    """Put recursive sections where they come to rest under a deflection that has always been `value`, in place.
+
+    A section whose recursion does not forget (its poles add up to 1) has no such place: it begins at zero.
+    """
+    for i in range(len(state) // 2):
+        left = 1.0 + coefficients[4 * i + 2] + coefficients[4 * i + 3]
+        y = 0.0
+        if left > 1e-12:
+            y = (coefficients[4 * i] + coefficients[4 * i + 1]) * value / left
+        state[2 * i] = state[2 * i + 1] = y
+
+
+def eased(asked: float, felt: float, offset: float, done: int, ramp: int) -> float:
+    """Force on its way from what was felt at a jump to what is asked now [N].
+
+    `offset` is felt − asked at the jump; it fades out over `ramp` ticks, of which `done` are over. The loop keeps the whole
+    stiffness and damping of its law meanwhile. The force stays between both, so that an offset never pulls where neither does.
+    """
+    if done + 1 >= ramp:
+        return asked
+    force = asked + offset * (1.0 - (done + 1) / ramp)
+    least, most = (asked, felt) if asked < felt else (felt, asked)
+    if force < least:
+        return least
+    return most if force > most else force

@@ -1,7 +1,7 @@
 """Answering the ticks of another node: newest message wins, gaps and restarts are counted, never hidden."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TypeVar
 
 from messages.codec import Decoder, MessageRefusedError
@@ -12,7 +12,10 @@ from nodes.base.node import IDLE_MS, Node
 M = TypeVar("M", bound=Message)
 
 
-def _follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> Callable[[], M | None]:
+Hear = Mapping[bytes, Callable[[bytes], None]]  # topics beside the one that is followed, and who takes their payloads
+
+
+def _follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str, hear: Hear) -> Callable[[], M | None]:
     """Follow one loop topic; in real time a node that was stalled goes on with the present, not with what piled up."""
     expected = topic.encode()
     ticks = node.make_compiled()
@@ -24,6 +27,9 @@ def _follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) ->
 
     def newest(message: M) -> M:
         while (frames := inbox.receive(0)) is not None:
+            if frames[0] in hear:
+                hear[frames[0]](frames[1])
+                continue
             newer = node.intake.take(decoder, frames, expected)
             if newer is not None:
                 counters.skipped += 1
@@ -44,7 +50,9 @@ def _follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) ->
         except TimedOut:
             return None
         if frame != expected:
-            if waker is None or frame != waker.frame:
+            if frame in hear:
+                _pass_on(node, hear[frame], next_frame, frame)
+            elif waker is None or frame != waker.frame:
                 node.intake.out_of_step(frame, expected)
             return None
         try:
@@ -73,12 +81,25 @@ def _follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) ->
     return take if ticks is None else ticks.in_front_of(take)
 
 
-def answer_ticks(node: Node, message: type[M], topic: str, answers_on: str, respond: Callable[[M], bytes | None]) -> None:
-    """Answer each tick of a loop topic until stopped: with what `respond` gives, where it gives something."""
+def _pass_on(node: Node, hear: Callable[[bytes], None], next_frame: Callable[[], bytes], frame: bytes) -> None:
+    """Pass on the payload of a topic beside the one that is followed."""
+    try:
+        hear(next_frame())
+    except TimedOut:
+        node.events.refuse(f"a message on {frame.decode()} without a payload")
+
+
+def answer_ticks(
+    node: Node, message: type[M], topic: str, answers_on: str, respond: Callable[[M], bytes | None], hear: Hear | None = None
+) -> None:
+    """Answer each tick of a loop topic until stopped: with what `respond` returns, unless that is None.
+
+    `hear`: callbacks for the payloads of other topics of the same subscription, by full topic.
+    """
     inbox = node.inbox
     assert inbox is not None  # noqa: S101  # every kind that listens has one
     node.state = "running"
-    take = _follow(node, inbox, Decoder(message), node.setup.topic(topic))
+    take = _follow(node, inbox, Decoder(message), node.setup.topic(topic), hear or {})
     send, send_again = node.publisher.send, node.publisher.send_hop
     to, counters, events = node.setup.topic(answers_on).encode(), node.counters, node.events
     while not node.stopping:

@@ -8,7 +8,7 @@ two ticks, and what it wants published goes through an outbox that is emptied af
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, ClassVar, TypeVar
 
 import msgspec
@@ -182,6 +182,37 @@ class Node:
         """
         del parameters, name, device
         return None
+
+    @classmethod
+    def plant(cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]) -> dict[str, float]:
+        """Return what the node `name` with these `parameters`, as written, knows of the plant along the `axes` of the scene.
+
+        The launcher fills it into the ``plant`` of the chain's coupling, which judges its laws on it.
+
+        Returns
+        -------
+        dict of str to float
+            Fields of `nodes.coupling.parameters.PlantParameters` in their units; none for a node that knows nothing.
+
+        Raises
+        ------
+        ParameterError
+            When the parameters describe no device.
+        """
+        del parameters, name, axes
+        return {}
+
+    @classmethod
+    def unjudged(cls, setup: Setup) -> str:
+        """Return why nobody judges the stability of what the node of this `setup` renders.
+
+        Returns
+        -------
+        str
+            One sentence; empty where it is judged, or renders nothing.
+        """
+        del setup
+        return ""
 
     @classmethod
     def subscribes(cls, parameters: Any) -> tuple[str, ...]:

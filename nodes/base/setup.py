@@ -80,6 +80,8 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
         Processors and priority.
     parameters : dict
         The node's own parameters, not yet validated.
+    plant : dict of str to float
+        What the other nodes of the chain know of the device (`nodes.base.node.Node.plant`).
     watch : str
         YAML file whose changes are applied while running; empty for none.
     manifest : dict of str to str
@@ -115,6 +117,7 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     listeners: int = 0
     scheduling: Scheduling = Scheduling()
     parameters: dict[str, Any] = {}
+    plant: dict[str, float] = {}
     watch: str = ""
     manifest: dict[str, str] = {}
     clock_offset: Real = 0.0

@@ -32,6 +32,8 @@ from nodes.parameters.store import ParameterError
 from nodes.recording.logger import LoggerParameters, file_of
 from nodes.recording.writer import Ended, write_ended
 
+OVERLOADED = 4  # exit code of a launch whose own chains were too many for its processors
+
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
@@ -137,6 +139,8 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
         "plot": None,
         "exit_reason": supervisor.exit_reason,
         "failures": supervisor.failures,
+        "not_judged": supervisor.unjudged,
+        "load": None if supervisor.load is None else msgspec.to_builtins(supervisor.load),
         "startup_s": round(supervisor.startup_s, 3),
         "nodes": {name: report["status"] for name, report in supervisor.reports.items()},
         **({"chains": chains} if len(chains) > 1 else {}),
@@ -180,7 +184,7 @@ def _ending(final: dict[str, Any], stopped: bool) -> str:
     return f"  at rest   {where}" if motion == "at rest" else f"  moving    {where}, {speed}"
 
 
-def _text(launch: Launch, figures: dict[str, Any]) -> str:
+def _text(launch: Launch, figures: dict[str, Any], overload: str = "") -> str:
     lines = [f"{launch.scenario}: {figures['exit_reason']} after {figures['ticks']} ticks"]
     lines += [f"  failed    {failure}" for failure in figures["failures"] if failure != figures["exit_reason"]]
     by_node = figures["tick_by_node"]
@@ -188,6 +192,9 @@ def _text(launch: Launch, figures: dict[str, Any]) -> str:
         ticks = sorted(set(by_node.values()))
         shown = [f"{tick}: {', '.join(name for name in by_node if by_node[name] == tick)}" for tick in ticks]
         lines.append(f"  tick      {'; '.join(shown) if len(ticks) > 1 else ticks[0]}")
+    if overload:
+        lines.append(f"  overload  {overload}")
+    lines += [f"  stability not judged: {why}" for why in figures["not_judged"].values()]
     for chain, own in figures.get("chains", {"": figures}).items():
         lines += [f" /{chain}"] if chain else []
         lines += _chain_text(own)
@@ -327,7 +334,7 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
     _note_cut(supervisor, figures["ticks"])
     if not arguments.json:
         # First what happened: drawing takes a second.
-        _print(_text(launch, figures))
+        _print(_text(launch, figures, "" if supervisor.load is None else supervisor.load.text))
     if launch.run.tick == "auto" and supervisor.tick == "plain" and figures["ticks"]:
         processors = {cpu for child in supervisor.children.values() for cpu in child.setup.scheduling.cpus}
         with realtime.off(processors):
@@ -347,6 +354,8 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
         _print(f"  plot      {figures['plot']}")
     if supervisor.failed or supervisor.failures:
         return 1
+    if supervisor.load is not None and supervisor.load.cause == "chains":
+        return OVERLOADED
     # launch/README.md says which end is early; one without an end of its own, a service for one, ends well by a signal.
     early = {STOPPED: 130, "SIGINT": 130, "SIGTERM": 143, "SIGHUP": 129}
     return early.get(supervisor.exit_reason, 0) if launch.run.ticks else 0

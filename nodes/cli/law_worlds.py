@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
+
+import msgspec
 
 ROWS = (
     ("k_max_wall_n_per_m", "K_max on a wall"),
     ("k_max_any_world_n_per_m", "K_max with any implicit world (known device)"),
     ("k_max_any_hand_any_world_n_per_m", "K_max with any implicit world in any hand"),
+    ("k_max_two_hands_n_per_m", "K_max with the second device, any two hands"),
 )
 
 
@@ -18,25 +22,31 @@ def world_figures(shown: Mapping[str, Any]) -> dict[str, Any]:
     `shown`: figures of a law with ``kind`` and its parameters, ``plant``, ``rate_hz`` and
     ``delay_ticks``. Where the mass depends on the position: the least over both ends and the worst.
     """
+    from nodes.coupling.parameters import PlantParameters
     from nodes.laws import load_law
     from nodes.laws.parse import parse_law
     from nodes.stability.k_max import without_spring
-    from nodes.stability.plant import Plant
     from nodes.stability.world_limits import finite, world_limits
+    from nodes.stability.worlds import OtherDevice, world_k_max
 
-    plant = shown.get("plant")
-    if not plant or shown.get("pole_radius") is None:
+    if not shown.get("plant") or shown.get("pole_radius") is None:
         return {}
+    declared = msgspec.convert(shown["plant"], PlantParameters)
     fields = load_law(shown["kind"]).__struct_fields__
     law = parse_law({"kind": shown["kind"], **{name: shown[name] for name in fields if name in shown}})
-    period = 1.0 / shown["rate_hz"]
+    period, late = 1.0 / shown["rate_hz"], shown["delay_ticks"] - declared.device_delay
     derivative = without_spring(law, period)
-    masses = {plant["mass"], plant.get("heaviest") or plant["mass"], shown.get("worst_mass_kg") or plant["mass"]}
-    device = Plant(period, plant["mass"], plant.get("damping", 0.0), shown["delay_ticks"], plant.get("stiffness", 0.0))
+    masses = {declared.mass, declared.heaviest or declared.mass, shown.get("worst_mass_kg") or declared.mass}
     found: dict[str, float | None] = {}
     for mass in masses:
-        limits = world_limits(derivative, Plant(period, mass, device.damping, device.delay, device.stiffness))
-        for name, k in limits.k_max_n_per_m.items():
+        loop = msgspec.structs.replace(declared, mass=mass, delay=max(late, 0.0)).at(period, 0.0)
+        alone = dataclasses.replace(loop, partner=None)
+        if declared.partner_mass is not None and loop.other is not None:
+            other = OtherDevice(loop.other.damping, loop.other.delay)
+            limits = {"two_hands": world_k_max(derivative, alone, other, any_hand=True).k_max_n_per_m}
+        else:
+            limits = dict(world_limits(derivative, alone).k_max_n_per_m)
+        for name, k in limits.items():
             before = found.get(name, k)
             found[name] = None if k is None or before is None else min(k, before)
     return {f"k_max_{name}_n_per_m": finite(k) for name, k in found.items()}

@@ -114,7 +114,8 @@ def _stability(receipt: dict[str, Any]) -> list[str]:
         return [f"  stability not judged: {found['why']}"]
     before = "" if found["was_pole_radius"] is None else f"{found['was_pole_radius']:.4g} → "
     now = "stable below 1" if found["stable"] else "UNSTABLE: taken by force"
-    return [f"  pole radius {before}{found['pole_radius']:.4g} ({now}) at a delay of {found['delay_ticks']:.3g} ticks"]
+    of_law = "" if found.get("law") in (None, receipt.get("to")) else f" of {found['law']}"
+    return [f"  pole radius{of_law} {before}{found['pole_radius']:.4g} ({now}) at a delay of {found['delay_ticks']:.3g} ticks"]
 
 
 def forced(arguments: argparse.Namespace) -> dict[str, bool]:

@@ -4,6 +4,7 @@ The command line, the studies and Python programs all come through here.
 """
 
 import difflib
+import functools
 import os
 import time
 from typing import Any
@@ -12,6 +13,7 @@ from messages import topics
 from messages.errors import UsageError
 from messages.transport.context import new_context
 from messages.transport.requests import Connection, ControlError
+from nodes.client.moved_device import is_moved, set_moved
 from nodes.launcher.runs import RunError, RunInfo, alive, find_run, runs
 
 TIMEOUT = 10.0  # longest wait for an answer [s]: judging a law of thousands of taps takes seconds
@@ -83,14 +85,20 @@ def roles(run: RunInfo) -> dict[str, str]:
 
 def ask(run: RunInfo, node: str, op: str, timeout: float = TIMEOUT, **args: Any) -> Any:
     """Ask one node to do `op` (messages/PROTOCOL.md); ControlError says why it refuses, does not answer, or cannot be asked."""
+    node = node_name(run, node)
+    if op == "param.set" and is_moved(run, node, args.get("values")):
+        return set_moved(run, node, args["values"], functools.partial(_ask, run, timeout), bool(args.get("force")))
+    return _ask(run, timeout, node, op, **args)
 
+
+def _ask(run: RunInfo, timeout: float, node: str, op: str, /, **args: Any) -> Any:
     def watch() -> None:
         if not alive(run.launcher, run.launcher_started):
             raise ControlError(f"{run.run} has ended, and nobody answers {op} any more")
 
     context = new_context()
     try:
-        line = Connection(context, run.nodes[node_name(run, node)].control, watch)
+        line = Connection(context, run.nodes[node].control, watch)
         return line.call(op, timeout, **args)
     except (ValueError, OverflowError, TypeError) as error:
         # An endpoint or key that cannot be used, a value that no message can carry.

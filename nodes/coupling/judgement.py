@@ -1,4 +1,4 @@
-"""What the stability figures say of a law before it may render; a refusal tells the limit and what would be taken instead.
+"""Judges a law by its stability figures before it may render; a refusal names the limit and what would be taken instead.
 
 Everything here runs on the control thread, or before anything is started.
 """
@@ -6,12 +6,12 @@ Everything here runs on the control thread, or before anything is started.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from nodes.coupling.law_book import LawBook
-from nodes.coupling.parameters import CouplingParameters
+from nodes.coupling.parameters import CouplingParameters, PlantParameters
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import compile_law, parse_law
 from nodes.parameters.store import ParameterError
@@ -36,10 +36,41 @@ def refuses_start(policy: str, because: str) -> bool:
 
 
 class Judgement:
-    """Judges the laws of one coupling."""
+    """Judges the laws of one coupling.
 
-    def __init__(self, node: str, period: float, book: LawBook) -> None:
-        self._node, self._period, self._book = node, period, book
+    Parameters
+    ----------
+    node : str
+        Name of the coupling.
+    period : float
+        Sampling period T [s].
+    book : LawBook
+        Its laws.
+    known : mapping of str to float
+        What the other nodes of the chain know of the plant (`nodes.base.node.Node.plant`).
+    """
+
+    def __init__(self, node: str, period: float, book: LawBook, known: Mapping[str, float] | None = None) -> None:
+        self._node, self._period, self._book, self._known = node, period, book, known or {}
+
+    def refuse_contradiction(self, parameters: CouplingParameters, now: CouplingParameters | None = None) -> None:
+        """Refuse a plant on which laws would be judged more stable than they are on the device that is known.
+
+        `now`: the parameters before a change; what was taken before may stay. A device's delay is not compared in a change,
+        because it may have changed since the start.
+        """
+        plant, before = parameters.plant, now and now.plant
+        if plant is None or parameters.stability in ("warn", "off") or plant == before:
+            return
+        for field, limit in contradictions(plant, self._known).items():
+            written, live = getattr(plant, field), now is not None and field in _MOVABLE
+            if live or (before is not None and written == getattr(before, field)):
+                continue
+            where, unit = f"{self._node}.plant.{field}", _UNITS[field]
+            raise ParameterError(
+                f"{where}: {_shown(written, unit)}, but {_WHOSE.get(field, 'the device has')} {limit} {unit}: laws would be "
+                f"judged on another device. Leave {where} out, which fills it in, or set {self._node}.stability to warn"
+            )
 
     def verdict(self, parameters: CouplingParameters, law: CompiledLaw, measured_delay: float) -> Verdict | None:
         """Judge a compiled law on the declared device, where its mass makes the loop worst."""
@@ -51,10 +82,45 @@ class Judgement:
         return max(filter(None, found), key=lambda one: one.pole_radius, default=None)
 
     def why_not(self, parameters: CouplingParameters) -> str:
-        """Say why there is no verdict."""
+        """Return why there is no verdict."""
         if parameters.plant is None:
             return f"{self._node}.plant, the device, is not declared"
         return f"{self._node}.stability is off" if parameters.stability == "off" else "the law has code of its own"
+
+    def of_moving_world(self, parameters: CouplingParameters, delay: float) -> list[str]:
+        """Return what is certain of the law of tick 0 whatever a world that moves is, for this hand and for any hand.
+
+        A world that answers in the same tick may be any; a tool that is stepped may touch anything; a second device may be in
+        any hand, as this one. Empty for a coupling to a wall, and for a law without poles.
+        """
+        plant = parameters.plant
+        if plant is None or parameters.stability == "off":
+            return []
+        if plant.tool_mass is None and plant.tool_lag is None and plant.partner_mass is None:
+            return []
+        from nodes.stability.world_verdict import judge_world
+        from nodes.stability.worlds import AnyWorld, OtherDevice, SteppedTool, WorldKind
+
+        law, loop = self._book.compile(parameters, parameters.law), plant.at(self._period, delay)
+        world: WorldKind
+        if plant.partner_mass is not None and loop.other is not None:
+            world = OtherDevice(loop.other.damping, loop.other.delay)
+        elif plant.tool_lag == 0.0:
+            world = AnyWorld()
+        else:
+            world = SteppedTool(plant.tool_damping, loop.delay - plant.device_delay)
+        hands = (True,) if isinstance(world, OtherDevice) else (False, True)
+        found = [judge_world(law, replace(loop, partner=None), world, any_hand) for any_hand in hands]
+        return [f"{self._node}.laws.{parameters.law}: {verdict.text}" for verdict in found if verdict is not None]
+
+    def unjudged(self, parameters: CouplingParameters) -> str:
+        """Return why a law that will render has no verdict; empty when all of them have."""
+        if parameters.plant is None or parameters.stability == "off":
+            return self.why_not(parameters)
+        for name in _rendering(parameters):
+            if self._book.compile(parameters, name).evaluate is not None:
+                return f"{self._node}.laws.{name} has code of its own, which has no poles"
+        return ""
 
     def at_start(self, parameters: CouplingParameters, delay: float, because: str = "") -> list[str]:
         """Judge the law of tick 0, those that are scheduled, and the fallback; `because`: as of `refuses_start`."""
@@ -64,7 +130,7 @@ class Judgement:
                 "declare its mass and damping, or set stability to warn"
             )
         warnings = []
-        for name in dict.fromkeys([parameters.law, *(swap.law for swap in parameters.schedule)]):
+        for name in _rendering(parameters):
             verdict = self.verdict(parameters, self._book.compile(parameters, name), delay)
             if verdict is not None and not verdict.stable:
                 warnings.append(f"{self._complaint(f'laws.{name}', verdict)}; {self._remedy(None, parameters, name, verdict)}")
@@ -108,6 +174,10 @@ class Judgement:
     def _complaint(self, what: str, verdict: Verdict) -> str:
         plant = verdict.plant
         hand = f", hand {plant.stiffness:g} N/m" if plant.stiffness else ""
+        if plant.partner is not None:
+            other = plant.partner
+            held = f" on a spring of {other.stiffness:g} N/m" if other.stiffness else ""
+            hand += f", coupled to {other.mass:g} kg, {other.damping:g} N s/m{held}"
         return (
             f"{self._node}.{what}: pole radius {verdict.pole_radius:.6g} (limit: < 1) with mass {plant.mass:g} kg, "
             f"damping {plant.damping:g} N s/m{hand} at a delay of {plant.delay:.3g} ticks: the loop is unstable"
@@ -154,6 +224,67 @@ class Judgement:
 
     def _compiled(self, description: dict[str, Any]) -> CompiledLaw:
         return compile_law(parse_law(description), self._period)
+
+
+_CLOSE = 0.01  # relative difference up to which a written value is the known one, rounded
+_UNITS = {"mass": "kg", "heaviest": "kg", "tool_mass": "kg", "damping": "N s/m", "stiffness": "N/m", "device_delay": "ticks"}
+_UNITS |= {"scale": "", "tool_stiffness": "N/m", "tool_lag": "ticks"}
+_UNITS |= {"tool_damping": "N s/m", "partner_mass": "kg", "partner_damping": "N s/m", "partner_stiffness": "N/m"}
+_MOVABLE = ("device_delay", "scale")  # what a driver may change while it runs
+_WHOSE = {
+    "tool_mass": "the tool of the scene weighs",
+    "tool_damping": "the tool of the scene is damped to ground by",
+    "tool_stiffness": "the body that is felt is on a spring of",
+    "tool_lag": "what is felt answers later by",
+    **dict.fromkeys(("partner_mass", "partner_damping", "partner_stiffness"), "the second device has"),
+    "scale": "the driver maps at a scale of",
+}
+
+
+def contradictions(plant: PlantParameters, known: Mapping[str, float]) -> dict[str, str]:
+    """Return the fields of a plant that make a loop look more stable than it is on the known device.
+
+    Less mass or damping, a stiffer hand, a lighter tool and a longer delay are a worse device, which a user may ask for.
+
+    Parameters
+    ----------
+    plant : PlantParameters
+        As it is written.
+    known : mapping of str to float
+        What the nodes of the chain know of it.
+
+    Returns
+    -------
+    dict of str to str
+        Field to the known value, in the field's unit.
+    """
+    limits = {**known, **({"heaviest": known.get("heaviest", known["mass"])} if "mass" in known else {})}
+    found = {}
+    for field, limit in limits.items():
+        value = getattr(plant, field)
+        low, high = limit * (1.0 - _CLOSE), limit * (1.0 + _CLOSE)
+        if field in ("scale", "tool_stiffness", "tool_lag"):
+            kept = value is not None and low <= value <= high
+        elif field == "heaviest":
+            kept = value is None or value >= low
+        elif field == "partner_later":
+            kept = True  # what is worse, an earlier or a later one, no number tells
+        elif field in ("stiffness", "partner_stiffness", "device_delay"):
+            kept = value >= low
+        else:
+            kept = value is not None and value <= high
+        if not kept:
+            found[field] = f"{limit:g}"
+    return found
+
+
+def _rendering(parameters: CouplingParameters) -> list[str]:
+    """Return the names of the laws that render by themselves: that of tick 0, and those that are scheduled."""
+    return list(dict.fromkeys([parameters.law, *(swap.law for swap in parameters.schedule)]))
+
+
+def _shown(value: float | None, unit: str) -> str:
+    return "none" if value is None else f"{value:g} {unit}".strip()
 
 
 def _numbers(tree: Any) -> dict[str, float]:

@@ -5,7 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 from messages.types import Force, Proxy
-from nodes.arithmetic import SMOOTHING, cross_fade, deflection, fir, one_sided, push, sections
+from nodes.arithmetic import (
+    SMOOTHING,
+    cross_fade,
+    deflection,
+    eased,
+    fir,
+    newest_gain,
+    one_sided,
+    push,
+    revise_sections,
+    sections,
+)
 from nodes.compiled.kernels.encode import make_encode
 from nodes.compiled.kernels.follow_kernel import count_gap, in_order, overtaken
 from nodes.compiled.kernels.hop import answer, called, flush, monotonic, out_at, receive
@@ -16,14 +27,14 @@ from nodes.compiled.message_fields import fields_of, slots
 from nodes.coupling.render import LawPort, evaluate, make_render
 from nodes.coupling.state import SLOTS, CouplingState
 
-for _function in (cross_fade, deflection, fir, one_sided, push, sections, evaluate):
+for _function in (cross_fade, deflection, eased, fir, newest_gain, one_sided, push, revise_sections, sections, evaluate):
     kernel(_function)
 _look = record_at(record_of(CouplingState))
 _scan = make_scan(Proxy)
 _encode = make_encode(Force)
 _IN, _OUT = fields_of(Proxy), fields_of(Force)
-_SEQ, _CONTACT, _STAMP, _POSITION, _PROXY, _NORMAL, _DISTANCE, _DELAY = slots(
-    _IN, "seq", "contact", "stamp", "position", "proxy", "normal", "distance", "delay"
+_SEQ, _CONTACT, _REBASED, _STAMP, _POSITION, _PROXY, _NORMAL, _DISTANCE, _DELAY, _COMPLIANCE = slots(
+    _IN, "seq", "contact", "rebased", "stamp", "position", "proxy", "normal", "distance", "delay", "compliance"
 )
 _TO_SEQ, _TO_REVISION, _TO_STAMP, _TO_FORCE = slots(_OUT, "seq", "revision", "stamp", "force")
 _SLOTS = SLOTS
@@ -51,7 +62,20 @@ def _see(s: Any, n: int, m: int, history: Any, head: int) -> None:
         sections(reals_at(s.sections[at], 4 * count), state, history[head], history[head + 1])
 
 
-_render, _bridge = make_render(LawPort(_ring, _force_of, _see), compilable)
+@compilable
+def _gain_of(s: Any, n: int, m: int) -> float:
+    at = _SLOTS * n + m
+    return newest_gain(reals_at(s.taps[at], s.taps_count[at]), reals_at(s.sections[at], 4 * s.sections_count[at]))
+
+
+@compilable
+def _revise(s: Any, n: int, m: int, by: float) -> None:
+    at = _SLOTS * n + m
+    count = s.sections_count[at]
+    revise_sections(reals_at(s.sections[at], 4 * count), reals_at(s.sections_state[at], 2 * count), by)
+
+
+_render, _bridge = make_render(LawPort(_ring, _force_of, _see, _gain_of, _revise), compilable)
 
 
 @compilable
@@ -100,8 +124,8 @@ def ticks(address: int) -> int:
         if not receive(s, 0) or not _scan(s.payload, s.payload + s.payload_size, s.reals, s.wholes):
             break
         seq = s.wholes[_SEQ]
-        if not in_order(s, seq):
-            break
+        if not in_order(s, seq) or s.answered < 0 or s.wholes[_REBASED] != s.rebased or s.jumps != 0:
+            break  # a beginning or a jump: the plain tick begins the histories anew
         if overtaken(s, s.reals[_STAMP]):
             continue
         contact, distance = s.wholes[_CONTACT] != 0, s.reals[_DISTANCE]
@@ -112,7 +136,8 @@ def ticks(address: int) -> int:
             s.seq += missing
             s.answered = s.seq
         _note(s, True)
-        if not _render(s, position, proxy, normal, distance, contact, force, s.pushes[s.axes - 1] + 1):
+        compliance = s.reals[_COMPLIANCE]
+        if not _render(s, position, proxy, normal, distance, contact, compliance, force, s.pushes[s.axes - 1] + 1):
             _note(s, False)  # the plain tick does it, and falls back
             break
         s.frames = 0

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, TypeAlias, cast
 
-from nodes.arithmetic import push, sections, warm_up
+from nodes.arithmetic import newest_gain, push, revise_sections, sections, settle, warm_up
 from nodes.compiled.layout import state_of
 from nodes.coupling.state import LEAVING, CouplingState
 from nodes.laws import CompiledLaw
@@ -48,8 +48,9 @@ class History:
         self.pushes += 1
 
     def fill(self, value: float) -> None:
-        """Take it that the deflection has always been the same."""
+        """Replace all values by one: the deflection has always been the same."""
         self.values[:] = array("d", [value]) * len(self.values)
+        self.pushes += self.length  # for a snapshot under way, and for laws that have seen what is gone now
 
     def snapshot(self) -> History:
         """Copy the history from another thread than the one that pushes, once: a long one takes longer than a tick."""
@@ -111,6 +112,7 @@ class LawOnAxis:
         self.state = array("d", [0.0]) * (2 * len(law.sections))  # state of the sections [N], shape (2 * s,)
         self._pushes = history.pushes
         self.taps = law.taps  # its taps [N/m], shape (n + 1,)
+        self.gain = newest_gain(self.numbers, self.coefficients)  # of taps and sections on the newest deflection [N/m]
         self.plain = not law.sections and law.evaluate is None  # whether it is nothing but taps
         self.sum_of_taps = sum_of_taps(law.taps, history)  # adds them, from the history's head to the force [N]
         self._own = law.own_code(axis)
@@ -123,6 +125,11 @@ class LawOnAxis:
             self.state[:] = array("d", [0.0]) * len(self.state)
             warm_up(self.coefficients, self.state, history.values, history.head, history.known)
         self._pushes = history.pushes
+
+    def settle(self, value: float) -> None:
+        """Put the sections where they rest under a deflection that has always been the same."""
+        settle(self.coefficients, self.state, value)
+        self._pushes = self._history.pushes
 
     def catch_up(self) -> None:
         """Let the sections see what was pushed since they last did (loop's thread)."""
@@ -139,6 +146,11 @@ class LawOnAxis:
         if self.state:
             values = self._history.values
             sections(self.coefficients, self.state, values[head], values[head + 1])
+
+    def revise(self, by: float) -> None:
+        """Correct the sections for a newest deflection that was too large by so much [m]."""
+        if self.state:
+            revise_sections(self.coefficients, self.state, by)
 
     def first_force(self, history: History) -> float:
         """Force that the law's own code begins with; nothing of it is remembered."""

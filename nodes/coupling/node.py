@@ -7,6 +7,7 @@ force that is not finite or overruns its budget twice within a second is replace
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
@@ -25,8 +26,7 @@ from nodes.coupling.judgement import ASKED_FOR, VIRTUAL, Judgement, refuses_star
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.law_on_axis import History
 from nodes.coupling.parameters import CouplingParameters
-from nodes.coupling.render import begin_turning
-from nodes.coupling.renderer import ActiveLaw, Renderer
+from nodes.coupling.renderer import ActiveLaw, Renderer, settle_conventions
 from nodes.coupling.state import CouplingState
 from nodes.coupling.time_budget import Budget
 from nodes.parameters.store import ParameterError, convert
@@ -34,6 +34,7 @@ from nodes.parameters.store import ParameterError, convert
 if TYPE_CHECKING:
     from nodes.compiled.answering import CompiledTicks
     from nodes.compiled.library import Kernel
+    from nodes.stability.judge import Verdict
 
 Scheduled: TypeAlias = tuple[int, ActiveLaw, int]  # tick, law and ramp [ticks] of a swap to come
 ATTEMPTS = 5  # how often a law's own code is tried before it is found too slow
@@ -67,9 +68,17 @@ class Coupling(Node):
         book = LawBook(setup.name, setup.period)
         book.check(parameters)
         _check_frame(parameters, setup)
+        judgement = Judgement(setup.name, setup.period, book, setup.plant)
+        judgement.refuse_contradiction(parameters)
         because = VIRTUAL if setup.virtual else ""
         if refuses_start(parameters.stability, because):
-            Judgement(setup.name, setup.period, book).at_start(parameters, _least_delay(setup), because)
+            judgement.at_start(parameters, _least_delay(setup), because)
+
+    @classmethod
+    def unjudged(cls, setup: Setup) -> str:
+        """Return why a law that will render is not judged."""
+        book = LawBook(setup.name, setup.period)
+        return Judgement(setup.name, setup.period, book).unjudged(convert(setup.parameters, CouplingParameters, setup.name))
 
     # -- off the hot path --------------------------------------------------------------------------------------------
 
@@ -84,7 +93,7 @@ class Coupling(Node):
         self.counters.delay = _least_delay(self.setup)
         self._failed_text = ""
         self._book = LawBook(self.setup.name, self.setup.period)
-        self._judgement = Judgement(self.setup.name, self.setup.period, self._book)
+        self._judgement = Judgement(self.setup.name, self.setup.period, self._book, self.setup.plant)
         self._book.check(parameters)
         axes = [AXIS_INDEX[axis] for axis in self.setup.axes]
         self._renderer = Renderer(axes, parameters.memory, self.counters)
@@ -93,6 +102,8 @@ class Coupling(Node):
         because = ASKED_FOR if self.resumed_at >= 0 else VIRTUAL if self.setup.virtual else ""
         for text in self._judgement.at_start(parameters, self._felt_delay, because):
             self.events.emit_each("stability", text)
+        for text in self._judgement.of_moving_world(parameters, self._felt_delay):
+            self.events.emit_each("world", text)
         self._settle(parameters, self._make_fallback(parameters))
         self._renderer.law = self._prepare_law(parameters, parameters.law)
         swaps = [(round(swap.at / self.setup.period), swap) for swap in sorted(parameters.schedule, key=lambda swap: swap.at)]
@@ -115,16 +126,18 @@ class Coupling(Node):
         changed = []
         for tick, law, ramp in list(self._schedule):
             fresh = law
-            if self._book.description(parameters, law.name) != self._book.description(now, law.name):
+            is_changed = self._book.description(parameters, law.name) != self._book.description(now, law.name)
+            if is_changed:
                 fresh = self._prepare_law(parameters, law.name)
+            if is_changed or parameters.plant != now.plant:
                 self._judge(now, parameters, fresh, force)
+            if is_changed:
                 fresh.warm_up(self._renderer.snapshots())
             changed.append((tick, fresh, ramp))
         return changed
 
     def _settle(self, parameters: CouplingParameters, fallback: ActiveLaw) -> None:
-        self.counters.raw, self.counters.clamp = parameters.history == "position", parameters.clamp
-        begin_turning(self.counters, parameters.frame)
+        settle_conventions(self.counters, parameters, self.setup.period)
         self._renderer.fallback = fallback
         self._budget = self._budget_of(parameters)
 
@@ -148,13 +161,39 @@ class Coupling(Node):
         if warning:
             self.events.emit_each("stability", warning)
         before = self._judgement.verdict(wanted, self._renderer.law.compiled, self._felt_delay)
+        return self._judged(law.name, wanted, verdict, before)
+
+    def _judged(self, law: str, wanted: CouplingParameters, verdict: Verdict | None, before: Verdict | None) -> dict[str, Any]:
+        """Return what a receipt says of a law's stability."""
         return {
+            "law": law,
             "pole_radius": verdict and verdict.pole_radius,
             "was_pole_radius": before and before.pole_radius,
             "delay_ticks": verdict and verdict.plant.delay,
             "stable": verdict and verdict.stable,
             "why": "" if verdict else self._judgement.why_not(wanted),
         }
+
+    def _judge_set_aside(self, now: CouplingParameters, wanted: CouplingParameters, force: bool) -> dict[str, Any]:
+        """Judge the changed laws that do not render; return the figures of the last one, none where nothing was judged."""
+        figures: dict[str, Any] = {}
+        for name, law in wanted.laws.items():
+            if law == now.laws.get(name):
+                continue
+            compiled = self._book.compile(wanted, name)
+            if name == wanted.law or any(scheduled.name == name for _, scheduled, _ in self._schedule):
+                continue  # judged with what renders
+            verdict, warning = self._judgement.of_change(now, wanted, name, compiled, self._felt_delay, force)
+            if warning:
+                self.events.emit_each("stability", warning)
+            figures = self._judged(name, wanted, verdict, self._before(now, wanted, name))
+        return figures
+
+    def _before(self, now: CouplingParameters, wanted: CouplingParameters, name: str) -> Verdict | None:
+        """Return the verdict on a law as it was before a change; None where it was none."""
+        with contextlib.suppress(ParameterError):  # there was none of that name, or it was too long to render
+            return self._judgement.verdict(wanted, self._book.compile(now, name), self._felt_delay)
+        return None
 
     def _bring_up(self, law: ActiveLaw, parameters: CouplingParameters) -> None:
         """Replay the history into the law's sections, and try its own code, on copies."""
@@ -188,14 +227,14 @@ class Coupling(Node):
         ramp = parameters.ramp if ramp is None else ramp
         self._book.refuse_fixed(now, parameters)
         _check_frame(parameters, self.setup)
-        for name, law in parameters.laws.items():
-            if law != now.laws.get(name):
-                self._book.compile(parameters, name)
+        if not force:
+            self._judgement.refuse_contradiction(parameters, now)
+        set_aside = self._judge_set_aside(now, parameters, force)
         fallback = self._make_fallback(parameters)
         self._judgement.refuse_fallback(now, parameters, self._felt_delay, force)
         law = self._prepare_law(parameters, parameters.law)
         judged = law.compiled, parameters.plant, parameters.stability
-        stability: dict[str, Any] = {}
+        stability: dict[str, Any] = {"stability": set_aside} if set_aside else {}
         if judged != (self._renderer.law.compiled, now.plant, now.stability):
             stability = {"stability": self._judge(now, parameters, law, force)}
         if action == "set" and law.text == self._failed_text:
@@ -329,19 +368,26 @@ class Coupling(Node):
         )
         return force
 
+    def _report_jump(self, proxy: Proxy) -> None:
+        """Publish the force step of a jump."""
+        step, ramp = self._renderer.force_step, proxy.ease or self.counters.ease_usual
+        if step > 0.0:
+            began = self.counters.answered < 0
+            what = "the loop begins in contact" if began else "position, surface or proxy jumped without motion"
+            how = f"eased over {ramp * self.setup.period:.3g} s" if ramp > 1 else "at once: ease is 0"
+            self.events.emit_each("eased", f"tick {proxy.seq}: {what}: a force step of {step:.4g} N, {how}")
+
     def _answer(self, proxy: Proxy) -> bytes:
         seq, s, renderer = proxy.seq, self.counters, self._renderer
-        last = s.answered
-        if 0 <= last < seq - 1:
-            renderer.bridge(proxy, seq - last - 1)
-        elif last < 0 < seq:
-            renderer.begin(proxy)
+        jumped = renderer.follow(proxy, s.answered)
         if self._schedule:
             self._follow_schedule(seq)
         s.delay += (proxy.delay - s.delay) * SMOOTHING
         force = self._watched(proxy) if renderer.watched else renderer.render(proxy)
         if not math.isfinite(force[0] + force[1] + force[2]):
             force = self._fall_back(proxy, f"returned a force that is not finite: {force}")
+        if jumped:
+            self._report_jump(proxy)
         stamp = proxy.stamp if self.clock.simulated else self.clock.now()
         return encode(Force(seq=seq, stamp=stamp, force=force, law=renderer.name, revision=s.revision))
 

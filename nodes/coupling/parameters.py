@@ -8,7 +8,7 @@ import msgspec
 
 from nodes.laws import CompiledLaw
 from nodes.parameters.checked import NonNegative, Positive
-from nodes.stability.plant import Plant
+from nodes.stability.plant import Partner, Plant
 
 LawName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
 """A law's name is part of paths (laws.NAME.stiffness) and travels with every force."""
@@ -40,6 +40,11 @@ class Fallback(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         return CompiledLaw((self.damping / period, -self.damping / period))
 
 
+Delay = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
+"""A delay that a law is judged at [ticks]: the closed loop has one more state for each tick."""
+
+LONGEST_MEASURED = 100.0  # a loop that was held up for longer is judged as one of this delay [ticks]
+
 MASSES = 9  # with so many masses a law is judged where the mass depends on the position
 
 
@@ -54,21 +59,46 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     heaviest: The greatest mass where it depends on where the device is, and ``mass`` is the least: a law is judged with both
         and with some between [kg].
     tool_mass: Mass of what the coupling holds the device to, where that moves (kind ``mujoco``) [kg]; None for a wall.
+    tool_damping: Viscous damping of that to ground [N s/m].
+    tool_stiffness: Stiffness of a spring from that to ground [N/m].
+    tool_lag: How much later than a tick's force the other end of the coupling answers: 0 in the same tick, whatever it is, and
+        above 0 for a tool that is stepped [ticks]; None for a wall, or a tool that is stepped.
+    partner_mass: Mass of the other device, where two are coupled position to position [kg]; None for one.
+    partner_damping: Its damping [N s/m].
+    partner_stiffness: Stiffness of its hand [N/m].
+    partner_later: How much later forces act on it than on the first; negative for earlier [ticks].
+    scale: Metres of the scene for a metre of the device (``mapping.scale`` of a driver). Mass, damping and stiffness above are
+        the device's own; a law meets them divided by the square of it.
     """
 
     mass: Positive
     damping: NonNegative = 0.0
     stiffness: NonNegative = 0.0
-    delay: NonNegative | None = None
-    device_delay: NonNegative = 0.0
+    delay: Delay | None = None
+    device_delay: Delay = 0.0
     heaviest: Positive | None = None
     tool_mass: Positive | None = None
+    tool_damping: NonNegative = 0.0
+    tool_stiffness: NonNegative = 0.0
+    tool_lag: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] | None = None
+    partner_mass: Positive | None = None
+    partner_damping: NonNegative = 0.0
+    partner_stiffness: NonNegative = 0.0
+    partner_later: Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)] = 0.0
+    scale: Annotated[float, msgspec.Meta(ge=0.01, le=100.0)] = 1.0
 
     def at(self, period: float, measured: float) -> Plant:
-        """Give the device in a loop of a period and a measured delay, as a law is judged on it."""
-        delay = (measured if self.delay is None else self.delay) + self.device_delay
-        plant = Plant(period, self.mass, self.damping, delay, self.stiffness)
-        return plant if self.tool_mass is None else plant.with_tool(self.tool_mass)
+        """Return the device in a loop of a `period` [s] and a `measured` delay [ticks], as a law is judged on it."""
+        delay = (min(measured, LONGEST_MEASURED) if self.delay is None else self.delay) + self.device_delay
+        felt = self.scale * self.scale  # a force F of the scene is s F on the device, which moves 1/s as far
+        partner = None
+        if self.partner_mass is not None:
+            body = (self.partner_mass / felt, self.partner_damping / felt, self.partner_stiffness / felt)
+            partner = Partner(*body, max(self.partner_later, -delay))
+        elif self.tool_mass is not None and self.tool_lag != 0.0:
+            # The tool is pushed when the loop hands the force over: what the device adds to the delay is its own.
+            partner = Partner(self.tool_mass, self.tool_damping, self.tool_stiffness, -self.device_delay)
+        return Plant(period, self.mass / felt, self.damping / felt, delay, self.stiffness / felt, partner)
 
     @property
     def masses(self) -> list[float]:
@@ -97,6 +127,8 @@ class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     clamp: Whether a force into the wall is set to zero.
     memory: Ticks of deflection that are kept; bounds the longest law.
     ramp: Cross-fade of swaps that do not ask for another [ticks].
+    ease: Time in which the force goes from what was felt to what is asked where the device begins in contact, or position,
+        surface or proxy jump without motion [s]; 0 for at once.
     schedule: Swaps at given times.
     fallback: What renders when a law fails.
     budget: Part of the period that a law's own code may take.
@@ -114,6 +146,7 @@ class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     clamp: bool = True
     memory: Annotated[int, msgspec.Meta(ge=2, le=1_000_000)] = 2048
     ramp: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 0
+    ease: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.15
     schedule: list[Swap] = []
     fallback: Fallback = Fallback()
     budget: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.5

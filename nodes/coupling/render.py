@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, MutableSequence, Sequence
 from typing import Any, Final, NamedTuple
 
-from nodes.arithmetic import cross_fade, deflection, fir, one_sided, push, sections
+from nodes.arithmetic import cross_fade, deflection, eased, fir, one_sided, push, sections
 from nodes.coupling.state import SLOTS
 
 
@@ -30,6 +30,8 @@ class LawPort(NamedTuple):
     ring: Callable[[Any, int], Any]  # gives the history of an axis
     force_of: Callable[[Any, int, int, Any, int], float]  # renders the newest deflection with the law in a slot of that axis
     see: Callable[[Any, int, int, Any, int], None]  # lets that law's sections see a deflection that nobody renders
+    gain_of: Callable[[Any, int, int], float]  # gain of that law on the newest deflection [N/m]
+    revise: Callable[[Any, int, int, float], None]  # corrects that law's sections for a newest deflection too large by so much
 
 
 LEAST_COSINE: Final = 0.9  # of how far a normal turns in a tick: beyond some 25° it is an edge, and the history stays
@@ -69,11 +71,19 @@ def turn(turned: MutableSequence[float], upright: MutableSequence[float], normal
     upright[0], upright[1], upright[2] = x, y, z
 
 
+def deflections(s: Any, position: Any, proxy: Any, distance: float, normal: Any, contact: bool) -> list[float]:
+    """Return what a tick would push into each history [m], in the axes that the histories have now."""
+    world = [deflection(position[i], proxy[i], distance, normal[i], contact, s.raw != 0) for i in range(3)]
+    if s.turning == 0:
+        return [world[s.axis[n]] for n in range(s.axes)]
+    return [sum((s.turned[3 * n + i] * world[i] for i in range(3)), 0.0) for n in range(s.axes)]
+
+
 def make_render(
     port: LawPort, made: Callable[[Any], Any] = lambda function: function
 ) -> tuple[Callable[..., bool], Callable[..., None]]:
     """Make the tick of a port, and the bridge over ticks that were left out."""
-    ring, force_of, see = port
+    ring, force_of, see, gain_of, revise = port
     slots = SLOTS
     turn_axes = made(turn)
 
@@ -88,7 +98,32 @@ def make_render(
         return value
 
     @made
-    def render(s: Any, position: Any, proxy: Any, normal: Any, distance: float, contact: bool, force: Any, due: int) -> bool:
+    def give_way(s: Any, n: int, history: Any, head: int, force: float, compliance: float) -> float:
+        """Return the force on a proxy that yields to it in the same tick; history and sections get the deflection left.
+
+        F = F̂ − g·C·F with F̂ the force as if the proxy did not yield, g the gain on the newest deflection, C the compliance.
+        """
+        fading = s.fade_ramp > 0
+        gain = gain_of(s, n, 0)
+        if fading:
+            old = 0.0
+            for m in range(1, 1 + s.leaving):
+                old += s.weight[slots * n + m] * gain_of(s, n, m)
+            gain = cross_fade(old, gain, s.fade_done, s.fade_ramp)
+        if not 1.0 + compliance * gain > 0.0 or not math.isfinite(force):
+            return force  # no law that is stable anywhere: it answers the proxy as it came
+        force = force / (1.0 + compliance * gain)
+        by = compliance * force
+        history[head] -= by
+        history[head + s.length] -= by
+        for m in range(1 + s.leaving if fading else 1):
+            revise(s, n, m, by)
+        return force
+
+    @made
+    def render(
+        s: Any, position: Any, proxy: Any, normal: Any, distance: float, contact: bool, compliance: float, force: Any, due: int
+    ) -> bool:
         """Render the force of one tick, whose deflection is the one number `due` in each history; whether it is finite."""
         raw, clamp = s.raw != 0, s.clamp != 0
         fading = s.fade_ramp > 0
@@ -100,7 +135,8 @@ def make_render(
             i = s.axis[n]
             history = ring(s, n)
             head = s.head[n]
-            if s.pushes[n] < due:
+            is_new = s.pushes[n] < due
+            if is_new:
                 if turned:
                     value = turned_deflection(s, n, position, proxy, distance, normal, contact, raw)
                 else:
@@ -113,6 +149,8 @@ def make_render(
                 for m in range(1, 1 + s.leaving):
                     old += s.weight[slots * n + m] * force_of(s, n, m, history, head)
                 value = cross_fade(old, value, s.fade_done, s.fade_ramp)
+            if compliance > 0.0 and is_new:
+                value = give_way(s, n, history, head, value, compliance)
             if turned:
                 for j in range(3):
                     force[j] += s.turned[3 * n + j] * value
@@ -130,6 +168,16 @@ def make_render(
             s.fade_done += 1
             if s.fade_done >= s.fade_ramp:
                 s.fade_ramp = 0
+        if s.ease_ramp > 0:
+            for n in range(s.axes):
+                i = s.axis[n]
+                if s.ease_done == 0:
+                    s.ease_from[i], s.ease_offset[i] = s.felt[i], s.felt[i] - force[i]
+                force[i] = eased(force[i], s.ease_from[i], s.ease_offset[i], s.ease_done, s.ease_ramp)
+            s.ease_done += 1
+            if s.ease_done >= s.ease_ramp:
+                s.ease_ramp = 0
+        s.felt[0], s.felt[1], s.felt[2] = force[0], force[1], force[2]
         return True
 
     @made

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from messages.types import Proxy, Vector
-from nodes.arithmetic import deflection
 from nodes.compiled.layout import state_of
 from nodes.coupling.law_on_axis import History, LawOnAxis, Share, shares_of
-from nodes.coupling.render import LawPort, make_render
+from nodes.coupling.parameters import CouplingParameters
+from nodes.coupling.render import LawPort, begin_turning, deflections, make_render
 from nodes.coupling.state import SLOTS, CouplingState
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError
@@ -50,6 +50,15 @@ class ActiveLaw:
                 raise ParameterError(f"law {self.name!r}: returned {force}, which is not a finite force")
 
 
+def settle_conventions(s: Any, parameters: CouplingParameters, period: float) -> None:
+    """Set contact conventions, axes of the history and easing; conventions that change are a jump that no motion made."""
+    raw, clamp = int(parameters.history == "position"), int(parameters.clamp)
+    if (s.raw, s.clamp) != (raw, clamp):
+        s.jumps = 1
+    s.raw, s.clamp, s.ease_usual = raw, clamp, round(parameters.ease / period)
+    begin_turning(s, parameters.frame)
+
+
 class Renderer:
     """A history per axis, the law that renders, those that fade out, and the fallback; all of it stands in one state."""
 
@@ -70,6 +79,8 @@ class Renderer:
             ring=lambda _, n: rings[n],
             force_of=lambda _, n, m, __, head: laws[n][m].force(head),
             see=lambda _, n, m, __, head: laws[n][m].see(head),
+            gain_of=lambda _, n, m: laws[n][m].gain,
+            revise=lambda _, n, m, by: laws[n][m].revise(by),
         )
         self._render, self._bridge = make_render(port)
 
@@ -106,7 +117,8 @@ class Renderer:
     def render(self, proxy: Proxy) -> Vector:
         """Take one tick's deflection and render the force that answers it."""
         force = [0.0, 0.0, 0.0]
-        self._render(self.state, proxy.position, proxy.proxy, proxy.normal, proxy.distance, proxy.contact, force, self.due())
+        met = proxy.position, proxy.proxy, proxy.normal, proxy.distance, proxy.contact, proxy.compliance
+        self._render(self.state, *met, force, self.due())
         if self._leaving or self.standby:
             self.went_on()
         return force[0], force[1], force[2]
@@ -123,13 +135,42 @@ class Renderer:
         self.watched = self._law.watched
         self._store_laws()
 
-    def begin(self, proxy: Proxy) -> None:
-        """Take it that the device was at rest before the first tick seen of a run under way: zeros would be a jump."""
-        raw = self.state.raw != 0
-        for i, history in zip(self.axes, self.histories, strict=True):
-            history.fill(deflection(proxy.position[i], proxy.proxy[i], proxy.distance, proxy.normal[i], proxy.contact, raw))
-        for law in (self.law, *self.standby):
-            law.warm_up(self.histories)
+    def follow(self, proxy: Proxy, last: int) -> bool:
+        """Prepare the histories for a tick after tick `last` (−1: none). Return whether it begins a jump, to be eased.
+
+        Lost ticks are bridged. The first deflection ever, and one after a jump that no motion made, are no velocity.
+        """
+        s = self.state
+        missing = proxy.seq - last - 1
+        if last < 0 or proxy.rebased != s.rebased or s.jumps:
+            conventions = last >= 0 and s.jumps != 0
+            s.rebased, s.jumps = proxy.rebased, 0
+            if self._rebase(proxy, conventions):
+                return True
+        if last >= 0 and missing > 0:
+            self.bridge(proxy, missing)
+        return False
+
+    def _rebase(self, proxy: Proxy, conventions: bool) -> bool:
+        """Begin the histories anew, at rest at the present deflection. Return whether that or the conventions are others."""
+        s = self.state
+        values = deflections(s, proxy.position, proxy.proxy, proxy.distance, proxy.normal, proxy.contact)
+        s.upright[:] = (0.0, 0.0, 0.0)  # a normal that jumped has not turned
+        if not conventions and all(
+            value == history.values[history.head] for value, history in zip(values, self.histories, strict=True)
+        ):
+            return False
+        for n, (value, history) in enumerate(zip(values, self.histories, strict=True)):
+            history.fill(value)
+            for law in (*self._laws[n], *(waiting.axes[n] for waiting in self.standby)):
+                law.settle(value)
+        s.ease_ramp, s.ease_done = max(proxy.ease or s.ease_usual, 1), 0
+        return True
+
+    @property
+    def force_step(self) -> float:
+        """Difference between the forces felt and asked for at the last jump [N]."""
+        return math.hypot(*self.state.ease_offset)
 
     def bridge(self, proxy: Proxy, missing: int) -> None:
         """Fill lost ticks by a straight line up to the present one, which is not yet rendered."""
@@ -165,7 +206,8 @@ class Renderer:
         self._law, self.name = self.fallback, self.fallback.name
         self._end_fade()
         force = [0.0, 0.0, 0.0]
-        self._render(self.state, proxy.position, proxy.proxy, proxy.normal, proxy.distance, proxy.contact, force, due)
+        met = proxy.position, proxy.proxy, proxy.normal, proxy.distance, proxy.contact, proxy.compliance
+        self._render(self.state, *met, force, due)
         for law in self.standby:
             law.catch_up()
         x, y, z = (value if math.isfinite(value) else 0.0 for value in force)

@@ -41,4 +41,10 @@ class CouplingState(Structure):
         ("turned", c_double * 9),
         ("upright", c_double * 3),
         ("turned_before", c_double * 12),
+        # the latest jump that no motion made (Proxy.rebased), and whether a change of conventions makes the next tick one
+        *named(c_int64, "rebased", "jumps"),
+        # the easing after it, 0 ticks for none: its length, the usual one, how much of it is done; the force of the last tick,
+        # that at the jump, and how much that was more than was asked [N]
+        *named(c_int64, "ease_ramp", "ease_usual", "ease_done"),
+        *named(c_double * 3, "felt", "ease_from", "ease_offset"),
     ]

@@ -25,7 +25,7 @@ for _function in (
     *(motor_heat.close_tick, motor_heat.note_heat, motor_heat._fits, motor_heat.lower_heat),
     *(safety.enter, safety.admit, safety.command, safety._regrowth, safety._become_active, safety.missed, safety.let_go),
     *(safety.watch_position, safety.watch_swings, safety.hand_over),
-    *(response_times.note_response, tick.lost, tick.take_sample, tick.decide, tick.close),
+    *(response_times.note_response, tick.lost, tick.patience, tick.take_sample, tick.decide, tick.close),
 ):
     kernel(_function)
 _look = record_at(record_of(DriverState))

@@ -33,7 +33,7 @@ class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
         unstable, and the driver stops for good: damping, then no force until ``haptic node rearm`` asks for it, or the driver
         is started again. At most 64; None for never.
     hang: After so long within one tick the device is taken to hang, and the driver ends [s]; None for a debugger.
-    without: What the device need not declare: ``peak_force``, ``workspace``, ``hold``.
+    without: Which of ``peak_force``, ``slew``, ``workspace`` and ``hold`` need not be declared; a virtual device then has none.
     """
 
     watchdog: Annotated[int, msgspec.Meta(ge=1)] = 10
@@ -49,7 +49,7 @@ class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     workspace: Workspace | None = None
     stop_after: Annotated[int, msgspec.Meta(ge=2, le=PEAKS)] | None = 6
     hang: Positive | None = 1.0
-    without: list[Literal["peak_force", "workspace", "hold"]] = []
+    without: list[Literal["peak_force", "slew", "workspace", "hold"]] = []
 
 
 class Limits(msgspec.Struct, frozen=True, kw_only=True):

@@ -63,6 +63,8 @@ _COUNTERS = (
     *("attention", "phase", "next_tick", "virtual", "axes", "fd", "poll"),
     # the position was read by somebody else; what somebody else made of a message, plus 1; a call of the device failed
     *("place_given", "given", "failed", "got_seq", "late_answer", "heard", "patient", "has_following", "written"),
+    # ticks in a row without their answer
+    "unanswered",
     *("age", "oldest_age", "missed", "overruns", "taken", "states_sent", "asked"),
     # safety
     *("safety", "force_seq", "since", "limited_at", "max_age", "watchdog", "damping_ticks", "start_ticks", "recovery_ticks"),

@@ -15,10 +15,12 @@ from nodes.driver.notes import HELD_UP
 from nodes.driver.passivity import count_step
 from nodes.driver.response_times import note_response
 from nodes.driver.safety import admit, command, let_go, missed, watch_position, watch_swings
-from nodes.driver.state import BETWEEN, FAULT, WAITING, note
+from nodes.driver.state import ACTIVE, BETWEEN, DAMPING, FAULT, RAMP, WAITING, note
 
 GOT, NONE, REFUSED, UNREAD = range(4)  # of waiting for a message: one; none in time; refused; the port cannot judge it
 GO_ON, SILENT, BROKEN = range(3)  # why `ticks` ended: nothing unusual; no answer for a while; the device did not do as asked
+
+BEHIND = 3  # after so many ticks without their answer in a row a tick waits for one period more, after twice as many for two
 
 
 class Port(NamedTuple):
@@ -52,6 +54,22 @@ def lost(s: Any, seq: int, late: float) -> None:
         s.has_following = 0  # what was still to be handed over is too old by now
         for i in range(3):
             s.force[i] = s.handed[i]
+
+
+def patience(s: Any, deadline: float, following: float) -> float:
+    """Return until when a tick waits for its answer [s]: the next tick, or later where several in a row were not answered.
+
+    Whoever answers is behind then, and a state more would only wait there and make the next answer late as well. So a loop
+    that is too fast for its machine goes on as fast as it is answered, and loses the ticks that are too much. It waits no
+    longer than a force may be old, and never past the watchdog.
+    """
+    more = min(s.unanswered // BEHIND, s.max_age)
+    if more == 0 or s.safety == DAMPING or s.safety == FAULT:
+        return following
+    last = following + more * s.period
+    if s.safety == ACTIVE or s.safety == RAMP:
+        last = min(last, deadline + (s.since + s.watchdog - s.seq) * s.period)
+    return following if following > last else last
 
 
 def take_sample(s: Any, seq: int, stamp: float) -> None:
@@ -156,25 +174,26 @@ def make_ticks(
             s.split, s.changed_at = 0.0, 1.0
             for i in range(3):
                 s.mean[i] = s.handed[i] if s.next_tick != 0 else 0.0
+        last = patience(s, deadline, following)
         while s.answered == 0:
             got = GOT
             if s.late_answer != 0:
                 s.late_answer, s.arrival = 0, s.late_answer_at
             else:
-                got = s.given - 1 if s.given != 0 else receive(s, following)
+                got = s.given - 1 if s.given != 0 else receive(s, last)
                 s.given = 0
                 if got == NONE:
                     break
                 s.heard = 1
                 if got == UNREAD:
                     return UNREAD
-                if got == GOT and s.arrival >= following:
+                if got == GOT and s.arrival >= last:
                     # A flooded topic must not delay the next tick.
                     s.late_answer, s.late_answer_at = 1, s.arrival
                     break
             if got == REFUSED or not admit(s, seq):
                 s.skipped += 1
-                if s.arrival >= following:
+                if s.arrival >= last:
                     break
                 continue
             s.answered = 1 if s.got_seq == seq else 0
@@ -190,13 +209,14 @@ def make_ticks(
                 split(s, offset)
                 s.changed_at = min(s.changed_at, offset)
                 hand_over(s, s.force, seq, offset)
-                s.delay = offset + s.age
+                s.delay = max(offset, (s.arrival - deadline) / s.period) + s.age
             if s.answered != 0:
                 s.response = s.arrival - s.sampled
                 note_response(s, s.response)
         s.oldest_age = max(s.oldest_age, s.age)
         if s.next_tick == 0:
             split(s, 1.0)
+        s.unanswered = 0 if s.answered != 0 else s.unanswered + 1
         if s.answered == 0:
             s.missed += 1 if s.safety != FAULT else 0  # in a fault there is no position that could have been answered
             s.response = 0.0

@@ -15,8 +15,13 @@ class EnvironmentTicks(CompiledTicks):
 
     def __init__(self, node: Any, kernel: Kernel, shapes: bool) -> None:
         super().__init__(node, kernel, topics.DEVICE_STATE, topics.PROXY)
+        self._environment = node
         self._unmet = {UNKNOWN} if shapes else {UNKNOWN, SHAPES}
 
     def load_state(self) -> bool:
         """Tell whether the surface is one that the kernel meets."""
         return self.state.kind not in self._unmet
+
+    def store_state(self) -> None:
+        """Report what the ticks have found out."""
+        self._environment.note_inside()

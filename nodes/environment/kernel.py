@@ -17,7 +17,7 @@ from nodes.compiled.layout import TEXTS
 from nodes.compiled.message_fields import fields_of, slots
 from nodes.environment.meet import meet_flat, meet_plane
 from nodes.environment.spent import note_spent
-from nodes.environment.state import EnvironmentState
+from nodes.environment.state import JUMPED, EnvironmentState
 
 for _function in (plane_distance, meet_plane, meet_flat, note_spent):
     kernel(_function)
@@ -26,11 +26,11 @@ _scan = make_scan(DeviceState)
 # In a fault the position is no new one. A message without the word is of an active driver.
 _tells_fault = make_match("fault")
 _encode = make_encode(Proxy)
-_TEXTS = TEXTS
+_TEXTS, _JUMPED = TEXTS, JUMPED
 _IN, _OUT = fields_of(DeviceState), fields_of(Proxy)
-_SEQ, _STAMP, _POSITION, _DELAY = slots(_IN, "seq", "stamp", "position", "delay")
-_TO_SEQ, _TO_CONTACT, _TO_STAMP, _TO_POSITION, _TO_PROXY, _TO_NORMAL, _TO_DISTANCE, _TO_DELAY = slots(
-    _OUT, "seq", "contact", "stamp", "position", "proxy", "normal", "distance", "delay"
+_SEQ, _REBASED, _STAMP, _POSITION, _DELAY = slots(_IN, "seq", "rebased", "stamp", "position", "delay")
+_TO_SEQ, _TO_CONTACT, _TO_REBASED, _TO_EASE, _TO_STAMP, _TO_POSITION, _TO_PROXY, _TO_NORMAL, _TO_DISTANCE, _TO_DELAY = slots(
+    _OUT, "seq", "contact", "rebased", "ease", "stamp", "position", "proxy", "normal", "distance", "delay"
 )
 
 
@@ -52,6 +52,8 @@ def make_ticks(meet: Callable[[int, Any, Any, float, float, float, Any], bool]) 
             seq = s.wholes[_SEQ]
             if not in_order(s, seq) or (s.wholes[_TEXTS + 1] >= 0 and _tells_fault(s.wholes)):
                 break
+            if s.answered < 0 or s.wholes[_REBASED] != s.driver_rebased:
+                break  # a beginning or a jump of the device: the plain tick meets it anew
             if overtaken(s, taken[_STAMP]):
                 continue
             s.frames = 0
@@ -61,6 +63,10 @@ def make_ticks(meet: Callable[[int, Any, Any, float, float, float, Any], bool]) 
             x, y, z = taken[_POSITION], taken[_POSITION + 1], taken[_POSITION + 2]
             s.out_wholes[_TO_SEQ] = seq
             s.out_wholes[_TO_CONTACT] = 1 if meet(s.kind, table, memory, x, y, z, s.met) else 0
+            if s.met[_JUMPED] != 0.0:
+                s.rebased, s.ease = seq, 0
+            s.out_wholes[_TO_REBASED] = max(s.rebased, s.driver_rebased)
+            s.out_wholes[_TO_EASE] = s.ease if s.rebased >= s.driver_rebased else 0
             for i in range(3):
                 out[_TO_POSITION + i] = taken[_POSITION + i]
                 out[_TO_PROXY + i] = s.met[i]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from messages.types import Vector
 from nodes.arithmetic import plane_distance
 from nodes.environment.shapes import proxy
-from nodes.environment.shapes.tables import DISTANCE, IN_CONTACT, NORMAL, PROXY
+from nodes.environment.shapes.tables import DISTANCE, IN_CONTACT, LOST, NORMAL, PLACED, PROXY
 from nodes.environment.state import ANCHOR, MET, PLANE, SHAPES
 
 
@@ -35,7 +35,7 @@ def meet_plane(position: float, surface: float, side: float) -> tuple[float, flo
 def meet_flat(kind: int, table: Sequence[float], x: float, y: float, z: float, met: MutableSequence[float]) -> bool:
     """Let a proxy follow the device to a position [m] on a surface without shapes."""
     met[0], met[1], met[2] = x, y, z
-    met[3] = met[4] = met[5] = met[6] = 0.0
+    met[3] = met[4] = met[5] = met[6] = met[7] = 0.0
     if kind == PLANE:
         i = int(table[0])
         met[3 + i] = table[2]
@@ -53,6 +53,7 @@ def meet(
     """Let a proxy follow the device to a position [m]: the answer is written into `met`; whether there is contact."""
     if kind != SHAPES:
         return meet_flat(kind, table, x, y, z, met)
+    was_lost = memory[PLACED] == LOST
     proxy.meet(table, memory, x, y, z)
     contact = memory[IN_CONTACT] == 1.0
     met[0], met[1], met[2] = x, y, z
@@ -60,13 +61,19 @@ def meet(
         met[0], met[1], met[2] = memory[PROXY], memory[PROXY + 1], memory[PROXY + 2]
     met[3], met[4], met[5] = memory[NORMAL], memory[NORMAL + 1], memory[NORMAL + 2]
     met[6] = memory[DISTANCE]
+    met[7] = 1.0 if was_lost != (memory[PLACED] == LOST) else 0.0
     return contact
 
 
-def meeting_of(numbers: Numbers) -> Callable[[Vector], tuple[Vector, Vector, float, bool]]:
-    """Build the question of the plain tick: from a device position [m] to proxy, normal, distance and contact."""
+def meeting_of(
+    numbers: Numbers, met: MutableSequence[float] | None = None
+) -> Callable[[Vector], tuple[Vector, Vector, float, bool]]:
+    """Build the question of the plain tick: from a device position [m] to proxy, normal, distance and contact.
+
+    The answer is written into `met`, too, where that is given.
+    """
     kind, table, memory = numbers.kind, numbers.table, numbers.memory
-    met = [0.0] * MET
+    met = [0.0] * MET if met is None else met
 
     def ask(position: Vector) -> tuple[Vector, Vector, float, bool]:
         x, y, z = position

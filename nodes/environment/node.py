@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import msgspec
 
@@ -19,11 +19,10 @@ from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Axis, Setup
 from nodes.compiled.layout import state_of
-from nodes.environment.meet import Numbers, meeting_of
-from nodes.environment.shapes.scene import differ_in_friction_alone
+from nodes.environment.place import Place
 from nodes.environment.spent import note_spent, spent_us
-from nodes.environment.state import SHAPES, UNKNOWN, EnvironmentState
-from nodes.environment.surfaces import SURFACES, Meeting, Surface, meet_axes, numbers_of, parse_surface
+from nodes.environment.state import UNKNOWN, EnvironmentState
+from nodes.environment.surfaces import SURFACES, Meeting, Surface, meet_axes, parse_surface
 
 if TYPE_CHECKING:
     from nodes.compiled.answering import CompiledTicks
@@ -34,9 +33,12 @@ class EnvironmentParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=T
     """Parameters of the environment.
 
     surface: ``kind`` and parameters of the surface: see nodes/environment/surfaces.py.
+    ease: Time in which the force goes from what was felt to what is asked when the surface is changed [s]; None for the
+        coupling's own ``ease``.
     """
 
     surface: dict[str, Any] = msgspec.field(default_factory=lambda: {"kind": "free"})
+    ease: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] | None = None
 
 
 class Environment(Node):
@@ -71,30 +73,30 @@ class Environment(Node):
 
     def configure(self) -> None:
         """Build the surface."""
-        self._touch(*self._built(self.store.current))
+        self._inside = 0
+        self._place, meet = self._built(self.store.current)
+        self._touch(meet)
 
     def make_counters(self) -> Any:
         """Make its state."""
         return state_of(EnvironmentState, self.setup.tick == "compiled", seq=-1, answered=-1, kind=UNKNOWN)
 
-    def _touch(self, numbers: Numbers | None, meet: Callable[[Vector], Meeting]) -> None:
-        """Take a surface; interpreted and compiled ticks go on with one memory of its proxy."""
-        self._meet, s = meet, self.counters
-        s.kind = UNKNOWN if numbers is None else numbers.kind
+    def _touch(self, meet: Callable[[Vector], Meeting]) -> None:
+        """Meet the surface of `_place`; interpreted and compiled ticks go on with one memory of its proxy."""
+        self._meet, s, numbers = meet, self.counters, self._place.numbers
+        s.kind = self._place.kind
         if numbers is not None:
             if numbers.repairs:
                 self.events.emit_each("mesh", f"repaired: {'; '.join(numbers.repairs)}")
-            self._numbers = numbers
             s.table, s.table_count = numbers.table.buffer_info()
             s.memory, s.memory_count = numbers.memory.buffer_info()
 
-    def _built(self, parameters: EnvironmentParameters) -> tuple[Numbers | None, Callable[[Vector], Meeting]]:
+    def _built(self, parameters: EnvironmentParameters) -> tuple[Place, Callable[[Vector], Meeting]]:
         where = f"{self.setup.name}.surface"
         surface = parse_surface(parameters.surface, where)
         meet_axes(surface, self.setup.axes, where)
-        numbers = numbers_of(surface, self.setup.period)
-        meet = surface.meeting_every(self.setup.period) if numbers is None else meeting_of(numbers)
-        return numbers, meet if surface.pushes() is not None else self._watched(meet)
+        place = Place(surface, self.setup.period, self.counters.met)
+        return place, place.meet if surface.pushes() is not None else self._watched(place.meet)
 
     def _watched(self, meet: Callable[[Vector], Meeting]) -> Callable[[Vector], Meeting]:
         """Tell of a surface that pushes along an axis which the scene does not compute."""
@@ -110,17 +112,21 @@ class Environment(Node):
         return watched
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
-        """Prepare another surface; where only its friction is another, the proxy stays where it is, so that no force jumps."""
-        numbers, meet = self._built(parameters)
-        stays = False
-        if numbers is not None and numbers.kind == self.counters.kind == SHAPES:
-            stays = differ_in_friction_alone(numbers.table, self._numbers.table)
+        """Prepare another surface: its proxy begins where it is now, and the coupling is told of the jump, to ease over it.
+
+        Where only its friction is another, nothing jumps.
+        """
+        if parameters.surface == self.store.current.surface:
+            return lambda seq: {"seq": seq, "surface": parameters.surface}
+        place, meet = self._built(parameters)
 
         def apply(seq: int) -> dict[str, Any]:
-            if numbers is not None and stays:
-                numbers.memory[:] = self._numbers.memory
-            self._touch(numbers, meet)
-            return {"seq": seq, "surface": parameters.surface}
+            jump, s = self._place.take(place), self.counters
+            self._touch(meet)
+            if jump:
+                s.rebased = seq
+                s.ease = 0 if parameters.ease is None else max(round(parameters.ease / self.setup.period), 1)
+            return {"seq": seq, "surface": parameters.surface, "rebased": s.rebased}
 
         return apply
 
@@ -136,12 +142,42 @@ class Environment(Node):
             # The position is an old one; who follows bridges the gap. In lockstep somebody waits for an answer.
             return None
         begin = 0.0 if simulated else time.monotonic()
+        s = self.counters
+        if not 0 <= s.answered < state.seq or state.rebased != s.driver_rebased:
+            self._meet_anew(state)
         proxy, normal, distance, contact = self._meet(state.position)
+        if self._place.jumped:
+            s.rebased, s.ease = state.seq, 0
+        self.note_inside()
         if not simulated:
-            note_spent(self.counters.spent, time.monotonic() - begin)
+            note_spent(s.spent, time.monotonic() - begin)
         stamp = state.stamp if simulated else self.clock.now()
         met: dict[str, Any] = {"proxy": proxy, "normal": normal, "distance": distance, "contact": contact}
-        return encode(Proxy(seq=state.seq, stamp=stamp, position=state.position, delay=state.delay, **met))
+        rebased = max(s.rebased, state.rebased)
+        ease = s.ease if s.rebased >= state.rebased else 0
+        return encode(
+            Proxy(seq=state.seq, stamp=stamp, position=state.position, delay=state.delay, **met, rebased=rebased, ease=ease)
+        )
+
+    def _meet_anew(self, state: DeviceState) -> None:
+        """Begin at the first tick of a driver, or after a jump of its position: the proxy begins at the device."""
+        s = self.counters
+        if s.answered >= 0:
+            self._place.begin()
+        if not 0 <= s.answered < state.seq:
+            s.rebased, s.ease = state.seq, 0
+        s.driver_rebased = state.rebased
+
+    def note_inside(self) -> None:
+        """Publish how many shapes are not felt because the tool began inside of them, when that changes."""
+        inside = self._place.inside
+        if inside > self._inside:
+            solids = "a solid that is" if inside == 1 else f"{inside} solids that are"
+            self.events.emit_each("inside", f"the tool begins inside of {solids} not felt until it is outside")
+        elif inside < self._inside:
+            left = "all solids are felt now" if inside == 0 else f"{inside} solids are still not felt"
+            self.events.emit_each("inside", f"the tool has come outside: {left}")
+        self._inside = inside
 
     def report(self) -> dict[str, Any]:
         """Tell how long its ticks took."""

@@ -10,7 +10,8 @@ from nodes.environment.spent import BINS
 
 FREE, PLANE, ANCHOR, SHAPES = range(4)  # kinds of surface that are numbers
 UNKNOWN: Final = -1  # a surface that only its own code knows
-MET: Final = 7  # numbers of an answer: proxy (3) [m], outward normal (3), signed distance [m]
+MET: Final = 8  # numbers of an answer: proxy (3) [m], outward normal (3), signed distance [m], 1 where the proxy jumped
+JUMPED: Final = 7
 
 
 class EnvironmentState(Structure):
@@ -21,6 +22,9 @@ class EnvironmentState(Structure):
         # the kind of the surface, its numbers, what its proxy remembers, and the answer of the last tick
         *named(c_int64, "kind", "table", "table_count", "memory", "memory_count"),
         ("met", c_double * MET),
+        # the tick of the environment's own latest jump and the length of its easing, 0 for the coupling's own [ticks]; the
+        # latest jump that the driver told
+        *named(c_int64, "rebased", "ease", "driver_rebased"),
         # ticks by the time that they took (nodes/environment/spent.py)
         ("spent", c_int64 * BINS),
     ]

@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from messages.topics import DEVICE_STATE
+from messages.topics import DEVICE_STATE, LOOP
 from messages.transport.endpoints import Context
 from messages.transport.requests import ControlError, call
 from nodes.base.hang_watchdog import held_in
@@ -34,6 +34,7 @@ class Child:
     def __init__(self, setup: Setup, respawns: int, delay: float, required: bool) -> None:
         self.setup = setup
         self.drives = DEVICE_STATE in load(setup.factory).publishes  # whether it is the driver
+        self.hops = any(topic in LOOP for topic in load(setup.factory).publishes)  # whether it is one of the loop
         self.listens = bool(setup.manifest)  # whether it only listens (a logger)
         self.respawns = respawns
         self.delay = delay

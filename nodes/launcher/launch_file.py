@@ -22,6 +22,7 @@ from nodes.base.node_kinds import load, node_kinds
 from nodes.base.setup import Axis
 from nodes.launcher.launch_spec import Argument, Include, Including, Launch, LaunchText, NodeSpec, RunSpec
 from nodes.launcher.origins import Origins
+from nodes.launcher.plants import with_plants
 from nodes.parameters.refusals import choices
 from nodes.parameters.registry import Registry
 from nodes.parameters.store import ParameterError, convert, merge, of_node
@@ -177,11 +178,14 @@ def read(name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = (), in
     dump`` and ``haptic study design`` write them; later ones go before. `including`: the files that include this one.
     """
     path = find(name)
+    outermost = including is None
     including = (including or Including()).another(path, name)
     data = read_yaml(path)
     origins = Origins(path, given, data.get("nodes") or {} if isinstance(data, dict) else {})
     try:
-        return _read(path, data, given, laid_over, origins, including)
+        launch = _read(path, data, given, laid_over, origins, including)
+        # Whoever includes a file may still change its device.
+        return with_plants(launch) if outermost else launch
     except ParameterError as error:
         raise ParameterError(origins.located(str(error))) from error
 

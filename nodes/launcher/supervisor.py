@@ -23,7 +23,9 @@ from messages.transport.context import new_context
 from messages.transport.requests import ControlError, call
 from nodes.base import realtime
 from nodes.base.hang_watchdog import LOOK, HangWatchdog
+from nodes.base.node_kinds import load
 from nodes.launcher import reaper, runs
+from nodes.launcher.chain_load import LATE, Load, Meter, keep_costs, kind_of_chain, load_of, warning
 from nodes.launcher.child import PYTHON, Child
 from nodes.launcher.external_child import ByHand
 from nodes.launcher.launch_spec import Launch
@@ -56,6 +58,8 @@ class Supervisor:
         self.failed = False
         self.failures: list[str] = []
         self.startup_s = 0.0
+        self.load: Load | None = None  # how busy the chains kept their processors
+        self.unjudged: dict[str, str] = {}  # nodes whose force nobody judges for stability, and why
         self._stop_asked = ""
         self._hurry = False
 
@@ -94,6 +98,10 @@ class Supervisor:
             self.tick = self._launch.run.tick
             manifest = manifest_of(self._launch, self.run, offset)
             setups = wire(self._launch, self.run, run_dir, manifest)
+            self._warn_of_overload()
+            self.unjudged = {name: why for name, setup in setups.items() if (why := load(setup.factory).unjudged(setup))}
+            for why in self.unjudged.values():
+                self._say(f"stability not judged: {why}")
             info = runs.RunInfo(
                 run=self.run,
                 scenario=self._launch.scenario,
@@ -117,15 +125,43 @@ class Supervisor:
             # From here on: nodes that start again are imported elsewhere, too, and then go where they belong.
             held.enter_context(realtime.off(info.processors))
             self._start_driver()
+            self._meter = Meter({name: child.process.pid for name, child in self._hops().items() if child.process})
             self._watch(progress)
         finally:
             self._end_all()
+            self._note_load()
             for child in self.children.values():
                 child.release()
             self.context.term()
             shutil.rmtree(run_dir, ignore_errors=True)
             if hasattr(self, "_reaper"):
                 self._dismiss_reaper()
+
+    def _hops(self) -> dict[str, Child]:
+        """Return the nodes of the chains that have a process here."""
+        return {name: child for name, child in self.children.items() if child.hops and child.process is not None}
+
+    def _warn_of_overload(self) -> None:
+        available = len(os.sched_getaffinity(0))
+        processors = 1 if isinstance(self._launch.run.cpu, int) else available
+        if text := warning(self._launch, chains_of(self._launch), self.tick, processors):
+            self._say(text)
+
+    def _note_load(self) -> None:
+        """Find out how busy the processors were, and keep what a tick cost for the next launch."""
+        if not hasattr(self, "_meter"):
+            return
+        had = self._meter.had(self.reports)
+        reports = {name.rpartition("/")[0]: self.reports.get(name, {}) for name, child in self.children.items() if child.drives}
+        cores = {cpu for child in self._hops().values() for cpu in child.setup.scheduling.cpus}
+        processors = len(cores) or len(os.sched_getaffinity(0))
+        self.load = load_of(self._launch, sum(had.values()), self._meter.waiting(), reports, processors)
+        if self.load is not None and self.load.lost < LATE:
+            costs = {}
+            for chain, report in reports.items():
+                spent = sum(time for name, time in had.items() if name.rpartition("/")[0] == chain)
+                costs[kind_of_chain(self._launch, chain, self.tick)] = spent / max(1, report.get("ticks", 0))
+            keep_costs(costs)
 
     def _start_child(self, child: Child) -> None:
         child.start(self.run_dir)
@@ -219,9 +255,11 @@ class Supervisor:
             self._keep_reaper()
             for name, child in self.children.items():
                 self._look_after(name, child)
-            if progress is not None and time.monotonic() >= next_progress:
+            if time.monotonic() >= next_progress:
                 next_progress = time.monotonic() + 0.2
-                progress(self)
+                self._meter.look()
+                if progress is not None:
+                    progress(self)
             time.sleep(0.01)
         self.exit_reason = self.exit_reason or self._stop_asked
 

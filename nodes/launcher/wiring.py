@@ -1,7 +1,7 @@
 """From a launch to one setup per node: endpoints, who listens to whom, cores and priorities."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
 import msgspec
@@ -14,8 +14,10 @@ from nodes.base.node import Node
 from nodes.base.node_kinds import load, node_kinds
 from nodes.base.setup import Scheduling, Setup
 from nodes.compiled.choose_tick import SCARCE, choose
+from nodes.launcher.chain_load import estimated, spread
 from nodes.launcher.external_child import LEASE, PATIENCE
 from nodes.launcher.launch_spec import Launch, NodeSpec, unusual
+from nodes.launcher.plants import has_plant, known_plant
 from nodes.parameters.refusals import choices
 from nodes.parameters.store import ParameterError, convert
 
@@ -36,7 +38,10 @@ def is_hop(kind: type[Node]) -> bool:
 
 
 def _cores(launch: Launch) -> dict[str, int | None]:
-    """Choose each chain's processor, once for all nodes; chains share one where that leaves none for the rest."""
+    """Choose each chain's processor, once for all nodes; chains share one where that leaves none for the rest.
+
+    Chains that one processor does not carry, by what their ticks cost here before, are spread over all.
+    """
     factories = node_kinds()
     # Not the namespaces of listeners alone, which would take the last processors that are left for them.
     loops = (name.rpartition("/")[0] for name, spec in launch.nodes.items() if is_hop(load(factories[spec.kind])))
@@ -48,11 +53,23 @@ def _cores(launch: Launch) -> dict[str, int | None]:
     if cpu == "auto":
         first = realtime.quietest_processor()
         others = [other for other in available if other != first]
-        cores = [first, *others] if len(others) >= len(chains) else [first] * len(chains)
-        return dict(zip(chains, cores, strict=False))
+        if len(others) >= len(chains) or launch.run.pace == "lockstep":
+            cores = [first, *others] if len(others) >= len(chains) else [first] * len(chains)
+            return dict(zip(chains, cores, strict=False))
+        return dict(spread(chains, [first, *others], estimated(launch, chains, launch.run.tick)))
     if cpu in available:
         return dict.fromkeys(chains, cpu)
     raise ParameterError(f"{launch.scenario}.run.cpu: {cpu}, available: {', '.join(map(str, available))}")
+
+
+def _rank(namespace: str, cores: Mapping[str, int | None]) -> int:
+    """Return how many chains on the same processor go before this one.
+
+    Were they equal, the drivers of all chains would go before every environment and coupling: on a processor with too many
+    chains nobody would be answered at all. So each chain goes before the next as a whole, and only the last ones lose ticks.
+    """
+    together = [chain for chain, core in cores.items() if core == cores.get(namespace)]
+    return together.index(namespace) if namespace in together else 0
 
 
 def _scheduling(launch: Launch, kind: type[Node], namespace: str, cores: dict[str, int | None]) -> Scheduling:
@@ -65,6 +82,7 @@ def _scheduling(launch: Launch, kind: type[Node], namespace: str, cores: dict[st
     # In saturated lockstep the kernel throttles FIFO tasks, which shows as gaps of 50 ms; without pinning they gain nothing.
     automatic = FIFO if launch.run.pace == "realtime" and run.cpu != "any" else 0
     fifo = automatic if run.fifo == "auto" else run.fifo
+    fifo = max(1, fifo - len(topics.LOOP) * _rank(namespace, cores)) if fifo else 0
     # Who has sent must not hold up who has received: coupling above environment, and the driver, which waits for both, on top.
     urgency = fifo + (hops[0] or len(topics.LOOP)) if fifo else 0
     return Scheduling(fifo=urgency) if core is None else Scheduling(cpus=[core], aside=others, fifo=urgency)
@@ -271,6 +289,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             listeners=sum(subscribed[other] for other in launch.nodes if other != name and takes(other, name)),
             scheduling=_scheduling(launch, kind, name.rpartition("/")[0], cores),
             parameters=spec.parameters,
+            plant=known_plant(launch, name.rpartition("/")[0]) if has_plant(kind) else {},
             watch=os.path.abspath(spec.watch) if spec.watch else "",
             manifest=chain_manifest(launch, manifest, name.rpartition("/")[0]) if everything else {},
         )

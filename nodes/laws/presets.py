@@ -29,7 +29,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         # search ends within 1 % of that (sim/README.md).
         "designed_d1": {"kind": "fir", "taps": [9329.46, -7062.28, -3142.96, 3271.69], "period": 0.002},
         # haptic study design --for any_hand --delay 0, 1, 1.5, 2 --taps 1, 5, 4, 6: stable for any hand, of any mass, and any
-        # passive world that answers within the tick, on a device with b = 1 N s/m at 500 Hz (THEORY.md §19). H(1) is 999.9,
+        # passive world that answers within the tick, on a device with b = 1 N s/m at 500 Hz (THEORY.md §20). H(1) is 999.9,
         # 469.4, 383.8 and 310.5 N/m; PD has 1000, 384.9, 305.5 and 241.7 there, and no causal linear law more than 1000, 500,
         # 400 and 333.3.
         "any_hand_d0": {"kind": "fir", "taps": [999.9], "period": 0.002},

@@ -7,7 +7,7 @@ command line and the control requests all go through it, so an error always carr
 import math
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 
@@ -45,7 +45,7 @@ def convert(data: Any, target: Any, where: str) -> Any:
     ParameterError
         With the path, the value where it helps, and the limit.
     """
-    _refuse_non_finite(data, where)
+    _refuse_unbounded(data, where)
     try:
         return msgspec.convert(data, target)
     except (msgspec.ValidationError, OverflowError) as error:
@@ -53,15 +53,21 @@ def convert(data: Any, target: Any, where: str) -> Any:
         raise ParameterError(f"{where}{path}: {text}") from error
 
 
-def _refuse_non_finite(data: Any, where: str) -> None:
+MAX_ENTRIES: Final = 100_000  # longest list, and most names of a mapping, in any parameter
+
+
+def _refuse_unbounded(data: Any, where: str) -> None:
+    """Refuse numbers that are not finite, and lists and mappings too long for any parameter."""
     if isinstance(data, float) and not math.isfinite(data):
         raise ParameterError(f"{where}: {data} is not a finite number")
+    if isinstance(data, Mapping | list | tuple) and len(data) > MAX_ENTRIES:
+        raise ParameterError(f"{where}: {len(data)} entries, limit {MAX_ENTRIES}")
     if isinstance(data, Mapping):
         for key, value in data.items():
-            _refuse_non_finite(value, f"{where}.{key}")
+            _refuse_unbounded(value, f"{where}.{key}")
     elif isinstance(data, list | tuple):
         for i, value in enumerate(data):
-            _refuse_non_finite(value, f"{where}[{i}]")
+            _refuse_unbounded(value, f"{where}[{i}]")
 
 
 def merge(base: Any, over: Any) -> Any:

@@ -7,6 +7,8 @@ judged when it is parsed, shown, switched or designed.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -15,6 +17,7 @@ from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
 from nodes.stability.effective_damping import damping_needed, least
+from nodes.stability.pair import as_one, held_pair, reduced_mass
 from nodes.stability.plant import Plant, held_plant, held_step
 from nodes.stability.roots import largest_root
 
@@ -40,6 +43,9 @@ class Rendered:
 
 def closed_loop(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
     """Characteristic polynomial of taps, delay and device, highest power first; not for sections, whose poles it would lose."""
+    plant = as_one(plant)
+    if plant.partner is not None:
+        raise ValueError("plant: a pair has no well-conditioned polynomial; use pole_radius")
     if law.sections:
         raise ValueError("law: recursive sections have no well-conditioned polynomial; use pole_radius")
     held = held_plant(plant)
@@ -53,36 +59,44 @@ def closed_loop(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
 
 
 def pole_radius(law: CompiledLaw, plant: Plant) -> float:
-    """Largest pole of the closed loop, by which it decays per tick: stable iff below 1."""
-    if not law.sections:
-        return largest_root(closed_loop(law, plant))
-    return float(np.abs(np.linalg.eigvals(state_matrix(law, plant))).max())
+    """Return the largest pole of the closed loop; stable iff below 1, inf where no double holds it."""
+    try:
+        plant = as_one(plant)
+        if not law.sections and plant.partner is None:
+            return largest_root(closed_loop(law, plant))
+        return float(np.abs(np.linalg.eigvals(state_matrix(law, plant))).max())
+    except (ArithmeticError, np.linalg.LinAlgError):
+        return math.inf  # of a mass of 1e-300 kg, say, nothing can be computed: such a loop is taken for unstable
 
 
 def state_matrix(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
     """One tick of the closed loop as a matrix: device, deflection history, sections and forces on their way.
 
     Of the state [x, v·T, x₋₁ … x₋ₙ, (y₋₁, y₋₂) per section, u₋₁ … u₋ᵢ₋₁]; forces are scaled by T²/m to lengths: balanced.
+    A pair has the states of both bodies (`nodes.stability.pair.held_pair`) in place of x and v·T.
     """
+    plant = as_one(plant)
+    if plant.partner is not None:
+        return tick_matrix(law, plant.period**2 / reduced_mass(plant), *held_pair(plant))
     whole, (a11, a12, a21, a22), new, old = held_step(plant)
     period = plant.period
     device = np.array([[a11, a12 / period], [a21 * period, a22]])
-    pushes = (np.array([of[0], of[1] * period]) for of in (new, old))
-    return tick_matrix(law, period * period / plant.mass, whole, device, *pushes)
+    pushes = [(lag, np.array([of[0], of[1] * period])) for lag, of in ((whole, new), (whole + 1, old))]
+    return tick_matrix(law, period * period / plant.mass, device, pushes)
 
 
 def tick_matrix(
-    law: CompiledLaw, unit: float, whole: int, device: NDArray[np.float64], new: NDArray[np.float64], old: NDArray[np.float64]
+    law: CompiledLaw, unit: float, device: NDArray[np.float64], pushes: Sequence[tuple[int, NDArray[np.float64]]]
 ) -> NDArray[np.float64]:
     """One tick of the closed loop of a law and any linear device whose first state is the position.
 
-    `unit`: T²/m, which scales forces to lengths [m/N]. `device`, shape (s, s): its own matrix. `new`, `old`, shape (s,): what
-    the force of i = `whole` ticks ago adds, and the one before. Of [its state, x₋₁ … x₋ₙ, (y₋₁, y₋₂) per section, u₋₁ … u₋ᵢ₋₁].
+    `unit`: T²/m, which scales forces to lengths [m/N]. `device`, shape (s, s): its own matrix. `pushes`: ticks ago, and what
+    the force of that tick adds, shape (s,). Of [its state, x₋₁ … x₋ₙ, (y₋₁, y₋₂) per section, u₋₁ … of the longest lag].
     """
-    states = len(new)
+    states = len(device)
     history = max(len(law.taps) - 1, 1 if law.sections else 0)
     first_section, first_force = states + history, states + history + 2 * len(law.sections)
-    size = first_force + whole + 1
+    size = first_force + max(lag for lag, _ in pushes)
     force = np.zeros(size)
     force[0] = -law.taps[0] * unit
     force[states : states - 1 + len(law.taps)] = -np.array(law.taps[1:]) * unit
@@ -93,15 +107,16 @@ def tick_matrix(
         step[row + 1, row] = 1.0
         force -= step[row]
     step[:states, :states] = device
-    if whole == 0:
-        step[:states] += np.outer(new / unit, force)
-    else:
-        step[:states, first_force + whole - 1] += new / unit
-    step[:states, first_force + whole] += old / unit
+    for lag, push in pushes:
+        if lag == 0:
+            step[:states] += np.outer(push / unit, force)
+        else:
+            step[:states, first_force + lag - 1] += push / unit
     if history:
         step[states, 0] = 1.0
         step[np.arange(states + 1, states + history), np.arange(states, states + history - 1)] = 1.0
-    step[first_force] += force
+    if size > first_force:
+        step[first_force] += force
     step[np.arange(first_force + 1, size), np.arange(first_force, size - 1)] = 1.0
     return step
 
@@ -126,7 +141,7 @@ def rendered(law: CompiledLaw, loop: Plant | float, nominal: float | None = None
         f_nyquist_n_s_per_m=0.5 * period * (law.h_nyquist - spring),
         f_mean_n_s_per_m=offset,
         damping_needed_n_s_per_m=needed,
-        passive_scale=None if plant is None or needed <= 0.0 else plant.damping / needed,
+        passive_scale=None if plant is None or needed <= 0.0 else plant.damping_of_any_hand / needed,
         pole_radius=None if plant is None else pole_radius(law, plant),
     )
 

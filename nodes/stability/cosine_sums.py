@@ -1,7 +1,7 @@
 """Cosine sums Σ c_j cos jθ, and whether one is positive at *every* θ: what turns a check on a grid into a proof.
 
 A frequency condition on a sampled loop is Re{N(w)} > 0 or Re{N(w)/(1 − w)} > 0 on the unit circle, w = e^{−jθ}, N with real
-coefficients: both are cosine sums (THEORY.md §18). Between two neighbouring points a sum is above its chord less h²/8 times
+coefficients: both are cosine sums (THEORY.md §19). Between two neighbouring points a sum is above its chord less h²/8 times
 the bound Σ j² |c_j| of its curvature; where that does not decide, the cell is divided.
 """
 

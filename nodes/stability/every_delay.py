@@ -73,6 +73,10 @@ def every_delay(
 
 def _device(plant: Plant | FlexiblePlant, period: float | None) -> tuple[FlexiblePlant, float]:
     if isinstance(plant, Plant):
+        if plant.partner is not None:
+            raise ValueError(
+                "plant: a pair of bodies on one law is not certified for a delay that varies; leave the partner out"
+            )
         return FlexiblePlant(plant.mass, plant.damping, stiffness=plant.stiffness), plant.period
     if period is None:
         raise ValueError("period: a flexible device has none of its own; give the loop's [s]")

@@ -124,4 +124,4 @@ def flexible_radius(law: CompiledLaw, period: float, plant: FlexiblePlant) -> fl
 def loop_matrix(law: CompiledLaw, period: float, plant: FlexiblePlant) -> Matrix:
     """One tick of the loop of a law and a flexible device (`nodes.stability.closed_loop.tick_matrix`)."""
     whole, step, new, old = plant.held(period)
-    return tick_matrix(law, period * period / plant.mass, whole, step, new, old)
+    return tick_matrix(law, period * period / plant.mass, step, [(whole, new), (whole + 1, old)])

@@ -39,7 +39,7 @@ def judge(law: CompiledLaw, plant: Plant) -> Verdict | None:
         radius = pole_radius(law, plant)
     except ValueError:
         radius = math.inf  # taps so large that the loop's coefficients overflow
-    free = law.h1 + plant.stiffness == 0.0
+    free = law.h1 == 0.0 and not plant.anchored
     return Verdict(radius, plant, radius < 1.0 or (free and radius < 1.0 + MARGINAL))
 
 

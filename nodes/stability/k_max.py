@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from nodes.laws import CompiledLaw, Law
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.judge import last_inside
-from nodes.stability.occurring import Edge, edge_at
+from nodes.stability.occurring import Edge, edge_at, position_over_force
+from nodes.stability.pair import as_one
 from nodes.stability.plant import Plant, held_plant
 
 
@@ -53,7 +54,8 @@ def k_max(derivative: CompiledLaw, plant: Plant, method: str | None = None) -> K
     """
     if derivative.evaluate is not None:
         raise ValueError("law: has code of its own and no poles; use --method simulation or lockstep")
-    closed = len(derivative.taps) <= 2 and not derivative.sections and plant.delay == 0.0
+    plant = as_one(plant)
+    closed = len(derivative.taps) <= 2 and not derivative.sections and plant.delay == 0.0 and plant.partner is None
     if method == "closed_form" and not closed:
         raise ValueError(
             f"method: closed_form needs a spring or PD without delay; this law has {len(derivative.taps)} taps and "
@@ -117,7 +119,10 @@ def boundaries(derivative: CompiledLaw, plant: Plant) -> list[float]:
 
 
 def edge_of(derivative: CompiledLaw, plant: Plant) -> Edge | None:
-    """Tell which frequency occurs at K_max (THEORY.md §9); None without one, or at ω = 0 or ω_N: it drifts or alternates."""
+    """Tell which frequency occurs at K_max (THEORY.md §9); None without one, at ω = 0 or ω_N, and for a pair of bodies."""
+    plant = as_one(plant)
+    if plant.partner is not None:
+        return None
     limit = k_max(derivative, plant).k_max_n_per_m
     if limit is None or not math.isfinite(limit):
         return None
@@ -131,11 +136,14 @@ def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]
     """All nominal stiffnesses [N/m] at which a pole is on the unit circle, and the ωT where, by increasing stiffness."""
     from scipy.optimize import brentq
 
-    held = held_plant(plant)
+    plant = as_one(plant)
+    held, other = held_plant(plant), plant.other
     numerator, denominator = np.array(held.numerator), np.array(held.denominator)
 
     def curve(theta: NDArray[np.float64] | float) -> NDArray[np.complex128]:
         z = np.exp(1j * np.asarray(theta, dtype=np.float64))
+        if other is not None:
+            return np.asarray(-1.0 / position_over_force(z, plant) - derivative.response(z))
         top = np.polyval(numerator, z)
         loop = np.polyval(denominator, z) * z ** (held.whole + 1) + top * derivative.response(z)
         return np.asarray(-loop / top)
@@ -144,7 +152,8 @@ def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]
         return float(curve(theta).imag)
 
     # Sixteen points per fastest turn of the curve; the slow end, where a heavy device lives, in logarithmic steps.
-    count = 16 * (len(derivative.taps) + held.whole + 8)
+    turns = held.whole if other is None else max(held.whole, math.ceil(other.delay)) + 8
+    count = 16 * (len(derivative.taps) + turns + 8)
     grid = np.union1d(np.linspace(0.0, np.pi, count + 1)[1:-1], np.geomspace(1e-7, np.pi, 801)[:-1])
     signs = np.sign(curve(grid).imag)
     found = [(float(curve(grid[i]).real), float(grid[i])) for i in np.flatnonzero(signs == 0.0)]
@@ -152,10 +161,24 @@ def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]
         theta = brentq(imaginary, grid[i], grid[i + 1], xtol=1e-15, rtol=8.9e-16)
         found.append((float(curve(theta).real), float(theta)))
     # z = 1 and z = −1 are always on the curve; without friction the device does not answer at z = −1 at all.
-    found.append((-plant.stiffness - derivative.h1, 0.0))
-    if abs(np.polyval(numerator, -1.0)) > 1e-12 * np.abs(numerator).sum():
+    found.append((-_stiffness_of(plant) - derivative.h1, 0.0))
+    if _answers_at_nyquist(plant) or (other is not None and _answers_at_nyquist(other)):
         found.append((float(curve(math.pi).real), math.pi))
     return sorted(found)
+
+
+def _stiffness_of(plant: Plant) -> float:
+    """Return how stiff the ground holds it, by both ends in series where there is a partner [N/m]."""
+    if plant.partner is None:
+        return plant.stiffness
+    both = plant.stiffness + plant.partner.stiffness
+    return plant.stiffness * plant.partner.stiffness / both if both > 0.0 else 0.0
+
+
+def _answers_at_nyquist(plant: Plant) -> bool:
+    """Return whether a force that alternates moves it: without friction it does not."""
+    numerator = np.array(held_plant(plant).numerator)
+    return bool(abs(np.polyval(numerator, -1.0)) > 1e-12 * np.abs(numerator).sum())
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 Contact comes and goes, so no pole radius tells whether a drop on a wall settles. Where penetration feeds the law and its
 force is not clamped, the wall is one static nonlinearity max(p, 0) of slope 0 to 1 around the loop G = z^{−d} H P. If a
 multiplier M = 1 − Σ m_i w^i with m_i ≥ 0, Σ m_i ≤ 1 has Re{M (1 + G)} > 0 on the unit circle and the loop in contact is
-stable, every motion under a constant pull comes to rest, from any height and at any speed (THEORY.md §18). The multiplier
+stable, every motion under a constant pull comes to rest, from any height and at any speed (THEORY.md §19). The multiplier
 is found by a linear programme on a grid; what it proves is then checked at every frequency (`nodes.stability.cosine_sums`).
 """
 

@@ -10,7 +10,7 @@ and V is a region of the complex plane:
 - any passive world that answers the force in the same tick: the half plane Re V ≥ 0.
 
 Discs add up. With H = K + h, the loop is outside the region iff a quadratic inequality in K holds at
-each frequency (THEORY.md §17), so one search serves all certificates (`nodes.stability.k_window`).
+each frequency (THEORY.md §18), so one search serves all certificates (`nodes.stability.k_window`).
 """
 
 from __future__ import annotations

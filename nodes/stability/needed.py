@@ -17,6 +17,7 @@ from nodes.stability.plant import Plant
 from nodes.stability.worlds import AnyWorld, Wall, WorldKind, certified, euler_disc, held_disc, is_stable, region_of
 
 _DECADES = range(-4, 5)
+_MOST = 1e6
 _HALVINGS = 34  # of a decade: to 1e-10 of the value
 
 
@@ -89,16 +90,19 @@ def needed_tool_damping(law: CompiledLaw, plant: Plant, any_hand: bool = False, 
         From the sample to the force that moves the tool [ticks]; None: as late as on the device.
     """
     unit = held_disc(plant, 1.0, plant.delay if delay is None else delay)
-    return _largest(law, plant, any_hand, unit)
+    return _least_tool(law, plant, any_hand, unit, plant.damping)
 
 
 def needed_tool_mass(law: CompiledLaw, plant: Plant, any_hand: bool = False) -> float | None:
     """Return the least mass of a tool of semi-implicit Euler with implicit bodies behind it [kg]; None: none is enough."""
-    return _largest(law, plant, any_hand, euler_disc(plant, 1.0))
+    return _least_tool(law, plant, any_hand, euler_disc(plant, 1.0), plant.mass)
 
 
-def _largest(law: CompiledLaw, plant: Plant, any_hand: bool, unit: Disc) -> float | None:
-    """Return the least number by which the disc of a unit tool must be divided until the law is outside it."""
+def _least_tool(law: CompiledLaw, plant: Plant, any_hand: bool, unit: Disc, most: float) -> float | None:
+    """Return the least number by which the disc of a unit tool must be divided until the law is outside it.
+
+    None from a million times `most` on: where the limit is reached at ω → 0, it is infinite.
+    """
     region = region_of(plant, Wall(), any_hand)
     if plant.damping == 0.0 or not (law.h1 > 0.0 and is_stable(law, plant) and outside(law, region)):
         return None
@@ -111,4 +115,7 @@ def _largest(law: CompiledLaw, plant: Plant, any_hand: bool, unit: Disc) -> floa
         return np.where(np.isfinite(largest) & (largest > 0.0), largest, math.inf) / unit.radii(at)
 
     _, least = dips(size, theta, size(theta))
-    return 0.0 if not least.size else 1.0 / float(least.min())
+    if not least.size:
+        return 0.0
+    needed = 1.0 / float(least.min())
+    return needed if needed < _MOST * most else None

@@ -13,6 +13,7 @@ from __future__ import annotations
 import cmath
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 from nodes.laws import CompiledLaw
 from nodes.stability.plant import Plant, held_plant
@@ -61,8 +62,10 @@ def edge_at(derivative: CompiledLaw, plant: Plant, omega: float, light: bool = F
     return Edge(omega, by_law + exact * (by_spring - 0.5 * period), factor, simple, exact)
 
 
-def position_over_force(z: complex, plant: Plant) -> complex:
-    """Give P(z), what the held device answers to a force, its delay included [m/N]."""
+def position_over_force(z: Any, plant: Plant) -> Any:
+    """Return P(z), what the held device answers to a force, its delay included; of a pair the way between both [m/N]."""
+    if plant.other is not None:
+        return position_over_force(z, replace(plant, partner=None)) + position_over_force(z, plant.other)
     held = held_plant(plant)
     n2, n1, n0 = held.numerator
     _, d1, d0 = held.denominator

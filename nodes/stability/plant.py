@@ -10,6 +10,31 @@ import functools
 import math
 from dataclasses import dataclass, replace
 
+MAX_DELAY = 1100.0  # longest delay of a loop [ticks]: its matrix has a row and a column for each
+_SHORTEST = 1e-15  # part of a tick that is none: a delay of some ticks is not known to it [ticks]
+
+
+@dataclass(frozen=True)
+class Partner:
+    """What stands at the other end of a coupling and moves: a tool in a scene, or a second device on the same law.
+
+    Attributes
+    ----------
+    mass : float
+        Moving mass [kg].
+    damping : float
+        Viscous damping to ground [N s/m].
+    stiffness : float
+        Stiffness of a hand, or of a spring to ground [N/m].
+    later : float
+        How much later the force acts on it than on the device; negative for earlier [ticks].
+    """
+
+    mass: float
+    damping: float = 0.0
+    stiffness: float = 0.0
+    later: float = 0.0
+
 
 @dataclass(frozen=True)
 class Plant:
@@ -27,6 +52,8 @@ class Plant:
         Delay of the loop, whole or fractional [ticks].
     stiffness : float
         Stiffness of a hand [N/m].
+    partner : Partner or None
+        What moves at the other end of the coupling; None for a wall or a point.
 
     Raises
     ------
@@ -44,61 +71,79 @@ class Plant:
     damping: float
     delay: float = 0.0
     stiffness: float = 0.0
+    partner: Partner | None = None
 
     def __post_init__(self) -> None:
         """Refuse what no device is."""
+        if self.partner is not None:
+            Plant(self.period, self.partner.mass, self.partner.damping, self._delay_of_partner, self.partner.stiffness)
         for name in ("mass", "period", "damping", "delay", "stiffness"):
             value, positive = getattr(self, name), name in ("mass", "period")
             if isinstance(value, str) or not math.isfinite(value) or value < 0.0 or (positive and value == 0.0):
                 raise ValueError(f"{name} = {value!r}: must be finite and {'positive' if positive else 'at least 0'}")
+        if self.delay > MAX_DELAY:
+            raise ValueError(f"delay = {self.delay!r}: must be at most {MAX_DELAY:g} ticks")
 
-    def with_tool(self, mass: float) -> Plant:
-        """Give the device as a coupling to a body that is free to move sees it: what deflects is the way between the two.
+    def with_tool(self, mass: float, damping: float = 0.0) -> Plant:
+        """Return this device coupled to a tool that is free to move: the force on the device is the tool's, turned round.
 
-        The force pushes both, so that way moves as one mass m μ/(m + μ). Of the device's damping and of its hand the device's
-        own part of that way, μ/(m + μ), counts twice: in how fast it is and in what that does. What is left out is that they
-        also pull on both together. Pressed on a wall the tool gives way no more, and the device alone is what counts.
+        Pressed on a wall the tool gives way no more, and the device alone is what counts.
 
         Parameters
         ----------
         mass : float
-            Mass μ of the body [kg].
+            Mass of the tool [kg].
+        damping : float
+            Viscous damping of the tool to ground [N s/m].
 
         Returns
         -------
         Plant
-            Lighter than this one.
+            With the tool as its `partner`, pushed as late as the device.
         """
-        part = mass / (self.mass + mass)
-        return replace(self, mass=self.mass * part, damping=self.damping * part**2, stiffness=self.stiffness * part**2)
+        return replace(self, partner=Partner(mass, damping))
 
     def paired_with(self, other: Plant) -> Plant:
-        """Give this device and another one, coupled position to position, as their law sees them.
-
-        A force moves the way between them as it moves one mass m₁ m₂/(m₁ + m₂). Damping and hand are such that this way is
-        slowed and drawn back as much right after a push: exact for devices that are alike, else close. Of 120 pairs whose
-        masses differ by up to a factor of 5, hands and dampings at random, the K_max of PD is within 8 % of the exact one in
-        nine of ten.
+        """Return this device coupled to another one, position to position, by one law.
 
         Parameters
         ----------
         other : Plant
-            The other device.
+            The other device, with the delay of its own loop; its period is that of this one.
 
         Returns
         -------
         Plant
-            Of the longer delay.
+            With the other one as its `partner`.
         """
-        mass = self.mass * other.mass / (self.mass + other.mass)
-        mine, theirs = (mass / self.mass) ** 2, (mass / other.mass) ** 2
-        return replace(
-            self,
-            mass=mass,
-            damping=mine * self.damping + theirs * other.damping,
-            stiffness=mine * self.stiffness + theirs * other.stiffness,
-            delay=max(self.delay, other.delay),
-        )
+        return replace(self, partner=Partner(other.mass, other.damping, other.stiffness, other.delay - self.delay))
+
+    @property
+    def other(self) -> Plant | None:
+        """The partner as a device of its own in the same loop; None without one."""
+        if self.partner is None:
+            return None
+        whom = self.partner
+        return Plant(self.period, whom.mass, whom.damping, self._delay_of_partner, whom.stiffness)
+
+    @property
+    def _delay_of_partner(self) -> float:
+        """Delay of the partner [ticks]; what rounding puts below 0 is 0."""
+        delay = self.delay + (0.0 if self.partner is None else self.partner.later)
+        return 0.0 if -1e-12 < delay < 0.0 else delay
+
+    @property
+    def anchored(self) -> bool:
+        """Whether a spring holds it, or its partner, to ground."""
+        return self.stiffness > 0.0 or (self.partner is not None and self.partner.stiffness > 0.0)
+
+    @property
+    def damping_of_any_hand(self) -> float:
+        """Damping that a proof for any hand may count on, b b'/(b + b') of two that are pushed equally late [N s/m]."""
+        if self.partner is None:
+            return self.damping
+        both = self.damping * self.partner.damping
+        return both / (self.damping + self.partner.damping) if both > 0.0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -137,6 +182,8 @@ def held_step(plant: Plant) -> tuple[int, tuple[float, float, float, float], tup
     mass, damping, stiffness, period = plant.mass, plant.damping, plant.stiffness, plant.period
     whole = math.floor(plant.delay)
     fraction = plant.delay - whole
+    if fraction < _SHORTEST:
+        fraction = 0.0
     a11, a12, a21, a22, g1, g2 = _transition(mass, damping, stiffness, period)
     if fraction == 0.0:
         return whole, (a11, a12, a21, a22), (g1, g2), (0.0, 0.0)

@@ -52,7 +52,7 @@ class Rest:
 
 def rest(law: CompiledLaw, loop: Plant | float, resolution: float) -> Rest:
     """Tell the friction that a law asks for to come to rest; a sampling period alone [s] leaves out the estimate."""
-    plant = loop if isinstance(loop, Plant) else None
+    plant = loop if isinstance(loop, Plant) and loop.partner is None else None  # a pair answers otherwise than m, b and k
     period, damping, delay = (loop.period, loop.damping, loop.delay) if isinstance(loop, Plant) else (loop, 0.0, 0.0)
     estimated, buzz = (None, None) if plant is None else _describing(law, plant, resolution)
     return Rest(

@@ -2,7 +2,7 @@
 
 The spring adds a compliance s to the device's answer: 1/H + P + s = 0 at a swing. At a fixed frequency its imaginary part is a
 quadratic equation in K that does not depend on s, and its real part then gives s. All swings with springs of the range are
-therefore points on two curves over the frequency; the window ends where such a point begins (THEORY.md §17).
+therefore points on two curves over the frequency; the window ends where such a point begins (THEORY.md §18).
 """
 
 from __future__ import annotations

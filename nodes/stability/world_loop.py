@@ -1,7 +1,7 @@
 """The loop of a law, a known device and one body as its world, as a matrix of one tick: exact, whatever the body's integrator.
 
 The deflection is x = p − y. An implicit body answers the force of the same tick, so force and motion are solved together; a
-stepped body moves after the force (THEORY.md §17).
+stepped body moves after the force (THEORY.md §18).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Worlds that a coupling may be asked to render, and the stiffness and damping that are certified for all of one kind.
 
 A wall is not the worst world. Which worlds a certificate is about decides everything, so each kind names them: how they are
-integrated, how late they answer, what damping they have (THEORY.md §17).
+integrated, how late they answer, what damping they have (THEORY.md §18).
 """
 
 from __future__ import annotations
@@ -78,6 +78,8 @@ class SteppedTool:
     @property
     def about(self) -> str:
         """Which worlds these are."""
+        if self.damping == 0.0:
+            return "a stepped tool of at least 0 N s/m to the ground (nothing is provable without damping)"
         late = "as late as on the device" if self.delay is None else f"{self.delay:g} ticks late"
         return (
             f"a stepped tool of at least {self.damping:g} N s/m to the ground with anything passive hung on it "
@@ -143,6 +145,7 @@ def region_of(plant: Plant, world: WorldKind, any_hand: bool) -> Region:
     any_hand : bool
         Whether every passive hand may hold the device; else the hand is that of the plant.
     """
+    refuse_partner(plant)
     known, hands = (None, (held_disc(plant, plant.damping, plant.delay),)) if any_hand else (plant, ())
     if isinstance(world, AnyWorld):
         return Region(plant.period, known, hands, any_world=True)
@@ -156,6 +159,12 @@ def region_of(plant: Plant, world: WorldKind, any_hand: bool) -> Region:
     if isinstance(world, EulerTool):
         return Region(plant.period, known, (*hands, euler_disc(plant, world.mass)))
     raise ValueError("world: springs of a range are no region; use spring_window")
+
+
+def refuse_partner(plant: Plant) -> None:
+    """Refuse a plant with a partner: for a certificate that is a kind of world."""
+    if plant.partner is not None:
+        raise ValueError("plant.partner: judge the device alone, and name the partner as its world: OtherDevice or SteppedTool")
 
 
 def held_disc(plant: Plant, damping: float, delay: float) -> Disc:
@@ -204,6 +213,7 @@ def world_k_max(derivative: CompiledLaw, plant: Plant, world: WorldKind, any_han
         wall = k_max(derivative, plant)
         return none if not wall.stable else WorldKMax(wall.k_max_n_per_m, wall.stable[0][0], None, about)
     if isinstance(world, Springs):
+        refuse_partner(plant)
         if any_hand:
             raise ValueError("world: springs are certified for a known device only; any hand: AnyWorld")
         window = spring_window(derivative, plant, world.softest, world.stiffest)
@@ -231,7 +241,7 @@ def undamped(plant: Plant, world: WorldKind) -> bool:
 def hand_text(plant: Plant, any_hand: bool) -> str:
     """Return which hands a certificate is about."""
     if any_hand:
-        return f"a device of {plant.damping:g} N s/m in any passive hand"
+        return f"a device of at least {plant.damping:g} N s/m, its hand's share included, in any passive hand"
     hand = f" and a hand of {plant.stiffness:g} N/m" if plant.stiffness else ""
     return f"the known device of {plant.mass:g} kg, {plant.damping:g} N s/m{hand}"
 

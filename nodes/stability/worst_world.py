@@ -2,7 +2,7 @@
 
 At the edge of "any world that answers in the same tick" the answer of law and device is purely
 imaginary at one frequency. A lossless mass or spring has the opposite there, so it puts a pole on the
-unit circle: the certificate is necessary, not only sufficient (THEORY.md §17).
+unit circle: the certificate is necessary, not only sufficient (THEORY.md §18).
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.judge import last_inside
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
-from nodes.stability.worlds import AnyWorld, world_k_max
+from nodes.stability.worlds import AnyWorld, SteppedTool, WorldKind, world_k_max
 
 NEAR, FAR = 33, 24  # points of the edge: evenly spaced around the gain, then in equal ratios
 FARTHEST = 4096.0  # how far beyond the near part the far end is looked for, as a ratio
@@ -59,11 +59,19 @@ def _edges(law: Law, devices: Sequence[Plant]) -> tuple[float, float] | None:
     return (low, high) if low < high else None
 
 
-def _any_world(law: Law, devices: Sequence[Plant]) -> float | None:
-    """Return the largest K certified on all devices with any world that answers in the same tick; None for none."""
+def _moving(plant: PlantParameters) -> WorldKind | None:
+    """Return the worlds that move for which the map has a dashed line; None where two devices share the law."""
+    if plant.partner_mass is not None:
+        return None
+    stepped = plant.tool_mass is not None and plant.tool_lag != 0.0
+    return SteppedTool(plant.tool_damping) if stepped else AnyWorld()
+
+
+def _certified(law: Law, devices: Sequence[Plant], world: WorldKind) -> float | None:
+    """Return the largest K that is certified on all devices for worlds that move (THEORY.md §18); None for none."""
     least = math.inf
     for device in devices:
-        found = world_k_max(without_spring(law, device.period), device, AnyWorld())
+        found = world_k_max(without_spring(law, device.period), device, world)
         if found.k_max_n_per_m is None:
             return None
         least = min(least, found.k_max_n_per_m)
@@ -124,12 +132,16 @@ def _over_delay(law: Law, devices: Sequence[Plant], margin: float | None) -> lis
 
 
 def with_inertia(declared: PlantParameters | None, seen: Mapping[str, Any] | None) -> PlantParameters | None:
-    """Put the masses that a device itself tells, over the poses it was in, into its plant; a hand's is not among them."""
+    """Return the plant with the masses that a device itself tells, over the poses it was in; a hand's is not among them.
+
+    The device tells what the scene moves; the plant has its own masses, those times the square of the scale.
+    """
     if seen is None:
         return declared
     least, greatest = float(seen["least_kg"]), float(seen["greatest_kg"])
     if declared is None:
         return PlantParameters(mass=least, heaviest=greatest)
+    least, greatest = least * declared.scale**2, greatest * declared.scale**2
     return msgspec.structs.replace(
         declared, mass=min(declared.mass, least), heaviest=max(declared.heaviest or declared.mass, greatest)
     )
@@ -167,20 +179,20 @@ def stability_map(law: Law, period: float, plant: PlantParameters, delay: float)
     if end > near:
         rows += _bounds(law, devices, np.geomspace(near, end, FAR)[1:].tolist())
     over = _over_delay(law, devices, found["delay_margin_ticks"])
-    # The device itself, without the body that the coupling holds it to: that body is part of the world.
-    alone = msgspec.structs.replace(plant, tool_mass=None).over_workspace(period, delay)
-    some = [alone[i] for i in sorted({0, worst, len(alone) - 1})]
+    drawn = found | {"b_n_s_per_m": b, "near": near, "edge": rows, "over_delay": over}
+    world = _moving(plant)
+    if world is None:
+        return drawn
+    # The device itself, without the tool that the coupling holds it to: the tool is part of the world.
+    some = [replace(devices[i], partner=None) for i in sorted({0, worst, len(devices) - 1})]
     gains = np.linspace(0.0, near, ANY_NEAR).tolist()
-    delays = np.linspace(0.0, over[-1][0] or 0.0, ANY_DELAYS).tolist()
-    return found | {
-        "b_n_s_per_m": b,
-        "near": near,
-        "edge": rows,
-        "over_delay": over,
-        "k_max_any_world_n_per_m": _any_world(law, some),
-        "any_world": [[gain, _any_world(_at(law, gain), some)] for gain in gains],
+    delays = ((over[-1][0] or 0.0) * np.linspace(0.0, 1.0, ANY_DELAYS) ** 2).tolist()  # it falls fastest at first
+    return drawn | {
+        "world": world.about,
+        "k_max_any_world_n_per_m": _certified(law, some, world),
+        "any_world": [[gain, _certified(_at(law, gain), some, world)] for gain in gains],
         "any_world_over_delay": [
-            [delay, _any_world(law, [replace(device, delay=delay) for device in some])] for delay in delays
+            [delay, _certified(law, [replace(device, delay=delay) for device in some], world)] for delay in delays
         ],
     }
 

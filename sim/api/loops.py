@@ -111,7 +111,7 @@ def k_max(law: LawLike, plant: Plant, world: str = "wall", **options: Any) -> KM
     plant : Plant
         Period [s], mass [kg], damping [N s/m], delay [ticks] and a hand's stiffness [N/m].
     world : str
-        What the device is coupled to (THEORY.md §17). ``wall``; ``spring``, of any stiffness of a range; ``any``, every passive
+        What the device is coupled to (THEORY.md §18). ``wall``; ``spring``, of any stiffness of a range; ``any``, every passive
         world that answers in the same tick; ``any_hand``, the same in every passive hand; ``any_hand_wall``; ``tool`` and
         ``any_hand_tool``, a stepped tool with anything passive hung on it; ``euler_tool``, one of known mass that semi-implicit
         Euler moves, implicit bodies behind it; ``two_hands``, a second device in any hand.

@@ -102,7 +102,7 @@ def _lines(arguments: argparse.Namespace, row: Mapping[str, Any]) -> list[str]:
         )
     if arguments.world == "any_hand":
         lines.append(
-            f"  no causal linear law has more than 2b/(T(1 + d)) = {row['closed_limit_n_per_m']:.1f} N/m (THEORY.md §19)"
+            f"  no causal linear law has more than 2b/(T(1 + d)) = {row['closed_limit_n_per_m']:.1f} N/m (THEORY.md §20)"
         )
     else:
         lines.append("  H(1) has no bound for a known device: it is |H(-1)| and the number of taps that limit these")

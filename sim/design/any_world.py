@@ -1,6 +1,6 @@
 """The stiffest law that is stable whatever world is behind the coupling, for any hand or for a known device.
 
-A wall is not the worst world (THEORY.md §17, §19). With D = (1 − w)/T the loop is stable for every passive world that answers
+A wall is not the worst world (THEORY.md §18, §20). With D = (1 − w)/T the loop is stable for every passive world that answers
 within the tick iff Re{D/H} > r(θ): r is the device's, known, or the largest over all hands. That is Re{D* H} > r |H|²,
 convex in the taps where r ≥ 0, which it is for any hand: cutting planes find the stiffest taps of a family, and the bound
 that no others exceed. For a known device r < 0 where the device itself dissipates; there each *shape* of a law has its

@@ -4,7 +4,7 @@ Passivity is for any hand, and a spring of 0..k for none that has mass. Between 
 each within limits. The worst of them is searched on a grid that closes in; that is no proof. The certificate cuts the box into
 cells: within one, the matrix of a tick is that of its middle, plus what is linear in the grasp's numbers and so lies in the
 hull of the corners, plus a remainder that is bounded. A norm in which all of these shrink is a proof for the cell
-(THEORY.md §20).
+(THEORY.md §21).
 """
 
 import itertools
@@ -112,7 +112,7 @@ class JudgedGrasps:
         at = self.worst.grasp
         return (
             f"{self.box.text()}: {told[self.worst.certified]} at the ends of mass and delay; largest pole radius "
-            f"{self.worst.radius:.6f}, of {at.mass:.3g} kg, {at.stiffness:.3g} N/m, {at.damping:.3g} N s/m (THEORY.md §20)"
+            f"{self.worst.radius:.6f}, of {at.mass:.3g} kg, {at.stiffness:.3g} N/m, {at.damping:.3g} N s/m (THEORY.md §21)"
         )
 
 

@@ -52,7 +52,7 @@ def drops(law: CompiledLaw, demand: Demand) -> dict[str, bool]:
 
 @dataclass(frozen=True)
 class ProvenLanding:
-    """Whether every drop settles at all corners of a demand, proven (THEORY.md §18)."""
+    """Whether every drop settles at all corners of a demand, proven (THEORY.md §19)."""
 
     proven: bool
     cases: int  # devices and delays that were looked at: all of them, or up to the first without a proof

@@ -11,7 +11,7 @@ from messages.types import Vector
 from nodes.base.setup import AXIS_INDEX, Axis, Setup
 from nodes.compiled.message_fields import NotCompilableError
 from nodes.driver.calls import Calls
-from nodes.driver.device import Device, DeviceLimits
+from nodes.driver.device import Device, DeviceLimits, Workspace
 from nodes.driver.motion import set_latency
 from nodes.driver.node import Driver
 from nodes.driver.parameters import DriverParameters
@@ -21,6 +21,8 @@ from sim.device.model import DeviceModel
 from sim.device.real_devices import preset, provenance
 from sim.device.state import PENDING, VirtualDevice, read_axis, write_axis
 
+# The usual limits of a virtual device, as in the scenarios: largest force [N], fastest change of it [N/s], workspace [m].
+PEAK, SLEW, REACH = 40.0, 20_000.0, 0.2
 NO_END: Final = DeviceLimits().workspace  # the workspace of a device that declares none [m]
 
 
@@ -32,6 +34,8 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
         only; None holds for ever.
     pointer: Lets a page drag the target of the device's hand (nodes/driver/pointer.py). Real time only: in lockstep the hand
         keeps to its path. None for a hand that nobody drags.
+    safety: As of every driver. Where neither limits nor ``without`` say otherwise, a virtual device has a largest force of
+        40 N, a slew of 20 000 N/s, and a workspace of 0.2 m around the places that its `device` names.
     preset: A real device whose published values go before those of `device`, e.g. ``touch_x``; empty or ``none`` for none.
         Its largest force is a limit of the driver too.
     """
@@ -47,6 +51,7 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
         return self.safety.workspace or NO_END
 
     def __post_init__(self) -> None:
+        self._limit()
         if self.preset not in ("", "none"):
             device = msgspec.convert(msgspec.to_builtins(self.device) | preset(self.preset), DeviceModel)
             # Frozen for everybody else: this is a part of its making.
@@ -54,6 +59,24 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
             if device.peak_force is not None:
                 peak = min(self.safety.peak_force or math.inf, device.peak_force)
                 msgspec.structs.force_setattr(self, "safety", msgspec.structs.replace(self.safety, peak_force=peak))
+
+    def _limit(self) -> None:
+        """Fill in the limits that the launch file leaves out: a made-up device bears everything, its user does not."""
+        safety = self.safety
+        usual: dict[str, Any] = {"peak_force": PEAK, "slew": SLEW, "workspace": _workspace(self.device)}
+        missing = {name: value for name, value in usual.items() if getattr(safety, name) is None and name not in safety.without}
+        if missing:
+            # Frozen for everybody else: this is a part of its making.
+            msgspec.structs.force_setattr(self, "safety", msgspec.structs.replace(safety, **missing))
+
+
+def _workspace(model: DeviceModel) -> Workspace:
+    """Return the usual workspace of a device [m]: `REACH` around the origin and all places that the launch file names."""
+    parts = [model, *map(model.along, model.axes)]
+    places = [0.0, *(part.position for part in parts)]
+    places += [place for part in parts if part.hand is not None for _, place in part.hand.path]
+    low, high = min(places) - REACH, max(places) + REACH
+    return (low, high), (low, high), (low, high)
 
 
 def along(model: DeviceModel, axes: Sequence[str]) -> list[DeviceModel]:
@@ -192,6 +215,20 @@ class SimDriver(Driver):
             "damping": model.moving_damping,
             "stiffness": model.grip,
             "device_delay": model.delay,
+        }
+
+    @classmethod
+    def plant(cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]) -> dict[str, float]:
+        """Return the plant that the device is, its hand included; where its axes differ, the worst of each value."""
+        model: DeviceModel = convert(parameters, cls.Parameters, name).device
+        parts = along(model, axes)
+        least, greatest = min(part.moving_masses[0] for part in parts), max(part.moving_masses[1] for part in parts)
+        return {
+            "mass": least,
+            **({"heaviest": greatest} if greatest > least else {}),
+            "damping": min(part.moving_damping for part in parts),
+            "stiffness": max(part.grip for part in parts),
+            "device_delay": max(part.delay for part in parts),
         }
 
     def configure(self) -> None:

@@ -20,6 +20,8 @@ import msgspec
 from nodes.parameters.checked import NonNegative, Positive, check_fields
 from nodes.parameters.store import convert
 
+LEAST = 1e-12  # smallest mass [kg] and encoder step [m]
+
 Coefficients = tuple[float, float, float, float, float, float]
 
 # Adding and subtracting 1.5 * 2**52 leaves the nearest whole number (halves to even) for any |count| < 2**51, and it
@@ -138,7 +140,7 @@ def split_delay(delay: float) -> tuple[int, float]:
 class Hand(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A hand that holds the device: mass and damper on the device, spring to a point that moves along a path.
 
-    mass: Mass that moves with the device [kg].
+    mass: Positive that moves with the device [kg].
     damping: Viscous damping against the ground [N s/m].
     stiffness: Spring between the device and the path [N/m].
     path: Time [s] and position [m] of the corners of a piecewise linear path, times increasing; held before the first and
@@ -198,6 +200,11 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     def __post_init__(self) -> None:
         check_fields(self, "device")
+        for name, value in (("mass", self.mass), ("resolution", self.resolution), *self._masses()):
+            if value is not None and value < LEAST:
+                raise ValueError(
+                    f"{name} is {value!r}, expected at least {LEAST:g}: with less a step of the device is no number"
+                )
         for i, (place, _) in enumerate(self.mass_by_position):
             if i and place <= self.mass_by_position[i - 1][0]:
                 raise ValueError(
@@ -207,6 +214,9 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
             if not changes or "axes" in changes:
                 raise ValueError(f"axes.{axis} is {changes!r}: expected fields of a device, but axes")
             self.along(axis)
+
+    def _masses(self) -> list[tuple[str, float]]:
+        return [(f"mass_by_position[{i}]", mass) for i, (_, mass) in enumerate(self.mass_by_position)]
 
     def along(self, axis: str) -> DeviceModel:
         """Give the device as it is along one axis: this one, with what is different there."""

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from nodes.base.processor_wait import state_of
-from sim.drill import devices, intruders, last_line, people
+from sim.drill import devices, intruders, last_line, overload, people
 from sim.drill.drill import Fault, FaultSkippedError, await_strike, fault_of, kill, with_link
 from sim.measure.measured_launch import within
 from sim.measure.rig import Rig
@@ -225,6 +225,7 @@ def faults() -> list[Fault]:
         fault_of(disk, "full disk", "no room under the logger", exit_code=1),
         fault_of(clock, "clock step", "wall clock −1 h, +2 h"),
         Fault("starvation", "4 busy processes per core, no FIFO", _starve, change=last_line.no_fifo),
+        *overload.faults(),
         *last_line.faults(),
         *intruders.faults(),
         *people.faults(),

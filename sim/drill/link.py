@@ -49,6 +49,7 @@ class Link(Node):
 
     def configure(self) -> None:
         """Seed the random numbers."""
+        self._to = self.setup.topic((self.relays or self.publishes)[0]).encode()
         self._now: LinkParameters = self.store.current
         self._random = random.Random(self._now.seed)  # noqa: S311  # faults, not secrets
         self._waiting: list[tuple[float, int, bytes]] = []
@@ -79,7 +80,7 @@ class Link(Node):
         heapq.heappush(self._waiting, (due, self._count, payload))
 
     def _pass_on(self) -> None:
-        topic = self.setup.topic(topics.FORCE).encode()
+        topic = self._to
         while self._waiting and self._waiting[0][0] <= time.monotonic():
             payload = heapq.heappop(self._waiting)[2]
             # Not `send`, which lets others run before it goes on to the listeners: without FIFO, beside a busy process, a link
@@ -109,3 +110,14 @@ class Link(Node):
                 self._accept(frames[1])
             self._pass_on()
             self.between_ticks(self.counters.ticks)
+
+
+class HandLink(Link):
+    """The network between two hands: takes the states of one device, and publishes them to the partner's environment.
+
+    `remap` names the other chain's states, e.g. ``{/device/state: /right/device/state}``.
+    """
+
+    listens_to: ClassVar[tuple[str, ...]] = (topics.DEVICE_STATE,)
+    relays: ClassVar[tuple[str, ...]] = ()
+    publishes: ClassVar[tuple[str, ...]] = (topics.PARTNER,)

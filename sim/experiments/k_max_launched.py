@@ -69,6 +69,7 @@ def parameters(scene: Scene, law: dict[str, Any]) -> dict[str, Any]:
             "laws": {"tried": law},
             "history": "position" if scene.raw else "penetration",
             "clamp": scene.clamp,
+            "ease": scene.ease * scene.period,
             # The launch file's own device is not the one that is dropped.
             "stability": "off",
         },

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from nodes.driver.limits import SafetyParameters
-from nodes.environment.shapes.kinds import Touchable
+from nodes.environment.shapes.kinds import TOOL_RADIUS, Touchable
 from nodes.environment.shapes.scene import SLIPPERY, Friction, Solid, plane
 from nodes.environment.shapes.tables import MESH, PLANE
 from nodes.environment.surfaces import parse_surface
@@ -165,7 +165,7 @@ def _surface(change: Callable[[dict[str, Any]], dict[str, Any]]) -> Edit:
 def _tool_radius(scene: SpatialScene) -> float:
     for spec in scene.launch.nodes.values():
         if spec.kind == "environment":
-            return float(spec.parameters.get("surface", {}).get("tool_radius", 0.0))
+            return float(spec.parameters.get("surface", {}).get("tool_radius", TOOL_RADIUS))
     return 0.0
 
 

@@ -43,7 +43,7 @@ def info(device: MailboxDevice, rate: float, delay: float, damping: float) -> di
             plant = Plant(period=1.0 / rate, mass=mass, damping=0.0, delay=delay)
             edges.append({"mass_kg": mass, "k_max_n_per_m": k_max(law, plant).k_max_n_per_m})
         report["edge"] = {"rate_hz": rate, "delay_ticks": delay, "damping_n_s_per_m": damping, "axes": edges}
-        report["edge"] |= {"least_kg": least, "greatest_kg": greatest}
+        report["edge"] |= {"least_kg": least, "greatest_kg": greatest, "scale": device.parameters.mapping.scale}
     return report
 
 
@@ -67,6 +67,8 @@ def text(report: dict[str, Any]) -> str:
             for axis, one in zip("xyz", edge["axes"], strict=True)
         ]
         lines.append(f"    any direction: {edge['least_kg']:.4g} to {edge['greatest_kg']:.4g} kg here; other poses have others")
-        heaviest = f", heaviest: {edge['greatest_kg']:.4g}" if edge["greatest_kg"] > edge["least_kg"] else ""
-        lines.append(f"  for a launch file: plant: {{mass: {edge['least_kg']:.4g}{heaviest}, damping: 0.0}}")
+        # What the scene moves is the device's own mass divided by the square of the scale.
+        least, greatest = (edge[name] * edge["scale"] ** 2 for name in ("least_kg", "greatest_kg"))
+        heaviest = f", heaviest: {greatest:.4g}" if greatest > least else ""
+        lines.append(f"  for a launch file: plant: {{mass: {least:.4g}{heaviest}, damping: 0.0}}")
     return "\n".join(lines)

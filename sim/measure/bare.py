@@ -104,7 +104,7 @@ def _with_arm(folder: Path) -> str:
     del content["model"]
     for name in ("mass", "height"):
         del content["arguments"][name]
-    content["nodes"]["coupling"]["parameters"]["plant"]["mass"] = world.state.mass
+    content["nodes"]["coupling"]["parameters"]["plant"] = {"mass": world.state.mass, "damping": 1.0}
     written = folder / "stand_in.yaml"
     written.write_text(json.dumps(content), encoding="utf-8")
     return str(written)

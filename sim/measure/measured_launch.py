@@ -27,6 +27,7 @@ from messages.transport.context import new_context
 from messages.transport.requests import ControlError, call
 from messages.types import DeviceState
 from nodes.base.realtime import die_with_parent
+from nodes.cli.launch import OVERLOADED
 from nodes.client.launches import ask, roles
 from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunInfo, alive, runs
@@ -101,7 +102,12 @@ def launch(scenario: str, *words: str, folder: Path | None = None, timeout: floa
     with contextlib.ExitStack() as held:
         if folder is None:
             folder = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="haptic-")))
-        done = haptic(folder, "launch", scenario, "--json", "--no-plot", *words, timeout=timeout)
+        done = haptic(folder, "launch", scenario, "--json", "--no-plot", *words, code=None, timeout=timeout)
+        if done.returncode not in (0, OVERLOADED):
+            raise MeasurementError(
+                f"haptic launch {scenario} {' '.join(words)}: exit code {done.returncode}\n{done.stdout[-1000:]}\n"
+                f"{done.stderr[-2000:]}"
+            )
         figures: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
         return figures
 

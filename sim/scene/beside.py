@@ -30,7 +30,8 @@ def beside_scene(
     for name, setup in setups.items():
         parameters = dict(setup.parameters)
         if setup.kind == "coupling":
-            parameters |= {"law": "beside", "laws": {"beside": dict(law)}, "schedule": []}
+            # What was felt before is felt on: nothing begins here.
+            parameters |= {"law": "beside", "laws": {"beside": dict(law)}, "schedule": [], "ease": 0.0}
         elif "safety" in parameters:
             # What brings a force in after a gap has nothing to do here: there is no gap.
             parameters["safety"] = {**parameters["safety"], "ramp": 0.0}

@@ -76,6 +76,10 @@ def from_launch(launch: Launch) -> LaunchedScene:
         raise ParameterError(
             f"{launch.scenario}: device.mass_by_position: one process plays one mass here; launch it, or take sim.scene.spatial"
         )
+    if any(spec.kind == "world" for spec in launch.nodes.values()):
+        raise ParameterError(
+            f"{launch.scenario}.nodes: a body of kind world; one process plays surfaces here; sim.scene.spatial plays it"
+        )
     name, environment = parameters_of(launch, "environment", EnvironmentParameters)
     coupling_name, coupling = parameters_of(launch, "coupling", CouplingParameters)
     surface = parse_surface(environment.surface, f"{name}.surface")
@@ -110,6 +114,7 @@ def from_launch(launch: Launch) -> LaunchedScene:
             workspace=None if safety.workspace is None else safety.workspace[0],
             next_tick=launch.run.apply == "next_tick",
             passivity=driver.passivity,
+            ease=round(coupling.ease / period),
             safety=safety,
         ),
         law=law(coupling.law),

@@ -8,7 +8,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ from sim.device.model import DeviceModel, coefficients, ends_of, split_delay
 from sim.scene.compiled import numbers_of
 from sim.scene.driver_rules import DriverRules
 from sim.scene.tick_loop import Arrivals, Contact, Guard, LawTables, Motion, Records, play, play_compiled
+
+MAX_TICKS: Final = 10_000_000  # longest run of one process: it keeps some 100 bytes of each tick
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,8 @@ class Scene:
     workspace: tuple[float, float] | None = None
     next_tick: bool = False  # whether forces take effect one tick later (``apply: next_tick``)
     passivity: PassivityParameters | None = None  # the driver's passivity guard; None for none
+    # Ticks in which the force of a scene that begins in contact comes (the coupling's `ease`); 0 for at once.
+    ease: int = 0
     # Its ramp, its stop and the heating of its motor beside these limits, of which those that are None are off here too; None
     # for the limits alone.
     safety: SafetyParameters | None = None
@@ -136,7 +140,7 @@ def run(
     interpreted: bool = False,
     given: Given | None = None,
 ) -> Trace:
-    """Play a scene from rest: no deflection and no force before tick 0.
+    """Play a scene from rest: no force before tick 0, and the deflection of tick 0 as if it had always been so.
 
     `law` is that of tick 0, `swaps` are later ones, in the order of their ticks. The history remembers at least `memory`
     deflections: over it recursive laws that are swapped in are warmed up. `interpreted` is thousands of times slower; a law
@@ -162,6 +166,8 @@ def run(
 def _check(law: CompiledLaw, ticks: int, swaps: Sequence[PlannedSwap]) -> None:
     if ticks < 1:
         raise ValueError(f"ticks is {ticks}, expected at least 1")
+    if ticks > MAX_TICKS:
+        raise ValueError(f"ticks is {ticks}, expected at most {MAX_TICKS}: one process keeps all of a run; launch a longer one")
     for i, swap in enumerate(swaps):
         earliest = swaps[i - 1].tick if i else 0
         if swap.tick < earliest:
@@ -310,7 +316,7 @@ def contact_of(scene: Scene) -> Contact:
     """Prepare surface, conventions and limits of a scene for the loop."""
     surface = scene.surface
     normal = surface.normal if surface.kind == "plane" else 0.0
-    return Contact(surface.code, surface.position, normal, scene.raw, scene.clamp, scene.peak, scene.slew)
+    return Contact(surface.code, surface.position, normal, scene.raw, scene.clamp, scene.peak, scene.slew, scene.ease)
 
 
 def _guard_of(scene: Scene, numbers: Callable[[list[Any]], Any]) -> Guard | None:

@@ -6,7 +6,7 @@ driver's safety. It is interpreted, for few runs (`sim.scene.loop` is for thousa
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,21 +15,24 @@ from messages.types import ZERO, Proxy, Vector
 from nodes.base.setup import AXIS_INDEX
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
-from nodes.coupling.render import begin_turning
-from nodes.coupling.renderer import ActiveLaw, Renderer
+from nodes.coupling.renderer import ActiveLaw, Renderer, settle_conventions
 from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoParameters, load_world
 from nodes.environment.meet import Numbers, meeting_of
 from nodes.environment.node import EnvironmentParameters
+from nodes.environment.place import Place
 from nodes.environment.shapes.scene import Solid, new_memory, scene_table
 from nodes.environment.state import SHAPES
-from nodes.environment.surfaces import Meeting, meet_axes, numbers_of, parse_surface
+from nodes.environment.surfaces import Meeting, Surface, meet_axes, parse_surface
+from nodes.environment.world.node import FeltWorld, WorldParameters, check_world
 from nodes.launcher.launch_spec import Launch
+from nodes.parameters.store import ParameterError
 from sim.arrays import Array
 from sim.device.driver import SimDriverParameters, parts_of
 from sim.device.state import read_axis, write_axis
 from sim.scene.driver_rules import DriverRules
 from sim.scene.from_launch import parameters_of
+from sim.scene.loop import MAX_TICKS
 
 
 class SpatialTrace(NamedTuple):
@@ -51,8 +54,7 @@ class _Coupling:
         period = launch.run.period
         book = LawBook(name, period)
         self.renderer = renderer = Renderer([AXIS_INDEX[axis] for axis in launch.run.axes], parameters.memory)
-        renderer.state.raw, renderer.state.clamp = parameters.history == "position", parameters.clamp
-        begin_turning(renderer.state, parameters.frame)
+        settle_conventions(renderer.state, parameters, period)
 
         def law(name: str) -> ActiveLaw:
             return ActiveLaw(name, "", book.compile(parameters, name), renderer.histories)
@@ -65,6 +67,7 @@ class _Coupling:
     def answer(self, proxy: Proxy) -> Vector:
         """Render the force of a tick."""
         renderer = self.renderer
+        renderer.follow(proxy, proxy.seq - 1 if proxy.seq else -1)
         while self._schedule and self._schedule[0][0] <= proxy.seq:
             _, law, ramp = self._schedule.pop(0)
             law.warm_up(renderer.histories)
@@ -80,31 +83,80 @@ class _Coupling:
         return force if math.isfinite(force[0] + force[1] + force[2]) else renderer.fall_back(proxy)
 
 
+class _Jumps:
+    """The latest jump that no motion made, as the environment counts it, and how far the force moves the proxy [m/N]."""
+
+    def __init__(self) -> None:
+        self.tick, self.compliance = 0, 0.0
+
+
 # From a tick, the position [m] and the force handed over last [N] to proxy, normal, distance and contact.
 Ask = Callable[[int, Vector, Vector], Meeting]
+Change = tuple[int, dict[str, Any]]  # the first tick on another surface, and its parameters
 
 
-def _environment(launch: Launch, next_tick: bool, solids: Sequence[Solid] | None, world: MovingScene | None) -> Ask:
+def _environment(
+    launch: Launch,
+    next_tick: bool,
+    solids: Sequence[Solid] | None,
+    world: MovingScene | None,
+    jumps: _Jumps,
+    changes: Sequence[Change],
+) -> Ask:
     """Make what the device meets: a surface, other solids in its place, or a scene in which things move."""
     period = launch.run.period
-    if not any(spec.kind == "mujoco" for spec in launch.nodes.values()):
+    kinds = {spec.kind for spec in launch.nodes.values()}
+    if "world" in kinds:
+        return _body(launch, float(next_tick), jumps)
+    if "mujoco" not in kinds:
         name, environment = parameters_of(launch, "environment", EnvironmentParameters)
         surface = parse_surface(environment.surface, f"{name}.surface")
         meet_axes(surface, launch.run.axes, f"{name}.surface")
         if solids is not None:
             radius = getattr(surface, "tool_radius", 0.0)
             meet = meeting_of(Numbers(SHAPES, scene_table(solids, radius, period), new_memory(len(solids))))
-        else:
-            found = numbers_of(surface, period)
-            meet = surface.meeting_every(period) if found is None else meeting_of(found)
-        return lambda _, position, __: meet(position)
+            return lambda _, position, __: meet(position)
+        return _surfaces(surface, launch, jumps, sorted(changes, key=lambda change: change[0]))
     name, bodies = parameters_of(launch, "mujoco", MujocoParameters)
     scene = load_world(bodies, period, name) if world is None else world
     delay = float(next_tick)
 
     def ask(tick: int, position: Vector, force: Vector) -> Meeting:
-        scene.follow(tick, position, force, tick - 1, delay, tick == 0)
+        if scene.follow(tick, position, force, tick - 1, delay, tick == 0):
+            jumps.tick = tick
         return scene.tool_position, ZERO, 0.0, True
+
+    return ask
+
+
+def _body(launch: Launch, delay: float, jumps: _Jumps) -> Ask:
+    """Make a world of one body."""
+    name, parameters = parameters_of(launch, "world", WorldParameters)
+    check_world(parameters, launch.run.period, name)
+    world = FeltWorld(parameters, launch.run.period, launch.run.axes)
+
+    def ask(tick: int, position: Vector, force: Vector) -> Meeting:
+        at = world.follow(tick, position, force, tick - 1, delay)
+        jumps.compliance = at.compliance
+        return at.proxy, ZERO, 0.0, True
+
+    return ask
+
+
+def _surfaces(surface: Surface, launch: Launch, jumps: _Jumps, changes: list[Change]) -> Ask:
+    """Meet a surface, and others from some tick on, as the environment node changes them."""
+    period, changes = launch.run.period, list(changes)
+    place = Place(surface, period)
+
+    def ask(tick: int, position: Vector, _: Vector) -> Meeting:
+        while changes and changes[0][0] <= tick:
+            parameters = changes.pop(0)[1]
+            if place.take(Place(parse_surface(parameters, "surface"), period)):
+                jumps.tick = tick
+        met = place.meet(position)
+        if place.jumped:
+            jumps.tick = tick
+        return met
 
     return ask
 
@@ -115,17 +167,22 @@ def play(
     solids: Sequence[Solid] | None = None,
     path: Array | None = None,
     world: MovingScene | None = None,
+    changes: Sequence[Change] = (),
 ) -> SpatialTrace:
     """Play a launch file of one chain and virtual devices: the bits of a run in lockstep.
 
     `path`, shape (at least ticks, 3): where the encoders find the device [m], whatever the force; no device is played then.
+    `changes` are other surfaces, each from a tick on.
     `solids` and `world` take the place of the launch file's own. ParameterError says what is wrong, as a launch would.
     """
     run = launch.run
     period, ticks = run.period, ticks or run.ticks or round(10.0 / run.period)
+    if ticks > MAX_TICKS:
+        raise ParameterError(f"run.duration: {ticks} ticks, limit {MAX_TICKS} in one process; launch a longer run")
     _, driver = parameters_of(launch, "sim_driver", SimDriverParameters)
     next_tick = run.apply == "next_tick"
-    meet = _environment(launch, next_tick, solids, world)
+    jumps = _Jumps()
+    meet = _environment(launch, next_tick, solids, world, jumps, changes)
     axes = [AXIS_INDEX[axis] for axis in run.axes]
     devices = parts_of(driver.device, run.axes, period, next_tick, driver.ends)
     parts = [device.state for device in devices]
@@ -143,9 +200,9 @@ def play(
             place = path[k].tolist()
         position = rules.sample(k, (place[0], place[1], place[2]))
         proxy, normal, distance, contact = meet(k, position, force)
-        wanted = coupling.answer(
-            Proxy(seq=k, stamp=k * period, position=position, proxy=proxy, normal=normal, distance=distance, contact=contact)
-        )
+        met: dict[str, Any] = {"proxy": proxy, "normal": normal, "distance": distance, "contact": contact}
+        met |= {"rebased": jumps.tick, "compliance": jumps.compliance}
+        wanted = coupling.answer(Proxy(seq=k, stamp=k * period, position=position, **met))
         force = rules.command(k, wanted)
         for part in parts:
             write_axis(part, force[part.axis], k, 0.0)

@@ -7,7 +7,7 @@ lockstep each tick's force takes effect by the rule; in real time forces come wh
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
-from nodes.arithmetic import cross_fade, deflection, limit_within_tick, one_sided, push, warm_up
+from nodes.arithmetic import cross_fade, deflection, eased, limit_within_tick, one_sided, push, settle, warm_up
 from nodes.compiled.kernels.sources import kernel
 from nodes.coupling.render import evaluate
 from nodes.driver.passivity import backlog, control, forget, observe, through
@@ -77,6 +77,7 @@ class Contact(NamedTuple):
     clamp: bool
     peak: float | None
     slew: float | None
+    ease: int = 0
 
 
 class LawTables(NamedTuple):
@@ -178,6 +179,12 @@ def _warm_up(recursive: Any, state: Any, history: Any, head: int, length: int) -
 
 
 @kernel
+def _settle(recursive: Any, state: Any, value: float) -> None:
+    if recursive is not None:
+        settle(recursive, state, value)
+
+
+@kernel
 def _move_early(
     x: float,
     v: float,
@@ -253,6 +260,9 @@ def play(
     handed = 0.0
     following = 0.0
     moving = 0.0
+    easing = 0
+    ease_done = 0
+    ease_offset = 0.0
     now_taps = laws.taps[laws.taps_from[0] : laws.taps_from[1]]
     now_state = states[laws.states_from[0] : laws.states_from[1]]
     old_taps = now_taps
@@ -289,6 +299,19 @@ def play(
             head, newest, touches = respond(
                 measured, contact.kind, contact.surface, contact.normal, contact.raw, history, head, length
             )
+            if k == 0 and newest != 0.0:
+                # It begins in contact: at rest, as the coupling takes it, and the force comes by its easing.
+                for m in range(len(history)):
+                    history[m] = newest
+                if law == 0:
+                    _settle(now_recursive, now_state, newest)
+                else:
+                    _warm_up(now_recursive, now_state, history, head, length)
+                    if law == 1:
+                        _settle(old_recursive, old_state, newest)
+                    else:
+                        _warm_up(old_recursive, old_state, history, head, length)
+                easing = max(contact.ease, 1)
             force = evaluate(now_taps, now_recursive, now_state, history, head)
             if own is not None:
                 force = force + own_force(own, history, head)
@@ -296,6 +319,13 @@ def play(
                 force = cross_fade(evaluate(old_taps, old_recursive, old_state, history, head), force, done, ramp)
                 done += 1
             force = one_sided(force, contact.normal, force * contact.normal, touches, contact.raw, contact.clamp)
+            if easing > 0:
+                if ease_done == 0:
+                    ease_offset = 0.0 - force
+                force = eased(force, 0.0, ease_offset, ease_done, easing)
+                ease_done += 1
+                if ease_done >= easing:
+                    easing = 0
             if guard is not None:
                 if k > 0:
                     step = measured - before

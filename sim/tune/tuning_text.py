@@ -30,7 +30,7 @@ def _poses(record: Mapping[str, Any]) -> str:
 
 
 def _proven(record: Mapping[str, Any]) -> list[TextRow]:
-    """Return what is proven of its landings (THEORY.md §18); tunings of earlier versions have nothing of it."""
+    """Return what is proven of its landings (THEORY.md §19); tunings of earlier versions have nothing of it."""
     proof = record.get("landing_proof")
     if proof is None:
         return []

@@ -138,7 +138,7 @@ def test_garbage_sent_to_a_running_node_is_counted_and_told(tmp_path: Path) -> N
             control=control,
             sources={topics.PROXY: inbox},
             listeners=1,
-            parameters={"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 0.0}}},
+            parameters={"law": "pd", "ease": 0.0, "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 0.0}}},
         )
         (folder / "coupling.json").write_bytes(msgspec.json.encode(setup))
         context = new_context()

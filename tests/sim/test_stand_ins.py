@@ -43,7 +43,7 @@ def through(stand: Bench, folder: Path, **parameters: Any) -> str:
     for name in ("mass", "height"):
         del content["arguments"][name]
     # The arm of the stand-in is the scene's.
-    content["nodes"]["coupling"]["parameters"]["plant"]["mass"] = 0.1
+    content["nodes"]["coupling"]["parameters"]["plant"] = {"mass": 0.1, "damping": 1.0}
     written = stand.written(**parameters)
     content["nodes"]["driver"] = {"kind": stand.kind, "parameters": written}
     content["nodes"]["logger"]["parameters"] = {"path": "run.mcap"}

@@ -1,4 +1,4 @@
-"""THEORY.md §17: its formulas are read from the page and computed, and its table too."""
+"""THEORY.md §18: its formulas are read from the page and computed, and its table too."""
 
 from __future__ import annotations
 

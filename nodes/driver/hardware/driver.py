@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Final
 
 import msgspec
 
 from messages import topics
 from messages.types import Handle
+from nodes.base.setup import Axis
 from nodes.driver.device import Device
 from nodes.driver.hardware.inertia import SeenMasses
 from nodes.driver.hardware.libraries import Search
@@ -17,7 +18,7 @@ from nodes.driver.hardware.mailbox import HardwareParameters, MailboxDevice
 from nodes.driver.limits import lower
 from nodes.driver.node import Driver
 from nodes.driver.safety import set_workspace
-from nodes.parameters.store import ParameterError
+from nodes.parameters.store import ParameterError, convert
 
 HANDLE_PERIOD: Final = 0.02  # how often the handle is looked at; published when it has changed, and each second [s]
 
@@ -34,6 +35,12 @@ class HardwareDriver(Driver):
     def find(cls, parameters: Any) -> Search:
         """Look for what the device needs on this machine."""
         return cls.hardware.find(parameters)
+
+    @classmethod
+    def plant(cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]) -> dict[str, float]:
+        """Return the scale at which the scene feels the device; its mass is not known before it is identified."""
+        del axes
+        return {"scale": convert(parameters, cls.Parameters, name).mapping.scale}
 
     def make_device(self) -> Device:
         """Take hold of the device, forces off."""

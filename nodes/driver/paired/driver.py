@@ -2,8 +2,8 @@
 
 The position of the pair is that of the first device less that of the second; a force on the pair acts on the first, and its
 opposite on the second. So the deflection of the law is how far the hands are apart, and everything that holds for one device
-holds for the pair: history, swaps, limits, and energy, because F·(v₁ − v₂) is the power on both. Two equal devices of mass m
-and damping b are to the law one of m/2 and b/2, which is the `plant` of its stability figures (`Plant.paired_with`).
+holds for the pair: history, swaps, limits, and energy, because F·(v₁ − v₂) is the power on both. The stability figures take the
+second device as the `partner` of the coupling's `plant` (nodes/stability/pair.py).
 """
 
 from __future__ import annotations
@@ -17,13 +17,12 @@ import msgspec
 
 from messages.types import Vector
 from nodes.base.node_kinds import load, node_kinds
-from nodes.base.setup import Setup
+from nodes.base.setup import Axis, Setup
 from nodes.driver.device import Device, DeviceLimits, Workspace
 from nodes.driver.limits import SafetyParameters, lower, undeclared
 from nodes.driver.node import Driver
 from nodes.driver.parameters import DriverParameters
 from nodes.parameters.store import ParameterError, convert
-from nodes.stability.plant import Plant
 
 
 class PairedMember(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -139,10 +138,20 @@ class PairedDriver(Driver):
                 return None
             changed[which] = {"kind": member.kind, "parameters": stood[0]}
             plants.append(stood[1])
-        first, second = (Plant(1.0, one["mass"], one["damping"], one["device_delay"], one["stiffness"]) for one in plants)
-        pair = first.paired_with(second)
-        facts = {"mass": pair.mass, "damping": pair.damping, "stiffness": pair.stiffness, "device_delay": pair.delay}
-        return changed, {"heaviest": None, **facts}
+        return changed, {"heaviest": None, **_pair(*plants)}
+
+    @classmethod
+    def plant(cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]) -> dict[str, float]:
+        """Return the plant of two known devices, each with its hand; of two real ones the scale that both have."""
+        known = []
+        for which, member in _both(convert(parameters, PairedDriverParameters, name)):
+            where = f"{name}.{which}"
+            known.append(_kind_of(member, where)[1].plant(member.parameters, where, axes))
+        if not all("mass" in one for one in known):
+            scales = {one.get("scale", 1.0) for one in known}
+            return {"scale": scales.pop()} if len(scales) == 1 else {}
+        heaviest = known[0].get("heaviest", known[0]["mass"])
+        return {**_pair(*known), **({"heaviest": heaviest} if heaviest > known[0]["mass"] else {})}
 
     def make_device(self) -> Device:
         """Take hold of both, forces off."""
@@ -194,6 +203,13 @@ class PairedDriver(Driver):
 
         pair = (("first", self.pair.first), ("second", self.pair.second))
         return [(name, device) for name, device in pair if isinstance(device, MailboxDevice)]
+
+
+def _pair(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
+    """Return two plants as the plant of their coupling: the first one, and the second one as its partner."""
+    own = ("mass", "damping", "stiffness")
+    found = {name: first[name] for name in (*own, "device_delay")} | {f"partner_{name}": second[name] for name in own}
+    return {**found, "partner_later": second["device_delay"] - first["device_delay"]}
 
 
 def _both(parameters: PairedDriverParameters) -> tuple[tuple[str, PairedMember], tuple[str, PairedMember]]:

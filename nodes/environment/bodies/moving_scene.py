@@ -13,9 +13,11 @@ import os
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from messages.types import Vector
+from nodes.environment.bodies.contacts import PairStiffness, measure_contacts
+from nodes.environment.bodies.tool import AXES, ToolParameters, ToolResponse, add_tool, measure_response
 from nodes.parameters.store import ParameterError
 
 EXTRA = "pip install 'haptic-nodes[mujoco]'"
@@ -25,22 +27,8 @@ WIDEST = 1.0  # largest radius around a geom of the tool [m]: what is larger was
 GAP = 0.1  # of a longer time without a state only so much is stepped: a scene that made up for all of it would be late [s]
 
 _MOST_STEPS = 1000
+_OVERLAP = 1e-4  # deeper than this in another body the tool begins unfelt [m]: MuJoCo would throw it out
 _LIGHTEST = 1e-6
-
-_OF_CONTACT = ("solref", "solimp", "friction", "solmix", "priority", "condim")
-_LOADS = (0.5, 1.5)  # two forces by which a contact is pressed [N]
-_FINE = 5e-4
-_PRESS = """<mujoco><option timestep="{step!r}" cone="{cone}" impratio="{ratio!r}" gravity="0 0 0"/><worldbody>
-<geom type="plane" size="1 1 0.1" {wall}/>
-<body pos="0 0 0.005"><joint type="slide" axis="0 0 1"/><geom type="sphere" size="0.005" mass="{mass!r}" {tip}/></body>
-</worldbody></mujoco>"""
-
-
-class PairStiffness(NamedTuple):
-    """What a contact of the tool is."""
-
-    geom: str  # what the tool presses on, held where it is
-    stiffness: float  # force over depth between two loads, measured [N/m]
 
 
 def load_mujoco(where: str) -> Any:
@@ -55,7 +43,12 @@ def load_mujoco(where: str) -> Any:
 class MovingScene:
     """A scene and its tool on three slide joints; `held`: all else is held. ParameterError says why it cannot be had."""
 
-    def __init__(self, file: Path, tool: str, period: float, where: str, held: bool = False) -> None:
+    def __init__(
+        self, file: Path, tool: str | ToolParameters, period: float, where: str, held: bool = False, lost: float = math.inf
+    ) -> None:
+        self.lost = lost  # distance from the device at which the tool is put back to it [m]
+        wanted = tool if isinstance(tool, ToolParameters) else ToolParameters(body=tool)
+        tool = wanted.body
         self._mujoco = mujoco = load_mujoco(f"{where}.scene")
         try:
             # Opened here: the words of the operating system are clearer.
@@ -70,7 +63,7 @@ class MovingScene:
             )
         try:
             with _heard(mujoco) as warnings:
-                self.model = _held(mujoco, file, tool) if held else mujoco.MjModel.from_xml_path(str(file))
+                self.model = _model(mujoco, file, wanted, held, where)
         except ValueError as error:
             raise ParameterError(f"{where}.scene: {file}: {' '.join(str(error).split())}") from error
         if warnings:
@@ -78,6 +71,8 @@ class MovingScene:
             raise ParameterError(f"{where}.scene: {file}: {' '.join(' '.join(warnings).split())}")
         self.data = mujoco.MjData(self.model)
         self.tool, self._slides = self._find_tool(tool, file, where)  # the tool's body in the model
+        first = int(self.model.body_dofadr[self.tool])
+        self._speeds = slice(first, first + 3)
         self.mass = float(self.model.body_subtreemass[self.tool])  # of the tool, with what is fixed to it [kg]
         if self.mass < _LIGHTEST:
             raise ParameterError(f"{where}.tool: body {tool!r} weighs {self.mass:g} kg, expected at least {_LIGHTEST:g} kg")
@@ -100,6 +95,8 @@ class MovingScene:
         self._forces: deque[tuple[int, Vector]] = deque([(-1, (0.0, 0.0, 0.0))])
         self._done = 0
         self.resets = 0  # how often the scene diverged and was put back to its beginning
+        self._touches = {i: (int(self.model.geom_contype[i]), int(self.model.geom_conaffinity[i])) for i in self._geoms()}
+        self.inside = False  # whether the tool meets nothing, because it began inside of another body
         mujoco.mj_forward(self.model, self.data)
 
     def _find_tool(self, tool: str, file: Path, where: str) -> tuple[int, list[int]]:
@@ -107,20 +104,26 @@ class MovingScene:
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, tool)
         if body < 0:
             names = [model.body(i).name for i in range(1, model.nbody)]
-            raise ParameterError(f"{where}.tool: no body {tool!r} in {file}; its bodies are {', '.join(names) or 'none'}")
+            raise ParameterError(
+                f"{where}.tool: no body {tool!r} in {file}; its bodies are {', '.join(names) or 'none'}; "
+                f"{where}.tool: {{mass: 0.05, radius: 0.005}} adds one"
+            )
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         kind = mujoco.mjtJoint.mjJNT_SLIDE
         slides = [i for i in range(first, first + count) if model.jnt_type[i] == kind and not model.jnt_limited[i]]
         axes = [tuple(model.jnt_axis[i].tolist()) for i in slides]
-        if count != 3 or axes != [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)] or model.body_parentid[body] != 0:
+        if count != 3 or axes != list(AXES) or model.body_parentid[body] != 0:
             raise ParameterError(
                 f"{where}.tool: body {tool!r} must be a child of the world with three slide joints without limits, along x, y "
-                "and z: the device has three axes, and its own workspace"
+                f"and z: the device has three axes, and its own workspace; or {where}.tool: {{body: NAME, mass: 0.05}} adds one"
             )
         return body, [int(model.jnt_qposadr[i]) for i in slides]
 
     def _of_tool(self, geom: int) -> bool:
         return int(self.model.body_rootid[self.model.geom_bodyid[geom]]) == self.tool
+
+    def _geoms(self) -> list[int]:
+        return [i for i in range(self.model.ngeom) if self._of_tool(i)]
 
     @property
     def tool_position(self) -> Vector:
@@ -129,23 +132,65 @@ class MovingScene:
         return x, y, z
 
     def begin(self, position: Vector) -> None:
-        """Put the tool where the device is, at rest: a coupling that begins stretched would throw it."""
+        """Put the tool where the device is, at rest: a coupling that begins stretched would throw it.
+
+        A tool that is inside of another body there meets nothing until it is outside of all: its contacts would throw it.
+        """
+        self._meet_bodies(True)
         for at, wanted, now in zip(self._slides, position, self.tool_position, strict=True):
             self.data.qpos[at] += wanted - now
         self._mujoco.mj_forward(self.model, self.data)
+        self.inside = self._deepest() > _OVERLAP
+        if self.inside:
+            self._meet_bodies(False)
+            self._mujoco.mj_forward(self.model, self.data)
 
-    def follow(self, tick: int, position: Vector, force: Vector, since: int, delay: float, first: bool) -> bool:
-        """Go to a tick whose state tells the last force, the tick it answered and its delay; whether the scene diverged."""
+    def _meet_bodies(self, meets: bool) -> None:
+        """Switch the contacts of the tool on or off."""
+        for i, (kind, affinity) in self._touches.items():
+            self.model.geom_contype[i], self.model.geom_conaffinity[i] = (kind, affinity) if meets else (0, 0)
+
+    def _deepest(self) -> float:
+        """Depth of the tool in other bodies, by the contacts that were found last [m]."""
+        contact = self.data.contact
+        of_tool = (int(i) in self._touches or int(j) in self._touches for i, j in contact.geom)
+        return max((-float(away) for away, own in zip(contact.dist, of_tool, strict=True) if own), default=0.0)
+
+    def _leave_bodies(self) -> None:
+        """Meet other bodies again as soon as the tool is wholly outside of them."""
+        self._meet_bodies(True)
+        self._mujoco.mj_collision(self.model, self.data)
+        self.inside = self._deepest() > 0.0
+        if self.inside:
+            self._meet_bodies(False)
+
+    def follow(
+        self, tick: int, position: Vector, force: Vector, since: int, delay: float, first: bool, jumped: bool = False
+    ) -> str:
+        """Go to a tick whose state tells the last force, the tick it answered and its delay.
+
+        `first` and `jumped` say that no motion led the device to its position. Return why the tool was put back to the device;
+        empty where it was not.
+        """
         if first:
             self.begin(position)
             self._done = tick * self.steps  # A node that was killed goes on with the present
+            return "the scene begins"
+        self.hand_over(force, since, delay)
+        self.advance(tick)
+        if self.diverged():
+            why = "the scene diverged and was put back to its beginning; a smaller option timestep may help"
+        elif jumped:
+            why = "the device's position jumped"
+        elif (away := math.dist(self.tool_position, position)) > self.lost:
+            why = f"the tool was {away:.3g} m away from the device, more than {self.lost:g} m: it was thrown, or left behind"
         else:
-            self.hand_over(force, since, delay)
-            self.advance(tick)
-        diverged = self.diverged()
-        if diverged:
-            self.begin(position)
-        return diverged
+            if self.inside:
+                self._leave_bodies()
+            return ""
+        self.data.qvel[self._speeds] = 0.0
+        self.begin(position)
+        return why
 
     def hand_over(self, force: Vector, tick: int, delay: float) -> None:
         """Note a force that was handed to the device at a tick, and how much later it took effect [ticks]."""
@@ -182,38 +227,18 @@ class MovingScene:
         return new
 
     def stiffness(self) -> list[PairStiffness]:
-        """Measure the tool's contacts in N/m: its first geom is pressed by two loads on each other one, held."""
-        model, mujoco = self.model, self._mujoco
-        of_tool = [i for i in range(model.ngeom) if self._of_tool(i)]
-        tip = next((i for i in of_tool if model.geom_contype[i] or model.geom_conaffinity[i]), None)
-        if tip is None:
-            return []
-        found = []
-        for i in range(model.ngeom):
-            meets = model.geom_contype[i] & model.geom_conaffinity[tip] or model.geom_contype[tip] & model.geom_conaffinity[i]
-            if meets and i not in of_tool:
-                name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, i) or f"geom {i}"
-                found.append(PairStiffness(name, self._pressed(tip, i)))
-        return found
+        """Measure the tool's contacts in N/m (`nodes.environment.bodies.contacts`)."""
+        return measure_contacts(self._mujoco, self.model, self._geoms(), self.mass)
 
-    def _pressed(self, tip: int, wall: int) -> float:
-        def contact(i: int) -> str:
-            """Attributes of a geom that say how it touches."""
-            found = {name: getattr(self.model, f"geom_{name}")[i] for name in _OF_CONTACT}
-            return " ".join(f'{name}="{" ".join(map(repr, numbers.ravel().tolist()))}"' for name, numbers in found.items())
+    def response(self) -> ToolResponse:
+        """Measure what the tool answers to a push (`nodes.environment.bodies.tool`)."""
+        period = float(self.model.opt.timestep) * self.steps
+        return measure_response(self._mujoco, self.model, self.tool, self._speeds, period, self.steps)
 
-        option = self.model.opt
-        # A pyramid's slope is part of how stiff a contact is.
-        scene = {"cone": "elliptic" if option.cone else "pyramidal", "ratio": float(option.impratio), "mass": self.mass}
-        text = _PRESS.format(step=min(option.timestep, _FINE), wall=contact(wall), tip=contact(tip), **scene)
-        model = self._mujoco.MjModel.from_xml_string(text)
-        data = self._mujoco.MjData(model)
-        depths = []
-        for load in _LOADS:
-            data.qfrc_applied[0] = -load
-            self._mujoco.mj_step(model, data, round(1.0 / model.opt.timestep))
-            depths.append(-float(data.qpos[0]))
-        return (_LOADS[1] - _LOADS[0]) / max(depths[1] - depths[0], 1e-12)
+    @property
+    def damping(self) -> float:
+        """Viscous damping of the tool to ground, along the axis that has least [N s/m]."""
+        return float(self.model.dof_damping[self._speeds].min())
 
 
 @contextlib.contextmanager
@@ -228,14 +253,17 @@ def _heard(mujoco: Any) -> Iterator[list[str]]:
         mujoco.set_mju_user_warning(before)
 
 
-def _held(mujoco: Any, file: Path, tool: str) -> Any:
-    """Read a scene and leave out the joints of all bodies that are no part of the tool."""
+def _model(mujoco: Any, file: Path, tool: ToolParameters, held: bool, where: str) -> Any:
+    """Read a scene; its tool is added or damped if asked for, and `held` leaves out the joints of all other bodies."""
+    if tool.mass is None and tool.damping is None and not held:
+        return mujoco.MjModel.from_xml_path(str(file))
     spec = mujoco.MjSpec.from_file(str(file))
-    for body in spec.bodies:
+    add_tool(mujoco, spec, tool, f"{where}.tool")
+    for body in spec.bodies if held else ():
         line = body
-        while line is not None and line.name not in (tool, "world"):
+        while line is not None and line.name not in (tool.body, "world"):
             line = line.parent
-        if line is None or line.name != tool:
+        if line is None or line.name != tool.body:
             for joint in body.joints:
                 spec.delete(joint)
     return spec.compile()

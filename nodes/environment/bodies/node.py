@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 
@@ -15,8 +17,10 @@ from messages.types import ZERO, DeviceState, Proxy
 from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
 from nodes.base.setup import Axis, Setup
+from nodes.environment.bodies.contacts import contacts_text
 from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.poses import RATE, Poses, poses_file
+from nodes.environment.bodies.tool import ToolParameters, response_text
 from nodes.environment.spent import SpentCounters, note_spent, spent_us
 from nodes.parameters.store import ParameterError, convert
 
@@ -25,13 +29,16 @@ class MujocoParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     """Parameters of an environment with things that move.
 
     scene: MJCF file; ``$(dirname)`` in a launch file is the folder that it stands in.
-    tool: Body of it that the coupling holds to the device.
+    tool: Body of it that the coupling holds to the device; or what that is: ``{mass: 0.05, radius: 0.005}`` adds a ball,
+        ``{body: NAME, damping: 0.5}`` damps a body of the scene to ground.
     bodies: ``dynamic``, or ``fixed`` to hold all but the tool where it begins.
+    lost: Distance between device and tool from which the tool is put back to the device, without a force [m].
     """
 
     scene: str
-    tool: str = "tool"
+    tool: str | ToolParameters = "tool"
     bodies: Literal["dynamic", "fixed"] = "dynamic"
+    lost: Annotated[float, msgspec.Meta(gt=0.0)] = 0.25
 
 
 class MujocoEnvironment(Node):
@@ -58,20 +65,32 @@ class MujocoEnvironment(Node):
         del parameters, name
         return ("x", "y", "z")
 
+    @classmethod
+    def plant(cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]) -> dict[str, float]:
+        """Return mass [kg] and damping [N s/m] of the tool, which gives way when the coupling pushes it."""
+        del axes
+        wanted: MujocoParameters = convert(parameters, MujocoParameters, name)
+        version = 0, 0
+        with contextlib.suppress(OSError):  # `load_world` refuses in its own words what cannot be read
+            seen = Path(wanted.scene).expanduser().stat()
+            version = seen.st_mtime_ns, seen.st_size
+        mass, damping = _tool_facts(wanted, name, *version)
+        return {"tool_mass": mass, "tool_damping": damping}
+
     def make_counters(self) -> SpentCounters:
         """Make its counters."""
         return SpentCounters()
 
     def configure(self) -> None:
         """Load the scene, measure its contacts, and say what the stability figures have to know."""
+        self._rebased = self._driver_rebased = 0
         self._world = load_world(self.store.current, self.setup.period, self.setup.name)
         self._poses = Poses(poses_file(self.setup.run_dir, self.setup.name), self._world.model.ngeom, make=True)
         self._every = max(1, round(1.0 / (RATE * self.setup.period)))
-        text = ", ".join(f"{pair.geom} {pair.stiffness:.3g} N/m" for pair in self._world.stiffness()) or "none"
         self.events.emit_each(
             "bodies",
             f"the tool weighs {self._world.mass:.4g} kg (a coupling's plant.tool_mass); {self._world.steps} steps a tick; "
-            f"its contacts, measured: {text}",
+            f"{response_text(self._world.response())}; its contacts, measured: {contacts_text(self._world.stiffness())}",
         )
 
     def _answer(self, state: DeviceState) -> bytes | None:
@@ -79,10 +98,16 @@ class MujocoEnvironment(Node):
         if state.safety == "fault" and not simulated:
             return None
         begin = 0.0 if simulated else time.monotonic()
-        first = self.counters.answered < 0
-        if world.follow(seq, state.position, state.force, seq - 1 - state.age, state.delay, first):
-            text = "the scene diverged and was put back to its beginning; a smaller option timestep may help"
-            self.events.emit("bodies", text)
+        first = not 0 <= self.counters.answered < seq
+        jumped = state.rebased != self._driver_rebased
+        inside = world.inside
+        if why := world.follow(seq, state.position, state.force, seq - 1 - state.age, state.delay, first, jumped):
+            self._rebased, self._driver_rebased = seq, state.rebased
+            if not first:
+                self.events.emit("bodies", f"{why}; the tool begins at the device again")
+        if world.inside != inside:
+            unfelt = "begins inside of another body: nothing is felt until it is outside"
+            self.events.emit("inside", f"the tool {unfelt if world.inside else 'has come outside: all is felt now'}")
         at = world.tool_position
         if not simulated:
             note_spent(self.counters.spent, time.monotonic() - begin)
@@ -91,6 +116,7 @@ class MujocoEnvironment(Node):
         stamp = state.stamp if simulated else self.clock.now()
         # The coupling holds the tool from all sides: no normal, and nothing to clamp.
         held: dict[str, Any] = {"proxy": at, "normal": ZERO, "distance": 0.0, "contact": True}
+        held["rebased"] = max(self._rebased, state.rebased)
         return encode(Proxy(seq=seq, stamp=stamp, position=state.position, delay=state.delay, **held))
 
     def report(self) -> dict[str, Any]:
@@ -102,7 +128,17 @@ class MujocoEnvironment(Node):
         answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self._answer)
 
 
+_SHORT = 1e-6  # a period that no scene is too fine for [s]: nothing is stepped, only the mass is read
+
+
+@functools.lru_cache(maxsize=64)  # a launch asks when it is read, and again when it is wired
+def _tool_facts(parameters: MujocoParameters, name: str, *_version: int) -> tuple[float, float]:
+    """Return mass [kg] and damping [N s/m] of the tool of a scene; `_version` tells a file that has been saved again."""
+    world = load_world(parameters, _SHORT, name)
+    return world.mass, world.damping
+
+
 def load_world(parameters: MujocoParameters, period: float, name: str) -> MovingScene:
     """Load the scene of a node of this name."""
     held = parameters.bodies == "fixed"
-    return MovingScene(Path(parameters.scene).expanduser(), parameters.tool, period, name, held)
+    return MovingScene(Path(parameters.scene).expanduser(), parameters.tool, period, name, held, parameters.lost)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 import msgspec
 
@@ -19,6 +19,7 @@ from nodes.parameters.store import ParameterError
 
 __all__ = ["Ball", "Box", "Capsule", "Cylinder", "FrictionParameters", "Mesh", "OrientedPlane", "Shape", "Touchable", "Union"]
 
+TOOL_RADIUS: Final = 1e-5  # radius of the tool where none is given [m]
 Size = Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
 Coefficient = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
 Sizes = tuple[Size, Size, Size]
@@ -52,11 +53,12 @@ class Touchable(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
     Attributes
     ----------
     tool_radius : float
-        Radius of the ball that touches; 0 for a point [m].
+        Radius of the ball that touches; 0 for a point, which is caught by steps of nanometres between solids that are meant
+        to be flush [m].
     """
 
     kernel_module: ClassVar[str] = "nodes.environment.shapes.kernel"
-    tool_radius: Annotated[float, msgspec.Meta(ge=0.0, le=0.1)] = 0.0
+    tool_radius: Annotated[float, msgspec.Meta(ge=0.0, le=0.1)] = TOOL_RADIUS
 
     def solids(self, where: str) -> list[Solid]:
         """Make what the geometry works on.
@@ -277,7 +279,7 @@ class Union(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):
             shape = parse_surface(data, at)
             if not isinstance(shape, Shape):
                 raise ParameterError(f"{at}.kind: {shape.kind!r} is no shape that can be part of a union")
-            if shape.tool_radius:
+            if "tool_radius" in data:
                 raise ParameterError(f"{at}.tool_radius: the tool has one radius; set it on the union")
             found += shape.solids(at)
         return found

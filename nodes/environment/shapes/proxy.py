@@ -15,18 +15,20 @@ from math import sqrt
 
 from messages.types import Vector
 from nodes.environment.shapes import tables as t
+from nodes.environment.shapes.beginning import leave, place, shape_gap
 from nodes.environment.shapes.convex import convex_hit, core, gap
 from nodes.environment.shapes.patch import nearer_in_patch
 from nodes.environment.shapes.planes import step_between
-from nodes.environment.shapes.tables import Memory, Table, Vector4
-from nodes.environment.shapes.tree import mesh_gap, mesh_hit
+from nodes.environment.shapes.tables import Memory, Table
+from nodes.environment.shapes.tree import mesh_hit
 from nodes.environment.shapes.triangle import triangle_gap
 
 _STILL = 1e-14  # a shorter step is none [m]
 _MOST_ROUNDS = 200
 
 _TRUSTED = 50  # rounds in which a leap may lead away from the device, as deep in a round part; then it is a circle
-_FAR = 1e3  # a device that says it is further away than this is lost [m]: it touches nothing, and is met anew when it returns
+_FAR = 1e3  # a device that says it is further away than this is lost [m]: it touches nothing, and its proxy waits for it
+_WAITS = 0.05  # a device that comes back from there further away from its proxy is met anew [m]
 _FACING = 0.2  # cosine from which on the centre of a round part shows the way
 
 _PARALLEL = 1e-9
@@ -39,12 +41,15 @@ def meet(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
     """Let the proxy follow the device to a position; proxy, normal, distance and contact are written into its memory."""
     memory[t.ROUNDS] = 0.0
     if not (abs(x) < _FAR and abs(y) < _FAR and abs(z) < _FAR):
-        memory[t.PLACED] = 0.0
+        if memory[t.PLACED] == t.ON:
+            memory[t.PLACED] = t.LOST
         memory[t.PROXY], memory[t.PROXY + 1], memory[t.PROXY + 2] = x, y, z
         memory[t.NORMAL] = memory[t.NORMAL + 1] = memory[t.NORMAL + 2] = memory[t.DISTANCE] = memory[t.IN_CONTACT] = 0.0
         return
-    if memory[t.PLACED] == 0.0:
-        _place(scene, memory, x, y, z)
+    if memory[t.PLACED] == t.LOST:
+        memory[t.PLACED] = t.ON if _away(memory, x, y, z) < _WAITS * _WAITS else t.NEVER
+    if memory[t.PLACED] != t.ON:
+        place(scene, memory, x, y, z)
     gx, gy, gz = x, y, z
     before, trying = 0.0, False
     for turn in range(_TURNS):
@@ -62,6 +67,8 @@ def meet(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
         if not found:
             break
         before, trying, gx, gy, gz = _away(memory, x, y, z), True, qx, qy, qz
+    if memory[t.INSIDE] > 0.0:
+        leave(scene, memory, x, y, z)
     _answer(scene, memory, x, y, z)
 
 
@@ -77,30 +84,6 @@ def _go_back(memory: Memory) -> None:
     for k in range(t.CONTACT):
         memory[t.CONTACTS + k] = memory[t.BACK + 3 + k]
     memory[t.TOUCHED] = 1.0
-
-
-def _place(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
-    """Put a proxy that has no past beside the device, or on the nearest surface when that is inside."""
-    memory[t.PLACED] = 1.0
-    memory[t.SLIDING] = memory[t.TOUCHED] = 0.0
-    shapes = int(scene[t.SHAPES])
-    for _ in range(_MOST_ROUNDS):
-        deepest, nx, ny, nz = -t.TOUCH, 0.0, 0.0, 1.0
-        for n in range(shapes):
-            away, px, py, pz = _shape_gap(scene, memory, n, x, y, z)
-            if away < deepest:
-                deepest, nx, ny, nz = away, px, py, pz
-        if deepest >= -t.TOUCH:
-            break
-        x, y, z = x - deepest * nx, y - deepest * ny, z - deepest * nz
-    memory[t.AT], memory[t.AT + 1], memory[t.AT + 2] = x, y, z
-
-
-def _shape_gap(scene: Table, memory: Memory, n: int, x: float, y: float, z: float) -> Vector4:
-    row = t.ROWS + t.ROW * n
-    if scene[row + t.KIND] == t.MESH:
-        return mesh_gap(scene, row, memory, t.LAST + n, x, y, z)
-    return gap(scene, row, x, y, z)
 
 
 def _descend(scene: Table, memory: Memory, dx: float, dy: float, dz: float, rough: bool) -> bool:
@@ -164,7 +147,7 @@ def _descend(scene: Table, memory: Memory, dx: float, dy: float, dz: float, roug
             sx, sy, sz = _along_crease(scene, memory, count, x, y, z, sx, sy, sz)
         leaping = leaping or held
         sx, sy, sz = part * sx, part * sy, part * sz
-        go, nx, ny, nz, shape, face = _first_hit(scene, x, y, z, sx, sy, sz)
+        go, nx, ny, nz, shape, face = _first_hit(scene, memory, x, y, z, sx, sy, sz)
         if go > 1.0 and not held:
             go, x, y, z = 1.0, dx, dy, dz  # nothing in the way: the device itself, to the bit
         else:
@@ -254,11 +237,14 @@ def _along_crease(
 
 
 def _first_hit(
-    scene: Table, x: float, y: float, z: float, sx: float, sy: float, sz: float
+    scene: Table, memory: Memory, x: float, y: float, z: float, sx: float, sy: float, sz: float
 ) -> tuple[float, float, float, float, float, float]:
     """Part of a step before anything is hit (2.0: nothing), the normal there, which shape, which of its triangles."""
     best, nx, ny, nz, shape, face = 2.0, 0.0, 0.0, 1.0, -1.0, -1.0
-    for n in range(int(scene[t.SHAPES])):
+    shapes = int(scene[t.SHAPES])
+    for n in range(shapes):
+        if memory[t.LAST + shapes + n] == t.UNFELT:
+            continue
         row = t.ROWS + t.ROW * n
         triangle = -1.0
         if scene[row + t.KIND] == t.MESH:
@@ -281,8 +267,10 @@ def _touching(scene: Table, memory: Memory, count: int, x: float, y: float, z: f
             away, nx, ny, nz = triangle_gap(scene, first + t.TRIANGLE * int(face), scene[t.RADIUS], x, y, z)
             if away <= t.TOUCH:
                 kept = _write(memory, kept, nx, ny, nz, away, shape, face)
-    for n in range(int(scene[t.SHAPES])):
-        if scene[t.ROWS + t.ROW * n + t.KIND] != t.MESH and kept < t.MOST:
+    shapes = int(scene[t.SHAPES])
+    for n in range(shapes):
+        solid = scene[t.ROWS + t.ROW * n + t.KIND] != t.MESH and memory[t.LAST + shapes + n] == t.FELT
+        if solid and kept < t.MOST:
             away, nx, ny, nz = gap(scene, t.ROWS + t.ROW * n, x, y, z)
             if away <= t.TOUCH:
                 kept = _write(memory, kept, nx, ny, nz, away, float(n), -1.0)
@@ -361,9 +349,13 @@ def _answer(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
         memory[t.IN_CONTACT] = 1.0
     else:
         away, nx, ny, nz = 1e300, 0.0, 0.0, 0.0
-        for n in range(int(scene[t.SHAPES])):
-            found, px, py, pz = _shape_gap(scene, memory, n, x, y, z)
-            if found < away:
-                away, nx, ny, nz = found, px, py, pz
+        shapes = int(scene[t.SHAPES])
+        for n in range(shapes):
+            if memory[t.LAST + shapes + n] == t.FELT:
+                found, px, py, pz = shape_gap(scene, memory, n, x, y, z)
+                if found < away:
+                    away, nx, ny, nz = found, px, py, pz
+        if nx == 0.0 and ny == 0.0 and nz == 0.0:
+            away = 0.0  # nothing that is felt
         memory[t.IN_CONTACT] = 0.0
     memory[t.NORMAL], memory[t.NORMAL + 1], memory[t.NORMAL + 2], memory[t.DISTANCE] = nx, ny, nz, away

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Sequence
+from collections.abc import MutableSequence, Sequence
 from math import cos, sin, sqrt
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -118,7 +118,39 @@ def _without_friction(table: array[float]) -> bytes:
 
 def new_memory(solids: int) -> array[float]:
     """Make the memory of a proxy that has not touched anything yet."""
-    return array("d", [0.0]) * (t.LAST + solids)
+    return array("d", [0.0]) * (t.LAST + 2 * solids)
+
+
+def carry_over(
+    table: Sequence[float], memory: Sequence[float], to_table: Sequence[float], to_memory: MutableSequence[float]
+) -> None:
+    """Begin the proxy of another scene where that of one is [m]; shapes that it pressed on go on holding it.
+
+    What becomes of it is decided at the next tick (nodes/environment/shapes/beginning.py).
+    """
+    if memory[t.PLACED] == t.NEVER:
+        return
+    to_memory[t.AT : t.AT + 3] = array("d", memory[t.AT : t.AT + 3])
+    to_memory[t.PLACED] = t.CARRIED
+    shapes, to_shapes = int(table[t.SHAPES]), int(to_table[t.SHAPES])
+    modes = {n: memory[t.LAST + shapes + n] for n in range(shapes)}
+    for i in range(int(memory[t.TOUCHED])):
+        at = t.CONTACTS + t.CONTACT * i
+        if memory[at + t.SHARE] > 0.0:
+            modes[int(memory[at + t.SHAPE])] = t.HELD
+    rows = [_row(table, n) for n in range(shapes)]
+    for n in range(to_shapes):
+        row = _row(to_table, n)
+        same = rows.index(row) if row in rows else n if shapes == to_shapes and rows[n][0] == row[0] else -1
+        if same >= 0:
+            to_memory[t.LAST + to_shapes + n] = modes[same]
+
+
+def _row(table: Sequence[float], n: int) -> tuple[float, ...]:
+    """Return kind and numbers of a shape; of a mesh the kind alone."""
+    at = t.ROWS + t.ROW * n
+    end = at + t.GIVEN if table[at + t.KIND] == t.MESH else at + t.ROW
+    return (table[at + t.KIND], *table[at + t.GIVEN : end])
 
 
 def _direction(start: Vector, end: Vector) -> Vector:

@@ -18,6 +18,8 @@ SKIN: Final = 1e-10  # height above a surface at which the proxy rests [m], so t
 TOLERANCE: Final = SKIN / 4.0  # how deep a path must lead under that height before it counts as a hit [m]
 TOUCH: Final = 2.0 * TOLERANCE  # distance from that height within which a surface counts as touched [m]
 LIP: Final = 1e-9  # how far a triangle reaches over its edges, so that nothing slips between two of them [m]
+EDGE: Final = TOLERANCE
+"""How far it reaches where a point hits it [m]: less than the skin, or a hidden side would stick out of a flush top."""
 
 # -- the scene table ---------------------------------------------------------------------------------------------------
 
@@ -48,10 +50,12 @@ NODE: Final = 6  # floats of a node of the tree: lower corner, upper corner
 # -- the memory table --------------------------------------------------------------------------------------------------
 
 AT: Final = 0  # where the proxy is: the centre of the tool (3) [m]
-PLACED: Final = 3  # 1 once it has been placed
+PLACED: Final = 3  # whether it has been placed: one of the following
+NEVER, ON, CARRIED, LOST = 0.0, 1.0, 2.0, 3.0  # not yet; yes; beside another surface before; yes, but the device is lost
 SLIDING: Final = 4  # 1 while it slides
 TOUCHED: Final = 5  # how many surfaces it touches
 ROUNDS: Final = 6  # rounds that the last call took
+INSIDE: Final = 7  # how many shapes are not felt, because the tool began inside them
 PROXY: Final = 8  # answer: the proxy (3) [m]
 NORMAL: Final = 11  # answer: outward normal (3)
 DISTANCE: Final = 14  # answer: signed distance along it, negative inside [m]
@@ -65,4 +69,5 @@ GAP, SHAPE, FACE, SHARE = range(3, 7)
 SEEN: Final = CONTACTS + MOST * CONTACT  # scratch: triangles seen by a search around a contact
 PATCH: Final = 96  # how many triangles such a search looks at, at most
 BACK: Final = SEEN + PATCH  # scratch: where the proxy was (3) [m] and what it touched before it tried another triangle
-LAST: Final = BACK + 3 + CONTACT  # nearest triangle of the last call, for each shape
+LAST: Final = BACK + 3 + CONTACT  # nearest triangle of the last call, for each shape; behind them how each is felt:
+FELT, UNFELT, HELD = 0.0, 1.0, 2.0  # as it is; not, until the tool is outside; held on to while it jumps (before placing)

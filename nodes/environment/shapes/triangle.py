@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from math import sqrt
 
-from nodes.environment.shapes.tables import LIP, SKIN, TOLERANCE, TOUCH, Table, Vector4
+from nodes.environment.shapes.tables import EDGE, LIP, SKIN, TOLERANCE, TOUCH, Table, Vector4
 
 
 def nearest_on_triangle(scene: Table, at: int, x: float, y: float, z: float) -> tuple[float, float, float, bool]:
@@ -51,7 +51,7 @@ def height_above(scene: Table, at: int, x: float, y: float, z: float) -> float:
     return (x - scene[at]) * scene[at + 9] + (y - scene[at + 1]) * scene[at + 10] + (z - scene[at + 2]) * scene[at + 11]
 
 
-def _within(scene: Table, at: int, x: float, y: float, z: float) -> bool:
+def _within(scene: Table, at: int, x: float, y: float, z: float, lip: float) -> bool:
     """Whether a point over the plane lies over the triangle or its lips."""
     nx, ny, nz = scene[at + 9], scene[at + 10], scene[at + 11]
     for k in range(3):
@@ -59,7 +59,7 @@ def _within(scene: Table, at: int, x: float, y: float, z: float) -> bool:
         ex, ey, ez = scene[j] - scene[i], scene[j + 1] - scene[i + 1], scene[j + 2] - scene[i + 2]
         px, py, pz = x - scene[i], y - scene[i + 1], z - scene[i + 2]
         inward = px * (ny * ez - nz * ey) + py * (nz * ex - nx * ez) + pz * (nx * ey - ny * ex)
-        if inward < 0.0 and inward * inward > LIP * LIP * (ex * ex + ey * ey + ez * ez):
+        if inward < 0.0 and inward * inward > lip * lip * (ex * ex + ey * ey + ez * ez):
             return False
     return True
 
@@ -67,7 +67,7 @@ def _within(scene: Table, at: int, x: float, y: float, z: float) -> bool:
 def triangle_gap(scene: Table, at: int, radius: float, x: float, y: float, z: float) -> Vector4:
     """Distance of a tool's centre from where it touches a triangle [m], and the normal there; 1.0 where it is beside it."""
     height = height_above(scene, at, x, y, z)
-    if abs(height) <= radius + TOUCH and height >= 0.0 and _within(scene, at, x, y, z):
+    if abs(height) <= radius + TOUCH and height >= 0.0 and _within(scene, at, x, y, z, LIP):
         return height - radius, scene[at + 9], scene[at + 10], scene[at + 11]
     if radius > LIP:
         qx, qy, qz, inside = nearest_on_triangle(scene, at, x, y, z)
@@ -92,13 +92,13 @@ def triangle_hit(
         if closing >= 0.0 or after >= radius - TOLERANCE:
             return 2.0, nx, ny, nz
         part = max((radius - before) / closing, 0.0)
-        if _within(scene, at, x + part * sx, y + part * sy, z + part * sz):
+        if _within(scene, at, x + part * sx, y + part * sy, z + part * sz, EDGE):
             return part, nx, ny, nz
         if radius <= LIP:
             # At an edge the way may lead past the skin of both sides: what is hit is the triangle itself.
-            if after < 0.0:
-                through = -before / closing
-                if _within(scene, at, x + through * sx, y + through * sy, z + through * sz):
+            if after < EDGE:
+                through = min(-before / closing, 1.0)
+                if _within(scene, at, x + through * sx, y + through * sy, z + through * sz, EDGE):
                     return part, nx, ny, nz
             return 2.0, nx, ny, nz
     elif radius <= LIP:

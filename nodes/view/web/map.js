@@ -100,7 +100,8 @@ export class StabilityMap {
   moving(map) {
     if (!map.any_world) return "";
     const k = map.k_max_any_world_n_per_m;
-    return k === null ? "With a world that moves, no K is certified." : `With any world that answers in the same tick: K up to ${figure(k)} N/m (dashed).`;
+    const worlds = map.world.startsWith("a stepped tool") ? "Whatever the tool touches" : "With any world that answers in the same tick";
+    return k === null ? `${worlds}: no K is certified.` : `${worlds}: K up to ${figure(k)} N/m (dashed).`;
   }
 
   // Whether the driver has stopped the loop, whatever is computed.

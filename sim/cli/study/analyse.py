@@ -116,7 +116,7 @@ def _text(figures: dict[str, Any]) -> list[str]:
         f"{shown(figures['h1_max_n_per_m'], 'N/m')} felt ({figures['method']})",
     ]
     for key, label in (("any_world", "K_max any world"), ("any_hand_any_world", "any hand, world")):
-        lines.append(f"{label} {shown(figures[f'k_max_{key}_n_per_m'], 'N/m', 'none certified')} (THEORY.md §17)")
+        lines.append(f"{label} {shown(figures[f'k_max_{key}_n_per_m'], 'N/m', 'none certified')} (THEORY.md §18)")
     lines += _beyond(figures)
     limits = figures["tolerance"]
     if limits is not None:

@@ -211,7 +211,7 @@ def _designed(arguments: argparse.Namespace, demand: Demand, law: Tuned, pd: Tun
     return result, [
         _line(result),
         f"{'':13}  every sequence of these delays, five masses: {proof} (THEORY.md §10)",
-        f"{'':13}  {landing.text()} (THEORY.md §18)",
+        f"{'':13}  {landing.text()} (THEORY.md §19)",
         _line(_row(pd, demand)),
         f"haptic param load coupling {path}",
     ]

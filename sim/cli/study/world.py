@@ -32,8 +32,8 @@ def run(arguments: argparse.Namespace) -> int:
     device, law = shared.device(arguments), shared.law(arguments, arguments.law, arguments.gain)
     if arguments.delay2 is not None and arguments.device2_damping is None:
         raise UsageError("--delay2: belongs to a second device; give --device2-damping")
-    late = device.delay if arguments.delay2 is None else arguments.delay2
-    other = None if arguments.device2_damping is None else OtherDevice(arguments.device2_damping, late)
+    second, late = arguments.device2_damping, device.delay if arguments.delay2 is None else arguments.delay2
+    other = None if second is None else OtherDevice(second, late)
     try:
         moving = Moving(arguments.spring_range, arguments.tool_damping, arguments.tool_mass, other)
         limits = world_limits(without_spring(law, device.period), device, moving, worst=True)
@@ -42,7 +42,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(str(error)) from error
     lines = [shared.head(law, device, "" if arguments.gain is None else f"B {arguments.gain:g}"), *text(limits)]
     for name, value in (needs or {}).items():
-        lines.append(f"K {arguments.stiffness:g} needs {name}: {'none is enough' if value is None else f'{value:.5g}'}")
+        what, unit = (name.removesuffix("_kg"), "kg") if name.endswith("kg") else (name.removesuffix("_n_s_per_m"), "N s/m")
+        shown = "none is enough" if value is None else f"{value:.5g} {unit}"
+        lines.append(f"K {arguments.stiffness:g} needs {what.replace('_', ' ')}: {shown}")
     return report(arguments, {**limits.as_json(), "needed": needs}, lines)
 
 
@@ -51,8 +53,7 @@ def text(limits: WorldLimits) -> list[str]:
     lines = []
     for name, k in limits.k_max_n_per_m.items():
         shown = "none certified" if k is None else "without limit" if name in limits.unlimited else f"{k:.6g} N/m"
-        lines.append(f"  {name:24} {shown:>16}  {limits.about[name]}")
+        kinds = limits.about[name].partition(";")[0]
+        lines.append(f"  {name.replace('_', ' '):24} {shown:>16}  {kinds}")
     worst = limits.worst_world
-    if worst is None:
-        return [*lines, "worst world: none to build"]
-    return [*lines, f"worst world: {worst.text}"]
+    return [*lines, f"worst world: {'none to build' if worst is None else worst.text}"]

@@ -148,3 +148,17 @@ def test_a_fallback_is_judged_too_and_a_damper_alone_is_stable() -> None:
     with pytest.raises(ParameterError, match=r"coupling\.fallback: pole radius .*nothing was changed"):
         judgement.refuse_fallback(soft, hard, 0.0, force=False)
     judgement.refuse_fallback(soft, hard, 0.0, force=True)
+
+
+def test_two_devices_on_one_law_are_judged_for_any_two_hands() -> None:
+    """A spring between two devices of 1 N s/m: 236.07 N/m where one is a tick later (THEORY.md §18)."""
+    judgement = Judgement("coupling", T, LawBook("coupling", T))
+    plant = {"mass": 0.1, "damping": 1.0, "partner_mass": 0.1, "partner_damping": 1.0, "partner_later": 1.0}
+    for stiffness, certified in ((236.0, True), (236.2, False)):
+        laws = {"pd": {"kind": "pd", "stiffness": stiffness, "damping": 0.0}}
+        (text,) = judgement.of_moving_world(parameters(laws=laws, plant=plant), 0.0)
+        assert text.startswith(
+            f"coupling.laws.pd: {'' if certified else 'not '}certified with a second device of 1 N s/m at 1 ticks"
+        )
+        assert "in any passive hand: H(1) up to 236.1 N/m" in text
+    assert judgement.of_moving_world(parameters(plant={"mass": 0.1, "damping": 1.0}), 0.0) == []

@@ -58,8 +58,10 @@ def test_an_unstable_change_is_refused_where_it_is_typed(press: Running) -> None
 def test_a_file_and_a_switch_are_refused_as_well(press: Running) -> None:
     (press.folder / "hard.yaml").write_text(write_yaml({"coupling": {"laws": {"pd": {"stiffness": 1e7}}}}))
     assert LARGEST.search(typed(press, "param", "load", "coupling", "hard.yaml", code=1).stderr)
-    # A law that is not active may be anything; switching to it is what is judged.
-    typed(press, "param", "set", "coupling", "laws.hard", "{kind: pd, stiffness: 2e5, damping: 2.0}")
+    # A law that is not active is judged when it is set; what was taken by force is judged again when it is switched to.
+    hard = "{kind: pd, stiffness: 2e5, damping: 2.0}"
+    assert "coupling.laws.hard: pole radius" in typed(press, "param", "set", "coupling", "laws.hard", hard, code=1).stderr
+    assert "UNSTABLE" in typed(press, "param", "set", "coupling", "laws.hard", hard, "--force").stdout
     told = typed(press, "law", "switch", "hard", "--json", code=1)
     found = LARGEST.search(json.loads(told.stdout.splitlines()[-1])["error"])
     assert found is not None
@@ -131,3 +133,17 @@ def test_a_watched_file_that_would_be_unstable_is_refused(tmp_path: Path) -> Non
         assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == 900.0
         (tmp_path / "coupling.yaml").write_text("stability: warn\nlaws: {pd: {stiffness: 1.0e5}}\n")
         wait_for(lambda: launch.call("coupling", "param.get", name="laws.pd.stiffness") == 1e5, "the file's own wish")
+
+
+def test_a_device_that_answers_later_is_judged_first(press: Running) -> None:
+    typed(press, "param", "set", "driver", "device.delay", "0.5")
+    assert press.call("coupling", "param.get", name="plant.device_delay") == 0.5
+    # 1000 N/m are stable at half a tick more and not at twenty: refused, and both are as before.
+    assert "the loop is unstable" in typed(press, "param", "set", "driver", "device.delay", "20", code=1).stderr
+    assert press.call("coupling", "param.get", name="plant.device_delay") == 0.5
+    assert press.call("driver", "param.get", name="device.delay") == 0.5
+    # What the driver refuses is as before for the judge, too.
+    typed(press, "param", "set", "driver", "device.delay", "0", "device.mass", "1.0", code=1)
+    assert press.call("coupling", "param.get", name="plant.device_delay") == 0.5
+    typed(press, "param", "set", "driver", "device.delay", "0")
+    assert press.call("coupling", "param.get", name="plant.device_delay") == 0.0

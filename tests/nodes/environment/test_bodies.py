@@ -144,8 +144,11 @@ def test_a_launch_repeats_to_the_bit_from_its_recording(scenario: str, moved: st
     way = np.linalg.norm(again.data.body(moved).xpos - before[0])
     turn = 2.0 * np.arccos(min(1.0, abs(float(again.data.body(moved).xquat @ before[1]))))
     assert way > 0.01 or turn > 0.25
+    certain = [one.reason for one in recording.messages(event("coupling")) if one.kind == "world"]
+    assert len(certain) == 2
+    assert all("it takes damping of the tool of at least" in one for one in certain)
     told = next(one.reason for one in recording.messages(event("environment")) if one.kind == "bodies")
-    assert re.search(r"weighs 0.05 kg .* contacts, measured: \w+ 2.94e\+03 N/m", told)
+    assert re.search(r"weighs 0.05 kg .* contacts, measured: \w+(, \w+)* 2.94e\+03 N/m", told)
 
 
 @pytest.mark.parametrize(("mass", "tool", "damping"), [(0.15, 0.05, 3.0), (0.1, 0.5, 1.0), (0.3, 0.02, 0.0)])
@@ -176,6 +179,6 @@ def test_the_figures_know_the_tool(mass: float, tool: float, damping: float) -> 
     )
     assert alone is not None
     assert seen is not None
-    # Exact without damping; with it, what pulls on both together is left out.
-    assert seen == pytest.approx(low, rel=1e-4 if damping == 0.0 else 0.01)
+    # What is allowed for the double pole at 1 moves the edge that is looked for here by up to 1e-4.
+    assert seen == pytest.approx(low, rel=1e-4)
     assert seen < alone

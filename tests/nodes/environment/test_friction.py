@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from nodes.environment.node import Environment
+from nodes.environment.shapes.kinds import TOOL_RADIUS
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.scene import Friction, Solid, box, capsule, mesh, plane, sphere
 from nodes.environment.shapes.tables import SKIN
@@ -108,9 +109,11 @@ def test_friction_that_is_set_while_the_surface_is_touched_moves_no_proxy_that_i
     sets(friction={"static": 0.2})
     slid = node._meet((4e-4, 0.0, -1e-3))[0][0]
     assert 0.0 < slid < 3e-4
-    # Another shape is met anew.
+    # Another radius carries the proxy along: pushed out to the new surface, not to the point nearest to the device.
     sets(radius=0.0201, friction={"static": 1.5})
-    assert node._meet((4e-4, 0.0, -1e-3))[0][0] > 4e-4
+    carried = node._meet((4e-4, 0.0, -1e-3))[0]
+    assert carried[0] == pytest.approx(slid, rel=0.01)
+    assert math.dist(carried, (0.0, 0.0, -0.02)) == pytest.approx(0.0201 + TOOL_RADIUS, abs=1e-9)
 
 
 def test_what_is_asked_again_is_not_answered_by_another_proxy() -> None:

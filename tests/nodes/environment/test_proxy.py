@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.scene import Friction, Solid, box, capsule, cylinder, mesh, plane, sphere
-from nodes.environment.shapes.tables import SKIN
+from nodes.environment.shapes.tables import INSIDE, SKIN
 from sim.experiments.proxies import icosphere, ideal_proxy
 from sim.scene.touch import Touched, touch
 from tests.support import slowly
@@ -284,7 +284,7 @@ def test_the_distance_from_outside_is_that_of_the_textbook() -> None:
                 # Each from free space, as a new proxy.
                 found = led(solids, point[None], tool)
                 distance = min(distance_to(solid, point) for solid in solids)
-                if not found.contact[0]:
+                if not found.contact[0] and not found.memory[INSIDE]:
                     assert found.distance[0] == pytest.approx(distance - tool - SKIN, abs=EXACT)
                     nearer = point - 1e-7 * found.normal[0]
                     assert min(distance_to(solid, nearer) for solid in solids) == pytest.approx(distance - 1e-7, abs=1e-11)
@@ -301,10 +301,24 @@ def test_a_position_beyond_all_reason_leaves_no_trace() -> None:
         assert np.isfinite(found.distance).all()
 
 
-def test_a_device_that_begins_inside_starts_on_the_nearest_surface() -> None:
+@pytest.mark.parametrize("depth", [4e-4, 6e-4])
+def test_a_device_that_begins_deep_inside_feels_a_solid_once_it_is_outside(depth: float) -> None:
+    """Up to half a millimetre deep it begins on the nearest surface; deeper it is free until the tool is wholly outside."""
     for solid in (
         box((0.0, 0.0, 0.0), (0.02, 0.02, 0.02)),
         mesh(prepare_mesh(box_triangles((0.02, 0.02, 0.02)), False, "box")),
     ):
-        found = led([solid], np.array([[0.0, 0.009, 0.0], [0.0, 0.0, 0.009]]))
-        assert np.abs(found.proxy - [[0.0, 0.01 + SKIN, 0.0], [0.0, 0.01 + SKIN, 0.009]]).max() < EXACT
+        within = 0.01 - depth
+        path = np.array([[0.0, within, 0.0], [0.0, 0.0, within], [0.0, 0.0, 0.0115], [0.0, 0.0, 0.009]])
+        found = led([solid], path, 1e-3)
+        assert list(found.contact) == [depth < 5e-4, depth < 5e-4, False, True]
+        if depth < 5e-4:
+            assert found.proxy[0, 1] == pytest.approx(0.011 + SKIN, abs=EXACT)
+        else:
+            assert np.array_equal(found.proxy[:3], path[:3])
+        assert found.proxy[3, 2] == pytest.approx(0.011 + SKIN, abs=EXACT)
+
+
+def test_a_half_space_pushes_a_device_out_that_begins_behind_it() -> None:
+    found = led([plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))], np.array([[0.0, 0.0, -0.02]]))
+    assert found.proxy[0, 2] == pytest.approx(SKIN, abs=EXACT)

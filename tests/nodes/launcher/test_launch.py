@@ -29,7 +29,7 @@ PROMISED = {
 
 IN_LOCKSTEP = {
     *("box_edges", "floor_buzz", "floor_guarded", "floor_swap", "identify"),
-    *("rough_plane", "sphere_feel", "touch_wall", "two_loggers"),
+    *("rough_plane", "sphere_feel", "touch_wall", "two_loggers", "world_feel"),
 }
 """Scenarios that every run of the tests launches in lockstep (tests/sim/scene)."""
 
@@ -198,6 +198,7 @@ def test_a_launch_past_the_edge_is_refused_on_a_real_device_only(tmp_path: Path)
     """What `param set` would refuse; a virtual device cannot break, and its page may go past the edge."""
     content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
     content["nodes"]["driver"] = {"kind": "force_dimension_driver"}
+    content["nodes"]["coupling"]["parameters"]["plant"] = {"mass": 0.15, "damping": 3.0, "stiffness": 150.0}
     (tmp_path / "real.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
 
     def wired(scenario: str, stiffness: float) -> bool:

@@ -277,7 +277,7 @@ def couplings(draw: st.DrawFn) -> dict[str, Any]:
         "schedule": draw(st.lists(swaps, max_size=2)),
         "fallback": {"damping": draw(gains)},
         "stability": draw(st.sampled_from(["warn", "refuse", "off"])),
-        "plant": draw(st.none() | st.fixed_dictionaries({"mass": gains, "delay": st.none() | gains})),
+        "plant": draw(st.none() | st.fixed_dictionaries({"mass": gains, "delay": st.none() | st.floats(0.0, 100.0)})),
     }
 
 

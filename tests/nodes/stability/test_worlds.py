@@ -1,4 +1,4 @@
-"""What a law bears when the world behind it moves (THEORY.md §17): tables, random worlds, edges from both sides, traps."""
+"""What a law bears when the world behind it moves (THEORY.md §18): tables, random worlds, edges from both sides, traps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from nodes.stability.loop_region import known_answer
 from nodes.stability.needed import needed_device_damping, needed_tool_damping, needed_tool_mass
 from nodes.stability.plant import Plant
 from nodes.stability.spring_world import spring_window
+from nodes.stability.two_hands import TwoHands, damping_share
 from nodes.stability.world_loop import Body, world_radius
+from nodes.stability.world_verdict import judge_world
 from nodes.stability.worlds import (
     AnyWorld,
     EulerTool,
@@ -133,6 +135,17 @@ def test_two_devices_in_any_two_hands() -> None:
         assert most(found * 0.999) < 1.0 < most(found * 1.001)
 
 
+@pytest.mark.parametrize(("first", "second"), [(0, 1), (1, 1), (3, 1)])
+def test_a_law_between_two_hands_is_the_two_port_of_the_matrix(first: int, second: int) -> None:
+    """`nodes.stability.two_hands` decides by eigenvalues of a matrix, for each law as it is."""
+    for law in (pd(0.05), HALF):
+        edge = figure(law, Plant(T, 0.1, 1.3, float(first)), OtherDevice(0.7, float(second)), True)
+        for factor in (0.999, 1.001):
+            if edge is not None:
+                hands = TwoHands.in_the_middle(with_spring(law, factor * edge), first, second)
+                assert (damping_share(hands, T, (1.3, 0.7)) < 1.0) is (factor < 1.0)
+
+
 def test_a_tool_is_one_more_device_whose_damping_adds_like_resistors() -> None:
     """A stepped tool and any hand: Colgate's wall with b_eff = b b_t/(b + b_t), at whole and fractional delays."""
     for delay in DELAYS:
@@ -240,6 +253,27 @@ def test_none_of_five_thousand_implicit_worlds_breaks_it(
     law: CompiledLaw, plant: Plant, bodies: list[Body], share: float
 ) -> None:
     no_world_breaks_it(law, plant, bodies, share)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    law=LAWS,
+    plant=PLANTS,
+    mass=st.floats(-3.0, 1.5),
+    more=st.floats(1.0, 10.0),
+    hand=st.one_of(st.just(0.0), st.floats(0.0, 1e4)),
+    body=bodies_of("implicit", "lossless"),
+    share=st.floats(0.01, 0.99),
+)
+def test_no_hand_and_no_implicit_world_breaks_what_is_certified_for_any(
+    law: CompiledLaw, plant: Plant, mass: float, more: float, hand: float, body: Body, share: float
+) -> None:
+    """The hand changes mass, stiffness and damping, this one never below that of the device."""
+    found = window(world_k_max(law, plant, AnyWorld(), True))
+    if found is not None:
+        held = Plant(T, 10.0**mass, more * plant.damping, plant.delay, hand)
+        below = with_spring(law, found[0] + share * (found[1] - found[0]))
+        assert world_radius(below, held, body) < 1.0 + 1e-9
 
 
 @settings(max_examples=60, deadline=None)
@@ -427,12 +461,46 @@ def test_sections_are_certified_as_the_taps_that_they_replace() -> None:
             assert one == (None if other is None else pytest.approx(other, rel=1e-8))
 
 
+def test_a_verdict_names_the_worlds_the_limit_and_the_remedy() -> None:
+    plant = device(1.0)
+    weak, strong = (SteppedTool(damping) for damping in (0.5, 50.0))
+    law = with_spring(pd(0.0), 240.0)
+    refused, taken = judge_world(law, plant, weak), judge_world(law, plant, strong)
+    assert refused is not None
+    assert taken is not None
+    assert taken.certified
+    assert not refused.certified
+    assert refused.h1_max_n_per_m == pytest.approx(figure(pd(0.0), plant, weak), rel=1e-9)
+    needed = refused.tool_damping_n_s_per_m
+    assert needed is not None
+    assert 0.5 < needed < 50.0
+    # What it says that it takes is just enough.
+    for factor in (0.999, 1.001):
+        again = judge_world(law, plant, SteppedTool(factor * needed))
+        assert again is not None
+        assert again.certified is (factor > 1.0)
+    for part in ("not certified", "0.5 N s/m", "damping of the tool of at least", "240 N/m"):
+        assert part in refused.text
+    assert "certified with a stepped tool of at least 50 N s/m" in taken.text
+    # No damping of the tool helps a law that the wall alone refuses, and then none is named.
+    hopeless = judge_world(with_spring(pd(0.0), 2000.0), plant, weak)
+    assert hopeless is not None
+    assert hopeless.tool_damping_n_s_per_m is None
+    light = judge_world(law, plant, EulerTool(1e-4))
+    assert light is not None
+    assert light.tool_mass_kg == pytest.approx(needed_tool_mass(law, plant), rel=1e-9)
+    assert judge_world(CompiledLaw((1.0,), evaluate=lambda _ring, _head: 0.0), plant, weak) is None
+
+
 def test_what_cannot_be_certified_is_refused_with_the_reason() -> None:
     own = CompiledLaw((1.0,), evaluate=lambda _ring, _head: 0.0)
     with pytest.raises(ValueError, match="code of its own"):
         world_k_max(own, device(0.0), AnyWorld())
     with pytest.raises(ValueError, match="known device only"):
         world_k_max(pd(1.0), device(0.0), Springs(10.0), True)
+    for world in (AnyWorld(), Springs(10.0), SteppedTool(1.0)):
+        with pytest.raises(ValueError, match="name the partner as its world"):
+            world_k_max(pd(1.0), device(0.0).with_tool(0.1), world)
     for wrong in (lambda: Springs(0.0), lambda: Springs(2.0, 1.0), lambda: SteppedTool(-1.0), lambda: EulerTool(0.0)):
         with pytest.raises(ValueError, match="expected"):
             wrong()

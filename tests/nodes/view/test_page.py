@@ -127,6 +127,7 @@ def test_it_loads_moves_and_tells_the_map(page: Page, launch: Running) -> None:
     wait_for(lambda: bins(page) > before + 100, "bins come in")
     wait_for(lambda: page.locator(".plot canvas").first.screenshot() != picture, "the plot moves")
     wait_for(lambda: "more delay" in shown(page, "#margin"), "the map of stability")
+    assert "any world that answers in the same tick: K up to" in " ".join(shown(page, "#margin").split())
     assert page.locator(".plot").count() == 4
     wait_for(lambda: "Hz" in shown(page, "#figures"), "the rate")
     # What is not on this machine is not asked for.

@@ -10,7 +10,9 @@ import pytest
 from nodes.coupling.parameters import PlantParameters
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
+from nodes.stability.k_max import without_spring
 from nodes.stability.plant import Plant
+from nodes.stability.worlds import SteppedTool, world_k_max
 from nodes.view.stability_map import drawn_map, plant_of, stability_map, with_inertia
 
 T = 0.002
@@ -46,7 +48,7 @@ def test_inside_is_stable_and_outside_is_not(described: dict[str, Any], delay: f
 
 def test_the_edge_for_any_world_lies_below_that_of_a_wall() -> None:
     found = stability_map(parse_law(LAWS[0]), T, PLANT, 0.0)
-    assert found["k_max_any_world_n_per_m"] == pytest.approx(2244.217, abs=1e-3)  # THEORY.md §17
+    assert found["k_max_any_world_n_per_m"] == pytest.approx(2244.217, abs=1e-3)  # THEORY.md §18
     walls = {b: high for b, _, high in found["edge"]}
     shared = [(k, walls[b]) for b, k in found["any_world"] if b in walls]
     assert len(shared) > 2
@@ -55,9 +57,21 @@ def test_the_edge_for_any_world_lies_below_that_of_a_wall() -> None:
     assert found["any_world_over_delay"][0] == [0.0, found["k_max_any_world_n_per_m"]]
     over = [k for _, k in found["any_world_over_delay"]]
     assert over == sorted(over, reverse=True)
-    # The body that the coupling holds the device to belongs to the world, and is not reduced into the device.
-    held = msgspec.structs.replace(PLANT, tool_mass=0.02)
-    assert stability_map(parse_law(LAWS[0]), T, held, 0.0)["k_max_any_world_n_per_m"] == found["k_max_any_world_n_per_m"]
+    assert "same tick" in found["world"]
+
+
+def test_the_edge_of_a_stepped_tool_is_that_of_its_damping() -> None:
+    """For what the tool touches, its damping counts and not its mass; two devices on one law have no such line."""
+    spring = parse_law({"kind": "pd", "stiffness": 100.0, "damping": 0.0})
+    held = msgspec.structs.replace(PLANT, tool_mass=0.02, tool_damping=1.0)
+    found = stability_map(spring, T, held, 0.0)
+    assert "stepped tool" in found["world"]
+    derivative = without_spring(spring, T)
+    edge = world_k_max(derivative, Plant(T, 0.1, 1.0), SteppedTool(1.0)).k_max_n_per_m
+    assert found["k_max_any_world_n_per_m"] == edge
+    loose = stability_map(spring, T, msgspec.structs.replace(held, tool_damping=0.0), 0.0)
+    assert loose["k_max_any_world_n_per_m"] is None
+    assert "any_world" not in stability_map(spring, T, msgspec.structs.replace(PLANT, partner_mass=0.1), 0.0)
 
 
 def test_the_map_follows_law_device_and_delay() -> None:
@@ -91,6 +105,9 @@ def test_what_a_device_says_of_its_masses_goes_into_the_map() -> None:
     assert with_inertia(declared, None) == declared
     assert with_inertia(None, seen) == PlantParameters(mass=0.08, heaviest=0.2)
     assert with_inertia(declared, seen) == PlantParameters(mass=0.08, heaviest=0.2, damping=1.0)
+    # What the device tells is as the scene moves it, at a scale of two a quarter of its own mass.
+    larger = PlantParameters(mass=0.4, damping=1.0, scale=2.0)
+    assert with_inertia(larger, seen) == PlantParameters(mass=0.32, heaviest=0.8, damping=1.0, scale=2.0)
     # A hand makes the declared one heavier than the device by itself.
     held = PlantParameters(mass=0.05, heaviest=0.5, damping=1.0)
     assert with_inertia(held, seen) == held

@@ -11,7 +11,7 @@ import pytest
 from nodes.cli.main import main
 
 PD = ("--law", "pd", "--gain", "3", "--mass", "0.1", "--damping", "1", "--delay", "0", "--rate", "500")
-ANY_WORLD = pytest.approx(2244.217, abs=5.1e-4)  # THEORY.md §17, to the digits of its table
+ANY_WORLD = pytest.approx(2244.217, abs=5.1e-4)  # THEORY.md §18, to the digits of its table
 
 
 def answered(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:

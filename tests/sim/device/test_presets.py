@@ -77,9 +77,10 @@ def assert_stands_in(driver: str, before: Launch, launch: Launch) -> None:
     # Its own limit, or the scene's stricter one.
     limit = before.nodes[driver].parameters["safety"]["peak_force"]
     assert convert(launch.nodes[driver].parameters, SimDriverParameters, driver).safety.peak_force == min(limit, 7.9)
-    plant = launch.nodes[driver.replace("driver", "coupling")].parameters.get("plant")
-    if plant is not None:
-        assert (plant["mass"], plant["damping"]) == (device.moving_mass, device.moving_damping)
+    plant = launch.nodes[driver.replace("driver", "coupling")].parameters["plant"]
+    # Twelve digits: masses are added as a person adds them.
+    assert plant["mass"] == pytest.approx(device.moving_mass, rel=1e-11)
+    assert plant.get("damping", 0.0) == pytest.approx(device.moving_damping, rel=1e-11)
 
 
 def test_a_launch_without_a_virtual_device_takes_none(tmp_path: Path) -> None:

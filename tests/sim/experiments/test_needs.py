@@ -47,7 +47,11 @@ def kinds(name: str) -> list[str]:
     return [spec.kind for spec in LAUNCHES[name].nodes.values()]
 
 
-CHAINS = [name for name in LAUNCHES if kinds(name).count("coupling") == kinds(name).count("sim_driver") == 1]
+CHAINS = [
+    name
+    for name in LAUNCHES
+    if kinds(name).count("coupling") == kinds(name).count("sim_driver") == 1 and "world" not in kinds(name)
+]
 PLAYED = [name for name in CHAINS if len(LAUNCHES[name].run.axes) == 1]
 SPATIAL = [name for name in CHAINS if len(LAUNCHES[name].run.axes) > 1]
 

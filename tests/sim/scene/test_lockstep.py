@@ -54,8 +54,10 @@ PLAYED = [
     and "coupling" in one.nodes
     and "ros2" not in one.nodes
     and one.nodes["driver"].kind == "sim_driver"
+    and one.nodes["environment"].kind != "world"
 ]
-"""One process plays one axis of one chain; scenes of three axes are compared in test_touch_launched. The chain on a ROS 2
+"""One process plays one axis of one chain; scenes of three axes are compared in test_touch_launched, bodies to feel in
+tests/nodes/environment/test_world.py. The chain on a ROS 2
 graph is touch_wall's own; two devices on one law live in real time."""
 
 WORDS = [(name,) for name in PLAYED] + list(VARIANTS)

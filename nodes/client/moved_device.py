@@ -1,0 +1,63 @@
+"""A device that changes while it runs: first the coupling judges its law with that, then the driver changes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+from messages import topics
+from messages.transport.requests import ControlError
+from nodes.base.node_kinds import load
+from nodes.launcher.plants import has_plant
+from nodes.launcher.runs import RunInfo
+
+Ask = Callable[..., Any]  # takes node, operation and its arguments
+
+FIELDS: Final = {"device.delay": "device_delay", "mapping.scale": "scale"}  # a driver's parameter to that of the plant
+
+
+def is_moved(run: RunInfo, node: str, values: object) -> bool:
+    """Return whether setting `values` of a `node` changes a device that laws are judged on."""
+    if not (isinstance(values, Mapping) and FIELDS.keys() & values.keys()):
+        return False
+    return topics.DEVICE_STATE in load(run.nodes[node].factory).publishes and bool(_coupling(run, node))
+
+
+def _coupling(run: RunInfo, driver: str) -> str:
+    """Return the node of the driver's chain that judges laws on a plant; empty for none."""
+    namespace = driver.rpartition("/")[0]
+    inside = (
+        name for name, setup in run.nodes.items() if name.rpartition("/")[0] == namespace and has_plant(load(setup.factory))
+    )
+    return next(inside, "")
+
+
+def set_moved(run: RunInfo, driver: str, values: Mapping[str, Any], ask: Ask, force: bool) -> Any:
+    """Set `values` of a driver; return its receipt.
+
+    Raises
+    ------
+    ControlError
+        When the law would be unstable on that device, or the driver refuses: both are as before then.
+    """
+    coupling = _coupling(run, driver)
+    plant = ask(coupling, "param.get", name="plant")
+    forced = {"force": True} if force else {}
+    if plant is None:
+        return ask(driver, "param.set", values=values, **forced)
+    wanted = {}
+    for name in FIELDS.keys() & values.keys():
+        field, new = FIELDS[name], values[name]
+        if isinstance(new, int | float):
+            # What the plant says beyond the device's own delay stays.
+            more = plant[field] - ask(driver, "param.get", name=name) if field == "device_delay" else 0.0
+            wanted[f"plant.{field}"] = max(0.0, round(new + more, 9))
+    before = {path: plant[path.removeprefix("plant.")] for path in wanted}
+    if wanted:
+        ask(coupling, "param.set", values=wanted, **forced)
+    try:
+        return ask(driver, "param.set", values=values, **forced)
+    except ControlError:
+        if wanted:
+            ask(coupling, "param.set", values=before, force=True)
+        raise

@@ -1,0 +1,202 @@
+"""Another hand as the environment: the coupling holds the device to where the partner's device is.
+
+Two people, each with a device, a coupling and a law of their own; what travels between them are positions, as late as the
+network makes them. The position presented to the coupling never jumps: a partner that is first heard, or heard again, is
+met where the device is, and the offset to where it really is fades at `align`. So does the way back to free air when the
+partner falls silent.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar
+
+import msgspec
+
+from messages import topics
+from messages.codec import Decoder, MessageRefusedError, encode
+from messages.types import ZERO, DeviceState, Proxy, Vector
+from nodes.base.follow import answer_ticks
+from nodes.base.node import Node
+from nodes.base.setup import Axis, Setup
+from nodes.environment.spent import SpentCounters, note_spent, spent_us
+from nodes.parameters.store import ParameterError
+
+UNHEARD, HEARD, SILENT = range(3)
+"""What is known of a partner: nothing yet, its position, or nothing any more."""
+
+Patience = Annotated[float, msgspec.Meta(gt=0.0, le=10.0)]
+MetresPerSecond = Annotated[float, msgspec.Meta(gt=0.0, le=100.0)]
+
+
+class PartnerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of an environment that is another device.
+
+    silence: Time without a message of the partner after which it counts as gone [s].
+    align: MetresPerSecond at which an offset to the partner fades, so that nobody is pushed by a jump [m/s].
+    fastest: MetresPerSecond beyond which a step of the partner's position is a jump and no motion [m/s].
+    """
+
+    silence: Patience = 0.1
+    align: MetresPerSecond = 0.1
+    fastest: MetresPerSecond = 10.0
+
+
+class Partner:
+    """The partner's position as the coupling sees it: continuous, whatever the network does.
+
+    Parameters
+    ----------
+    period : float
+        Sampling period T [s].
+    parameters : PartnerParameters
+        Limits of silence and speed.
+    """
+
+    def __init__(self, period: float, parameters: PartnerParameters) -> None:
+        self._period, self._parameters = period, parameters
+        self.state = UNHEARD
+        self.place: Vector = ZERO  # where the partner was last heard to be [m]
+        self._offset: Vector = ZERO  # from there to the position presented [m]
+        self._seq = -1  # the partner's tick that it was heard of
+        self._heard_at = 0  # own tick at which a message came last
+        self._fresh = False  # whether one came since the last tick
+
+    def hear(self, state: DeviceState) -> bool:
+        """Take a message of the partner; return False for one that is old or tells no position."""
+        if state.safety == "fault" or state.seq == self._seq:
+            return False
+        if state.seq < self._seq and self.state == HEARD and self._seq - state.seq < 1.0 / self._period:
+            return False  # overtaken on the way; a partner that began anew is older by far, or was silent
+        if self.state == HEARD:
+            step = _minus(state.position, self.place)
+            ticks = max(state.seq - self._seq, 1)
+            if math.hypot(*step) > self._parameters.fastest * self._period * ticks:
+                self._offset = _minus(self._offset, step)
+        self._seq, self.place, self._fresh = state.seq, state.position, True
+        return True
+
+    def present(self, own: Vector, seq: int) -> tuple[Vector, bool]:
+        """Return the position presented at an own tick [m], and whether there is a partner to feel."""
+        known = self.state
+        if self._fresh:
+            self._fresh, self._heard_at = False, seq
+            if known != HEARD:
+                # `presented` goes on from where it was: at the device, or on its way there.
+                begin = own if known == UNHEARD else self._presented
+                self._offset, self.state = _minus(begin, self.place), HEARD
+        elif known == HEARD and (seq - self._heard_at) * self._period > self._parameters.silence:
+            self.state = SILENT
+        if self.state == UNHEARD:
+            return own, False
+        most = self._parameters.align * self._period
+        if self.state == SILENT:
+            self._presented = _plus(own, _shorter(_minus(self._presented, own), most))
+            if self._presented == own:
+                self.state = UNHEARD
+            return self._presented, self.state == SILENT
+        self._offset = _shorter(self._offset, most)
+        self._presented = _plus(self.place, self._offset)
+        return self._presented, True
+
+    _presented: Vector = ZERO  # the position presented last [m]
+
+
+def _plus(a: Vector, b: Vector) -> Vector:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+def _minus(a: Vector, b: Vector) -> Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def _shorter(a: Vector, by: float) -> Vector:
+    """Return a vector shortened by a length, zero at most."""
+    length = math.hypot(*a)
+    if length <= by:
+        return ZERO
+    share = 1.0 - by / length
+    return share * a[0], share * a[1], share * a[2]
+
+
+class PartnerEnvironment(Node):
+    """Answers device states with where the partner is."""
+
+    Parameters: ClassVar[type[msgspec.Struct]] = PartnerParameters
+    publishes: ClassVar[tuple[str, ...]] = (topics.PROXY,)
+    listens_to: ClassVar[tuple[str, ...]] = (topics.DEVICE_STATE, topics.PARTNER)
+    answers: ClassVar[bool] = True
+
+    @classmethod
+    def check(cls, setup: Setup) -> None:
+        """Refuse lockstep: two drivers that wait for answers each have a time of their own."""
+        if setup.pace == "lockstep":
+            raise ParameterError(
+                f"{setup.name}: a partner is heard in real time, but run.pace is lockstep; "
+                "use pace:=realtime, or haptic study hands, which plays both in one process"
+            )
+
+    @classmethod
+    def axes(cls, parameters: Mapping[str, Any], name: str) -> tuple[Axis, ...]:
+        """Return no axis: a partner is felt along whatever the scene computes."""
+        del parameters, name
+        return ()
+
+    def make_counters(self) -> SpentCounters:
+        """Return the counters of its ticks."""
+        return SpentCounters()
+
+    def configure(self) -> None:
+        """Begin without a partner."""
+        self._partner = Partner(self.setup.period, self.store.current)
+        self._decoder = Decoder(DeviceState)
+        self.heard = self.late = 0  # messages of the partner that counted, and that came too late to
+
+    def _hear(self, payload: bytes) -> None:
+        try:
+            counted = self._partner.hear(self._decoder.decode(payload))
+        except MessageRefusedError as error:
+            self.events.refuse(str(error))
+            return
+        self.heard += counted
+        self.late += not counted
+
+    def _answer(self, state: DeviceState) -> bytes | None:
+        if state.safety == "fault":
+            # The position is an old one; who follows bridges the gap.
+            return None
+        begin = time.monotonic()
+        before = self._partner.state
+        proxy, contact = self._partner.present(state.position, state.seq)
+        self._report(before, state)
+        note_spent(self.counters.spent, time.monotonic() - begin)
+        # The coupling holds the device to the partner from all sides: no normal, and nothing to clamp.
+        return encode(
+            Proxy(
+                seq=state.seq, stamp=self.clock.now(), position=state.position, proxy=proxy, contact=contact, delay=state.delay
+            )
+        )
+
+    def _report(self, before: int, state: DeviceState) -> None:
+        now, parameters = self._partner.state, self.store.current
+        if now == HEARD and before != HEARD:
+            apart = math.dist(state.position, self._partner.place)
+            self.events.emit(
+                "partner",
+                f"heard, {1e3 * apart:.3g} mm apart: aligned at {parameters.align:g} m/s, in {apart / parameters.align:.2g} s",
+            )
+        elif now == SILENT and before == HEARD:
+            self.events.emit(
+                "partner", f"silent for {parameters.silence:g} s (silence): the device is let go at {parameters.align:g} m/s"
+            )
+
+    def report(self) -> dict[str, Any]:
+        """Return the time its ticks took, and how many messages of the partner came, and came too late."""
+        return {"spent_us": spent_us(self.counters.spent), "partner": {"heard": self.heard, "overtaken": self.late}}
+
+    def loop(self) -> None:
+        """Answer until stopped, with the newest position of the partner."""
+        partner = self.setup.topic(topics.PARTNER).encode()
+        answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self._answer, {partner: self._hear})

@@ -1,0 +1,75 @@
+"""Where a proxy without a past begins: at the device, and free of the solids that the device is already inside of.
+
+A half space pushes the device out, because its surface is known to be on one side; the coupling lets that force come by a
+ramp. The nearest surface of a solid may lie on any side of it, and far away. So a solid that the tool is deep inside of is not
+felt until the tool is wholly outside.
+"""
+
+from __future__ import annotations
+
+from nodes.environment.shapes import tables as t
+from nodes.environment.shapes.convex import gap
+from nodes.environment.shapes.tables import Memory, Table, Vector4
+from nodes.environment.shapes.tree import mesh_gap
+
+_SHALLOW = 5e-4  # a tool whose centre is less deep inside begins on the nearest surface [m]
+_MOST_ROUNDS = 200
+
+
+def shape_gap(scene: Table, memory: Memory, n: int, x: float, y: float, z: float) -> Vector4:
+    """Distance of the tool's centre from where it touches a shape [m], negative inside, and the outward normal."""
+    row = t.ROWS + t.ROW * n
+    if scene[row + t.KIND] == t.MESH:
+        return mesh_gap(scene, row, memory, t.LAST + n, x, y, z)
+    return gap(scene, row, x, y, z)
+
+
+def place(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
+    """Begin a proxy beside the device, or where it was on another surface, outside of all shapes that it feels."""
+    if memory[t.PLACED] == t.CARRIED:
+        x, y, z = memory[t.AT], memory[t.AT + 1], memory[t.AT + 2]
+    memory[t.PLACED] = t.ON
+    memory[t.SLIDING] = memory[t.TOUCHED] = 0.0
+    shapes = int(scene[t.SHAPES])
+    inside = 0.0
+    for n in range(shapes):
+        mode = t.LAST + shapes + n
+        away, _, _, _ = shape_gap(scene, memory, n, x, y, z)
+        unfelt = away < -scene[t.RADIUS] - _SHALLOW or (memory[mode] == t.UNFELT and away < -t.TOUCH)
+        if scene[t.ROWS + t.ROW * n + t.KIND] == t.PLANE or memory[mode] == t.HELD:
+            unfelt = False
+        memory[mode] = t.FELT
+        if unfelt:
+            memory[mode] = t.UNFELT
+            inside += 1.0
+    memory[t.INSIDE] = inside
+    for _ in range(_MOST_ROUNDS):
+        deepest, nx, ny, nz = -t.TOUCH, 0.0, 0.0, 1.0
+        for n in range(shapes):
+            if memory[t.LAST + shapes + n] == t.FELT:
+                away, px, py, pz = shape_gap(scene, memory, n, x, y, z)
+                if away < deepest:
+                    deepest, nx, ny, nz = away, px, py, pz
+        if deepest >= -t.TOUCH:
+            break
+        x, y, z = x - deepest * nx, y - deepest * ny, z - deepest * nz
+    memory[t.AT], memory[t.AT + 1], memory[t.AT + 2] = x, y, z
+
+
+def leave(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
+    """Feel the shapes again that both the device and its proxy have left."""
+    shapes = int(scene[t.SHAPES])
+    inside = 0.0
+    for n in range(shapes):
+        if memory[t.LAST + shapes + n] == t.UNFELT:
+            left = True
+            for which in range(2):
+                if which == 1:
+                    x, y, z = memory[t.AT], memory[t.AT + 1], memory[t.AT + 2]
+                away, _, _, _ = shape_gap(scene, memory, n, x, y, z)
+                left = left and away >= -t.TOUCH
+            if left:
+                memory[t.LAST + shapes + n] = t.FELT
+            else:
+                inside += 1.0
+    memory[t.INSIDE] = inside

@@ -1,0 +1,243 @@
+"""The environment of one body to feel: mass, spring and damper, alike along all axes, that the coupling holds the device to."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple
+
+import msgspec
+
+from messages import topics
+from messages.codec import encode
+from messages.types import ZERO, DeviceState, Proxy, Vector
+from nodes.base.follow import answer_ticks
+from nodes.base.node import Node
+from nodes.base.setup import AXIS_INDEX, Axis, Setup
+from nodes.environment.spent import SpentCounters, note_spent, spent_us
+from nodes.environment.world.dynamics import INTEGRATORS, BodyMotion, Stepped, lag_of
+from nodes.parameters.checked import NonNegative
+from nodes.parameters.store import ParameterError, convert
+
+GAP: Final = 0.1  # longest time without a state that the world catches up with [s]; it stands still for the rest
+SOFTEST: Final = 1e-3  # least force that moves an implicit world by 1 m within one tick [N/m]
+LIGHTEST: Final = 1e-6  # least mass of a stepped world [kg]
+
+
+class WorldParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of a world of one body.
+
+    mass: Mass [kg].
+    stiffness: Spring to ground [N/m].
+    damping: Viscous damper to ground [N s/m].
+    integrator: ``implicit`` (backward Euler) and ``lossless`` answer a force in the same tick and are passive
+        whatever the body is; ``semi_implicit`` and ``exact`` step under the held force, which moves the body a tick later.
+    steps: Sub-steps a tick of ``semi_implicit``.
+    position: Rest of the spring, where the body is at first [m]; None for where the device is at the first tick.
+    """
+
+    mass: NonNegative = 0.0
+    stiffness: NonNegative = 0.0
+    damping: NonNegative = 0.0
+    integrator: Literal["implicit", "lossless", "semi_implicit", "exact"] = "implicit"
+    steps: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 1
+    position: Vector | None = None
+
+    @property
+    def body(self) -> tuple[float, float, float]:
+        """Mass [kg], damping [N s/m] and stiffness [N/m]."""
+        return self.mass, self.damping, self.stiffness
+
+
+def check_world(parameters: WorldParameters, period: float, name: str) -> None:
+    """Refuse a body that the integrator cannot move.
+
+    Parameters
+    ----------
+    parameters : WorldParameters
+        The body.
+    period : float
+        Sampling period [s].
+    name : str
+        Name of the node, for errors.
+
+    Raises
+    ------
+    ParameterError
+        Naming the parameter, its limit and a remedy.
+    """
+    mass, damping, stiffness = parameters.body
+    if not math.isfinite(mass + damping + stiffness):
+        raise ParameterError(f"{name}: mass, damping and stiffness must be finite, got {mass}, {damping}, {stiffness}")
+    if parameters.integrator in ("implicit", "lossless"):
+        held = mass / period**2 + damping / period + stiffness
+        if held < SOFTEST:
+            raise ParameterError(
+                f"{name}: a force of {held:g} N moves this body by 1 m within one tick, expected at least {SOFTEST:g} N; raise "
+                f"{name}.mass, stiffness or damping"
+            )
+        return
+    if mass < LIGHTEST:
+        raise ParameterError(
+            f"{name}.mass: {mass:g} kg, expected at least {LIGHTEST:g} kg for integrator {parameters.integrator}; a body "
+            "without mass needs integrator implicit or lossless"
+        )
+    h = period / parameters.steps
+    # Semi-implicit Euler with an implicit damper: (m + h c)(z − 1)² + … has a root outside iff h² k > 4 m + 2 h c.
+    if parameters.integrator == "semi_implicit" and h * h * stiffness >= 4.0 * mass + 2.0 * h * damping:
+        least = math.ceil(period * _steps_factor(mass, damping, stiffness))
+        raise ParameterError(
+            f"{name}.steps: {parameters.steps} sub-steps a tick are unstable for {mass:g} kg on {stiffness:g} N/m, with or "
+            f"without a coupling; expected at least {least}"
+        )
+
+
+def _steps_factor(mass: float, damping: float, stiffness: float) -> float:
+    """Return the sub-steps per second above which h² k < 4 m + 2 h c."""
+    return stiffness / (damping + math.sqrt(damping * damping + 4.0 * mass * stiffness)) * (1.0 + 1e-9)
+
+
+class BodyPlace(NamedTuple):
+    """Where the world is at a tick."""
+
+    proxy: Vector  # where it would be without this tick's force; the device's position along axes that are not computed [m]
+    compliance: float  # how far this tick's force moves it [m/N]
+
+
+class FeltWorld:
+    """A body along some axes, which follows the ticks of a loop."""
+
+    def __init__(self, parameters: WorldParameters, period: float, axes: Sequence[str]) -> None:
+        self._period, self._axes = period, [AXIS_INDEX[axis] for axis in axes]
+        self._rest: Vector = ZERO
+        self._tick = -1
+        self._most = max(1, round(GAP / period))
+        self.set(parameters)
+
+    def set(self, parameters: WorldParameters) -> None:
+        """Use other parameters from now on; the body stays where it is and as fast."""
+        states = [motion.state() for motion in self._motions] if self._tick >= 0 else [(0.0, 0.0)] * len(self._axes)
+        kind = INTEGRATORS[parameters.integrator]
+        self._parameters = parameters
+        self._motions: list[BodyMotion] = [kind(parameters.body, self._period, parameters.steps, at) for at in states]
+        self.compliance = self._motions[0].compliance
+
+    def follow(self, tick: int, position: Vector, force: Vector, since: int, delay: float) -> BodyPlace:
+        """Go on to a tick.
+
+        Parameters
+        ----------
+        tick : int
+            The tick.
+        position : tuple of float, shape (3,)
+            Position of the device [m].
+        force : tuple of float, shape (3,)
+            Force handed to the device last, after all limits [N].
+        since : int
+            Tick that this force answers.
+        delay : float
+            From that tick's sample to when the force took effect [ticks].
+
+        Returns
+        -------
+        BodyPlace
+            Where the body is.
+        """
+        if self._tick < 0:
+            self._rest = position if self._parameters.position is None else self._parameters.position
+            self._tick = tick
+        begin = max(self._tick, tick - self._most)
+        for i, motion in zip(self._axes, self._motions, strict=True):
+            if isinstance(motion, Stepped) and tick > self._tick:
+                motion.hand_over(force[i], max(since + delay - begin, 0.0))
+            # The force of a tick whose answer was late or lost is the one that was on the device meanwhile.
+            for _ in range(begin, tick):
+                motion.close(force[i])
+        self._tick = tick
+        at = list(position)
+        for i, motion in zip(self._axes, self._motions, strict=True):
+            at[i] = self._rest[i] + motion.free()
+        return BodyPlace((at[0], at[1], at[2]), self.compliance)
+
+
+class WorldEnvironment(Node):
+    """Answers device states with where a body is; it has a state, so every tick counts. It has no compiled tick."""
+
+    Parameters: ClassVar[type[msgspec.Struct]] = WorldParameters
+    publishes: ClassVar[tuple[str, ...]] = (topics.PROXY,)
+    listens_to: ClassVar[tuple[str, ...]] = (topics.DEVICE_STATE,)
+    answers: ClassVar[bool] = True
+
+    @classmethod
+    def check(cls, setup: Setup) -> None:
+        """Refuse a body that cannot be moved before anything is started."""
+        check_world(convert(setup.parameters, WorldParameters, setup.name), setup.period, setup.name)
+
+    @classmethod
+    def plant(cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]) -> dict[str, float]:
+        """Return a stepped body as a tool of the coupling; of one that answers in the same tick only that it does."""
+        del axes
+        wanted: WorldParameters = convert(parameters, WorldParameters, name)
+        if not issubclass(INTEGRATORS[wanted.integrator], Stepped):
+            return {"tool_lag": 0.0}
+        mass, damping, stiffness = wanted.body
+        lag = lag_of(wanted.integrator, wanted.steps)
+        return {"tool_mass": mass, "tool_damping": damping, "tool_stiffness": stiffness, "tool_lag": lag}
+
+    def make_counters(self) -> SpentCounters:
+        """Make its counters."""
+        return SpentCounters()
+
+    def configure(self) -> None:
+        """Make the body, and report which world it is."""
+        parameters: WorldParameters = self.store.current
+        check_world(parameters, self.setup.period, self.setup.name)
+        self._world = FeltWorld(parameters, self.setup.period, self.setup.axes)
+        self.events.emit_each("world", described(parameters))
+
+    def prepare(self, parameters: Any) -> Callable[[int], Any]:
+        """Prepare another body in the same place."""
+        check_world(parameters, self.setup.period, self.setup.name)
+
+        def apply(seq: int) -> dict[str, Any]:
+            self._world.set(parameters)
+            return {"seq": seq, "world": described(parameters)}
+
+        return apply
+
+    def _answer(self, state: DeviceState) -> bytes | None:
+        simulated = self.clock.simulated
+        if state.safety == "fault" and not simulated:
+            return None
+        begin = 0.0 if simulated else time.monotonic()
+        at = self._world.follow(state.seq, state.position, state.force, state.seq - 1 - state.age, state.delay)
+        if not simulated:
+            note_spent(self.counters.spent, time.monotonic() - begin)
+        stamp = state.stamp if simulated else self.clock.now()
+        # The coupling holds the body from both sides: no normal, and nothing to clamp.
+        met: dict[str, Any] = {"proxy": at.proxy, "normal": ZERO, "distance": 0.0, "contact": True, "compliance": at.compliance}
+        met["rebased"] = state.rebased
+        return encode(Proxy(seq=state.seq, stamp=stamp, position=state.position, delay=state.delay, **met))
+
+    def report(self) -> dict[str, Any]:
+        """Return how long its ticks took."""
+        return {"spent_us": spent_us(self.counters.spent)}
+
+    def loop(self) -> None:
+        """BodyPlace until stopped; asked again (lockstep), the body is not moved twice."""
+        answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self._answer)
+
+
+def described(parameters: WorldParameters) -> str:
+    """Return which world it is, in words: body, integrator, sub-steps and lag."""
+    mass, damping, stiffness = parameters.body
+    integrator, steps = parameters.integrator, parameters.steps
+    body = f"{mass:g} kg, {stiffness:g} N/m, {damping:g} N s/m"
+    if not issubclass(INTEGRATORS[integrator], Stepped):
+        return f"{body}, {integrator}: answers a force in the same tick, and is passive whatever its numbers are"
+    sub_steps = f", {steps} sub-steps a tick" if integrator == "semi_implicit" else ""
+    return (
+        f"{body}, {integrator}{sub_steps}: stepped, answers a force {lag_of(integrator, steps):.3g} of a tick late, and is "
+        "passive to the loop by its own damping only"
+    )

@@ -1,0 +1,262 @@
+"""What the chains of a launch take of the processors: estimated before the start, measured while they run.
+
+What a tick of a chain costs here is kept beside the compiled code, by what the chain is made of. So the next launch can be
+told before it starts how many chains this machine carries, and its chains are spread over the processors.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import time
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import msgspec
+
+from messages import topics
+from nodes.base.node_kinds import load, node_kinds
+from nodes.compiled.cache import folder
+from nodes.launcher.launch_spec import Launch
+
+CARRIED: Final = 0.75  # part of a processor that chains may take: from there on waiting for each other makes them miss ticks
+LISTENERS: Final = 0.25  # part of a processor that is left to loggers, pages and the launcher where chains take all processors
+LATE: Final = 0.05  # share of lost ticks from which a run was overloaded, where its processors had no time left
+BUSY: Final = 0.85  # part of a processor's time from which it had none left; FIFO tasks get 0.95 at most
+_SHORTEST: Final = 0.5  # a shorter run tells nothing of what a tick costs [s]
+_KINDS_KEPT: Final = 256
+
+
+class Known(msgspec.Struct, frozen=True):
+    """What was measured here before."""
+
+    costs: dict[str, float] = {}  # kind of chain to processor time of a tick [s]
+
+
+Cause = Literal["", "chains", "others"]
+"""Why a run lost ticks: too many chains, or others that kept the processors; empty for few, or another reason."""
+
+
+class Load(msgspec.Struct, frozen=True, kw_only=True):
+    """How busy the processors of the chains were during a run, and what they carry."""
+
+    chains: int
+    rate_hz: float
+    tick_cost_us: float  # processor time of one tick of a chain, the mean over all
+    processors: int
+    busy: float  # part of these processors' time that the chains took
+    waited: float  # how long processes of chains waited for a processor, per second of the run
+    carried: int  # how many such chains the machine carries
+    lost: float  # share of ticks without their answer in time
+    cause: Cause  # why so many were lost
+
+    @property
+    def text(self) -> str:
+        """What a summary says of it; empty where nothing is wrong."""
+        if not self.cause:
+            return ""
+        chains = f"{self.chains} chain{'s' if self.chains > 1 else ''} at {self.rate_hz:g} Hz lost {self.lost:.1%} of the ticks"
+        of = "one processor" if self.processors == 1 else f"{self.processors} processors"
+        if self.cause == "chains":
+            return (
+                f"{chains}: they took {self.busy:.0%} of {of}, {self.tick_cost_us:.0f} µs a tick; this machine carries about "
+                f"{self.carried} of them: start fewer, lower run.rate, or take --tick compiled"
+            )
+        return (
+            f"{chains}: they took {self.busy:.0%} of {of}, and waited for others {self.waited:.2g} s a second; end what else "
+            "keeps this machine busy, or grant SCHED_FIFO (haptic doctor)"
+        )
+
+
+def _hops(launch: Launch, namespace: str) -> list[str]:
+    kinds = node_kinds()
+    inside = {name: load(kinds[spec.kind]) for name, spec in launch.nodes.items() if name.rpartition("/")[0] == namespace}
+    return [name for name, kind in inside.items() if any(topic in kind.publishes for topic in topics.LOOP)]
+
+
+def kind_of_chain(launch: Launch, namespace: str, tick: str) -> str:
+    """Return what the cost of a chain's tick depends on: its kinds of node, its surface, its axes and how ticks are taken."""
+    parts = [tick]
+    for name in _hops(launch, namespace):
+        spec = launch.nodes[name]
+        surface = spec.parameters.get("surface")
+        parts += [spec.kind, str(surface.get("kind", ""))[:64] if isinstance(surface, Mapping) else ""]
+    return " ".join([*parts, "".join(launch.axes.get(namespace) or launch.run.axes)])
+
+
+def _place() -> Path:
+    return folder().parent / "chain_costs.json"
+
+
+def known_costs() -> dict[str, float]:
+    """Return what ticks cost here before [s], by kind of chain; nothing where nothing was measured."""
+    with contextlib.suppress(OSError, msgspec.DecodeError):
+        path = _place()
+        if path.stat().st_uid == os.getuid() and path.stat().st_size < 1_000_000:
+            found = msgspec.json.decode(path.read_bytes(), type=Known).costs
+            return {kind: cost for kind, cost in found.items() if 0.0 < cost < 1.0}
+    return {}
+
+
+def keep_costs(measured: Mapping[str, float]) -> None:
+    """Keep what ticks cost [s], by kind of chain; a folder that cannot be written to keeps nothing."""
+    known = known_costs()
+    for kind, cost in measured.items():
+        known.pop(kind, None)
+        known[kind] = cost  # the newest last: a machine that was busy for once is not for ever
+    kept = dict(list(known.items())[-_KINDS_KEPT:])
+    with contextlib.suppress(OSError):
+        path = _place()
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        draft = path.with_name(f".{path.name}.{os.getpid()}")
+        draft.write_bytes(msgspec.json.encode(Known(kept)))
+        draft.replace(path)
+
+
+def estimated(launch: Launch, chains: Iterable[str], tick: str) -> dict[str, float]:
+    """Return the part of a processor that each chain will take, by namespace; only chains whose cost is known."""
+    known = known_costs()
+    costs = {chain: known.get(kind_of_chain(launch, chain, tick)) for chain in chains}
+    return {chain: cost * launch.run.rate for chain, cost in costs.items() if cost is not None}
+
+
+def carried(cost: float, rate: float, processors: int) -> int:
+    """Return how many chains of a tick's `cost` [s] run at a `rate` [Hz] without waiting for each other."""
+    return max(0, processors * math.floor(CARRIED / (cost * rate))) if cost > 0.0 else 0
+
+
+def warning(launch: Launch, chains: list[str], tick: str, processors: int) -> str:
+    """Return what to say before the start of a launch that its machine does not carry; empty where it does, or nobody knows."""
+    shares = estimated(launch, chains, tick)
+    if launch.run.pace != "realtime" or len(shares) < len(chains) or not shares:
+        return ""
+    whole, mean = sum(shares.values()), sum(shares.values()) / len(shares)
+    if whole <= CARRIED * processors:
+        return ""
+    rate = launch.run.rate
+    most = carried(mean / rate, rate, processors)
+    return (
+        f"overload ahead: {len(chains)} chains at {rate:g} Hz take {whole:.0%} of one processor, as measured here "
+        f"({mean / rate * 1e6:.0f} µs a tick), and there are {processors}; this machine carries about {most} such chains: "
+        f"start fewer, lower run.rate{'' if tick == 'compiled' else ', or take --tick compiled'}"
+    )
+
+
+def spread(chains: Iterable[str], cores: list[int], shares: Mapping[str, float]) -> dict[str, int]:
+    """Return a processor for each chain, the first of `cores` for as many as it carries; listeners keep the last if it can be.
+
+    A chain whose share is not known counts as a twentieth of a processor.
+    """
+    chains = list(chains)
+    share = {chain: shares.get(chain, 0.05) for chain in chains}
+    taken = dict.fromkeys(cores, 0.0)
+    taken[cores[-1]] += LISTENERS
+    found = {}
+    for chain in sorted(chains, key=lambda one: -share[one]):
+        fits = next((core for core in cores[:-1] if taken[core] + share[chain] <= CARRIED), None)
+        core = fits if fits is not None else min(cores, key=taken.__getitem__)
+        taken[core] += share[chain]
+        found[chain] = core
+    return {chain: found[chain] for chain in chains}
+
+
+def _processor_time(pid: int) -> float:
+    """Return the processor time of a process, all its threads together [s]; 0 for one that is gone."""
+    try:
+        return time.clock_gettime((~pid << 3) | 2)  # the kernel's clock of a process, as clock_getcpuclockid makes it
+    except OSError:
+        return 0.0
+
+
+def _waited(pid: int) -> float:
+    """Return how long the threads of a process waited for a processor [s]; 0 for one that is gone."""
+    waited = 0
+    with contextlib.suppress(OSError, ValueError):
+        for task in os.listdir(f"/proc/{pid}/task"):
+            waited += int(Path(f"/proc/{pid}/task/{task}/schedstat").read_text(encoding="ascii").split()[1])
+    return waited * 1e-9
+
+
+class Meter:
+    """Measures the processor time of a launch's nodes from the first tick on: what they had, and how long they waited for it.
+
+    Parameters
+    ----------
+    pids : mapping of str to int
+        Process of each node of a chain.
+    """
+
+    def __init__(self, pids: Mapping[str, int]) -> None:
+        self._pids = dict(pids)
+        self._had = {name: _processor_time(pid) for name, pid in self._pids.items()}
+        self._began = {name: (time.monotonic(), _waited(pid)) for name, pid in self._pids.items()}
+        self._waits: dict[str, float] = {}
+
+    def look(self) -> None:
+        """Look how long the nodes that are still there have waited."""
+        for name, pid in self._pids.items():
+            at, before = self._began[name]
+            if (waited := _waited(pid)) > before and time.monotonic() > at:
+                self._waits[name] = (waited - before) / (time.monotonic() - at)
+
+    def had(self, reports: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+        """Return the processor time of each node since the first tick [s], by what the nodes reported at their end."""
+        ends = {name: reports.get(name, {}).get("status", {}) for name in self._pids}
+        return {
+            name: max(0.0, float(end["cpu"]) - self._had[name])
+            for name, end in ends.items()
+            if end.get("pid") == self._pids[name]
+        }
+
+    def waiting(self) -> float:
+        """Return how long all nodes together waited for a processor, per second."""
+        return sum(self._waits.values())
+
+
+def load_of(
+    launch: Launch, had: float, waiting: float, reports: Mapping[str, Mapping[str, Any]], processors: int
+) -> Load | None:
+    """Return how busy a run was; None for one that was too short to tell, or did not tick in real time.
+
+    Parameters
+    ----------
+    launch : Launch
+        What ran.
+    had : float
+        Processor time of the nodes of its chains [s].
+    waiting : float
+        How long they waited for a processor, per second.
+    reports : mapping of str to mapping
+        What the driver of each chain reported.
+    processors : int
+        Processors that the chains share.
+    """
+    rate, done, lost, most = launch.run.rate, 0, 0, 0
+    for report in reports.values():
+        ticks, missed, left_out = (int(report.get(name, 0)) for name in ("ticks", "missed", "overruns"))
+        done, lost, most = done + ticks - missed, lost + missed + left_out, max(most, ticks + left_out)
+    seconds = most / rate
+    if seconds < _SHORTEST or had <= 0.0 or launch.run.pace != "realtime":
+        return None
+    share = lost / (done + lost)
+    cost = had / max(done, 1)  # what was spent on lost ticks is part of what an answered one costs
+    busy = had / (seconds * processors)
+    return Load(
+        chains=len(reports),
+        rate_hz=rate,
+        tick_cost_us=round(cost * 1e6, 1),
+        processors=processors,
+        busy=round(busy, 3),
+        waited=round(waiting, 3),
+        carried=carried(cost, rate, len(os.sched_getaffinity(0))),
+        lost=round(share, 4),
+        cause=_cause(share, busy, waiting / len(reports)),
+    )
+
+
+def _cause(lost: float, busy: float, waiting: float) -> Cause:
+    if lost < LATE:
+        return ""
+    return "chains" if busy >= BUSY else "others" if waiting >= LATE else ""

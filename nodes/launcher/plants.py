@@ -1,0 +1,52 @@
+"""The plant of each coupling: written once, as the device, and filled in where the coupling needs it.
+
+A coupling judges its laws on ``plant``. What the other nodes of its chain know of that (`nodes.base.node.Node.plant`: a
+virtual device its mass, a driver its scale, a scene the mass of its tool) is filled in where the launch file leaves it out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from nodes.base.node import Node
+from nodes.base.node_kinds import load, node_kinds
+from nodes.launcher.launch_spec import Launch
+
+_PLANT = "plant"
+# Fields as they are when they are left out.
+_OF_PARTNERS = ("tool_damping", "tool_stiffness", "partner_damping", "partner_stiffness", "partner_later")
+_USUAL = {"damping": 0.0, "stiffness": 0.0, "device_delay": 0.0, "scale": 1.0, **dict.fromkeys(_OF_PARTNERS, 0.0)}
+_DIGITS = 12  # significant digits: 0.1 kg and a hand of 0.05 kg are 0.15 kg, as a person adds them
+
+
+def has_plant(kind: type[Node]) -> bool:
+    """Return whether nodes of a kind judge what they render on a plant."""
+    return _PLANT in kind.Parameters.__struct_fields__
+
+
+def known_plant(launch: Launch, namespace: str) -> dict[str, float]:
+    """Return what the nodes of a chain know of its plant, by field; later nodes go before."""
+    kinds, axes = node_kinds(), launch.axes.get(namespace) or launch.run.axes
+    found: dict[str, float] = {}
+    for name, spec in launch.nodes.items():
+        if name.rpartition("/")[0] == namespace:
+            found |= load(kinds[spec.kind]).plant(spec.parameters, name, axes)
+    return {field: float(f"{value:.{_DIGITS}g}") for field, value in found.items()}
+
+
+def with_plants(launch: Launch) -> Launch:
+    """Return the launch with each coupling's plant filled in; ``plant: null`` stays as it is."""
+    kinds, nodes = node_kinds(), dict(launch.nodes)
+    for name, spec in launch.nodes.items():
+        written: Any = spec.parameters.get(_PLANT, {})
+        if not (has_plant(load(kinds[spec.kind])) and isinstance(written, Mapping)):
+            continue
+        known = known_plant(launch, name.rpartition("/")[0])
+        telling = {field: value for field, value in known.items() if value != _USUAL.get(field)}
+        whole = {**telling, **written}
+        if written or "mass" in whole:
+            nodes[name] = msgspec.structs.replace(spec, parameters={**spec.parameters, _PLANT: whole})
+    return msgspec.structs.replace(launch, nodes=nodes)

@@ -1,0 +1,169 @@
+"""Two devices coupled to each other at whole delays, and any two hands: Colgate's condition for a two-port.
+
+The forces on both devices are F = M(z)·x of both sampled positions, row by row a law at its own delays,
+
+    M = [[w^{d11} H₁, −w^{d12} H₁], [−w^{d21} H₂, w^{d22} H₂]],   w = e^{−jθ}, θ = ωT.
+
+With the forces held, whatever passive hands hold the devices, the loop is passive if for all 0 < θ ≤ π the matrix
+
+    diag(b₁, b₂) − T/(2 (1 − cos θ)) · ½[(1 − w) M + ((1 − w) M)*]
+
+is positive definite (THEORY.md §17). For one device this is Colgate's condition. At θ → 0 it needs H₁(1) = H₂(1): two
+different springs on one way make energy at any speed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nodes.laws import CompiledLaw
+
+_ZOOMS = 8
+_SOFTEST = 1e-9  # relative difference of H(1) of both sides that counts as none
+
+
+@dataclass(frozen=True)
+class TwoHands:
+    """Two laws, and the delay with which each sees each position.
+
+    Attributes
+    ----------
+    laws : tuple of CompiledLaw
+        That of the first device, and of the second.
+    delays : tuple of tuple of int
+        By law, then by position: from the sample of that position to the force taking effect [ticks].
+    """
+
+    laws: tuple[CompiledLaw, CompiledLaw]
+    delays: tuple[tuple[int, int], tuple[int, int]]
+
+    @classmethod
+    def in_the_middle(cls, law: CompiledLaw, first: int, second: int) -> TwoHands:
+        """Return one law on the way between the devices, whose force reaches them after `first` and `second` ticks."""
+        return cls((law, law), ((first, first), (second, second)))
+
+    @classmethod
+    def law_each(cls, laws: tuple[CompiledLaw, CompiledLaw], there: int, back: int, own: tuple[int, int] = (0, 0)) -> TwoHands:
+        """Return a law at each device, on its own position and the other's.
+
+        Parameters
+        ----------
+        laws : tuple of CompiledLaw
+            Of the first device and of the second.
+        there, back : int
+            Delay of the first position on its way to the second device, and of the second's to the first [ticks].
+        own : tuple of int
+            Delay of either loop itself [ticks].
+        """
+        return cls(laws, ((own[0], own[0] + back), (own[1] + there, own[1])))
+
+
+def damping_share(coupling: TwoHands, period: float, damping: tuple[float, float]) -> float:
+    """Return the share of both devices' damping that the coupling uses: below 1 it is passive for any two hands.
+
+    Parameters
+    ----------
+    coupling : TwoHands
+        Laws and delays.
+    period : float
+        Sampling period T [s].
+    damping : tuple of float
+        Viscous damping of both devices [N s/m].
+
+    Returns
+    -------
+    float
+        Largest eigenvalue over all frequencies [1]; infinite where both sides render different stiffnesses, or a device
+        without damping is asked for some.
+    """
+    first, second = (law.h1 for law in coupling.laws)
+    if abs(first - second) > _SOFTEST * max(abs(first), abs(second)):
+        return math.inf
+    length = max(len(law.taps) for law in coupling.laws) + max(max(row) for row in coupling.delays)
+    grid = np.union1d(np.linspace(0.0, np.pi, 16 * length + 257)[1:], np.geomspace(1e-4, np.pi, 801)[:-1])
+
+    def share(theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        return _share(coupling, period, damping, theta)
+
+    return float(_highest(share, grid))
+
+
+def _share(coupling: TwoHands, period: float, damping: tuple[float, float], theta: NDArray[np.float64]) -> NDArray[np.float64]:
+    w = np.exp(-1j * theta)
+    # (1 − w)/(2 (1 − cos θ)) = 1/(1 − w̄): written so, nothing cancels.
+    sampled = period / (1.0 - np.conj(w))
+    rows = [sampled * law.response(1.0 / w) for law in coupling.laws]
+    (d11, d12), (d21, d22) = coupling.delays
+    own = [(rows[0] * w**d11).real, (rows[1] * w**d22).real]
+    across = -0.5 * (rows[0] * w**d12 + np.conj(rows[1] * w**d21))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = own[0] / damping[0], own[1] / damping[1]
+        c = np.abs(across) ** 2 / (damping[0] * damping[1])
+        found = 0.5 * (a + b) + np.sqrt(0.25 * (a - b) ** 2 + c)
+    return np.asarray(np.where(np.isnan(found), np.inf, found), dtype=np.float64)
+
+
+def _highest(function: Callable[[NDArray[np.float64]], NDArray[np.float64]], grid: NDArray[np.float64]) -> float:
+    """Largest value: the highest cells of a grid, each zoomed into."""
+    value = function(grid)
+    padded = np.concatenate([[-np.inf], value, [-np.inf]])
+    peaks = np.flatnonzero((value >= padded[:-2]) & (value >= padded[2:]))
+    peaks = peaks[np.argsort(-value[peaks])][:8]
+    left, right = grid[np.maximum(peaks - 1, 0)], grid[np.minimum(peaks + 1, len(grid) - 1)]
+    best = float(value.max())
+    for _ in range(_ZOOMS):
+        cells = np.linspace(left, right, 17)
+        values = function(cells.ravel()).reshape(cells.shape)
+        at, column = np.argmax(values, axis=0), np.arange(len(peaks))
+        best = max(best, float(values.max()))
+        left, right = cells[np.maximum(at - 1, 0), column], cells[np.minimum(at + 1, 16), column]
+    return best
+
+
+def k_max_two_hands(
+    coupling_at: Callable[[float], TwoHands], period: float, damping: tuple[float, float], highest: float = 1e9
+) -> float | None:
+    """Return the largest nominal stiffness at which a coupling is passive for any two hands.
+
+    Parameters
+    ----------
+    coupling_at : callable
+        From a nominal stiffness K [N/m] to the coupling.
+    period : float
+        Sampling period T [s].
+    damping : tuple of float
+        Viscous damping of both devices [N s/m].
+    highest : float
+        End of the search [N/m].
+
+    Returns
+    -------
+    float or None
+        K [N/m]; None where no stiffness is passive. The condition is convex in K, so one interval is all there is.
+    """
+
+    def excess(stiffness: float) -> float:
+        return damping_share(coupling_at(stiffness), period, damping) - 1.0
+
+    softest = 1e-6
+    # The share is convex in K: where the derivative part alone asks for too much, a stiffer spring may still ask for less.
+    tried: list[float] = [softest, *np.geomspace(1e-2, highest, 121).tolist()]
+    start = next((k for k in tried if excess(k) < 0.0), None)
+    if start is None:
+        return None
+    low, high = start, max(2.0 * start, 1.0)
+    while excess(high) < 0.0:
+        low, high = high, 2.0 * high
+        if high > highest:
+            return math.inf
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if excess(middle) < 0.0 else (low, middle)
+        if high - low < 1e-10 * high:
+            break
+    return low

@@ -1,0 +1,341 @@
+"""Two hands and a network in one process: what is stable for any hands, what is felt, and what a guard at both ends buys.
+
+Each side has a device, a law on its own position and on the other's as late as the network makes it, and, if asked for, a
+passivity guard (nodes/driver/passivity.py) whose credit travels: what one side took in beyond what its law can store is sent
+to the other, which may give it out (energy tanks: Franken et al. 2011; observers at both ends: Ryu, Artigas & Preusche 2010).
+Sums travel, so delay and loss only delay energy and never make any.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nodes.driver.passivity import control, observe
+from nodes.laws import CompiledLaw
+from nodes.stability.plant import Plant, held_step
+
+FELT_AT = 1.0  # frequency at which stiffness and drag are measured [Hz]
+
+
+@dataclass(frozen=True)
+class EndGuard:
+    """A guard at either end.
+
+    Attributes
+    ----------
+    stiffness : float
+        Stiffness of the spring that the law stands for [N/m]: no more is kept than it holds.
+    damping : float
+        Largest damper that takes back what was given out too much [N s/m].
+    """
+
+    stiffness: float
+    damping: float
+
+
+@dataclass(frozen=True)
+class Network:
+    """How positions, and energy with them, travel.
+
+    Attributes
+    ----------
+    there, back : int
+        Delay from the first side to the second, and back [ticks].
+    jitter : int
+        Largest further delay of a message, evenly distributed [ticks].
+    loss : float
+        Share of the messages that never arrive [1].
+    seed : int
+        Of jitter and loss.
+    """
+
+    there: int
+    back: int
+    jitter: int = 0
+    loss: float = 0.0
+    seed: int = 1
+
+
+@dataclass(frozen=True)
+class HandsRun:
+    """What both sides did, a row a tick.
+
+    Attributes
+    ----------
+    position, force : ndarray, shape (ticks, 2)
+        Of both devices [m]; on them, by the laws [N].
+    given_out_j : ndarray, shape (ticks,)
+        Energy that laws and network together have given out to both hands [J]: positive is energy made.
+    """
+
+    position: NDArray[np.float64]
+    force: NDArray[np.float64]
+    given_out_j: NDArray[np.float64]
+
+
+class _Side:
+    """A device, its law and its account."""
+
+    def __init__(self, plant: Plant, law: CompiledLaw, guard: EndGuard | None) -> None:
+        whole, self._motion, self._push, late = held_step(plant)
+        if whole or any(late):
+            raise ValueError(f"delay = {plant.delay:g}: a side's own delay must be 0 here; the network's is in `Network`")
+        self._taps, self._guard = law.taps, guard
+        self._rate = guard.damping / plant.period if guard else 0.0
+        self.x = self.v = self.force = 0.0
+        self._own: list[float] = [0.0] * len(law.taps)
+        self._other: list[float] = [0.0] * len(law.taps)
+        self._step = self.energy = self.sent = self._received = 0.0
+
+    def choose(self, other: float, credit: float) -> float:
+        """Return the force of this tick, from the partner's position [m] and the energy it has sent so far [J]."""
+        self._own = [self.x, *self._own[:-1]]
+        self._other = [other, *self._other[:-1]]
+        force = sum(h * (b - a) for h, a, b in zip(self._taps, self._own, self._other, strict=True))
+        if self._guard is not None:
+            force = self._guarded(self._guard, force, credit)
+        self.force = force
+        return force
+
+    def _guarded(self, guard: EndGuard, force: float, credit: float) -> float:
+        self.energy -= credit - self._received
+        self._received = credit
+        kept = -force * force / (2.0 * guard.stiffness)
+        if self.energy < kept:
+            self.sent += kept - self.energy
+            self.energy = kept
+        return control(self.energy, force, self._step, self._rate)
+
+    def move(self, outside: float) -> None:
+        """Move for a tick under the law's force and a hand's [N]."""
+        (a11, a12, a21, a22), (g1, g2) = self._motion, self._push
+        push, before = self.force + outside, self.x
+        self.x, self.v = (a11 * self.x + a12 * self.v + g1 * push, a21 * self.x + a22 * self.v + g2 * push)
+        self._step = self.x - before
+        self.energy = observe(self.energy, self.force, self._step)
+
+
+Pull = Callable[[int], float]  # force of a hand beyond its spring at rest, by tick [N]
+
+
+def play(
+    plants: tuple[Plant, Plant],
+    laws: tuple[CompiledLaw, CompiledLaw],
+    network: Network,
+    pull: tuple[Pull, Pull],
+    ticks: int,
+    guard: EndGuard | None = None,
+) -> HandsRun:
+    """Play both sides.
+
+    Parameters
+    ----------
+    plants : tuple of Plant
+        Both devices, each with its hand's mass, damping and spring.
+    laws : tuple of CompiledLaw
+        Of either side.
+    network : Network
+        How late positions come.
+    pull : tuple of callable
+        What either hand does.
+    ticks : int
+        Length.
+    guard : EndGuard, optional
+        One at either end.
+
+    Returns
+    -------
+    HandsRun
+        Positions, forces, and energy.
+    """
+    random = np.random.default_rng(network.seed)
+    sides = [_Side(plant, law, guard) for plant, law in zip(plants, laws, strict=True)]
+    # By the side that hears: what was sent, newest last, with the tick at which it arrives.
+    under_way: list[list[tuple[int, int, float, float]]] = [[], []]
+    heard: list[tuple[int, float, float]] = [(-1, 0.0, 0.0)] * 2
+    delays = (network.back, network.there)
+    rows = np.empty((ticks, 4))
+    energy = np.empty(ticks)
+    total = 0.0
+    for k in range(ticks):
+        for listener in (0, 1):
+            speaker = sides[1 - listener]
+            late = delays[listener] + (int(random.integers(network.jitter + 1)) if network.jitter else 0)
+            if network.loss <= 0.0 or random.random() >= network.loss:
+                under_way[listener].append((k + late, k, speaker.x, speaker.sent))
+            arrived = [one for one in under_way[listener] if one[0] <= k]
+            under_way[listener] = [one for one in under_way[listener] if one[0] > k]
+            for _, sent_at, x, credit in arrived:
+                if sent_at > heard[listener][0]:
+                    heard[listener] = (sent_at, x, credit)
+        for side, (_, x, credit) in zip(sides, heard, strict=True):
+            side.choose(x, credit)
+        rows[k] = (sides[0].x, sides[1].x, sides[0].force, sides[1].force)
+        before = [side.x for side in sides]
+        for side, outside in zip(sides, pull, strict=True):
+            side.move(outside(k))
+        total += sum(side.force * (side.x - x) for side, x in zip(sides, before, strict=True))
+        energy[k] = total
+    return HandsRun(rows[:, :2], rows[:, 2:], energy)
+
+
+@dataclass(frozen=True)
+class FeltPartner:
+    """What the first hand feels of the second at 1 Hz.
+
+    Attributes
+    ----------
+    stiffness_n_per_m : float
+        Of a partner that is held fast: in phase with the first hand's motion [N/m].
+    drag_n_s_per_m : float
+        Of a partner whose device nobody holds: in phase with its speed, what that device needs itself left out [N s/m].
+    made_j : float
+        Most energy that laws and network gave out beyond what they were given [J].
+    """
+
+    stiffness_n_per_m: float
+    drag_n_s_per_m: float
+    made_j: float
+
+
+def felt(plant: Plant, law: CompiledLaw, network: Network, guard: EndGuard | None = None, seconds: float = 4.0) -> FeltPartner:
+    """Measure what is felt: the first hand moves its device to and fro by 10 mm, the partner is held fast, or let go.
+
+    Parameters
+    ----------
+    plant : Plant
+        Either device, without a hand.
+    law : CompiledLaw
+        Of either side.
+    network : Network
+        Between them.
+    guard : EndGuard, optional
+        One at either end.
+    seconds : float
+        Length, of which the second half is measured [s].
+
+    Returns
+    -------
+    FeltPartner
+        Stiffness, drag and energy.
+    """
+    period, omega = plant.period, 2.0 * math.pi * FELT_AT
+    ticks = round(seconds / period)
+    # A hand of 2 kN/m and 40 N s/m leads the device nearly as a motion source would; a fist of the same holds it fast.
+    firm = Plant(period, plant.mass + 0.3, plant.damping + 40.0, 0.0, 2000.0)
+
+    def lead(k: int) -> float:
+        return 2000.0 * 0.01 * math.sin(omega * k * period)
+
+    def rest(k: int) -> float:
+        del k
+        return 0.0
+
+    found = []
+    made = 0.0
+    for partner in (firm, plant):
+        run = play((firm, partner), (law, law), network, (lead, rest), ticks, guard)
+        made = max(made, float(run.given_out_j.max()))
+        half = slice(ticks // 2, None)
+        turn = np.exp(-1j * omega * period * np.arange(ticks))[half]
+        # Of a fist what is felt over what it leaves of the way, so that its own give is no part of the answer.
+        moved = run.position[half, 0] - (run.position[half, 1] if partner is firm else 0.0)
+        found.append(-np.dot(run.force[half, 0], turn) / np.dot(moved, turn))
+    held, free = found
+    own = omega * plant.mass * 1j + plant.damping
+    return FeltPartner(float(held.real), float((free / (1j * omega)).real - own.real), made)
+
+
+@dataclass(frozen=True)
+class Apart:
+    """What two hands at one distance bear, and feel, a way of coupling each.
+
+    Attributes
+    ----------
+    delay_ticks : int
+        One-way delay of the network [ticks].
+    one_law_n_per_m, law_each_n_per_m : float or None
+        Stiffest spring that is passive for any two hands: one law, beside the first device; a law at each [N/m].
+    damped_n_per_m, damper_n_s_per_m : float or None
+        The same of PD at each device, with the damper with which it bears most [N/m, N s/m].
+    linear : FeltPartner or None
+        What is felt of that PD.
+    guarded : FeltPartner
+        What is felt of the asked stiffness with a guard at either end, which is safe at any delay.
+    """
+
+    delay_ticks: int
+    one_law_n_per_m: float | None
+    law_each_n_per_m: float | None
+    damped_n_per_m: float | None
+    damper_n_s_per_m: float | None
+    linear: FeltPartner | None
+    guarded: FeltPartner
+
+
+def over_delay(plant: Plant, asked: float, gain: float, delays: list[int], dampers: int = 17) -> list[Apart]:
+    """Compare ways to couple two equal devices over a network, delay by delay.
+
+    Parameters
+    ----------
+    plant : Plant
+        Either device, without a hand.
+    asked : float
+        Stiffness K of the guarded law [N/m].
+    gain : float
+        Its damper B [N s/m].
+    delays : list of int
+        One-way delays [ticks].
+    dampers : int
+        Dampers that are tried between none and the device's own damping.
+
+    Returns
+    -------
+    list of Apart
+        One a delay.
+    """
+    from nodes.laws.pd import PD
+    from nodes.stability.two_hands import TwoHands, k_max_two_hands
+
+    period, both = plant.period, (plant.damping, plant.damping)
+
+    def pd(stiffness: float, damper: float) -> CompiledLaw:
+        return PD(stiffness=stiffness, damping=damper).compile(period)
+
+    def each(delay: int, damper: float) -> float | None:
+        def at(stiffness: float) -> TwoHands:
+            law = pd(stiffness, damper)
+            return TwoHands.law_each((law, law), delay, delay)
+
+        return k_max_two_hands(at, period, both)
+
+    def one(delay: int) -> float | None:
+        def at(stiffness: float) -> TwoHands:
+            law = pd(stiffness, 0.0)
+            return TwoHands((law, law), ((0, delay), (delay, 2 * delay)))
+
+        return k_max_two_hands(at, period, both)
+
+    rows = []
+    for delay in delays:
+        tried = [plant.damping * i / (dampers - 1) for i in range(dampers)]
+        bears = [(each(delay, damper) or 0.0, damper) for damper in tried]
+        stiffest, damper = max(bears)
+        network = Network(delay, delay)
+        rows.append(
+            Apart(
+                delay_ticks=delay,
+                one_law_n_per_m=one(delay),
+                law_each_n_per_m=each(delay, 0.0),
+                damped_n_per_m=stiffest or None,
+                damper_n_s_per_m=damper if stiffest else None,
+                linear=felt(plant, pd(stiffest, damper), network) if stiffest else None,
+                guarded=felt(plant, pd(asked, gain), network, EndGuard(asked, plant.damping)),
+            )
+        )
+    return rows

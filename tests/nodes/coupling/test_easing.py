@@ -1,0 +1,233 @@
+"""A jump that no motion made is no velocity and no impact: the force leaves what was felt by a ramp, in every player."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nodes.arithmetic import eased, sections, settle
+from nodes.coupling.law_book import LawBook
+from nodes.coupling.parameters import CouplingParameters
+from nodes.environment.shapes.tables import SKIN
+from nodes.launcher import launch_file
+from nodes.launcher.launch_spec import Launch
+from nodes.laws import CompiledLaw
+from nodes.parameters.store import convert
+from sim.scene.from_launch import from_launch
+from sim.scene.spatial import SpatialTrace, play
+from tests.support.shapes import wander
+
+FIXTURES = Path(__file__).parents[2] / "fixtures" / "begin"
+EASE = 0.15  # the coupling's own [s]
+PERIOD = 0.002
+RAMP = round(EASE / PERIOD)  # the same [ticks]
+STIFFNESS, DAMPING = 800.0, 2.0
+EPSILON = 1e-12  # rounding of forces of some 100 N
+
+
+def drop(law: str, height: float, **coupling: Any) -> Any:
+    """Prepare the drop of the paper from a height [m]."""
+    launch = launch_file.read("floor_drop", {"law": law, "height": height, "duration": 0.6})
+    return from_launch(with_coupling(launch, coupling))
+
+
+def gain_at_rest(law: CompiledLaw) -> float:
+    """Return force over deflection of a law that has always seen the same one [N/m]."""
+    return sum(law.taps) + sum((b0 + b1) / (1.0 + a1 + a2) for b0, b1, a1, a2 in law.sections)
+
+
+def with_coupling(launch: Launch, values: dict[str, Any]) -> Launch:
+    """Set parameters of the coupling of a launch."""
+    node = launch.nodes["coupling"]
+    parameters = {**node.parameters, **values}
+    nodes = {**launch.nodes, "coupling": msgspec.structs.replace(node, parameters=parameters)}
+    return msgspec.structs.replace(launch, nodes=nodes)
+
+
+@pytest.mark.parametrize("law", ["pd", "pd_alpha", "multi_term", "designed_d0"])
+@pytest.mark.parametrize("height", [-0.002, -0.0005])
+def test_a_drop_that_begins_inside_the_floor_begins_softly(law: str, height: float) -> None:
+    """The first force was B/T times the depth beside K times it: 5.0, 4.6 and 6.3 N where 2.0 N hold."""
+    scene = drop(law, height)
+    force = scene.play(interpreted=True).force
+    assert 0.0 < force[0] == pytest.approx(-gain_at_rest(scene.law) * height / RAMP, rel=1e-9)
+    # It never pushes harder than a device that is let down on the surface itself.
+    assert force.max() < 1.3 * drop(law, 0.0).play(interpreted=True).force.max()
+
+
+@pytest.mark.parametrize("law", ["pd", "pd_alpha", "multi_term"])
+def test_a_drop_that_begins_free_has_the_bits_of_one_without_easing(law: str) -> None:
+    for height in (0.0, 0.01):
+        eased_, hard = (drop(law, height, ease=ease).play(200, interpreted=True) for ease in (EASE, 0.0))
+        assert np.array_equal(eased_.force, hard.force)
+        assert np.array_equal(eased_.measured, hard.measured)
+
+
+def test_without_easing_a_beginning_is_no_velocity_all_the_same() -> None:
+    assert drop("pd", -0.002, ease=0.0).play(10, interpreted=True).force[0] == pytest.approx(2.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("law", ["pd", "pd_alpha", "multi_term", "designed_d0"])
+def test_the_compiled_loop_and_the_nodes_rules_begin_with_the_same_bits(law: str) -> None:
+    """One process, interpreted over the loop's own rules, and over the nodes' renderer and driver."""
+    played = drop(law, -0.0012)
+    trace = played.play(150, interpreted=True)
+    launch = launch_file.read("floor_drop", {"law": law, "height": -0.0012, "duration": 0.6})
+    assert np.array_equal(play(launch, 150).force[:, 2], trace.force)
+
+
+@given(
+    st.floats(-50.0, 50.0),
+    st.floats(-50.0, 50.0),
+    st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=40),
+    st.integers(1, 40),
+)
+def test_an_eased_force_lies_between_what_was_felt_and_what_is_asked(
+    felt: float, asked: float, later: list[float], ramp: int
+) -> None:
+    """Of each tick's change the ramp makes its share of the step, the rest is a change of what is asked."""
+    before = felt
+    for done, wanted in enumerate([asked, *later]):
+        force = eased(wanted, felt, felt - asked, min(done, ramp), ramp)
+        assert min(felt, wanted) <= force <= max(felt, wanted)
+        moved = abs(wanted - (asked if done == 0 else [asked, *later][done - 1]))
+        assert abs(force - before) <= abs(felt - asked) / ramp + moved + EPSILON
+        before = force
+        if done + 1 >= ramp:
+            assert force == wanted
+
+
+@given(st.floats(-1.9, 1.9), st.floats(0.0, 0.98), st.floats(-0.1, 0.1))
+def test_a_section_that_is_settled_stays_where_it_is(angle: float, radius: float, value: float) -> None:
+    coefficients = [300.0, -120.0, -radius * angle, radius * radius]
+    state = [0.0, 0.0]
+    settle(coefficients, state, value)
+    rest = state[0]
+    for _ in range(200):
+        sections(coefficients, state, value, value)
+    assert state[0] == pytest.approx(rest, rel=1e-9, abs=1e-12)
+
+
+# -- surfaces that are changed while they are touched ----------------------------------------------------------------------
+
+SURFACES = st.one_of(
+    st.builds(
+        lambda at, radius: {"kind": "sphere", "position": list(at), "radius": radius},
+        st.tuples(*3 * [st.floats(-0.02, 0.02)]),
+        st.floats(0.01, 0.05),
+    ),
+    st.builds(
+        lambda at, size, turn: {"kind": "box", "position": list(at), "size": list(size), "rotation": list(turn)},
+        st.tuples(*3 * [st.floats(-0.02, 0.02)]),
+        st.tuples(*3 * [st.floats(0.01, 0.08)]),
+        st.tuples(*3 * [st.floats(-1.0, 1.0)]),
+    ),
+    st.builds(lambda at: {"kind": "plane", "axis": "z", "position": at}, st.floats(-0.02, 0.02)),
+    st.builds(lambda at: {"kind": "anchor", "position": list(at)}, st.tuples(*3 * [st.floats(-0.02, 0.02)])),
+    st.builds(
+        lambda at, turn: {"kind": "oriented_plane", "position": [0.0, 0.0, at], "normal": [*turn, 1.0]},
+        st.floats(-0.02, 0.02),
+        st.tuples(*2 * [st.floats(-0.5, 0.5)]),
+    ),
+    st.just({"kind": "free"}),
+    st.builds(
+        lambda at, ball: {
+            "kind": "union",
+            "shapes": [
+                {"kind": "box", "position": [0.0, 0.0, at], "size": [0.1, 0.1, 0.01]},
+                {"kind": "sphere", "position": [0.0, 0.0, ball], "radius": 0.01},
+            ],
+        },
+        st.floats(-0.02, 0.02),
+        st.floats(-0.02, 0.02),
+    ),
+)
+FIRST_TAPS = np.array([STIFFNESS + DAMPING / PERIOD, -DAMPING / PERIOD])
+
+
+def with_surface(surface: dict[str, Any], **given_: Any) -> Launch:
+    """Read the scene in space with a surface."""
+    launch = launch_file.read(str(FIXTURES / "space.yaml"), given_)
+    node = msgspec.structs.replace(launch.nodes["environment"], parameters={"surface": surface})
+    return msgspec.structs.replace(launch, nodes={**launch.nodes, "environment": node})
+
+
+def couplings(surface: dict[str, Any], law: str) -> CouplingParameters:
+    """Return the parameters of the coupling in space."""
+    return convert(with_surface(surface, law=law).nodes["coupling"].parameters, CouplingParameters, "coupling")
+
+
+def unexplained(found: SpatialTrace, changes: Sequence[int]) -> float:
+    """Return the largest change of force per tick beyond ramp and motion, of pd in the world's axes [N].
+
+    What is asked is computed from the trace by the law's own equation, with no velocity over a jump; the ramp may add its
+    share of each jump's step, as long as it lasts.
+    """
+    deflection = np.where(found.contact[:, None], found.proxy - found.position, 0.0)
+    before = np.vstack([deflection[:1], deflection[:-1]])
+    for tick in changes:
+        before[tick] = deflection[tick]
+    asked = FIRST_TAPS[0] * deflection + FIRST_TAPS[1] * before
+    along = np.einsum("ij,ij->i", asked, found.normal)
+    asked = np.where((along < 0.0)[:, None], asked - along[:, None] * found.normal, asked)
+    worst, felt, share = 0.0, np.zeros(3), np.zeros(3)
+    for k, force in enumerate(found.force):
+        # A jump that leaves the deflection as it is (free air before and after) is none, and its easing goes on.
+        if k == 0 or (k in changes and (deflection[k] != deflection[k - 1]).any()):
+            share = np.abs(felt - asked[k]) / RAMP
+            moved = np.zeros(3)
+        else:
+            moved = np.abs(asked[k] - asked[k - 1])
+        worst = max(worst, float((np.abs(force - felt) - share - moved).max()))
+        felt = force
+    return worst
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(SURFACES, min_size=2, max_size=4),
+    st.tuples(*3 * [st.floats(-0.025, 0.025)]),
+    st.lists(st.integers(1, 60), min_size=3, max_size=3),
+    st.integers(0, 2**32 - 1),
+)
+def test_no_change_of_a_surface_makes_a_force_that_no_motion_made(
+    surfaces: list[dict[str, Any]], start: tuple[float, float, float], gaps: list[int], seed: int
+) -> None:
+    """Random surfaces, starts, ways and live changes, one into the easing of another."""
+    path = np.array(start) + wander(np.random.default_rng(seed), 240, 2e-4, (0.02, 0.02, 0.02), (0.0, 0.0, 0.0))
+    path += np.array(start) - path[0]
+    ticks = np.cumsum(gaps)[: len(surfaces) - 1].tolist()
+    changes = list(zip(ticks, surfaces[1:], strict=False))
+    found = play(with_surface(surfaces[0], frame="world"), len(path), path=path, changes=changes)
+    assert unexplained(found, ticks) <= EPSILON
+
+
+@pytest.mark.parametrize("law", ["pd_alpha", "multi_term", "designed_d0"])
+@pytest.mark.parametrize("frame", ["world", "surface"])
+def test_a_surface_that_moves_under_a_hand_at_rest_is_felt_by_the_ramp_alone(law: str, frame: str) -> None:
+    """Pressed 3 mm deep for a while, then it comes 10 mm nearer: 40 N and more at once, before."""
+    path = np.concatenate([np.linspace([0.0, 0.0, 0.04], [0.0, 0.0, 0.027], 100), np.tile([0.0, 0.0, 0.027], (1400, 1))])
+    ball, moved = ({"kind": "sphere", "position": [0.0, 0.0, z], "radius": 0.03} for z in (0.0, 0.01))
+    found = play(with_surface(ball, law=law, frame=frame), len(path), path=path, changes=[(1200, moved)])
+    force = found.force[:, 2]
+    step = np.abs(np.diff(force[1100:])).max()
+    gain = gain_at_rest(LawBook("coupling", PERIOD).compile(couplings(ball, law), law))
+    assert force[-1] == pytest.approx(gain * 0.013, abs=2.0 * gain * SKIN)
+    # Of what a law remembers of the way in, nothing is left but what fades with the ramp.
+    assert step <= 1.02 * (gain * 0.013 - force[1199]) / RAMP
+
+
+def test_a_solid_that_moves_onto_a_free_device_is_not_felt_until_it_is_outside() -> None:
+    path = np.concatenate([np.tile([0.0, 0.0, 0.04], (50, 1)), np.linspace([0.0, 0.0, 0.04], [0.0, 0.0, 0.08], 300)])
+    path = np.concatenate([path, np.linspace([0.0, 0.0, 0.08], [0.0, 0.0, 0.058], 150)])
+    ball, moved = ({"kind": "sphere", "position": [0.0, 0.0, z], "radius": 0.03} for z in (0.0, 0.03))
+    found = play(with_surface(ball), len(path), path=path, changes=[(20, moved)])
+    assert not found.force[:350].any()
+    assert found.force[-1, 2] > 1.0

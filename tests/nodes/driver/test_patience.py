@@ -1,0 +1,54 @@
+"""A driver whose answers are late waits for them: it asks no faster than it is answered, and never past its watchdog."""
+
+from __future__ import annotations
+
+import pytest
+
+from nodes.driver.state import ACTIVE, DAMPING, FAULT, IDLE, NOTHING, RAMP, DriverState
+from nodes.driver.tick import BEHIND, patience
+
+T = 0.002
+DEADLINE = 10.0
+
+
+def waits(
+    unanswered: int, safety: int = ACTIVE, since: int = 1000, seq: int = 1000, watchdog: int = 10, max_age: int = 5
+) -> float:
+    """Return how many periods a tick waits for its answer."""
+    s = DriverState(unanswered=unanswered, safety=safety, since=since, seq=seq, watchdog=watchdog, max_age=max_age, period=T)
+    return (patience(s, DEADLINE, DEADLINE + T) - DEADLINE) / T
+
+
+# 10 s are known to 2⁻⁵⁰ of themselves, which is 10⁻¹¹ of a period.
+CLOSE = 1e-9
+
+
+@pytest.mark.parametrize(
+    ("unanswered", "periods"),
+    [(0, 1), (BEHIND - 1, 1), (BEHIND, 2), (2 * BEHIND - 1, 2), (2 * BEHIND, 3), (5 * BEHIND, 6), (10**9, 6)],
+)
+def test_it_waits_longer_the_more_ticks_were_not_answered_and_never_longer_than_a_force_may_be_old(
+    unanswered: int, periods: int
+) -> None:
+    assert waits(unanswered) == pytest.approx(periods, abs=CLOSE)
+
+
+def test_a_lockstep_driver_or_one_that_takes_no_old_force_waits_for_one_tick() -> None:
+    assert waits(10**9, max_age=0) == pytest.approx(1, abs=CLOSE)
+
+
+@pytest.mark.parametrize("safety", [ACTIVE, RAMP])
+@pytest.mark.parametrize(("silent", "periods"), [(0, 6), (4, 6), (5, 5), (8, 2), (9, 1), (20, 1)])
+def test_the_watchdog_is_looked_at_on_time(safety: int, silent: int, periods: int) -> None:
+    # The last fresh force was `silent` ticks ago; damping begins ten ticks after it.
+    assert waits(10**9, safety, since=1000 - silent) == pytest.approx(periods, abs=CLOSE)
+
+
+@pytest.mark.parametrize("safety", [DAMPING, FAULT])
+def test_a_force_that_is_made_anew_each_tick_is_not_held_up(safety: int) -> None:
+    assert waits(10**9, safety) == pytest.approx(1, abs=CLOSE)
+
+
+@pytest.mark.parametrize("safety", [IDLE, NOTHING])
+def test_without_a_force_on_the_device_nothing_is_watched(safety: int) -> None:
+    assert waits(10**9, safety, since=0) == pytest.approx(6, abs=CLOSE)

@@ -1,0 +1,167 @@
+"""Jumps that no motion made: a surface changed live, a device re-centred or lost for a tick, a body that the tool begins in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from messages.codec import Decoder
+from messages.topics import DEVICE_STATE, FORCE, PROXY, event
+from messages.types import DeviceState, Proxy, Vector
+from nodes.environment.node import Environment
+from nodes.environment.place import Place
+from nodes.environment.shapes.kinds import TOOL_RADIUS
+from nodes.environment.surfaces import parse_surface
+from nodes.launcher import launch_file
+from nodes.recording.reader import Recording
+from sim.scene.spatial import play
+from tests.support.launching import running, typed
+from tests.support.setups import setup_of
+
+FIXTURES = Path(__file__).parents[2] / "fixtures" / "begin"
+PERIOD = 0.002
+BALL: dict[str, Any] = {"kind": "sphere", "radius": 0.03}
+
+
+def environment(surface: dict[str, Any], **given: Any) -> Environment:
+    node = Environment(setup_of(name="environment", axes=["x", "y", "z"], parameters={"surface": surface, **given}))
+    node.configure()
+    return node
+
+
+def answers(node: Environment, states: list[DeviceState]) -> list[Proxy]:
+    """Answer states as the node's loop does."""
+    found = []
+    for state in states:
+        payload = node._answer(state)
+        assert payload is not None
+        node.counters.seq = node.counters.answered = state.seq
+        found.append(Decoder(Proxy).decode(payload))
+    return found
+
+
+def at(*places: Vector, first: int = 0, rebased: int = 0) -> list[DeviceState]:
+    return [DeviceState(seq=first + k, stamp=0.0, position=place, rebased=rebased) for k, place in enumerate(places)]
+
+
+@pytest.mark.parametrize("tick", ["plain", "compiled"])
+def test_a_wall_that_is_moved_live_has_the_bits_of_one_process(tick: str, tmp_path: Path) -> None:
+    """A hand presses it with 2.3 N when it comes 10 mm nearer: 52 N were asked in one tick."""
+    scene = str(FIXTURES / "press_hold.yaml")
+    with running(tmp_path, scene, "pace:=lockstep", f"--tick={tick}") as launch:
+        launch.wait_ticks(500)
+        told = typed(launch, "param", "set", "environment", "surface.position", "0.010").stdout
+        launch.wait_ticks(500)
+        launch.interrupt()
+    recording = Recording(next(tmp_path.rglob("*.mcap")))
+    proxies, forces = recording.messages(PROXY), recording.messages(FORCE)
+    jump = max(proxy.rebased for proxy in proxies)
+    assert jump > 0
+    assert str(jump) in told
+    moved = {"kind": "plane", "axis": "x", "position": 0.010, "normal": -1}
+    ticks = jump + 300
+    played = play(launch_file.read(scene, {}), ticks, changes=[(jump, moved)])
+    assert [state.position for state in recording.messages(DEVICE_STATE)[:ticks]] == list(map(tuple, played.position.tolist()))
+    step = np.abs(np.diff([force.force[0] for force in forces[jump - 1 : ticks]]))
+    # 10 N come in 75 ticks; the hand gives way meanwhile, at well under 0.05 m/s.
+    assert step.max() < 10.0 / 75.0 + 1000.0 * PERIOD * 0.05 + 8.0 * 0.05
+    (reason,) = [one.reason for one in recording.messages(event("coupling")) if one.kind == "eased"]
+    assert f"tick {jump}:" in reason
+    assert "a force step of 10 N, eased over 0.15 s" in reason
+
+
+def test_a_jump_is_told_until_the_next_one_and_the_later_one_counts() -> None:
+    node = environment({"kind": "plane"}, ease=0.3)
+    met = answers(node, at(*3 * [(0.0, 0.0, 0.01)]))
+    assert [proxy.rebased for proxy in met] == [0, 0, 0]
+    changed = node.store.changed({"surface.position": 0.001})
+    node.prepare(changed)(3)
+    node.store.accept(changed)
+    met = answers(node, at(*2 * [(0.0, 0.0, 0.01)], first=3))
+    assert [(proxy.rebased, proxy.ease) for proxy in met] == [(3, 150), (3, 150)]
+    # The driver's own jump, later, is eased as the coupling does.
+    met = answers(node, at(*2 * [(0.0, 0.0, 0.02)], first=7, rebased=7))
+    assert [(proxy.rebased, proxy.ease) for proxy in met] == [(7, 0), (7, 0)]
+    # The same surface again is none.
+    node.prepare(node.store.changed({"surface.position": 0.001}))(9)
+    assert answers(node, at((0.0, 0.0, 0.02), first=9, rebased=7))[0].rebased == 7
+
+
+def test_a_device_that_is_re_centred_into_a_solid_is_free_of_it() -> None:
+    node = environment(BALL)
+    free, pressed, jumped, still, out, again = answers(
+        node,
+        [
+            *at((0.0, 0.0, 0.04), (0.0, 0.0, 0.029)),
+            *at((0.0, 0.0, 0.02), (0.0, 0.0, 0.029), (0.0, 0.0, 0.031), (0.0, 0.0, 0.029), first=2, rebased=2),
+        ],
+    )
+    assert [one.contact for one in (free, pressed, jumped, still, out, again)] == [False, True, False, False, False, True]
+    assert not any(jumped.normal)
+
+
+def test_a_sample_that_is_lost_for_one_tick_frees_nobody() -> None:
+    """The proxy waits: it does not begin free inside of the solid that held it, nor at the other side of a thin one."""
+    place = Place(parse_surface({"kind": "box", "size": [0.1, 0.1, 0.002]}, "surface"), PERIOD)
+    held = [(0.0, 0.0, 0.01), (0.0, 0.0, -0.004)]
+    for position in held:
+        before = place.meet(position)
+    assert before[3]
+    assert not place.jumped
+    lost = place.meet((5e4, 0.0, 0.0))
+    assert place.jumped
+    assert not lost[3]
+    assert place.meet(held[-1]) == before
+    assert place.jumped
+    place.meet(held[-1])
+    assert not place.jumped
+
+
+@pytest.mark.parametrize("deep", [0.02, 4e-4])
+def test_a_solid_that_grows_carries_its_proxy_and_one_that_comes_does_not(deep: float) -> None:
+    """On the ball that it presses the proxy goes on; of another, which comes over it, it is free if it is deep inside."""
+    place = Place(parse_surface({"kind": "union", "shapes": [BALL]}, "surface"), PERIOD)
+    place.meet((0.0, 0.0, 0.04))
+    place.meet((0.0, 0.0, 0.028))
+    grown = {**BALL, "radius": 0.03 + deep}
+    came = {"kind": "box", "position": [0.0, 0.0, 0.05 + deep - 0.02], "size": [0.1, 0.1, 0.04]}
+    assert place.take(Place(parse_surface({"kind": "union", "shapes": [grown]}, "surface"), PERIOD))
+    proxy, _, _, contact = place.meet((0.0, 0.0, 0.028))
+    assert contact
+    assert proxy[2] == pytest.approx(0.03 + deep + TOOL_RADIUS, abs=1e-9)
+    free = Place(parse_surface({"kind": "free"}, "surface"), PERIOD)
+    other = Place(parse_surface({"kind": "union", "shapes": [came]}, "surface"), PERIOD)
+    free.take(other)
+    free.meet((0.0, 0.0, 0.05))
+    assert free.inside == (1 if deep > 5e-4 else 0)
+
+
+@pytest.mark.parametrize("bodies", ["dynamic", "fixed"])
+def test_a_tool_that_begins_inside_of_a_body_is_not_thrown(bodies: str) -> None:
+    """In a block: MuJoCo threw it 92 mm; now it is free until it is outside, and feels the block from there."""
+    pytest.importorskip("mujoco", reason="things that move need MuJoCo")
+    scene = {"scene": str(FIXTURES / "inside.xml"), "bodies": bodies, "reach": 0.08}
+    found = play(launch_file.read(str(FIXTURES / "mujoco.yaml"), scene), 1000)
+    away = np.linalg.norm(found.proxy - found.position, axis=1)
+    # The tool trails the device by what accelerates 50 g, and presses by what the hand's 150 N/m make of some millimetres.
+    assert not found.force[:20].any()
+    assert away.max() < 0.01
+    assert np.abs(np.diff(found.force, axis=0)).max() < 1.0
+
+
+def test_a_tool_that_is_left_behind_is_put_back_to_the_device() -> None:
+    mujoco = pytest.importorskip("mujoco", reason="things that move need MuJoCo")
+    del mujoco
+    from nodes.environment.bodies.moving_scene import MovingScene
+
+    scene = MovingScene(FIXTURES / "inside.xml", "tool", PERIOD, "environment", lost=0.25)
+    assert scene.follow(0, (0.2, 0.0, 0.0), (0.0, 0.0, 0.0), -1, 0.0, True)
+    assert not scene.inside
+    scene.data.qvel[:3] = (200.0, 0.0, 0.0)
+    assert scene.follow(1, (0.2, 0.0, 0.0), (0.0, 0.0, 0.0), 0, 0.0, False)
+    assert scene.tool_position == pytest.approx((0.2, 0.0, 0.0), abs=1e-12)
+    assert not scene.data.qvel[:3].any()
+    assert not scene.follow(2, (0.2, 0.0, 0.0), (0.0, 0.0, 0.0), 1, 0.0, False)

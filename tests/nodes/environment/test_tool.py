@@ -1,0 +1,224 @@
+"""The tool of a scene that moves: what it answers to a push, how it is added and damped, and what its damping makes certain."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nodes.coupling.judgement import Judgement
+from nodes.coupling.law_book import LawBook
+from nodes.coupling.parameters import CouplingParameters
+from nodes.environment.bodies import contacts
+from nodes.environment.bodies.moving_scene import MovingScene
+from nodes.environment.bodies.node import MujocoEnvironment, MujocoParameters
+from nodes.environment.bodies.tool import ToolParameters, response_text
+from nodes.launcher import launch_file
+from nodes.laws import CompiledLaw
+from nodes.parameters.store import ParameterError, convert
+from nodes.stability.k_max import with_spring
+from nodes.stability.needed import needed_tool_damping
+from nodes.stability.plant import Plant, held_step
+from nodes.stability.worlds import SteppedTool, world_k_max
+
+pytest.importorskip("mujoco", reason="things that move need MuJoCo: pip install 'haptic-nodes[mujoco]'")
+
+T = 0.002
+SLIDES = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
+
+
+def scene(folder: Path, bodies: str, option: str = 'timestep="0.0005" integrator="implicitfast"') -> Path:
+    path = folder / "scene.xml"
+    path.write_text(f"<mujoco><option {option}/><worldbody>{bodies}</worldbody></mujoco>", encoding="ascii")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("option", "lag"),
+    [
+        ('timestep="0.002"', 0.5),
+        ('timestep="0.001" integrator="implicitfast"', 0.75),
+        ('timestep="0.0005" integrator="implicit"', 0.875),
+        ('timestep="0.002" integrator="RK4"', 1.0),
+    ],
+)
+@pytest.mark.parametrize("damping", [0.0, 0.7])
+def test_the_answer_of_a_tool_is_measured(option: str, lag: float, damping: float, tmp_path: Path) -> None:
+    """1 − 1/(2n) ticks with n steps of Euler's a tick, 1 with a step of fourth order; a floor under it does not matter."""
+    floor = '<geom type="plane" size="1 1 1"/>'
+    bodies = f'{floor}<body name="tool" pos="0 0 0.004">{SLIDES}<geom size="0.005" mass="0.05"/></body>'
+    found = MovingScene(scene(tmp_path, bodies, option), ToolParameters(damping=damping), T, "environment").response()
+    assert found.mass == pytest.approx(0.05, rel=1e-6)
+    assert found.damping == pytest.approx(damping, rel=1e-6)
+    # An implicit damper slows the first step by up to b T/m, which reads as so many ticks of lag.
+    assert found.lag == pytest.approx(lag, abs=1e-6 if damping == 0.0 else damping * T / 0.05)
+    assert ("no law is certain" in response_text(found)) == (damping == 0.0)
+
+
+def test_the_axis_with_least_damping_counts_and_a_damper_between_bodies_does_not(tmp_path: Path) -> None:
+    some = SLIDES.replace('"1 0 0"', '"1 0 0" damping="2"').replace('"0 0 1"', '"0 0 1" damping="0.3"')
+    other = (
+        '<body name="other" pos="1 0 0"><joint type="slide" axis="1 0 0"/><geom size="0.01" mass="50"/><site name="b"/></body>'
+    )
+    bodies = f'<body name="tool">{some}<geom size="0.005" mass="0.05"/><site name="a"/></body>{other}'
+    path = scene(tmp_path, bodies)
+    assert MovingScene(path, "tool", T, "environment").response().damping == 0.0  # along y
+    damped = ToolParameters(damping=0.4)
+    assert MovingScene(path, damped, T, "environment").response().damping == pytest.approx(0.4, rel=1e-6)
+    between = '<tendon><spatial damping="3"><site site="a"/><site site="b"/></spatial></tendon>'
+    path.write_text(path.read_text().replace("</worldbody>", f"</worldbody>{between}"), encoding="ascii")
+    assert MovingScene(path, damped, T, "environment").response().damping <= 0.4 * (1.0 + 1e-6)
+    assert MovingScene(path, "tool", T, "environment").response().damping == 0.0
+
+
+def test_a_tool_is_added_to_a_scene_that_has_none(tmp_path: Path) -> None:
+    path = scene(tmp_path, '<geom name="floor" type="plane" size="1 1 1"/>')
+    added = {"scene": str(path), "tool": {"mass": 0.02, "radius": 0.004, "position": [0.0, 0.01, 0.1], "damping": 0.5}}
+    parameters = convert(added, MujocoParameters, "environment")
+    assert isinstance(parameters.tool, ToolParameters)
+    world = MovingScene(path, parameters.tool, T, "environment")
+    assert world.mass == pytest.approx(0.02, rel=1e-12)
+    assert world.tool_position == (0.0, 0.01, 0.1)
+    assert world.damping == 0.5
+    assert [pair.geom for pair in world.stiffness()] == ["floor"]
+    assert MujocoEnvironment.plant(added, "environment", ("x", "y", "z")) == {"tool_mass": world.mass, "tool_damping": 0.5}
+    # Nothing pulls it down, and it rests on the floor where it is pressed.
+    world.begin((0.0, 0.0, 0.05))
+    for tick in range(1, 200):
+        world.hand_over((0.0, 0.0, 0.0), tick - 1, 0.0)
+        world.advance(tick)
+    assert world.tool_position == pytest.approx((0.0, 0.0, 0.05), abs=1e-12)
+    with pytest.raises(
+        ParameterError, match=r"environment.tool: no body 'tool' .* environment.tool: \{mass: 0.05, radius: 0.005\}"
+    ):
+        MovingScene(path, "tool", T, "environment")
+    with pytest.raises(ParameterError, match=r"environment.tool.mass: the scene has a body 'tool' already"):
+        MovingScene(
+            scene(tmp_path, f'<body name="tool">{SLIDES}<geom size="0.01"/></body>'), ToolParameters(mass=1.0), T, "environment"
+        )
+
+
+def test_geoms_with_equal_contacts_are_pressed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """40 geoms of two kinds and one that never comes to rest: three presses, and a text that one can read."""
+    pressed = []
+    press = contacts._press
+
+    def counted(*words: Any) -> Any:
+        pressed.append(words)
+        return press(*words)
+
+    monkeypatch.setattr(contacts, "_press", counted)
+    soft = "".join(f'<geom name="s{i}" pos="{i} 0 -1" size="0.1"/>' for i in range(30))
+    hard = "".join(f'<geom name="h{i}" pos="{i} 0 -2" size="0.1" solref="-20000 -200"/>' for i in range(10))
+    ringing = '<geom name="bell" pos="0 0 -3" size="0.1" priority="1" solref="-3000 0" solimp="0.99 0.99 0.001"/>'
+    path = scene(tmp_path, soft + hard + ringing)
+    found = MovingScene(path, ToolParameters(mass=0.05), T, "environment").stiffness()
+    assert len(found) == 41
+    assert len(pressed) == 3
+    assert found[-1].stiffness is None
+    text = contacts.contacts_text(found)
+    assert "s0, s1, s2, s3, s4, s5 and 24 more 2.94e+03 N/m" in text
+    assert "bell does not settle under 0.5 to 1.5 N" in text
+
+
+def test_a_contact_that_grows_stiffer_is_called_curved(tmp_path: Path) -> None:
+    """MuJoCo's usual contact grows from 0.9 to 0.95 of its impedance over 1 mm: wider, and from 0.1, it is curved."""
+    path = scene(tmp_path, '<geom name="cushion" type="plane" size="1 1 1" priority="1" solimp="0.1 0.99 0.002"/>')
+    found = MovingScene(path, ToolParameters(mass=0.05), T, "environment").stiffness()
+    assert found[0].stiffness is not None
+    assert found[0].pressed is not None
+    assert found[0].pressed > 1.2 * found[0].stiffness
+    assert "under 4.5 N: it is curved" in contacts.contacts_text(found)
+
+
+def random_scene(folder: Path, rng: np.random.Generator) -> Path:
+    """Write a tool with one to three bodies on springs, some without dampers, side by side or one on the other."""
+    rest, depth = "", 0
+    for _ in range(rng.integers(1, 4)):
+        mass, stiffness = 10.0 ** rng.uniform(-3.3, 0.0), 10.0 ** rng.uniform(1.0, 4.0) * (rng.random() < 0.8)
+        damping = 10.0 ** rng.uniform(-2.0, 1.0) * (rng.random() < 0.5)
+        rest += f'<body><joint type="slide" axis="1 0 0" stiffness="{stiffness}" damping="{damping}"/>'
+        rest += f'<geom size="0.001" mass="{mass}" contype="0" conaffinity="0"/>'
+        depth += 1
+        if rng.random() < 0.5:
+            rest, depth = f"{rest}</body>", depth - 1
+    rest += depth * "</body>"
+    ball = f'<geom size="0.005" mass="{10.0 ** rng.uniform(-3.0, -1.0)}" contype="0" conaffinity="0"/>'
+    option = 'timestep="0.0005" integrator="implicitfast" gravity="0 0 0"'
+    return scene(folder, f'<body name="tool">{SLIDES}{ball}{rest}</body>', option)
+
+
+def growth(path: Path, damping: float, law: CompiledLaw, plant: Plant, ticks: int = 1200) -> float:
+    """Growth of the deflection per tick of a device pushed once, on the tool of a scene; taps only, a whole delay."""
+    world, delay = MovingScene(path, ToolParameters(damping=damping), T, "environment"), int(plant.delay)
+    world.begin((0.0, 0.0, 0.0))
+    _, (a11, a12, a21, a22), (g1, g2), _ = held_step(plant)
+    x, v, history, sent = 0.0, 0.01, [0.0] * len(law.taps), [0.0] * (delay + 1)
+    seen = []
+    for tick in range(ticks):
+        if tick:
+            world.hand_over((sent[0], 0.0, 0.0), tick - 1, float(delay))
+            world.advance(tick)
+        history = [world.tool_position[0] - x, *history[:-1]]
+        sent = [sum(tap * value for tap, value in zip(law.taps, history, strict=True)), *sent[:-1]]
+        x, v = a11 * x + a12 * v + g1 * sent[delay], a21 * x + a22 * v + g2 * sent[delay]
+        seen.append(abs(history[0]))
+        if seen[-1] > 1e3 or world.diverged():
+            return math.inf
+    quarters = np.array(seen).reshape(4, -1).max(axis=1)
+    return float((quarters[3] / quarters[1]) ** (2.0 / ticks))
+
+
+def unstable(folder: Path, count: int, parts: tuple[float, ...]) -> list[int]:
+    """How many of so many random scenes swing at these parts of the certified stiffness; delays of 0 and 1 tick in turn."""
+    rng, found = np.random.default_rng(2), [0] * len(parts)
+    for i in range(count):
+        plant, gain, damping = Plant(T, 0.1, 1.0, float(i % 2)), (0.0, 0.3)[(i // 2) % 2], (0.5, 1.5, 5.0)[i % 3]
+        derivative = CompiledLaw((gain / T, -gain / T))
+        edge = world_k_max(derivative, plant, SteppedTool(damping)).k_max_n_per_m
+        assert edge is not None
+        path = random_scene(folder, rng)
+        for n, part in enumerate(parts):
+            found[n] += growth(path, damping, with_spring(derivative, part * edge), plant) > 1.0 + 1e-6
+    return found
+
+
+def test_what_hangs_on_a_damped_tool_does_not_swing_below_its_figure(tmp_path: Path) -> None:
+    """Five random rests: none at 0.99 of the certified stiffness, some at three times it."""
+    below, above = unstable(tmp_path, 5, (0.99, 3.0))
+    assert below == 0
+    assert above >= 1
+
+
+@pytest.mark.slow
+def test_a_hundred_rests_on_a_damped_tool(tmp_path: Path) -> None:
+    below, above, far = unstable(tmp_path, 100, (0.99, 1.5, 3.0))
+    assert below == 0
+    assert above >= 5
+    assert far >= 40
+
+
+def test_a_coupling_to_a_tool_tells_what_is_certain_and_what_would_make_it_so() -> None:
+    """Of `puck_push`: nothing without damping; a known device with the damping asked for, and not with a little less."""
+    launch = launch_file.read("puck_push", {})
+    given = launch.nodes["coupling"].parameters
+    parameters: CouplingParameters = convert(given, CouplingParameters, "coupling")
+    assert parameters.plant is not None
+    assert parameters.plant.tool_mass == 0.05
+    judgement = Judgement("coupling", T, LawBook("coupling", T))
+    known, any_hand = judgement.of_moving_world(parameters, 0.0)
+    assert known.startswith("coupling.laws.pd: not certified with a stepped tool of at least 0 N s/m to the ground")
+    assert "in any passive hand" in any_hand
+    needed = needed_tool_damping(CompiledLaw((300.0 + 2.0 / T, -2.0 / T)), Plant(T, 0.15, 3.0, 0.0, 150.0))
+    assert needed is not None
+    assert f"damping of the tool of at least {needed:.3g} N s/m" in known
+    for part, certified in ((1.001, True), (0.999, False)):
+        plant = {**given["plant"], "tool_damping": part * needed}
+        damped = convert({**given, "plant": plant}, CouplingParameters, "coupling")
+        told = judgement.of_moving_world(damped, 0.0)[0]
+        assert told.startswith(f"coupling.laws.pd: {'certified' if certified else 'not certified'} with")
+    wall = convert({**given, "plant": {"mass": 0.15}}, CouplingParameters, "coupling")
+    assert judgement.of_moving_world(wall, 0.0) == []
