@@ -107,6 +107,8 @@ def prove_landing(
         return _none(f"H(1) = {law.h1:.6g} N/m: it pulls into the wall")
     if plant.damping == 0.0:
         return _none("the device has no damping")
+    if isinstance(plant, Plant) and plant.partner is not None:
+        return _none("the law couples two bodies, and the proof is of one that lands on a wall")
     if isinstance(plant, Plant):
         radius = pole_radius(law, plant)
     elif period is None:

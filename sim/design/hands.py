@@ -199,10 +199,10 @@ class _Ticks:
         self._plant = plant
         fraction = plant.delay - math.floor(plant.delay)
         self._durations = (fraction, 1.0 - fraction)
-        unit, none, flat = plant.period**2 / plant.mass, np.zeros(4), np.zeros((4, 4))
+        unit, none, flat, whole = plant.period**2 / plant.mass, np.zeros(4), np.zeros((4, 4)), math.floor(plant.delay)
 
         def loop(new: Array, old: Array) -> Array:
-            return tick_matrix(law, unit, math.floor(plant.delay), flat, new, old)
+            return tick_matrix(law, unit, flat, [(whole, new), (whole + 1, old)])
 
         # The loop's matrix is what shifts, plus the motion, plus what the two forces that act push, each times its own row.
         first = np.array([unit, 0.0, 0.0, 0.0])

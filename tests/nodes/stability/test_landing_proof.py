@@ -93,6 +93,7 @@ def test_a_hand_that_holds_the_device_has_a_proof() -> None:
     [
         (pd(1260.0), Plant(T, 0.1, 1.0, 1.0), "unstable in contact"),
         (pd(3500.0), Plant(T, 0.1, 1.0), "no multiplier"),
+        (pd(100.0), Plant(T, 0.1, 1.0).with_tool(0.2, 1.0), "two bodies"),
         (pd(100.0), Plant(T, 0.1, 0.0), "no damping"),
         (CompiledLaw((1.0, -2.0)), Plant(T, 0.1, 1.0), "pulls into the wall"),
         (CompiledLaw((100.0,), evaluate=lambda ring, head: ring[head]), Plant(T, 0.1, 1.0), "code of its own"),
