@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
         rows = [row for delay, members in found for row in [_figures(arguments, (delay, delay), members)]]
         lines = [line for row in rows for line in _lines(arguments, row)]
         plot = draw_delays(arguments.out / f"design_{arguments.world}.png", rows, arguments)
-        return report(arguments, {"for": arguments.world, "cases": rows}, [*lines, str(plot)], plot=plot)
+        return report(arguments, {"for": arguments.world, "cases": rows}, lines, plot=plot)
     delay = arguments.delay or (1.0, 1.0)
     members = _members(arguments, delay)
     row = _figures(arguments, delay, members)
