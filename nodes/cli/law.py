@@ -1,8 +1,10 @@
 """List, show and switch the coupling's laws: haptic law switch multi_term."""
 
+from __future__ import annotations
+
 import argparse
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from messages.errors import UsageError
 from nodes.cli.ask import chosen_node, sub_verb
@@ -12,6 +14,10 @@ from nodes.cli.param import FORCE, forced, receipt_text
 from nodes.cli.quantities import declare as declare_quantities
 from nodes.cli.quantities import declare_law, positive, whole
 from nodes.client.launches import ask
+
+if TYPE_CHECKING:
+    from nodes.laws import CompiledLaw
+    from nodes.stability.plant import Plant
 
 OF_LAW = ("stiffness", "gain", "order", "taps", "gains", "derivative")
 OF_LOOP = ("rate", "mass", "heaviest", "damping", "delay", "hand", "launch")  # describe a law and a loop that need not run
@@ -32,7 +38,7 @@ ROWS = (
     ("pole_radius", "pole radius (stable below 1)", ""),
 )
 
-_NO_PARAMETERS = ("run", "law", "kind", "rate_hz", "plant", "taps_n_per_m", "sections", "passive_scale")
+_NO_PARAMETERS = ("run", "law", "kind", "rate_hz", "plant", "taps_n_per_m", "sections", "passive_scale", "landing_proof")
 
 
 LEAK = 0.05  # difference of H(1) and K, as a part of the larger, that is warned of
@@ -143,6 +149,8 @@ def _show(arguments: argparse.Namespace) -> int:
         worst = f"{figures['worst_mass_kg']:.4g} kg, the worst for this loop"
         lines.append(f"  with {worst} of the device's {low:g} to {high:g} kg over its workspace")
     lines += _leak(figures)
+    if "landing_proof" in figures:
+        lines.append(f"  {figures['landing_proof']['text']}")
     if figures["h_nyquist_n_per_m"] is None:
         lines.append("  its own code is left out of H(1), which is that of its taps; the other figures need taps alone")
     if arguments.damping is not None and arguments.gain is None and "damping" in figures:
@@ -158,6 +166,17 @@ def _leak(figures: dict[str, Any]) -> list[str]:
     if abs(felt - nominal) <= LEAK * max(abs(nominal), abs(felt)):
         return []
     return [f"  warning: H(1) is {felt:.6g} N/m and K {nominal:.6g} N/m: a short memory leaks: take more taps, or sections"]
+
+
+def _landing(law: CompiledLaw, plants: list[Plant], contact: str | None = None) -> dict[str, Any]:
+    """Whether every drop settles on a wall of the law, proven on each device; `contact`: the convention of a launch."""
+    from nodes.stability.landing_proof import prove_landing
+
+    worst = min((prove_landing(law, plant) for plant in plants), key=lambda one: (one.proven, one.margin))
+    text = worst.text()
+    if contact is not None and contact != worst.convention:
+        text += f"; this launch has {contact}, which no proof covers"
+    return {"proven": worst.proven, "convention": worst.convention, "contact": contact, "why": worst.why, "text": text}
 
 
 def _describes(arguments: argparse.Namespace) -> bool:
@@ -184,7 +203,9 @@ def _described(arguments: argparse.Namespace) -> dict[str, Any]:
     loop = {name: value if (value := getattr(arguments, name)) is not None else usual for name, usual in DEFAULTS.items()}
     period = 1.0 / loop["rate"]
     plant = PlantParameters(mass=loop["mass"], damping=loop["damping"], stiffness=loop["hand"], heaviest=arguments.heaviest)
-    figures = worst_figures(compile_law(law, period), plant, period, loop["delay"])
+    compiled = compile_law(law, period)
+    figures = worst_figures(compiled, plant, period, loop["delay"])
+    figures["landing_proof"] = _landing(compiled, plant.over_workspace(period, loop["delay"]))
     device = {name: getattr(plant, name) for name in ("mass", "damping", "stiffness")}
     name = arguments.law if not isinstance(data, dict) or "{" not in arguments.law else law.kind
     return {"law": name, "rate_hz": loop["rate"], **law_to_dict(law), "plant": device, **figures}
@@ -207,13 +228,20 @@ def _of_launch(arguments: argparse.Namespace) -> dict[str, Any]:
     if given:
         plant = msgspec.to_builtins(parameters.plant) if parameters.plant is not None else {"mass": DEFAULTS["mass"]}
         parameters = msgspec.structs.replace(parameters, plant=convert({**plant, **given}, PlantParameters, "plant"))
-    book = LawBook(arguments.node, 1.0 / arguments.rate if arguments.rate is not None else launch.run.period)
+    period = 1.0 / arguments.rate if arguments.rate is not None else launch.run.period
+    book = LawBook(arguments.node, period)
     name = arguments.law or parameters.law
     delay = 1.0 if launch.run.apply == "next_tick" else 0.0
+    proof = {}
+    if parameters.plant is not None:
+        contact = f"{parameters.history} history, force {'clamped' if parameters.clamp else 'not clamped'}"
+        plants = parameters.plant.over_workspace(period, delay)
+        proof["landing_proof"] = _landing(book.compile(parameters, name), plants, contact)
     return {
         "law": name,
         "rate_hz": arguments.rate or launch.run.rate,
         **book.description(parameters, name),
         "plant": msgspec.to_builtins(parameters.plant),
         **book.figures(parameters, name, delay),
+        **proof,
     }

@@ -17,6 +17,7 @@ from sim.cli.answers import given
 from sim.device.real_devices import HANDS
 
 if TYPE_CHECKING:
+    from sim.design.hands import HandBox
     from sim.design.recorded_loop import Measured
 
 
@@ -28,6 +29,27 @@ def hand(text: str) -> tuple[float, float]:
         return interval(text)
     except argparse.ArgumentTypeError as error:
         raise argparse.ArgumentTypeError(f"{error}; hands with a name are {', '.join(HANDS)}") from error
+
+
+def grasp(text: str) -> HandBox:
+    """Read a box of grasps: ``stylus``, or limits of mass [kg], stiffness [N/m] and damping [N s/m], separated by commas."""
+    from sim.design.hands import STYLUS, HandBox
+
+    if text == "stylus":
+        return STYLUS
+    parts = text.split(",")
+    if len(parts) != 3:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected stylus, or MASS,STIFFNESS,DAMPING, each a value or LOW..HIGH")
+    try:
+        return HandBox(*(interval(part) for part in parts))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
+def add_grasp(parser: argparse.ArgumentParser, what: str) -> None:
+    """Declare a box of grasps."""
+    text = f"{what}: MASS,STIFFNESS,DAMPING of a fingertip, each a value or LOW..HIGH [kg, N/m, N s/m], or stylus"
+    parser.add_argument("--grasp", type=grasp, help=text)
 
 
 def add_device(parser: argparse.ArgumentParser, delay: float = 0.0, hand: float = 0.0) -> None:

@@ -3,8 +3,9 @@
 A case is a mass, a delay, a hand and a damping of the ranges.
 """
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -152,6 +153,17 @@ def cases_of(demand: Demand, masses: int, others: int) -> Array:
         np.linspace(*demand.dampings, min(others, 5)) if demand.damping_max is not None else np.array([demand.damping]),
     ]
     return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
+
+
+def corners(demand: Demand) -> Iterator[FlexiblePlant]:
+    """Five masses with the ends of damping and hand and every joint and lag of a demand, without delay.
+
+    These are the devices for which a law is certified.
+    """
+    masses = np.unique(np.geomspace(*demand.mass, 5)).tolist()
+    ends = (masses, sorted(set(demand.dampings)), sorted(set(demand.stiffness)), demand.beyond or (RIGID,))
+    for mass, damping, hand, beyond in itertools.product(*ends):
+        yield FlexiblePlant(mass, damping, 0.0, hand, *beyond)
 
 
 def alternating(size: int) -> Array:

@@ -20,7 +20,7 @@ from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.k_max import tolerance
 from nodes.stability.plant import Plant
 from sim.arrays import Array
-from sim.design.demand import RIGID, Demand, Robust
+from sim.design.demand import Demand, Robust, corners
 from sim.design.robust import stiffest
 
 ORDERS = tuple(round(0.1 * i, 1) for i in range(1, 40, 2))  # orders at which PDα is tuned before the best is refined
@@ -192,10 +192,7 @@ def certificate(law: CompiledLaw, demand: Demand) -> bool | str | None:
     if demand.delay[1] > demand.delay[0] + 1.0:
         return "too wide"
     worst: bool | None = True
-    masses = np.unique(np.geomspace(*demand.mass, 5)).tolist()
-    ends = (masses, sorted(set(demand.dampings)), sorted(set(demand.stiffness)), demand.beyond or (RIGID,))
-    for mass, damping, hand, beyond in itertools.product(*ends):
-        plant = FlexiblePlant(mass, damping, 0.0, hand, *beyond)
+    for plant in corners(demand):
         found = every_delay(law, plant, demand.delay, period=demand.period).stable
         if found is False:
             return False

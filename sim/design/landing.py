@@ -7,7 +7,7 @@ so far, every candidate dropped.
 """
 
 import itertools
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import msgspec
@@ -15,8 +15,11 @@ import numpy as np
 
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
+from nodes.stability.flexible import FlexiblePlant
+from nodes.stability.landing_proof import CONVENTION, prove_landing
+from nodes.stability.plant import Plant
 from sim.arrays import Array
-from sim.design.demand import CONVENTIONS, Demand, LoopCase, alternating, cases_of, filtered, keeps
+from sim.design.demand import CONVENTIONS, Demand, LoopCase, alternating, cases_of, corners, filtered, keeps
 from sim.design.evolution import evolve
 from sim.design.fall import Falls, falls, settled
 from sim.device.model import DeviceModel
@@ -45,6 +48,38 @@ def drops(law: CompiledLaw, demand: Demand) -> dict[str, bool]:
             else:
                 given[name] = settles(dropped(demand, mass, raw, clamp, HEIGHTS[0]), [law], Criterion())[0]
     return given
+
+
+@dataclass(frozen=True)
+class ProvenLanding:
+    """Whether every drop settles at all corners of a demand, proven (THEORY.md §19)."""
+
+    proven: bool
+    cases: int  # devices and delays that were looked at: all of them, or up to the first without a proof
+    margin: float  # least Re{M (1 + G)} over them
+    convention: str  # of contact, that the proof is about
+    why: str  # where and why there is no proof; empty with one
+
+    def text(self) -> str:
+        """Return the verdict in a sentence."""
+        if self.proven:
+            return f"every drop settles: proven for {self.cases} devices and delays of these ranges ({self.convention})"
+        return f"every drop settles: no proof ({self.convention}): {self.why}"
+
+
+def prove_over(law: CompiledLaw, demand: Demand) -> ProvenLanding:
+    """Prove that every drop settles, from any height, at five masses and the ends of delay, damping, hand, joint and lag."""
+    margin, cases = np.inf, 0
+    for corner, delay in itertools.product(corners(demand), sorted(set(demand.delay))):
+        plant: Plant | FlexiblePlant = replace(corner, delay=delay)
+        if corner.rigid and corner.lag == 0.0:
+            plant = Plant(demand.period, corner.mass, corner.damping, delay, corner.stiffness)
+        found, cases = prove_landing(law, plant, demand.period), cases + 1
+        margin = min(margin, found.margin)
+        if not found.proven:
+            where = f"{corner.mass:.3g} kg, {delay:.3g} ticks, hand {corner.stiffness:.3g} N/m"
+            return ProvenLanding(False, cases, margin, CONVENTION, f"{found.why} ({where})")
+    return ProvenLanding(True, cases, margin, CONVENTION, "")
 
 
 def _margin(demand: Demand) -> list[float]:

@@ -6,7 +6,7 @@ What the law will do on the device as identified is predicted: its edge by poles
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from nodes.laws import CompiledLaw
@@ -16,6 +16,7 @@ from nodes.stability.plant import Plant
 from nodes.stability.rest import rest
 from sim.design.demand import CONVENTIONS, Demand
 from sim.design.families import Tuned, best_pd, certificate, designed, latest_delay
+from sim.design.hands import STYLUS, judge_grasps
 from sim.design.landing import drops
 from sim.device.model import DeviceModel, Hand
 from sim.identify.identified import Identified
@@ -147,6 +148,7 @@ def predict(
     figures |= {"edge_factor": factor, "edge_h1_n_per_m": None if factor is None else factor * law.h1, "knock_m": knock}
     figures |= {"stable_up_to_delay_ticks": latest_delay(law, asked)}
     figures |= {"drops_settled": sum(dropped.values()), "drops": len(dropped)}
+    figures["grasp"] = asdict(judge_grasps(law, asked, STYLUS, 20_000))
     return figures | _every_delay(law, asked) | _at_rest(law, found, plant), edge, plan
 
 

@@ -133,7 +133,7 @@ class Tuning:
             raise KeyboardInterrupt
 
     def _design(self) -> None:
-        from sim.design.landing import drops
+        from sim.design.landing import drops, prove_over
         from sim.identify.identified import refusal
         from sim.identify.identified_text import from_figures
         from sim.tune.design import Wanted, design
@@ -162,6 +162,7 @@ class Tuning:
             "taps_n_per_m": law.found.taps.tolist(),
             "h1_n_per_m": law.found.h1_n_per_m,
             "lands": lands,
+            "landing_proof": asdict(prove_over(law.found.law, asked)),
             "best_pd_h1_n_per_m": known,
             "gain_over_pd": None if known is None else law.found.h1_n_per_m / known,
             "model_refuted": refused,

@@ -29,6 +29,15 @@ def _poses(record: Mapping[str, Any]) -> str:
     return f", with {number(lighter)} less and {number(heavier)} more in other poses" if lighter or heavier else ""
 
 
+def _proven(record: Mapping[str, Any]) -> list[TextRow]:
+    """Return what is proven of its landings (THEORY.md §19); tunings of earlier versions have nothing of it."""
+    proof = record.get("landing_proof")
+    if proof is None:
+        return []
+    told = f"proven for {proof['cases']} devices and delays" if proof["proven"] else f"no proof: {proof['why']}"
+    return [(f"from any height ({proof['convention']})", told)]
+
+
 def law_rows(record: Mapping[str, Any]) -> list[TextRow]:
     """Tell the designed law."""
     asked = record["demand"]
@@ -39,6 +48,7 @@ def law_rows(record: Mapping[str, Any]) -> list[TextRow]:
         ("stiffness that is felt, H(1)", number(record["h1_n_per_m"], "N/m")),
         ("beside PD of the same demand", compared),
         ("settles after every drop on a floor", "yes" if record["lands"] else "NO: it does not survive a landing"),
+        *_proven(record),
         ("taps", ", ".join(f"{tap:.4g}" for tap in record["taps_n_per_m"]) + " N/m"),
         ("for masses", f"{number(asked['mass'][0])} to {number(asked['mass'][1])} kg{_poses(record)}"),
         ("for delays", f"{number(asked['delay'][0])} to {number(asked['delay'][1])} ticks"),
@@ -46,6 +56,15 @@ def law_rows(record: Mapping[str, Any]) -> list[TextRow]:
         *(("the worst case", f"{number(mass)} kg, {number(delay)} ticks") for mass, delay in worst),
         *([("the model is refuted", record["model_refuted"])] if record.get("model_refuted") else []),
     ]
+
+
+def _grasped(record: Mapping[str, Any]) -> list[TextRow]:
+    """Return how the law does in the grasp of a stylus; tunings of earlier versions have nothing of it."""
+    if (judged := record.get("grasp")) is None:
+        return []
+    worst = judged["worst"]
+    told = {True: "stable, certified", False: "NOT stable"}.get(worst["certified"], "stable where it was tried, not certified")
+    return [("held as a stylus is, by 0.2 kg behind 380 to 770 N/m", f"{told}; pole radius {worst['radius']:.4f}")]
 
 
 def predicted_rows(record: Mapping[str, Any]) -> list[TextRow]:
@@ -63,6 +82,7 @@ def predicted_rows(record: Mapping[str, Any]) -> list[TextRow]:
         ("drops that settle", f"{record['drops_settled']} of {record['drops']}"),
         ("stable up to a delay of", "100 ticks and on" if later is None else number(later, "ticks")),
         ("stable for every sequence of delays", decided),
+        *_grasped(record),
         ("comes to rest without a buzz", quiet),
     ]
 

@@ -21,12 +21,14 @@ from nodes.stability.plant import Plant
 from nodes.stability.rest import rest
 from sim.axes import plain_log
 from sim.chart.rest_map import rest_map
+from sim.cli import any_world
 from sim.cli import arguments as shared
 from sim.cli.answers import add_answer, idle, report
 from sim.cli.sweeps import SPREAD, add_spread, spread
 from sim.design.demand import CONVENTIONS, Demand, Robust
 from sim.design.families import Tuned, best_pd, certificate, certified, compare, designed, fir, latest_delay, to_yaml
-from sim.design.landing import best_pd_windowed, drops
+from sim.design.hands import judge_grasps
+from sim.design.landing import best_pd_windowed, drops, prove_over
 from sim.design.passive import Passive, certain_damping, stiffest_passive
 from sim.design.recorded_loop import Measured, replayed_radius
 from sim.experiments.terms import RESOLUTION
@@ -46,6 +48,15 @@ def add(parser: argparse.ArgumentParser) -> None:
         default=(0.0, 0.0),
         help="stiffness of a hand, LOW..HIGH [N/m], or one of `haptic device presets`",
     )
+    parser.add_argument(
+        "--for",
+        dest="world",
+        choices=("wall", "any_world", "any_hand"),
+        default="wall",
+        help="what is behind the coupling: a wall and the hand given; any passive world and the device given; any hand and any "
+        "passive world (default: %(default)s)",
+    )
+    shared.add_grasp(parser, "judge the law in every grasp of a box too")
     parser.add_argument("--radius", type=positive, default=0.99, help="pole radius allowed (default: %(default)s)")
     parser.add_argument("--nyquist", type=positive, default=1e4, help="|H(-1)| allowed [N/m] (default: 10000)")
     parser.add_argument("--from-run", type=Path, metavar="RECORDING", help="take rate, delay and jitter from a recording")
@@ -86,10 +97,16 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--every-delay: of one design, not of --compare")
     if arguments.radius > 1.0:
         raise UsageError(f"--radius {arguments.radius:g}: above 1 is unstable")
+    if arguments.world != "wall":
+        unused = ("hand", "grasp", "radius", "from-run", "effort", "every-delay", "resolution", "friction", "margins", *SPREAD)
+        idle(arguments, f"--for {arguments.world} is a condition on frequencies", *unused)
+        if arguments.compare:
+            idle(arguments, "--compare takes --delays", "delay")
+        return any_world.run(arguments)
     if not arguments.mass[0] > 0.0:
         raise UsageError(f"--mass {arguments.mass[0]:g}..{arguments.mass[1]:g}: must be positive")
     if arguments.compare:
-        idle(arguments, "--compare takes --delays and --margins, and --rate", "delay", "from-run", "effort")
+        idle(arguments, "--compare takes --delays and --margins, and --rate", "delay", "from-run", "effort", "grasp")
     else:
         idle(arguments, "it is of --compare", "delays", "margins", *SPREAD)
     demand, measured = _demand(arguments)
@@ -164,6 +181,10 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
         if not result["lands"]:
             lines[:0] = ["This law does NOT survive a landing: a drop on a floor does not settle; without --no-land it would"]
         lines += [*said, str(plot)]
+        if arguments.grasp is not None:
+            judged = judge_grasps(law.found.law, demand, arguments.grasp)
+            result["grasp"] = asdict(judged)
+            lines.append(f"{'':13}  {judged.text()}")
         if arguments.friction is not None:
             lines += _at_rest(arguments, law.found, demand, result)
     else:
@@ -180,15 +201,17 @@ def _designed(arguments: argparse.Namespace, demand: Demand, law: Tuned, pd: Tun
     assert law.law is not None  # noqa: S101  # the caller looked
     path = fresh(arguments.out / "designed.yaml")
     lands = all(drops(law.found.law, demand).values())
-    comment = _describe(demand) + ("" if lands else "\nit does NOT survive a landing")
-    path.write_text(to_yaml(law.law, comment=comment), encoding="utf-8")
-    every = certificate(law.found.law, demand)
+    every, landing = certificate(law.found.law, demand), prove_over(law.found.law, demand)
     result = _row(law, demand) | {"yaml": str(path), "lands": lands, "every_delay": every}
+    result["landing_proof"] = asdict(landing)
+    comment = "\n".join([_describe(demand), *([] if lands else ["it does NOT survive a landing"]), landing.text()])
+    path.write_text(to_yaml(law.law, comment=comment), encoding="utf-8")
     proofs: dict[Any, str] = {True: "certified", False: "NOT stable", None: "not decided"}
     proof = proofs.get(every, "the range is wider than a tick")
     return result, [
         _line(result),
         f"{'':13}  every sequence of these delays, five masses: {proof} (THEORY.md §10)",
+        f"{'':13}  {landing.text()} (THEORY.md §19)",
         _line(_row(pd, demand)),
         f"haptic param load coupling {path}",
     ]

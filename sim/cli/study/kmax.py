@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -64,6 +64,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     declare_law(parser)
     shared.add_device(parser)
+    shared.add_grasp(parser, "K_max in the worst grasp of a box too")
     add_spread(parser)
     add_answer(parser, run)
 
@@ -96,10 +97,35 @@ def run(arguments: argparse.Namespace) -> int:
         felt = f"{found.h1_max_n_per_m:.6g} N/m (felt)" if found.h1_max_n_per_m is not None else "none: the law is not linear"
         text = f"K_max    {found.k_max_n_per_m:.6g} N/m (nominal)\nH(1)_max {felt}\nmethod   {found.method}"
     figures = {"loop": loop} | _figures(found) | {"stable_n_per_m": stable}
-    return report(arguments, figures, [loop, text], held=found.k_max_n_per_m is not None)
+    lines = [loop, text]
+    if arguments.grasp is not None:
+        grasped, line = _grasped(arguments, shared.law(arguments, arguments.law, gain), device, found)
+        figures |= grasped
+        lines.append(line)
+    return report(arguments, figures, lines, held=found.k_max_n_per_m is not None)
+
+
+def _grasped(arguments: argparse.Namespace, law: Law, device: Plant, found: KMax) -> tuple[dict[str, Any], str]:
+    """Find K_max in the worst grasp of a box, by poles, up to ten times the one without a hand."""
+    from nodes.stability.k_max import with_spring
+    from sim.design.hands import k_max_over
+    from sim.experiments.k_max_simulated import SEARCHED
+
+    derivative = without_spring(law, device.period)
+    top = (
+        found.k_max_n_per_m
+        if found.k_max_n_per_m and math.isfinite(found.k_max_n_per_m)
+        else SEARCHED[1] * device.mass / device.period**2
+    )
+    limit = k_max_over(lambda k: with_spring(derivative, k), device, arguments.grasp, 10.0 * top)
+    box = arguments.grasp
+    text = "no stiffness is stable" if limit is None else f"{limit:.6g} N/m (nominal)"
+    return {"k_max_grasp_n_per_m": limit, "grasp": asdict(box)}, f"K_max    {text} in the worst {box.text()}"
 
 
 def _refuse_idle(arguments: argparse.Namespace, several: bool) -> None:
+    if several or arguments.method == "lockstep":
+        idle(arguments, "a grasp is judged for one gain, by poles", "grasp")
     idle(arguments, "K is what is looked for", "stiffness")
     if arguments.method not in ("simulation", "lockstep"):
         idle(arguments, "nothing is played; add --method simulation", "scene", "history", "horizon")

@@ -1,4 +1,4 @@
-"""The price of not knowing: how stiff a law may be, against how well joint, hand and mass of the device are known."""
+"""The price of not knowing: how stiff a law may be, against how well joint, hand, mass and world are known."""
 
 import argparse
 import itertools
@@ -16,7 +16,10 @@ from sim.cli.answers import add_answer, given, report
 from sim.cli.sweeps import add_sweep, swept
 from sim.results import fresh
 
-KNOWN = (0.0, 5.0, 20.0, 50.0)  # how far the frequency of the joint may be off in either direction [%]
+KNOWN = (0.0, 5.0, 20.0, 50.0)  # how far the numbers of the joint may be off in either direction [%]
+VARIED = ("share", "frequency", "loss")  # the numbers of a joint
+WORLDS = {"any_world": "any world, this rigid device", "any_hand": "any hand and any world"}
+LAWS = "price.yaml"
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -26,8 +29,10 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frequency", type=positive, default=40.0, help="of the joint [Hz] (default: %(default)s)")
     parser.add_argument("--loss", type=positive, default=0.03, help="damping ratio of the joint (default: %(default)s)")
     parser.add_argument("--jitter", type=not_negative, default=0.2, help="of the delay, above it [ticks] (default: 0.2)")
-    text = "how far off the joint's frequency may be [%%] (default: 0 5 20 50)"
+    text = "how far off the joint's numbers may be, as factors [%%] (default: 0 5 20 50)"
     parser.add_argument("--known", type=not_negative, nargs="*", default=KNOWN, help=text)
+    text = "which of the joint's numbers are off by that, in every combination (default: all three)"
+    parser.add_argument("--vary", nargs="+", choices=VARIED, default=list(VARIED), help=text)
     parser.add_argument(
         "--land",
         action=argparse.BooleanOptionalAction,
@@ -45,10 +50,9 @@ def study_price(job: Mapping[str, Any]) -> dict[str, Any]:
     from sim.design.families import certificate, certified, designed
     from sim.design.landing import drops
 
-    period, frequency, spread = 1.0 / job["rate"], job["frequency"], job["spread"]
-    known = () if spread is None else sorted({frequency / spread, frequency, frequency * spread})
+    period = 1.0 / job["rate"]
     device = ((job["mass"] / 1.1, job["mass"] * 1.1), job["damping"], (job["delay"], job["delay"] + job["jitter"]), period)
-    joints = tuple((0.0, job["share"], one, job["loss"]) for one in known)
+    joints = () if job["spread"] is None else possible_joints(job)
     lands = CONVENTIONS if job["lands"] else ()
     asked = Demand(*device, 0.99, 1e4, stiffness=(0.0, job["hand"]), beyond=joints, lands=lands)
 
@@ -57,8 +61,8 @@ def study_price(job: Mapping[str, Any]) -> dict[str, Any]:
 
     found = (certified(free, asked) if job["lands"] else free(asked)).found
     if found is None:
-        return {"h1_n_per_m": None, "radius": None, "drops_settled": None, "certified": None}
-    truth = (0.0, job["share"], frequency, job["loss"])
+        return {"h1_n_per_m": None, "radius": None, "drops_settled": None, "certified": None, "taps_n_per_m": None}
+    truth = (0.0, job["share"], job["frequency"], job["loss"])
     ends = itertools.product(asked.delay, asked.stiffness)
     plants = [FlexiblePlant(job["mass"], job["damping"], delay, hand, *truth) for delay, hand in ends]
     real = replace(asked, beyond=(truth,))
@@ -68,7 +72,38 @@ def study_price(job: Mapping[str, Any]) -> dict[str, Any]:
         "radius": max(flexible_radius(found.law, period, plant) for plant in plants),
         "drops_settled": f"{sum(settled.values())} of {len(settled)}",
         "certified": certificate(found.law, real) is True,
+        "taps_n_per_m": found.taps.tolist(),
     }
+
+
+def possible_joints(job: Mapping[str, Any]) -> tuple[tuple[float, float, float, float], ...]:
+    """List the joints to design for: as declared, and each varied number off by the factor either way, in all combinations."""
+    spread = job["spread"]
+    values = [
+        sorted({job[name] / spread, min(job[name] * spread, 0.95) if name == "share" else job[name] * spread})
+        if name in job["vary"]
+        else [job[name]]
+        for name in VARIED
+    ]
+    declared = tuple(job[name] for name in VARIED)
+    return tuple((0.0, *joint) for joint in sorted({declared, *itertools.product(*values)}))
+
+
+def price_of_worlds(arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    """Design for any world behind this device without its joint, and for any hand and any world, which has every joint too.
+
+    A joint with the damping on the motor's side is a passive load of the motor, as a hand is.
+    """
+    from sim.design.any_world import Surroundings
+    from sim.design.any_world_families import margin_figures, stiffest_taps
+
+    delay = (arguments.delay, arguments.delay + arguments.jitter)
+    rows: list[dict[str, Any]] = []
+    for world, mass in (("any_world", (arguments.mass / 1.1, arguments.mass * 1.1)), ("any_hand", None)):
+        surroundings = Surroundings(1.0 / arguments.rate, arguments.damping, delay, 1e4, mass)
+        design = stiffest_taps(surroundings, arguments.taps).design
+        rows.append({"world": world, "h1_n_per_m": None} if design is None else {"world": world, **margin_figures(design)})
+    return rows
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -77,7 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--taps {arguments.taps}: between 1 and 12; the search is over each of them")
     if arguments.share >= 1.0:
         raise UsageError(f"--share {arguments.share:g}: expected a part of the mass, below 1")
-    names = ("mass", "damping", "delay", "jitter", "share", "frequency", "loss", "taps", "rate")
+    names = ("mass", "damping", "delay", "jitter", "share", "frequency", "loss", "taps", "rate", "vary")
     device = given(arguments, *names)
     jobs: list[dict[str, Any]] = [
         {**device, "hand": hand, "spread": spread, "lands": lands}
@@ -93,8 +128,48 @@ def run(arguments: argparse.Namespace) -> int:
         f"{'known':22} {'hand':24} {'asked':22} {'H(1) [N/m]':>10}  on the device",
         *map(_line, priced),
     ]
+    worlds = price_of_worlds(arguments) if arguments.damping > 0.0 else []
+    lines += ["the world unknown, the joint left out:", *map(_world_line, worlds)] if worlds else []
+    laws = write_laws(arguments.out / LAWS, [*priced, *worlds], 1.0 / arguments.rate)
+    lines += [] if laws is None else [f"haptic param load coupling {laws}   # then: haptic law switch NAME"]
     picture = draw(arguments.out / "price.png", priced)
-    return report(arguments, {"rows": priced}, lines, ledger=ledger, plot=picture)
+    figures = {"rows": priced, "worlds": worlds, "yaml": None if laws is None else str(laws)}
+    return report(arguments, figures, lines, ledger=ledger, plot=picture)
+
+
+def _name(row: Mapping[str, Any]) -> str:
+    """Name a row's law: letters, digits, - and _."""
+    if "world" in row:
+        return str(row["world"])
+    known = "rigid" if row["spread"] is None else f"joint_{100.0 * (row['spread'] - 1.0):.0f}"
+    return f"{known}_{'lands' if row['lands'] else 'poles'}_{'hands' if row['hand'] else 'free'}"
+
+
+def write_laws(path: Path, rows: Sequence[Mapping[str, Any]], period: float) -> Path | None:
+    """Write all laws under their names, as `haptic param load` takes them; None where there is none."""
+    from nodes.parameters.yaml_io import write_yaml
+
+    laws = {
+        _name(row): {"kind": "fir", "taps": row["taps_n_per_m"], "period": period} for row in rows if row.get("taps_n_per_m")
+    }
+    if not laws:
+        return None
+    written = fresh(path)
+    written.write_text(write_yaml({"coupling": {"laws": laws}}), encoding="utf-8")
+    return written
+
+
+def _world_line(row: Mapping[str, Any]) -> str:
+    start = f"{WORLDS[row['world']]:70}"
+    if row["h1_n_per_m"] is None:
+        return f"{start} {'no law':>10}"
+    proof = "proven at every frequency" if row["proven"] else "not proven"
+    return f"{start} {row['h1_n_per_m']:10.5g}  {proof}; {_taps(row)}"
+
+
+def _taps(row: Mapping[str, Any]) -> str:
+    taps = row.get("taps_n_per_m")
+    return "taps " + ", ".join(f"{tap:.6g}" for tap in taps) if taps else "taps not recorded"
 
 
 def _line(row: Mapping[str, Any]) -> str:
@@ -105,7 +180,7 @@ def _line(row: Mapping[str, Any]) -> str:
         return f"{start} {'no law':>10}"
     verdict = "stable" if row["radius"] < 1.0 else f"UNSTABLE, pole radius {row['radius']:.3f}"
     proof = "" if row["certified"] else ", NOT certified for every sequence of delays"
-    return f"{start} {row['h1_n_per_m']:10.5g}  {verdict}, {row['drops_settled']} drops settle{proof}"
+    return f"{start} {row['h1_n_per_m']:10.5g}  {verdict}, {row['drops_settled']} drops settle{proof}; {_taps(row)}"
 
 
 def _held(hand: float) -> str:
@@ -126,7 +201,11 @@ def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
     none = [100.0 * (row["spread"] - 1.0) for row in rows if row["spread"] is not None and row["h1_n_per_m"] is None]
     if none:
         axes.plot(none, [0.0] * len(none), marker="x", ls="", color=BAD, clip_on=False, label="no law found")
-    axes.set(xlabel="frequency of the joint known to ± [%]", ylabel="H(1) of the designed law [N/m]", ylim=(0.0, None))
+    axes.set(
+        xlabel=f"{', '.join(rows[0]['vary'])} of the joint known to ± [%]",
+        ylabel="H(1) of the designed law [N/m]",
+        ylim=(0.0, None),
+    )
     axes.grid(alpha=0.3)
     axes.legend()
     return save_figure(figure, path, fresh)

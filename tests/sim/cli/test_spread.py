@@ -66,7 +66,7 @@ TIMES = {
     "load_1min",
     "pid",
 }
-PLACES = {"plot", "files", "page", "ledger", "data", "figure", "text"}
+PLACES = {"plot", "files", "page", "ledger", "data", "figure", "text", "yaml"}
 
 
 @pytest.fixture(scope="module")

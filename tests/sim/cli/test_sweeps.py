@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from messages.topics import DEVICE_STATE
 from messages.types import DeviceState
@@ -17,6 +18,7 @@ from nodes.laws import CompiledLaw
 from nodes.recording.writer import RecordWriter
 from nodes.stability.k_max import k_max
 from nodes.stability.plant import Plant
+from sim.cli.study.price import possible_joints
 from sim.cli.study.tuned import held
 from sim.device.model import DeviceModel
 from sim.measure.jobs import program, read_ledger
@@ -53,12 +55,20 @@ def test_a_joint_that_nobody_knows_of_costs_the_wall(tmp_path: Path, capsys: pyt
     assert rigid["drops_settled"] == "0 of 12"
     # What was done before is only read, whatever is asked besides (tests/sim/design/test_beyond.py designs for a joint).
     (job,) = (json.loads(line)["job"] for line in Path(told["ledger"]).read_text(encoding="utf-8").splitlines())
-    row = {"h1_n_per_m": 958.0, "radius": 0.988, "drops_settled": "12 of 12", "certified": True}
+    taps = [3000.0, -2042.0]
+    row = {"h1_n_per_m": 958.0, "radius": 0.988, "drops_settled": "12 of 12", "certified": True, "taps_n_per_m": taps}
     put(Path(told["ledger"]), {**job, "spread": 1.2}, row)
     assert main(["study", *words, "20", "--out", str(tmp_path)]) == 0
     text = capsys.readouterr().out
     assert re.search(r"believed rigid .* UNSTABLE, pole radius 1\.\d+, 0 of 12 drops settle, NOT certified", text)
-    assert re.search(r"joint to 20 % .* 958  stable, 12 of 12 drops settle$", text, re.MULTILINE)
+    assert re.search(r"joint to 20 % .* 958  stable, 12 of 12 drops settle; taps 3000, -2042$", text, re.MULTILINE)
+    # The laws as a file that a coupling takes; what is for any hand is softer than for any world, and both are proven.
+    laws = yaml.safe_load((tmp_path / "price.yaml").read_text(encoding="utf-8"))["coupling"]["laws"]
+    assert laws["joint_20_poles_free"]["taps"] == taps
+    worlds = {row["world"]: row for row in told["worlds"]}
+    assert worlds["any_hand"]["h1_n_per_m"] < worlds["any_world"]["h1_n_per_m"]
+    assert all(row["proven"] for row in told["worlds"])
+    assert laws["any_hand"]["taps"] == pytest.approx(worlds["any_hand"]["taps_n_per_m"])
     assert (tmp_path / "price.png").stat().st_size > 10_000
     assert len(read_ledger(Path(told["ledger"]))) == 2
 
@@ -299,3 +309,15 @@ def test_an_edge_is_within_5_percent_or_counted_as_off() -> None:
     found = summary(rows)
     assert (found["edges"], found["edges_within_5_percent"]) == (2, 1)
     assert (found["intervals"], found["intervals_that_hold_the_edge"]) == (3, 2)
+
+
+def test_all_three_numbers_of_a_joint_are_varied() -> None:
+    """Nine joints: the declared one, and every combination of a factor either way; or one number alone."""
+    job: dict[str, Any] = {"share": 0.3, "frequency": 40.0, "loss": 0.03, "spread": 1.5, "vary": ["share", "frequency", "loss"]}
+    joints = possible_joints(job)
+    assert len(joints) == 9
+    for index, name in enumerate(("share", "frequency", "loss"), 1):
+        assert {round(joint[index] / job[name], 9) for joint in joints} == {round(1 / 1.5, 9), 1.0, 1.5}
+    assert len(possible_joints({**job, "vary": ["frequency"]})) == 3
+    assert possible_joints({**job, "spread": 1.0}) == ((0.0, 0.3, 40.0, 0.03),)
+    assert max(joint[1] for joint in possible_joints({**job, "share": 0.9})) < 1.0

@@ -327,6 +327,8 @@ def test_what_design_writes_is_what_load_reads(tmp_path: Path, capsys: pytest.Ca
             compile_law(law, 0.001)
     assert figures["designed"]["h1_n_per_m"] > figures["best_pd"]["h1_n_per_m"]
     assert figures["passive"]["ratio"] == pytest.approx(0.8944, abs=1e-3)
+    assert figures["designed"]["landing_proof"]["proven"]
+    assert "every drop settles: proven" in Path(figures["designed"]["yaml"]).read_text(encoding="utf-8")
     assert Path(figures["plot"]).read_bytes()[:4] == b"\x89PNG"
 
 

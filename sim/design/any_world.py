@@ -1,0 +1,312 @@
+"""The stiffest law that is stable whatever world is behind the coupling, for any hand or for a known device.
+
+A wall is not the worst world (THEORY.md §18, §20). With D = (1 − w)/T the loop is stable for every passive world that answers
+within the tick iff Re{D/H} > r(θ): r is the device's, known, or the largest over all hands. That is Re{D* H} > r |H|²,
+convex in the taps where r ≥ 0, which it is for any hand: cutting planes find the stiffest taps of a family, and the bound
+that no others exceed. For a known device r < 0 where the device itself dissipates; there each *shape* of a law has its
+largest scale in closed form, and the shapes are searched.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nodes.laws import CompiledLaw
+from nodes.stability.closed_loop import pole_radius
+from nodes.stability.cosine_sums import Laurent, one_less_cosine, positive, values
+from nodes.stability.landing_proof import law_polynomials
+from nodes.stability.plant import Plant, held_plant
+from sim.arrays import Array
+from sim.design.demand import alternating
+
+_CUTS = 80
+_INSIDE = 1e-7  # how far a design stays inside the condition, as a share of its taps: room for the proof's rounding
+_LARGEST = 1e6  # of a tap, in units of b/T
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What a law must be stable with: a device or any hand, and any passive world that answers within the tick."""
+
+    period: float  # sampling period T [s]
+    damping: float  # viscous damping b of the device, the least of it [N s/m]
+    delay: tuple[float, float]  # shortest and longest delay of the loop [ticks]
+    nyquist: float  # largest |H(−1)| allowed [N/m]
+    mass: tuple[float, float] | None = None  # lightest and heaviest device [kg]; None for any hand, of any mass
+
+    def __post_init__(self) -> None:
+        if not self.damping > 0.0:
+            raise ValueError(f"damping = {self.damping!r} N s/m: without damping nothing is stable for any world")
+
+    @property
+    def limit(self) -> float:
+        """2b/(T(1 + d)), which no causal linear law exceeds for any hand at the longest delay [N/m]."""
+        return 2.0 * self.damping / (self.period * (1.0 + self.delay[1]))
+
+    def conditions(self, masses: int) -> list["Condition"]:
+        """Return what to keep: for any hand at the ends and whole ticks of the delay, else at some masses and delays."""
+        low, high = self.delay
+        whole = np.arange(math.ceil(low), math.floor(high) + 1).tolist()
+        if self.mass is None:
+            # r is straight in the fraction of a tick: between two whole delays the ends are the worst.
+            return [_any_hand(self, delay) for delay in sorted({low, high, *whole})]
+        delays = sorted({*np.linspace(low, high, 5).tolist(), *whole})
+        return [_known(self, mass, delay) for mass in np.unique(np.geomspace(*self.mass, masses)).tolist() for delay in delays]
+
+
+@dataclass(frozen=True)
+class Condition:
+    """2 weight Re{H/(1 − w)}/T + rest |H|² > 0 at every θ: cosine sums of the weight (≥ 0) and of the rest [s/kg]."""
+
+    period: float
+    weight: Array
+    rest: Array
+
+    def margin(self, law: CompiledLaw) -> Array:
+        """Cosine sum that is above 0 wherever the condition is kept."""
+        top, bottom = law_polynomials(law)
+        linear = 2.0 / self.period * (top * bottom.conjugate).real_over_one_less_w()
+        return _sum(_product(self.weight, linear), _product(self.rest, (top * top.conjugate).real()))
+
+
+@dataclass(frozen=True)
+class WorldDesign:
+    """The stiffest law of a family for any world."""
+
+    taps: Array  # numerator h_0 … h_n [N/m], shape (n + 1,)
+    pole: float  # of 1/(1 − pole·w) behind them; 0 for taps alone
+    parameters: Array  # weights of the family's basis, shape (p,)
+    h1_n_per_m: float  # H(1) [N/m]
+    h_nyquist_n_per_m: float  # H(−1) [N/m]
+    limit_n_per_m: float  # the closed limit for any hand, 2b/(T(1 + d)) [N/m]
+    bound_n_per_m: float | None  # no member of the family is stiffer; None for a known device [N/m]
+    proven: bool  # whether the condition is kept at every frequency, and H has no zero outside the unit circle
+
+    @property
+    def law(self) -> CompiledLaw:
+        """The law as the coupling renders it."""
+        return with_pole(self.taps, self.pole)
+
+
+def with_pole(taps: Array, pole: float) -> CompiledLaw:
+    """Compile h_0 … h_n over 1 − pole·w: taps, and one section for what is left of the quotient."""
+    if pole == 0.0:
+        return CompiledLaw(tuple(taps.tolist()))
+    # N(w) = (1 − pole w) Q(w) + N(1/pole): the remainder is the section's gain.
+    quotient, left = [], np.zeros(len(taps))
+    left[:] = taps
+    for k in range(len(taps) - 1, 0, -1):
+        quotient.append(-left[k] / pole)
+        left[k - 1] += left[k] / pole
+    newest = quotient[::-1] or [0.0]
+    return CompiledLaw(tuple(float(one) for one in newest), ((float(left[0]), 0.0, -pole, 0.0),))
+
+
+def stiffest_for_any_world(
+    surroundings: Surroundings, basis: Array, free: bool = True, pole: float = 0.0, masses: int = 7
+) -> WorldDesign | None:
+    """Find the member of a family with the largest H(1) that is stable for any world; None where none is.
+
+    `basis`: rows whose sum, weighted by the parameters, is the numerator, shape (p, n + 1) [N/m per parameter]. `free`: whether
+    parameters may be negative. `pole`: of a section behind them. `masses`: of a range that are kept.
+    """
+    conditions = surroundings.conditions(masses)
+    if surroundings.mass is None:
+        return _convex(surroundings, conditions, basis, free, pole)
+    return _for_device(surroundings, conditions, basis, free, pole)
+
+
+class _Table:
+    """The parts of all conditions over a grid of angles, linear in the parameters of a family."""
+
+    def __init__(self, conditions: Sequence[Condition], basis: Array, pole: float, fineness: int = 64) -> None:
+        size = fineness * (basis.shape[1] + 4)
+        theta = np.union1d(np.linspace(0.0, np.pi, size + 1), np.geomspace(1e-3, np.pi, size))
+        bottom = Laurent(np.array([1.0, -pole])) if pole else Laurent(np.array([1.0]))
+        rows = [Laurent(row) for row in basis]
+        linear = np.array([values((row * bottom.conjugate).real_over_one_less_w(), theta) for row in rows]).T
+        self.response = np.array([row.at(theta) for row in rows]).T  # of the numerator, (t, p)
+        period = conditions[0].period
+        weights = [values(one.weight, theta) for one in conditions]
+        rests = [values(one.rest, theta) for one in conditions]
+        self.linear = np.concatenate([2.0 / period * weight[:, None] * linear for weight in weights])
+        self.rest = np.concatenate(rests)
+        self.response = np.tile(self.response, (len(conditions), 1))
+
+    def parts(self, parameters: Array) -> tuple[Array, Array, Array]:
+        """Linear part, rest |N|², and the slopes of the latter along the parameters."""
+        response = self.response @ parameters
+        square = self.rest * np.abs(response) ** 2
+        slopes = 2.0 * self.rest[:, None] * (np.conj(response)[:, None] * self.response).real
+        return self.linear @ parameters, square, slopes
+
+
+def _convex(
+    surroundings: Surroundings, conditions: Sequence[Condition], basis: Array, free: bool, pole: float
+) -> WorldDesign | None:
+    """Cutting planes for any hand, where the condition is convex: the rest is ≤ 0."""
+    from scipy.optimize import linprog
+
+    table = _Table(conditions, basis, pole)
+    unit = surroundings.damping / surroundings.period
+    gain, noise = basis.sum(axis=1) / (1.0 - pole), basis @ alternating(basis.shape[1]) / (1.0 + pole)
+    scale = unit / np.maximum(np.abs(basis).max(axis=1), 1e-300)  # of a parameter, so that its taps are about b/T
+    rows, limits = [noise * scale, -noise * scale, gain * scale], [surroundings.nyquist] * 2 + [surroundings.limit * 1.5]
+    bounds = [(-_LARGEST if free else 0.0, _LARGEST)] * len(basis)
+    best, most, bound = None, 0.0, math.inf
+    # Re{H/(1 − w)} ≥ 0 holds all the more: at a few frequencies it keeps the first programmes bounded.
+    few = table.linear[::16]
+    rows, limits = [*rows, *(-few * scale)], [*limits, *np.zeros(len(few))]
+    for _ in range(_CUTS):
+        found = linprog(-gain * scale, A_ub=np.array(rows), b_ub=np.array(limits), bounds=bounds)
+        if not found.success or found.x is None:
+            break
+        here = np.asarray(found.x, dtype=np.float64) * scale
+        bound = min(bound, float(gain @ here))
+        linear, square, slopes = table.parts(here)
+        # Scaled by s the linear part grows with s, the rest with s²: the largest s that keeps every angle.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shrink = np.where(square < 0.0, linear / -square, np.inf)
+        factor = min(1.0, float(shrink.min()))
+        if factor * float(gain @ here) > most:
+            best, most = factor * here, factor * float(gain @ here)
+        if most >= bound * (1.0 - 1e-7):
+            break
+        excess = -(linear + square)
+        padded = np.concatenate([[-np.inf], excess, [-np.inf]])
+        peaks = np.flatnonzero((excess >= padded[:-2]) & (excess >= padded[2:]) & (excess > 0.0))
+        # linear + square(here) + slopes (p − here) ≥ 0, and square(p) ≤ its tangent.
+        rows += list(-(table.linear[peaks] + slopes[peaks]) * scale)
+        limits += list(square[peaks] - slopes[peaks] @ here)
+    return None if best is None else _finished(surroundings, best, basis, pole, bound)
+
+
+def _for_device(
+    surroundings: Surroundings, conditions: Sequence[Condition], basis: Array, free: bool, pole: float
+) -> WorldDesign | None:
+    """Search the shapes of a family of which each has a stiffest scale in closed form; H(1) = 1 for a shape."""
+    from scipy.optimize import differential_evolution, minimize
+
+    coarse, table = _Table(conditions, basis, pole, 8), _Table(conditions, basis, pole)
+    gain, noise = basis.sum(axis=1) / (1.0 - pole), basis @ alternating(basis.shape[1]) / (1.0 + pole)
+    size = np.maximum(np.abs(basis).max(axis=1), 1e-300)
+
+    def shape(free_ones: Array) -> Array | None:
+        """Parameters with H(1) = 1: the first one follows from the others."""
+        others = free_ones / size[1:]
+        first = (1.0 - gain[1:] @ others) / gain[0]
+        return None if not free and first < 0.0 else np.append(first, others)
+
+    def less_stiffness(free_ones: Array, grid: _Table) -> float:
+        parameters = shape(np.asarray(free_ones))
+        if parameters is None:
+            return 1.0
+        stiffest, shortfall = _largest_scale(grid, parameters)
+        stiffest = min(stiffest, surroundings.nyquist / max(abs(float(noise @ parameters)), 1e-300))
+        if shortfall > 0.0 or not zeros_inside(with_pole(parameters @ basis, pole)):
+            return 1.0 + min(shortfall, 1e3)
+        return -stiffest / surroundings.limit
+
+    if len(basis) == 1:
+        best = np.zeros(0)
+    else:
+        box: Any = [(-6.0 if free else 0.0, 12.0)] * (len(basis) - 1)
+        found = differential_evolution(
+            less_stiffness, box, args=(coarse,), rng=0, popsize=8, maxiter=25 * len(basis), tol=1e-5, polish=False
+        )
+        options: Any = {"maxiter": 150 * len(basis), "xatol": 1e-8, "fatol": 1e-9}
+        polished = minimize(less_stiffness, found.x, args=(table,), method="Nelder-Mead", options=options)
+        best = np.asarray(polished.x, dtype=np.float64)
+    value, parameters = less_stiffness(best, table), shape(best)
+    if value >= 0.0 or parameters is None:
+        return None
+    return _finished(surroundings, parameters * -value * surroundings.limit, basis, pole, None)
+
+
+def _largest_scale(table: _Table, parameters: Array) -> tuple[float, float]:
+    """Largest factor of a shape that keeps every angle, and by how much it falls short of the least one, as a ratio."""
+    linear, square, _ = table.parts(parameters)
+    against, with_it = square < 0.0, square > 0.0
+    high = float(np.min(linear[against] / -square[against], initial=np.inf))
+    low = float(np.max(-linear[with_it] / square[with_it], initial=0.0))
+    if not high > 0.0:
+        return 0.0, 1e3
+    return high, max(0.0, low / high - 1.0)
+
+
+def zeros_inside(law: CompiledLaw) -> bool:
+    """Whether H has no zero in |z| ≥ 1: an inverse that is stable, so that a world cannot swing while the force is zero."""
+    top, _ = law_polynomials(law)
+    zeros = np.roots(top.coefficients)
+    return not len(zeros) or float(np.abs(zeros).max()) < 1.0
+
+
+def _finished(
+    surroundings: Surroundings, parameters: Array, basis: Array, pole: float, bound: float | None
+) -> WorldDesign | None:
+    """Step inside by what rounding may need, and prove the result at every frequency."""
+    inside, proven = parameters, False
+    for shrink in (_INSIDE, 1e-5, 1e-4, 1e-3):
+        inside = parameters * (1.0 - shrink)
+        proven = keeps(surroundings, with_pole(inside @ basis, pole))
+        if proven:
+            break
+    taps = inside @ basis
+    law = with_pole(taps, pole)
+    if not law.h1 > 0.0:
+        return None
+    return WorldDesign(taps, pole, inside, law.h1, law.h_nyquist, surroundings.limit, bound, proven)
+
+
+def keeps(surroundings: Surroundings, law: CompiledLaw, masses: int = 15) -> bool:
+    """Whether a law is stable for any world in these surroundings: proven at every frequency, at all delays for any hand.
+
+    For a known device it is proven at `masses` of the range and five delays, and the loop at the wall is checked there too.
+    """
+    if not (law.h1 > 0.0 and law.stable_sections() and zeros_inside(law)):
+        return False
+    if surroundings.mass is not None:
+        for mass in np.unique(np.geomspace(*surroundings.mass, masses)).tolist():
+            for delay in sorted(set(surroundings.delay)):
+                if not pole_radius(law, Plant(surroundings.period, mass, surroundings.damping, delay)) < 1.0:
+                    return False
+    return all(positive(condition.margin(law)) is True for condition in surroundings.conditions(masses))
+
+
+def _any_hand(surroundings: Surroundings, delay: float) -> Condition:
+    """Set r = [1 − (1−φ) cos((1+i)θ) − φ cos((2+i)θ)]/(2b), over 1 − cos θ."""
+    whole = math.floor(delay)
+    fraction = delay - whole
+    rest = (1.0 - fraction) * np.append(one_less_cosine(1 + whole), 0.0) + fraction * one_less_cosine(2 + whole)
+    return Condition(surroundings.period, np.array([1.0]), -rest / (2.0 * surroundings.damping))
+
+
+def _known(surroundings: Surroundings, mass: float, delay: float) -> Condition:
+    """Set r = −Re{D P_d} of a known device, over |1 − w e|² / (1 − cos θ) of its own denominator."""
+    held = held_plant(Plant(surroundings.period, mass, surroundings.damping, delay))
+    own = Laurent(np.cumsum(held.denominator)[:-1])  # the denominator without 1 − w
+    path = Laurent(np.array(held.numerator), held.whole + 1)
+    size = (own * own.conjugate).real()
+    weight = _product(np.array([1.0, -1.0]), size)
+    return Condition(surroundings.period, weight, (path * own.conjugate).real() / surroundings.period)
+
+
+def _product(a: Array, b: Array) -> Array:
+    """Product of two cosine sums."""
+    long = len(a) + len(b) - 1
+    total = np.zeros(long)
+    for i, one in enumerate(a.tolist()):
+        for j, other in enumerate(b.tolist()):
+            total[i + j] += 0.5 * one * other
+            total[abs(i - j)] += 0.5 * one * other
+    return total
+
+
+def _sum(a: Array, b: Array) -> Array:
+    total = np.zeros(max(len(a), len(b)))
+    total[: len(a)] += a
+    total[: len(b)] += b
+    return total

@@ -1,0 +1,130 @@
+"""Families of laws compared where the world, or hand and world, are not known: PD, PDα, the optimum, free taps, a pole."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nodes.laws.parse import parse_law
+from nodes.laws.presets import PRESETS
+from sim.design.any_world import Surroundings, WorldDesign, stiffest_for_any_world
+
+ORDERS = tuple(round(0.2 * i, 1) for i in range(1, 13))  # at which PDα is tuned before the best is refined
+POLES = (-0.95, -0.9, -0.8, -0.6, -0.3, 0.3, 0.6)  # of the section, before the best is refined
+
+
+@dataclass(frozen=True)
+class Member:
+    """The stiffest member of a family."""
+
+    family: str  # ``pd``, ``pd_alpha``, ``paper_optimum``, ``taps`` or ``one_pole``
+    # Its description, as `nodes.laws.parse.parse_law` reads it; None when none is stable for every world.
+    law: dict[str, Any] | None
+    design: WorldDesign | None  # its figures
+
+
+def stiffest_members(surroundings: Surroundings, taps: int) -> Iterator[Member]:
+    """Yield the stiffest member of each family, PD first; of `taps` taps where a family has a choice."""
+    yield stiffest_pd(surroundings)
+    yield stiffest_pd_alpha(surroundings, taps)
+    yield stiffest_linear("paper_optimum", {**PRESETS["paper_optimum"], "kind": "paper_optimum"}, surroundings)
+    yield stiffest_taps(surroundings, taps)
+    yield stiffest_one_pole(surroundings)
+
+
+def stiffest_pd(surroundings: Surroundings) -> Member:
+    """Tune stiffness and damping of PD."""
+    return stiffest_linear("pd", {"kind": "pd"}, surroundings)
+
+
+def stiffest_pd_alpha(surroundings: Surroundings, taps: int) -> Member:
+    """Tune stiffness, damping and order of PDα of so many taps."""
+
+    def at(order: float) -> Member:
+        return stiffest_linear("pd_alpha", {"kind": "pd_alpha", "order": order, "taps": taps, "gains": "paper"}, surroundings)
+
+    return _refined(at, ORDERS, 0.1, (0.05, 3.9))
+
+
+def stiffest_taps(surroundings: Surroundings, taps: int) -> Member:
+    """Design so many free taps, or fewer where those are as stiff: a longer law with zeros behind is a shorter one."""
+    best: Member | None = None
+    for length in range(1 if surroundings.mass is None else min(2, taps), taps + 1):
+        design = stiffest_for_any_world(surroundings, np.eye(length))
+        member = Member("taps", None if design is None else _fir(design, surroundings.period), design)
+        # Where more taps buy less than a thousandth, the shorter law is the better one.
+        if best is None or stiffness(member) > 1.001 * stiffness(best):
+            best = member
+    if best is None:
+        raise ValueError(f"taps = {taps}: expected at least 1")
+    return best
+
+
+def stiffest_one_pole(surroundings: Surroundings) -> Member:
+    """Design two taps over one pole, anywhere inside the unit circle."""
+
+    def at(pole: float) -> Member:
+        design = stiffest_for_any_world(surroundings, np.eye(2), pole=pole)
+        return Member("one_pole", None if design is None else _fir(design, surroundings.period), design)
+
+    return _refined(at, POLES, 0.05, (-0.995, 0.995))
+
+
+def stiffest_linear(family: str, shape: dict[str, Any], surroundings: Surroundings) -> Member:
+    """Tune stiffness and damping of a law of taps that is linear in both."""
+    spring, both = (
+        np.array(parse_law({**shape, "stiffness": 1.0, "damping": gain}).compile(surroundings.period).taps)
+        for gain in (0.0, 1.0)
+    )
+    spring = np.pad(spring, (0, len(both) - len(spring)))
+    design = stiffest_for_any_world(surroundings, np.array([spring, both - spring]), free=False)
+    if design is None or not design.parameters[0] > 0.0:
+        return Member(family, None, None)
+    stiffness_, damping = design.parameters.tolist()
+    return Member(family, {**shape, "stiffness": stiffness_, "damping": damping}, design)
+
+
+def stiffness(member: Member) -> float:
+    """H(1) of a member, 0 where there is none [N/m]."""
+    return 0.0 if member.design is None else member.design.h1_n_per_m
+
+
+def _refined(at: Callable[[float], Member], values: tuple[float, ...], step: float, ends: tuple[float, float]) -> Member:
+    """Return the best of some values, then of values closer and closer about it."""
+    tried = {value: at(value) for value in values}
+    best = max(tried, key=lambda value: stiffness(tried[value]))
+    while step > 0.004 * (ends[1] - ends[0]) / 4.0:
+        for value in (best - step, best + step):
+            if ends[0] < value < ends[1]:
+                tried[value] = at(value)
+        best = max(tried, key=lambda value: stiffness(tried[value]))
+        step *= 0.5
+    return tried[best]
+
+
+def _fir(design: WorldDesign, period: float) -> dict[str, Any]:
+    law = design.law
+    described: dict[str, Any] = {"kind": "fir", "taps": list(law.taps), "period": period}
+    return described | ({"recursive": [list(section) for section in law.sections]} if law.sections else {})
+
+
+def fractional_gain(members: list[Member]) -> float | None:
+    """Compute what a fractional term buys over PD, as a ratio of H(1); None where one of the two has no stiffness."""
+    found = {member.family: stiffness(member) for member in members}
+    return found["pd_alpha"] / found["pd"] if min(found["pd_alpha"], found["pd"]) > 0.0 else None
+
+
+def margin_figures(design: WorldDesign) -> dict[str, Any]:
+    """Figures of a design as JSON has them."""
+    bound = design.bound_n_per_m
+    return {
+        "taps_n_per_m": list(design.law.taps),
+        "sections": [list(section) for section in design.law.sections],
+        "h1_n_per_m": design.h1_n_per_m,
+        "h_nyquist_n_per_m": design.h_nyquist_n_per_m,
+        "limit_n_per_m": design.limit_n_per_m,
+        "bound_n_per_m": bound if bound is not None and math.isfinite(bound) else None,
+        "proven": design.proven,
+    }

@@ -1,0 +1,352 @@
+"""Bounded hands: the worst pole radius over a box of grasps, and a certificate for every grasp of it.
+
+Passivity is for any hand, and a spring of 0..k for none that has mass. Between them is the fingertip: mass, spring and damper,
+each within limits. The worst of them is searched on a grid that closes in; that is no proof. The certificate cuts the box into
+cells: within one, the matrix of a tick is that of its middle, plus what is linear in the grasp's numbers and so lies in the
+hull of the corners, plus a remainder that is bounded. A norm in which all of these shrink is a proof for the cell
+(THEORY.md §21).
+"""
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nodes.laws import CompiledLaw
+from nodes.stability.closed_loop import tick_matrix
+from nodes.stability.grasp import Grasp
+from nodes.stability.plant import Plant
+from sim.arrays import Array
+from sim.design.demand import Demand
+
+_POINTS = 5  # of a side of the box that are looked at first
+_ZOOMS = 3
+CELLS = 200_000  # that a certificate may take: about 20 s
+_BATCH = 2048  # of them at once
+
+
+@dataclass(frozen=True)
+class HandBox:
+    """Grasps between limits, lowest and highest of each, shape (2,)."""
+
+    mass: tuple[float, float]  # [kg]
+    stiffness: tuple[float, float]  # [N/m]
+    damping: tuple[float, float]  # [N s/m]
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "stiffness", "damping"):
+            low, high = getattr(self, name)
+            if not (0.0 <= low <= high and math.isfinite(high)) or (low == 0.0 and name != "damping"):
+                expected = "0 <= low <= high" if name == "damping" else "0 < low <= high"
+                raise ValueError(f"{name} = {low:g}..{high:g}: expected {expected}, finite")
+
+    @property
+    def sides(self) -> tuple[tuple[float, float], ...]:
+        """Limits of mass, stiffness and damping."""
+        return self.mass, self.stiffness, self.damping
+
+    def corners(self) -> tuple[Grasp, ...]:
+        """Return the grasps at the limits."""
+        return tuple(Grasp(*values) for values in itertools.product(*(sorted(set(side)) for side in self.sides)))
+
+    def text(self) -> str:
+        """Return the box in units."""
+        mass, stiffness, damping = (f"{low:g}..{high:g}" if low < high else f"{low:g}" for low, high in self.sides)
+        return f"grasp of {mass} kg behind {stiffness} N/m and {damping} N s/m"
+
+
+# The hand behind a stylus: Fu and Çavuşoğlu 2012 (sim/device/real_devices.py), without the arm's own spring and damper.
+STYLUS = HandBox((0.2, 0.22), (380.0, 770.0), (0.8, 1.8))
+
+
+@dataclass(frozen=True)
+class WorstGrasp:
+    """The grasp with the largest pole radius that was found, and whether all of the box are certified."""
+
+    radius: float  # largest pole radius found over the box
+    grasp: Grasp  # where that is
+    certified: bool | None  # True: every grasp of the box is stable, proven; False: one is not; None: not decided or not asked
+    cells: int  # of the certificate
+
+
+def worst_grasp(law: CompiledLaw, plant: Plant, box: HandBox, certify: bool = False) -> WorstGrasp:
+    """Search a box of grasps for the largest pole radius, and certify it if asked.
+
+    `plant`: device, delay and sampling period. The grid is geometric (of the damping linear), and closes in three times.
+    """
+    limits: list[Sequence[float]] = list(box.sides)
+    best, at, ticks = -math.inf, Grasp(*(side[0] for side in limits)), _Ticks(law, plant)
+    for _ in range(1 + _ZOOMS):
+        axes = [_axis(low, high, linear) for (low, high), linear in zip(limits, (False, False, True), strict=True)]
+        grasps = np.array(list(itertools.product(*axes)))
+        radii = ticks.radii(grasps)
+        worst = grasps[int(np.argmax(radii))].tolist()
+        if float(radii.max()) > best:
+            best, at = float(radii.max()), Grasp(*worst)
+        limits = [_closer(axis, value) for axis, value in zip(axes, worst, strict=True)]
+    if best >= 1.0:
+        return WorstGrasp(best, at, False, 0)
+    certified, cells = certify_box(law, plant, box) if certify else (None, 0)
+    return WorstGrasp(best, at, certified, cells)
+
+
+@dataclass(frozen=True)
+class JudgedGrasps:
+    """A law in every grasp of a box, at the ends of a demand's masses, dampings and delays."""
+
+    box: HandBox
+    worst: WorstGrasp  # over all of them; certified only if all are
+    mass: float  # of the device, where the worst is [kg]
+    delay: float  # [ticks]
+
+    def text(self) -> str:
+        """Return the verdict in a sentence."""
+        told = {
+            True: "every one stable: certified",
+            False: "NOT every one stable",
+            None: "all that were tried stable: not certified",
+        }
+        at = self.worst.grasp
+        return (
+            f"{self.box.text()}: {told[self.worst.certified]} at the ends of mass and delay; largest pole radius "
+            f"{self.worst.radius:.6f}, of {at.mass:.3g} kg, {at.stiffness:.3g} N/m, {at.damping:.3g} N s/m (THEORY.md §21)"
+        )
+
+
+def judge_grasps(law: CompiledLaw, demand: Demand, box: HandBox, most: int = CELLS) -> JudgedGrasps:
+    """Judge a law in every grasp of a box, at the ends of the masses, dampings and delays of a demand."""
+    found = []
+    for mass, damping, delay in itertools.product(
+        sorted(set(demand.mass)), sorted(set(demand.dampings)), sorted(set(demand.delay))
+    ):
+        plant = Plant(demand.period, mass, damping, delay)
+        found.append((worst_grasp(law, plant, box), plant))
+    worst, where = max(found, key=lambda one: one[0].radius)
+    cells, certified = 0, worst.certified
+    if worst.radius < 1.0:
+        certified = True
+        for _, plant in found:
+            proven, taken = certify_box(law, plant, box, most - cells)
+            cells += taken
+            if not proven:
+                certified = None
+                break
+    return JudgedGrasps(box, replace(worst, certified=certified, cells=cells), where.mass, where.delay)
+
+
+def k_max_over(make: Callable[[float], CompiledLaw], plant: Plant, box: HandBox, highest: float) -> float | None:
+    """Bisect the largest nominal stiffness up to `highest` [N/m] at which no grasp of a box makes the loop unstable.
+
+    `make`: a law of a nominal stiffness [N/m]. None where not even a hundredth of it is stable. Searched from below in steps of
+    10 %, so that what is found is the end of the lowest stable interval wider than that.
+    """
+
+    def stable(stiffness: float) -> bool:
+        return worst_grasp(make(stiffness), plant, box).radius < 1.0
+
+    low = 0.01 * highest
+    if not stable(low):
+        return None
+    high = low
+    while high < highest and stable(high):
+        low, high = high, min(1.1 * high, highest)
+    if stable(high):
+        return high
+    for _ in range(24):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    return low
+
+
+def _axis(low: float, high: float, linear: bool) -> list[float]:
+    if low == high:
+        return [low]
+    points = np.linspace(low, high, _POINTS) if linear else np.geomspace(low, high, _POINTS)
+    return [float(one) for one in points]
+
+
+def _closer(axis: list[float], value: float) -> list[float]:
+    """Return the ends of the cells about a value."""
+    i = axis.index(value)
+    return [axis[max(i - 1, 0)], axis[min(i + 1, len(axis) - 1)]]
+
+
+def certify_box(law: CompiledLaw, plant: Plant, box: HandBox, most: int = CELLS) -> tuple[bool | None, int]:
+    """Prove every grasp of a box stable, cell by cell: True, or None when `most` cells do not do; and the cells."""
+    ticks = _Ticks(law, plant)
+    # In 1/mass a tick's generator is linear in each of the three numbers, so that the hull of a cell's corners holds it.
+    waiting, cells = np.array([((1.0 / box.mass[1], 1.0 / box.mass[0]), box.stiffness, box.damping)]), 0
+    while len(waiting):
+        # The last first: what is proven leaves room, and a box that cannot be is given up early on one of its corners.
+        batch, waiting = waiting[-_BATCH:], waiting[:-_BATCH]
+        cells += len(batch)
+        if cells > most:
+            return None, cells
+        waiting = np.concatenate([waiting, ticks.halved(batch[~ticks.shrink(batch)])])
+    return True, cells
+
+
+class _Ticks:
+    """Matrices of a tick in the grasps of many cells at once, in lengths: position and velocity times T of device and hand.
+
+    Cells are limits of 1/mass, stiffness and damping, shape (c, 3, 2).
+    """
+
+    def __init__(self, law: CompiledLaw, plant: Plant) -> None:
+        self._plant = plant
+        fraction = plant.delay - math.floor(plant.delay)
+        self._durations = (fraction, 1.0 - fraction)
+        unit, none, flat, whole = plant.period**2 / plant.mass, np.zeros(4), np.zeros((4, 4)), math.floor(plant.delay)
+
+        def loop(new: Array, old: Array) -> Array:
+            return tick_matrix(law, unit, flat, [(whole, new), (whole + 1, old)])
+
+        # The loop's matrix is what shifts, plus the motion, plus what the two forces that act push, each times its own row.
+        first = np.array([unit, 0.0, 0.0, 0.0])
+        self._shift = loop(none, none)
+        self._newer = (loop(first, none) - self._shift)[0]
+        self._older = (loop(none, first) - self._shift)[0]
+        generator = np.zeros((5, 5))
+        generator[0, 1] = generator[2, 3] = generator[1, 4] = 1.0
+        generator[1, 0] = -plant.stiffness / plant.mass * plant.period**2
+        generator[1, 1] = -plant.damping / plant.mass * plant.period
+        self._alone = generator
+
+    def _numbers(self, grasps: Array) -> Array:
+        """Spring and damper over the device's mass, then over the hand's, per tick: (..., 4) of (..., 3)."""
+        period, own = self._plant.period, 1.0 / self._plant.mass
+        inverse, stiffness, damping = np.moveaxis(grasps, -1, 0)
+        spring, damper = stiffness * period**2, damping * period
+        return np.stack([spring * own, damper * own, spring * inverse, damper * inverse], axis=-1)
+
+    def _motion(self, generator: Array, change: Array | None = None) -> tuple[Array, Array, Array]:
+        """Matrices of the motion over a tick, (c, 4, 4), (c, 4), (c, 4): free, of the newer force and of the older one.
+
+        With a `change` of the generator, what that adds to first order: it is read off the exponential of a matrix of blocks,
+        in which it stands beside the exponential itself.
+        """
+        if change is None:
+            early, late = (_exponential(generator * share) for share in self._durations)
+            return _joined(early, late)
+        blocks = np.zeros((len(generator), 10, 10))
+        blocks[:, :5, :5] = blocks[:, 5:, 5:] = generator
+        blocks[:, :5, 5:] = change
+        early, late = (_exponential(blocks * share) for share in self._durations)
+        return _joined(early[:, :5, 5:], late[:, :5, :5], late[:, :5, 5:], early[:, :5, :5])
+
+    def _loop(self, motion: tuple[Array, Array, Array], moving: bool) -> Array:
+        """Put motions into the loop's matrix; `moving`: without what shifts, for what a change adds."""
+        step, new, old = motion
+        matrix = np.zeros((len(step), *self._shift.shape)) if moving else np.repeat(self._shift[None], len(step), axis=0)
+        matrix[:, :4, :4] += step
+        matrix[:, :4] += new[:, :, None] * self._newer + old[:, :, None] * self._older
+        return matrix
+
+    def _bound(self, motion: tuple[Array, Array, Array]) -> Array:
+        """Bound the loop's matrix of a motion that is known by its modulus alone."""
+        step, new, old = motion
+        matrix = np.zeros((len(step), *self._shift.shape))
+        matrix[:, :4, :4] += step
+        matrix[:, :4] += new[:, :, None] * np.abs(self._newer) + old[:, :, None] * np.abs(self._older)
+        return matrix
+
+    def radii(self, grasps: Array) -> Array:
+        """Pole radius of each grasp of mass, stiffness and damping, (g, 3)."""
+        numbers = self._numbers(np.column_stack([1.0 / grasps[:, 0], grasps[:, 1:]]))
+        generator = self._alone + np.einsum("ck,kij->cij", numbers, _PARTS)
+        poles = np.linalg.eigvals(self._loop(self._motion(generator), moving=False))
+        return np.asarray(np.abs(poles).max(axis=1), dtype=np.float64)
+
+    def shrink(self, cells: Array) -> NDArray[np.bool_]:
+        """Whether all ticks of each cell shrink in one norm: that of its middle."""
+        middles = self._numbers(cells.mean(axis=2))
+        generator = self._alone + np.einsum("ck,kij->cij", middles, _PARTS)
+        matrix = self._loop(self._motion(generator), moving=False)
+        radius = np.abs(np.linalg.eigvals(matrix)).max(axis=1)
+        sure = radius < 1.0 - 1e-9
+        scale = np.where(sure, 0.5 * (1.0 + radius), 2.0 * radius)
+        norm = _norms(matrix / scale[:, None, None])
+        inverse = np.linalg.inv(norm)
+        slopes = [self._loop(self._motion(generator, np.broadcast_to(part, generator.shape)), moving=True) for part in _PARTS]
+        which = np.array(list(itertools.product((0, 1), repeat=3)))
+        corners = self._numbers(cells[:, np.arange(3), which]) - middles[:, None]
+        moved = matrix[:, None] + np.einsum("cnk,kcij->cnij", corners, np.array(slopes))
+        largest = np.linalg.norm(norm[:, None] @ moved @ inverse[:, None], ord=2, axis=(2, 3)).max(axis=1)
+        # Beyond first order: series with all signs positive bound it, entry by entry.
+        size, change = np.abs(generator), np.einsum("ck,kij->cij", np.abs(corners).max(axis=1), np.abs(_PARTS))
+        both, own, linear = self._motion(size + change), self._motion(size), self._motion(size, change)
+        beyond = [np.maximum(a - b - c, 0.0) + _SERIES * (1.0 + a) for a, b, c in zip(both, own, linear, strict=True)]
+        rest = np.abs(norm) @ self._bound((beyond[0], beyond[1], beyond[2])) @ np.abs(inverse)
+        return np.asarray(sure & (largest + np.linalg.norm(rest, ord=2, axis=(1, 2)) < 1.0 - 1e-9))
+
+    def halved(self, cells: Array) -> Array:
+        """Cut each cell in two across the side that changes a tick most."""
+        if not len(cells):
+            return cells
+        spans = []
+        for i in range(3):
+            ends = np.repeat(cells.mean(axis=2)[:, None], 2, axis=1)
+            ends[:, :, i] = cells[:, i]
+            numbers = self._numbers(ends)
+            spans.append(np.abs(numbers[:, 1] - numbers[:, 0]).sum(axis=1))
+        widest, every = np.argmax(spans, axis=0), np.arange(len(cells))
+        low, high = cells.copy(), cells.copy()
+        low[every, widest, 1] = high[every, widest, 0] = cells[every, widest].mean(axis=1)
+        return np.concatenate([low, high])
+
+
+_SERIES = 1e-11  # what a series of `_TERMS` leaves out, and rounding, as a share of a motion
+_TERMS = 20  # of a generator with a norm of at most 1
+
+
+def _exponential(matrix: Array) -> Array:
+    """Exponential of many small matrices by its series, halved to a norm of 1 and squared: stiff grasps are beyond that."""
+    largest = float(np.abs(matrix).sum(axis=2).max(initial=0.0))
+    halvings = max(0, math.ceil(math.log2(largest))) if largest > 1.0 else 0
+    small = matrix / 2.0**halvings
+    total = np.repeat(np.eye(matrix.shape[1])[None], len(matrix), axis=0)
+    for k in range(_TERMS, 0, -1):
+        total = np.eye(matrix.shape[1]) + small @ total / k
+    for _ in range(halvings):
+        total = total @ total
+    return total
+
+
+def _joined(
+    early: Array, late: Array, late_moved: Array | None = None, early_still: Array | None = None
+) -> tuple[Array, Array, Array]:
+    """Join the motions before and after the force arrives; with their changes (`early`, `late_moved`) the change of both."""
+    step = late[:, :4, :4] @ early[:, :4, :4]
+    old = (late[:, :4, :4] @ early[:, :4, 4:])[:, :, 0]
+    if late_moved is None or early_still is None:
+        return step, late[:, :4, 4], old
+    step = step + late_moved[:, :4, :4] @ early_still[:, :4, :4]
+    old = old + (late_moved[:, :4, :4] @ early_still[:, :4, 4:])[:, :, 0]
+    return step, late_moved[:, :4, 4], old
+
+
+def _norms(matrix: Array) -> Array:
+    """Norms L in which matrices of radius below 1 shrink: L'L = Σ A'^k A^k, by doubling."""
+    gram, power = np.repeat(np.eye(matrix.shape[1])[None], len(matrix), axis=0), matrix
+    for _ in range(24):
+        moved = np.swapaxes(power, 1, 2) @ gram @ power
+        gram = gram + moved
+        power = power @ power
+        if float((np.abs(moved).max(axis=(1, 2)) / np.abs(gram).max(axis=(1, 2))).max()) < 1e-12:
+            break
+    return np.asarray(np.swapaxes(np.linalg.cholesky(gram), 1, 2), dtype=np.float64)
+
+
+def _parts() -> Iterator[Array]:
+    """List what a spring and a damper between the two masses add to the generator, by the row that they push."""
+    for row, sign in ((1, -1.0), (3, 1.0)):
+        for column in (0, 1):
+            part = np.zeros((5, 5))
+            part[row, column], part[row, column + 2] = sign, -sign
+            yield part
+
+
+_PARTS = np.array(list(_parts()))
