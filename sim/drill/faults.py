@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from nodes.base.processor_wait import state_of
-from sim.drill import devices, intruders, last_line, people
+from sim.drill import begins, devices, intruders, last_line, people
 from sim.drill.drill import Fault, FaultSkippedError, await_strike, fault_of, kill, with_link
 from sim.measure.measured_launch import within
 from sim.measure.rig import Rig
@@ -229,4 +229,5 @@ def faults() -> list[Fault]:
         *intruders.faults(),
         *people.faults(),
         *devices.faults(),
+        *begins.faults(),
     ]

@@ -16,11 +16,11 @@ from messages.codec import Decoder
 from messages.types import DeviceState, Vector
 from nodes.driver.device import DeviceLimits
 from nodes.driver.state import ACTIVE, IDLE, RAMP, STOPPED
+from sim.drill.writes import Bounds, Write, broken
 from tests.support.safety import Port, T, force
 from tests.support.scripted import Hand, Script, played
 from tests.support.scripted_world import EPOCH
 from tests.support.scripts import BOX, answer, driver
-from tests.support.writes import Bounds, Write, broken
 
 PEAK = 7.9
 HOLD = 25 * T
