@@ -11,7 +11,7 @@ import msgspec
 from messages import topics
 from nodes.compiled.answering import WAIT_MS, CompiledTicks
 from nodes.compiled.library import Kernel
-from nodes.driver.calls import DeviceCalls
+from nodes.driver.calls import DeviceCalls, Jumps
 from nodes.driver.device import Device
 from nodes.driver.state import SAFETY, DriverState
 from nodes.driver.tick import SILENT, UNREAD
@@ -20,11 +20,11 @@ from nodes.driver.tick import SILENT, UNREAD
 class DriverTicks(CompiledTicks):
     """The compiled ticks of one driver."""
 
-    def __init__(self, node: Any, kernel: Kernel, device: Device) -> None:
+    def __init__(self, node: Any, kernel: Kernel, device: Device, jumps: Jumps) -> None:
         s: DriverState = node.driving
         super().__init__(node, kernel, topics.FORCE, topics.DEVICE_STATE)
         self._driver = node
-        self._device = DeviceCalls(device, lambda: node.target, node.jumps)
+        self._device = DeviceCalls(device, lambda: node.target, jumps)
         s.device_read, s.device_write, s.device_context = self._device.calls
         self._room("device_room", 48)
         # struct pollfd: descriptor, then two shorts: POLLIN, and the answer

@@ -23,7 +23,8 @@ from nodes.base.node import IDLE_MS, Node
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.base.status_report import Counted
 from nodes.compiled.layout import NEVER, state_of
-from nodes.driver.calls import Jumps, numbers_of
+from nodes.driver.calls import numbers_of
+from nodes.driver.condition import Condition
 from nodes.driver.device import Device
 from nodes.driver.external import give
 from nodes.driver.limits import STOP_TIME, lower, undeclared
@@ -71,8 +72,6 @@ class Driver(Node):
         All that it keeps from tick to tick.
     """
 
-    _condition = ""  # what it said last of its device that gives no force
-    _condition_failed = ""  # what `condition` raised, which ends the run
     Parameters: ClassVar[type[msgspec.Struct]] = DriverParameters
     publishes: ClassVar[tuple[str, ...]] = (topics.DEVICE_STATE,)
     listens_to: ClassVar[tuple[str, ...]] = (topics.FORCE,)
@@ -93,6 +92,7 @@ class Driver(Node):
         super().__init__(setup)
         self.driving = self.counters
         self._report = DriverReport(self.driving)
+        self._condition = Condition(self, self.condition)
         self._stands_until = 0.0
         self.events.interrupt = self._interrupt
 
@@ -151,7 +151,6 @@ class Driver(Node):
         set_guard(s, parameters.passivity)
         # One that was started again may have a guard that somebody set while it ran, which is not the launch file's.
         written: DriverParameters = convert(self.setup.parameters, self.Parameters, self.setup.name)
-        self.jumps = Jumps(self._device)
         self._report.begin(self._device, held, written.passivity is not None and written.passivity.guard == "on")
         for text in held.overruled:
             self.events.emit("limit", text)
@@ -229,14 +228,14 @@ class Driver(Node):
             self._device.write_force(tuple(s.handed) if held else ZERO, s.seq, 0.0)
         else:
             s.place[:] = numbers_of(self._device.read_position(s.seq), f"{self.setup.name}: {type(self._device).__name__}")
-            s.jumped |= self.jumps.again()
+            s.jumped |= self._plain.jumps.again()
             s.place_given = 1
 
     def _last_sample(self, stamp: float) -> None:
         """Publish where the device came to rest."""
         s = self.driving
         s.place[:] = numbers_of(self._device.read_position(s.seq), self.setup.name)
-        s.jumped |= self.jumps.again()
+        s.jumped |= self._plain.jumps.again()
         s.target[:] = self.target
         take_sample(s, s.seq, stamp)
         self._plain.publish(s, s.seq, stamp)
@@ -247,7 +246,7 @@ class Driver(Node):
         """Make the compiled ticks."""
         from nodes.driver.compiled_tick import DriverTicks
 
-        return DriverTicks(self, kernel, self._device)
+        return DriverTicks(self, kernel, self._device, self._plain.jumps)
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
         """Prepare another guard, its account at zero: all of a driver that changes, where the launch file asked for none."""
@@ -276,38 +275,18 @@ class Driver(Node):
     def look_after(self) -> None:
         """Look whether the loop goes on, and tell when the device keeps forces off (control thread)."""
         self._watch.look((*self.counted(), self._report.soft_stop_ticks))
-        if self.state != "running":
-            return
-        condition = self._told_condition()
-        if condition != self._condition:
-            self._condition = condition
-            kind = "device_force" if condition else "device_force_back"
-            self.events.emit_each(kind, condition or "nothing keeps forces off any more")
-
-    def _told_condition(self) -> str:
-        """Return what `condition` says; one that raises ends the run softly, and is what it says from then on."""
-        if self._condition_failed:
-            return self._condition_failed
-        try:
-            return self.condition()
-        except Exception as error:  # noqa: BLE001  # code of a device, on the thread that serves requests
-            name = f"{self.setup.name}: {type(self._device).__name__}"
-            reason = f"{name} cannot tell its condition: {type(error).__name__}: {error}"
-            self._condition_failed = reason
-            self.events.emit("device", f"{reason}; the force is brought down to zero, and the driver ends")
-            self.failing = True
-            self.stop(reason)
-            return reason
+        if self.state == "running":
+            self._condition.report()
 
     def operations(self) -> dict[str, Callable[..., Any]]:
         """Offer what the launcher's status line asks for, and take forces from outside."""
         limits = self._device.limits
         return {
-            "progress": lambda: {**self._report.progress(self.setup.ticks), "condition": self._told_condition()},
+            "progress": lambda: {**self._report.progress(self.setup.ticks), "condition": self._condition.told()},
             "device": lambda: {"opening_s": limits.opening, "closing_s": limits.closing},
             "rearm": self._rearm,
             "stand": self._stand,
-            "force": lambda: {"why": why_no_force(self.driving, self._told_condition())},
+            "force": lambda: {"why": why_no_force(self.driving, self._condition.told())},
             "external": lambda force: give(self.driving, self.store.current.external, self.setup.name, force),
         }
 

@@ -11,7 +11,7 @@ from messages.codec import Decoder, encode
 from messages.transport.sockets import TimedOut
 from messages.types import DeviceState, Force, Vector
 from nodes.base import realtime
-from nodes.driver.calls import numbers_of
+from nodes.driver.calls import Jumps, numbers_of
 from nodes.driver.device import Device
 from nodes.driver.state import SAFETY, DriverState
 from nodes.driver.tick import GOT, NONE, REFUSED, Port, make_ticks
@@ -31,7 +31,7 @@ class PlainTicks:
         self._topic, self._expected = (node.setup.topic(name).encode() for name in (topics.DEVICE_STATE, topics.FORCE))
         self._decoder, self._clock = Decoder(Force), time.monotonic
         self._what = f"{node.setup.name}: {type(device).__name__}"
-        self._jumps = node.jumps
+        self.jumps = Jumps(device)
         self.payload = b""  # the state that was published last
         lockstep, paced = make_ticks(
             Port(
@@ -50,7 +50,7 @@ class PlainTicks:
 
     def _read(self, s: DriverState, seq: int) -> bool:
         s.place[:] = numbers_of(self._device.read_position(seq), self._what)
-        if self._jumps.again():
+        if self.jumps.again():
             s.jumped = 1
         s.target[:] = self._node.target
         return True

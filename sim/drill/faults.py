@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from nodes.base.processor_wait import state_of
-from sim.drill import devices, held_up, intruders, last_line, overload, people
+from sim.drill import begins, devices, held_up, intruders, last_line, overload, people
 from sim.drill.drill import Fault, FaultSkippedError, await_strike, fault_of, kill, with_link
 from sim.measure.measured_launch import within
 from sim.measure.rig import Rig
@@ -231,4 +231,5 @@ def faults() -> list[Fault]:
         *people.faults(),
         *held_up.faults(),
         *devices.faults(),
+        *begins.faults(),
     ]

@@ -1,6 +1,7 @@
 """The sim driver with a device that breaks down when it is told to, for the drill."""
 
 import os
+import struct
 import time
 from collections import deque
 from typing import Any, ClassVar
@@ -18,6 +19,7 @@ HANG, EXIT = "hang", "exit"
 SCALE, LATE = "scale ", "late "
 # What it begins with for a call that raises, which is named, and for a read that takes so long [s].
 FAILS, BLOCKS = "fails in ", "blocks "
+LOGGED = "<dddd"  # a force in its log: when it was written [s], and along each axis [N]
 _LATEST = 100
 
 
@@ -25,13 +27,15 @@ class FaultyDriverParameters(SimDriverParameters, frozen=True, forbid_unknown_fi
     """Parameters of the driver."""
 
     order: str  # a file: as long as it exists, the device does what it says
+    log: str = ""  # a file in which each force is logged as it is written; empty for none
 
 
 class FaultyDevice:
     """Passes every call on, but for what its order says."""
 
-    def __init__(self, device: Device, order: str) -> None:
+    def __init__(self, device: Device, order: str, log: str = "") -> None:
         self._device, self._order = device, order
+        self._log = open(log, "ab", buffering=0) if log else None  # noqa: SIM115  # as long as the device
         self._positions = deque([ZERO], maxlen=_LATEST)
 
     @property
@@ -48,6 +52,10 @@ class FaultyDevice:
     def _meet(self, call: str, order: str) -> None:
         if order == FAILS + call:
             raise OSError(f"faulty device: {call}() fails, as a device does that was unplugged")
+
+    def meet(self, call: str) -> None:
+        """Raise where a call is ordered to fail."""
+        self._meet(call, self._ordered())
 
     def open(self) -> None:
         """Open it; when so ordered, fail."""
@@ -79,6 +87,8 @@ class FaultyDevice:
         while (order := self._ordered()) == HANG:
             time.sleep(0.1)
         self._meet("write_force", order)
+        if self._log is not None:
+            self._log.write(struct.pack(LOGGED, time.monotonic(), *force))
         self._device.write_force(force, seq, offset)
 
     def close(self) -> None:
@@ -95,4 +105,10 @@ class FaultyDriver(SimDriver):
     def make_device(self) -> Device:
         """Make the virtual device, and what stands before it."""
         parameters: Any = self.store.current
-        return FaultyDevice(super().make_device(), parameters.order)
+        self._faulty = FaultyDevice(super().make_device(), parameters.order, parameters.log)
+        return self._faulty
+
+    def condition(self) -> str:
+        """Say that nothing keeps forces off; when so ordered, raise."""
+        self._faulty.meet("condition")
+        return super().condition()

@@ -147,6 +147,9 @@ def sliding(launch: Launch, stiffness: float, speed: float, frame: str, radius: 
         "environment": {"surface": surface},
         "coupling": {"frame": frame, "stability": "off", "law": "law", "schedule": [], "laws": {"law": law}},
     }
+    driver = next(spec for spec in launch.nodes.values() if spec.kind == "sim_driver")
+    # It begins in the contact that is looked at, which a ramp would make another one.
+    given["sim_driver"]["safety"] = {**driver.parameters.get("safety", {}), "ramp": 0.0}
     nodes = {
         name: msgspec.structs.replace(spec, parameters={**spec.parameters, **given.get(spec.kind, {})})
         for name, spec in launch.nodes.items()

@@ -28,7 +28,8 @@ from sim.scene.from_launch import LaunchedScene, from_launch
 from sim.scene.loop import Scene
 
 SCENARIO = "floor_drop"  # launch file whose nodes get the experiment's parameters
-NO_LIMITS = {"peak_force": None, "slew": None, "workspace": None}
+# Nor a ramp for a swing that begins with a force: nobody feels it.
+NO_LIMITS = {"peak_force": None, "slew": None, "workspace": None, "ramp": 0.0}
 
 
 @dataclass(frozen=True)

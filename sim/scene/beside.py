@@ -32,9 +32,9 @@ def beside_scene(
         if setup.kind == "coupling":
             # What was felt before is felt on: nothing begins here.
             parameters |= {"law": "beside", "laws": {"beside": dict(law)}, "schedule": [], "ease": 0.0}
-        elif "safety" in parameters:
+        elif setup.kind == "sim_driver":
             # What brings a force in after a gap has nothing to do here: there is no gap.
-            parameters["safety"] = {**parameters["safety"], "ramp": 0.0}
+            parameters["safety"] = {**parameters.get("safety", {}), "ramp": 0.0}
         nodes[name] = NodeSpec(kind=setup.kind, parameters=parameters)
     spec = RunSpec(rate=1.0 / first.period, apply=first.apply, axes=list(first.axes))
     launched = from_launch(Launch(scenario=first.run, summary="", path="", text="", arguments={}, run=spec, nodes=nodes))

@@ -138,8 +138,8 @@ class World:
     def receive(self, timeout_ms: int) -> bytes | None:
         """Take the next frame, after some milliseconds at most; -1 waits without end."""
         until = self.now + 1_000_000 * timeout_ms if timeout_ms >= 0 else math.inf
-        if timeout_ms > 0 and (until - EPOCH) // TICK != (self.now - EPOCH) // TICK:
-            # A wait that ends within its tick is followed by a finer one: only the last of them is too long.
+        if timeout_ms > 0:
+            # Every wait ends a step late, as that for a message does; of one that is followed by a finer one nothing is seen.
             until = _end_of(until)
         if not (self.is_ready() or (timeout_ms and self._wait_until(until))):
             return None

@@ -118,13 +118,17 @@ class MailboxDevice(ABC):
         self.turn = matrix(parameters.mapping, self.AXES)  # from the device's axes into the scene's
         self._code: Any = None
         self._shared: Any = None
-        self.jumps = 0
         self._box: Any = None
 
     @property
     def let_go(self) -> int:
         """How often the servo loop set the force to zero by itself, because none came."""
         return int(self._box.let_go)
+
+    @property
+    def jumps(self) -> int:
+        """Which jump of the position the last reading told."""
+        return int(self._box.told)
 
     @classmethod
     def find(cls, parameters: Any) -> Search:
@@ -249,7 +253,7 @@ class MailboxDevice(ABC):
         status = -self._code.device_read(self._at, seq, position)
         box = self._box
         if status == -JUMPED:
-            self.jumps, status = self.jumps + 1, 0
+            status = 0
         if status == FAULT:
             raise OSError(f"{self.TITLE}: {self.error_text(box.fault)}; forces are off until the node is started again")
         if status == STALLED and (silent := time.monotonic() - box.seen_at) > LOST:

@@ -6,6 +6,8 @@ in an hour is played in a millisecond, and played again by the other tick.
 
 from __future__ import annotations
 
+import math
+import random
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -18,7 +20,7 @@ from hypothesis import strategies as st
 
 from messages import topics
 from messages.codec import Decoder, encode
-from messages.types import MAX_COUNT, DeviceState, Force
+from messages.types import MAX_COUNT, DeviceState, Force, Vector
 from nodes.compiled.choose_tick import choose
 from nodes.coupling.node import Coupling
 from nodes.driver.device import DeviceLimits
@@ -210,6 +212,23 @@ def test_a_driver_keeps_every_rule_of_time_alike(rule: str, apply: str, tmp_path
                 continue
             work = sum(f * (x - y) for f, x, y in zip(state.mean_force, state.position, before.position, strict=True))
             assert state.energy - before.energy == pytest.approx(work, abs=1e-12), state.seq
+
+
+def test_the_guard_has_the_same_bits_along_several_axes(tmp_path: Path) -> None:
+    """It squared by `** 2`: a power in the interpreter, a product in compiled code, whose last bits differ now and then."""
+    drawn = random.Random(1)  # noqa: S311  # no secret
+    forces: list[Vector] = []
+    while len(forces) < TICKS:
+        x, y, z = (drawn.uniform(-4.0, 4.0) for _ in range(3))
+        if math.sqrt(x**2 + y**2 + z**2) != math.sqrt(x * x + y * y + z * z):
+            forces.append((x, y, z))
+    script = driver(
+        [answer(seq, force=force) for seq, force in enumerate(forces)],
+        position=lambda seq: (1e-4 * (seq % 3), 1e-4 * (seq * 7 % 5), 1e-4 * (seq * 5 % 7)),
+        guard={"stiffness": 500.0, "damping": 5.0},
+    )
+    _, node = assert_alike(script, tmp_path)
+    assert node.driving.lowered + node.driving.raised > TICKS / 4
 
 
 def test_states_are_stamped_in_the_time_of_the_launchers_machine(tmp_path: Path) -> None:

@@ -71,7 +71,7 @@ def test_a_condition_that_raises_is_told_once_and_ends_the_driver(monkeypatch: p
     driver.state = "running"
     for _ in range(3):
         driver.look_after()
-    expected = "driver: Hand cannot tell its condition: RuntimeError: vendor library: connection reset"
+    expected = "driver: condition() of the device failed: RuntimeError: vendor library: connection reset"
     assert driver.stop_reason == expected
     assert driver.failing
     assert driver.stopping
@@ -166,7 +166,7 @@ nodes:
     )
     with running(tmp_path, scene, environment={"PYTHONPATH": str(package)}, ready=False) as launch:
         figures = launch.finish(code=1)
-        assert "cannot tell its condition: RuntimeError: vendor library: connection reset" in launch.errors
+        assert "condition() of the device failed: RuntimeError: vendor library: connection reset" in launch.errors
         assert "Traceback" not in launch.errors
         assert "unreachable" not in launch.errors
     # 7.5 N, or what it has become, at most 2 N a tick.

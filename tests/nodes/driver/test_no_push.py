@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from messages.codec import Decoder
 from messages.types import DeviceState, Vector
 from nodes.driver.device import DeviceLimits
-from nodes.driver.state import ACTIVE, IDLE, RAMP, STOPPED
+from nodes.driver.state import ACTIVE, RAMP
+from sim.drill.writes import Bounds, Write, broken
 from tests.support.safety import Port, T, force
 from tests.support.scripted import Hand, Script, played
 from tests.support.scripted_world import EPOCH
 from tests.support.scripts import BOX, answer, driver
-from tests.support.writes import Bounds, Write, broken
 
 PEAK = 7.9
 HOLD = 25 * T
@@ -254,8 +254,7 @@ class Course(Hand):
         return 0.0, 0.0, math.nan if outside else 1e-5 * (seq % 7) + 0.02 * (self.jumps % 2)
 
 
-@settings(max_examples=60)
-@given(
+HAPPENINGS = given(
     held=stalls,
     late=lates,
     silent=spans,
@@ -265,7 +264,10 @@ class Course(Hand):
     apply=st.sampled_from(["on_arrival", "next_tick"]),
     slew=st.sampled_from([None, 100.0, 1500.0]),
 )
-def test_whatever_happens_to_a_driver_its_device_feels_no_push(
+"""Any sequence of starts, stalls in any place of a tick, silences, faults and jumps."""
+
+
+def _feels_no_push(
     held: dict[tuple[int, str], int],
     late: dict[int, int],
     silent: list[tuple[int, int]],
@@ -293,5 +295,14 @@ def test_whatever_happens_to_a_driver_its_device_feels_no_push(
     assert broken(_log(outcome), bounds, made[0].begins) == []
 
 
-def test_the_states_that_these_tests_name_are_there() -> None:
-    assert (IDLE, RAMP, ACTIVE, STOPPED) == (0, 1, 2, 6)
+@settings(max_examples=60)
+@HAPPENINGS
+def test_whatever_happens_to_a_driver_its_device_feels_no_push(tmp_path: Path, **happens: Any) -> None:
+    _feels_no_push(tmp_path=tmp_path, **happens)
+
+
+@pytest.mark.slow
+@settings(max_examples=2000)
+@HAPPENINGS
+def test_two_thousand_runs_of_a_driver_have_no_push(tmp_path: Path, **happens: Any) -> None:
+    _feels_no_push(tmp_path=tmp_path, **happens)

@@ -6,7 +6,6 @@ Plain and compiled ticks are made of the same rules: that they are alike says no
 from __future__ import annotations
 
 import math
-import random
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -136,22 +135,33 @@ def test_the_velocity_of_a_late_sample_of_hardware_is_over_the_time_that_passed(
     assert s.velocity[2] == pytest.approx(2.0, rel=1e-12)
 
 
-@pytest.mark.parametrize("slew", [12.0, 40.0, 300.0])
-@pytest.mark.parametrize("watchdog", [1, 5, 20])
-def test_the_motor_s_heat_has_room_for_the_way_down_whatever_is_lost_on_it(watchdog: int, slew: float) -> None:
-    """Half of that room lets the mean square exceed its limit by a quarter; here it is summed anew from what was held."""
-    limit, thermal, peak = 1.75, 0.1, 20.0
-    drawn = random.Random(watchdog)  # noqa: S311  # no secret
+@pytest.mark.parametrize(
+    ("slew", "watchdog", "thermal", "peak", "near"),
+    [
+        (251.0, 2, 0.807, 7.9, 0.517),
+        (145.0, 2, 3.159, 20.0, 0.696),
+        (101.0, 1, 1.853, 7.9, 0.732),
+        (501.0, 10, 2.675, 20.0, 0.553),
+    ],
+)
+def test_the_motor_s_heat_has_room_for_the_way_down_whatever_is_lost_on_it(
+    slew: float, watchdog: int, thermal: float, peak: float, near: float
+) -> None:
+    """With half of that room the mean square exceeds its limit by 12 to 18 % here; it is summed anew from what was held.
+
+    Of 250 random settings these are the four in which it would most.
+    """
+    limit = 1.75
+    port = Port(continuous_force=limit, thermal_time=thermal, slew=slew, peak_force=peak, watchdog=watchdog)
     keep = math.exp(-T / thermal)
-    worst = 0.0
-    for _ in range(6):
-        port = Port(continuous_force=limit, thermal_time=thermal, slew=slew, peak_force=peak, watchdog=watchdog)
-        heat, tick, near = 0.0, 0, drawn.uniform(0.6, 0.99)
-        for _ in range(250):
-            port.answer(force(tick, peak), tick)
-            held = 1 + (watchdog if heat > near * limit**2 else 0)
-            heat = keep**held * heat + (1.0 - keep**held) * port.force[2] ** 2
-            tick += held
-            worst = max(worst, heat / limit**2)
-    # A bisection ends 1e-7 of a force below what would do.
-    assert 0.9 < worst <= 1.0 + 1e-9
+    heat = worst = 0.0
+    tick = 0
+    for _ in range(400):
+        port.answer(force(tick, peak), tick)
+        # Ticks are lost once the motor is warm, as many as the watchdog lets pass, before each step of the way down.
+        held = 1 + (watchdog if heat > near * limit**2 else 0)
+        heat = keep**held * heat + (1.0 - keep**held) * port.force[2] ** 2
+        tick += held
+        worst = max(worst, heat / limit**2)
+    # 1000 products, each rounded once.
+    assert 0.7 < worst <= 1.0 + 1000 * 2.3e-16

@@ -1,0 +1,161 @@
+"""Faults in which a force begins, comes back or jumps although nothing moved: judged by the log of the device alone."""
+
+import os
+import signal
+import struct
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+from messages.types import DeviceState
+from nodes.base.processor_wait import state_of
+from nodes.driver.limits import SafetyParameters
+from sim.drill.drill import HOLD, PEAK, RATE, SLEW, Fault, await_another, await_strike, fault_of, kill
+from sim.drill.faulty_device import FAILS, LOGGED
+from sim.drill.writes import Bounds, Write, broken
+from sim.measure.measured_launch import wait_for
+from sim.measure.rig import Rig
+
+APART: Final = 0.03  # how far the two devices of a pair stand apart at the start [m]
+HELD_UP: Final = (0.2, 0.4, 0.9)  # for how long a driver is stopped while it takes a force down [s]
+TAKEN_DOWN: Final = 20.0  # slew of that force [N/s]: it takes long enough to be met on its way
+ORDER = "order"
+LOG = "writes.log"
+
+
+def read_log(path: Path) -> list[Write]:
+    """Read the forces that a device was given, and when."""
+    whole = path.read_bytes()
+    size = struct.calcsize(LOGGED)
+    return [Write(at, (x, y, z)) for at, x, y, z in struct.iter_unpack(LOGGED, whole[: len(whole) // size * size])]
+
+
+class LoggedDevice:
+    """A virtual device that logs each force it is given, in the drill's launch, and what its log breaks."""
+
+    def __init__(self, slew: float = SLEW) -> None:
+        self._slew = slew
+        self._path = Path()
+        # A driver that is started again writes on: a launch of its own, whose first force has a ramp.
+        self._bounds = Bounds(1.0 / RATE, PEAK, slew / RATE, HOLD, SafetyParameters().recovery)
+
+    def change(self, content: dict[str, Any]) -> None:
+        """Put it in the place of the virtual device."""
+        driver = content["nodes"]["driver"]
+        driver["kind"] = "faulty_driver"
+        driver["parameters"] |= {"order": ORDER, "log": LOG}
+        # Both begin inside the wall, by the whole ramp.
+        driver["parameters"]["safety"] |= {"slew": self._slew, "ramp": None}
+
+    def struck(self, rig: Rig) -> None:
+        """Note where its log is; the launch removes it at its end."""
+        self._path = rig.folder / LOG
+
+    def judge(self, states: Sequence[DeviceState]) -> list[str]:
+        """Tell what it was given that it must not be."""
+        del states
+        return [f"the device: {text}" for text in self.wrong[:3]]
+
+    wrong: Sequence[str] = ()
+
+    def ended(self) -> None:
+        """Judge the log of what has been written so far."""
+        log = read_log(self._path)
+        # In a launch that goes on there is a force on the device.
+        self.wrong = [text for text in broken(log, self._bounds) if "is left on the device" not in text]
+
+
+class HeldUp(LoggedDevice):
+    """A driver that is stopped while it takes a force down, because nobody answers."""
+
+    def strike(self, rig: Rig) -> None:
+        """Stop the coupling, then the driver on the way down, and let both go on; several times."""
+        self.struck(rig)
+        for seconds in HELD_UP:
+            coupling = rig.kill("coupling", signal.SIGSTOP)
+            await_strike(lambda: rig.states[-1].safety == "damping", "a force that is taken down")
+            driver = rig.kill("driver", signal.SIGSTOP)
+            await_strike(lambda driver=driver: state_of(Path(f"/proc/{driver}")) == "T", "the driver stopped")  # type: ignore[misc]
+            rig.let_pass(seconds)
+            os.kill(driver, signal.SIGCONT)
+            rig.let_pass(0.1)
+            os.kill(coupling, signal.SIGCONT)
+            wait_for(lambda: rig.states[-1].safety == "active", "forces to come back", 15.0)
+        self.ended()
+
+
+class Vague(LoggedDevice):
+    """A device that cannot tell its condition: its driver ends softly, and is started again."""
+
+    def strike(self, rig: Rig) -> None:
+        """Let `condition` raise until the driver has ended."""
+        self.struck(rig)
+        before, order = rig.pid("driver"), rig.folder / ORDER
+        order.write_text(f"{FAILS}condition", encoding="ascii")
+        await_strike(lambda: "condition() of the device failed" in rig.errors, "what the driver says")
+        await_strike(lambda: "driver: ended with exit code 1" in rig.errors, "the end of the driver")
+        order.unlink()
+        last = read_log(self._path)[-1]
+        await_another(rig, "driver", before)
+        self.ended()
+        if any(last.force):
+            self.wrong = [*self.wrong, f"{last.force} N were left on it by a driver that ended"]
+
+
+class Apart:
+    """Two devices that stand apart when their driver is started, and when it is started again."""
+
+    def change(self, content: dict[str, Any]) -> None:
+        """Make it a pair, whose hands hold it 30 mm apart."""
+        driver = content["nodes"]["driver"]
+        safety = driver["parameters"]["safety"]
+        member = {
+            name: {
+                "kind": "sim_driver",
+                "parameters": {
+                    "hold": HOLD,
+                    "device": {
+                        "mass": 0.05,
+                        "damping": 0.1,
+                        "position": place,
+                        "hand": {"mass": 0.1, "damping": 5.0, "stiffness": 500.0, "path": [[0.0, place]]},
+                    },
+                },
+            }
+            for name, place in (("first", APART), ("second", 0.0))
+        }
+        driver["kind"] = "paired_driver"
+        driver["parameters"] = {"safety": {**safety, "workspace": [[-0.2, 0.2]] * 3, "ramp": None}, **member}
+        content["nodes"]["environment"]["parameters"]["surface"] = {"kind": "anchor"}
+        content["run"]["axes"] = ["x"]
+
+    def strike(self, rig: Rig) -> None:
+        """Kill the driver: another one finds the devices apart."""
+        kill("driver")(rig)
+        wait_for(lambda: rig.errors.count("apart without a motion") >= 2, "both drivers align", 15.0)
+        rig.let_pass(1.0)
+
+    def judge(self, states: Sequence[DeviceState]) -> list[str]:
+        """Tell whether a force has jumped: each tick of the offset adds K·v·T, and B·v once."""
+        wrong = []
+        for before, after in pairwise(states):
+            ticks = after.seq - before.seq
+            step = abs(after.force[0] - before.force[0])
+            # The law is K = 1000 N/m, B = 3 N s/m, the offset fades at 0.05 m/s; the hands move no faster than it.
+            allowed = 2.0 * (1000.0 * 0.05 / RATE * ticks + 3.0 * 0.05)
+            if ticks > 0 and after.force[0] != 0.0 and step > allowed:
+                wrong.append(
+                    f"the force changed by {step:.3g} N in {ticks} ticks, which the fading offset makes {allowed:.3g} N"
+                )
+        return wrong[:3]
+
+
+def faults() -> list[Fault]:
+    """List them. What belongs to beginnings, moves and returns of other nodes is added here, one row each."""
+    rows: list[tuple[Any, str, str]] = [
+        (Apart(), "start apart", f"a pair {1e3 * APART:g} mm apart, its driver killed: another finds it so"),
+        (HeldUp(TAKEN_DOWN), "held up on the way down", "driver stopped 0.2 to 0.9 s while it takes a force down"),
+        (Vague(), "vague device", "condition() of the device raises"),
+    ]
+    return [fault_of(made, name, what) for made, name, what in rows]

@@ -1,0 +1,248 @@
+"""Mutations of the driver's safety rules, each of which some test must notice; run one by one on request.
+
+``python -m tests.support.mutations`` tries all of them, with the tests that are named for each, in a copy of the sources.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+from tests.support import ROOT
+
+ORACLES = "tests/nodes/driver/test_oracles.py"
+NO_PUSH = "tests/nodes/driver/test_no_push.py"
+SAFETY = "tests/nodes/driver/test_safety.py"
+LIMITS = "tests/nodes/driver/test_force_limits.py"
+SWINGS = "tests/nodes/driver/test_swings.py"
+SHORT = "tests/nodes/driver/test_short_losses.py"
+PASSIVE = "tests/nodes/driver/test_passivity.py"
+
+
+class Mutation(NamedTuple):
+    """A change of a rule: what it is, the file, what stands there, what is put in its place, and the tests that must fail."""
+
+    name: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+
+DRIVER = "nodes/driver/"
+MUTATIONS = (
+    Mutation("half of the motor heat's reserve", f"{DRIVER}motor_heat.py", "(3.0 * s.slew)", "(6.0 * s.slew)", (ORACLES,)),
+    Mutation("no heat while a force is held", f"{DRIVER}motor_heat.py", "s.watchdog)", "0)", (ORACLES, LIMITS)),
+    Mutation("rearm keeps old swings", f"{DRIVER}safety.py", "s.peaks_count = s.peaked = 0", "s.peaked = 0", (NO_PUSH,)),
+    Mutation(
+        "what waits for the next tick is never too old",
+        f"{DRIVER}tick.py",
+        "s.seq - s.force_seq > s.max_age",
+        "s.seq - s.force_seq > 100 * s.max_age",
+        (ORACLES,),
+    ),
+    Mutation(
+        "nor is it at its tick",
+        f"{DRIVER}tick.py",
+        "(answers + s.max_age + 1)",
+        "(answers + s.max_age + 3)",
+        (ORACLES, NO_PUSH),
+    ),
+    Mutation(
+        "a hold one tick long in a silence", f"{DRIVER}tick.py", "seq + 1 - s.written >=", "seq - s.written >=", (ORACLES,)
+    ),
+    Mutation(
+        "a hold one tick short in a silence", f"{DRIVER}tick.py", "seq + 1 - s.written >=", "seq + 2 - s.written >=", (ORACLES,)
+    ),
+    Mutation(
+        "a hold one tick long while held up", f"{DRIVER}tick.py", "- (seq - s.written)", "- (seq - s.written) + 1", (ORACLES,)
+    ),
+    Mutation(
+        "a hold one tick short while held up", f"{DRIVER}tick.py", "- (seq - s.written)", "- (seq - s.written) - 1", (ORACLES,)
+    ),
+    Mutation("the clock is not read before a write", f"{DRIVER}tick.py", "return not is_late", "return True", (NO_PUSH,)),
+    Mutation(
+        "a device that let go is not noticed before a write",
+        f"{DRIVER}tick.py",
+        "is_late = held and now >=",
+        "is_late = False and now >=",
+        (NO_PUSH,),
+    ),
+    Mutation("a delay one tick short", f"{DRIVER}tick.py", "s.delay = 1.0 + s.age", "s.delay = 0.0 + s.age", (ORACLES,)),
+    Mutation("a delay without its age", f"{DRIVER}tick.py", "s.delay = offset + s.age", "s.delay = offset", (ORACLES,)),
+    Mutation(
+        "a force that stays at its limit swings at every tick",
+        f"{DRIVER}safety.py",
+        "if side not in (0, s.sides[i]):",
+        "if side != 0:",
+        (NO_PUSH,),
+    ),
+    Mutation(
+        "a force that stays at its limit does not count",
+        f"{DRIVER}safety.py",
+        "s.pressed_at, s.peaked = seq, 1",
+        "s.pressed_at = seq",
+        (NO_PUSH,),
+    ),
+    Mutation(
+        "a hand that is let out again stops the driver",
+        f"{DRIVER}safety.py",
+        "and s.energy > s.pressed_energy:",
+        "and s.energy > -1e9:",
+        (NO_PUSH,),
+    ),
+    Mutation("velocity of a late sample", f"{DRIVER}motion.py", "if s.virtual == 0:", "if s.virtual == 2:", (ORACLES,)),
+    Mutation("a jump is a motion", f"{DRIVER}motion.py", "if stepped and s.jumped == 0 else", "if stepped else", (NO_PUSH,)),
+    Mutation(
+        "a jump has no ramp",
+        f"{DRIVER}safety.py",
+        "s.ramp_ticks, s.regained, s.fading = s.recovery_ticks, 0.0, float",
+        "_ = float",
+        (NO_PUSH,),
+    ),
+    Mutation(
+        "what is felt does not fade", f"{DRIVER}safety.py", "s.fading = max(s.fading - 1.0, 0.0)", "s.fading += 0.0", (NO_PUSH,)
+    ),
+    Mutation(
+        "what was felt before a jump comes back after a gap",
+        f"{DRIVER}safety.py",
+        "s.begins, s.fading = 0, 0.0",
+        "s.begins = 0",
+        (NO_PUSH,),
+    ),
+    Mutation(
+        "an answer of before the jump is played",
+        f"{DRIVER}safety.py",
+        "if s.got_seq < s.felt_seq:",
+        "if s.got_seq < -1:",
+        (NO_PUSH,),
+    ),
+    Mutation(
+        "no ramp at the start",
+        f"{DRIVER}safety.py",
+        "s.ramp_ticks > 0 and (is_felt",
+        "s.ramp_ticks < 0 and (is_felt",
+        (NO_PUSH,),
+    ),
+    Mutation("a ramp at every start", f"{DRIVER}safety.py", "(is_felt or s.always_ramp != 0)", "(is_felt or True)", (NO_PUSH,)),
+    Mutation(
+        "a ramp grows twice as fast",
+        f"{DRIVER}safety.py",
+        "return max(min(2.0 - 2.0",
+        "return 2.0 * max(min(2.0 - 2.0",
+        (NO_PUSH, SAFETY),
+    ),
+    Mutation(
+        "a gap costs four ticks of ramp", f"{DRIVER}safety.py", "REGAIN: Final = 5", "REGAIN: Final = 4", (NO_PUSH, SAFETY)
+    ),
+    Mutation(
+        "a fault forgets no ramp",
+        f"{DRIVER}safety.py",
+        "    if state == FAULT:\n        s.regained = 0.0\n",
+        "",
+        (NO_PUSH, SAFETY),
+    ),
+    Mutation(
+        "the slew of each force of a tick", f"{DRIVER}safety.py", "s.slewed[i] += abs", "s.slewed[i] = 0.0 * abs", (LIMITS,)
+    ),
+    Mutation(
+        "the watchdog bites a tick late", f"{DRIVER}safety.py", "if silent < s.watchdog:", "if silent <= s.watchdog:", (SAFETY,)
+    ),
+    Mutation(
+        "damping lasts a tick longer",
+        f"{DRIVER}safety.py",
+        "silent >= s.watchdog + s.damping",
+        "silent > s.watchdog + s.damping",
+        (SAFETY,),
+    ),
+    Mutation(
+        "a force a tick older is taken",
+        f"{DRIVER}safety.py",
+        "seq - answers > s.max_age",
+        "seq - answers > s.max_age + 1",
+        (SAFETY,),
+    ),
+    Mutation("a force is taken twice", f"{DRIVER}safety.py", "answers <= s.force_seq", "answers < s.force_seq", (SAFETY,)),
+    Mutation("a stop needs no energy", f"{DRIVER}safety.py", "and gained > 0.0:", "and gained > -1e9:", (SWINGS,)),
+    Mutation(
+        "the guard acts before the ramp",
+        f"{DRIVER}safety.py",
+        "s.safety in (ACTIVE, RAMP):\n        guarded",
+        "s.safety == ACTIVE:\n        guarded",
+        (PASSIVE, NO_PUSH),
+    ),
+    Mutation(
+        "torn values of a pointer are taken",
+        f"{DRIVER}pointer.py",
+        "if after == before:",
+        "if True:",
+        ("tests/nodes/driver/test_pointer.py",),
+    ),
+    Mutation(
+        "a window looks at one side",
+        "nodes/laws/pd_windowed.py",
+        "off > error or off < -error",
+        "off > error",
+        ("tests/nodes/laws/test_windowed_slope.py",),
+    ),
+    Mutation(
+        "the mailbox plays what was decided before it let go",
+        f"{DRIVER}hardware/mailbox.h",
+        "is_old = m->silent &&",
+        "is_old = 0 &&",
+        (SHORT,),
+    ),
+    Mutation(
+        "the mailbox lets the next force back at once",
+        f"{DRIVER}hardware/mailbox.h",
+        "if (is_old) m->owed = m->recovery;",
+        "",
+        (SHORT,),
+    ),
+)
+
+
+def survives(mutation: Mutation, folder: Path) -> bool:
+    """Apply a mutation in a copy of the sources, and return whether all its tests pass."""
+    path = folder / mutation.file
+    text = path.read_text(encoding="utf-8")
+    if text.count(mutation.old) != 1:
+        raise ValueError(
+            f"{mutation.name}: {mutation.old!r} stands {text.count(mutation.old)} times in {mutation.file}, not once"
+        )
+    path.write_text(text.replace(mutation.old, mutation.new), encoding="utf-8")
+    try:
+        command = [sys.executable, "-m", "pytest", "-n", "0", "-q", "-x", "-p", "no:cacheprovider", *mutation.tests]
+        environment = {**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
+        return subprocess.run(command, cwd=folder, env=environment, capture_output=True, check=False).returncode == 0
+    finally:
+        path.write_text(text, encoding="utf-8")
+
+
+def copy_sources(folder: Path) -> None:
+    """Copy all that the tests of rules need."""
+    for name in ("messages", "nodes", "sim", "tests", "launch"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", folder)
+
+
+def main() -> int:
+    """Try all; return how many survive."""
+    with tempfile.TemporaryDirectory(prefix="haptic-mutations-") as name:
+        copy_sources(Path(name))
+        left = []
+        for mutation in MUTATIONS:
+            lives = survives(mutation, Path(name))
+            print(f"{'SURVIVES' if lives else 'killed':9}{mutation.name} ({mutation.file})", flush=True)
+            left += [mutation.name] if lives else []
+    print(f"{len(left)} of {len(MUTATIONS)} survive")
+    return len(left)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
