@@ -33,7 +33,8 @@ class Edge:
 def damping_shown(plant: Plant, theta: float) -> float:
     """Damping b R that a held device shows at one ωT [N s/m], T Re{−1/((1 − z) P(z))}; light: b (1 + tan²(ωT/2)/3)."""
     z = cmath.exp(1j * theta)
-    return plant.period * (-1.0 / ((1.0 - z) * position_over_force(z, replace(plant, delay=0.0)))).real
+    shown: complex = -1.0 / ((1.0 - z) * position_over_force(z, replace(plant, delay=0.0)))
+    return plant.period * shown.real
 
 
 def edge_at(derivative: CompiledLaw, plant: Plant, omega: float, light: bool = False) -> Edge:
