@@ -13,7 +13,7 @@ from nodes.base.processor_wait import state_of
 from nodes.driver.limits import SafetyParameters
 from sim.drill.drill import HOLD, PEAK, RATE, SLEW, Fault, await_another, await_strike, fault_of, kill
 from sim.drill.faulty_device import FAILS, LOGGED
-from sim.drill.writes import Bounds, Write, broken
+from sim.drill.writes import Promise, Write, broken
 from sim.measure.measured_launch import wait_for
 from sim.measure.rig import Rig
 
@@ -38,7 +38,7 @@ class LoggedDevice:
         self._slew = slew
         self._path = Path()
         # A driver that is started again writes on: a launch of its own, whose first force has a ramp.
-        self._bounds = Bounds(1.0 / RATE, PEAK, slew / RATE, HOLD, SafetyParameters().recovery)
+        self._bounds = Promise(1.0 / RATE, PEAK, slew / RATE, HOLD, SafetyParameters().recovery)
 
     def change(self, content: dict[str, Any]) -> None:
         """Put it in the place of the virtual device."""

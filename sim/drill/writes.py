@@ -12,7 +12,7 @@ EPSILON = 1e-9
 """Some hundred sums of newtons, each rounded once, are off by 1e-13 N; a nanonewton is no force."""
 
 
-class Bounds(NamedTuple):
+class Promise(NamedTuple):
     """What a driver was asked to keep.
 
     Attributes
@@ -46,7 +46,7 @@ class Write(NamedTuple):
     force: Vector
 
 
-def broken(log: Sequence[Write], bounds: Bounds, begins: Sequence[float] = ()) -> list[str]:
+def broken(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) -> list[str]:
     """Return each promise that a log breaks: peak, slew, the ramp after every gap and beginning, and zero at the end.
 
     A ramp is due from the first write on, unless it is zero; from the first one after the device let go; and from the first
@@ -56,7 +56,7 @@ def broken(log: Sequence[Write], bounds: Bounds, begins: Sequence[float] = ()) -
     ----------
     log : sequence of Write
         All that the device was given, in order.
-    bounds : Bounds
+    bounds : Promise
         What was to be kept.
     begins : sequence of float
         When the position was elsewhere without a motion, or a force was due again after it had been away [s].

@@ -148,7 +148,7 @@ MUTATIONS = (
         (NO_PUSH, SAFETY),
     ),
     Mutation(
-        "the slew of each force of a tick", f"{DRIVER}safety.py", "s.slewed[i] += abs", "s.slewed[i] = 0.0 * abs", (LIMITS,)
+        "the slew of each force of a tick", f"{DRIVER}safety.py", "s.slewed[i] += abs", "s.slewed[i] = 0.0 * abs", (ORACLES,)
     ),
     Mutation(
         "the watchdog bites a tick late", f"{DRIVER}safety.py", "if silent < s.watchdog:", "if silent <= s.watchdog:", (SAFETY,)

@@ -16,7 +16,7 @@ from messages.codec import Decoder
 from messages.types import DeviceState, Vector
 from nodes.driver.device import DeviceLimits
 from nodes.driver.state import ACTIVE, RAMP
-from sim.drill.writes import Bounds, Write, broken
+from sim.drill.writes import Promise, Write, broken
 from tests.support.safety import Port, T, force
 from tests.support.scripted import Hand, Script, played
 from tests.support.scripted_world import EPOCH
@@ -200,7 +200,7 @@ def test_no_force_of_before_comes_back_while_it_is_taken_down(why: str, held_up:
     for tick in range(82, 102, 3):
         script = driver(answers, {tick: held_up}, moves, {"hold": HOLD}, ticks=120, ramp=None, **more, **safety)
         outcome, _ = played(script._replace(apply=apply), "plain", tmp_path)
-        assert broken(_log(outcome), Bounds(T, 3.0, hold=HOLD)) == [], tick
+        assert broken(_log(outcome), Promise(T, 3.0, hold=HOLD)) == [], tick
 
 
 @pytest.mark.parametrize("apply", ["on_arrival", "next_tick"])
@@ -220,7 +220,7 @@ def test_a_driver_that_is_held_up_anywhere_in_a_tick_writes_no_force_that_is_old
             answered = (after.force[2] - 3.0) / 0.01
             assert after.at / T - answered < 2 + 1 + 1e-6, (before, after)
     # The scripted force begins at once.
-    assert broken(log, Bounds(T, 3.0 + 0.01 * 300, hold=HOLD))[round(0.15 / T) - 1 :] == []
+    assert broken(log, Promise(T, 3.0 + 0.01 * 300, hold=HOLD))[round(0.15 / T) - 1 :] == []
     assert held or held_up < 8_000 or apply == "next_tick"
 
 
@@ -291,7 +291,7 @@ def _feels_no_push(
 
     script = driver(answers, late, ticks=LENGTH, watchdog=5, damping_ticks=10, ramp=None, slew=slew)
     outcome, _ = played(script._replace(hand=hand, apply=apply, stalls=held), "plain", tmp_path)
-    bounds = Bounds(T, PEAK, math.inf if slew is None else slew * T, HOLD)
+    bounds = Promise(T, PEAK, math.inf if slew is None else slew * T, HOLD)
     assert broken(_log(outcome), bounds, made[0].begins) == []
 
 

@@ -165,3 +165,13 @@ def test_the_motor_s_heat_has_room_for_the_way_down_whatever_is_lost_on_it(
         worst = max(worst, heat / limit**2)
     # 1000 products, each rounded once.
     assert 0.7 < worst <= 1.0 + 1000 * 2.3e-16
+
+
+def test_the_forces_of_one_tick_share_its_slew_and_the_next_has_its_own() -> None:
+    port = Port(slew=0.5 / T)
+    port.answer(force(4, 5.0), 5)
+    assert port.force[2] == 0.5
+    port.answer(force(5, -5.0), 5)
+    assert port.force[2] == 0.5, "the tick had used up its slew"
+    port.answer(force(6, -5.0), 6)
+    assert port.force[2] == 0.0
