@@ -314,8 +314,6 @@ WIDE = {
     "nodes.coupling.state.CouplingState": STATE,
     "nodes.driver.state.DriverState": STATE,
     "sim.device.state.AxisState": STATE,
-    "nodes.driver.node.Driver": "the parts of the node that is the clock, one attribute each",
-    "nodes.driver.hardware.mailbox.MailboxDevice": "what driver and servo loop share, and what was seen of it last",
     "sim.scene.richer.RicherModel": "what a device may have beyond a mass: one field a term",
 }
 """Classes of more than 20 attributes, and why."""

@@ -46,7 +46,7 @@ class Surroundings:
         """2b/(T(1 + d)), which no causal linear law exceeds for any hand at the longest delay [N/m]."""
         return 2.0 * self.damping / (self.period * (1.0 + self.delay[1]))
 
-    def conditions(self, masses: int) -> list["Condition"]:
+    def conditions(self, masses: int) -> list["Requirement"]:
         """Return what to keep: for any hand at the ends and whole ticks of the delay, else at some masses and delays."""
         low, high = self.delay
         whole = np.arange(math.ceil(low), math.floor(high) + 1).tolist()
@@ -58,7 +58,7 @@ class Surroundings:
 
 
 @dataclass(frozen=True)
-class Condition:
+class Requirement:
     """2 weight Re{H/(1 − w)}/T + rest |H|² > 0 at every θ: cosine sums of the weight (≥ 0) and of the rest [s/kg]."""
 
     period: float
@@ -122,7 +122,7 @@ def stiffest_for_any_world(
 class _Table:
     """The parts of all conditions over a grid of angles, linear in the parameters of a family."""
 
-    def __init__(self, conditions: Sequence[Condition], basis: Array, pole: float, fineness: int = 64) -> None:
+    def __init__(self, conditions: Sequence[Requirement], basis: Array, pole: float, fineness: int = 64) -> None:
         size = fineness * (basis.shape[1] + 4)
         theta = np.union1d(np.linspace(0.0, np.pi, size + 1), np.geomspace(1e-3, np.pi, size))
         bottom = Laurent(np.array([1.0, -pole])) if pole else Laurent(np.array([1.0]))
@@ -145,7 +145,7 @@ class _Table:
 
 
 def _convex(
-    surroundings: Surroundings, conditions: Sequence[Condition], basis: Array, free: bool, pole: float
+    surroundings: Surroundings, conditions: Sequence[Requirement], basis: Array, free: bool, pole: float
 ) -> WorldDesign | None:
     """Cutting planes for any hand, where the condition is convex: the rest is ≤ 0."""
     from scipy.optimize import linprog
@@ -185,7 +185,7 @@ def _convex(
 
 
 def _for_device(
-    surroundings: Surroundings, conditions: Sequence[Condition], basis: Array, free: bool, pole: float
+    surroundings: Surroundings, conditions: Sequence[Requirement], basis: Array, free: bool, pole: float
 ) -> WorldDesign | None:
     """Search the shapes of a family of which each has a stiffest scale in closed form; H(1) = 1 for a shape."""
     from scipy.optimize import differential_evolution, minimize
@@ -276,22 +276,22 @@ def keeps(surroundings: Surroundings, law: CompiledLaw, masses: int = 15) -> boo
     return all(positive(condition.margin(law)) is True for condition in surroundings.conditions(masses))
 
 
-def _any_hand(surroundings: Surroundings, delay: float) -> Condition:
+def _any_hand(surroundings: Surroundings, delay: float) -> Requirement:
     """Set r = [1 − (1−φ) cos((1+i)θ) − φ cos((2+i)θ)]/(2b), over 1 − cos θ."""
     whole = math.floor(delay)
     fraction = delay - whole
     rest = (1.0 - fraction) * np.append(one_less_cosine(1 + whole), 0.0) + fraction * one_less_cosine(2 + whole)
-    return Condition(surroundings.period, np.array([1.0]), -rest / (2.0 * surroundings.damping))
+    return Requirement(surroundings.period, np.array([1.0]), -rest / (2.0 * surroundings.damping))
 
 
-def _known(surroundings: Surroundings, mass: float, delay: float) -> Condition:
+def _known(surroundings: Surroundings, mass: float, delay: float) -> Requirement:
     """Set r = −Re{D P_d} of a known device, over |1 − w e|² / (1 − cos θ) of its own denominator."""
     held = held_plant(Plant(surroundings.period, mass, surroundings.damping, delay))
     own = Laurent(np.cumsum(held.denominator)[:-1])  # the denominator without 1 − w
     path = Laurent(np.array(held.numerator), held.whole + 1)
     size = (own * own.conjugate).real()
     weight = _product(np.array([1.0, -1.0]), size)
-    return Condition(surroundings.period, weight, (path * own.conjugate).real() / surroundings.period)
+    return Requirement(surroundings.period, weight, (path * own.conjugate).real() / surroundings.period)
 
 
 def _product(a: Array, b: Array) -> Array:

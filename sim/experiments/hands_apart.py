@@ -252,7 +252,7 @@ def felt(plant: Plant, law: CompiledLaw, network: Network, guard: EndGuard | Non
 
 
 @dataclass(frozen=True)
-class Apart:
+class HandsAtDelay:
     """What two hands at one distance bear, and feel, a way of coupling each.
 
     Attributes
@@ -278,7 +278,7 @@ class Apart:
     guarded: FeltPartner
 
 
-def over_delay(plant: Plant, asked: float, gain: float, delays: list[int], dampers: int = 17) -> list[Apart]:
+def over_delay(plant: Plant, asked: float, gain: float, delays: list[int], dampers: int = 17) -> list[HandsAtDelay]:
     """Compare ways to couple two equal devices over a network, delay by delay.
 
     Parameters
@@ -296,7 +296,7 @@ def over_delay(plant: Plant, asked: float, gain: float, delays: list[int], dampe
 
     Returns
     -------
-    list of Apart
+    list of HandsAtDelay
         One a delay.
     """
     from nodes.laws.pd import PD
@@ -328,7 +328,7 @@ def over_delay(plant: Plant, asked: float, gain: float, delays: list[int], dampe
         stiffest, damper = max(bears)
         network = Network(delay, delay)
         rows.append(
-            Apart(
+            HandsAtDelay(
                 delay_ticks=delay,
                 one_law_n_per_m=one(delay),
                 law_each_n_per_m=each(delay, 0.0),

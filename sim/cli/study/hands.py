@@ -9,7 +9,7 @@ from nodes.cli.quantities import declare, whole
 from nodes.recording.figure_style import COLOURS, LINES, MARKERS, new_figure, save_figure, styled
 from nodes.stability.plant import Plant
 from sim.cli.answers import add_answer, report
-from sim.experiments.hands_apart import Apart, over_delay
+from sim.experiments.hands_apart import HandsAtDelay, over_delay
 from sim.results import fresh
 
 
@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
     return report(arguments, {"rows": [asdict(row) for row in rows]}, [*head, *lines], plot=plot)
 
 
-def _line(row: Apart, period: float) -> str:
+def _line(row: HandsAtDelay, period: float) -> str:
     def cell(value: float | None, width: int, digits: str = ".0f") -> str:
         return f"{'-' if value is None else format(value, digits):>{width}}"
 
@@ -51,7 +51,7 @@ def _line(row: Apart, period: float) -> str:
 
 
 @styled
-def _draw(arguments: argparse.Namespace, rows: list[Apart], period: float) -> Path:
+def _draw(arguments: argparse.Namespace, rows: list[HandsAtDelay], period: float) -> Path:
     figure = new_figure(7.0, 5.5)
     stiffness, drag = figure.subplots(2, 1, sharex=True)
     delays = [1e3 * row.delay_ticks * period for row in rows]
