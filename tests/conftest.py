@@ -150,3 +150,7 @@ def place() -> Iterator[str]:
 def me(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Identity:
     monkeypatch.setenv("HAPTIC_KEYS", str(tmp_path / "keys"))
     return keys.new_identity()
+
+
+pytest_plugins = ("tests.support.process_audit",) if os.environ.get("HAPTIC_PROCESS_LOG") else ()
+"""For now only where it is asked for: see tests/support/process_audit.py."""
