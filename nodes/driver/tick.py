@@ -50,7 +50,7 @@ def lost(s: DriverState, seq: int, late: float) -> None:
     act(s, ticks)
     held = s.handed[0] != 0.0 or s.handed[1] != 0.0 or s.handed[2] != 0.0
     s.seq = seq + ticks
-    if acted < ticks and held:
+    if held and s.seq - s.written >= s.device_hold_ticks:
         s.has_following = 0
         let_go(s, s.seq, s.written + s.device_hold_ticks)
         note(s, HELD_UP, s.seq, -1, float(s.written))

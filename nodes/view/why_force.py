@@ -70,7 +70,7 @@ class Ringing:
         return Ring((len(self._turns) - 1) / (2.0 * span), self._peaks[0][1]) if span > 0.0 else None
 
 
-_STROKES = re.compile(r"limit of (\S+) N (\d+) times within (\S+) s and gave out (\S+) mJ")
+_STROKES = re.compile(r"limit of (\S+) N, or stayed there, (\d+) times within (\S+) s and gave out (\S+) mJ")
 
 
 def stop_in_words(reason: str) -> tuple[str, float]:

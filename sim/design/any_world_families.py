@@ -107,7 +107,9 @@ def _refined(at: Callable[[float], Member], values: tuple[float, ...], step: flo
 def _fir(design: WorldDesign, period: float) -> dict[str, Any]:
     law = design.law
     described: dict[str, Any] = {"kind": "fir", "taps": list(law.taps), "period": period}
-    return described | ({"recursive": [list(section) for section in law.sections]} if law.sections else {})
+    return described | (
+        {"recursive": [dict(zip(("b0", "b1", "a1", "a2"), part, strict=True)) for part in law.sections]} if law.sections else {}
+    )
 
 
 def fractional_gain(members: list[Member]) -> float | None:
