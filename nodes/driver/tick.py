@@ -69,7 +69,8 @@ def patience(s: DriverState, deadline: float, following: float) -> float:
     longer than a force may be old, and never past the watchdog or the moment at which the device lets go.
     """
     more = min(s.unanswered // BEHIND, s.max_age)
-    if more == 0 or s.safety == DAMPING or s.safety == FAULT:
+    # Under ``next_tick`` an answer has a tick to come anyway, and its force must take effect at a deadline.
+    if more == 0 or s.next_tick != 0 or s.safety == DAMPING or s.safety == FAULT:
         return following
     last = following + more * s.period
     if s.safety == ACTIVE or s.safety == RAMP:
