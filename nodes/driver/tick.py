@@ -259,7 +259,8 @@ def make_ticks(
         if s.next_tick == 0:
             split(s, 1.0)
         if s.answered == 0:
-            s.unanswered = min(s.unanswered + 1, MOST_BEHIND)
+            # Only who is heard is behind: in a silence nobody is waited for, and every tick is sampled.
+            s.unanswered = min(s.unanswered + s.heard, MOST_BEHIND)
         elif s.arrival < following:
             s.unanswered //= 2  # on time again; an answer that had to be waited for leaves the patience as it is
         if s.answered == 0:
