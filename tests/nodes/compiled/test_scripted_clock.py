@@ -109,7 +109,9 @@ RULES = {
     "age: answers that are none to five ticks old": Rule(
         driver([answer(seq, 600.0 + 2000.0 * (seq // 20)) for seq in range(TICKS)], max_age=3, watchdog=20),
         # On arrival a driver that is answered late waits for it, and leaves ticks out; under next_tick it does not.
-        lambda s: s.overruns > 0 if s.next_tick == 0 else s.refused_for[2] > 0 and s.oldest_age >= 3 and s.entered[DAMPING] == 1,
+        lambda s: (
+            s.overruns > 0 if s.next_tick == 0 else s.refused_for[2] > 0 and s.oldest_age >= 3 and s.entered[DAMPING] == 1
+        ),
     ),
     "samples that are late, with answers beyond their tick": Rule(
         driver(

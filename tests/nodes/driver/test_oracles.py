@@ -44,12 +44,16 @@ stalls = st.dictionaries(
 )
 
 
+NAMED = 1.0007e-3
+"""What a tick adds to the force that names it [N]; no part of another such force, as a soft stop writes them, is one of them."""
+
+
 def _ages(outcome: Any) -> list[float]:
-    """Return how old each answer was when the device got it [ticks]: a force of 1 N and a thousandth for each tick names it."""
+    """Return how old each answer was when the device got it [ticks]: a force of 1 N and `NAMED` for each tick names it."""
     ages = []
     for at, wrote in outcome.log:
         # What is written at the end of a run, and by a driver on its own, names no tick.
-        named = (wrote[2] - 1.0) * 1000.0
+        named = (wrote[2] - 1.0) / NAMED
         if wrote[2] >= 1.0 and abs(named - round(named)) < 1e-6:
             ages.append((at - EPOCH) / TICK - round(named))
     return ages
@@ -58,7 +62,7 @@ def _ages(outcome: Any) -> list[float]:
 @pytest.mark.parametrize("apply", APPLY)
 def test_what_waits_for_the_next_tick_is_not_handed_over_when_that_comes_too_late(apply: str, tmp_path: Path) -> None:
     """Under ``next_tick`` nothing else came after a stall of ten ticks, and what had waited was handed over, ten ticks old."""
-    arrivals = [answer(seq, force=(0.0, 0.0, 1.0 + 1e-3 * seq)) for seq in range(LENGTH) if not 70 <= seq < 90]
+    arrivals = [answer(seq, force=(0.0, 0.0, 1.0 + NAMED * seq)) for seq in range(LENGTH) if not 70 <= seq < 90]
     script = driver(arrivals, {70: 21_000}, _still, ticks=100, watchdog=100, max_age=5)
     outcome, _ = played(script._replace(apply=apply), "plain", tmp_path)
     assert max(_ages(outcome)) <= 6.0
@@ -69,7 +73,7 @@ def test_what_waits_for_the_next_tick_is_not_handed_over_when_that_comes_too_lat
 def test_no_answer_is_older_than_it_may_be_when_the_device_gets_it(
     late: dict[int, int], held: dict[tuple[int, str], int], oldest: int, after: int, apply: str, tmp_path: Path
 ) -> None:
-    arrivals = [answer(seq, float(after), (0.0, 0.0, 1.0 + 1e-3 * seq)) for seq in range(LENGTH)]
+    arrivals = [answer(seq, float(after), (0.0, 0.0, 1.0 + NAMED * seq)) for seq in range(LENGTH)]
     script = driver(arrivals, late, _still, ticks=LENGTH, watchdog=50, max_age=oldest)
     outcome, _ = played(script._replace(apply=apply, stalls=held), "plain", tmp_path)
     # By the clock an answer may come in the whole of the last tick that takes it; one that waits for the next tick, there.
@@ -111,7 +115,7 @@ def test_what_acted_while_the_driver_was_held_up_is_what_the_device_held(hold: f
 @pytest.mark.parametrize("apply", APPLY)
 @pytest.mark.parametrize("after", [300, 1_700, 2_600, 4_500])
 def test_the_delay_that_is_told_is_the_time_from_sample_to_write(after: int, apply: str, tmp_path: Path) -> None:
-    arrivals = [answer(seq, float(after), (0.0, 0.0, 1.0 + 1e-3 * seq)) for seq in range(60)]
+    arrivals = [answer(seq, float(after), (0.0, 0.0, 1.0 + NAMED * seq)) for seq in range(60)]
     outcome, _ = played(driver(arrivals, None, _still, ticks=60)._replace(apply=apply), "plain", tmp_path)
     told = [state.delay for state in _states(outcome)][10:]
     measured = _ages(outcome)[10:]
