@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import msgspec
 
 from messages import topics
+from messages.event_kinds import EventKind
 from messages.types import ZERO, Vector
 from nodes.base import realtime
 from nodes.base.hang_watchdog import LastResort
@@ -26,9 +27,9 @@ from nodes.compiled.layout import NEVER, state_of
 from nodes.driver.calls import Jumps, numbers_of
 from nodes.driver.device import Device
 from nodes.driver.external import give
+from nodes.driver.force_words import why_no_force
 from nodes.driver.limits import STOP_TIME, lower, undeclared
 from nodes.driver.motion import set_motion
-from nodes.driver.no_force import why_no_force
 from nodes.driver.parameters import DriverParameters, check
 from nodes.driver.passivity import set_guard
 from nodes.driver.plain_tick import PlainTicks
@@ -207,7 +208,7 @@ class Driver(Node):
                 asked = max(asked, s.sampled)
                 if time.monotonic() - asked > ASK_AGAIN:
                     asked = time.monotonic()
-                    self.events.emit("unanswered", f"tick {s.seq} has no answer; asking again")
+                    self.events.emit("unanswered", f"tick {s.seq} has no answer; asking again", {"tick": s.seq})
                     payload = self._plain.payload if self.compiled is None else self.compiled.last_sent()
                     self.publisher.send_hop(self.setup.topic(topics.DEVICE_STATE).encode(), payload)
             # The middle of a tick is no time for what waits between two.
@@ -266,7 +267,8 @@ class Driver(Node):
 
     def _tell_notes(self) -> None:
         for note in self._report.notes():
-            self.events.emit(*note)  # every change of state is published, whatever else happened
+            # Every change of state is published, whatever else happened.
+            self.events.emit(note.kind, note.reason, note.data, always=note.is_change, count=note.nth)
 
     def between_ticks(self, seq: int) -> None:
         """Tell what happened, then do what every node does."""
@@ -281,7 +283,7 @@ class Driver(Node):
         condition = self._told_condition()
         if condition != self._condition:
             self._condition = condition
-            kind = "device_force" if condition else "device_force_back"
+            kind: EventKind = "device_force" if condition else "device_force_back"
             self.events.emit_each(kind, condition or "nothing keeps forces off any more")
 
     def _told_condition(self) -> str:

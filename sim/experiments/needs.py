@@ -141,6 +141,7 @@ class Variant(NamedTuple, Generic[S]):
     terms: tuple[str, ...]
     scene: S
     switched: str
+    off: bool = False  # whether its terms were switched off
 
 
 def here(plays: Sequence[Callable[[], R]]) -> list[R]:
@@ -195,7 +196,7 @@ def judge(
         finding = _finding(variant, changes(variant.scene, played[i - 1]), model)
         if timings:
             whole, mine = timings["0"], timings[str(i)]
-            cost = 1e6 * (whole.median - mine.median) * (1.0 if finding.switched.startswith("off") else -1.0)
+            cost = 1e6 * (whole.median - mine.median) * (1.0 if variant.off else -1.0)
             spread = 0.5e6 * ((mine.high - mine.low) + (whole.high - whole.low)) if rounds > 1 else None
             known = finding.switched != "other" and spread is not None and abs(cost) > spread
             finding = replace(finding, cost_us=cost if known else None, cost_spread_us=spread)
@@ -212,7 +213,7 @@ def variants_of(
     for term in terms:
         if term.declared(scene):
             simpler = f"off: {term.simpler}" if term.simpler else "off"
-            found.append(Variant((term.name,), term.without(scene), simpler))
+            found.append(Variant((term.name,), term.without(scene), simpler, off=True))
         elif term.typical is not None:
             changed = term.typical(scene)
             if term.declared(changed):
@@ -228,13 +229,13 @@ def variants_of(
 
 
 def _finding(variant: Variant[S], moved_by: dict[str, float], model: Model) -> Finding:
-    terms, _, switched = variant
+    terms, switched = variant.terms, variant.switched
     counts: set[str] = {*model.outcome}
     changes = {name: value for name, value in moved_by.items() if name in counts}
     most = max(changes, key=lambda name: changes[name], default="")
     moved = changes.get(most, 0.0)
     matters = moved > model.tolerance
-    if switched.startswith("off"):
+    if variant.off:
         why = {"needed": matters, "sought": set(terms) <= {*model.sought}, "protects": set(terms) <= PROTECTS}
         verdict = next((word for word, so in why.items() if so), "superfluous")
     elif switched == "other":
