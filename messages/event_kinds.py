@@ -57,6 +57,7 @@ EventKind: TypeAlias = Literal[
     "target",
     "tick",
     "unanswered",
+    "world",
     "wrench",
 ]
 """What an event of this package is about."""
@@ -190,6 +191,7 @@ EVENTS: Final[dict[EventKind, Kind]] = {
     "target": Kind("a target of the ROS 2 graph was refused"),
     "tick": Kind("the compiled tick is not available"),
     "unanswered": Kind("a tick in lockstep has no answer, and is published again", ("tick",)),
+    "world": Kind("the world was built, or a law and the world do not suit each other"),
     "wrench": Kind("a force of the ROS 2 graph was refused"),
 }
 """Meaning and numbers of each kind."""
