@@ -13,6 +13,7 @@ from typing import Any
 
 import msgspec
 
+from messages.event_kinds import DATA
 from messages.types import Message
 
 _SECTION_ENTRY = re.compile(r"^(\w+(?:, \w+)*) : .*()$")
@@ -48,8 +49,14 @@ def _inline(info: msgspec.inspect.Type, path: str) -> dict[str, Any]:
     if isinstance(info, msgspec.inspect.TupleType) and all(item == info.item_types[0] for item in info.item_types):
         count = len(info.item_types)
         return {"type": "array", "items": _inline(info.item_types[0], path), "minItems": count, "maxItems": count}
+    if isinstance(info, msgspec.inspect.DictType) and isinstance(info.value_type, msgspec.inspect.FloatType):
+        # Foxglove reads an object by its properties alone, and cannot do without the word.
+        known = {name: {"type": "number", "description": meaning} for name, meaning in DATA.items()}
+        return {"type": "object", "properties": known, "additionalProperties": {"type": "number"}}
     if type(info) not in _SCALARS:
-        raise TypeError(f"{path}: {type(info).__name__} has no flat JSON schema; use numbers, text or equal tuples")
+        raise TypeError(
+            f"{path}: {type(info).__name__} has no flat JSON schema; use numbers, text, equal tuples, or numbers by name"
+        )
     found: dict[str, Any] = {"type": _SCALARS[type(info)]}
     for limit, keyword in _LIMITS.items():
         value = getattr(info, limit, None)
@@ -72,6 +79,8 @@ def _schema(message_type: type[Message]) -> dict[str, Any]:
         properties[field.encode_name] = _inline(field.type, f"{message_type.__name__}.{field.name}")
         if field.name in meanings:
             properties[field.encode_name]["description"] = meanings[field.name]
+        if field.default_factory is not msgspec.NODEFAULT:
+            properties[field.encode_name]["default"] = field.default_factory()
         if field.default is not msgspec.NODEFAULT:
             default = field.default
             properties[field.encode_name]["default"] = list(default) if isinstance(default, tuple) else default

@@ -290,11 +290,14 @@ class Event(Message, frozen=True, kw_only=True, gc=False):
     Attributes
     ----------
     node, kind : str
-        Who says it, and the event's registered kind.
+        Node that publishes it, and its kind: one of messages/event_kinds.py, or ``package.kind``.
     reason : str
-        One sentence with value and limit.
+        One sentence with value and limit, for people.
+    data : dict of str to float
+        Numbers of the event by name, for programs; units end the names (messages/event_kinds.py).
     """
 
     node: Name
     kind: Name
     reason: Text
+    data: Annotated[dict[Name, Real], msgspec.Meta(max_length=64)] = {}

@@ -23,6 +23,7 @@ __all__ = [
     "Connection",
     "ControlError",
     "Desk",
+    "NoAnswerError",
     "Reply",
     "Request",
     "T",
@@ -67,6 +68,10 @@ class Reply(msgspec.Struct, frozen=True):
 
 class ControlError(RefusedError):
     """A node refused a request, or did not answer."""
+
+
+class NoAnswerError(ControlError):
+    """A node did not answer a request in time."""
 
 
 T = TypeVar("T")
@@ -219,7 +224,7 @@ class Connection:
         except zmq.Again as error:
             # What comes later must not be taken for the answer to another request.
             self.drop()
-            raise ControlError(f"{self._endpoint}: no answer to {op} within {timeout:g} s; is the node running?") from error
+            raise NoAnswerError(f"{self._endpoint}: no answer to {op} within {timeout:g} s; is the node running?") from error
         try:
             reply = decode_reply(frames)
         except MessageRefusedError as error:

@@ -132,8 +132,9 @@ class ControlServer(threading.Thread):
         now = realtime.memory_bytes()
         self._usual_memory = self._usual_memory or now
         if now - self._usual_memory > MOST_GROWTH:
+            grown = now - self._usual_memory
             self._node.events.deny(
-                f"memory grew by {(now - self._usual_memory) >> 20} MiB; all connections for requests are ended"
+                f"memory grew by {grown >> 20} MiB; all connections for requests are ended", {"grown_bytes": grown}
             )
             self._usual_memory = now
             self._socket.close(linger=0)
@@ -155,6 +156,7 @@ class ControlServer(threading.Thread):
         if lease and now - self._asked > lease and not self._node.stopping:
             reason = f"launcher lost: no request for {lease:g} s"
             self._node.events.log(f"{reason}; stopping")
+            self._node.lost_launcher = True
             self._node.stop(reason)
 
     def _put_back(self) -> None:
@@ -289,16 +291,17 @@ class ControlServer(threading.Thread):
             node.stop(reason)
 
     def _poll_file(self, watched: WatchedFile) -> None:
-        node = self._node
+        node, where = self._node, ""  # what the file itself does not allow names it already
         try:
             values = watched.poll()
+            where = f"{watched.path}: "
             if values is not None and node.store.merged(values) != node.store.current:
                 receipt = self._change(lambda: node.store.merged(values))
                 node.events.log(f"applied {watched.path}: {_told(receipt)}")
         except Exception as error:  # noqa: BLE001  # as for requests: refused, told, and served on
-            reason = str(error) if isinstance(error, ParameterError) else f"{type(error).__name__}: {error}"
-            where = "" if reason.startswith(watched.path) else f"{watched.path}: "
-            node.events.emit_each("refused", f"{where}{reason}; the running parameters are untouched")
+            known = isinstance(error, ParameterError)
+            reason = f"{where}{error}" if known else f"{watched.path}: {type(error).__name__}: {error}"
+            node.events.emit_each("refused", f"{reason}; the running parameters are untouched")
         finally:
             node.watched = watched.applied
 

@@ -8,14 +8,19 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Final
 
 from messages import topics
 from messages.codec import encode
+from messages.event_kinds import EventKind, OtherKind, checked_data
 from messages.types import Event, Message
 from nodes.base.kept_line import erased
 from nodes.base.setup import Setup
 from nodes.parameters.store import ParameterError
+
+NONE: Final[Mapping[str, float]] = MappingProxyType({})  # an event without numbers
 
 
 class Clock:
@@ -59,26 +64,53 @@ class Events:
         # On a terminal the launcher's status line stands where this goes.
         sys.stderr.write(f"{erased(sys.stderr)}[{self._name}] {text}\n")
 
-    def emit(self, kind: str, reason: str, always: bool = False, count: int = 0) -> None:
-        """Publish and log an event; repeats of one kind at powers of two only, which who counts them itself gives.
+    def emit(
+        self,
+        kind: EventKind | OtherKind,
+        reason: str,
+        data: Mapping[str, float] = NONE,
+        *,
+        always: bool = False,
+        count: int = 0,
+    ) -> None:
+        """Publish and log an event; of repeats of one kind only the 1st, 2nd, 4th, 8th and so on.
 
-        With `always` each is published, and only its log line is thinned out.
+        Parameters
+        ----------
+        kind : str
+            One of messages/event_kinds.py, or ``package.kind`` of another package.
+        reason : str
+            One sentence with value and limit, for people.
+        data : mapping of str to float
+            Numbers of the event, which its kind names; one that is not finite is left out.
+        always : bool
+            Publish each event, and thin out its log lines alone.
+        count : int
+            Number of the event among those of its kind, where the caller counts them; 0: counted here.
+
+        Raises
+        ------
+        UnknownEventError
+            When the kind or the name of a number is not registered.
         """
+        numbers = checked_data(kind, data)
         count = self._counts[kind] = count or self._counts.get(kind, 0) + 1
         seldom = count & (count - 1) == 0
         if seldom:
             repeat = f" ({count} events of this kind)" if count > 1 else ""
             self.log(f"{kind}: {reason}{repeat}")
         if seldom or always:
-            self._publish_event(kind, reason)
+            self._publish_event(kind, reason, numbers)
 
-    def emit_each(self, kind: str, reason: str) -> None:
+    def emit_each(self, kind: EventKind | OtherKind, reason: str, data: Mapping[str, float] = NONE) -> None:
         """Publish and log an event, however often: for what people do, which cannot come in every tick."""
+        numbers = checked_data(kind, data)
         self.log(f"{kind}: {reason}")
-        self._publish_event(kind, reason)
+        self._publish_event(kind, reason, numbers)
 
-    def _publish_event(self, kind: str, reason: str) -> None:
-        message = Event(seq=self._seq(), stamp=self._clock.now(), node=self._name, kind=kind, reason=reason[:4000])
+    def _publish_event(self, kind: str, reason: str, data: dict[str, float]) -> None:
+        seq, stamp = self._seq(), self._clock.now()
+        message = Event(seq=seq, stamp=stamp, node=self._name, kind=kind, reason=reason[:4000], data=data)
         self.publish(topics.event(self._name), message)
 
     def publish(self, topic: str, message: Message) -> None:
@@ -100,7 +132,7 @@ class Events:
         self.refused += 1
         self.emit("refused", reason[:1000])
 
-    def deny(self, reason: str) -> None:
-        """Count and tell a peer that was turned away."""
+    def deny(self, reason: str, data: Mapping[str, float] = NONE) -> None:
+        """Count and report a peer that was turned away."""
         self.denied += 1
-        self.emit("denied", reason)
+        self.emit("denied", reason, data)

@@ -42,7 +42,7 @@ def _follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str, he
         if missing > 0 and last >= 0:
             counters.gaps = min(counters.gaps + missing, MAX_COUNT)
         elif seq < last:
-            node.events.emit("restart", f"{topic} went back from tick {last} to {seq}")
+            node.events.emit("restart", f"{topic} went back from tick {last} to {seq}", {"last_tick": last, "tick": seq})
 
     def take() -> M | None:
         try:

@@ -98,6 +98,7 @@ class Node:
         self.store = ParameterStore(setup.name, self.Parameters, setup.parameters)
         self.state = "configuring"
         self.stop_reason = ""
+        self.lost_launcher = False  # whether it ends because its launcher sent no request for a whole lease
         self.stopping = self.failing = False
         self.started = threading.Event()
         self.counters = self.make_counters()

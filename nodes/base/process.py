@@ -40,8 +40,12 @@ def _await_listeners(node: Node) -> None:
     node.state = "waiting"
     while node.publisher.listeners() < node.setup.listeners and not node.stopping:
         if time.monotonic() > deadline:
-            there = f"{node.publisher.listeners()} of {node.setup.listeners} listeners"
-            node.events.emit("listeners", f"{there} within {node.setup.patience:g} s; going on without")
+            there, expected, patience = node.publisher.listeners(), node.setup.listeners, node.setup.patience
+            node.events.emit(
+                "listeners",
+                f"{there} of {expected} listeners within {patience:g} s; going on without",
+                {"listeners": there, "expected": expected, "limit_s": patience},
+            )
             return
         node.tend()
         time.sleep(0.002)
@@ -148,7 +152,7 @@ def live(node: Node, load_kernel: Callable[[Node], None]) -> int:
 
 def _close(node: Node, context: Context, control: ControlServer, gate: Gate | None, code: int) -> int:
     node.state = "finished" if code == 0 else "failed"
-    if node.setup.lease and not node.stop_reason.startswith("launcher lost"):
+    if node.setup.lease and not node.lost_launcher:
         control.await_fetch(REPORT_SHARE * node.setup.lease)
     if gate is not None:
         gate.stop()

@@ -48,4 +48,4 @@ def resume(node: Node) -> None:
         node.events.log(f"what it had before it was started again cannot be used: {error}; the launch file's parameters hold")
         return
     node.kept, node.resumed_at, node.watched = node.store.current, kept.seq, kept.watched
-    node.events.emit_each("resumed", f"goes on with the parameters that it had at tick {kept.seq}")
+    node.events.emit_each("resumed", f"goes on with the parameters that it had at tick {kept.seq}", {"tick": kept.seq})

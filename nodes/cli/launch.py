@@ -166,8 +166,8 @@ def _safety_text(safety: dict[str, Any]) -> list[str]:
     """Lines about what the driver's safety did; none for a run in which it had nothing to do."""
     counts = [f"{number} refused ({why})" for why, number in safety.get("refused", {}).items() if number]
     counts += [f"{number} lowered ({which})" for which, number in safety.get("limited", {}).items() if number]
-    reasons = safety.get("reasons", [])
-    changes = [reason for reason in reasons if not reason.startswith("waiting → active")]  # the first force is no news
+    first = ("waiting", "active")  # the first force is no news
+    changes = [one["reason"] for one in safety.get("changes", []) if (one["before"], one["after"]) != first]
     lines = [f"  safety    forces {', '.join(counts)}"] if counts else []
     lines += [f"  safety    {text}" for text in (*safety.get("told", []), *changes)]
     return lines

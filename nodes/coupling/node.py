@@ -346,7 +346,8 @@ class Coupling(Node):
         force = self._renderer.fall_back(proxy, due)
         self._failed_text = failed.text
         self._file_receipt(proxy.seq, "fallback", failed, self._renderer.law, reason)
-        self.events.emit_each("fallback", f"law {failed.name!r} at tick {proxy.seq}: {reason}; the fallback renders now")
+        text = f"law {failed.name!r} at tick {proxy.seq}: {reason}; the fallback renders now"
+        self.events.emit_each("fallback", text, {"tick": proxy.seq})
         return force
 
     def _watched(self, proxy: Proxy) -> Vector:
@@ -364,7 +365,9 @@ class Coupling(Node):
         if self._budget.again(proxy.seq * self.setup.period):
             return self._fall_back(proxy, over)
         self.events.emit(
-            "budget", f"law {self._renderer.name!r} at tick {proxy.seq}: {over}; once more within a second is too often"
+            "budget",
+            f"law {self._renderer.name!r} at tick {proxy.seq}: {over}; once more within a second is too often",
+            {"tick": proxy.seq},
         )
         return force
 
@@ -375,7 +378,9 @@ class Coupling(Node):
             began = self.counters.answered < 0
             what = "the loop begins in contact" if began else "position, surface or proxy jumped without motion"
             how = f"eased over {ramp * self.setup.period:.3g} s" if ramp > 1 else "at once: ease is 0"
-            self.events.emit_each("eased", f"tick {proxy.seq}: {what}: a force step of {step:.4g} N, {how}")
+            text = f"tick {proxy.seq}: {what}: a force step of {step:.4g} N, {how}"
+            seconds = ramp * self.setup.period if ramp > 1 else 0.0
+            self.events.emit_each("eased", text, {"tick": proxy.seq, "force_step_n": step, "ramp_s": seconds})
 
     def _answer(self, proxy: Proxy) -> bytes:
         seq, s, renderer = proxy.seq, self.counters, self._renderer

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from messages.event_kinds import EventKind
+
 if TYPE_CHECKING:
     from nodes.base.node import Node
 
@@ -36,5 +38,5 @@ class Condition:
         now = self.told()
         if now != self._last:
             self._last = now
-            kind = "device_force" if now else "device_force_back"
+            kind: EventKind = "device_force" if now else "device_force_back"
             self._node.events.emit_each(kind, now or "nothing keeps forces off any more")

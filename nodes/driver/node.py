@@ -27,9 +27,9 @@ from nodes.driver.calls import numbers_of
 from nodes.driver.condition import Condition
 from nodes.driver.device import Device
 from nodes.driver.external import give
+from nodes.driver.force_words import why_no_force
 from nodes.driver.limits import STOP_TIME, lower, undeclared
 from nodes.driver.motion import set_motion
-from nodes.driver.no_force import why_no_force
 from nodes.driver.parameters import DriverParameters, check
 from nodes.driver.passivity import set_guard
 from nodes.driver.plain_tick import PlainTicks
@@ -206,7 +206,7 @@ class Driver(Node):
                 asked = max(asked, s.sampled)
                 if time.monotonic() - asked > ASK_AGAIN:
                     asked = time.monotonic()
-                    self.events.emit("unanswered", f"tick {s.seq} has no answer; asking again")
+                    self.events.emit("unanswered", f"tick {s.seq} has no answer; asking again", {"tick": s.seq})
                     payload = self._plain.payload if self.compiled is None else self.compiled.last_sent()
                     self.publisher.send_hop(self.setup.topic(topics.DEVICE_STATE).encode(), payload)
             # The middle of a tick is no time for what waits between two.
@@ -265,7 +265,8 @@ class Driver(Node):
 
     def _tell_notes(self) -> None:
         for note in self._report.notes():
-            self.events.emit(*note)  # every change of state is published, whatever else happened
+            # Every change of state is published, whatever else happened.
+            self.events.emit(note.kind, note.reason, note.data, always=note.is_change, count=note.nth)
 
     def between_ticks(self, seq: int) -> None:
         """Tell what happened, then do what every node does."""

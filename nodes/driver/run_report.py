@@ -6,9 +6,9 @@ from collections import deque
 from typing import Any, Final
 
 from nodes.driver.device import Device, DeviceLimits
+from nodes.driver.force_words import Noted, take_notes
 from nodes.driver.limits import Limits
 from nodes.driver.motion import Ending, endings
-from nodes.driver.notes import Note, take_notes
 from nodes.driver.response_times import ResponseTimes
 from nodes.driver.state import LIMITED, REFUSED, SAFETY
 
@@ -27,16 +27,16 @@ class DriverReport:
         self.own_guard = False
         self._overruled: tuple[str, ...] = ()
         self._limits = DeviceLimits()
-        self._reasons: deque[str] = deque(maxlen=REASONS)
+        self._changes: deque[Noted] = deque(maxlen=REASONS)
 
     def begin(self, device: Device, limits: Limits, own_guard: bool) -> None:
         """Note what holds for the run, and whether the launch file itself asks for a guard."""
         self._limits, self._overruled, self.own_guard = device.limits, limits.overruled, own_guard
 
-    def notes(self) -> list[Note]:
-        """Take what the rules have noted, in words."""
+    def notes(self) -> list[Noted]:
+        """Return what the rules have noted since the last call; changes of state enter the summary."""
         notes = take_notes(self._state)
-        self._reasons.extend(note.reason for note in notes if note.is_change)
+        self._changes.extend(note for note in notes if note.is_change)
         return notes
 
     def progress(self, ticks: int) -> dict[str, Any]:
@@ -62,7 +62,8 @@ class DriverReport:
             "entered": {name: times for name, times in zip(SAFETY, s.entered, strict=True) if times},
             "refused": dict(zip(REFUSED, s.refused_for, strict=True)),
             "limited": dict(zip(LIMITED, s.limited_by, strict=True)),
-            "reasons": list(self._reasons),
+            "reasons": [note.reason for note in self._changes],
+            "changes": [_change(note) for note in self._changes],
             "told": list(self._overruled),
         }
 
@@ -93,3 +94,9 @@ class DriverReport:
                 **{name: list(values) for name, values in zip(Ending._fields, zip(*ends, strict=True), strict=True)},
             },
         }
+
+
+def _change(note: Noted) -> dict[str, Any]:
+    """Return a change of state as data: states by name, and the numbers of its event."""
+    names = {end: SAFETY[int(note.data[end])] for end in ("before", "after")}
+    return {"kind": note.kind, **note.data, **names, "reason": note.reason}

@@ -1,8 +1,8 @@
 """The state of a driver: one struct, which interpreted and compiled ticks read and write where it stands.
 
 A new variable is a line here, and one where it is used. Whatever has no limit holds infinity. Rules are plain functions on the
-struct, each in the module of what it rules; what they have to say is a code with numbers (`note`), which `nodes.driver.notes`
-turns into words when the tick is done.
+struct, each in the module of what it rules; what they report is a code with numbers (`note`), which
+nodes/driver/force_words.py turns into words when the tick is done.
 """
 
 from __future__ import annotations

@@ -105,7 +105,11 @@ class Environment(Node):
             met = meet(position)
             for axis in [axis for i, axis in left_out if met[3] and met[0][i] != position[i]]:
                 computed = ", ".join(self.setup.axes)
-                self.events.emit("axes", f"the surface pushes along {axis}, but run.axes is [{computed}]: no force there")
+                self.events.emit(
+                    "axes",
+                    f"the surface pushes along {axis}, but run.axes is [{computed}]: no force there",
+                    {"axis": AXIS_INDEX[axis]},
+                )
             return met
 
         return watched
@@ -172,10 +176,12 @@ class Environment(Node):
         inside = self._place.inside
         if inside > self.counters.inside:
             solids = "a solid that is" if inside == 1 else f"{inside} solids that are"
-            self.events.emit_each("inside", f"the tool begins inside of {solids} not felt until it is outside")
+            self.events.emit_each(
+                "inside", f"the tool begins inside of {solids} not felt until it is outside", {"solids": inside}
+            )
         elif inside < self.counters.inside:
             left = "all solids are felt now" if inside == 0 else f"{inside} solids are still not felt"
-            self.events.emit_each("inside", f"the tool has come outside: {left}")
+            self.events.emit_each("inside", f"the tool has come outside: {left}", {"solids": inside})
         self.counters.inside = inside
 
     def report(self) -> dict[str, Any]:

@@ -195,10 +195,13 @@ class PartnerEnvironment(Node):
             self.events.emit(
                 "partner",
                 f"heard, {1e3 * apart:.3g} mm apart: aligned at {parameters.align:g} m/s, in {apart / parameters.align:.2g} s",
+                {"apart_m": apart, "align_m_per_s": parameters.align},
             )
         elif now == SILENT and before == HEARD:
             self.events.emit(
-                "partner", f"silent for {parameters.silence:g} s (silence): the device is let go at {parameters.align:g} m/s"
+                "partner",
+                f"silent for {parameters.silence:g} s (silence): the device is let go at {parameters.align:g} m/s",
+                {"silent_s": parameters.silence, "align_m_per_s": parameters.align},
             )
 
     def report(self) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from typing import Any
 import msgspec
 
 from messages.transport.endpoints import Context, split
-from messages.transport.requests import Connection, ControlError
+from messages.transport.requests import Connection, ControlError, NoAnswerError
 from nodes.base.node_kinds import load
 from nodes.base.setup import Setup
 from nodes.launcher.child import Child
@@ -265,9 +265,9 @@ class ByHand(Child):
         """Let a node refuse what is not needed of it; an answer that was lost on the way is asked for again."""
         try:
             yield
+        except NoAnswerError:
+            raise
         except ControlError as error:
-            if "no answer" in str(error):
-                raise
             if needed:
                 self._code, self._end = 1, f"{needed} refused: {error}"
 

@@ -276,15 +276,33 @@ def read_chain(setup: Setup, given_up: Callable[[], bool], patience: float = 10.
 STOPPED = "stopped by haptic stop"  # why a run ends that was not interrupted at its own terminal
 
 
-def write_end(path: Path, reason: str) -> None:
-    """Say why a run ends, before its nodes are told to: they only know that they were."""
-    (path / "end.txt").write_text(reason, encoding="utf-8")
+class RunEnd(msgspec.Struct, frozen=True):
+    """Why a run ends; no reason while it goes on."""
+
+    reason: str = ""
+    node: str = ""  # name of the node whose failure ended it; empty for any other end
+
+
+def write_end(path: Path, reason: str, node: str = "") -> None:
+    """Write why a run ends, before its nodes are told to: they only know that they were."""
+    (path / "end.json").write_bytes(msgspec.json.encode(RunEnd(reason, node)))
+
+
+def end_of(run_dir: str) -> RunEnd:
+    """Read why a run ends."""
+    path = Path(run_dir) / "end.json"
+    if not run_dir or not path.exists():
+        return RunEnd()
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=RunEnd)
+    except msgspec.DecodeError:
+        # It is being written this moment: a line later it is there.
+        return RunEnd()
 
 
 def ended_why(run_dir: str) -> str:
-    """Read why a run ends; empty while it goes on."""
-    path = Path(run_dir) / "end.txt"
-    return path.read_text(encoding="utf-8") if run_dir and path.exists() else ""
+    """Read the reason for which a run ends; empty while it goes on."""
+    return end_of(run_dir).reason
 
 
 def _live() -> dict[Path, RunInfo]:

@@ -54,6 +54,7 @@ class Supervisor:
         self.run = runs.name_of(launch.scenario)
         self.reports: dict[str, dict[str, Any]] = {}
         self.exit_reason = ""
+        self.failed_node = ""  # name of the node whose failure ended the launch
         self.tick = launch.run.tick
         self.failed = False
         self.failures: list[str] = []
@@ -296,7 +297,7 @@ class Supervisor:
             child.over = True
             reason = f"{name}: ended with {child.end}{self._own_reason(name, child)}"
             if child.required:
-                self.failed = True
+                self.failed, self.failed_node = True, name
                 self.exit_reason = reason
                 self.stop(reason)
             if child.required or child.ended_badly:
@@ -321,7 +322,7 @@ class Supervisor:
 
     def _end_all(self) -> None:
         try:
-            runs.write_end(self.run_dir, self.exit_reason or self._stop_asked)
+            runs.write_end(self.run_dir, self.exit_reason or self._stop_asked, self.failed_node)
         except OSError as error:
             # A full disk: the nodes end in order all the same.
             self.failures.append(f"{self.run_dir}: {error.strerror}")

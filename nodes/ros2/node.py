@@ -179,7 +179,9 @@ class Ros2(Node):
         if abs(age) <= self.store.current.age_limit:
             return True
         limit = self.store.current.age_limit
-        self.events.emit("stale", f"{name}: stamped {age:.3f} s before it came, limit {limit:g} s; refused")
+        self.events.emit(
+            "stale", f"{name}: stamped {age:.3f} s before it came, limit {limit:g} s; refused", {"age_s": age, "limit_s": limit}
+        )
         return False
 
     def _is_ours(self, name: str, frame: str) -> bool:

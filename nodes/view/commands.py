@@ -244,10 +244,11 @@ class Commander:
         if on and not before["recording"]:
             self._recordings, self._failure = self._recordings + 1, ""
             self._path = f"recordings/{self._run.run}-{time.strftime('%H%M%S')}-{self._recordings}.mcap"
+            options = ("--run", self._run.chosen, "--out", self._path, "--json")
             self._recorder = subprocess.Popen(
-                [*PYTHON, "-m", "nodes.cli.command", "bag", "record", "--run", self._run.chosen, "--out", self._path],
+                [*PYTHON, "-m", "nodes.cli.command", "bag", "record", *options],
                 stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
             )
         elif not on:
@@ -271,7 +272,7 @@ class Commander:
             return
         recorder.send_signal(signal.SIGINT)
         try:
-            _, said = recorder.communicate(timeout=TIMEOUT)
+            answered, said = recorder.communicate(timeout=TIMEOUT)
         except subprocess.TimeoutExpired:
             self._failure = f"recording: {self._path} is not complete {TIMEOUT:g} s after it was asked to end"
             return
@@ -280,9 +281,8 @@ class Commander:
             # Its interpreter was still starting.
             self._failure = "recording: it was ended before it had begun"
         elif recorder.returncode not in (0, 130):
-            lines = [line for line in said.decode(errors="replace").splitlines() if not line.endswith("; Ctrl-C ends")]
-            why = " ".join(lines)[-500:].strip() or f"it ended with exit code {recorder.returncode}"
-            self._failure = f"recording failed: {why}"
+            why = _error_of(answered) or " ".join(said.decode(errors="replace").split())[-500:]
+            self._failure = f"recording failed: {why or f'it ended with exit code {recorder.returncode}'}"
 
     def end(self) -> None:
         """Give up what is waited for; returns after `close`, on another thread."""
@@ -293,3 +293,11 @@ class Commander:
         self._end_recorder()
         for line in self._lines.values():
             line.drop()
+
+
+def _error_of(answer: bytes) -> str:
+    """Return the error of a command's ``--json`` answer; empty where it gave none."""
+    try:
+        return str(msgspec.json.decode(answer, type=dict[str, Any]).get("error", ""))[-500:]
+    except msgspec.DecodeError:
+        return ""

@@ -12,11 +12,12 @@ from messages.topics import message_type, split
 from messages.types import DeviceState, Event, Message, NodeStatus, Receipt
 from nodes.base.node_kinds import load
 from nodes.base.setup import AXIS_INDEX
-from nodes.launcher.runs import RunInfo, ended_why
+from nodes.driver.force_words import cause_of, explain
+from nodes.launcher.runs import RunEnd, RunInfo, end_of
 from nodes.parameters.store import convert
 from nodes.recording.summary import quantile
 from nodes.view.feed import BINS_PER_SECOND, Feed
-from nodes.view.why_force import Ring, Ringing, explain, stop_in_words
+from nodes.view.ringing import Ring, Ringing
 
 STATUS_PERIOD = 0.2  # how often pages get the status [s]
 RECENT = 5.0  # how far back percentiles go [s]
@@ -112,12 +113,13 @@ class LiveRun:
     def __init__(self, facts: Facts, kept: float = KEPT, bins_per_second: float = BINS_PER_SECOND) -> None:
         self._period = facts.period
         self._run_dir = facts.run_dir
-        self._driver_status = f"/{facts.driver}/status"
+        self._driver, self._driver_status = facts.driver, f"/{facts.driver}/status"
         self.feed = Feed(facts.axes, facts.period, kept, min(bins_per_second, BINS_PER_SECOND))  # the bins
         self.board = Board()  # everything else
         # Measured delay of the loop, a mean over some 64 ticks [ticks].
         self.delay = 1.0 if facts.apply == "next_tick" else 0.0
         self.changed = True  # whether a receipt asks for the laws to be read again; who does that sets it back
+        self._end = RunEnd()
         self.ended = ""  # why the run is over; empty while it goes on
         self.refused = 0  # messages that were not of the protocol
         self._decoders: dict[bytes, tuple[str, Decoder[Message]]] = {}
@@ -184,16 +186,19 @@ class LiveRun:
             # What the map is drawn for.
             self.changed |= message.kind == "delay"
             if message.kind in ("safety", "stopped"):
-                self._why, span = stop_in_words(message.reason.partition(": ")[2] or message.reason)
-                self._stop = {"t": message.seq * self._period, "span_s": span}
-            told = {"node": message.node, "event": message.kind, "text": message.reason}
+                self._why = cause_of(message)
+                self._stop = {"t": message.seq * self._period, "span_s": message.data.get("span_s", 0.0)}
+            told = {"node": message.node, "event": message.kind, "text": message.reason, "data": message.data}
             self.board.log({"kind": "event", "t": message.seq * self._period, **told})
             return
         self.feed.take(topic, message)
 
     def end(self, reason: str) -> None:
         """Note that the run is over, and why: the launcher knows better than a driver that was told to end."""
-        self.ended = ended_why(self._run_dir) or self._failed or reason
+        told = end_of(self._run_dir)
+        # Beside a launch whose directory has gone, only a driver's own status says what failed.
+        self._end = told if told.reason else RunEnd(self._failed or reason, self._driver if self._failed else "")
+        self.ended = self._end.reason
 
     def _missed_lately(self, now: float, missed: int) -> int:
         """Count the ticks missed of late."""
@@ -208,7 +213,7 @@ class LiveRun:
 
     def tick(self, now: float) -> None:
         """File bins and tell the status when it is time."""
-        if self._failed and not self.ended and ended_why(self._run_dir):
+        if self._failed and not self.ended and end_of(self._run_dir).reason:
             self.end(self._failed)
         self.feed.file(bool(self.ended))
         if now - self._status_at >= STATUS_PERIOD or self.ended:
@@ -231,12 +236,12 @@ class LiveRun:
         gone = [name for name, found in nodes.items() if found["silent_s"]]
         if gone:
             why = f"{' and '.join(gone)} silent"
-        level, text = explain(state, self.feed.proxy, force, silent, why, self.rings(), self._device)
+        level, text = explain(state, self.feed.proxy, force, silent, why, str(self.rings() or ""), self._device)
         if self.ended:
             level, text = "rest", f"The run has ended: {self.ended.rstrip('.')}."
             for name, found in nodes.items():
                 # Who is named was the reason; the others were ended with it.
-                found |= {"silent_s": 0.0, "state": "failed" if self.ended.startswith(f"{name}: ") else "ended"}
+                found |= {"silent_s": 0.0, "state": "failed" if name == self._end.node else "ended"}
         ticks = state.seq if state else 0
         missed = state.missed if state else 0
         began, count = self._rate

@@ -33,7 +33,6 @@ from nodes.view.law_fields import all_law_fields
 from nodes.view.live import HISTORY, Facts, LiveRun
 from nodes.view.server import PageServer
 from nodes.view.stability_map import drawn_map
-from nodes.view.why_force import delay_in
 
 if TYPE_CHECKING:
     from nodes.view.drawn_bodies import RecordedBodies
@@ -123,6 +122,7 @@ class ReplayPages:
         live, period = self.live, self._facts.period
         known = [topic for topic in recording.topics if topic in (DEVICE_STATE, PROXY, FORCE, RECEIPT) or topic.count("/") == 2]
         delays = states = 0.0
+        unknown_delay = False
         next_scene = next_status = self.begin
         for topic, log_time, message in recording.entries(known):
             live.keep(topic, message, log_time)
@@ -130,6 +130,7 @@ class ReplayPages:
                 self._read_receipt(message)
             elif isinstance(message, Event) and message.kind == "delay":
                 self._read_delay(message)
+                unknown_delay |= "delay_ticks" not in message.data
             while live.board.logged > len(self.log.items):
                 texts, _, _ = live.board.since(1 << 62, len(self.log.items))
                 self.log.add(message.seq * period, texts[0])
@@ -152,6 +153,11 @@ class ReplayPages:
                 progress((at - self.begin) / max(self.duration, period))
         live.feed.file(all_of_them=True)
         self._delay = delays / states if states else 0.0
+        if unknown_delay:
+            notices.append(
+                "The device's delay was changed, by how much this older recording holds as text only: the map shows the "
+                "delay of the start."
+            )
         return notices
 
     def _read_over(self, path: Path) -> str:
@@ -223,8 +229,8 @@ class ReplayPages:
         self.laws.add(receipt.seq * self._facts.period, {**before, "active": law, "laws": laws})
 
     def _read_delay(self, event: Event) -> None:
-        """Take how late the virtual device answers from an event on: the map of stability is another one."""
-        if (ticks := delay_in(event.reason)) is not None and self.laws.items:
+        """Apply the delay of the virtual device from an event on: the map of stability is another one."""
+        if (ticks := event.data.get("delay_ticks")) is not None and self.laws.items:
             self.laws.add(event.seq * self._facts.period, {**self.laws.items[-1], "device_delay": ticks})
 
     async def run(self, stopping: Callable[[], bool]) -> None:

@@ -280,7 +280,8 @@ class SimDriver(Driver):
         def apply(seq: int) -> dict[str, Any]:
             self._sim.delay_by(delay)
             self._kept[1] = set_latency(self.driving, delay)
-            self.events.emit("delay", f"the device answers {delay:g} ticks later from now on", always=True)
+            text = f"the device answers {delay:g} ticks later from now on"
+            self.events.emit("delay", text, {"delay_ticks": delay}, always=True)
             return {"seq": seq}
 
         return apply

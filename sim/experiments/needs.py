@@ -147,6 +147,7 @@ class Variant(NamedTuple, Generic[S]):
     terms: tuple[str, ...]
     scene: S
     switched: str
+    off: bool = False  # whether its terms were switched off
 
 
 def here(plays: Sequence[Callable[[], R]]) -> list[R]:
@@ -205,7 +206,7 @@ def judge(
         )
         if timings:
             whole, mine = timings["0"], timings[str(i)]
-            cost = 1e6 * (whole.median - mine.median) * (1.0 if finding.switched.startswith("off") else -1.0)
+            cost = 1e6 * (whole.median - mine.median) * (1.0 if variant.off else -1.0)
             spread = 0.5e6 * ((mine.high - mine.low) + (whole.high - whole.low)) if rounds > 1 else None
             known = finding.switched != "other" and spread is not None and abs(cost) > spread
             finding = replace(finding, cost_us=cost if known else None, cost_spread_us=spread)
@@ -222,7 +223,7 @@ def variants_of(
     for term in terms:
         if term.declared(scene):
             simpler = f"off: {term.simpler}" if term.simpler else "off"
-            found.append(Variant((term.name,), term.without(scene), simpler))
+            found.append(Variant((term.name,), term.without(scene), simpler, off=True))
         elif term.typical is not None:
             changed = term.typical(scene)
             if term.declared(changed):
@@ -238,13 +239,13 @@ def variants_of(
 
 
 def _finding(variant: Variant[S], moved_by: dict[str, float], model: Model, tolerance: Callable[[str], float]) -> Finding:
-    terms, _, switched = variant
+    terms, switched = variant.terms, variant.switched
     counts: set[str] = {*model.outcome}
     changes = {name: value for name, value in moved_by.items() if name in counts}
     most = max(changes, key=lambda name: changes[name] / tolerance(name), default="")
     moved = changes.get(most, 0.0)
     matters = bool(most) and moved > tolerance(most)
-    if switched.startswith("off"):
+    if variant.off:
         why = {"needed": matters, "sought": set(terms) <= {*model.sought}, "protects": set(terms) <= PROTECTS}
         verdict = next((word for word, so in why.items() if so), "superfluous")
     elif switched == "other":

@@ -46,6 +46,7 @@ class KnockVerdict:
     left: float  # motion in the last third of the window, as a part of the knock, peak to peak
     rests: bool  # whether that is little enough, or still dying after the longest window
     why: str = ""  # what ended the trial before its time; empty when nothing did
+    ended_by: str = ""  # ``stop`` or ``fault`` of the driver, ``energy`` given out; empty when nothing of these
 
 
 @dataclass

@@ -8,6 +8,7 @@ forces again once the soft spring holds the device; with a real one only when th
 
 import math
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +24,14 @@ TRIAL = "trial"  # name that the coupling gets for the law on trial
 # A knock has moved the device when its position went so far, and has not when less than that [parts of the knock].
 MOVES, STANDS = 0.5, 0.1
 UNMOVED = "the position did not follow a knock: the encoder is stuck, or the device is held fast; nothing was verified by it"
-STOPPED, TAKEN = "the driver stopped the loop", "the driver took the force away"  # how verdicts of the driver's own begin
+STOPPED, TAKEN = "the driver stopped the loop", "the driver took the force away"
+
+
+class Cut(NamedTuple):
+    """What ended a trial before its time."""
+
+    by: str = ""  # as `KnockVerdict.ended_by`
+    why: str = ""
 
 
 class StalledError(RefusedError):
@@ -79,7 +87,7 @@ class Trials:
         factor, doubted, disturbed, rested = factor_of(step), False, "", 0
         for _ in range(AGAIN):
             verdict, disturbed = self._try(factor)
-            if verdict.why.startswith((STOPPED, TAKEN)):
+            if verdict.ended_by in ("stop", "fault"):
                 return verdict
             rested += verdict.rests and not disturbed
             if verdict.rests and not disturbed and rested < 2 and step >= self._near:
@@ -105,24 +113,24 @@ class Trials:
         if self._guarded:
             # Afresh: every knock has the whole allowance.
             loop.change(loop.driver, "param.set", values={"passivity": self._allowance})
-        position, why, disturbed = self._window(factor)
-        self._expect_motion(position, factor, bool(why or disturbed))
+        position, cut, disturbed = self._window(factor)
+        self._expect_motion(position, factor, bool(cut.why or disturbed))
         verdict = judge(position, self._sign * self._knock, factor)
         if disturbed and verdict is None:
             verdict = KnockVerdict(factor, 0.0, False, disturbed)
-        if why or verdict is None:
+        if cut.why or verdict is None:
             left = float(np.ptp(position[-len(position) // 3 :])) / self._knock if len(position) else 0.0
-            verdict = KnockVerdict(factor, left, False, why)
+            verdict = KnockVerdict(factor, left, False, cut.why, cut.by)
         left = loop.change(loop.coupling, "law.switch", law=SOFT_LAW, ramp=0)["from"]
-        if why.startswith(STOPPED):
-            self._start_again(why)
+        if cut.by == "stop":
+            self._start_again(cut.why)
         elif left != TRIAL:
             disturbed = disturbed or f"the law overran its time budget: {left} rendered"
         loop.wait(WINDOW // 2)
-        if not why.startswith(STOPPED) and loop.progress()["safety"] == "stopped":
+        if cut.by != "stop" and loop.progress()["safety"] == "stopped":
             # After the window, but by this knock: the next one would take it for its own.
             why, disturbed = f"{STOPPED}: {loop.why_stopped()}", ""
-            verdict = KnockVerdict(factor, verdict.left, False, why)
+            verdict = KnockVerdict(factor, verdict.left, False, why, "stop")
             self._start_again(why)
         return verdict, disturbed
 
@@ -146,7 +154,7 @@ class Trials:
             return
         loop.wait(SOFT_RAMP)
 
-    def _window(self, factor: float) -> tuple[Array, str, str]:
+    def _window(self, factor: float) -> tuple[Array, Cut, str]:
         """Let the law on trial take over, and hear the positions until they tell: with why it ended, and what disturbed it."""
         loop = self._loop
         axis = loop.axes[0]
@@ -154,7 +162,7 @@ class Trials:
         began, late, energy, overruns = -1, 0, 0.0, 0
         for state in loop.states():
             if state.safety == "stopped":
-                return np.array(positions), f"{STOPPED}: {loop.why_stopped()}", ""
+                return np.array(positions), Cut("stop", f"{STOPPED}: {loop.why_stopped()}"), ""
             if began < 0:
                 receipt = loop.change(loop.coupling, "law.switch", law=TRIAL, ramp=0)
                 began, energy, overruns = int(receipt["seq"]), state.energy, state.overruns
@@ -162,15 +170,16 @@ class Trials:
             if state.seq < began:
                 continue
             if state.seq != began + len(positions):
-                return np.array(positions), "", "ticks went by unheard"
+                return np.array(positions), Cut(), "ticks went by unheard"
             positions.append(state.position[axis])
             if state.safety == "fault":
-                return np.array(positions), f"{TAKEN}: the device left its workspace", ""
+                return np.array(positions), Cut("fault", f"{TAKEN}: the device left its workspace"), ""
             if state.age > 1 or state.safety != "active" or state.overruns > overruns:
                 late += 1
             if state.energy - energy > self._allowance["allowance"]:
                 # A spring that was stretched by the knock holds ½ F x; far more than that was made by the loop.
-                return np.array(positions), f"the loop gave out {state.energy - energy:.2g} J after one knock", ""
+                cut = Cut("energy", f"the loop gave out {state.energy - energy:.2g} J after one knock")
+                return np.array(positions), cut, ""
             # Judged when a window is full, or each tick once it is far; the longest window always decides.
             if len(positions) % WINDOW == 0 or abs(positions[-1] - positions[0]) > 2.0 * self._knock:
                 verdict = judge(np.array(positions), self._sign * self._knock, factor)
@@ -178,4 +187,4 @@ class Trials:
                     break
             if state.seq >= began + LONGEST:
                 break
-        return np.array(positions), "", f"{late} ticks were answered late" if late else ""
+        return np.array(positions), Cut(), f"{late} ticks were answered late" if late else ""

@@ -35,7 +35,7 @@ def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
     surely = rested if ends is None else ends[0]
     holds = bool(rests and agrees and surely is not None and surely >= MARGIN)
     ended = edge.ended
-    if rests and not agrees and (factor is not None or edge.ended.startswith("every")):
+    if rests and not agrees:
         ended = f"{ended}, where the model has {expected or 0.0:.3f}: the device is not the one that was identified"
     if rests and ends is not None and not holds:
         ended = f"{ended}; a large motion may not at {ends[0]:.3f} times, and {MARGIN:g} is asked for"

@@ -7,9 +7,9 @@ from typing import Any
 from messages.types import ZERO, Force, Vector
 from nodes.driver import safety
 from nodes.driver.device import DeviceLimits
+from nodes.driver.force_words import take_notes
 from nodes.driver.limits import SafetyParameters, lower
 from nodes.driver.motion import set_motion
-from nodes.driver.notes import take_notes
 from nodes.driver.passivity import PassivityParameters, set_guard
 from nodes.driver.state import LIMITED, REFUSED, SAFETY, DriverState
 

@@ -24,6 +24,8 @@ def _values(info: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
         return st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
     if isinstance(info, msgspec.inspect.BoolType):
         return st.booleans()
+    if isinstance(info, msgspec.inspect.DictType):
+        return st.dictionaries(_values(info.key_type), _values(info.value_type), max_size=info.max_length or 8)
     assert isinstance(info, msgspec.inspect.TupleType)
     return st.tuples(*map(_values, info.item_types))
 

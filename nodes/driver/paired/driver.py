@@ -260,7 +260,8 @@ class PairedDriver(Driver):
         if met > 0.0:
             speed = self.store.current.align
             how = f"are brought together at {speed:g} m/s" if speed > 0.0 else "keep that offset"
-            self.events.emit_each("device", f"the devices stand {met:.4g} m apart without a motion, and {how}")
+            text = f"the devices stand {met:.4g} m apart without a motion, and {how}"
+            self.events.emit_each("device", text, {"apart_m": met, "align_m_per_s": speed})
 
     def condition(self) -> str:
         """Say which of them keeps forces off, and why."""

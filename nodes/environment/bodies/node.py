@@ -91,6 +91,7 @@ class MujocoEnvironment(Node):
             "bodies",
             f"the tool weighs {self._world.mass:.4g} kg (a coupling's plant.tool_mass); {self._world.steps} steps a tick; "
             f"{response_text(self._world.response())}; its contacts, measured: {contacts_text(self._world.stiffness())}",
+            {"tool_mass_kg": self._world.mass, "steps": self._world.steps},
         )
 
     def _answer(self, state: DeviceState) -> bytes | None:

@@ -12,6 +12,7 @@ import pytest
 
 from messages import topics
 from messages.codec import Decoder
+from messages.event_kinds import OtherKind
 from messages.transport.context import new_context
 from messages.transport.sockets import Publisher, Subscription
 from messages.types import Event, NodeStatus
@@ -88,15 +89,15 @@ def told_during(place: Path, kernel: Callable[[Coupling, CouplingState], None]) 
 def test_what_is_told_leaves_in_its_order(tmp_path: Path) -> None:
     def unsent(node: Coupling, _: CouplingState) -> None:
         for number in range(5):
-            node.events.emit_each("test", f"{number}")
+            node.events.emit_each(OtherKind("test.kind"), f"{number}")
 
     def sent_in_between(node: Coupling, state: CouplingState) -> None:
-        node.events.emit_each("test", "0")
-        node.events.emit_each("test", "1")
+        node.events.emit_each(OtherKind("test.kind"), "0")
+        node.events.emit_each(OtherKind("test.kind"), "1")
         # As the kernel does when it has sent it: what is told now must not leave before what waits for the loop.
         assert b"0" in ctypes.string_at(state.mail_payload, state.mail_size)
         state.mail = 0
-        node.events.emit_each("test", "2")
+        node.events.emit_each(OtherKind("test.kind"), "2")
 
     assert told_during(tmp_path, unsent) == ["0", "1", "2", "3", "4"]
     assert told_during(tmp_path, sent_in_between) == ["1", "2"]

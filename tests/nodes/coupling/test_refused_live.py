@@ -12,6 +12,7 @@ import pytest
 
 from messages.topics import DEVICE_STATE
 from nodes.driver.limits import SafetyParameters
+from nodes.driver.state import SAFETY
 from nodes.parameters.yaml_io import write_yaml
 from nodes.recording.reader import Recording
 from tests.support.launching import Running, running, typed, wait_for
@@ -109,7 +110,9 @@ def test_a_forced_one_saturates_and_ends_safely(press: Running) -> None:
     assert {state.safety for state in after} == {"stopped"}
     assert {state.force for state in after} == {(0.0, 0.0, 0.0)}
     event = next(event for event in recording.messages("/driver/event") if event.kind == "stopped")
-    assert "its force came to the limit of 7.9 N 6 times within" in event.reason
+    assert (event.data["limit_n"], event.data["strokes"]) == (7.9, 6.0)
+    assert event.data["energy_j"] > 0.0
+    assert SAFETY[int(event.data["after"])] == "stopped"
     assert "haptic node rearm, or launch again" in event.reason
     # From nothing, by the whole ramp: each tick at most a 75th of the largest force, until it is active.
     ramp = round(SafetyParameters().recovery / 0.002)

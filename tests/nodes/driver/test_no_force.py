@@ -9,9 +9,8 @@ import pytest
 
 from messages.types import DeviceState
 from nodes.cli.status_line import ORDER, fitted
-from nodes.driver.no_force import why_no_force
+from nodes.driver.force_words import explain, why_no_force
 from nodes.driver.state import ACTIVE, FAULT, IDLE, STOPPED, DriverState
-from nodes.view.why_force import explain
 from tests.nodes.driver.test_touch import needs_cc
 from tests.sim.test_stand_ins import SOFT, through
 from tests.support.devices import bench
@@ -45,7 +44,7 @@ def test_a_force_button_that_is_off_is_told_while_the_law_pushes(tmp_path: Path)
 
 @pytest.mark.parametrize(
     ("safety", "words"),
-    [(IDLE, "does it run"), (FAULT, "outside the workspace"), (STOPPED, "rearm"), (ACTIVE, "nothing is touched")],
+    [(IDLE, "does it run"), (FAULT, "outside its workspace"), (STOPPED, "rearm"), (ACTIVE, "nothing is touched")],
 )
 def test_every_state_of_the_driver_has_words(safety: int, words: str) -> None:
     s = DriverState()

@@ -45,7 +45,7 @@ stalls = st.dictionaries(
 
 
 NAMED = 1.0007e-3
-"""What a tick adds to the force that names it [N]; no part of another such force, as a soft stop writes them, is one of them."""
+"""What a tick adds to the force that names it [N]; no part of another such force, as of a soft stop, is one of them."""
 
 
 def _ages(outcome: Any) -> list[float]:

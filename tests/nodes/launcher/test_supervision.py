@@ -70,7 +70,7 @@ def test_signals_end_a_launch_in_order(tmp_path: Path, number: signal.Signals, t
 def test_a_full_disk_at_the_end_does_not_keep_the_nodes_from_ending_in_order(tmp_path: Path) -> None:
     with running(tmp_path, scenario(tmp_path, duration=600.0)) as launch:
         # Read before it is written: /dev/full would never end.
-        (launch.run_dir / "end.txt").symlink_to("nowhere/end.txt")
+        (launch.run_dir / "end.json").symlink_to("nowhere/end.json")
         (launch.run_dir / "environment.report.json.draft").symlink_to("/dev/full")
         typed(launch, "stop")
         figures = launch.finish(code=1)

@@ -8,8 +8,9 @@ from typing import Any
 import msgspec
 import pytest
 
-from messages.types import DeviceState, Force, Proxy
-from nodes.view.why_force import Ringing, explain, stop_in_words
+from messages.types import DeviceState, Event, Force, Proxy
+from nodes.driver.force_words import cause_of, explain
+from nodes.view.ringing import Ringing
 
 STATE = DeviceState(seq=9, stamp=0.0, position=(0.021, 0.0, 0.0), force=(-1.0, 0.0, 0.0), force_seq=8)
 PROXY = Proxy(
@@ -43,7 +44,7 @@ def told(
         ({"proxy": {"contact": False, "distance": 0.008}, "state": {"force": NONE}}, "rest", "the surface is 8.0 mm away"),
         ({"proxy": {"contact": False, "normal": NONE}, "state": {"force": NONE}}, "rest", "there is nothing to touch"),
         ({"state": {"force": NONE}, "force": {"force": NONE}}, "rest", "renders none at this deflection"),
-        ({"state": {"safety": "stopped", "force": NONE}}, "stop", "Too hard: it swung, and the driver stopped it."),
+        ({"state": {"safety": "stopped", "force": NONE}}, "stop", "Too hard: the loop swung, and the driver stopped it."),
         ({"silent": 0.51}, "stop", "nothing has come from the driver for 0.5 s"),
     ],
 )
@@ -65,12 +66,12 @@ def test_before_the_first_tick() -> None:
 
 
 def test_a_stop_is_told_by_its_strokes() -> None:
-    reason = (
-        "the loop gives out energy: its force came to the limit of 10 N 6 times within 0.25 s and gave out 65.3 mJ; "
-        "no force until"
-    )
-    assert stop_in_words(reason) == ("6 strokes to the limit of 10 N within 0.25 s, 65.3 mJ given out", 0.25)
-    assert stop_in_words("put otherwise") == ("put otherwise", 0.0)
+    data = {"cause": 9.0, "tick": 7.0, "limit_n": 10.0, "strokes": 6.0, "span_s": 0.25, "energy_j": 0.0653}
+    event = Event(seq=7, stamp=0.0, node="driver", kind="stopped", reason="put otherwise", data=data)
+    assert cause_of(event) == "6 strokes to the limit of 10 N within 0.25 s, 0.0653 J given out"
+    # Of an older recording, another package, or a number that was not finite: the sentence itself.
+    for less in ({}, {"cause": 99.0}, {key: value for key, value in data.items() if key != "span_s"}):
+        assert cause_of(msgspec.structs.replace(event, data=less)) == "put otherwise"
 
 
 @pytest.mark.parametrize(("hertz", "rings"), [(2.0, False), (10.0, False), (20.0, True), (60.0, True), (160.0, True)])
@@ -85,7 +86,7 @@ def test_a_force_that_goes_to_and_fro_rings(hertz: float, rings: bool) -> None:
         # Turns are counted in whole ticks, within 0.3 s: half a turn more or less at each end.
         assert found.frequency == pytest.approx(hertz, rel=0.1)
         assert found.force == pytest.approx(2.0, rel=0.1)
-    level, words = explain(STATE, PROXY, FORCE, 0.0, "", found)
+    level, words = explain(STATE, PROXY, FORCE, 0.0, "", str(found or ""))
     assert (level == "warn" and "It rings" in words) == rings
     # At rest it rings no more, and in the past of a recording there is no before.
     for tick in range(500, 700):

@@ -13,7 +13,7 @@ import pytest
 
 from messages.errors import RefusedError
 from sim.tune.knocking import LOWEST, KnockedEdge, KnockVerdict, Plan, climb, factor_of
-from sim.tune.live_trial import STOPPED, Trials
+from sim.tune.live_trial import STOPPED, Cut, Trials
 from sim.tune.outcome import headline, verified
 from sim.tune.session import Options, Tuning
 
@@ -146,8 +146,8 @@ def test_a_driver_that_stops_right_after_a_knock_judges_that_one(monkeypatch: py
     safety = ["stopped"]
     trial = trials(stand_in(lambda: None, safety), monkeypatch)
     rests = KnockVerdict(1.0, 0.0, True)
-    monkeypatch.setattr(trial, "_window", lambda _: (np.linspace(0.0, 1e-3, 100), "", ""))
+    monkeypatch.setattr(trial, "_window", lambda _: (np.linspace(0.0, 1e-3, 100), Cut(), ""))
     monkeypatch.setattr("sim.tune.live_trial.judge", lambda *_: rests)
-    assert trial._try(1.0) == (KnockVerdict(1.0, 0.0, False, f"{STOPPED}: swings"), "")
+    assert trial._try(1.0) == (KnockVerdict(1.0, 0.0, False, f"{STOPPED}: swings", "stop"), "")
     safety[0] = "active"
     assert trial._try(1.0) == (rests, "")

@@ -21,7 +21,6 @@ from sim.drill.faults import SteppedClock
 from sim.drill.faulty_device import LATE, SCALE
 from sim.identify.borrowed import PushedLaunch, borrowed
 from sim.tune.knocking import STRIDE, factor_of
-from sim.tune.live_trial import STOPPED
 from tests.support.launching import running, typed, wait_for
 
 T = 0.002
@@ -94,7 +93,7 @@ def test_a_trial_that_the_driver_stops_is_a_verdict_and_the_launch_goes_on(tmp_p
         figures = launch.finish(signal.SIGINT)
     after = json.loads((tmp_path / "tuning" / "tune.json").read_text())["verified"]
     assert not after["holds"]
-    stops = [step["factor"] for step in after["steps"] if step["why"].startswith(f"{STOPPED}: active → stopped")]
+    stops = [step["factor"] for step in after["steps"] if step["ended_by"] == "stop"]
     rested = [step["factor"] for step in after["steps"] if step["rests"]]
     # The first stride of 22 % is stopped; what lies below it is tried afterwards, on a driver that takes forces again.
     assert stops[-1] == pytest.approx(factor_of(STRIDE))

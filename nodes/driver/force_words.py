@@ -1,0 +1,266 @@
+"""Why there is a force, or none, in words: one table for driver, page and command line.
+
+The rules of a driver note a code with numbers. `NOTES` names the numbers, which leave with the
+driver's event, and holds the sentence that is made from them. `STATES` says what each state of the
+safety does, and what to do about it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+from messages.event_kinds import EventKind
+from messages.types import DeviceState, Event, Force, Proxy, Vector
+from nodes.driver import notes
+from nodes.driver.state import FAULT, NOTE, SAFETY, DriverState
+
+SILENT_AFTER: Final = 0.5  # a driver that sent no state for this long counts as silent [s]
+NO_FORCE: Final = 1e-9  # a force below this counts as none [N]
+
+
+class StateWords(NamedTuple):
+    """What the driver does with forces in one state of its safety."""
+
+    text: str
+    remedy: str  # what a user can do about it; empty where nothing is needed
+
+
+STATES: Final[Mapping[str, StateWords]] = {
+    "waiting": StateWords(
+        "the driver waits for the first force of the coupling", "does it run, and does the environment? haptic node list"
+    ),
+    "ramp": StateWords("the driver lets the force in slowly after a start or a loss", ""),
+    "active": StateWords("the driver hands over what the law asks for", ""),
+    "damping": StateWords("the coupling is late; the driver damps the device meanwhile", "haptic node list"),
+    "zero": StateWords("the coupling is silent; the watchdog has let go until a fresh force comes", "haptic node list"),
+    "fault": StateWords("the device is outside its workspace, or gives no position", "move the handle back, or see mapping"),
+    "stopped": StateWords("the loop swung, and the driver stopped it", "choose a softer law, then haptic node rearm"),
+}
+
+
+class Note(NamedTuple):
+    """What one code of the rules means."""
+
+    kind: EventKind
+    fields: tuple[str, ...]  # names of its numbers, in the order in which the rules note them
+    text: str  # sentence, filled by name
+    short: str = ""  # for the line of a page, where it differs
+
+
+NOTES: Final[Mapping[int, Note]] = {
+    notes.FIRST_FORCE: Note("safety", (), "the first force"),
+    notes.FRESH_FORCE: Note("safety", (), "fresh forces again"),
+    notes.DONE_RAMP: Note("safety", ("ramp_ticks",), "ramp of {ramp_ticks:.0f} ticks done"),
+    notes.SILENT: Note(
+        "safety", ("silent_ticks", "limit_ticks"), "no fresh force for {silent_ticks:.0f} ticks, limit {limit_ticks:.0f}"
+    ),
+    notes.STILL_SILENT: Note("safety", ("silent_ticks",), "no fresh force for {silent_ticks:.0f} ticks"),
+    notes.LET_GO: Note("safety", (), "no force was written in time, and the device let go by itself"),
+    notes.NO_POSITION: Note("safety", ("x_m", "y_m", "z_m"), "the device gives position ({x_m}, {y_m}, {z_m})"),
+    notes.OUTSIDE: Note(
+        "safety",
+        ("axis", "position_m", "low_m", "high_m"),
+        "{axis} = {position_m:.4g} m, workspace {low_m:.4g} to {high_m:.4g} m",
+    ),
+    notes.BACK_INSIDE: Note("safety", (), "back inside the workspace"),
+    notes.SWINGS: Note(
+        "stopped",
+        ("limit_n", "strokes", "span_s", "energy_j"),
+        "the loop gives out energy: its force came to the limit of {limit_n:g} N, or stayed there, "
+        "{strokes:.0f} times within {span_s:.2g} s and gave out {energy_j:.3g} J; no force until it is asked for: "
+        "a softer law first, then haptic node rearm, or launch again",
+        "{strokes:.0f} strokes to the limit of {limit_n:g} N within {span_s:.2g} s, {energy_j:.3g} J given out",
+    ),
+    notes.CONTINUOUS: Note(
+        "limit", ("lowered", "limit_n"), "continuous force at tick {tick:.0f}: limit {limit_n:.3g} N reached"
+    ),
+    notes.HELD_UP: Note(
+        "device", ("from_tick",), "no force from tick {from_tick:.0f} to {tick:.0f}; the device let go by itself"
+    ),
+    notes.REARMED: Note(
+        "rearmed", (), "armed again on request: the force comes back by its ramp, and swings are counted from zero"
+    ),
+    notes.JUMPED: Note("safety", (), "the position jumped without a motion: what is felt goes to what is asked by the ramp"),
+    notes.REFUSED_FIRST: Note(
+        "refused_future",
+        ("refused", "answers_tick"),
+        "a force for tick {answers_tick:.0f}, which is still to come: now is {tick:.0f}",
+    ),
+    notes.REFUSED_FIRST + 1: Note(
+        "refused_replayed",
+        ("refused", "answers_tick", "last_tick"),
+        "a force for tick {answers_tick:.0f} once more: {last_tick:.0f} was the last (replayed or out of order)",
+    ),
+    notes.REFUSED_FIRST + 2: Note(
+        "refused_stale",
+        ("refused", "age_ticks", "limit_ticks"),
+        "a force {age_ticks:.0f} ticks old at tick {tick:.0f}, limit {limit_ticks:.0f}",
+    ),
+    notes.REFUSED_FIRST + 3: Note(
+        "refused_not_finite",
+        ("refused", "answers_tick", "x_n", "y_n", "z_n"),
+        "a force for tick {answers_tick:.0f} that is not finite: ({x_n}, {y_n}, {z_n})",
+    ),
+}
+
+
+class Noted(NamedTuple):
+    """What the rules noted once, as it leaves with an event."""
+
+    kind: EventKind
+    reason: str
+    data: dict[str, float]
+    is_change: bool  # whether the state of the safety changed
+    nth: int  # number among those of its kind, where the rules count them; else 0
+
+
+def _filled(text: str, data: Mapping[str, float]) -> str:
+    """Return a sentence of `NOTES` filled with numbers."""
+    shown: dict[str, Any] = dict(data)
+    if "axis" in data:
+        shown["axis"] = "xyz"[int(data["axis"])]
+    return text.format_map(shown)
+
+
+def take_notes(s: DriverState) -> list[Noted]:
+    """Return what the rules have noted since the last call, and forget it."""
+    found = []
+    for n in range(s.notes_count):
+        code, seq, change, *numbers = s.notes[NOTE * n : NOTE * (n + 1)]
+        note = NOTES[int(code)]
+        data = {"cause": code, "tick": seq, **dict(zip(note.fields, numbers, strict=False))}
+        reason = _filled(note.text, data)
+        if change >= 0.0:
+            before, after = divmod(int(change), 8)
+            data |= {"before": float(before), "after": float(after)}
+            reason = f"{SAFETY[before]} → {SAFETY[after]} at tick {seq:.0f}: {reason}"
+        # Rules count what they note seldom: forces that they refuse or lower.
+        count = data.get("refused", data.get("lowered", 0.0))
+        found.append(Noted(note.kind, reason, data, change >= 0.0, int(count)))
+    s.notes_count = 0
+    return found
+
+
+def cause_of(event: Event) -> str:
+    """Return the cause of a driver's event, without the change of state; `reason` where it carries no cause."""
+    note = NOTES.get(int(event.data.get("cause", -1)))
+    # An event of an older recording has no numbers, and one that was not finite is left out.
+    if note is None or not event.data.keys() >= {"tick", *note.fields}:
+        return event.reason
+    return _filled(note.short or note.text, event.data)
+
+
+def why_no_force(s: DriverState, condition: str = "") -> str:
+    """Return what prevents a force on the hand, or how large the force is, from a driver's own state.
+
+    `condition` is what the device itself says.
+    """
+    if s.ticks == 0:
+        return "the driver has not ticked yet"
+    if condition:
+        return condition
+    state, name = STATES[SAFETY[s.safety]], SAFETY[s.safety]
+    place = ", ".join(f"{x:.4g}" for x in s.place)
+    if s.safety == FAULT:
+        ends = "; ".join(f"{s.workspace[2 * i]:.3g} to {s.workspace[2 * i + 1]:.3g}" for i in range(3))
+        return f"{state.text}: position ({place}) m, workspace ({ends}) m; {state.remedy}"
+    if name not in ("active", "ramp"):
+        return f"{state.text}: {state.remedy}"
+    force = ", ".join(f"{x:.3g}" for x in s.force)
+    if not any(s.force):
+        left = ["xyz"[i] for i in range(3) if i not in list(s.axis[: s.axes])]
+        beside = f"; along {' and '.join(left)} the scene computes nothing" if left else ""
+        return (
+            f"the law asks for none: nothing is touched at ({place}) m{beside}. A surface out of the device's reach "
+            "needs a mapping, or the device a re-centre"
+        )
+    if name == "ramp":
+        return f"({force}) N: {state.text}"
+    lowered = sum(s.limited_by)
+    return f"({force}) N are handed to the device" + (f"; its limits held {lowered} of them back" if lowered else "")
+
+
+def size(vector: Vector) -> float:
+    """Return the length of a vector."""
+    return math.sqrt(sum(part * part for part in vector))
+
+
+def explain(
+    state: DeviceState | None,
+    proxy: Proxy | None,
+    force: Force | None,
+    silent: float,
+    why: str = "",
+    ringing: str = "",
+    device: str = "",
+) -> tuple[str, str]:
+    """Return why there is a force or none, from the messages of a run: a level, and one sentence.
+
+    Parameters
+    ----------
+    state, proxy, force : DeviceState, Proxy, Force or None
+        Newest messages; None before the first one.
+    silent : float
+        Time since the driver's last state [s].
+    why : str
+        Cause of the last change of state (`cause_of`).
+    ringing : str
+        How the loop rings; empty when it does not.
+    device : str
+        What keeps the device from giving forces; empty when nothing is known to.
+
+    Returns
+    -------
+    level : str
+        ``ok``, ``rest``, ``warn`` or ``stop``.
+    text : str
+        The sentence.
+    """
+    if state is None:
+        return "rest", "No force: the driver has not ticked yet."
+    if silent > SILENT_AFTER:
+        return "stop", f"No force: nothing has come from the driver for {silent:.1f} s."
+    because = f" ({why})" if why else ""
+    given = size(state.force)
+    words = STATES[state.safety].text if state.safety in STATES else ""
+    if state.safety == "stopped":
+        return "stop", f"Too hard: {words}{f': {why}' if why else ''}."
+    if words and state.safety not in ("active", "ramp"):
+        if state.safety != "damping" and given <= NO_FORCE:
+            return "stop", f"No force: {words}{because}."
+        return "warn", f"{given:.2f} N: {words}{because}."
+    if device:
+        # It takes the driver's forces, and does not give them.
+        return "stop", f"No force, or another one: {device}."
+    law = force.law if force is not None else ""
+    if law == "fallback":
+        return "warn", f"{given:.2f} N: the law failed, so the fallback renders; choose a law to go on."
+    if state.safety == "ramp":
+        return "warn", f"{given:.2f} N: {words}."
+    if proxy is None:
+        # A recording of the states alone never holds an answer.
+        begin = f"{given:.2f} N" if given > NO_FORCE else "No force"
+        return "warn", f"{begin}: the environment has not answered yet."
+    if ringing:
+        return "warn", f"{ringing}: this wall is harder than the loop can render."
+    return _in_contact(state, proxy, force, given)
+
+
+def _in_contact(state: DeviceState, proxy: Proxy, force: Force | None, given: float) -> tuple[str, str]:
+    """Return level and sentence of a loop in which nothing is wrong."""
+    if not proxy.contact:
+        if any(proxy.normal):
+            return "rest", f"No force: nothing is touched; the surface is {abs(proxy.distance) * 1e3:.1f} mm away."
+        return "rest", "No force: there is nothing to touch."
+    law = force.law if force is not None and force.law else "the law"
+    asked = size(force.force) if force is not None else 0.0
+    # Another tick's force says nothing about limits.
+    same = force is not None and force.seq == state.force_seq
+    if same and asked > given + 0.02 * asked + NO_FORCE and state.age == 0 and asked > 0.05:
+        return ("warn", f"{given:.2f} N of the {asked:.2f} N that the law asks for: the driver's limits hold the rest back.")
+    if given <= NO_FORCE:
+        return "rest", f"No force: {law} renders none at this deflection."
+    depth = f", {abs(proxy.distance) * 1e3:.2f} mm deep" if any(proxy.normal) else ""
+    return "ok", f"{given:.2f} N: {law} pushes back{depth}."
