@@ -17,7 +17,7 @@ from nodes.base import realtime
 from nodes.base.node_kinds import NODES, load, node_kinds
 from nodes.base.setup import Scheduling
 from nodes.cli.main import VERBS, add_json, answer
-from nodes.compiled.build import find, reason
+from nodes.compiled.build import expected_seconds, find, reason
 from nodes.compiled.cache import CacheRefusedError, folder
 from nodes.launcher.runs import MAX_IPC_PATH, RunError, runtime_dir
 from nodes.launcher.wiring import FIFO
@@ -243,10 +243,11 @@ def _compiled_tick() -> Diagnosis:
         )
     if not missing:
         return Diagnosis("ok", f"built for this version and processor, auto takes it: {folder()}")
+    seconds, _ = expected_seconds(missing)
     return Diagnosis(
         "limited",
         f"not built for this version: {', '.join(missing)}; auto takes the plain tick",
-        "haptic launch floor_drop --tick compiled: compiles it once, in about ten seconds; auto takes it from then on",
+        f"haptic launch floor_drop --tick compiled: compiles it once, about {seconds:.0f} s here; auto takes it from then on",
     )
 
 

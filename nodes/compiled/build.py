@@ -1,8 +1,10 @@
-"""Compiling the ticks, once, into the cache of compiled code: a node that ticks needs neither numba nor its memory.
+"""Compiling the ticks, once, into the cache of compiled code: a node that ticks needs no numba.
 
-numba makes a kernel from the functions that the plain tick calls, and LLVM writes it as an object file. Where the machine has
-a linker it becomes a shared library, which costs a node nothing; otherwise llvmlite loads the object file. In a process of its
-own, which compiles one kernel after the other, with ``--idle`` only what is missing and when nothing else has to be done::
+numba makes a kernel from the functions that the plain tick calls, and LLVM writes it as an object
+file (machine_code.py). Where the machine has a linker it becomes a shared library, which costs a
+node nothing; otherwise llvmlite loads the object file. Each kernel is compiled in a process of its
+own, as many side by side as there are processors; with ``--idle`` only what is missing, and when
+nothing else has to be done::
 
     python -m nodes.compiled.build [--idle] MODULE...
 """
@@ -10,24 +12,22 @@ own, which compiles one kernel after the other, with ``--idle`` only what is mis
 from __future__ import annotations
 
 import contextlib
-import gc
-import importlib
 import os
-import shutil
 import subprocess
 import sys
-import tempfile
+import time
 import traceback
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any, Final
+from concurrent.futures import ThreadPoolExecutor
+from typing import Final
 
 from nodes.compiled import cache
+from nodes.compiled.machine_code import ENTRY as ENTRY
+from nodes.compiled.machine_code import linked, object_file
 from nodes.compiled.message_fields import NotCompilableError
 
-ENTRY: Final = "haptic_tick"  # name of a kernel in its file
-TIMEOUT: Final = 300.0  # how long compiling may take [s]; about ten seconds are usual
-_LINKERS: Final = ("cc", "gcc", "clang")
+TIMEOUT: Final = 300.0  # how long compiling one kernel may take [s]
+USUAL: Final = 10.0  # processor time of a kernel that was never compiled here [s]
 _FAILED: Final = "Failed in nopython mode pipeline"
 
 
@@ -41,117 +41,65 @@ def reason(entry: cache.CacheEntry | None) -> str:
     return entry.content.decode() if entry is not None and entry.kind == "failed" else ""
 
 
+def expected_seconds(modules: Sequence[str]) -> tuple[float, bool]:
+    """Return how long compiling takes here [s], and whether each kernel was compiled here before.
+
+    The processor time that each took last time, side by side on the processors of this machine; `USUAL` for one
+    that was never compiled.
+    """
+    took = []
+    for module in modules:
+        entry = cache.read(f"{module}.seconds")
+        with contextlib.suppress(ValueError):
+            if entry is not None:
+                took.append(float(entry.content))
+    is_measured = len(took) == len(modules)
+    took += [USUAL] * (len(modules) - len(took))
+    return max(max(took, default=0.0), sum(took) / _processors()), is_measured
+
+
 def build_in_background(modules: Sequence[str]) -> None:
-    """Compile kernels when nobody else wants the processor, in a process that outlives this one."""
+    """Compile kernels when nobody else wants the processor, in processes that outlive this one."""
     nothing = [(os.POSIX_SPAWN_OPEN, stream, os.devnull, os.O_RDWR, 0) for stream in range(3)]
     command = [sys.executable, "-m", "nodes.compiled.build", "--idle", *modules]
     os.posix_spawn(sys.executable, command, os.environ, file_actions=nothing, setsid=True)
 
 
 def build(modules: Sequence[str]) -> None:
-    """Compile kernels, each in a process of its own."""
-    processes = [
-        subprocess.Popen(
-            [sys.executable, "-m", "nodes.compiled.build", module],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for module in modules
-    ]
-    failed = ""
-    for module, process in zip(modules, processes, strict=True):
-        try:
-            _, errors = process.communicate(timeout=TIMEOUT)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
-            errors = f"not compiled within {TIMEOUT:g} s"
-        if process.returncode:
-            lines = errors.strip().splitlines() or [f"the compiler ended with exit code {process.returncode}"]
-            failed = failed or f"{module}: {lines[-1]}"
+    """Compile kernels, each in a process of its own, as many at once as there are processors."""
+    with ThreadPoolExecutor(max_workers=_processors()) as pool:
+        failed = [failure for failure in pool.map(_build_one, modules) if failure]
     if failed:
-        raise NotCompilableError(failed)
+        raise NotCompilableError(failed[0])
+
+
+def _processors() -> int:
+    """Count the processors that a compiling process takes: those of the machine that are not refused."""
+    return os.cpu_count() or 1
+
+
+def _build_one(module: str) -> str:
+    """Compile a kernel in a process of its own; why it failed, or nothing."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "nodes.compiled.build", module],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        _, errors = process.communicate(timeout=TIMEOUT)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.communicate()
+        return f"{module}: not compiled within {TIMEOUT:g} s"
+    if not process.returncode:
+        return ""
+    lines = errors.strip().splitlines() or [f"the compiler ended with exit code {process.returncode}"]
+    return f"{module}: {lines[-1]}"
 
 
 # -- in the process that compiles ------------------------------------------------------------------------------------
-
-
-def _by_c(name: str, made: str, signature: str) -> str:
-    """Write a function with C's way of calling around one of numba's, which takes where its result and an error go first."""
-    kinds = ["double" if kind == "float64" else "i64" for kind in signature[:-1].split("(")[1].split(",")]
-    given = ", ".join(f"{kind} %a{n}" for n, kind in enumerate(kinds))
-    return f"""
-        declare i32 @"{made}"(ptr, ptr, {", ".join(kinds)})
-        define i32 @{name}({given}) {{
-            %result = alloca i64
-            %error = alloca ptr
-            %failed = call i32 @"{made}"(ptr %result, ptr %error, {given})
-            %told = load i64, ptr %result
-            %status = trunc i64 %told to i32
-            %good = icmp eq i32 %failed, 0
-            %out = select i1 %good, i32 %status, i32 -1
-            ret i32 %out
-        }}
-    """
-
-
-def _object_file(module: str) -> bytes:
-    """Compile a kernel: machine code that refers to nothing but libm."""
-    import llvmlite.binding as llvm
-    import numba
-
-    loaded: Any = importlib.import_module(module)
-    # What the compiler makes lives until this process ends: looking for garbage in it takes a twelfth of the time.
-    gc.disable()
-    # Of numba's options a type checker knows only the common ones.
-    compile_: Any = numba.njit
-    called = getattr(loaded, "ENTRIES", None)
-    entries = {ENTRY: (loaded.ticks, "int64(int64)")} if called is None else called
-    unit, names = None, {}
-    for name, (function, signature) in entries.items():
-        compiled = compile_([signature], no_cpython_wrapper=True, no_cfunc_wrapper=True)(function.py_func)
-        (result,) = compiled.overloads.values()
-        part = llvm.parse_assembly(result.library.get_llvm_str())
-        names[name] = result.fndesc.llvm_func_name
-        if unit is None:
-            unit = part
-        else:
-            unit.link_in(part)
-    assert unit is not None  # noqa: S101  # a kernel has entries
-    if called is not None:
-        unit.link_in(llvm.parse_assembly("\n".join(_by_c(name, names[name], entries[name][1]) for name in entries)))
-    for function in unit.functions:
-        if not function.is_declaration and function.name not in (*entries, *names.values()):
-            function.linkage = "internal"
-    for name, made_name in names.items():
-        if called is None:
-            unit.get_function(made_name).name = name
-        else:
-            unit.get_function(made_name).linkage = "internal"
-    target = llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine(
-        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=3, reloc="pic", codemodel="default"
-    )
-    # Helpers of numba's that the kernel does not use would refer to numba's library.
-    llvm.initialize_native_asmprinter()
-    options = llvm.create_pipeline_tuning_options(speed_level=3)
-    llvm.create_pass_builder(target, options).getModulePassManager().run(unit, llvm.create_pass_builder(target, options))
-    made: bytes = target.emit_object(unit)
-    return made
-
-
-def _linked(made: bytes) -> cache.CacheEntry:
-    """Make a shared library of an object file, where there is a linker."""
-    linker = next(filter(None, map(shutil.which, _LINKERS)), None)
-    if linker is not None:
-        with tempfile.TemporaryDirectory(prefix="haptic-tick-") as folder:
-            draft, linked = Path(folder) / "tick.o", Path(folder) / "tick.so"
-            draft.write_bytes(made)
-            done = subprocess.run([linker, "-shared", "-o", linked, draft, "-lm"], capture_output=True, check=False)
-            if done.returncode == 0:
-                return cache.CacheEntry(kind="so", content=linked.read_bytes())
-    return cache.CacheEntry(kind="o", content=made)
 
 
 def _cause(error: Exception) -> str:
@@ -169,27 +117,48 @@ def _cause(error: Exception) -> str:
 
 def _compile(module: str, keep_failure: bool) -> None:
     # Before compiling: what is changed meanwhile was not compiled.
-    sources = {**cache.sources_of(module), **cache.sources_of("nodes.compiled.build")}
+    sources = {**cache.sources_of(module), **cache.sources_of("nodes.compiled.machine_code")}
+    begin = time.process_time()
     try:
-        entry = _linked(_object_file(module))
+        kind, content = linked(object_file(module))
+        entry = cache.CacheEntry(kind=kind, content=content)
     except Exception as error:
         if not keep_failure:
             raise NotCompilableError(_cause(error)) from error
         # It would fail at each launch.
         entry = cache.CacheEntry(kind="failed", content=f"{module}: {_cause(error)}".encode())
     cache.write(f"{module}.tick", entry, sources)
+    if entry.kind != "failed":
+        took = f"{time.process_time() - begin:.1f}".encode()
+        cache.write(f"{module}.seconds", cache.CacheEntry(kind="seconds", content=took), {})
 
 
 def _idle(modules: Sequence[str]) -> None:
-    """Compile what is missing, when nothing else wants a processor that this process may use."""
+    """Compile what is missing, side by side, when nothing else wants a processor that this process may use."""
     os.nice(19)
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     os.chdir("/")
-    if cache.alone() is not None:
-        for module in modules:
-            if find(module) is None:
+    if cache.alone() is None:
+        return
+    running = 0
+    for module in modules:
+        if find(module) is not None:
+            continue
+        if running == len(os.sched_getaffinity(0)):
+            os.wait()
+            running -= 1
+        # Forked: it inherits how modest this process is, and the lock of the one that compiles.
+        if os.fork() == 0:
+            failed = 1
+            try:
                 _compile(module, keep_failure=True)
+                failed = 0
+            finally:
+                os._exit(failed)
+        running += 1
+    for _ in range(running):
+        os.wait()
 
 
 def _main(words: Sequence[str]) -> None:

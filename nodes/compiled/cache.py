@@ -34,7 +34,8 @@ from nodes.parameters.installed import version
 
 ROOT: Final = Path(__file__).parents[2]  # where the packages are installed: sources are named from here
 LARGEST: Final = 256 * 2**20  # longest entry that is read [bytes]; a kernel has some hundred thousand
-PATIENCE: Final = 30.0  # how long another process that makes an entry is waited for, before it is made twice [s]
+# How long another process that makes an entry is waited for, before it is made twice [s]: one that ends lets go of it.
+PATIENCE: Final = 120.0
 _DIGEST: Final = 64
 _BARE: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _SEALS: Final = fcntl.F_SEAL_SEAL | fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_WRITE

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Collection
 from typing import Final, Literal, TypeAlias
 
-from nodes.compiled.build import build, build_in_background, find, reason
+from nodes.compiled.build import build, build_in_background, expected_seconds, find, reason
 from nodes.compiled.cache import CacheRefusedError
 from nodes.compiled.message_fields import NotCompilableError
 
@@ -41,7 +41,10 @@ def choose(
             say("the plain tick runs, for the compiled one is not there yet; --tick compiled has it compiled, once")
         return "plain" if failed or missing else "compiled"
     if missing:
-        say(f"compiling the tick, once for this version: about ten seconds ({len(missing)} to do)")
+        seconds, is_measured = expected_seconds(missing)
+        source = "as it took here last time" if is_measured else "an estimate: it is the first time here"
+        kernels = f"{len(missing)} kernel{'s' if len(missing) > 1 else ''}"
+        say(f"compiling {kernels}, once for this version: about {seconds:.0f} s ({source})")
         try:
             build(missing)
         except NotCompilableError as error:

@@ -1,0 +1,150 @@
+"""Machine code of a kernel: numba writes each function once, LLVM optimises all of them together once.
+
+For a function that Python calls, numba optimises and emits its own machine code, and again within each function that calls
+it. Nothing calls the parts of a kernel, so they stay text until the kernel is whole. What numba does of itself, a lowered
+module per function, is unchanged, and LLVM gets the same instructions: without fastmath it may not change their results.
+"""
+
+from __future__ import annotations
+
+import gc
+import importlib
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any, Final
+
+ENTRY: Final = "haptic_tick"  # name of a kernel in its file
+_LINKERS: Final = ("cc", "gcc", "clang")
+
+# A kernel's memory belongs to Python, which holds it: numba's counts of references to it have nothing to count.
+_NO_COUNTS: Final = """
+    define linkonce_odr void @NRT_incref(ptr %memory) alwaysinline { ret void }
+    define linkonce_odr void @NRT_decref(ptr %memory) alwaysinline { ret void }
+"""
+
+
+def object_file(module: str) -> bytes:
+    """Compile a kernel: machine code that refers to nothing but libm.
+
+    Raises
+    ------
+    Exception
+        What numba raises for a function that it cannot compile.
+    RuntimeError
+        For a kernel that allocates memory.
+    """
+    import llvmlite.binding as llvm
+
+    loaded: Any = importlib.import_module(module)
+    # What the compiler makes lives until this process ends: looking for garbage in it takes a twelfth of the time.
+    gc.disable()
+    called = getattr(loaded, "ENTRIES", None)
+    entries = {ENTRY: (loaded.ticks, "int64(int64)")} if called is None else called
+    names, unit = _whole(entries)
+    if called is not None:
+        signatures = {name: signature for name, (_, signature) in entries.items()}
+        unit.link_in(llvm.parse_assembly("\n".join(_by_c(n, names[n], signatures[n]) for n in entries)))
+    for function in unit.functions:
+        if not function.is_declaration and function.name not in (*entries, *names.values()):
+            function.linkage = "internal"
+    for name, made_name in names.items():
+        if called is None:
+            unit.get_function(made_name).name = name
+        else:
+            unit.get_function(made_name).linkage = "internal"
+    target = llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine(
+        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=3, reloc="pic", codemodel="default"
+    )
+    llvm.initialize_native_asmprinter()
+    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    builder = llvm.create_pass_builder(target, options)
+    builder.getModulePassManager().run(unit, builder)
+    wanted = [f.name for f in unit.functions if f.is_declaration and f.name.startswith("NRT_")]
+    if wanted:
+        raise RuntimeError(f"{module}: a kernel allocates no memory, and this one calls {wanted[0]}")
+    made: bytes = target.emit_object(unit)
+    return made
+
+
+def _whole(entries: dict[str, Any]) -> tuple[dict[str, str], Any]:
+    """Compile functions and all that they call; their names in LLVM, and one module that is not optimised yet."""
+    import llvmlite.binding as llvm
+    import numba
+    from numba.core.cgutils import normalize_ir_text
+    from numba.core.codegen import JITCodeLibrary
+    from numba.core.registry import cpu_target
+
+    class Parts(JITCodeLibrary):  # type: ignore[misc]  # numba has no types
+        """What numba writes of one function, as text: neither optimised nor emitted."""
+
+        def add_ir_module(self, ir_module: Any) -> None:
+            self._written = [*getattr(self, "_written", ()), ir_module]
+
+        def add_linking_library(self, library: Any) -> None:
+            self._linking_libraries.append(library)
+
+        def finalize(self) -> None:
+            self._finalized = True
+
+    context = cpu_target.target_context
+    context.refresh()
+    codegen = context.codegen()
+    codegen._library_class = Parts
+    # Python calls none of them. numba knows a function by what it would call, so each needs a builtin of its own.
+    context.get_executable = lambda *_: [].append
+    # Of numba's options a type checker knows only the common ones.
+    compile_: Any = numba.njit
+    names, waiting = {}, []
+    for name, (function, signature) in entries.items():
+        compiled = compile_([signature], no_cpython_wrapper=True, no_cfunc_wrapper=True)(function.py_func)
+        (result,) = compiled.overloads.values()
+        names[name] = result.fndesc.llvm_func_name
+        waiting.append(result.library)
+    unit = llvm.parse_assembly(_NO_COUNTS)
+    unit.triple, unit.data_layout = llvm.get_process_triple(), str(codegen.target_data)
+    seen: set[Any] = set()
+    while waiting:
+        library = waiting.pop()
+        if library in seen:
+            continue
+        seen.add(library)
+        waiting += library._linking_libraries
+        # Numba's own library, which was there before, has only what counts references.
+        for written in getattr(library, "_written", ()):
+            unit.link_in(llvm.parse_assembly(normalize_ir_text(str(written))))
+    return names, unit
+
+
+def _by_c(name: str, made: str, signature: str) -> str:
+    """Write a function with C's way of calling around one of numba's, which takes result and error first."""
+    kinds = ["double" if kind == "float64" else "i64" for kind in signature[:-1].split("(")[1].split(",")]
+    given = ", ".join(f"{kind} %a{n}" for n, kind in enumerate(kinds))
+    return f"""
+        declare i32 @"{made}"(ptr, ptr, {", ".join(kinds)})
+        define i32 @{name}({given}) {{
+            %result = alloca i64
+            %error = alloca ptr
+            %failed = call i32 @"{made}"(ptr %result, ptr %error, {given})
+            %told = load i64, ptr %result
+            %status = trunc i64 %told to i32
+            %good = icmp eq i32 %failed, 0
+            %out = select i1 %good, i32 %status, i32 -1
+            ret i32 %out
+        }}
+    """
+
+
+def linked(made: bytes) -> tuple[str, bytes]:
+    """Make a shared library of an object file, where there is a linker; which of the two it is, and its bytes."""
+    linker = next(filter(None, map(shutil.which, _LINKERS)), None)
+    if linker is not None:
+        with tempfile.TemporaryDirectory(prefix="haptic-tick-") as folder:
+            draft, library = Path(folder) / "tick.o", Path(folder) / "tick.so"
+            draft.write_bytes(made)
+            command = [linker, "-shared", "-o", library, draft, "-lm"]
+            done = subprocess.run(command, capture_output=True, check=False)
+            if done.returncode == 0:
+                return "so", library.read_bytes()
+    return "o", made
