@@ -38,7 +38,7 @@ def choose(
         if failed:
             say(f"the plain tick runs, for the compiled one cannot be had: {failed}")
         elif scarce and missing:
-            say("the plain tick runs, for the compiled one is not there yet; --tick compiled has it compiled, once")
+            say("using the plain tick; the compiled one is not built yet (--tick compiled builds it once)")
         return "plain" if failed or missing else "compiled"
     if missing:
         say(f"compiling the tick, once for this version: about ten seconds ({len(missing)} to do)")
