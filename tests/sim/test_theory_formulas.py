@@ -51,7 +51,9 @@ def test_k_max_of_pd_on_a_mass_without_damping(beta: float) -> None:
 @pytest.mark.parametrize(("law", "delay"), [("pd", 0.0), ("pd", 1.0), ("pd_alpha", 1.0)])
 def test_the_boundary_curve_ends_where_the_pole_radius_does(law: str, delay: float) -> None:
     """The boundary curve (3.4) with the held device of (3.2) crosses the real axis at the K_max of the pole radius."""
-    form = {"kind": law, "stiffness": 1.0, "damping": 3.0} | ({"order": 0.5, "taps": 4} if law == "pd_alpha" else {})
+    form = {"kind": law, "stiffness": 1.0, "damping": 3.0} | (
+        {"order": 0.5, "taps": 4, "gains": "paper"} if law == "pd_alpha" else {}
+    )
     mu = T * 1.0 / 0.1
     free, plant = without_spring(parse_law(form), T), Plant(T, 0.1, 1.0, delay)
     edge = k_max(free, plant).k_max_n_per_m
