@@ -80,7 +80,9 @@ def _add_record(own: argparse.ArgumentParser) -> None:
     )
     own.add_argument("--force", action="store_true", help="replace a file that is there already")
     add_run_name(own)
-    own.add_argument("--duration", type=above_zero, default=0.0, metavar="S", help="stop so long after the first message")
+    own.add_argument(
+        "--duration", type=above_zero, default=0.0, metavar="S", help="record for S seconds from the first message"
+    )
 
 
 def _add_play(own: argparse.ArgumentParser) -> None:

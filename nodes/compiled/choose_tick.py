@@ -30,15 +30,15 @@ def choose(
     try:
         found = {module: find(module) for module in modules}
     except CacheRefusedError as error:
-        say(f"the plain tick runs, for compiled code is not taken from there: {error}")
+        say(f"using the plain tick; compiled code is not taken from there: {error}")
         return "plain"
     failed = next(filter(None, map(reason, found.values())), "")
     missing = [module for module, entry in found.items() if entry is None or (reason(entry) and wanted == "compiled")]
     if wanted == "auto":
         if failed:
-            say(f"the plain tick runs, for the compiled one cannot be had: {failed}")
+            say(f"using the plain tick; the compiled one is not available: {failed}")
         elif scarce and missing:
-            say("the plain tick runs, for the compiled one is not there yet; --tick compiled has it compiled, once")
+            say("using the plain tick; the compiled one is not built yet (--tick compiled builds it once)")
         return "plain" if failed or missing else "compiled"
     if missing:
         seconds, is_measured = expected_seconds(missing)
@@ -48,7 +48,7 @@ def choose(
         try:
             build(missing)
         except NotCompilableError as error:
-            say(f"the plain tick runs, for the compiled one cannot be had: {error}")
+            say(f"using the plain tick; the compiled one is not available: {error}")
             return "plain"
     return "compiled"
 

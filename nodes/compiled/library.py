@@ -82,7 +82,7 @@ def obtain_calls(module: str, names: Sequence[str]) -> list[int]:
         raise NotCompilableError(failed)
     if entry is None:
         raise NotCompilableError(
-            f"{module} is not compiled on this machine; `haptic launch floor_drop --tick compiled` has it compiled, once"
+            f"{module} is not compiled on this machine; `haptic launch floor_drop --tick compiled` builds it once"
         )
     try:
         return _addresses(entry, names)

@@ -139,7 +139,7 @@ class Judgement:
         if warnings and refuses_start(policy, because):
             raise ParameterError(f"{warnings[0]}, or set {self._node}.stability to warn")
         why = because if policy in ("changes", "refuse") else f"{self._node}.stability is {policy}"
-        return [f"{warning}; started all the same: {why}" for warning in warnings]
+        return [f"{warning}; started anyway: {why}" for warning in warnings]
 
     def _of_fallback(self, parameters: CouplingParameters, delay: float) -> list[str]:
         if not parameters.fallback.damping:

@@ -1,4 +1,4 @@
-"""Do faults to a real launch, one after the other, and tell what came of each."""
+"""Inject faults into a real launch, one at a time, and report the outcome."""
 
 import argparse
 import signal

@@ -47,7 +47,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rearm",
         action="store_true",
-        help="you stand beside the device: after a trial that the driver stopped, it takes forces again (a virtual one always)",
+        help="re-enable forces after a trial that stopped the driver; use only while standing at the device (virtual: always)",
     )
     add_push(parser)
     add_run(parser)

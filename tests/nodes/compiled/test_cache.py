@@ -302,7 +302,7 @@ def test_where_nothing_can_be_kept_one_line_says_so(place: Path, trouble: str, m
     finally:
         if trouble == "a full disk":
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert len([line for line in told if "the plain tick runs" in line]) == 1
+    assert len([line for line in told if "using the plain tick" in line]) == 1
     assert "\n" not in "".join(told)
     if trouble == "a full disk":
         # Nothing half-written is left.
@@ -330,7 +330,7 @@ def test_in_a_folder_that_cannot_be_written_to_one_line_says_so(tmp_path: Path) 
     )
     said = done.stdout.splitlines()
     assert said[-1] == "plain"
-    assert len([line for line in said if "the plain tick runs" in line]) == 1
+    assert len([line for line in said if "using the plain tick" in line]) == 1
     assert "Permission denied" in said[-2]
     assert done.stderr == ""
     assert not list(base.iterdir())

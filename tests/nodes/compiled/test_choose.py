@@ -50,7 +50,7 @@ def test_a_compilation_that_failed_is_said_at_every_rate_and_by_the_doctor(empty
     cache.write(f"{KERNEL}.tick", failed, {})
     told: list[str] = []
     assert choose("auto", [KERNEL], told.append, scarce=False) == "plain"
-    assert told == [f"the plain tick runs, for the compiled one cannot be had: {KERNEL}: no such type"]
+    assert told == [f"using the plain tick; the compiled one is not available: {KERNEL}: no such type"]
     found = CHECKS["compiled tick"]()
     assert found.state == "limited"
     assert f"cannot be compiled here: {KERNEL}: no such type; auto takes the plain tick" in found.found
@@ -169,7 +169,7 @@ def test_what_fails_in_the_background_is_not_tried_at_each_launch(empty_cache: P
     compile_later([TINY], told.append)
     assert len(told) == 1
     assert choose("auto", [TINY], told.append) == "plain"
-    assert "cannot be had: tests.support.tiny_kernel" in told[1]
+    assert "not available: tests.support.tiny_kernel" in told[1]
     with pytest.raises(NotCompilableError, match="tiny_kernel: "):
         obtain(TINY)
     # Who asks for it has it tried again.
