@@ -204,6 +204,18 @@ class Node:
         return {}
 
     @classmethod
+    def largest_force(cls, parameters: Mapping[str, Any], name: str, period: float) -> float | None:
+        """Return the largest force that the node `name` with these `parameters` hands over, at a `period` [s].
+
+        Returns
+        -------
+        float or None
+            Largest magnitude along an axis [N]; None where the parameters set no limit.
+        """
+        del parameters, name, period
+        return None
+
+    @classmethod
     def unjudged(cls, setup: Setup) -> str:
         """Return why nobody judges the stability of what the node of this `setup` renders.
 

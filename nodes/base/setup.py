@@ -82,6 +82,8 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
         The node's own parameters, not yet validated.
     plant : dict of str to float
         What the other nodes of the chain know of the device (`nodes.base.node.Node.plant`).
+    peak_force : float or None
+        Largest force of the chain's driver along an axis, as far as its parameters say [N]; None where they do not.
     watch : str
         YAML file whose changes are applied while running; empty for none.
     manifest : dict of str to str
@@ -107,6 +109,7 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     remap: dict[str, str] = {}
     tick: Tick = "plain"
     virtual: bool = False
+    peak_force: float | None = None
     listen: str = ""
     reach: str = ""
     listen_reach: str = ""

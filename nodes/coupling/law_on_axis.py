@@ -37,6 +37,7 @@ class History:
         self._state, self._n = state, n
         self.length = self.known = length  # how many of the newest values can be relied on: all, but for a snapshot
         self.values = array("d", [0.0]) * (2 * length)  # the ring [m], shape (2 * length,)
+        self.filled_at, self.level = 0, 0.0  # pushes after it was last filled, and with what [m]
         state.history[n] = self.values.buffer_info()[0]
 
     head = _in_state("head")  # index of the newest value
@@ -51,6 +52,7 @@ class History:
         """Replace all values by one: the deflection has always been the same."""
         self.values[:] = array("d", [value]) * len(self.values)
         self.pushes += self.length  # for a snapshot under way, and for laws that have seen what is gone now
+        self.filled_at, self.level = self.pushes, value
 
     def snapshot(self) -> History:
         """Copy the history from another thread than the one that pushes, once: a long one takes longer than a tick."""
@@ -134,6 +136,10 @@ class LawOnAxis:
     def catch_up(self) -> None:
         """Let the sections see what was pushed since they last did (loop's thread)."""
         history = self._history
+        if self._pushes < history.filled_at:
+            # What it has seen is gone: it rests, as the laws do that rendered then.
+            settle(self.coefficients, self.state, history.level)
+            self._pushes = history.filled_at
         if self.state:
             unseen = min(history.pushes - self._pushes, history.length - 1)
             for age in range(unseen - 1, -1, -1):

@@ -97,6 +97,7 @@ class Coupling(Node):
         self._book.check(parameters)
         axes = [AXIS_INDEX[axis] for axis in self.setup.axes]
         self._renderer = Renderer(axes, parameters.memory, self.counters)
+        self.counters.ease_peak = self.setup.peak_force or 0.0
         for reason in self._book.unfit(parameters):
             self.events.emit_each("law", f"{reason}; it cannot be switched to")
         because = ASKED_FOR if self.resumed_at >= 0 else VIRTUAL if self.setup.virtual else ""

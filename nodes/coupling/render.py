@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, MutableSequence, Sequence
 from typing import Any, Final, NamedTuple
 
-from nodes.arithmetic import cross_fade, deflection, eased, fir, one_sided, push, sections
+from nodes.arithmetic import cross_fade, deflection, eased, fir, limit, one_sided, push, sections
 from nodes.compiled.rules import rule
 from nodes.coupling.state import SLOTS, CouplingState
 
@@ -181,9 +181,13 @@ def make_render(
         if s.ease_ramp > 0:
             for n in range(s.axes):
                 i = s.axis[n]
+                # Of what the driver does not hand over nothing is felt: eased in full, 500 N would be at its limit at once.
+                peak = s.ease_peak if s.ease_peak > 0.0 else math.inf
+                asked = limit(force[i], 0.0, peak, math.inf)
                 if s.ease_done == 0:
-                    s.ease_from[i], s.ease_offset[i] = s.felt[i], s.felt[i] - force[i]
-                force[i] = eased(force[i], s.ease_from[i], s.ease_offset[i], s.ease_done, s.ease_ramp)
+                    s.ease_from[i] = limit(s.felt[i], 0.0, peak, math.inf)
+                    s.ease_offset[i] = s.ease_from[i] - asked
+                force[i] = eased(asked, s.ease_from[i], s.ease_offset[i], s.ease_done, s.ease_ramp)
             s.ease_done += 1
             if s.ease_done >= s.ease_ramp:
                 s.ease_ramp = 0

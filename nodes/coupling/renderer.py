@@ -142,6 +142,8 @@ class Renderer:
         """
         s = self.state
         missing = proxy.seq - last - 1
+        if not 0 <= last < proxy.seq:
+            last = -1  # the first tick, or the first of a driver that counts anew
         if last < 0 or proxy.rebased != s.rebased or s.jumps:
             conventions = last >= 0 and s.jumps != 0
             s.rebased, s.jumps = proxy.rebased, 0
@@ -169,7 +171,7 @@ class Renderer:
 
     @property
     def force_step(self) -> float:
-        """Difference between the forces felt and asked for at the last jump [N]."""
+        """Difference between the forces felt and asked for at the last jump, within the driver's limit [N]."""
         return math.hypot(*self.state.ease_offset)
 
     def bridge(self, proxy: Proxy, missing: int) -> None:

@@ -68,3 +68,4 @@ class CouplingState(LoopState):
     felt: Vector3  # force of the last tick [N]
     ease_from: Vector3  # force at the jump [N]
     ease_offset: Vector3  # how much that was more than was asked [N]
+    ease_peak: float  # largest force of the driver along an axis [N], beyond which nothing is felt; 0 for unknown

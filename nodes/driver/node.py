@@ -25,10 +25,10 @@ from nodes.base.status_report import Counted
 from nodes.compiled.layout import NEVER, state_of
 from nodes.driver.calls import numbers_of
 from nodes.driver.condition import Condition
-from nodes.driver.device import Device
+from nodes.driver.device import Device, DeviceLimits
 from nodes.driver.external import give
 from nodes.driver.force_words import why_no_force
-from nodes.driver.limits import STOP_TIME, lower, undeclared
+from nodes.driver.limits import STOP_TIME, SafetyParameters, lower, undeclared
 from nodes.driver.motion import set_motion
 from nodes.driver.parameters import DriverParameters, check
 from nodes.driver.passivity import set_guard
@@ -241,6 +241,12 @@ class Driver(Node):
         self._plain.publish(s, s.seq, stamp)
         self._plain.aside(s)
         s.phase = BETWEEN
+
+    @classmethod
+    def largest_force(cls, parameters: Mapping[str, Any], name: str, period: float) -> float | None:
+        """Return the largest force that the launch file allows [N]; the device itself may bear less."""
+        safety = convert(parameters.get("safety", {}), SafetyParameters, f"{name}.safety")
+        return lower(safety, DeviceLimits(), period, f"{name}.safety").peak
 
     def compiled_ticks(self, kernel: Kernel) -> DriverTicks:
         """Make the compiled ticks."""

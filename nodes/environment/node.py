@@ -167,7 +167,8 @@ class Environment(Node):
         s = self.counters
         if s.answered >= 0:
             self._place.begin()
-        if not 0 <= s.answered < state.seq:
+        if not 0 <= s.answered < state.seq or state.rebased <= s.rebased:
+            # Also where the driver counts anew: a jump of its own from before must not hide this one.
             s.rebased, s.ease = state.seq, 0
         s.driver_rebased = state.rebased
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, MutableSequence
 
 from messages.types import Vector
 from nodes.environment.meet import meeting_of
-from nodes.environment.shapes.scene import carry_over, differ_in_friction_alone
+from nodes.environment.shapes.scene import carry_over, identity_of
 from nodes.environment.shapes.tables import INSIDE, NEVER, PLACED
 from nodes.environment.state import JUMPED, MET, SHAPES, UNKNOWN
 from nodes.environment.surfaces import Meeting, Surface, numbers_of
@@ -20,6 +20,8 @@ class TouchedSurface:
     def __init__(self, surface: Surface, period: float, met: MutableSequence[float] | None = None) -> None:
         self.numbers = numbers_of(surface, period)
         self._met = [0.0] * MET if met is None else met
+        # Made with the surface, not when it is taken: that is between two ticks.
+        self._identity = identity_of(self.numbers.table) if self.numbers is not None and self.kind == SHAPES else None
         self.meet = surface.meeting_every(period) if self.numbers is None else meeting_of(self.numbers, self._met)
 
     @property
@@ -45,14 +47,14 @@ class TouchedSurface:
         before, after = self.numbers, other.numbers
         jump = True
         if before is not None and after is not None and before.kind == after.kind:
-            if before.kind != SHAPES:
+            if self._identity is None or other._identity is None:
                 jump = before.table != after.table
-            elif differ_in_friction_alone(before.table, after.table):
+            elif self._identity == other._identity:
                 after.memory[:] = before.memory
                 jump = False
             else:
-                carry_over(before.table, before.memory, after.table, after.memory)
-        self.numbers, self.meet, self._met = after, other.meet, other._met
+                carry_over(self._identity, before.memory, other._identity, after.memory)
+        self.numbers, self.meet, self._met, self._identity = after, other.meet, other._met, other._identity
         return jump
 
     def begin(self) -> None:

@@ -39,6 +39,14 @@ def known_plant(launch: Launch, namespace: str) -> dict[str, float]:
     return {field: float(f"{value:.{_DIGITS}g}") for field, value in found.items()}
 
 
+def known_peak(launch: Launch, namespace: str) -> float | None:
+    """Return the largest force that the drivers of a chain hand over along an axis [N]; None where no parameter says."""
+    kinds, period = node_kinds(), launch.run.period
+    inside = [(name, spec) for name, spec in launch.nodes.items() if name.rpartition("/")[0] == namespace]
+    found = [load(kinds[spec.kind]).largest_force(spec.parameters, name, period) for name, spec in inside]
+    return min((peak for peak in found if peak is not None), default=None)
+
+
 def with_plants(launch: Launch) -> Launch:
     """Return the launch with each coupling's plant filled in; ``plant: null`` stays as it is.
 

@@ -17,7 +17,7 @@ from nodes.compiled.choose_tick import SCARCE, choose
 from nodes.launcher.chain_load import estimated, spread
 from nodes.launcher.external_child import LEASE, PATIENCE
 from nodes.launcher.launch_spec import Launch, NodeSpec, unusual
-from nodes.launcher.plants import has_plant, known_plant
+from nodes.launcher.plants import has_plant, known_peak, known_plant
 from nodes.parameters.refusals import choices
 from nodes.parameters.store import ParameterError, convert
 
@@ -290,6 +290,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             scheduling=_scheduling(launch, kind, name.rpartition("/")[0], cores),
             parameters=spec.parameters,
             plant=known_plant(launch, name.rpartition("/")[0]) if has_plant(kind) else {},
+            peak_force=known_peak(launch, name.rpartition("/")[0]) if has_plant(kind) else None,
             watch=os.path.abspath(spec.watch) if spec.watch else "",
             manifest=chain_manifest(launch, manifest, name.rpartition("/")[0]) if everything else {},
         )

@@ -26,6 +26,7 @@ from nodes.environment.surfaces import Meeting, Surface, meet_axes, parse_surfac
 from nodes.environment.touched_surface import TouchedSurface
 from nodes.environment.world.node import FeltWorld, WorldParameters, check_world
 from nodes.launcher.launch_spec import Launch
+from nodes.launcher.plants import known_peak
 from nodes.parameters.store import ParameterError
 from sim.arrays import Array
 from sim.device.driver import SimDriverParameters, parts_of
@@ -54,6 +55,7 @@ class _Coupling:
         period = launch.run.period
         book = LawBook(name, period)
         self.renderer = renderer = Renderer([AXIS_INDEX[axis] for axis in launch.run.axes], parameters.memory)
+        renderer.state.ease_peak = known_peak(launch, name.rpartition("/")[0]) or 0.0
         settle_conventions(renderer.state, parameters, period)
 
         def law(name: str) -> ActiveLaw:

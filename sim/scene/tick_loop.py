@@ -4,10 +4,11 @@ It is written as a plain function and compiled as it stands. What it needs comes
 lockstep each tick's force takes effect by the rule; in real time forces come when `Arrivals` says, late, or not at all.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
-from nodes.arithmetic import cross_fade, deflection, eased, limit_within_tick, one_sided, push, settle, warm_up
+from nodes.arithmetic import cross_fade, deflection, eased, limit, limit_within_tick, one_sided, push, settle, warm_up
 from nodes.compiled.kernels.sources import kernel
 from nodes.coupling.render import evaluate
 from nodes.driver.passivity import backlog, control, forget, observe, through
@@ -320,6 +321,7 @@ def play(
                 done += 1
             force = one_sided(force, contact.normal, force * contact.normal, touches, contact.raw, contact.clamp)
             if easing > 0:
+                force = limit(force, 0.0, contact.peak, math.inf)
                 if ease_done == 0:
                     ease_offset = 0.0 - force
                 force = eased(force, 0.0, ease_offset, ease_done, easing)

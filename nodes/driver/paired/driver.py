@@ -212,6 +212,15 @@ class PairedDriver(Driver):
         heaviest = known[0].get("heaviest", known[0]["mass"])
         return {**_pair(*known), **({"heaviest": heaviest} if heaviest > known[0]["mass"] else {})}
 
+    @classmethod
+    def largest_force(cls, parameters: Mapping[str, Any], name: str, period: float) -> float | None:
+        """Return the lowest of the pair's limit and those of its devices [N]."""
+        known = [super().largest_force(parameters, name, period)]
+        for which, member in _both(convert(parameters, PairedDriverParameters, name)):
+            kind = _kind_of(member, f"{name}.{which}")[1]
+            known.append(kind.largest_force(member.parameters, f"{name}.{which}", period))
+        return min((peak for peak in known if peak is not None), default=None)
+
     def make_device(self) -> Device:
         """Take hold of both, forces off."""
         self._drivers = [kind(own) for kind, own in _members(self.setup)]

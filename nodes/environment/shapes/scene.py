@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import MutableSequence, Sequence
-from math import cos, sin, sqrt
+from hashlib import blake2b
+from math import cos, inf, sin, sqrt
 from typing import TYPE_CHECKING, NamedTuple
 
 from messages.types import Vector
@@ -103,17 +104,55 @@ def scene_table(solids: Sequence[Solid], tool_radius: float, period: float) -> a
     return rows + behind
 
 
-def differ_in_friction_alone(one: array[float], other: array[float]) -> bool:
-    """Whether two tables hold the same shapes: where the proxy is on the one it may be on the other."""
-    return _without_friction(one) == _without_friction(other)
+class KnownShapes(NamedTuple):
+    """What tells the shapes of a scene from others, whatever their friction."""
+
+    common: tuple[float, ...]  # tool and period
+    shapes: tuple[tuple[float | bytes, ...], ...]  # kind and numbers of each; of a mesh a digest of its triangles
 
 
-def _without_friction(table: array[float]) -> bytes:
-    smooth = array("d", table)
-    for n in range(int(table[t.SHAPES])):
-        at = t.ROWS + t.ROW * n + t.STATIC
-        smooth[at : at + 3] = array("d", SLIPPERY)
-    return smooth.tobytes()
+def identity_of(table: array[float]) -> KnownShapes:
+    """Compute the identity of a scene; a large mesh takes milliseconds, which the loop's thread has not."""
+    return KnownShapes(tuple(table[: t.ROWS]), tuple(_shape(table, n) for n in range(int(table[t.SHAPES]))))
+
+
+def _shape(table: array[float], n: int) -> tuple[float | bytes, ...]:
+    at = t.ROWS + t.ROW * n
+    if table[at + t.KIND] != t.MESH:
+        return (table[at + t.KIND], *table[at + t.GIVEN : at + t.ROW])
+    first = int(table[at + t.TRIANGLES])
+    triangles = table[first : first + t.TRIANGLE * int(table[at + t.COUNT])]
+    return t.MESH, table[at + t.CLOSED], blake2b(triangles, digest_size=16).digest()
+
+
+def matched(before: KnownShapes, after: KnownShapes) -> dict[int, int]:
+    """Return which shape of one scene each shape of another is, each taken once: the same one, wherever it stands in the list.
+
+    Of those that are left, one is taken to be the shape of its kind at its place where both scenes have as many, or the only
+    one of its kind that was left.
+    """
+    left = list(range(len(before.shapes)))
+    found: dict[int, int] = {}
+
+    def take(n: int, m: int) -> None:
+        found[n] = m
+        left.remove(m)
+
+    new = range(len(after.shapes))
+    for n in new:
+        same = [m for m in left if before.shapes[m] == after.shapes[n]]
+        if same:
+            take(n, n if n in same else same[0])
+    if len(before.shapes) == len(after.shapes):
+        for n in new:
+            if n not in found and n in left and before.shapes[n][0] == after.shapes[n][0]:
+                take(n, n)
+    for n in new:
+        kind = after.shapes[n][0]
+        alike = [m for m in left if before.shapes[m][0] == kind]
+        if n not in found and len(alike) == 1 and sum(after.shapes[m][0] == kind for m in new if m not in found) == 1:
+            take(n, alike[0])
+    return found
 
 
 def new_memory(solids: int) -> array[float]:
@@ -121,36 +160,25 @@ def new_memory(solids: int) -> array[float]:
     return array("d", [0.0]) * (t.LAST + 2 * solids)
 
 
-def carry_over(
-    table: Sequence[float], memory: Sequence[float], to_table: Sequence[float], to_memory: MutableSequence[float]
-) -> None:
+def carry_over(before: KnownShapes, memory: Sequence[float], after: KnownShapes, to_memory: MutableSequence[float]) -> None:
     """Begin the proxy of another scene where that of one is [m]; shapes that it pressed on go on holding it.
 
     What becomes of it is decided at the next tick (nodes/environment/shapes/beginning.py).
     """
     if memory[t.PLACED] == t.NEVER:
         return
-    to_memory[t.AT : t.AT + 3] = array("d", memory[t.AT : t.AT + 3])
-    to_memory[t.PLACED] = t.CARRIED
-    shapes, to_shapes = int(table[t.SHAPES]), int(to_table[t.SHAPES])
+    # A proxy whose device is lost waits on, for it to come back elsewhere.
+    is_lost = memory[t.PLACED] == t.LOST
+    to_memory[t.AT : t.AT + 3] = array("d", [inf] * 3 if is_lost else memory[t.AT : t.AT + 3])
+    to_memory[t.PLACED] = t.LOST if is_lost else t.CARRIED
+    shapes, to_shapes = len(before.shapes), len(after.shapes)
     modes = {n: memory[t.LAST + shapes + n] for n in range(shapes)}
     for i in range(int(memory[t.TOUCHED])):
         at = t.CONTACTS + t.CONTACT * i
         if memory[at + t.SHARE] > 0.0:
             modes[int(memory[at + t.SHAPE])] = t.HELD
-    rows = [_row(table, n) for n in range(shapes)]
-    for n in range(to_shapes):
-        row = _row(to_table, n)
-        same = rows.index(row) if row in rows else n if shapes == to_shapes and rows[n][0] == row[0] else -1
-        if same >= 0:
-            to_memory[t.LAST + to_shapes + n] = modes[same]
-
-
-def _row(table: Sequence[float], n: int) -> tuple[float, ...]:
-    """Return kind and numbers of a shape; of a mesh the kind alone."""
-    at = t.ROWS + t.ROW * n
-    end = at + t.GIVEN if table[at + t.KIND] == t.MESH else at + t.ROW
-    return (table[at + t.KIND], *table[at + t.GIVEN : end])
+    for n, m in matched(before, after).items():
+        to_memory[t.LAST + to_shapes + n] = modes[m]
 
 
 def _direction(start: Vector, end: Vector) -> Vector:

@@ -16,6 +16,7 @@ from messages.codec import Decoder
 from messages.types import Force, Proxy
 from nodes.arithmetic import eased, sections, settle
 from nodes.coupling.law_book import LawBook
+from nodes.coupling.law_on_axis import History, LawOnAxis
 from nodes.coupling.node import Coupling
 from nodes.coupling.parameters import CouplingParameters
 from nodes.environment.shapes.kinds import TOOL_RADIUS
@@ -234,6 +235,22 @@ def test_a_surface_that_moves_under_a_hand_at_rest_is_felt_by_the_ramp_alone(law
     assert step <= 1.02 * (gain * 0.013 - force[1199]) / RAMP
 
 
+@pytest.mark.parametrize(("radius", "moved"), [(0.022, 0.01), (0.022, 0.1), (0.022, -0.02), (0.037, -0.02), (0.037, 0.05)])
+def test_a_surface_that_asks_for_more_than_the_driver_gives_comes_by_the_whole_ramp(radius: float, moved: float) -> None:
+    """Eased in full, 80 N were at the driver's 7.9 N after a tenth of the ramp; from 12 N they fell in its last part."""
+    path = np.concatenate([np.linspace([0.0, 0.0, 0.04], [0.0, 0.0, 0.02], 100), np.tile([0.0, 0.0, 0.02], (300, 1))])
+    launch = with_surface({"kind": "sphere", "radius": radius})
+    limits = {**launch.nodes["driver"].parameters["safety"], "peak_force": 7.9, "slew": 4000.0}
+    launch = with_values(launch, "driver", {"safety": limits})
+    changes = [(250, {"kind": "sphere", "radius": radius + moved})]
+    force = play(launch, len(path), path=path, changes=changes).force[:, 2]
+    deep = radius + TOOL_RADIUS - 0.02
+    before, after = (min(max(STIFFNESS * deflection, 0.0), 7.9) for deflection in (deep, deep + moved))
+    line = before + (after - before) * np.minimum(np.arange(1, 151) / RAMP, 1.0)
+    # The skin of a surface is 0.1 nm.
+    assert force[250:] == pytest.approx(line, abs=1e-6)
+
+
 def test_a_solid_that_moves_onto_a_free_device_is_not_felt_until_it_is_outside() -> None:
     path = np.concatenate([np.tile([0.0, 0.0, 0.04], (50, 1)), np.linspace([0.0, 0.0, 0.04], [0.0, 0.0, 0.08], 300)])
     path = np.concatenate([path, np.linspace([0.0, 0.0, 0.08], [0.0, 0.0, 0.058], 150)])
@@ -279,6 +296,32 @@ def test_a_coupling_that_is_started_again_begins_at_rest_from_nothing() -> None:
     node = coupling(laws={"pd": {**PD, "damping": 8.0}})
     assert force_at(node, 5000, 0.01, rebased=12) == pytest.approx(8.0 / RAMP)
     assert node.counters.rebased == 12
+
+
+def test_a_driver_that_counts_anew_is_no_velocity() -> None:
+    """In lockstep a driver that was started again begins at tick 0; how deep the device is by then was no motion."""
+    node = coupling(laws={"pd": {**PD, "damping": 8.0}})
+    for k in range(20):
+        force_at(node, k, 0.0)
+    assert [force_at(node, k, 0.01) for k in range(2)] == pytest.approx([8.0 / RAMP, 16.0 / RAMP])
+
+
+def test_a_law_that_is_prepared_while_a_jump_fills_the_history_rests_as_one_that_renders() -> None:
+    """Its slow section remembered the deflection of before the jump: 0.5 N in place of 2.2 N."""
+    law = CompiledLaw(taps=(100.0,), sections=((5.0, -4.9, -1.99, 0.9901),))
+    history = History(16)
+    for _ in range(50):
+        history.push(0.01)
+    prepared, renders = LawOnAxis(law, history), LawOnAxis(law, history)
+    prepared.warm_up(history.snapshot())
+    history.fill(0.002)
+    renders.settle(0.002)
+    for value in (0.002, 0.0021, 0.0025):
+        history.push(value)
+        renders.see(history.head)
+    prepared.catch_up()
+    assert prepared.state == renders.state
+    assert prepared.present() == renders.present()
 
 
 def test_conventions_that_are_changed_while_they_act_are_a_jump() -> None:

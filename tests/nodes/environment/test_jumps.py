@@ -15,6 +15,8 @@ from messages.topics import DEVICE_STATE, FORCE, PROXY, event
 from messages.types import DeviceState, Proxy, Vector
 from nodes.environment.node import Environment
 from nodes.environment.shapes.kinds import TOOL_RADIUS
+from nodes.environment.shapes.mesh import prepare_mesh
+from nodes.environment.shapes.scene import Friction, KnownShapes, Solid, identity_of, matched, mesh, scene_table
 from nodes.environment.surfaces import parse_surface
 from nodes.environment.touched_surface import TouchedSurface
 from nodes.launcher import launch_file
@@ -23,6 +25,7 @@ from sim.scene.spatial import play
 from tests.support import slowly
 from tests.support.launching import running, typed
 from tests.support.setups import setup_of
+from tests.support.shapes import box_triangles
 
 FIXTURES = Path(__file__).parents[2] / "fixtures" / "begin"
 PERIOD = 0.002
@@ -68,12 +71,14 @@ def test_a_wall_that_is_moved_live_has_the_bits_of_one_process(tick: str, tmp_pa
     ticks = jump + 300
     played = play(launch_file.read(scene, {}), ticks, changes=[(jump, moved)])
     assert [state.position for state in recording.messages(DEVICE_STATE)[:ticks]] == list(map(tuple, played.position.tolist()))
+    felt = forces[jump - 1].force[0]
     step = np.abs(np.diff([force.force[0] for force in forces[jump - 1 : ticks]]))
     # 10 N come in 75 ticks; the hand gives way meanwhile, at well under 0.05 m/s.
     assert step.max() < 10.0 / 75.0 + 1000.0 * PERIOD * 0.05 + 8.0 * 0.05
     (reason,) = [one.reason for one in recording.messages(event("coupling")) if one.kind == "eased"]
     assert f"tick {jump}:" in reason
-    assert "a force step of 10 N, eased over 0.15 s" in reason
+    # 2.3 N were felt, and of the 12.3 N that are asked the driver hands over 7.9 N.
+    assert f"a force step of {7.9 + felt:.4g} N, eased over 0.15 s" in reason
 
 
 @pytest.mark.parametrize("tick", slowly(["plain", "compiled"], but=["compiled"]))
@@ -171,6 +176,98 @@ def test_a_solid_that_grows_carries_its_proxy_and_one_that_comes_does_not(deep: 
     free.take(other)
     free.meet((0.0, 0.0, 0.05))
     assert free.inside == (1 if deep > 5e-4 else 0)
+
+
+def union(*shapes: dict[str, Any]) -> TouchedSurface:
+    return TouchedSurface(parse_surface({"kind": "union", "shapes": list(shapes)}, "surface"), PERIOD)
+
+
+def box(z: float, x: float = 0.0, **given: Any) -> dict[str, Any]:
+    return {"kind": "box", "position": [x, 0.0, z], "size": [0.05, 0.05, 0.05], **given}
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        pytest.param([box(0.0), box(0.0, 0.2)], [box(0.0, 0.2), box(0.02)], id="listed the other way round"),
+        pytest.param([box(0.0, 0.2), box(0.0)], [box(0.02)], id="the other one removed, and nothing left to tell"),
+        pytest.param([{**BALL, "position": [0.2, 0.0, 0.0]}, box(0.0)], [box(0.02)], id="another kind removed"),
+        pytest.param([box(0.0)], [{**BALL, "position": [0.2, 0.0, 0.0]}, box(0.02)], id="another kind added before it"),
+    ],
+)
+def test_parts_of_a_union_are_known_wherever_they_stand_in_its_list(
+    before: list[dict[str, Any]], after: list[dict[str, Any]]
+) -> None:
+    """A box that is pressed comes 20 mm nearer in the same change: it goes on holding the tool, where it can be told."""
+    place = union(*before)
+    place.meet((0.0, 0.0, 0.04))
+    assert place.meet((0.0, 0.0, 0.024))[3]
+    assert place.take(union(*after))
+    proxy, _, _, contact = place.meet((0.0, 0.0, 0.024))
+    if len(before) > len(after) and before[0]["kind"] == "box":
+        # Two boxes were there, and one is: nobody knows which, so nothing pushes.
+        assert not contact
+        assert place.inside == 1
+    else:
+        assert contact
+        assert proxy[2] == pytest.approx(0.045 + TOOL_RADIUS, abs=1e-9)
+
+
+def test_a_part_that_is_pressed_and_removed_lets_go_and_the_others_stay() -> None:
+    place = union(box(0.0), box(0.0, 0.2))
+    place.meet((0.0, 0.0, 0.04))
+    assert place.meet((0.0, 0.0, 0.024))[3]
+    assert place.take(union(box(0.0, 0.2)))
+    assert not place.meet((0.0, 0.0, 0.024))[3]
+    assert place.inside == 0
+
+
+def test_a_mesh_is_known_by_its_triangles() -> None:
+    """Two meshes in a union: the second one is pressed and the first one removed; as kinds alone both were the first."""
+    cube = box_triangles((0.02, 0.02, 0.02))
+    one, two = (mesh(prepare_mesh(cube + at, False, "surface")) for at in (0.0, 0.1))
+
+    def known(*solids: Solid) -> KnownShapes:
+        return identity_of(scene_table(solids, 1e-5, PERIOD))
+
+    pair, swapped, second = known(one, two), known(two, one), known(two)
+    rubbed = known(two._replace(friction=Friction(0.5)))
+    assert matched(pair, swapped) == {0: 1, 1: 0}
+    assert matched(pair, second) == {0: 1}
+    assert rubbed == second
+
+
+def test_a_surface_is_taken_without_looking_through_its_triangles() -> None:
+    """Between two ticks there is no time for it: comparing a mesh of 20 480 triangles took some 50 ms there."""
+    place, other, same = (union(box(0.0)) for _ in range(3))
+    for one in (place, other, same):
+        assert one.numbers is not None
+        one.numbers = one.numbers._replace(table=None)  # type: ignore[arg-type]
+    assert not place.take(other)
+
+
+def test_a_surface_that_is_changed_while_the_device_is_lost_is_met_anew() -> None:
+    place = union(BALL)
+    place.meet((0.0, 0.0, 0.04))
+    place.meet((0.0, 0.0, 0.028))
+    place.meet((5e4, 0.0, 0.0))
+    assert place.take(union({**BALL, "radius": 0.031}))
+    place.meet((5e4, 0.0, 0.0))
+    assert not place.jumped
+    place.meet((0.0, 0.0, 0.03))
+    assert place.jumped
+
+
+def test_a_driver_that_was_started_again_after_a_jump_is_met_anew() -> None:
+    """Its count of jumps begins at 0 again; the environment's own later one must not hide that the proxy begins elsewhere."""
+    node = environment(BALL)
+    answers(node, at((0.0, 0.0, 0.04)))
+    answers(node, at((0.0, 0.0, 0.029), first=3, rebased=3))
+    node.prepare(node.store.changed({"surface.radius": 0.0295}))(5)
+    (before,) = answers(node, at((0.0, 0.0, 0.029), first=5, rebased=3))
+    (met,) = answers(node, at((0.0, 0.0, 0.02), first=900, rebased=0))
+    assert (before.rebased, met.rebased) == (5, 900)
+    assert not met.contact
 
 
 @pytest.mark.parametrize("bodies", ["dynamic", "fixed"])
