@@ -136,9 +136,9 @@ def test_two_devices_in_any_two_hands() -> None:
         assert most(found * 0.999) < 1.0 < most(found * 1.001)
 
 
-@pytest.mark.parametrize(("first", "second"), [(0, 1), (1, 1), (3, 1)])
-def test_a_law_between_two_hands_is_the_two_port_of_the_matrix(first: int, second: int) -> None:
-    """`nodes.stability.two_hands` decides by eigenvalues of a matrix, for each law as it is."""
+@pytest.mark.parametrize(("first", "second"), [(0, 1), (1, 1), (3, 1), (0.4, 0.4), (1.3, 0), (0.25, 2.6)])
+def test_a_law_between_two_hands_is_the_two_port_of_the_matrix(first: float, second: float) -> None:
+    """Discs with the window of K, and the matrix for a law each, are one condition where both know it."""
     for law in (pd(0.05), HALF):
         edge = figure(law, Plant(T, 0.1, 1.3, float(first)), OtherDevice(0.7, float(second)), True)
         for factor in (0.999, 1.001):
