@@ -49,7 +49,8 @@ def closed_loop(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
     if law.sections:
         raise ValueError("law: recursive sections have no well-conditioned polynomial; use pole_radius")
     held = held_plant(plant)
-    numerator = np.trim_zeros(np.array(held.numerator), "b")
+    numerator = np.array(held.numerator)
+    numerator = np.trim_zeros(numerator, "b") if numerator.any() else numerator  # a damping of 1e300 N s/m holds it still
     # With z² N + z N' the loop has one common factor z when the delay is whole.
     padding = held.whole + len(numerator) - 2 + len(law.taps) - 1
     total = np.concatenate([held.denominator, np.zeros(padding)])

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
+from nodes.stability.resonances import resonances
 
 PowerSum = Callable[[NDArray[np.float64], NDArray[np.complex128]], NDArray[np.complex128]]
 
@@ -106,7 +107,8 @@ def _lowest(law: CompiledLaw, function: Callable[[NDArray[np.float64], PowerSum]
     """Least value over 0 ≤ θ ≤ π: a grid finer than the fastest cosine, then zooms into the lowest cells."""
     theta = np.linspace(0.0, np.pi, max(256, 8 * len(law.taps)) + 1)
     if law.sections:
-        theta = np.union1d(theta, np.geomspace(1e-6, np.pi, 2001)[:-1])  # slow sections live in the lowest decades
+        # Slow sections live in the lowest decades.
+        theta = np.unique(np.concatenate([theta, np.geomspace(1e-6, np.pi, 2001)[:-1], resonances(law)]))
     # Where w goes from 1 to −1 in equal angles, a sum of powers is a Fourier transform.
     value = function(theta, _power_sum if law.sections else lambda c, w: np.fft.rfft(c, 2 * (w.size - 1)))
     padded = np.concatenate([[np.inf], value, [np.inf]])

@@ -21,6 +21,7 @@ from nodes.stability.judge import last_inside
 from nodes.stability.occurring import Edge, edge_at, position_over_force
 from nodes.stability.pair import as_one
 from nodes.stability.plant import Plant, held_plant
+from nodes.stability.resonances import resonances
 
 
 @dataclass(frozen=True)
@@ -156,6 +157,7 @@ def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]
     turns = held.whole if other is None else max(held.whole, math.ceil(other.delay)) + 8
     count = 16 * (len(derivative.taps) + turns + 8)
     grid = np.union1d(np.linspace(0.0, np.pi, count + 1)[1:-1], np.geomspace(1e-7, np.pi, 801)[:-1])
+    grid = np.union1d(grid, [theta for theta in resonances(derivative).tolist() if theta < math.pi])
     signs = np.sign(curve(grid).imag)
     found = [(float(curve(grid[i]).real), float(grid[i])) for i in np.flatnonzero(signs == 0.0)]
     for i in np.flatnonzero(signs[:-1] * signs[1:] < 0.0):

@@ -9,7 +9,7 @@ frequencies that are violated to the grid, until there are none.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,7 @@ from nodes.stability.loop_region import Region
 _EXCHANGES = 60
 _HALVINGS = 40
 _ROUNDING = 1e-12  # largest violation that is rounding, relative to the terms of the inequality
+_NEAR = np.geomspace(1e-9, 1e-2, 22)  # relative distances from a frequency at which a member swings
 _EMPTY = 1e-9  # narrowest window, relative to the sum of the taps
 
 
@@ -33,7 +34,9 @@ class Window:
     theta: float  # ωT at which the upper end is reached [rad]; π where there is no upper end
 
 
-def k_window(derivative: CompiledLaw, region: Region, stable: Callable[[float], bool]) -> Window | None:
+def k_window(
+    derivative: CompiledLaw, region: Region, stable: Callable[[float], bool], swings: Sequence[tuple[float, float]] = ()
+) -> Window | None:
     """Return the lowest window of K above max(0, −D(1)); None when no K is certified.
 
     Parameters
@@ -45,10 +48,15 @@ def k_window(derivative: CompiledLaw, region: Region, stable: Callable[[float], 
     stable : callable
         Whether the loop of one member of the region is stable with a stiffness K [N/m]: the others follow, because none of
         them can cross the unit circle within the window.
+    swings : sequence of (float, float)
+        K [N/m] and ωT at which that member itself swings. They end a gap even where the region is so small that the interval
+        excluded there is lost between the frequencies.
     """
     floor = max(0.0, -derivative.h1)
     narrow = _EMPTY * (sum(map(abs, derivative.taps)) + sum(abs(b) for s in derivative.sections for b in s[:2]) + floor + 1.0)
-    theta = region.frequencies(derivative)
+    # A small region excludes something near these frequencies only.
+    swinging = np.outer([at for _, at in swings], np.concatenate([1.0 - _NEAR, [1.0], 1.0 + _NEAR])).ravel()
+    theta = np.union1d(region.frequencies(derivative), swinging[(swinging > 0.0) & (swinging <= math.pi)])
     a, b, c = region.quadratic(derivative, theta)
     for _ in range(_HALVINGS):
         between = _unresolved(theta, a, b, c)
@@ -57,7 +65,7 @@ def k_window(derivative: CompiledLaw, region: Region, stable: Callable[[float], 
         theta, a, b, c = _joined(derivative, region, theta, (a, b, c), between)
     refused: list[float] = []  # middles of gaps in which the loop itself is unstable
     for _ in range(_EXCHANGES):
-        gaps = [gap for gap in _gaps(theta, a, b, c, floor) if gap[1] - gap[0] > narrow]
+        gaps = [gap for gap in _divided(_gaps(theta, a, b, c, floor), swings) if gap[1] - gap[0] > narrow]
         gap = next((gap for gap in gaps if not any(gap[0] < middle < gap[1] for middle in refused)), None)
         if gap is None:
             return None
@@ -132,9 +140,23 @@ def _unresolved(theta: Reals, a: Reals, b: Reals, c: Reals) -> Reals:
     return np.asarray(0.5 * (theta[jumps] + theta[jumps + 1]), dtype=np.float64)
 
 
+def _divided(
+    gaps: Sequence[tuple[float, float, float]], swings: Sequence[tuple[float, float]]
+) -> list[tuple[float, float, float]]:
+    """Return gaps of K that end where a member of the region swings."""
+    parts = []
+    for low, high, at in gaps:
+        inner = sorted({one for one in swings if low < one[0] < high})
+        parts += [*zip([low, *(k for k, _ in inner)], [k for k, _ in inner], [where for _, where in inner], strict=False)]
+        parts.append((inner[-1][0] if inner else low, high, at))
+    return parts
+
+
 def _gaps(theta: Reals, a: Reals, b: Reals, c: Reals, floor: float) -> list[tuple[float, float, float]]:
     """Return the gaps of K above `floor` that no frequency excludes: low, high, and the frequency of the upper end."""
     square, below, above = _roots(a, b, c)
+    if not np.isfinite(np.concatenate([a, b, c])).all():
+        return []  # beyond what a double holds
     if np.any((a <= 0.0) & (square < 0.0)) or np.any((a == 0.0) & (b == 0.0) & (c <= 0.0)):
         return []
     inner = (a < 0.0) & (square >= 0.0)

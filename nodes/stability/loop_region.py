@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from nodes.laws import CompiledLaw
 from nodes.stability.dips import Reals
 from nodes.stability.plant import Plant, held_step
+from nodes.stability.resonances import resonances
 
 Complexes = NDArray[np.complex128]
 
@@ -121,7 +122,7 @@ class Region:
                 rings = self.period * math.sqrt(self.known.stiffness / self.known.mass)
                 around = np.geomspace(1e-6, 0.5, 60)
                 parts.append(rings * np.concatenate([1.0 - around, [1.0], 1.0 + around]))
-        parts.append(np.geomspace(lowest, math.pi, 2001 if law.sections else 801))
+        parts += [np.geomspace(lowest, math.pi, 2001 if law.sections else 801), resonances(law)]
         grid = np.unique(np.concatenate(parts))
         return np.asarray(grid[(grid > 0.0) & (grid <= math.pi)], dtype=np.float64)
 

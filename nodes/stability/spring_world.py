@@ -48,6 +48,11 @@ def spring_window(derivative: CompiledLaw, plant: Plant, softest: float, stiffes
     return None if inside is None else Window(inside[0], math.inf, math.pi)
 
 
+def wall_swings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]]:
+    """Return the K [N/m] at which the loop with a wall swings, and the ωT there."""
+    return _Swings(derivative, plant, 0.0, 0.0).cuts()
+
+
 def stable_with_springs(law: CompiledLaw, plant: Plant, softest: float, stiffest: float) -> bool:
     """Return whether the loop of a law is stable with every spring of a range."""
     newest = law.taps[0] + sum(b0 for b0, *_ in law.sections)

@@ -1,14 +1,16 @@
-"""Two devices coupled to each other at whole delays, and any two hands: Colgate's condition for a two-port.
+"""Two devices coupled to each other, a law each or one in the middle, and any two hands: Colgate's condition for a two-port.
 
 The forces on both devices are F = M(z)·x of both sampled positions, row by row a law at its own delays,
 
-    M = [[w^{d11} H₁, −w^{d12} H₁], [−w^{d21} H₂, w^{d22} H₂]],   w = e^{−jθ}, θ = ωT.
+    M = [[ψ₁₁ H₁, −ψ₁₂ H₁], [−ψ₂₁ H₂, ψ₂₂ H₂]],   ψ = (1 − φ) w^i + φ w^(i+1) for d = i + φ ticks,   w = e^{−jθ}, θ = ωT.
 
 With the forces held, whatever passive hands hold the devices, the loop is passive if for all 0 < θ ≤ π the matrix
 
-    diag(b₁, b₂) − T/(2 (1 − cos θ)) · ½[(1 − w) M + ((1 − w) M)*]
+    diag(b₁, b₂) − T/(2 (1 − cos θ)) · ½[(1 − w) M + ((1 − w) M)*] − T²/(8 (1 − cos θ)) Σ_i E_i/b_i
 
-is positive definite (THEORY.md §17). For one device this is Colgate's condition. At θ → 0 it needs H₁(1) = H₂(1): two
+is positive definite. E_i, 0 where the delays of a row are whole, is the variance over the aliases of the force that changes
+within a tick on device i, as a form in both positions (THEORY.md §17). For one device this is Colgate's
+condition, and for one law in the middle the discs of `nodes.stability.loop_region`. At θ → 0 it needs H₁(1) = H₂(1): two
 different springs on one way make energy at any speed.
 """
 
@@ -22,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
+from nodes.stability.resonances import resonances
 
 _ZOOMS = 8
 _SOFTEST = 1e-9  # relative difference of H(1) of both sides that counts as none
@@ -35,29 +38,31 @@ class TwoHands:
     ----------
     laws : tuple of CompiledLaw
         That of the first device, and of the second.
-    delays : tuple of tuple of int
-        By law, then by position: from the sample of that position to the force taking effect [ticks].
+    delays : tuple of tuple of float
+        By law, then by position: from the sample of that position to the force taking effect, whole or fractional [ticks].
     """
 
     laws: tuple[CompiledLaw, CompiledLaw]
-    delays: tuple[tuple[int, int], tuple[int, int]]
+    delays: tuple[tuple[float, float], tuple[float, float]]
 
     @classmethod
-    def in_the_middle(cls, law: CompiledLaw, first: int, second: int) -> TwoHands:
+    def in_the_middle(cls, law: CompiledLaw, first: float, second: float) -> TwoHands:
         """Return one law on the way between the devices, whose force reaches them after `first` and `second` ticks."""
         return cls((law, law), ((first, first), (second, second)))
 
     @classmethod
-    def law_each(cls, laws: tuple[CompiledLaw, CompiledLaw], there: int, back: int, own: tuple[int, int] = (0, 0)) -> TwoHands:
+    def law_each(
+        cls, laws: tuple[CompiledLaw, CompiledLaw], there: float, back: float, own: tuple[float, float] = (0.0, 0.0)
+    ) -> TwoHands:
         """Return a law at each device, on its own position and the other's.
 
         Parameters
         ----------
         laws : tuple of CompiledLaw
             Of the first device and of the second.
-        there, back : int
+        there, back : float
             Delay of the first position on its way to the second device, and of the second's to the first [ticks].
-        own : tuple of int
+        own : tuple of float
             Delay of either loop itself [ticks].
         """
         return cls(laws, ((own[0], own[0] + back), (own[1] + there, own[1])))
@@ -84,13 +89,14 @@ def damping_share(coupling: TwoHands, period: float, damping: tuple[float, float
     first, second = (law.h1 for law in coupling.laws)
     if abs(first - second) > _SOFTEST * max(abs(first), abs(second)):
         return math.inf
-    length = max(len(law.taps) for law in coupling.laws) + max(max(row) for row in coupling.delays)
-    grid = np.union1d(np.linspace(0.0, np.pi, 16 * length + 257)[1:], np.geomspace(1e-4, np.pi, 801)[:-1])
+    length = max(len(law.taps) for law in coupling.laws) + math.ceil(max(max(row) for row in coupling.delays))
+    grid = [np.linspace(0.0, np.pi, 16 * length + 257)[1:], np.geomspace(1e-4, np.pi, 801)]
+    grid += [sharp[sharp >= 1e-4] for sharp in map(resonances, coupling.laws)]
 
     def share(theta: NDArray[np.float64]) -> NDArray[np.float64]:
         return _share(coupling, period, damping, theta)
 
-    return float(_highest(share, grid))
+    return float(_highest(share, np.unique(np.concatenate(grid))))
 
 
 def _share(coupling: TwoHands, period: float, damping: tuple[float, float], theta: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -99,13 +105,31 @@ def _share(coupling: TwoHands, period: float, damping: tuple[float, float], thet
     sampled = period / (1.0 - np.conj(w))
     rows = [sampled * law.response(1.0 / w) for law in coupling.laws]
     (d11, d12), (d21, d22) = coupling.delays
-    own = [(rows[0] * w**d11).real, (rows[1] * w**d22).real]
-    across = -0.5 * (rows[0] * w**d12 + np.conj(rows[1] * w**d21))
+    own = [(rows[0] * lag(w, d11)).real, (rows[1] * lag(w, d22)).real]
+    across = -0.5 * (rows[0] * lag(w, d12) + np.conj(rows[1] * lag(w, d21)))
     with np.errstate(divide="ignore", invalid="ignore"):
+        for i, (row, (first, second)) in enumerate(zip(rows, coupling.delays, strict=True)):
+            # What a force that changes within a tick takes beside its mean, of the positions x₁ and −x₂.
+            size = np.abs(row) ** 2 / (4.0 * damping[i])
+            own[0] = own[0] + size * _spread(w, first, first).real
+            own[1] = own[1] + size * _spread(w, second, second).real
+            across = across - size * _spread(w, first, second)
         a, b = own[0] / damping[0], own[1] / damping[1]
         c = np.abs(across) ** 2 / (damping[0] * damping[1])
         found = 0.5 * (a + b) + np.sqrt(0.25 * (a - b) ** 2 + c)
     return np.asarray(np.where(np.isnan(found), np.inf, found), dtype=np.float64)
+
+
+def lag(w: NDArray[np.complex128], delay: float) -> NDArray[np.complex128]:
+    """Return ψ, the mean over the aliases of a lag of `delay` ticks; a negative one is ahead."""
+    whole = math.floor(delay)
+    late = delay - whole
+    return w**whole if late == 0.0 else (1.0 - late) * w**whole + late * w ** (whole + 1)
+
+
+def _spread(w: NDArray[np.complex128], first: float, second: float) -> NDArray[np.complex128]:
+    """Return the mean of the product of two lags over the aliases less the product of their means, the first conjugated."""
+    return lag(w, second - first) - np.conj(lag(w, first)) * lag(w, second)
 
 
 def _highest(function: Callable[[NDArray[np.float64]], NDArray[np.float64]], grid: NDArray[np.float64]) -> float:

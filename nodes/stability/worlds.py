@@ -16,10 +16,10 @@ from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.dips import Reals
 from nodes.stability.k_max import k_max, with_spring
-from nodes.stability.k_window import k_window, outside
+from nodes.stability.k_window import Window, k_window, outside
 from nodes.stability.loop_region import Disc, Region
-from nodes.stability.plant import Plant
-from nodes.stability.spring_world import spring_window, stable_with_springs
+from nodes.stability.plant import MAX_DELAY, Plant
+from nodes.stability.spring_world import spring_window, stable_with_springs, wall_swings
 
 
 @dataclass(frozen=True)
@@ -72,8 +72,7 @@ class SteppedTool:
 
     def __post_init__(self) -> None:
         """Refuse a tool that promises nothing."""
-        if not (math.isfinite(self.damping) and self.damping >= 0.0):
-            raise ValueError(f"damping = {self.damping!r} N s/m: expected a finite value of at least 0")
+        _check_damped(self.damping, self.delay)
 
     @property
     def about(self) -> str:
@@ -114,10 +113,22 @@ class OtherDevice:
     damping: float  # [N s/m]
     delay: float  # of its loop [ticks]
 
+    def __post_init__(self) -> None:
+        """Refuse what no device is."""
+        _check_damped(self.damping, self.delay)
+
     @property
     def about(self) -> str:
         """Which worlds these are."""
         return f"a second device of {self.damping:g} N s/m at {self.delay:g} ticks, in any hand"
+
+
+def _check_damped(damping: float, delay: float | None) -> None:
+    """Refuse a damping that is negative or not finite, and a delay that no loop has."""
+    if not 0.0 <= damping < math.inf:
+        raise ValueError(f"damping = {damping!r} N s/m: expected a finite value of at least 0")
+    if delay is not None and not 0.0 <= delay <= MAX_DELAY:
+        raise ValueError(f"delay = {delay!r} ticks: expected 0 to {MAX_DELAY:g}")
 
 
 WorldKind: TypeAlias = Wall | Springs | AnyWorld | SteppedTool | EulerTool | OtherDevice
@@ -214,20 +225,30 @@ def world_k_max(derivative: CompiledLaw, plant: Plant, world: WorldKind, any_han
     if isinstance(world, Wall) and not any_hand:
         wall = k_max(derivative, plant)
         return none if not wall.stable else WorldKMax(wall.k_max_n_per_m, wall.stable[0][0], None, about)
-    if isinstance(world, Springs):
-        refuse_partner(plant)
-        if any_hand:
-            raise ValueError("world: springs are certified for a known device only; any hand: AnyWorld")
-        window = spring_window(derivative, plant, world.softest, world.stiffest)
-    elif undamped(plant, world):
+    if isinstance(world, Springs) and any_hand:
+        raise ValueError("world: springs are certified for a known device only; any hand: AnyWorld")
+    if undamped(plant, world) and not isinstance(world, Springs):
         return none
-    else:
-        window = k_window(derivative, region_of(plant, world, any_hand), lambda k: is_stable(with_spring(derivative, k), plant))
+    try:
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+            window = _window(derivative, plant, world, any_hand)
+    except ArithmeticError:
+        return none  # of a mass of 1e300 kg, say, nothing can be computed
     if window is None:
         return none
     finite = math.isfinite(window.high_n_per_m)
     where = window.theta / (2.0 * math.pi * plant.period) if finite else None
     return WorldKMax(window.high_n_per_m, window.low_n_per_m, where, about)
+
+
+def _window(derivative: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool) -> Window | None:
+    if isinstance(world, Springs):
+        return spring_window(derivative, plant, world.softest, world.stiffest)
+
+    def stable(stiffness: float) -> bool:
+        return is_stable(with_spring(derivative, stiffness), plant)
+
+    return k_window(derivative, region_of(plant, world, any_hand), stable, wall_swings(derivative, plant))
 
 
 def is_stable(law: CompiledLaw, plant: Plant) -> bool:

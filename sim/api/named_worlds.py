@@ -30,13 +30,23 @@ def read_world(name: str, options: dict[str, Any]) -> tuple[WorldKind, bool]:
         wanted = ", ".join(needed) or "no option"
         raise ValueError(f"world = {name!r}: expected {wanted}, found {', '.join(sorted(options)) or 'none'}")
     if name == "spring":
-        low, high = options["springs"]
-        return Springs(float(low), float(high)), any_hand
+        low, high = _numbers("springs", options["springs"], 2)
+        return Springs(low, high), any_hand
     if name in ("tool", "any_hand_tool"):
-        return SteppedTool(float(options["tool_damping"])), any_hand
+        return SteppedTool(*_numbers("tool_damping", options["tool_damping"])), any_hand
     if name == "euler_tool":
-        return EulerTool(float(options["tool_mass"])), any_hand
+        return EulerTool(*_numbers("tool_mass", options["tool_mass"])), any_hand
     if name == "two_hands":
-        other: Plant = options["other"]
+        other = options["other"]
+        if not isinstance(other, Plant):
+            raise ValueError(f"other = {other!r}: expected a Plant, the second device")
         return OtherDevice(other.damping, other.delay), any_hand
     return (Wall() if name.endswith("wall") else AnyWorld()), any_hand
+
+
+def _numbers(name: str, value: Any, count: int = 1) -> list[float]:
+    """Return the numbers of an option, of which it has `count`."""
+    given = list(value) if isinstance(value, list | tuple) and count > 1 else [value]
+    if len(given) != count or not all(isinstance(one, int | float) or hasattr(one, "__float__") for one in given):
+        raise ValueError(f"{name} = {value!r}: expected {'a number' if count == 1 else f'{count} numbers'}")
+    return [float(one) for one in given]

@@ -17,9 +17,11 @@ from nodes.laws.pd import PD
 from nodes.stability.every_delay import every_delay
 from nodes.stability.flexible import FlexiblePlant
 from nodes.stability.k_max import k_max, without_spring
-from nodes.stability.plant import HeldPlant, Plant, held_plant
+from nodes.stability.plant import Plant, held_plant
 from nodes.stability.rest import rest
 from nodes.stability.two_rate import TwoRate, two_rate_k_max
+from nodes.stability.world_loop import Body, world_radius
+from nodes.stability.worlds import AnyWorld, world_k_max
 from sim.arrays import Array
 from sim.device.model import DeviceModel, advance, coefficients, quantise
 
@@ -206,13 +208,14 @@ def slide() -> BeyondEdge:
 
 
 def unknown_world() -> BeyondEdge:
-    """Return the edge before any passive world that answers in the same tick: by its real part, and by the worst one, built.
+    """Return the edge before any passive world that answers in the same tick: by certificate, and by the worst one, built.
 
-    Colgate & Schenkel, "Passivity of a class of sampled-data systems" (1997), give the way; here for taps and a known device:
-    Re{D/H + D P} > 0, D = (1 − w)/T, on the whole circle, and stable at the wall.
+    The certificate is (18.2) of THEORY.md: Re{D/H + D P} > 0, D = (1 − w)/T, on the whole circle, and stable at the wall.
     """
     gain, margin = 3.0, 0.002
     plant = Plant(PERIOD, MASS, DAMPING)
+    edge = world_k_max(without_spring(PD(stiffness=1.0, damping=gain), PERIOD), plant, AnyWorld()).k_max_n_per_m
+    assert edge is not None  # noqa: S101 - a soft law is certified on this device
     held = held_plant(plant)
     theta = np.concatenate([np.geomspace(1e-4, 1e-2, 400), np.linspace(1e-2, math.pi, 40_001)])
     z = np.exp(1j * theta)
@@ -222,35 +225,22 @@ def unknown_world() -> BeyondEdge:
     def share(stiffness: float) -> Array:
         return np.asarray(slope / _pd(stiffness, gain).response(z) + device)
 
-    low, high = 10.0, k_max(without_spring(PD(stiffness=1.0, damping=gain), PERIOD), plant).k_max_n_per_m or 0.0
-    while high - low > 1e-6 * high:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if share(middle).real.min() > 0.0 else (low, middle)
-    edge = low
-
     def stands(stiffness: float) -> bool:
         """Whether the poles stay inside before the lossless world of first order that cancels what is left at its frequency."""
         left = share(stiffness)
         at = int(np.argmin(left.real))
-        # Y = j y there: a spring, y = c tan(θ/2), where y > 0; a mass, y = −c cot(θ/2), where y < 0.
-        y = -float(left[at].imag)
-        half = math.tan(0.5 * float(theta[at]))
-        world = ([y / half, -y / half], [1.0, 1.0]) if y > 0.0 else ([-y * half, -y * half], [1.0, -1.0])
-        return _world_radius(_pd(stiffness, gain), held, world) < 1.0
+        # (18.1): Y = −jσ there, a mass T/(2σ tan(θ/2)) where σ > 0, a spring −2 tan(θ/2)/(σ T) where σ < 0.
+        sigma, half = float(left[at].imag), math.tan(0.5 * float(theta[at]))
+        if sigma > 0.0:
+            world = Body(mass=PERIOD / (2.0 * sigma * half), integrator="lossless")
+        else:
+            world = Body(stiffness=-2.0 * half / (sigma * PERIOD), integrator="lossless")
+        return world_radius(_pd(stiffness, gain), plant, world) < 1.0
 
     sides = stands(edge * (1.0 - margin)), stands(edge * (1.0 + margin))
-    return BeyondEdge("any passive world, answering at once", "K [N/m]", edge, margin, "real part; worst world's poles", *sides)
-
-
-def _world_radius(law: CompiledLaw, held: HeldPlant, world: tuple[list[float], list[float]]) -> float:
-    """Return the largest pole of law, device and a world D y = Y F in series: 1 + H P + H Y/D = 0, H of two taps."""
-    above, below = world
-    force, squared, difference = np.array(law.taps), [1.0, 0.0, 0.0], [1.0, -1.0]
-    # In powers of z, highest first: H = (h0 z + h1)/z, D = (z − 1)/(T z), P = num/(den z); times z² den (z − 1) below.
-    own = np.polymul(np.polymul(squared, held.denominator), np.polymul(difference, below))
-    by_device = np.polymul(np.polymul(force, held.numerator), np.polymul(difference, below))
-    by_world = PERIOD * np.polymul(np.polymul(force, above), np.polymul(held.denominator, squared))
-    return float(np.abs(np.roots(np.polyadd(np.polyadd(own, by_device), by_world))).max())
+    return BeyondEdge(
+        "any passive world, answering at once", "K [N/m]", edge, margin, "certificate; worst world's poles", *sides
+    )
 
 
 # What is looked at; another edge is another function here.

@@ -33,8 +33,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.delay2 is not None and arguments.device2_damping is None:
         raise UsageError("--delay2: belongs to a second device; give --device2-damping")
     second, late = arguments.device2_damping, device.delay if arguments.delay2 is None else arguments.delay2
-    other = None if second is None else OtherDevice(second, late)
     try:
+        other = None if second is None else OtherDevice(second, late)
         moving = Moving(arguments.spring_range, arguments.tool_damping, arguments.tool_mass, other)
         limits = world_limits(without_spring(law, device.period), device, moving, worst=True)
         needs = world_needs(law.compile(device.period), device) if arguments.stiffness is not None else None

@@ -30,6 +30,7 @@ from nodes.stability.worlds import (
     WorldKind,
     WorldKMax,
     certified,
+    region_of,
     world_k_max,
 )
 from nodes.stability.worst_world import worst_world
@@ -135,9 +136,9 @@ def test_two_devices_in_any_two_hands() -> None:
         assert most(found * 0.999) < 1.0 < most(found * 1.001)
 
 
-@pytest.mark.parametrize(("first", "second"), [(0, 1), (1, 1), (3, 1)])
-def test_a_law_between_two_hands_is_the_two_port_of_the_matrix(first: int, second: int) -> None:
-    """`nodes.stability.two_hands` decides by eigenvalues of a matrix, for each law as it is."""
+@pytest.mark.parametrize(("first", "second"), [(0, 1), (1, 1), (3, 1), (0.4, 0.4), (1.3, 0), (0.25, 2.6)])
+def test_a_law_between_two_hands_is_the_two_port_of_the_matrix(first: float, second: float) -> None:
+    """Discs with the window of K, and the matrix for a law each, are one condition where both know it."""
     for law in (pd(0.05), HALF):
         edge = figure(law, Plant(T, 0.1, 1.3, float(first)), OtherDevice(0.7, float(second)), True)
         for factor in (0.999, 1.001):
@@ -499,10 +500,54 @@ def test_what_cannot_be_certified_is_refused_with_the_reason() -> None:
     with pytest.raises(ValueError, match="known device only"):
         world_k_max(pd(1.0), device(0.0), Springs(10.0), True)
     for world in (AnyWorld(), Springs(10.0), SteppedTool(1.0)):
-        with pytest.raises(ValueError, match="name the partner as its world"):
-            world_k_max(pd(1.0), device(0.0).with_tool(0.1), world)
-    for wrong in (lambda: Springs(0.0), lambda: Springs(2.0, 1.0), lambda: SteppedTool(-1.0), lambda: EulerTool(0.0)):
+        # The world takes the place of a plant's partner.
+        assert world_k_max(pd(1.0), device(0.0).with_tool(0.1), world) == world_k_max(pd(1.0), device(0.0), world)
+    with pytest.raises(ValueError, match="name the partner as its world"):
+        region_of(device(0.0).with_tool(0.1), AnyWorld(), False)
+    for wrong in (
+        lambda: Springs(0.0),
+        lambda: Springs(2.0, 1.0),
+        lambda: SteppedTool(-1.0),
+        lambda: SteppedTool(1.0, -0.5),
+        lambda: EulerTool(0.0),
+        lambda: OtherDevice(math.nan, 0.0),
+        lambda: OtherDevice(1.0, -1.0),
+        lambda: OtherDevice(1.0, 1e9),
+    ):
         with pytest.raises(ValueError, match="expected"):
             wrong()
     with pytest.raises(ValueError, match="expected at least 0"):
         Body()
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.5, 1.0])
+def test_a_tool_that_hardly_moves_is_a_wall(delay: float) -> None:
+    """The region shrinks to a curve; what it excludes must not get lost between the frequencies."""
+    plant, wall = device(delay), figure(pd(0.2), device(delay), Wall())
+    assert wall is not None
+    for much in (1e3, 1e4, 1e6, 1e10, 1e14, 1e20):
+        for world in (SteppedTool(much), EulerTool(much)):
+            # Of the order of b/b_t and m/m_t below the wall; below 1e-6 the search of the edge ends.
+            assert wall * (1.0 - 5.0 / much - 1e-6) < (figure(pd(0.2), plant, world) or 0.0) < wall * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize("angle", [0.0167507, 0.3, 2.0, 3.0, 3.1335])
+@pytest.mark.parametrize("width", [1e-3, 3e-5])
+def test_a_section_that_rings_in_a_narrow_band_is_seen(angle: float, width: float) -> None:
+    """No stiffness of a window is outside its own condition, looked at within the band of the section."""
+    turn = (-2.0 * (1.0 - width) * math.cos(angle), (1.0 - width) ** 2)
+    law = CompiledLaw((25.0, -25.0), (((25.0 * width, 0.0, *turn)),))
+    plant = Plant(T, 0.01, 3.0, 0.3)
+    theta = angle + width * np.linspace(-40.0, 40.0, 4001)
+    theta = theta[(theta > 0.0) & (theta <= math.pi)]
+    w = np.exp(-1j * theta)
+    answer = known_answer(plant, theta)
+    for world, radius in ((AnyWorld(), 0.0), (SteppedTool(5.0), 0.5 * T / 5.0)):
+        edge = world_k_max(law, plant, world)
+        assert edge.k_max_n_per_m is not None
+        assert edge.low_n_per_m is not None
+        for share in (0.002, 0.05, 0.5, 0.998):
+            k = edge.low_n_per_m + share * (edge.k_max_n_per_m - edge.low_n_per_m)
+            point = (1.0 - w) / with_spring(law, k).response(1.0 / w) + answer
+            room = point.real if radius == 0.0 else abs(point + radius * (0.7 * w + 0.3 * w * w)) - radius
+            assert room.min() > 0.0, (world, k)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import Any
 
 import haptic
@@ -59,6 +60,8 @@ def test_what_does_not_fit_is_refused(capsys: pytest.CaptureFixture[str]) -> Non
     assert "code of its own" in capsys.readouterr().err
     assert main(["study", "world", "--gain", "1", "--spring-range", "0..10"]) == 2
     assert "expected 0 <" in capsys.readouterr().err
+    assert main(["study", "world", "--gain", "1", "--device2-damping", "1", "--delay2", "1e9"]) == 2
+    assert "expected 0 to 1100" in capsys.readouterr().err
 
 
 def test_law_show_and_analyse_print_the_same(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
@@ -108,3 +111,30 @@ def test_k_max_from_python() -> None:
         haptic.k_max(pd, plant, world="tool")
     with pytest.raises(ValueError, match="expected no option"):
         haptic.k_max(pd, plant, world="any", tool_mass=1.0)
+
+
+@pytest.mark.parametrize(
+    ("world", "options", "named"),
+    [
+        ("spring", {"springs": 5.0}, "springs"),
+        ("spring", {"springs": (1.0, 2.0, 3.0)}, "springs"),
+        ("spring", {"springs": ("a", 2.0)}, "springs"),
+        ("spring", {"springs": (math.nan, 2.0)}, "softest"),
+        ("tool", {"tool_damping": None}, "tool_damping"),
+        ("tool", {"tool_damping": math.inf}, "damping"),
+        ("euler_tool", {"tool_mass": "heavy"}, "tool_mass"),
+        ("two_hands", {"other": None}, "other"),
+        ("two_hands", {"other": 3.0}, "other"),
+    ],
+)
+def test_options_of_a_world_that_are_none_are_refused_by_name(world: str, options: dict[str, Any], named: str) -> None:
+    with pytest.raises(ValueError, match=named):
+        haptic.k_max({"kind": "pd", "stiffness": 1.0, "damping": 0.2}, haptic.Plant(0.002, 0.1, 1.0), world=world, **options)
+
+
+def test_a_device_that_no_double_holds_has_an_answer() -> None:
+    law = {"kind": "pd", "stiffness": 1.0, "damping": 0.2}
+    for mass, damping in ((1e300, 1.0), (0.1, 1e300)):
+        for world in ("any", "any_hand"):
+            found = haptic.k_max(law, haptic.Plant(0.002, mass, damping), world=world)
+            assert found.k_max_n_per_m is None or found.k_max_n_per_m > 0.0

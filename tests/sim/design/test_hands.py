@@ -89,6 +89,13 @@ def test_near_the_edge_the_certificate_ends_where_the_poles_do() -> None:
     assert worst_grasp(pd(1.01 * low, 1.0), plant, box, certify=True).certified is False
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.37, 1.5])
+def test_a_stiff_grasp_of_next_to_no_mass_has_no_proof(delay: float) -> None:
+    """(21.2) grows as e^|A|: for 3 mg behind 30 kN/m and 10 N s/m no double holds it."""
+    box = HandBox((3e-6, 3.1e-6), (3e4, 9e4), (7.0, 21.0))
+    assert certify_box(pd(500.0, 1.0), Plant(T, 0.1, 1.0, delay), box, 50)[0] is None
+
+
 @pytest.mark.parametrize("side", ["mass", "stiffness", "damping"])
 def test_a_box_across_the_edge_is_never_certified(side: str) -> None:
     """At the edge of its middle one end of the box is unstable, and by little: 2 % of one number."""
