@@ -2,7 +2,6 @@
 
 import os
 import signal
-import struct
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -11,9 +10,10 @@ from typing import Any, Final
 from messages.types import DeviceState
 from nodes.base.processor_wait import state_of
 from nodes.driver.limits import SafetyParameters
+from sim.drill.device_log import read_log
 from sim.drill.drill import HOLD, PEAK, RATE, SLEW, Fault, await_another, await_strike, fault_of, kill
-from sim.drill.faulty_device import FAILS, LOGGED
-from sim.drill.writes import Promise, Write, broken
+from sim.drill.faulty_device import FAILS
+from sim.drill.writes import Promise, broken
 from sim.measure.measured_launch import wait_for
 from sim.measure.rig import Rig
 
@@ -22,13 +22,6 @@ HELD_UP: Final = (0.2, 0.4, 0.9)  # for how long a driver is stopped while it ta
 TAKEN_DOWN: Final = 20.0  # slew of that force [N/s]: it takes long enough to be met on its way
 ORDER = "order"
 LOG = "writes.log"
-
-
-def read_log(path: Path) -> list[Write]:
-    """Read the forces that a device was given, and when."""
-    whole = path.read_bytes()
-    size = struct.calcsize(LOGGED)
-    return [Write(at, (x, y, z)) for at, x, y, z in struct.iter_unpack(LOGGED, whole[: len(whole) // size * size])]
 
 
 class LoggedDevice:
@@ -61,7 +54,7 @@ class LoggedDevice:
 
     def ended(self) -> None:
         """Judge the log of what has been written so far."""
-        log = read_log(self._path)
+        log = [sample.write for sample in read_log(self._path, 1.0 / RATE)]
         # In a launch that goes on there is a force on the device.
         self.wrong = [text for text in broken(log, self._bounds) if "is left on the device" not in text]
 
@@ -96,11 +89,11 @@ class Vague(LoggedDevice):
         await_strike(lambda: "condition() of the device failed" in rig.errors, "what the driver says")
         await_strike(lambda: "driver: ended with exit code 1" in rig.errors, "the end of the driver")
         order.unlink()
-        last = read_log(self._path)[-1]
+        last = read_log(self._path, 1.0 / RATE)[-1]
         await_another(rig, "driver", before)
         self.ended()
-        if any(last.force):
-            self.wrong = [*self.wrong, f"{last.force} N were left on it by a driver that ended"]
+        if any(last.write.force):
+            self.wrong = [*self.wrong, f"{last.write.force} N were left on it by a driver that ended"]
 
 
 class Apart:
