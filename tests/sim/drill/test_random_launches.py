@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import subprocess
-import time
 from random import Random
+from types import SimpleNamespace
 
 import pytest
+from hypothesis import given, seed, settings
+from hypothesis import strategies as st
 
-from messages.types import DeviceState, Vector
+from messages.types import DeviceState, Proxy, Vector
+from nodes.coupling.renderer import ActiveLaw, Renderer
+from nodes.laws import CompiledLaw
 from sim.drill.device_log import Sample
 from sim.drill.drill import PEAK, RATE
-from sim.drill.random_launches import DAMPING, RAMP, STIFFNESS, begins_in, drawn, launch_many, pushed, text
+from sim.drill.random_launches import DAMPING, LAWS, RAMP, REACH, STIFFNESS, begins_in, drawn, launch_many, pushed, text
 from sim.drill.writes import Promise, Write, judge
-from tests.support import ROOT
+from tests.support.commit import commit
 
 T = 1.0 / RATE
 TICKS = round(RAMP / T)
@@ -92,11 +95,76 @@ def test_a_launch_is_drawn_again_from_its_seed() -> None:
     assert len({what for _, what in found}) > 4
 
 
+# -- moves and swaps, through the coupling's renderer -----------------------------------------------------------------
+
+LENGTH = 300
+MOVES = given(
+    # Where a hand goes to, in equal spans of time, and when a wall is moved where, a law taken up within how many ticks.
+    path=st.lists(st.floats(-0.002, 0.002), min_size=1, max_size=6),
+    moves=st.dictionaries(st.integers(1, LENGTH - 1), st.floats(-REACH, REACH), max_size=4),
+    swaps=st.dictionaries(
+        st.integers(1, LENGTH - 1), st.tuples(st.sampled_from(sorted(LAWS)), st.sampled_from([5, 20, 75])), max_size=4
+    ),
+    lost=st.sets(st.integers(1, LENGTH - 1), max_size=20),
+)
+
+
+def _felt(
+    path: list[float], moves: dict[int, float], swaps: dict[int, tuple[str, int]], lost: set[int], ease: int = TICKS
+) -> list[Sample]:
+    """Return what a device is given that follows a path, by a coupling that misses some ticks, within the driver's peak."""
+    renderer = Renderer([2], 16)
+
+    def law(name: str) -> ActiveLaw:
+        one = SimpleNamespace(**LAWS[name])
+        taps = one.stiffness + one.damping / T, -one.damping / T
+        return ActiveLaw(name, "{}", CompiledLaw(taps), renderer.histories)
+
+    renderer.law = law("pd")
+    renderer.state.ease_usual = ease
+    wall, rebased, z, last, felt = 0.0, 0, path[0], -1, 0.0
+    samples = []
+    for seq in range(LENGTH):
+        # As fast as 0.1 m/s: what a hand adds by damping stays below a newton.
+        goal = path[seq * len(path) // LENGTH]
+        z += max(-0.1 * T, min(0.1 * T, goal - z))
+        if seq in moves:
+            wall, rebased = moves[seq], seq
+        if seq in swaps and last >= 0:
+            name, ramp = swaps[seq]
+            renderer.swap(law(name), ramp)
+        if seq not in lost:
+            surface = max(z, wall)
+            position, proxy, contact = (0.0, 0.0, z), (0.0, 0.0, surface), z < wall
+            met = {"position": position, "proxy": proxy, "normal": (0.0, 0.0, 1.0), "distance": z - wall, "contact": contact}
+            told = Proxy(seq=seq, stamp=0.0, rebased=rebased, **met)
+            renderer.follow(told, last)
+            felt, last = max(-PEAK, min(PEAK, renderer.render(told)[2])), seq
+        samples.append(_given(seq, felt, (0.0, 0.0, z)))
+    return samples
+
+
+@seed(int(commit()[:12], 16))
+@settings(max_examples=150)
+@MOVES
+def test_whatever_is_moved_and_swapped_the_coupling_gives_no_push(
+    path: list[float], moves: dict[int, float], swaps: dict[int, tuple[str, int]], lost: set[int]
+) -> None:
+    assert pushed(_felt(path, moves, swaps, lost), sorted(moves))[0] == []
+
+
+def test_a_coupling_that_does_not_ease_is_seen() -> None:
+    assert pushed(_felt([-0.001], {100: 0.0015}, {}, set(), ease=0), [100])[0] != []
+    assert pushed(_felt([-0.001], {100: 0.0015}, {}, set()), [100])[0] == []
+
+
+# -- real launches ----------------------------------------------------------------------------------------------------
+
+
 @pytest.mark.slow
 def test_random_launches_give_no_push() -> None:
     """Each commit tries others: ``haptic drill random --seed COMMIT --launches 4`` does these again."""
-    commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
-    found = launch_many(4, commit or time.strftime("%Y%m%d"))
+    found = launch_many(4, commit(), ("plain",))
     print(text(found))
     assert found.passed, text(found)
     assert found.above == 0
