@@ -34,7 +34,7 @@ LAWS: Final[Mapping[str, dict[str, Any]]] = {
     "soft": {"kind": "pd", "stiffness": 500.0, "damping": 2.0},
     "light": {"kind": "pd", "stiffness": 500.0, "damping": 1.0},
 }
-AWAY: Final = 0.034  # a force that was away for so long comes back by the whole ramp: a fifth of it, and two ticks [s]
+AWAY: Final = 17  # a force that was away for so long comes back by the whole ramp: a fifth of it, and two ticks [ticks]
 REACH: Final = 0.0015  # farthest that a surface is moved from where it was, so that no law asks for more than the peak [m]
 OUTSIDE: Final = "1.0"  # an order: a position far outside of the workspace [m]
 ORDER, LOG = "order", "writes.log"
@@ -240,21 +240,18 @@ def begins_in(log: Sequence[Sample], states: Sequence[DeviceState]) -> list[floa
     for before, sample in pairwise(log):
         if sample.jumps > before.jumps and any((*before.write.force, *sample.write.force)):
             begins.append(sample.write.at)
-    was_fault = False
+    was_fault, since = False, -1
     for state, following in pairwise(states):
         was_fault = state.safety == "fault" or (was_fault and state.safety == "zero")
-        if state.safety != "zero" or following.safety == "zero":
+        if state.safety != "zero":
+            since = -1
+            continue
+        since = state.seq if since < 0 else since
+        # What the device let go of by itself is judged by the length of that gap, and costs a part of the ramp only.
+        if following.safety == "zero" or not (was_fault or state.seq - since >= AWAY):
             continue
         # What is published at a tick is what came of the one before: the first force is that of the last tick without one.
-        n = next((n for n, sample in enumerate(log) if sample.seq >= state.seq), len(log))
-        if n == len(log):
-            continue
-        first = n
-        while first > 0 and not any(log[first - 1].write.force):
-            first -= 1
-        # What the device let go of by itself is judged by the length of that gap.
-        if was_fault or log[n].write.at - log[first].write.at >= AWAY:
-            begins.append(log[n].write.at)
+        begins += [sample.write.at for sample in log if sample.seq >= state.seq][:1]
     return begins
 
 

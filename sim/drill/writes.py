@@ -129,12 +129,15 @@ def judge(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) -
         if max(map(abs, force)) > bounds.peak + EPSILON:
             above += 1
             found.append(f"{where}: {force} N, largest {bounds.peak:g} N")
-        changes = [one for one in changes if at - one[0] < 0.5 * bounds.period]
-        changes.append((at, [abs(new - old) for new, old in zip(force, felt, strict=True)]))
-        # Within half a tick there is at most one boundary between two ticks, each of which has its slew.
+        # Within half a tick there is at most one boundary between two ticks, each of which has its slew; a driver that was held
+        # up begins several ticks late, one right after the other, so that what is known to belong to one tick is counted.
+        known = not math.isnan(due)
+        changes = [one for one in changes if (one[0] == due if known else at - one[0] < 0.5 * bounds.period)]
+        changes.append((due if known else at, [abs(new - old) for new, old in zip(force, felt, strict=True)]))
         moved = max(sum(change[i] for _, change in changes) for i in range(3))
         if moved > 2.0 * bounds.slew + EPSILON:
-            found.append(f"{where}: changed by {moved:g} N within half a tick, slew {bounds.slew:g} N a tick")
+            within = "one tick" if known else "half a tick"
+            found.append(f"{where}: changed by {moved:g} N within {within}, slew {bounds.slew:g} N a tick")
         # The first force of a ramp is one step of it, and may come a tick after the write that the ramp is taken to begin at.
         since = at - ramp_from if math.isnan(due - due_from) else max(at - ramp_from, due - due_from)
         share = min((since + 2.0 * bounds.period) / bounds.ramp, 1.0) if bounds.ramp > 0.0 else 1.0

@@ -63,6 +63,20 @@ def test_a_ramp_counts_ticks_and_a_force_that_is_written_late_is_none_too_fast()
     assert judge([write._replace(force=(0.0, 0.0, 1.1 * write.force[2])) for write in fast], bounds).broken != []
 
 
+def test_each_tick_has_its_slew_however_late_it_is_written() -> None:
+    bounds = Promise(T, PEAK, 0.04, ramp=0.0)
+
+    def rising(step: float) -> list[Write]:
+        """Four ticks within less than one of time; at the end nothing is left."""
+        return [*(Write(n * 0.2 * T, (0.0, 0.0, step * n), n * T) for n in range(4)), Write(1.0, (0.0, 0.0, 2.0 * step), 1.0)]
+
+    # The force of the tick before, handed over again, and the tick's own have two slews together.
+    assert judge(rising(0.08), bounds).broken[:-1] == []
+    assert "within one tick" in judge(rising(0.081), bounds).broken[0]
+    # Of one tick there is no more than that, however many writes it has.
+    assert len(judge([write._replace(due=0.0) for write in rising(0.08)], bounds).broken) > 1
+
+
 def test_figures_of_a_log_count_what_is_above_a_limit_and_the_steepest_rise() -> None:
     log = [Write(n * T, (0.0, 0.0, PEAK * min((n + 1) / TICKS, 1.0))) for n in range(2 * TICKS)]
     right = judge([*log, Write(2 * TICKS * T, (0.0, 0.0, 0.0))], Promise(T, PEAK, ramp=RAMP))
