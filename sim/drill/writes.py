@@ -58,7 +58,7 @@ class Write(NamedTuple):
     due: float = math.nan
 
 
-class Judgement(NamedTuple):
+class LogFindings(NamedTuple):
     """What an oracle found in a log.
 
     Attributes
@@ -81,7 +81,7 @@ def broken(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) 
     return judge(log, bounds, begins).broken
 
 
-def judge(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) -> Judgement:
+def judge(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) -> LogFindings:
     """Judge a log: peak, slew, the ramp after every gap and beginning, and zero at the end.
 
     A ramp is due from the first write on, unless it is zero; from the first one after the device let go; and from the first
@@ -98,7 +98,7 @@ def judge(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) -
 
     Returns
     -------
-    Judgement
+    LogFindings
         What it breaks, and how close it came.
     """
     found: list[str] = []
@@ -149,4 +149,4 @@ def judge(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) -
         felt, last = force, at
     if log and any(log[-1].force):
         found.append(f"{log[-1].at:.4f} s: {log[-1].force} N is left on the device")
-    return Judgement(found, above, steepest)
+    return LogFindings(found, above, steepest)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from random import Random
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from hypothesis import given, seed, settings
@@ -150,7 +151,13 @@ def _felt(
         if seq not in lost:
             surface = max(z, wall)
             position, proxy, contact = (0.0, 0.0, z), (0.0, 0.0, surface), z < wall
-            met = {"position": position, "proxy": proxy, "normal": (0.0, 0.0, 1.0), "distance": z - wall, "contact": contact}
+            met: Any = {
+                "position": position,
+                "proxy": proxy,
+                "normal": (0.0, 0.0, 1.0),
+                "distance": z - wall,
+                "contact": contact,
+            }
             told = Proxy(seq=seq, stamp=0.0, rebased=rebased, **met)
             renderer.follow(told, last)
             felt, last = max(-PEAK, min(PEAK, renderer.render(told)[2])), seq
