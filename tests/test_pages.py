@@ -48,6 +48,7 @@ SHORTER = {
     "haptic bench curve": "--rounds 1 --ticks 50",
     "haptic drill": "flood",
     "haptic drill --list": "",
+    "haptic drill random": "--launches 1 --json",
     "haptic drill soak": "--minutes 0.17 --miss-limit 1 --json",
     "haptic study kmax --law pd --gain 3 --method lockstep": "--grid 3 --horizon 600",
     "haptic study chart": "--quick --parts kmax",

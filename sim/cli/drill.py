@@ -3,23 +3,31 @@
 import argparse
 import signal
 import sys
+import time
 
 import msgspec
 
 from messages.errors import UsageError
 from nodes.cli.main import coloured
-from nodes.cli.quantities import not_negative, positive
+from nodes.cli.quantities import not_negative, positive, whole
 from sim.cli.answers import add_answer, report
 from sim.drill.drill import HOLD, LIMIT, RATE, DrillOutcome, drill
 from sim.drill.faults import faults
+from sim.drill.random_launches import LaunchOutcome, launch_many
+from sim.drill.random_launches import text as text_of_launches
 from sim.drill.soak import MISS_LIMIT, soak, text
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "faults", nargs="*", help='faults by name, e.g. "kill coupling"; all when left out; or soak: a long run under use'
+        "faults",
+        nargs="*",
+        help='faults by name, e.g. "kill coupling"; all when left out; soak: a long run under use; random: launches under '
+        "random stalls, kills, swaps, moves, re-centres and faults, each force judged from the device's own log",
     )
+    parser.add_argument("--launches", type=whole(1, 100_000), default=20, help="how many of random (default: %(default)s)")
+    parser.add_argument("--seed", default="", help="what random draws from (default: the time, which is printed)")
     parser.add_argument("--minutes", type=positive, default=10.0, help="length of a soak [min] (default: %(default)s)")
     parser.add_argument(
         "--miss-limit", type=not_negative, default=MISS_LIMIT, help="share of ticks that a soak may miss (default: %(default)s)"
@@ -35,6 +43,8 @@ def run(arguments: argparse.Namespace) -> int:
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     if arguments.faults == ["soak"]:
         return _soak(arguments)
+    if arguments.faults == ["random"]:
+        return _random(arguments)
     known = {fault.name: fault for fault in faults()}
     if arguments.list:
         figures = {name: fault.what for name, fault in known.items()}
@@ -57,6 +67,17 @@ def _soak(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--minutes {arguments.minutes:g}: a soak takes at least 10 s, --minutes 0.17")
     found = soak(seconds, min(60.0, seconds / 3.0), arguments.miss_limit)
     return report(arguments, msgspec.to_builtins(found), text(found), held=found.passed)
+
+
+def _random(arguments: argparse.Namespace) -> int:
+    seed = arguments.seed or time.strftime("%Y%m%d-%H%M%S")
+
+    def show(one: LaunchOutcome) -> None:
+        result = "FAILED" if one.reasons else "passed"
+        print(f"[drill] {seed}:{one.number} {one.what}: {one.forces} forces, {result}", file=sys.stderr, flush=True)
+
+    found = launch_many(arguments.launches, seed, shown=show)
+    return report(arguments, msgspec.to_builtins(found), text_of_launches(found), held=found.passed)
 
 
 # Columns of the table; the third to the fifth hold numbers.

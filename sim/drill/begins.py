@@ -2,7 +2,7 @@
 
 import os
 import signal
-import struct
+import time
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -11,24 +11,21 @@ from typing import Any, Final
 from messages.types import DeviceState
 from nodes.base.processor_wait import state_of
 from nodes.driver.limits import SafetyParameters
+from sim.drill.device_log import read_log
 from sim.drill.drill import HOLD, PEAK, RATE, SLEW, Fault, await_another, await_strike, fault_of, kill
-from sim.drill.faulty_device import FAILS, LOGGED
-from sim.drill.writes import Promise, Write, broken
-from sim.measure.measured_launch import wait_for
+from sim.drill.faulty_device import FAILS
+from sim.drill.random_launches import pushed
+from sim.drill.writes import Promise, broken
+from sim.measure.measured_launch import MeasurementError, wait_for
 from sim.measure.rig import Rig
 
 APART: Final = 0.03  # how far the two devices of a pair stand apart at the start [m]
 HELD_UP: Final = (0.2, 0.4, 0.9)  # for how long a driver is stopped while it takes a force down [s]
 TAKEN_DOWN: Final = 20.0  # slew of that force [N/s]: it takes long enough to be met on its way
+INSIDE: Final = -0.005  # where a device is that begins inside of the wall [m]
+PLACES: Final = (0.0015, -0.0015, 0.001, 0.0)  # where a wall is moved to while a hand presses into it [m]
 ORDER = "order"
 LOG = "writes.log"
-
-
-def read_log(path: Path) -> list[Write]:
-    """Read the forces that a device was given, and when."""
-    whole = path.read_bytes()
-    size = struct.calcsize(LOGGED)
-    return [Write(at, (x, y, z)) for at, x, y, z in struct.iter_unpack(LOGGED, whole[: len(whole) // size * size])]
 
 
 class LoggedDevice:
@@ -61,7 +58,7 @@ class LoggedDevice:
 
     def ended(self) -> None:
         """Judge the log of what has been written so far."""
-        log = read_log(self._path)
+        log = [sample.write for sample in read_log(self._path, 1.0 / RATE)]
         # In a launch that goes on there is a force on the device.
         self.wrong = [text for text in broken(log, self._bounds) if "is left on the device" not in text]
 
@@ -74,7 +71,7 @@ class HeldUp(LoggedDevice):
         self.struck(rig)
         for seconds in HELD_UP:
             coupling = rig.kill("coupling", signal.SIGSTOP)
-            await_strike(lambda: rig.states[-1].safety == "damping", "a force that is taken down")
+            _await_way_down(rig)
             driver = rig.kill("driver", signal.SIGSTOP)
             await_strike(lambda driver=driver: state_of(Path(f"/proc/{driver}")) == "T", "the driver stopped")  # type: ignore[misc]
             rig.let_pass(seconds)
@@ -83,6 +80,51 @@ class HeldUp(LoggedDevice):
             os.kill(coupling, signal.SIGCONT)
             wait_for(lambda: rig.states[-1].safety == "active", "forces to come back", 15.0)
         self.ended()
+
+
+def _await_way_down(rig: Rig) -> None:
+    """Wait until a force is being taken down: a way of some 100 ms, met on a busy machine by who looks each millisecond."""
+    until = time.monotonic() + 5.0
+    while time.monotonic() < until:
+        state = rig.states[-1]
+        if state.safety in ("damping", "zero") and any(state.force):
+            return
+        time.sleep(0.001)
+    raise MeasurementError("not struck: a force that is taken down not within 5 s")
+
+
+class Inside(LoggedDevice):
+    """A device that is inside of the wall when its driver is started, and when it is started again."""
+
+    def change(self, content: dict[str, Any]) -> None:
+        """Begin where the hand pulls to: the law asks for 5 N at once."""
+        super().change(content)
+        content["nodes"]["driver"]["parameters"]["device"]["position"] = INSIDE
+
+    def strike(self, rig: Rig) -> None:
+        """Kill the driver: another one finds the device inside."""
+        self.struck(rig)
+        kill("driver")(rig)
+        wait_for(lambda: rig.states[-1].safety == "active" and any(rig.states[-1].force), "forces to come back", 15.0)
+        if not any(read_log(self._path, 1.0 / RATE)[0].write.force):
+            raise MeasurementError("not struck: the first force is zero, so that no ramp was due")
+        self.ended()
+
+
+class Moved(LoggedDevice):
+    """A wall that is moved while a hand presses into it."""
+
+    def strike(self, rig: Rig) -> None:
+        """Move it towards the hand and away, each time with another force step."""
+        self.struck(rig)
+        moved_at = []
+        for place in PLACES:
+            receipt = rig.call("environment", "param.set", values={"surface.position": place})
+            moved_at.append(int(receipt["seq"]))
+            rig.let_pass(3.0 * SafetyParameters().recovery)
+        await_strike(lambda: rig.errors.count("a force step of") >= len(PLACES), "the force step of each move")
+        self.ended()
+        self.wrong = [*self.wrong, *pushed(read_log(self._path, 1.0 / RATE), moved_at)[0]]
 
 
 class Vague(LoggedDevice):
@@ -96,11 +138,11 @@ class Vague(LoggedDevice):
         await_strike(lambda: "condition() of the device failed" in rig.errors, "what the driver says")
         await_strike(lambda: "driver: ended with exit code 1" in rig.errors, "the end of the driver")
         order.unlink()
-        last = read_log(self._path)[-1]
+        last = read_log(self._path, 1.0 / RATE)[-1]
         await_another(rig, "driver", before)
         self.ended()
-        if any(last.force):
-            self.wrong = [*self.wrong, f"{last.force} N were left on it by a driver that ended"]
+        if any(last.write.force):
+            self.wrong = [*self.wrong, f"{last.write.force} N were left on it by a driver that ended"]
 
 
 class Apart:
@@ -154,6 +196,8 @@ class Apart:
 def faults() -> list[Fault]:
     """List them. What belongs to beginnings, moves and returns of other nodes is added here, one row each."""
     rows: list[tuple[Any, str, str]] = [
+        (Inside(), "start inside", f"a device {-1e3 * INSIDE:g} mm inside of the wall, its driver killed: another finds it so"),
+        (Moved(), "moved surface", f"the wall moved {len(PLACES)} times by up to 3 mm while a hand presses"),
         (Apart(), "start apart", f"a pair {1e3 * APART:g} mm apart, its driver killed: another finds it so"),
         (HeldUp(TAKEN_DOWN), "held up on the way down", "driver stopped 0.2 to 0.9 s while it takes a force down"),
         (Vague(), "vague device", "condition() of the device raises"),

@@ -17,9 +17,12 @@ HANG, EXIT = "hang", "exit"
 # What it begins with for an encoder that lies: its positions times a factor, or those of so many samples before. Else a number
 # is the position [m].
 SCALE, LATE = "scale ", "late "
+# What it begins with for a device that is re-centred: its positions are so much further on [m], which no motion made.
+MOVED = "moved "
 # What it begins with for a call that raises, which is named, and for a read that takes so long [s].
 FAILS, BLOCKS = "fails in ", "blocks "
-LOGGED = "<dddd"  # a force in its log: when it was written [s], and along each axis [N]
+# A force in its log: when it was written [s], its tick, the jumps until then, the force [N] and the position read last [m].
+LOGGED = "<dqq3d3d"
 _LATEST = 100
 
 
@@ -37,6 +40,9 @@ class FaultyDevice:
         self._device, self._order = device, order
         self._log = open(log, "ab", buffering=0) if log else None  # noqa: SIM115  # as long as the device
         self._positions = deque([ZERO], maxlen=_LATEST)
+        self._read = ZERO  # position that was given last [m]
+        self._offset = 0.0
+        self.jumps = 0  # how often its position was elsewhere without a motion
 
     @property
     def limits(self) -> DeviceLimits:
@@ -64,10 +70,20 @@ class FaultyDevice:
 
     def read_position(self, seq: int) -> Vector:
         """Sample the position; when so ordered, another one, or none and an end."""
+        self._read = self._read_as_ordered(seq)
+        return self._read
+
+    def _read_as_ordered(self, seq: int) -> Vector:
         position = self._device.read_position(seq)
         self._positions.append(position)
         order = self._ordered()
         self._meet("read_position", order)
+        offset = float(order.removeprefix(MOVED)) if order.startswith(MOVED) else 0.0
+        if offset != self._offset:
+            self._offset = offset
+            self.jumps += 1
+        if order.startswith(MOVED):
+            return (position[0] + offset, position[1] + offset, position[2] + offset)
         if order in ("", HANG) or order.startswith(FAILS):
             return position
         if order.startswith(BLOCKS):
@@ -84,11 +100,12 @@ class FaultyDevice:
 
     def write_force(self, force: Vector, seq: int, offset: float) -> None:
         """Hand over a force; when so ordered, never come back."""
+        at = time.monotonic()  # the driver has looked at its clock just before
         while (order := self._ordered()) == HANG:
             time.sleep(0.1)
         self._meet("write_force", order)
         if self._log is not None:
-            self._log.write(struct.pack(LOGGED, time.monotonic(), *force))
+            self._log.write(struct.pack(LOGGED, at, seq, self.jumps, *force, *self._read))
         self._device.write_force(force, seq, offset)
 
     def close(self) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 
 from messages.codec import Decoder
@@ -17,6 +17,7 @@ from messages.types import DeviceState, Vector
 from nodes.driver.device import DeviceLimits
 from nodes.driver.state import ACTIVE, RAMP
 from sim.drill.writes import Promise, Write, broken
+from tests.support.commit import commit
 from tests.support.safety import Port, T, force
 from tests.support.scripted import Hand, Script, played
 from tests.support.scripted_world import EPOCH
@@ -295,6 +296,7 @@ def _feels_no_push(
     assert broken(_log(outcome), bounds, made[0].begins) == []
 
 
+@seed(int(commit()[:12], 16))
 @settings(max_examples=60)
 @HAPPENINGS
 def test_whatever_happens_to_a_driver_its_device_feels_no_push(tmp_path: Path, **happens: Any) -> None:
@@ -302,6 +304,7 @@ def test_whatever_happens_to_a_driver_its_device_feels_no_push(tmp_path: Path, *
 
 
 @pytest.mark.slow
+@seed(int(commit()[:12], 16))
 @settings(max_examples=2000)
 @HAPPENINGS
 def test_two_thousand_runs_of_a_driver_have_no_push(tmp_path: Path, **happens: Any) -> None:

@@ -1,0 +1,373 @@
+"""Random launches: any sequence of starts, stalls, kills, swaps, moves, re-centres and faults, judged by the device's log.
+
+Each launch is drawn from a seed and a number, so that one that fails is run again by both. What was done, and when, comes
+from the receipts and from the device's own log; of the driver's messages only its way out of zero force is used.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import signal
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
+from random import Random
+from typing import Any, Final
+
+import msgspec
+
+from messages.transport.requests import ControlError
+from messages.types import DeviceState
+from sim.drill.device_log import Sample, read_log
+from sim.drill.drill import HOLD, PEAK, RATE, SLEW, await_another, in_order, scene
+from sim.drill.faulty_device import BLOCKS, FAILS, MOVED
+from sim.drill.writes import EPSILON, Promise, judge
+from sim.measure.measured_launch import MeasurementError, within
+from sim.measure.rig import Rig
+
+RAMP: Final = 0.15  # time in which a force that no motion made grows, of driver and coupling [s]
+STIFFNESS, DAMPING = 1200.0, 3.0  # most that the laws below have [N/m, N s/m]
+LAWS: Final[Mapping[str, dict[str, Any]]] = {
+    "pd": {"kind": "pd", "stiffness": 1000.0, "damping": DAMPING},
+    "soft": {"kind": "pd", "stiffness": 500.0, "damping": 2.0},
+    "light": {"kind": "pd", "stiffness": 500.0, "damping": 1.0},
+}
+AWAY: Final = 17  # a force that was away for so long comes back by the whole ramp: a fifth of it, and two ticks [ticks]
+REACH: Final = 0.0015  # farthest that a surface is moved from where it was, so that no law asks for more than the peak [m]
+OUTSIDE: Final = "1.0"  # an order: a position far outside of the workspace [m]
+ORDER, LOG = "order", "writes.log"
+PATIENCE: Final = 20.0  # how long a launch has to be in order again after what was done to it [s]
+DONE: Final = (3, 7)  # fewest and most things that are done to a launch
+
+
+class LaunchOutcome(msgspec.Struct, kw_only=True):
+    """What came of one random launch.
+
+    Attributes
+    ----------
+    number : int
+        Which one of its seed.
+    what : str
+        How it began.
+    done : list of str
+        What was done to it, in order.
+    forces : int
+        How many forces its device was given.
+    above : int
+        How many of them were above a limit.
+    steepest : float
+        Largest share of what its ramp allowed that a force used; 1 is the ramp itself.
+    reasons : list of str
+        Why it has not passed; empty where it has.
+    """
+
+    number: int
+    what: str = ""
+    done: list[str] = []
+    forces: int = 0
+    above: int = 0
+    steepest: float = 0.0
+    reasons: list[str] = []
+
+
+class RandomLaunches(msgspec.Struct, kw_only=True):
+    """What came of all launches of a seed; fields as in `LaunchOutcome`."""
+
+    seed: str
+    launches: int = 0
+    forces: int = 0
+    above: int = 0
+    steepest: float = 0.0
+    done: dict[str, int] = {}
+    failed: list[LaunchOutcome] = []
+    passed: bool = False
+
+
+def _floor(random: Random, content: dict[str, Any]) -> str:
+    """Write a hand that presses into a floor, begun inside or outside of it."""
+    height = random.uniform(-0.004, 0.004)
+    content["nodes"]["driver"]["parameters"]["device"]["position"] = height
+    return f"floor, begins at {1e3 * height:.2g} mm"
+
+
+def _drop(random: Random, content: dict[str, Any]) -> str:
+    """Write a mass without a hand, dropped on a floor or begun inside of it."""
+    height = random.uniform(-0.002, 0.01)
+    device = content["nodes"]["driver"]["parameters"]["device"]
+    del device["hand"]
+    device |= {"gravity": 9.81, "position": height}
+    return f"drop from {1e3 * height:.2g} mm"
+
+
+def _sphere(random: Random, content: dict[str, Any]) -> str:
+    """Write a hand that is led over a sphere, in three axes."""
+    content["run"]["axes"] = ["x", "y", "z"]
+    device = content["nodes"]["driver"]["parameters"]["device"]
+    device["hand"] = {"mass": 0.05, "damping": 3.0, "stiffness": 150.0, "path": [[0.0, -0.02], [1.0, 0.02], [2.0, -0.02]]}
+    device["hand"]["repeat"] = 2.0
+    depth = random.uniform(-0.002, 0.002)
+    surface = {"kind": "sphere", "position": [0.0, 0.0, -0.03], "radius": 0.03 + depth, "tool_radius": 0.001}
+    content["nodes"]["environment"]["parameters"]["surface"] = surface
+    return f"sphere, begins {1e3 * depth:.2g} mm inside"
+
+
+SCENES: Final[tuple[Callable[[Random, dict[str, Any]], str], ...]] = (_floor, _drop, _sphere)
+
+
+def drawn(random: Random, ticks: Sequence[str] = ("plain", "compiled")) -> tuple[dict[str, Any], str]:
+    """Return a launch file that is drawn at random, and what is in it."""
+    content = scene()
+    driver = content["nodes"]["driver"]
+    driver["kind"] = "faulty_driver"
+    driver["parameters"] |= {"order": ORDER, "log": LOG}
+    driver["parameters"]["safety"] |= {"ramp": None, "recovery": RAMP}
+    content["nodes"]["coupling"]["parameters"] |= {"laws": dict(LAWS), "law": random.choice(list(LAWS)), "ease": RAMP}
+    del content["nodes"]["logger"]
+    what = random.choice(SCENES)(random, content)
+    tick, apply = random.choice(list(ticks)), random.choice(("on_arrival", "next_tick"))
+    content["run"] |= {"tick": tick, "apply": apply}
+    return content, f"{what}, {tick} tick, {apply}"
+
+
+class _Course:
+    """What is done to one launch."""
+
+    def __init__(self, random: Random, rig: Rig, surface: Mapping[str, Any]) -> None:
+        self._random, self._rig = random, rig
+        self.done: list[str] = []
+        self.moved_at: list[int] = []  # ticks from which on a surface was elsewhere
+        self.kinds: Counter[str] = Counter()
+        self._at: Sequence[float] = surface.get("position", ())  # of a sphere [m]
+
+    def do(self) -> None:
+        """Do one thing, at any moment of a tick."""
+        kinds = (self.stop, self.stop, self.kill, self.swap, self.move, self.move, self.change, self.recentre, self.fault)
+        kind = self._random.choice(kinds)
+        self._rig.let_pass(self._random.uniform(0.0, 0.3))
+        self.kinds[kind.__name__] += 1
+        try:
+            done = kind()
+        except ControlError as refusal:
+            # A loop that a stall has made late carries less: refused as for anybody.
+            if "unstable" not in str(refusal):
+                raise
+            done = "refused"
+        self.done.append(f"{kind.__name__} {done}")
+
+    def stop(self) -> str:
+        """Stop a node for a while."""
+        node = self._random.choice(("driver", "coupling", "environment"))
+        seconds = self._random.choice((0.005, 0.03, 0.055, 0.1, 0.3, 0.9)) * self._random.uniform(0.8, 1.2)
+        pid = self._rig.kill(node, signal.SIGSTOP)
+        try:
+            self._rig.let_pass(seconds)
+        finally:
+            os.kill(pid, signal.SIGCONT)
+        return f"{node} for {seconds:.3g} s"
+
+    def kill(self) -> str:
+        """Kill a node; another comes in its place."""
+        node = self._random.choice(("driver", "coupling", "environment"))
+        await_another(self._rig, node, self._rig.kill(node))
+        return node
+
+    def swap(self) -> str:
+        """Switch to another law."""
+        law, ramp = self._random.choice(list(LAWS)), self._random.choice((5, 20, 75))
+        receipt = self._rig.call("coupling", "law.switch", law=law, ramp=ramp)
+        if not math.isfinite(receipt["force_step_n"]):
+            raise MeasurementError(f"law.switch: no force step in its receipt: {receipt}")
+        return f"to {law} within {ramp} ticks"
+
+    def move(self) -> str:
+        """Move the surface, as nobody's motion did."""
+        by = self._random.uniform(-REACH, REACH)
+        position = [self._at[0], self._at[1], self._at[2] + by] if self._at else by
+        receipt = self._rig.call("environment", "param.set", values={"surface.position": position})
+        self.moved_at.append(int(receipt["seq"]))
+        return f"surface to {1e3 * by:.3g} mm at tick {receipt['seq']}"
+
+    def change(self) -> str:
+        """Change a law's stiffness."""
+        stiffness = self._random.uniform(600.0, STIFFNESS)
+        self._rig.call("coupling", "param.set", values={"laws.pd.stiffness": stiffness, "ramp": 20})
+        return f"K of pd to {stiffness:.4g} N/m"
+
+    def recentre(self) -> str:
+        """Let the device be elsewhere, without a motion, and back."""
+        by = self._random.uniform(-REACH, REACH)
+        self._order(f"{MOVED}{by!r}", self._random.uniform(0.05, 0.4))
+        return f"by {1e3 * by:.3g} mm and back"
+
+    def fault(self) -> str:
+        """Let the device break down for a while."""
+        what = self._random.choice((OUTSIDE, f"{BLOCKS}0.06", f"{FAILS}read_position", f"{FAILS}condition"))
+        before = self._rig.pid("driver")
+        self._order(what, self._random.uniform(0.01, 0.2))
+        # An end that was only beginning is met by whoever asks next.
+        self._rig.let_pass(0.1)
+        if what.startswith(FAILS) and "driver: ended with" in self._rig.errors:
+            within(lambda: self._is_back(before), PATIENCE)
+        return what
+
+    def _is_back(self, before: int) -> bool:
+        with contextlib.suppress(ControlError):
+            return int(self._rig.call("driver", "status", timeout=0.3)["pid"]) != before
+        return False
+
+    def _order(self, what: str, seconds: float) -> None:
+        order, fresh = self._rig.folder / ORDER, self._rig.folder / "order.new"
+        fresh.write_text(what, encoding="ascii")
+        fresh.rename(order)  # a device never reads half an order
+        self._rig.let_pass(seconds)
+        order.unlink()
+
+
+def begins_in(log: Sequence[Sample], states: Sequence[DeviceState]) -> list[float]:
+    """Return when the whole ramp of a driver was due [s]: after each jump, each fault and each time without force.
+
+    Parameters
+    ----------
+    log : sequence of Sample
+        Of the device.
+    states : sequence of DeviceState
+        What the driver published.
+    """
+    begins = []
+    # In free air a jump has no ramp, nor has a contact that a motion makes after it.
+    for before, sample in pairwise(log):
+        if sample.jumps > before.jumps and any((*before.write.force, *sample.write.force)):
+            begins.append(sample.write.at)
+    was_fault, since = False, -1
+    for state, following in pairwise(states):
+        was_fault = state.safety == "fault" or (was_fault and state.safety == "zero")
+        if state.safety != "zero":
+            since = -1
+            continue
+        since = state.seq if since < 0 else since
+        # What the device let go of by itself is judged by the length of that gap, and costs a part of the ramp only.
+        if following.safety == "zero" or not (was_fault or state.seq - since >= AWAY):
+            continue
+        # What is published at a tick is what came of the one before: the first force is that of the last tick without one.
+        begins += [sample.write.at for sample in log if sample.seq >= state.seq][:1]
+    return begins
+
+
+def pushed(log: Sequence[Sample], moved_at: Sequence[int]) -> tuple[list[str], float]:
+    """Return each force that rose faster than by its ramp after a surface was moved, and the largest share of it.
+
+    A hand that moves meanwhile adds the stiffness times its way and the damping times its speed, at most.
+    """
+    wrong: list[str] = []
+    steepest = 0.0
+    for seq in moved_at:
+        first = next((n for n, sample in enumerate(log) if sample.seq >= seq), len(log))
+        if first in (0, len(log)) or log[first].seq > seq + 1 or log[first].write.at - log[first - 1].write.at >= HOLD:
+            continue  # no force at that time: the driver's own ramp holds
+        began = log[first]
+        # Forces that were taken down just then come back to where they were, by the driver's own ramp.
+        felt = [max(abs(s.write.force[i]) for s in log[first - min(first, 50) : first]) for i in range(3)]
+        way, speed = [0.0] * 3, [0.0] * 3
+        for before, sample in zip(log[first - 1 :], log[first:], strict=False):
+            since = max(sample.write.at - began.write.at, sample.write.due - began.write.due)
+            if since >= RAMP or sample.jumps != began.jumps:
+                break
+            took = max(sample.seq - before.seq, 1) / RATE
+            share = min((since + 2.0 / RATE) / RAMP, 1.0)
+            for i in range(3):
+                way[i] = max(way[i], abs(sample.position[i] - began.position[i]))
+                speed[i] = max(speed[i], abs(sample.position[i] - before.position[i]) / took)
+                allowed = share * PEAK + (1.0 - share) * felt[i]
+                moved = STIFFNESS * max(way) + DAMPING * max(speed)
+                steepest = max(steepest, (abs(sample.write.force[i]) - moved) / allowed)
+                if abs(sample.write.force[i]) > allowed + moved + EPSILON:
+                    force = f"{sample.write.force[i]:.3g} N along {'xyz'[i]} at tick {sample.seq}"
+                    wrong.append(f"{force}, moved at tick {seq}: {allowed:.3g} N by its ramp, {moved:.3g} N by motion")
+    return wrong[:3], steepest
+
+
+def launch_once(seed: str, number: int, ticks: Sequence[str] = ("plain", "compiled")) -> tuple[LaunchOutcome, Counter[str]]:
+    """Do one random launch, and judge it."""
+    random = Random(f"{seed}:{number}")  # noqa: S311  # no secret: drawn again from the same seed
+    content, what = drawn(random, ticks)
+    outcome = LaunchOutcome(number=number, what=what)
+    kinds: Counter[str] = Counter()
+    log: list[Sample] = []
+    moved_at: list[int] = []
+    try:
+        with Rig(content) as rig:
+            course = _Course(random, rig, content["nodes"]["environment"]["parameters"]["surface"])
+            outcome.done, kinds, moved_at = course.done, course.kinds, course.moved_at
+            for _ in range(random.randint(*DONE)):
+                course.do()
+            if not within(lambda: in_order(rig.states), PATIENCE):
+                outcome.reasons.append(f"not in order again within {PATIENCE:g} s: {rig.errors[-500:]}")
+            rig.end()
+            log = read_log(rig.folder / LOG, 1.0 / RATE)
+            states = rig.states
+    except (MeasurementError, ControlError) as error:
+        outcome.reasons.append(str(error))
+        return outcome, kinds
+    bounds = Promise(1.0 / RATE, PEAK, SLEW / RATE, HOLD, RAMP)
+    judged = judge([sample.write for sample in log], bounds, begins_in(log, states))
+    wrong, steepest = pushed(log, moved_at)
+    outcome.forces, outcome.above = len(log), judged.above
+    outcome.steepest = max(judged.steepest, steepest)
+    outcome.reasons += [f"the device: {text}" for text in (*judged.broken[:3], *wrong)]
+    outcome.reasons += [] if log else ["the device was given nothing"]
+    if rig.exit_code != 0:
+        outcome.reasons.append(f"the launch ended with exit code {rig.exit_code}: {rig.said[-500:]}")
+    outcome.reasons += [f"left behind: {left}" for left in rig.left]
+    return outcome, kinds
+
+
+def launch_many(
+    launches: int,
+    seed: str,
+    ticks: Sequence[str] = ("plain", "compiled"),
+    shown: Callable[[LaunchOutcome], object] = lambda _: None,
+) -> RandomLaunches:
+    """Do random launches, one after the other.
+
+    Parameters
+    ----------
+    launches : int
+        How many.
+    seed : str
+        What they are drawn from, with their number.
+    ticks : sequence of str
+        Ticks that they are drawn with.
+    shown : callable
+        Is given each outcome.
+    """
+    found = RandomLaunches(seed=seed)
+    kinds: Counter[str] = Counter()
+    for number in range(launches):
+        outcome, done = launch_once(seed, number, ticks)
+        shown(outcome)
+        kinds += done
+        found.launches += 1
+        found.forces += outcome.forces
+        found.above += outcome.above
+        found.steepest = max(found.steepest, outcome.steepest)
+        if outcome.reasons:
+            found.failed.append(outcome)
+    found.done = dict(sorted(kinds.items()))
+    found.passed = not found.failed and found.launches > 0
+    return found
+
+
+def text(found: RandomLaunches) -> str:
+    """Write the figures of random launches."""
+    done = ", ".join(f"{count} {name}" for name, count in found.done.items())
+    lines = [
+        f"{found.launches} launches of seed {found.seed}: {done}",
+        f"{found.forces} forces checked, {found.above} above a limit; the steepest rise took {found.steepest:.3f} of its ramp",
+    ]
+    for one in found.failed:
+        lines.append(f"launch {one.number} FAILED ({one.what}): {'; '.join(one.done)}")
+        lines += [f"  {reason}" for reason in one.reasons]
+    lines.append("passed" if found.passed else "FAILED")
+    return "\n".join(lines)
