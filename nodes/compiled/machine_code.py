@@ -72,11 +72,11 @@ def _whole(entries: dict[str, Any]) -> tuple[dict[str, str], Any]:
     """Compile functions and all that they call; their names in LLVM, and one module that is not optimised yet."""
     import llvmlite.binding as llvm
     import numba
-    from numba.core.cgutils import normalize_ir_text
+    from numba.core import cgutils
     from numba.core.codegen import JITCodeLibrary
     from numba.core.registry import cpu_target
 
-    class Parts(JITCodeLibrary):  # type: ignore[misc]  # numba has no types
+    class Parts(JITCodeLibrary):
         """What numba writes of one function, as text: neither optimised nor emitted."""
 
         def add_ir_module(self, ir_module: Any) -> None:
@@ -113,7 +113,8 @@ def _whole(entries: dict[str, Any]) -> tuple[dict[str, str], Any]:
         waiting += library._linking_libraries
         # Numba's own library, which was there before, has only what counts references.
         for written in getattr(library, "_written", ()):
-            unit.link_in(llvm.parse_assembly(normalize_ir_text(str(written))))
+            text: Any = cgutils.normalize_ir_text
+            unit.link_in(llvm.parse_assembly(text(str(written))))
     return names, unit
 
 
@@ -143,7 +144,7 @@ def linked(made: bytes) -> tuple[str, bytes]:
         with tempfile.TemporaryDirectory(prefix="haptic-tick-") as folder:
             draft, library = Path(folder) / "tick.o", Path(folder) / "tick.so"
             draft.write_bytes(made)
-            command = [linker, "-shared", "-o", library, draft, "-lm"]
+            command = [linker, "-shared", "-o", str(library), str(draft), "-lm"]
             done = subprocess.run(command, capture_output=True, check=False)
             if done.returncode == 0:
                 return "so", library.read_bytes()

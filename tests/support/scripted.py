@@ -160,7 +160,8 @@ _NOT_ALIKE = {
 def _numbers(state: Any) -> dict[str, Any]:
     """Give the numbers of a node's state, beyond what its compiled ticks need of the world."""
     found: dict[str, Any] = {name: getattr(state, name) for name in ("seq", "answered", "gaps", "skipped", "ticks")}
-    for name, _ in type(state)._fields_[len(LoopState._fields_) :]:
+    loop: Any = LoopState
+    for name, _ in type(state)._fields_[len(loop._fields_) :]:
         if name not in _NOT_ALIKE:
             # How long a tick took is measured, not ruled; that it was counted is.
             value = sum(state.spent) if name == "spent" else getattr(state, name)

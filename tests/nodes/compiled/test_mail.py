@@ -68,7 +68,8 @@ def told_during(place: Path, kernel: Callable[[Coupling, CouplingState], None]) 
     node = Coupling(setup_of(name="coupling", tick="compiled", sources={topics.PROXY: source}, parameters=parameters))
 
     def ticks(address: int) -> int:
-        kernel(node, CouplingState.from_address(address))
+        struct: Any = CouplingState
+        kernel(node, struct.from_address(address))
         return 0
 
     node.kernel = ticks

@@ -171,7 +171,10 @@ def with_surface(surface: dict[str, Any], **given_: Any) -> Launch:
 
 def couplings(surface: dict[str, Any], law: str) -> CouplingParameters:
     """Return the parameters of the coupling in space."""
-    return convert(with_surface(surface, law=law).nodes["coupling"].parameters, CouplingParameters, "coupling")
+    made: CouplingParameters = convert(
+        with_surface(surface, law=law).nodes["coupling"].parameters, CouplingParameters, "coupling"
+    )
+    return made
 
 
 def unexplained(found: SpatialTrace, changes: Sequence[int]) -> float:
@@ -273,7 +276,7 @@ def coupling(**given_: Any) -> Coupling:
 
 def force_at(node: Coupling, seq: int, depth: float, **given_: Any) -> float:
     """Answer a tick at a depth behind a floor [m]; the force along z [N]."""
-    contact = {"normal": (0.0, 0.0, 1.0), "distance": -depth, "contact": depth > 0.0}
+    contact: dict[str, Any] = {"normal": (0.0, 0.0, 1.0), "distance": -depth, "contact": depth > 0.0}
     place = (0.0, 0.0, -depth)
     proxy = (0.0, 0.0, 0.0) if depth > 0.0 else place
     payload = node._answer(Proxy(seq=seq, stamp=0.0, position=place, proxy=proxy, **contact, **given_))

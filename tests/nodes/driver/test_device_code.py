@@ -107,7 +107,7 @@ def test_whatever_a_node_does_beside_its_loop_the_control_thread_goes_on() -> No
         look_after=fails(ValueError("no number")),
     )
     closed = SimpleNamespace(close=lambda **_: None)
-    server = SimpleNamespace(
+    server: Any = SimpleNamespace(
         _node=node,
         _ending=ended,
         _serve=lambda: None,
@@ -117,7 +117,7 @@ def test_whatever_a_node_does_beside_its_loop_the_control_thread_goes_on() -> No
         _look_around=fails(OSError("no descriptor")),
         _links=closed,
         _socket=closed,
-        _end_softly=lambda error: ControlServer._end_softly(server, error),  # type: ignore[arg-type]
+        _end_softly=lambda error: ControlServer._end_softly(server, error),
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("nodes.base.control_thread.realtime.step_aside", lambda _: None)
@@ -164,7 +164,7 @@ nodes:
     parameters: {law: pd, laws: {pd: {kind: pd, stiffness: 500.0, damping: 5.0}}}
 """
     )
-    with running(tmp_path, scene, environment={"PYTHONPATH": str(package)}, ready=False) as launch:
+    with running(tmp_path, str(scene), environment={"PYTHONPATH": str(package)}, ready=False) as launch:
         figures = launch.finish(code=1)
         assert "condition() of the device failed: RuntimeError: vendor library: connection reset" in launch.errors
         assert "Traceback" not in launch.errors

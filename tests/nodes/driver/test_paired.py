@@ -370,7 +370,7 @@ def test_two_hands_that_start_apart_feel_no_step(tmp_path: Path) -> None:
     scene["nodes"]["logger"]["parameters"] = {"path": "run.mcap", "overwrite": True}
     path = tmp_path / "apart.yaml"
     path.write_text(yaml.safe_dump(scene))
-    with running(tmp_path, path, "duration:=0.5", ready=False) as launch:
+    with running(tmp_path, str(path), "duration:=0.5", ready=False) as launch:
         launch.finish()
         assert "the devices stand 0.03 m apart without a motion, and are brought together at 0.05 m/s" in launch.errors
     states = list(Recording(tmp_path / "run.mcap").messages("/device/state"))

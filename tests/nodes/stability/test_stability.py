@@ -239,7 +239,7 @@ def test_whole_and_nearly_whole_delay_give_the_same_plant() -> None:
 @pytest.mark.parametrize("name", ["mass", "damping", "period", "delay", "stiffness"])
 @pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
 def test_impossible_devices_are_refused_by_name(name: str, value: float) -> None:
-    device = {"mass": 0.1, "damping": 1.0, "period": T, "delay": 0.0, "stiffness": 0.0, name: value}
+    device: dict[str, Any] = {"mass": 0.1, "damping": 1.0, "period": T, "delay": 0.0, "stiffness": 0.0, name: value}
     with pytest.raises(ValueError, match=rf"^{name} = "):
         held_plant(Plant(**device))
 
