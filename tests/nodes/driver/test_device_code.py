@@ -122,7 +122,7 @@ def test_whatever_a_node_does_beside_its_loop_the_control_thread_goes_on() -> No
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("nodes.base.control_thread.realtime.step_aside", lambda _: None)
         patch.setattr("nodes.base.control_thread.remove_ipc", lambda _: None)
-        ControlServer.run(server)  # type: ignore[arg-type]
+        ControlServer.run(server)
     assert done[:4] == ["ValueError", "TypeError", "lease", "OSError"]
     assert told[0] == "control: driver: ValueError beside the loop: no number; the node ends"
     assert sum(text.startswith("stop: ") for text in told) == 1
