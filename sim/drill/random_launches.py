@@ -35,6 +35,7 @@ LAWS: Final[Mapping[str, dict[str, Any]]] = {
     "light": {"kind": "pd", "stiffness": 500.0, "damping": 1.0},
 }
 AWAY: Final = 17  # a force that was away for so long comes back by the whole ramp: a fifth of it, and two ticks [ticks]
+FADE: Final = 80  # longest fade of a swap, and some ticks [ticks]
 REACH: Final = 0.0015  # farthest that a surface is moved from where it was, so that no law asks for more than the peak [m]
 OUTSIDE: Final = "1.0"  # an order: a position far outside of the workspace [m]
 ORDER, LOG = "order", "writes.log"
@@ -138,6 +139,7 @@ class _Course:
         self._random, self._rig = random, rig
         self.done: list[str] = []
         self.moved_at: list[int] = []  # ticks from which on a surface was elsewhere
+        self.swapped_at: list[int] = []  # ticks at which another law was taken up
         self.kinds: Counter[str] = Counter()
         self._at: Sequence[float] = surface.get("position", ())  # of a sphere [m]
 
@@ -177,6 +179,7 @@ class _Course:
         """Switch to another law."""
         law, ramp = self._random.choice(list(LAWS)), self._random.choice((5, 20, 75))
         receipt = self._rig.call("coupling", "law.switch", law=law, ramp=ramp)
+        self.swapped_at.append(int(receipt["seq"]))
         if not math.isfinite(receipt["force_step_n"]):
             raise MeasurementError(f"law.switch: no force step in its receipt: {receipt}")
         return f"to {law} within {ramp} ticks"
@@ -192,7 +195,8 @@ class _Course:
     def change(self) -> str:
         """Change a law's stiffness."""
         stiffness = self._random.uniform(600.0, STIFFNESS)
-        self._rig.call("coupling", "param.set", values={"laws.pd.stiffness": stiffness, "ramp": 20})
+        receipt = self._rig.call("coupling", "param.set", values={"laws.pd.stiffness": stiffness, "ramp": 20})
+        self.swapped_at.append(int(receipt["seq"]))
         return f"K of pd to {stiffness:.4g} N/m"
 
     def recentre(self) -> str:
@@ -255,14 +259,17 @@ def begins_in(log: Sequence[Sample], states: Sequence[DeviceState]) -> list[floa
     return begins
 
 
-def pushed(log: Sequence[Sample], moved_at: Sequence[int]) -> tuple[list[str], float]:
+def pushed(log: Sequence[Sample], moved_at: Sequence[int], swapped_at: Sequence[int] = ()) -> tuple[list[str], float]:
     """Return each force that rose faster than by its ramp after a surface was moved, and the largest share of it.
 
+    A move near one of `swapped_at` is left out, because the force follows the fade of that swap too.
     A hand that moves meanwhile adds the stiffness times its way and the damping times its speed, at most.
     """
     wrong: list[str] = []
     steepest = 0.0
     for seq in moved_at:
+        if any(abs(seq - swap) <= FADE for swap in swapped_at):
+            continue
         first = next((n for n, sample in enumerate(log) if sample.seq >= seq), len(log))
         if first in (0, len(log)) or log[first].seq > seq + 1 or log[first].write.at - log[first - 1].write.at >= HOLD:
             continue  # no force at that time: the driver's own ramp holds
@@ -296,10 +303,12 @@ def launch_once(seed: str, number: int, ticks: Sequence[str] = ("plain", "compil
     kinds: Counter[str] = Counter()
     log: list[Sample] = []
     moved_at: list[int] = []
+    swapped_at: list[int] = []
     try:
         with Rig(content) as rig:
             course = _Course(random, rig, content["nodes"]["environment"]["parameters"]["surface"])
             outcome.done, kinds, moved_at = course.done, course.kinds, course.moved_at
+            swapped_at = course.swapped_at
             for _ in range(random.randint(*DONE)):
                 course.do()
             if not within(lambda: in_order(rig.states), PATIENCE):
@@ -312,7 +321,7 @@ def launch_once(seed: str, number: int, ticks: Sequence[str] = ("plain", "compil
         return outcome, kinds
     bounds = Promise(1.0 / RATE, PEAK, SLEW / RATE, HOLD, RAMP)
     judged = judge([sample.write for sample in log], bounds, begins_in(log, states))
-    wrong, steepest = pushed(log, moved_at)
+    wrong, steepest = pushed(log, moved_at, swapped_at)
     outcome.forces, outcome.above = len(log), judged.above
     outcome.steepest = max(judged.steepest, steepest)
     outcome.reasons += [f"the device: {text}" for text in (*judged.broken[:3], *wrong)]
