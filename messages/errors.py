@@ -20,6 +20,7 @@
 | `RefusedError` | what was refused, or did not succeed; a command ends with exit code 1 |
 | `ControlError` | of those: a control request that is refused or gets no answer |
 | `StalledError` | of those: a tuning on a machine that does not answer in time |
+| `UnknownEventError` | an event whose kind or number is in no list; a mistake of a programmer |
 | `MeasurementError` | a benchmark, study or drill that could not measure |
 | `NoCompilerError`, `FaultSkippedError` | of those: no C compiler; a fault not to be had |
 """

@@ -11,6 +11,8 @@ import math
 from collections.abc import Mapping
 from typing import Final, Literal, NamedTuple, NewType, TypeAlias
 
+from messages.errors import HapticError
+
 __all__ = ["CHANGE", "DATA", "EVENTS", "EventKind", "Kind", "OtherKind", "UnknownEventError", "checked_data"]
 
 EventKind: TypeAlias = Literal[
@@ -73,7 +75,7 @@ class Kind(NamedTuple):
     data: tuple[str, ...] = ()  # names of the numbers that it may carry, of those in `DATA`
 
 
-class UnknownEventError(ValueError):
+class UnknownEventError(HapticError, ValueError):
     """An event whose kind, or one of whose numbers, is not registered."""
 
 

@@ -309,6 +309,7 @@ WIDE = {
     "nodes.ros2.node.Ros2": "a node, and one publisher or subscription a topic of the graph",
     "nodes.view.feed.Feed": "one binning a curve of the page",
     "nodes.view.live.LiveRun": "what a page sees of a run, one attribute each",
+    "nodes.launcher.supervisor.Supervisor": "what is known of a run while it goes on, one attribute each",
     "sim.identify.identified.Identified": "what is known of a device: one field a figure",
     "nodes.compiled.layout.LoopState": STATE,
     "nodes.coupling.state.CouplingState": STATE,

@@ -156,7 +156,12 @@ def command(s: DriverState, seq: int, share: float) -> None:
     if s.safety != ACTIVE or s.begins != 0:
         _become_active(s, seq)
     if s.guard_on != 0 and s.safety in (ACTIVE, RAMP):
+        asked = abs(s.wanted[0]) + abs(s.wanted[1]) + abs(s.wanted[2])
         guarded(s, share)
+        if s.safety == RAMP and asked > 0.0:
+            # The ramp goes on from what the guard lets through: else a force that it took away would be back at once.
+            passed = abs(s.wanted[0]) + abs(s.wanted[1]) + abs(s.wanted[2])
+            s.regained = s.regained * min(passed / asked, 1.0)
     hand_over(s, seq)
 
 
