@@ -19,6 +19,7 @@
 | `RunError`, `NoSuchNameError` | of those: no such run, or its directory cannot be used; a run without such a node or topic |
 | `RefusedError` | what was refused, or did not succeed; a command ends with exit code 1 |
 | `ControlError` | of those: a control request that is refused or gets no answer |
+| `NoAnswerError` | of those: a request that got no answer in time |
 | `StalledError` | of those: a tuning on a machine that does not answer in time |
 | `UnknownEventError` | an event whose kind or number is in no list; a mistake of a programmer |
 | `MeasurementError` | a benchmark, study or drill that could not measure |

@@ -410,7 +410,7 @@ def test_study_guard_answers_with_what_it_costs(tmp_path: Path) -> None:
 @pytest.mark.parametrize("law", ["pd", "pd_alpha", "multi_term"])
 @pytest.mark.parametrize("apply", ["on_arrival", "next_tick"])
 def test_a_beginning_in_contact_comes_by_the_ramp_under_a_guard_too(law: str, apply: str) -> None:
-    """What the guard takes away comes back by the ramp: it had come back at once, 15.7 N where 3.2 N are felt without a guard."""
+    """What the guard takes away comes back by the ramp: it was back at once, 15.7 N for 3.2 N without a guard."""
     launch = launch_file.read("floor_drop", {"law": law, "height": -0.02, "duration": 0.5, "apply": apply})
     driver = launch.nodes["driver"]
     parameters = {**driver.parameters, "passivity": {"stiffness": 1000.0}}
