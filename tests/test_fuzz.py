@@ -52,6 +52,7 @@ from nodes.view import server
 from nodes.view.commands import Commander, CommandError
 from nodes.view.shared_hand import SharedHand
 from tests.nodes.compiled.test_messages import assert_read_alike
+from tests.support import ROOT
 from tests.support.launching import private_runtime_dir
 from tests.support.recorded import drop
 from tests.support.setups import setup_of
@@ -170,6 +171,9 @@ def _parts(recording: bytes) -> list[Target]:
 def _launch_file(content: bytes) -> None:
     with _file(content) as path:
         scene = path.with_name("scene.yaml")
+        # What a scenario names beside itself: a scene of bodies is read with the launch file, for the mass of its tool.
+        for folder in ("bodies", "meshes"):
+            path.with_name(folder).symlink_to(ROOT / "launch" / folder)
         scene.write_bytes(content)
         launch_file.read(str(scene), {})
 

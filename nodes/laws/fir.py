@@ -37,7 +37,7 @@ class FIR(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     kind: ClassVar[str] = "fir"
     taps: Annotated[tuple[float, ...], msgspec.Meta(min_length=1, max_length=MAX_TAPS)]
     period: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
-    recursive: Annotated[tuple[RecursiveSection, ...], msgspec.Meta(max_length=8)] = ()
+    recursive: Annotated[tuple[RecursiveSection, ...], msgspec.Meta(max_length=8)] | None = None
 
     def compile(self, period: float) -> CompiledLaw:
         """Hand out the taps."""
@@ -46,4 +46,4 @@ class FIR(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
                 f"period: these taps were made for T = {self.period:g} s and the loop runs at T = {period:g} s; "
                 f"run at rate {1.0 / self.period:g} Hz or design the law again for this period"
             )
-        return CompiledLaw(self.taps, tuple((part.b0, part.b1, part.a1, part.a2) for part in self.recursive))
+        return CompiledLaw(self.taps, tuple((part.b0, part.b1, part.a1, part.a2) for part in self.recursive or ()))

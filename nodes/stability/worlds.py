@@ -78,7 +78,7 @@ class SteppedTool:
     def about(self) -> str:
         """Which worlds these are."""
         if self.damping == 0.0:
-            return "a stepped tool of at least 0 N s/m to the ground (nothing is provable without damping)"
+            return "a stepped tool without damping to the ground, of which nothing is provable"
         late = "as late as on the device" if self.delay is None else f"{self.delay:g} ticks late"
         return (
             f"a stepped tool of at least {self.damping:g} N s/m to the ground with anything passive hung on it "

@@ -29,7 +29,13 @@ from sim.scene.loop import Scene
 
 SCENARIO = "floor_drop"  # launch file whose nodes get the experiment's parameters
 # Nor a ramp for a swing that begins with a force: nobody feels it.
-NO_LIMITS = {"peak_force": None, "slew": None, "workspace": None, "ramp": 0.0}
+NO_LIMITS: dict[str, Any] = {
+    "peak_force": None,
+    "slew": None,
+    "workspace": None,
+    "ramp": 0.0,
+    "without": ["peak_force", "slew", "workspace"],
+}
 
 
 @dataclass(frozen=True)

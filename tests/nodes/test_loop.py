@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from nodes.arithmetic import deflection, fir, limit, one_sided, plane_distance, push, sections
+from nodes.arithmetic import deflection, fir, limit, one_sided, plane_distance, push, sections, settle
 from nodes.laws import CompiledLaw
 from nodes.laws.pd import PD
 from sim.device.model import DeviceModel, Hand, quantise
@@ -115,6 +115,10 @@ def test_bits_of_the_nodes_kernels_by_hand(name: str) -> None:
         proxy = here.surface.position if contact else measured
         newest = deflection(measured, proxy, distance, normal, contact, here.raw)
         head = push(history, head, 2, newest)
+        if k == 0 and newest != 0.0:
+            # It begins at rest, in contact.
+            history = [newest] * 4
+            settle(flat, state, newest)
         asked = fir(law.taps, history, head)
         if flat:
             asked += sections(flat, state, history[head], history[head + 1])
@@ -207,10 +211,11 @@ def test_recursive_law_swaps_in_as_if_it_had_been_there() -> None:
     # along over the same deflections. An open loop shows it: no force reaches the device in time.
     open_loop = scene(surface=SceneSurface("anchor", 0.0), gravity=None, velocity=0.5, delay=1000.0)
     always = run(open_loop, RECURSIVE, 100)
-    swapped = run(open_loop, LAW, 100, (PlannedSwap(50, RECURSIVE),), memory=64)
+    swapped = run(open_loop, LAW, 100, (PlannedSwap(50, RECURSIVE),), memory=512)
     assert swapped.deflection.tobytes() == always.deflection.tobytes()
-    # 64 ticks of memory cover tick 0 to 49, and zeros before: the very same sums.
-    assert swapped.force[50:].tobytes() == always.force[50:].tobytes()
+    # 512 ticks of memory cover tick 0 to 49, and the rest before: the slower pole, 0.9, has forgotten what was before that, and
+    # what is left is the rounding of a few hundred sums.
+    assert swapped.force[50:] == pytest.approx(always.force[50:], rel=1e-12)
     short = run(open_loop, LAW, 100, (PlannedSwap(50, RECURSIVE),), memory=16)
     # With 16 ticks the slower pole, 0.9, has forgotten all but 0.9^16 ≈ 19 % of what came before.
     missing = abs(short.force[50] - always.force[50])

@@ -74,7 +74,7 @@ MUTATIONS = (
         (NO_PUSH,),
     ),
     Mutation("a delay one tick short", f"{DRIVER}tick.py", "s.delay = 1.0 + s.age", "s.delay = 0.0 + s.age", (ORACLES,)),
-    Mutation("a delay without its age", f"{DRIVER}tick.py", "s.delay = offset + s.age", "s.delay = offset", (ORACLES,)),
+    Mutation("a delay without its age", f"{DRIVER}tick.py", "/ s.period) + s.age", "/ s.period)", (ORACLES,)),
     Mutation(
         "a force that stays at its limit swings at every tick",
         f"{DRIVER}safety.py",
@@ -172,8 +172,8 @@ MUTATIONS = (
     Mutation(
         "the guard acts before the ramp",
         f"{DRIVER}safety.py",
-        "s.safety in (ACTIVE, RAMP):\n        guarded",
-        "s.safety == ACTIVE:\n        guarded",
+        "s.safety in (ACTIVE, RAMP):\n        asked",
+        "s.safety == ACTIVE:\n        asked",
         (PASSIVE, NO_PUSH),
     ),
     Mutation(

@@ -293,7 +293,9 @@ def _feels_no_push(
     script = driver(answers, late, ticks=LENGTH, watchdog=5, damping_ticks=10, ramp=None, slew=slew)
     outcome, _ = played(script._replace(hand=hand, apply=apply, stalls=held), "plain", tmp_path)
     bounds = Promise(T, PEAK, math.inf if slew is None else slew * T, HOLD)
-    assert broken(_log(outcome), bounds, made[0].begins) == []
+    # Under next_tick what is handed over as the tick begins was decided before its position was read.
+    later = T if apply == "next_tick" else 0.0
+    assert broken(_log(outcome), bounds, [at + later for at in made[0].begins]) == []
 
 
 @seed(int(commit()[:12], 16))

@@ -246,6 +246,9 @@ def test_every_realisation_works_in_the_loop_as_a_law(kind: str, order: float) -
     state = state_matrix(compiled, Plant(T, 0.1, 3.0))
     x = np.zeros(len(state))
     x[0] = 0.005
+    # The loop begins at rest where the device is: history and sections are those of a deflection that has always been there.
+    past = slice(2, len(x) - 1)
+    x[past] = np.linalg.solve(np.eye(len(x) - 3) - state[past, past], state[past, 0] * 0.005)
     for k in range(600):
         # Two orders of the same sums, 600 times over, relative to the 5 mm that it starts with.
         assert trace.position[k] == pytest.approx(x[0], abs=1e-9 * 0.005)

@@ -33,7 +33,7 @@ def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     folder = tmp_path_factory.mktemp("space")
     content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
     content["run"]["axes"] = ["x", "y", "z"]
-    ball = {"kind": "sphere", "position": CENTRE, "radius": RADIUS, "friction": {"static": 0.3}}
+    ball = {"kind": "sphere", "position": CENTRE, "radius": RADIUS, "tool_radius": 0.0, "friction": {"static": 0.3}}
     content["nodes"]["environment"]["parameters"]["surface"] = ball
     (folder / "ball.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
     with running(folder, str(folder / "ball.yaml"), "--view") as found:

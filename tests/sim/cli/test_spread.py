@@ -48,7 +48,7 @@ TINY: dict[str, list[str]] = {
 ELSEWHERE = {"coverage", "fig4", "tuned"}
 """Take minutes on any grid; their jobs go through the same pool and ledger as those of ``price``."""
 
-ALONE = {"analyse", "detail", "fig2", "fig3", "identify", "response", "two_rate"}
+ALONE = {"analyse", "detail", "fig2", "fig3", "hands", "identify", "response", "two_rate", "world"}
 """Studies of one law, one scene, one recording or of a few closed forms."""
 
 LEDGER = {"price", "relatives"}
