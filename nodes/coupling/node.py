@@ -395,9 +395,17 @@ class Coupling(Node):
         if jumped:
             self._report_jump(proxy)
         stamp = proxy.stamp if self.clock.simulated else self.clock.now()
-        normal = proxy.normal if proxy.contact else ZERO
-        told: dict[str, Any] = {"law": renderer.name, "revision": s.revision, "normal": normal, "credit": proxy.credit}
-        return encode(Force(seq=seq, stamp=stamp, force=force, **told))
+        return encode(
+            Force(
+                seq=seq,
+                stamp=stamp,
+                force=force,
+                law=renderer.name,
+                revision=s.revision,
+                normal=proxy.normal if proxy.contact else ZERO,
+                credit=proxy.credit,
+            )
+        )
 
     def loop(self) -> None:
         """Answer until stopped."""

@@ -117,8 +117,17 @@ class Renderer:
     def render(self, proxy: Proxy) -> Vector:
         """Take one tick's deflection and render the force that answers it."""
         force = [0.0, 0.0, 0.0]
-        met = proxy.position, proxy.proxy, proxy.normal, proxy.distance, proxy.contact, proxy.compliance
-        self._render(self.state, *met, force, self.due())
+        self._render(
+            self.state,
+            proxy.position,
+            proxy.proxy,
+            proxy.normal,
+            proxy.distance,
+            proxy.contact,
+            proxy.compliance,
+            force,
+            self.due(),
+        )
         if self._leaving or self.standby:
             self.went_on()
         return force[0], force[1], force[2]

@@ -20,7 +20,7 @@ from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Axis, Setup
 from nodes.compiled.layout import state_of
 from nodes.environment.spent import note_spent, spent_us
-from nodes.environment.state import UNKNOWN, EnvironmentState
+from nodes.environment.state import SHAPES, UNKNOWN, EnvironmentState
 from nodes.environment.surfaces import SURFACES, Meeting, Surface, meet_axes, parse_surface
 from nodes.environment.touched_surface import TouchedSurface
 
@@ -149,17 +149,27 @@ class Environment(Node):
         if not 0 <= s.answered < state.seq or state.rebased != s.driver_rebased:
             self._meet_anew(state)
         proxy, normal, distance, contact = self._meet(state.position)
-        if self._place.jumped:
-            s.rebased, s.ease = state.seq, 0
-        self.note_inside()
+        if s.kind == SHAPES or s.inside != 0:
+            if self._place.jumped:
+                s.rebased, s.ease = state.seq, 0
+            self.note_inside()
         if not simulated:
             note_spent(s.spent, time.monotonic() - begin)
         stamp = state.stamp if simulated else self.clock.now()
-        met: dict[str, Any] = {"proxy": proxy, "normal": normal, "distance": distance, "contact": contact}
-        rebased = max(s.rebased, state.rebased)
-        ease = s.ease if s.rebased >= state.rebased else 0
+        own, told = s.rebased, state.rebased
         return encode(
-            Proxy(seq=state.seq, stamp=stamp, position=state.position, delay=state.delay, **met, rebased=rebased, ease=ease)
+            Proxy(
+                seq=state.seq,
+                stamp=stamp,
+                position=state.position,
+                proxy=proxy,
+                normal=normal,
+                distance=distance,
+                contact=contact,
+                delay=state.delay,
+                rebased=own if own > told else told,
+                ease=s.ease if own >= told else 0,
+            )
         )
 
     def _meet_anew(self, state: DeviceState) -> None:
