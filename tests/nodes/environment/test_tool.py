@@ -169,6 +169,8 @@ def growth(path: Path, damping: float, law: CompiledLaw, plant: Plant, ticks: in
         if seen[-1] > 1e3 or world.diverged():
             return math.inf
     quarters = np.array(seen).reshape(4, -1).max(axis=1)
+    if quarters[1] == 0.0:
+        return 0.0  # it has come to rest, to the last bit
     return float((quarters[3] / quarters[1]) ** (2.0 / ticks))
 
 
