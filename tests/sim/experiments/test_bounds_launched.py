@@ -48,6 +48,7 @@ def swing(folder: Path, law: CompiledLaw, delays: list[float], ticks: int) -> np
         "history": "position",
         "clamp": False,
         "stability": "off",
+        "ease": 0.0,
     }
     scenario = folder / "jitter.yaml"
     scenario.write_text(yaml.safe_dump(content))
