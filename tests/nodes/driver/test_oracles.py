@@ -125,6 +125,18 @@ def test_the_delay_that_is_told_is_the_time_from_sample_to_write(after: int, app
     assert all(abs(one - other) <= 1.1e-3 for one, other in pairs)
 
 
+def test_an_answer_that_comes_a_tick_late_is_told_with_its_age(tmp_path: Path) -> None:
+    # Few answers, each in the tick after its own: nothing is behind, so the driver does not wait for them.
+    arrivals = [answer(seq, 2_300.0, (0.0, 0.0, 1.0 + NAMED * seq)) for seq in range(0, 24, 8)]
+    outcome, _ = played(driver(arrivals, None, _still, ticks=30, watchdog=50, max_age=5), "plain", tmp_path)
+    measured = _ages(outcome)
+    assert len(measured) == 3
+    told = {state.delay for state in _states(outcome) if state.delay > 0.0}
+    # Waits end a microsecond late: 5e-4 ticks.
+    assert all(abs(one - other) <= 1.1e-3 for one, other in product(told, measured))
+    assert min(told) > 1.0
+
+
 def test_the_velocity_of_a_late_sample_of_hardware_is_over_the_time_that_passed() -> None:
     """The device went on moving meanwhile: over the nominal period it would seem twice as fast, and be damped twice."""
     s = state_of()
