@@ -153,4 +153,4 @@ def me(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Identity:
 
 
 pytest_plugins = ("tests.support.process_audit",) if os.environ.get("HAPTIC_PROCESS_LOG") else ()
-"""For now only where it is asked for: see tests/support/process_audit.py."""
+"""Only where its log is asked for: see tests/support/process_audit.py."""

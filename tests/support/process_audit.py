@@ -1,7 +1,6 @@
-"""Which tests start a process: each of them is marked ``process``, and one that is not fails.
+"""Write down which tests start a process, and in which fixture: what a partition of the suite by cost begins with.
 
-A launch, a browser or a command of its own costs more than a hundred tests in this process, so the default run leaves most
-of them to CI (`pytest -m "not slow"`). An audit hook keeps that partition honest.
+Loaded where ``HAPTIC_PROCESS_LOG`` names a file; each line of it is a test and the fixture that was being set up, if any.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from typing import Any, Final
 import pytest
 
 STARTS: Final = ("subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn")
-LOG: Final = os.environ.get("HAPTIC_PROCESS_LOG", "")  # where to write which test and fixture started one, in place of failing
+LOG: Final = os.environ["HAPTIC_PROCESS_LOG"]
 
 _test: pytest.Item | None = None
 _fixtures: list[str] = []
@@ -25,12 +24,8 @@ def _watch(event: str, arguments: Any) -> None:
     del arguments
     if _test is None or event not in STARTS:
         return
-    if LOG:
-        with open(LOG, "a", encoding="utf-8") as log:
-            log.write(f"{_test.nodeid}\t{_fixtures[-1] if _fixtures else ''}\n")
-        return
-    if _test.get_closest_marker("process") is None:
-        raise RuntimeError(f"{_test.nodeid} starts a process: mark it with pytest.mark.process (.github/CONTRIBUTING.md)")
+    with open(LOG, "a", encoding="utf-8") as log:
+        log.write(f"{_test.nodeid}\t{_fixtures[-1] if _fixtures else ''}\n")
 
 
 def install() -> None:
