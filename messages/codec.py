@@ -1,6 +1,7 @@
 """Encode and decode messages; refuse whatever is malformed, truncated, oversized, wrongly typed or not finite.
 
-msgspec does the MessagePack, the types and the bounds in one pass (0.2 µs); NaN and infinity, too, are out of bounds (`Real`).
+msgspec does the MessagePack, the types and the bounds in one pass (0.2 µs); NaN and infinity, too,
+are out of bounds (`Real`).
 """
 
 from collections.abc import Callable
@@ -50,10 +51,13 @@ class Decoder(Generic[M]):
         Raises
         ------
         MessageRefusedError
-            When the payload is malformed, truncated, over MAX_PAYLOAD, wrongly typed or holds a float that is not finite.
+            When the payload is malformed, truncated, over MAX_PAYLOAD, wrongly typed or holds a
+            float that is not finite.
         """
         if len(payload) > MAX_PAYLOAD:
-            raise MessageRefusedError(f"{self.message_type.__name__}: {len(payload)} bytes, limit {MAX_PAYLOAD}")
+            raise MessageRefusedError(
+                f"{self.message_type.__name__}: {len(payload)} bytes, limit {MAX_PAYLOAD}"
+            )
         try:
             return self._decode(payload)
         except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:

@@ -13,7 +13,16 @@ from typing import Final, Literal, NamedTuple, NewType, TypeAlias
 
 from messages.errors import HapticError
 
-__all__ = ["CHANGE", "DATA", "EVENTS", "EventKind", "Kind", "OtherKind", "UnknownEventError", "checked_data"]
+__all__ = [
+    "CHANGE",
+    "DATA",
+    "EVENTS",
+    "EventKind",
+    "Kind",
+    "OtherKind",
+    "UnknownEventError",
+    "checked_data",
+]
 
 EventKind: TypeAlias = Literal[
     "axes",
@@ -80,7 +89,10 @@ class UnknownEventError(HapticError, ValueError):
 
 
 DATA: Final[dict[str, str]] = {
-    "after": "state of the safety since then: 0 waiting, 1 ramp, 2 active, 3 damping, 4 zero, 5 fault, 6 stopped",
+    "after": (
+        "state of the safety since then: 0 waiting, 1 ramp, 2 active, 3 damping, 4 zero, 5 fault, 6"
+        " stopped"
+    ),
     "age_s": "age of the message [s]",
     "age_ticks": "age of the force [ticks]",
     "align_m_per_s": "speed at which two devices are aligned, or brought together [m/s]",
@@ -129,8 +141,14 @@ CHANGE: Final = ("cause", "tick", "before", "after")
 
 EVENTS: Final[dict[EventKind, Kind]] = {
     "axes": Kind("the surface pushes along an axis that the scene does not compute", ("axis",)),
-    "bodies": Kind("the scene of bodies was loaded, or its tool begins at the device again", ("tool_mass_kg", "steps")),
-    "budget": Kind("a law overran its time budget; the next time within a second the fallback takes over", ("tick",)),
+    "bodies": Kind(
+        "the scene of bodies was loaded, or its tool begins at the device again",
+        ("tool_mass_kg", "steps"),
+    ),
+    "budget": Kind(
+        "a law overran its time budget; the next time within a second the fallback takes over",
+        ("tick",),
+    ),
     "control": Kind("the thread that serves requests had an error"),
     "delay": Kind("the virtual device answers with another delay from now on", ("delay_ticks",)),
     "denied": Kind("a peer was not let in, or disconnected", ("grown_bytes",)),
@@ -142,7 +160,10 @@ EVENTS: Final[dict[EventKind, Kind]] = {
     "device_force": Kind("the device itself keeps forces from the hand; `reason` is its cause"),
     "device_force_back": Kind("the device gives forces again"),
     "device_waits": Kind("the device waits for something outside"),
-    "eased": Kind("position, surface or proxy jumped in contact; the force eases over it", ("tick", "force_step_n", "ramp_s")),
+    "eased": Kind(
+        "position, surface or proxy jumped in contact; the force eases over it",
+        ("tick", "force_step_n", "ramp_s"),
+    ),
     "fallback": Kind("a law failed, and the fallback renders", ("tick",)),
     "frame": Kind("a message of the ROS 2 graph is in another frame, and refused"),
     "guard": Kind("the passivity guard lacks something it needs"),
@@ -152,24 +173,37 @@ EVENTS: Final[dict[EventKind, Kind]] = {
     "law": Kind("a law of the launch file cannot be switched to"),
     "lease": Kind("a lease has run out, and what was changed under it is reverted"),
     "limit": Kind(
-        "a limit of the force was lowered to that of the device, or reached", ("cause", "tick", "limit_n", "lowered")
+        "a limit of the force was lowered to that of the device, or reached",
+        ("cause", "tick", "limit_n", "lowered"),
     ),
     "link": Kind("a connection was lost, or another service answers"),
-    "listeners": Kind("not all listeners came in time; the run begins without them", ("listeners", "expected", "limit_s")),
+    "listeners": Kind(
+        "not all listeners came in time; the run begins without them",
+        ("listeners", "expected", "limit_s"),
+    ),
     "mesh": Kind("a mesh was repaired"),
-    "partner": Kind("another person's device is heard, or silent", ("apart_m", "align_m_per_s", "silent_s")),
+    "partner": Kind(
+        "another person's device is heard, or silent", ("apart_m", "align_m_per_s", "silent_s")
+    ),
     "realtime": Kind("the machine refused a real-time setting"),
     "rearmed": Kind("a driver that had stopped takes forces again, on request", CHANGE),
     "recording": Kind("a recording goes on in another file, or failed"),
     "refused": Kind("a message or a changed file was refused"),
-    "refused_future": Kind("a force for a later tick was refused", ("cause", "tick", "refused", "answers_tick")),
+    "refused_future": Kind(
+        "a force for a later tick was refused", ("cause", "tick", "refused", "answers_tick")
+    ),
     "refused_not_finite": Kind(
-        "a force that is not finite was refused", ("cause", "tick", "refused", "answers_tick", "x_n", "y_n", "z_n")
+        "a force that is not finite was refused",
+        ("cause", "tick", "refused", "answers_tick", "x_n", "y_n", "z_n"),
     ),
     "refused_replayed": Kind(
-        "a force for a tick that was answered already was refused", ("cause", "tick", "refused", "answers_tick", "last_tick")
+        "a force for a tick that was answered already was refused",
+        ("cause", "tick", "refused", "answers_tick", "last_tick"),
     ),
-    "refused_stale": Kind("a force that is too old was refused", ("cause", "tick", "refused", "age_ticks", "limit_ticks")),
+    "refused_stale": Kind(
+        "a force that is too old was refused",
+        ("cause", "tick", "refused", "age_ticks", "limit_ticks"),
+    ),
     "restart": Kind("the ticks of a sender went back", ("last_tick", "tick")),
     "resumed": Kind("the node goes on with the parameters of its predecessor", ("tick",)),
     "ros2": Kind("a topic of the ROS 2 graph is left out"),
@@ -212,15 +246,18 @@ def checked_data(kind: EventKind | OtherKind, data: Mapping[str, float]) -> dict
     Raises
     ------
     UnknownEventError
-        When `kind` is neither in `EVENTS` nor ``package.kind``, or the kind has no number of a name.
+        When `kind` is neither in `EVENTS` nor ``package.kind``, or the kind has no number of a
+        name.
     """
     known = _KNOWN.get(kind)
     if known is None and "." not in kind:
         raise UnknownEventError(
-            f"event kind {kind!r}: not in messages/event_kinds.py; a kind of another package is written package.kind"
+            f"event kind {kind!r}: not in messages/event_kinds.py; a kind of another package is"
+            " written package.kind"
         )
     if known is not None and (unknown := sorted(set(data) - set(known.data))):
         raise UnknownEventError(
-            f"event {kind!r}: no number is named {', '.join(unknown)}; known: {', '.join(known.data) or 'none'}"
+            f"event {kind!r}: no number is named {', '.join(unknown)}; known:"
+            f" {', '.join(known.data) or 'none'}"
         )
     return {name: float(value) for name, value in data.items() if math.isfinite(value)}

@@ -1,8 +1,9 @@
 """JSON Schema of each message type, for the channels of a recording and for nodes in other languages.
 
-Foxglove and Lichtblick read a flat schema only: everything inlined, no ``$ref``, no ``anyOf``, one schema for all items
-of an array. msgspec's own generator uses all three, so the schema is built here, from the types and the docstrings: the
-meaning and the unit of a field are written once, in messages/types.py, and travel with every file.
+Foxglove and Lichtblick read a flat schema only: everything inlined, no ``$ref``, no ``anyOf``, one
+schema for all items of an array. msgspec's own generator uses all three, so the schema is built
+here, from the types and the docstrings: the meaning and the unit of a field are written once, in
+messages/types.py, and travel with every file.
 """
 
 import re
@@ -26,7 +27,13 @@ _SCALARS: dict[type[msgspec.inspect.Type], str] = {
     msgspec.inspect.BoolType: "boolean",
 }
 
-_LIMITS = {"ge": "minimum", "le": "maximum", "gt": "exclusiveMinimum", "lt": "exclusiveMaximum", "max_length": "maxLength"}
+_LIMITS = {
+    "ge": "minimum",
+    "le": "maximum",
+    "gt": "exclusiveMinimum",
+    "lt": "exclusiveMaximum",
+    "max_length": "maxLength",
+}
 
 
 def attributes(docstring: str) -> dict[str, str]:
@@ -46,16 +53,26 @@ def attributes(docstring: str) -> dict[str, str]:
 
 
 def _inline(info: msgspec.inspect.Type, path: str) -> dict[str, Any]:
-    if isinstance(info, msgspec.inspect.TupleType) and all(item == info.item_types[0] for item in info.item_types):
+    if isinstance(info, msgspec.inspect.TupleType) and all(
+        item == info.item_types[0] for item in info.item_types
+    ):
         count = len(info.item_types)
-        return {"type": "array", "items": _inline(info.item_types[0], path), "minItems": count, "maxItems": count}
-    if isinstance(info, msgspec.inspect.DictType) and isinstance(info.value_type, msgspec.inspect.FloatType):
+        return {
+            "type": "array",
+            "items": _inline(info.item_types[0], path),
+            "minItems": count,
+            "maxItems": count,
+        }
+    if isinstance(info, msgspec.inspect.DictType) and isinstance(
+        info.value_type, msgspec.inspect.FloatType
+    ):
         # Foxglove reads an object by its properties alone, and cannot do without the word.
         known = {name: {"type": "number", "description": meaning} for name, meaning in DATA.items()}
         return {"type": "object", "properties": known, "additionalProperties": {"type": "number"}}
     if type(info) not in _SCALARS:
         raise TypeError(
-            f"{path}: {type(info).__name__} has no flat JSON schema; use numbers, text, equal tuples, or numbers by name"
+            f"{path}: {type(info).__name__} has no flat JSON schema; use numbers, text, equal"
+            " tuples, or numbers by name"
         )
     found: dict[str, Any] = {"type": _SCALARS[type(info)]}
     for limit, keyword in _LIMITS.items():
@@ -83,7 +100,9 @@ def _schema(message_type: type[Message]) -> dict[str, Any]:
             properties[field.encode_name]["default"] = field.default_factory()
         if field.default is not msgspec.NODEFAULT:
             default = field.default
-            properties[field.encode_name]["default"] = list(default) if isinstance(default, tuple) else default
+            properties[field.encode_name]["default"] = (
+                list(default) if isinstance(default, tuple) else default
+            )
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": message_type.__name__,
@@ -97,8 +116,8 @@ def _schema(message_type: type[Message]) -> dict[str, Any]:
 def schema(message_type: type[Message]) -> dict[str, Any]:
     """Build the flat JSON Schema (draft 2020-12) of a message type: no ``$ref``, no ``anyOf``, meanings and units inside.
 
-    Fields unknown to this version are allowed, as the evolution rules of messages.types ask. Raises TypeError when a field's
-    type cannot be told flatly; the text names the field.
+    Fields unknown to this version are allowed, as the evolution rules of messages.types ask. Raises
+    TypeError when a field's type cannot be told flatly; the text names the field.
     """
     return _schema(message_type)
 

@@ -89,4 +89,8 @@ def message_type(topic: str) -> type[Message] | None:
     if topic in FIXED:
         return FIXED[topic]
     kinds: dict[str, type[Message]] = {"status": NodeStatus, "event": Event}
-    return kinds.get(topic.rsplit("/", 1)[1]) if topic.count("/") == 2 and topic.startswith("/") else None
+    return (
+        kinds.get(topic.rsplit("/", 1)[1])
+        if topic.count("/") == 2 and topic.startswith("/")
+        else None
+    )

@@ -1,11 +1,12 @@
 """The messages of the loop, as typed maps with named SI fields.
 
-Every message carries ``seq``, the tick it belongs to (the driver counts the ticks, everyone else answers a tick), and
-``stamp`` in seconds: the monotonic clock of the host in real time, simulated time (``seq``·T) in lockstep. Vectors are
-three floats: +x forward (away from the user), +y left, +z up, as in ROS (REP 103).
+Every message carries ``seq``, the tick it belongs to (the driver counts the ticks, everyone else
+answers a tick), and ``stamp`` in seconds: the monotonic clock of the host in real time, simulated
+time (``seq``·T) in lockstep. Vectors are three floats: +x forward (away from the user), +y left, +z
+up, as in ROS (REP 103).
 
-Evolution: a field keeps its name, type and unit for ever; new fields come last and have a default, so old recordings and old
-listeners go on working.
+Evolution: a field keeps its name, type and unit for ever; new fields come last and have a default,
+so old recordings and old listeners go on working.
 """
 
 import sys
@@ -70,40 +71,47 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
     force : tuple of float, shape (3,)
         Force handed to the device when the previous tick closed, after all limits [N].
     mean_force : tuple of float, shape (3,)
-        Mean of the forces that were on the device since the position before this one, where they changed within a tick too [N].
+        Mean of the forces that were on the device since the position before this one, where they
+        changed within a tick too [N].
     changed_at : float
-        Part of the previous tick after which its first new force was handed over: less than `delay` where an earlier tick's
-        answer came in it; 1 where none was [ticks].
+        Part of the previous tick after which its first new force was handed over: less than `delay`
+        where an earlier tick's answer came in it; 1 where none was [ticks].
     force_seq : int
         Tick that this force answers; -1 before the first one.
     age : int
-        Ticks between the previous tick and the one its force answered: 0 when it was answered in time.
+        Ticks between the previous tick and the one its force answered: 0 when it was answered in
+        time.
     response : float
-        Time from publishing the previous tick's state to receiving its answer [s]; 0 when it was not answered in time.
+        Time from publishing the previous tick's state to receiving its answer [s]; 0 when it was
+        not answered in time.
     lateness : float
         How long after its deadline this tick was sampled [s]; 0 in lockstep.
     missed : int
         Ticks so far whose answer had not come when the next tick was due.
     overruns : int
-        Ticks so far that had to be left out because the driver itself was late by a whole period or more.
+        Ticks so far that had to be left out because the driver itself was late by a whole period or
+        more.
     safety : str
-        ``waiting``, ``ramp``, ``active``, ``damping``, ``zero``, ``fault`` or ``stopped``: what the driver does with forces
-        now.
+        ``waiting``, ``ramp``, ``active``, ``damping``, ``zero``, ``fault`` or ``stopped``: what the
+        driver does with forces now.
     energy : float
-        Energy given out by the virtual side up to this tick [J]: exact where forces change at ticks; one that changes within
-        a tick counts as if the device moved evenly in it.
+        Energy given out by the virtual side up to this tick [J]: exact where forces change at
+        ticks; one that changes within a tick counts as if the device moved evenly in it.
     delay : float
-        Measured delay of the previous tick, from its sample to the force that answered it taking effect [ticks].
+        Measured delay of the previous tick, from its sample to the force that answered it taking
+        effect [ticks].
     guard : float
-        Energy that the passivity guard counts as given out: what is negative is in store and may be given back, what is
-        positive is owed [J]; 0 without a guard.
+        Energy that the passivity guard counts as given out: what is negative is in store and may be
+        given back, what is positive is owed [J]; 0 without a guard.
     target : tuple of float, shape (3,)
-        Where a hand pulls the device to during the tick that begins here [m]; zero without a simulated hand.
+        Where a hand pulls the device to during the tick that begins here [m]; zero without a
+        simulated hand.
     rebased : int
-        Tick of the latest jump of `position` that no motion made (re-centred, another scale, a partner met anew); 0 for none.
+        Tick of the latest jump of `position` that no motion made (re-centred, another scale, a
+        partner met anew); 0 for none.
     surplus : float
-        Energy that was put into this device so far and that its law cannot give back, as the passivity guard counts it [J]: a
-        partner's device may give out as much. 0 without a guard.
+        Energy that was put into this device so far and that its law cannot give back, as the
+        passivity guard counts it [J]: a partner's device may give out as much. 0 without a guard.
     """
 
     position: Vector
@@ -131,7 +139,8 @@ class Handle(Message, frozen=True, kw_only=True, gc=False):
     Attributes
     ----------
     orientation : tuple of float, shape (4,)
-        Of the handle in the scene's axes, a quaternion x, y, z, w; (0, 0, 0, 1) for a device without one.
+        Of the handle in the scene's axes, a quaternion x, y, z, w; (0, 0, 0, 1) for a device
+        without one.
     gripper : float
         How far the gripper is open [m]; 0 without one.
     buttons : int
@@ -152,11 +161,13 @@ class Proxy(Message, frozen=True, kw_only=True, gc=False):
     Attributes
     ----------
     position : tuple of float, shape (3,)
-        The device position of the same tick, forwarded so that the coupling needs one input only [m].
+        The device position of the same tick, forwarded so that the coupling needs one input only
+        [m].
     proxy : tuple of float, shape (3,)
         The point on the surface while in contact, the device position in free space [m].
     normal : tuple of float, shape (3,)
-        Outward normal of the surface that matters now; zero when the scene has no one-sided surface.
+        Outward normal of the surface that matters now; zero when the scene has no one-sided
+        surface.
     distance : float
         Signed distance to that surface along its normal, negative inside [m].
     contact : bool
@@ -164,15 +175,16 @@ class Proxy(Message, frozen=True, kw_only=True, gc=False):
     delay : float
         The loop's measured delay, forwarded from the device state [ticks].
     rebased : int
-        Tick of the latest jump of position, surface or proxy that no motion made; 0 for none. The coupling eases its force
-        over each.
+        Tick of the latest jump of position, surface or proxy that no motion made; 0 for none. The
+        coupling eases its force over each.
     ease : int
         Length of that easing [ticks]; 0 for the coupling's own.
     credit : float
         Energy that a partner has put in for this device so far, its `surplus` [J].
     compliance : float
-        How far the force of this very tick moves the proxy, against the force [m/N]: it ends at `proxy` − `compliance` times
-        the force, which the coupling solves for. 0 (or less) for a surface, and for a body that answers a tick later.
+        How far the force of this very tick moves the proxy, against the force [m/N]: it ends at
+        `proxy` − `compliance` times the force, which the coupling solves for. 0 (or less) for a
+        surface, and for a body that answers a tick later.
     """
 
     position: Vector
@@ -199,8 +211,9 @@ class Force(Message, frozen=True, kw_only=True, gc=False):
     revision : int
         Counts the applied changes of law or parameters; the receipts tell what each one was.
     normal : tuple of float, shape (3,)
-        Outward normal of the surface that is touched; zero where nothing is, or the law holds from all sides. The guard keeps
-        what the law stores along it apart from what the surface rubs away.
+        Outward normal of the surface that is touched; zero where nothing is, or the law holds from
+        all sides. The guard keeps what the law stores along it apart from what the surface rubs
+        away.
     credit : float
         Energy that a partner has put in for this device so far, forwarded from the proxy [J].
     """
@@ -218,13 +231,15 @@ class NodeStatus(Message, frozen=True, kw_only=True, gc=False):
     Attributes
     ----------
     node, kind, state : str
-        Name in the launch, kind, and ``configuring``, ``waiting``, ``ready``, ``running``, ``finished`` or ``failed``.
+        Name in the launch, kind, and ``configuring``, ``waiting``, ``ready``, ``running``,
+        ``finished`` or ``failed``.
     pid : int
         Process number.
     ticks : int
         Ticks handled so far.
     sent, received, refused, skipped, gaps : int
-        Messages published and taken; refused as malformed; skipped because a newer one was there; missing in ``seq``.
+        Messages published and taken; refused as malformed; skipped because a newer one was there;
+        missing in ``seq``.
     reason : str
         Why it ended or failed; empty while it runs.
     memory : float
@@ -232,10 +247,11 @@ class NodeStatus(Message, frozen=True, kw_only=True, gc=False):
     cpu : float
         Processor time used so far [s].
     denied : int
-        Connections that were not let in: unknown key, no key, or a peer that is not who it should be.
+        Connections that were not let in: unknown key, no key, or a peer that is not who it should
+        be.
     clock_offset, clock_error : float
-        What is added to this host's monotonic clock to get the run's time (that of the launcher's host), and how far off
-        that may be [s]; both 0 on the launcher's host itself.
+        What is added to this host's monotonic clock to get the run's time (that of the launcher's
+        host), and how far off that may be [s]; both 0 on the launcher's host itself.
     """
 
     node: Name

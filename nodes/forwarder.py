@@ -1,8 +1,9 @@
 """The forwarder: one process of a launch at which every user of this machine may listen to the nodes that allow it.
 
-A launch with ``open_port:`` at one of its nodes has one; nobody writes it down. It subscribes as any listener of the same user
-does, and publishes the same frames at those ports. Whatever strangers do to it, they do it to no process of the loop: it dies
-alone, and is started again for as long as the launch lives.
+A launch with ``open_port:`` at one of its nodes has one; nobody writes it down. It subscribes as
+any listener of the same user does, and publishes the same frames at those ports. Whatever strangers
+do to it, they do it to no process of the loop: it dies alone, and is started again for as long as
+the launch lives.
 """
 
 from collections.abc import Callable, Iterable
@@ -54,7 +55,9 @@ class Forwarder(Node):
             for node, port in parameters.ports.items()
         }
 
-    def connect(self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]) -> None:
+    def connect(
+        self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]
+    ) -> None:
         """Listen to the nodes."""
         for node, port in self._ports.items():
             self._lines.append((subscribe([self.setup.sources[node]], [""], QUEUE), port))

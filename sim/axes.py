@@ -14,7 +14,14 @@ if TYPE_CHECKING:
     from matplotlib.transforms import BboxBase
 
 # Where a name is tried beside its point [points], and how it is aligned there.
-_NEAR = ((6, 4, "left"), (6, -10, "left"), (-6, 4, "right"), (-6, -10, "right"), (0, 8, "center"), (0, -14, "center"))
+_NEAR = (
+    (6, 4, "left"),
+    (6, -10, "left"),
+    (-6, 4, "right"),
+    (-6, -10, "right"),
+    (0, 8, "center"),
+    (0, -14, "center"),
+)
 # The same further off, with a line to the point.
 _FAR = tuple(
     (distance * x, distance * y, side)
@@ -25,7 +32,13 @@ _FAR = tuple(
 
 
 def name_points(
-    axes: Axes, named: Iterable[tuple[str, float, float]], taken: list[BboxBase], *, must: bool, size: float, color: str
+    axes: Axes,
+    named: Iterable[tuple[str, float, float]],
+    taken: list[BboxBase],
+    *,
+    must: bool,
+    size: float,
+    color: str,
 ) -> None:
     """Write names beside points so that none lies over another."""
     from matplotlib.patheffects import withStroke
@@ -42,7 +55,11 @@ def name_points(
                 ha=side,
                 fontsize=size,
                 color=color,
-                arrowprops={"arrowstyle": "-", "color": color, "lw": 0.4} if (dx, dy, side) in _FAR else None,
+                arrowprops=(
+                    {"arrowstyle": "-", "color": color, "lw": 0.4}
+                    if (dx, dy, side) in _FAR
+                    else None
+                ),
             )
             note.set_in_layout(False)
             # A line that passes behind a name does not strike it through.
@@ -50,7 +67,12 @@ def name_points(
             # Puts the text in its place; the line to the point is no part of it.
             note.get_window_extent()
             box = Text.get_window_extent(note)
-            within = inside.x0 <= box.x0 and box.x1 <= inside.x1 and inside.y0 <= box.y0 and box.y1 <= inside.y1
+            within = (
+                inside.x0 <= box.x0
+                and box.x1 <= inside.x1
+                and inside.y0 <= box.y0
+                and box.y1 <= inside.y1
+            )
             if within and not any(box.overlaps(other) for other in taken):
                 taken.append(box)
                 break
@@ -61,7 +83,9 @@ def plain_log(axis: Axis, low: float, high: float) -> None:
     """Label a logarithmic axis with plain numbers, 1, 2, 5 of each decade: matplotlib's powers of ten run into each other."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 300.0 * low else (1.0,), numticks=12))
+    axis.set_major_locator(
+        LogLocator(subs=(1.0, 2.0, 5.0) if high < 300.0 * low else (1.0,), numticks=12)
+    )
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
@@ -73,4 +97,11 @@ def legend_below(figure: Figure, panels: Iterable[Axes], columns: int = 5) -> No
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             named.setdefault(label, handle)
     if named:
-        figure.legend(named.values(), named.keys(), loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
+        figure.legend(
+            named.values(),
+            named.keys(),
+            loc="outside lower center",
+            ncols=columns,
+            fontsize=8,
+            frameon=False,
+        )

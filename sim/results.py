@@ -16,7 +16,11 @@ def fresh(path: Path) -> Path:
         aside = _moved.get(folder)
         if aside is None or (aside / path.name).exists():
             aside = _moved[folder] = _new(folder / EARLIER)
-            print(f"{folder}: files of an earlier run are kept in {aside}", file=sys.stderr, flush=True)
+            print(
+                f"{folder}: files of an earlier run are kept in {aside}",
+                file=sys.stderr,
+                flush=True,
+            )
         path.rename(aside / path.name)
     return path
 

@@ -31,14 +31,17 @@ if TYPE_CHECKING:
 
 # Launches of tests that take the plain tick leave nothing behind that goes on.
 os.environ.setdefault("HAPTIC_COMPILE", "asked")
-# Every launch is five processes: without its bytecode each of them compiles the project anew, a quarter of what it costs.
+# Every launch is five processes: without its bytecode each of them compiles the project anew, a
+# quarter of what it costs.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-# A shell that runs the suite in the background leaves SIGINT ignored, for all that tests start and interrupt too.
+# A shell that runs the suite in the background leaves SIGINT ignored, for all that tests start and
+# interrupt too.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 # Nor are the tests themselves rewritten by every worker of every run.
 sys.dont_write_bytecode = False
-# No test asserts an absolute time, as hypothesis does unasked: 200 ms for an example. Examples may share their test's folder.
+# No test asserts an absolute time, as hypothesis does unasked: 200 ms for an example. Examples may
+# share their test's folder.
 UNCHECKED = [hypothesis.HealthCheck.too_slow, hypothesis.HealthCheck.function_scoped_fixture]
 hypothesis.settings.register_profile("untimed", deadline=None, suppress_health_check=UNCHECKED)
 hypothesis.settings.load_profile("untimed")
@@ -70,31 +73,45 @@ LONGEST = (
 
 def pytest_configure() -> None:
     """Say at once that the installation is older than pyproject.toml: its entry points are other ones."""
-    groups = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
+    groups = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
+        "entry-points"
+    ]
     for group, wanted in groups.items():
         found = {point.name: point.value for point in entry_points(group=group)}
         if not wanted.items() <= found.items():
-            raise pytest.UsageError(f"pyproject.toml has other entry points than are installed ({group}): pip install -e .")
+            raise pytest.UsageError(
+                f"pyproject.toml has other entry points than are installed ({group}): pip install"
+                " -e ."
+            )
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the longest files first, those with a browser apart, and last those that are judged in real time.
 
-    Each test of the last waits for whatever the other workers are at; at the end that is nothing long. A browser draws with
-    both processors of a small machine: two at once, each beside a launch in real time, would test nothing but the load.
+    Each test of the last waits for whatever the other workers are at; at the end that is nothing
+    long. A browser draws with both processors of a small machine: two at once, each beside a launch
+    in real time, would test nothing but the load.
     """
     alone = {item.path for item in items if item.get_closest_marker("realtime") is not None}
     for item in items:
-        # Whatever stands in a file of theirs would hold up those of all files: it needs the whole machine, each of them half.
+        # Whatever stands in a file of theirs would hold up those of all files: it needs the whole
+        # machine, each of them half.
         if item.path in alone:
             item.add_marker("realtime")
     drawn = {item.path for item in items if "browser" in getattr(item, "fixturenames", ())} - alone
 
     def length(item: pytest.Item) -> int:
-        return next((i for i, start in enumerate(LONGEST) if item.nodeid.startswith(start)), len(LONGEST))
+        return next(
+            (i for i, start in enumerate(LONGEST) if item.nodeid.startswith(start)), len(LONGEST)
+        )
 
     items.sort(key=length)
-    order = {path: float(i) for i, path in enumerate(dict.fromkeys(item.path for item in items if item.path not in drawn))}
+    order = {
+        path: float(i)
+        for i, path in enumerate(
+            dict.fromkeys(item.path for item in items if item.path not in drawn)
+        )
+    }
     for i, path in enumerate(dict.fromkeys(item.path for item in items if item.path in drawn)):
         # So far apart that one is done before the next begins.
         order[path] = 2 * WORKERS * i - 0.5
@@ -107,7 +124,9 @@ WORKERS = len(os.sched_getaffinity(0)) + 2
 
 SLOW = 0.04
 """Time of a million additions, above which the suite computes more than it waits [s]. Usual are some 0.025 s; where they took
-0.05 to 0.11 s, four workers on two processors were slower than two, and 21 tests ran into deadlines that they keep by two."""
+0.05 to 0.11 s, four workers on two processors were slower than two, and 21 tests ran into deadlines
+that they keep by two.
+"""
 
 
 def _million_additions() -> float:
@@ -120,7 +139,9 @@ def _million_additions() -> float:
 
 def pytest_xdist_auto_num_workers() -> int:
     """Take as many workers as there are, by `-n auto`, and on a slow machine one a processor."""
-    return WORKERS if statistics.median(_million_additions() for _ in range(7)) < SLOW else WORKERS - 2
+    return (
+        WORKERS if statistics.median(_million_additions() for _ in range(7)) < SLOW else WORKERS - 2
+    )
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

@@ -25,13 +25,17 @@ def modules() -> Iterator[ModuleType]:
     for package in (messages, nodes, sim):
         yield package
         for found in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-            if found.name not in ("nodes.__main__",):  # starts a node when imported as a program; has no functions
+            # starts a node when imported as a program; has no functions
+            if found.name not in ("nodes.__main__",):
                 yield importlib.import_module(found.name)
 
 
 def surface() -> list[ModuleType]:
     # An __init__ that passes names on has nothing of its own.
-    return [haptic, *(module for module in modules() if hasattr(module, "__all__") and any(own(module)))]
+    return [
+        haptic,
+        *(module for module in modules() if hasattr(module, "__all__") and any(own(module))),
+    ]
 
 
 def own(module: ModuleType) -> Iterator[tuple[str, Any]]:
@@ -56,9 +60,15 @@ def functions(module: ModuleType) -> Iterator[tuple[str, FunctionType, bool]]:
             for member, value in vars(thing).items():
                 value = getattr(value, "__func__", value)
                 # A function that is a field's default is documented where it is defined.
-                defined_here = getattr(value, "__qualname__", "") == f"{thing.__qualname__}.{member}"
+                defined_here = (
+                    getattr(value, "__qualname__", "") == f"{thing.__qualname__}.{member}"
+                )
                 if not member.startswith("_") and isinstance(value, FunctionType) and defined_here:
-                    yield f"{name}.{member}", value, any(hasattr(base, member) for base in thing.__mro__[1:])
+                    yield (
+                        f"{name}.{member}",
+                        value,
+                        any(hasattr(base, member) for base in thing.__mro__[1:]),
+                    )
 
 
 def test_every_module_tells_its_reason() -> None:
@@ -67,9 +77,17 @@ def test_every_module_tells_its_reason() -> None:
 
 
 def test_everything_public_has_at_least_a_sentence() -> None:
-    silent = [name for module in modules() for name, function, _ in functions(module) if not inspect.getdoc(function)]
+    silent = [
+        name
+        for module in modules()
+        for name, function, _ in functions(module)
+        if not inspect.getdoc(function)
+    ]
     silent += [
-        name for module in modules() for name, thing in own(module) if inspect.isclass(thing) and not inspect.getdoc(thing)
+        name
+        for module in modules()
+        for name, thing in own(module)
+        if inspect.isclass(thing) and not inspect.getdoc(thing)
     ]
     assert silent == []
 
@@ -90,7 +108,12 @@ def test_the_surface_documents_arguments_and_results() -> None:
                 if parameter not in ("self", "cls") and not re.search(rf"\b{parameter}\b", text)
             ]
             silent = not re.search(r"^(Returns|Yields)\n-", text, re.MULTILINE)
-            if silent and signature.return_annotation not in (None, "None", "NoReturn", inspect.Signature.empty):
+            if silent and signature.return_annotation not in (
+                None,
+                "None",
+                "NoReturn",
+                inspect.Signature.empty,
+            ):
                 faults.append(f"{name}: what it returns is not documented")
     assert faults == []
     assert seen > 80  # the walk itself works
@@ -98,7 +121,9 @@ def test_the_surface_documents_arguments_and_results() -> None:
 
 def test_the_surface_names_what_is_there_and_stands_on_the_page() -> None:
     page = (ROOT / "nodes" / "EXTENDING.md").read_text(encoding="utf-8")
-    listed = set(re.findall(r"^\| `([\w.]+)` \|", page.partition("## The public surface")[2], re.MULTILINE))
+    listed = set(
+        re.findall(r"^\| `([\w.]+)` \|", page.partition("## The public surface")[2], re.MULTILINE)
+    )
     assert listed == {module.__name__ for module in surface()}
     for module in surface():
         assert [name for name in module.__all__ if not hasattr(module, name)] == []

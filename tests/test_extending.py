@@ -20,8 +20,13 @@ from tests.support.pages import Block, blocks, command, promised, shell, written
 PAGE = (ROOT / "nodes" / "EXTENDING.md").read_text(encoding="utf-8")
 FILES = written_files(PAGE)
 # The first installs a law of one's own; what else may be installed, is in the same way.
-BLOCKS = [pytest.param(block, id=block.lines[0], marks=[pytest.mark.slow] * (n > 0)) for n, block in enumerate(blocks(PAGE))]
-OFFLINE = {"pip install": "-q --no-deps --no-index --no-build-isolation --disable-pip-version-check"}
+BLOCKS = [
+    pytest.param(block, id=block.lines[0], marks=[pytest.mark.slow] * (n > 0))
+    for n, block in enumerate(blocks(PAGE))
+]
+OFFLINE = {
+    "pip install": "-q --no-deps --no-index --no-build-isolation --disable-pip-version-check"
+}
 
 
 @pytest.fixture(scope="module")
@@ -36,10 +41,14 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Pat
     venv.create(fresh, with_pip=False, symlinks=True)
     (packages,) = fresh.glob("lib/python*/site-packages")
     beside = sysconfig.get_path("purelib")
-    (packages / "beside.pth").write_text(f"import site; site.addsitedir({beside!r})\n", encoding="ascii")
+    (packages / "beside.pth").write_text(
+        f"import site; site.addsitedir({beside!r})\n", encoding="ascii"
+    )
     for name, module in (("haptic", "nodes.cli.main"), ("pip", "pip")):
         program = fresh / "bin" / name
-        program.write_text(f'#!/bin/sh\nexec "{fresh}/bin/python" -m {module} "$@"\n', encoding="ascii")
+        program.write_text(
+            f'#!/bin/sh\nexec "{fresh}/bin/python" -m {module} "$@"\n', encoding="ascii"
+        )
         program.chmod(0o755)
     with private_runtime_dir() as runtime_dir:
         yield folder, runtime_dir, fresh / "bin"
@@ -60,7 +69,9 @@ def test_examples_install_and_run(block: Block, places: tuple[Path, Path, Path])
 
 def test_every_group_has_an_example() -> None:
     groups = {"haptic.laws", "haptic.surfaces", "haptic.nodes", "haptic.launch", "haptic.verbs"}
-    shown = {group for text in FILES.values() for group in groups if f'entry-points."{group}"' in text}
+    shown = {
+        group for text in FILES.values() for group in groups if f'entry-points."{group}"' in text
+    }
     assert shown == groups
 
 

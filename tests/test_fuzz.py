@@ -1,7 +1,7 @@
 """Every parser against damaged input: it may only raise the error it documents.
 
-Valid inputs of each parser are cut, spliced, repeated, flipped and sprinkled with the values at which formats break. The test
-set does a few hundred per parser; a long run is asked for with::
+Valid inputs of each parser are cut, spliced, repeated, flipped and sprinkled with the values at
+which formats break. The test set does a few hundred per parser; a long run is asked for with::
 
     HAPTIC_FUZZ_SECONDS=600 pytest tests/test_fuzz.py
 
@@ -9,7 +9,8 @@ which shares the seconds among the parsers, or by the number of inputs that each
 
     HAPTIC_FUZZ_INPUTS=10000000 pytest tests/test_fuzz.py -k "wire or request"
 
-HAPTIC_FUZZ_SEED=… repeats or varies it. What breaks a parser is shown as a Python literal, to become a test of that parser.
+HAPTIC_FUZZ_SEED=… repeats or varies it. What breaks a parser is shown as a Python literal, to
+become a test of that parser.
 """
 
 from __future__ import annotations
@@ -113,7 +114,9 @@ class Target(NamedTuple):
 def _recording() -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "drop.mcap"
-        with RecordWriter(str(path), {"run": "r"}, launch_file="x: 1\n", parameters={"driver": "{}"}) as writer:
+        with RecordWriter(
+            str(path), {"run": "r"}, launch_file="x: 1\n", parameters={"driver": "{}"}
+        ) as writer:
             for topic, message in drop(40, switch=20):
                 writer.write(topic, message, 1.0 + message.stamp)
         return path.read_bytes()
@@ -161,7 +164,11 @@ def _parts(recording: bytes) -> list[Target]:
         corpus = [bytes(record.content) for record in records if record.opcode == opcode][:20]
         assert corpus, name
 
-        def attempt(content: bytes, opcode: int = opcode, parse: Callable[[Path, mcap_walk.Record], object] = parse) -> object:
+        def attempt(
+            content: bytes,
+            opcode: int = opcode,
+            parse: Callable[[Path, mcap_walk.Record], object] = parse,
+        ) -> object:
             return parse(Path("x.mcap"), mcap_walk.Record(0, opcode, content))
 
         targets.append(Target(f"mcap {name}", corpus, attempt, (RecordError,)))
@@ -171,7 +178,8 @@ def _parts(recording: bytes) -> list[Target]:
 def _launch_file(content: bytes) -> None:
     with _file(content) as path:
         scene = path.with_name("scene.yaml")
-        # What a scenario names beside itself: a scene of bodies is read with the launch file, for the mass of its tool.
+        # What a scenario names beside itself: a scene of bodies is read with the launch file, for
+        # the mass of its tool.
         for folder in ("bodies", "meshes"):
             path.with_name(folder).symlink_to(ROOT / "launch" / folder)
         scene.write_bytes(content)
@@ -225,7 +233,10 @@ def _setup(starter: Starter) -> bytes:
 
 
 def _key_file(content: bytes) -> None:
-    with tempfile.TemporaryDirectory(prefix="fuzz-") as folder, pytest.MonkeyPatch.context() as patch:
+    with (
+        tempfile.TemporaryDirectory(prefix="fuzz-") as folder,
+        pytest.MonkeyPatch.context() as patch,
+    ):
         patch.setenv("HAPTIC_KEYS", folder)
         (Path(folder) / "allowed").mkdir(mode=0o700)
         for path in (Path(folder) / "identity.key", Path(folder) / "allowed" / "robot.key"):
@@ -272,7 +283,12 @@ def targets() -> list[Target]:
     """List every parser of the project that reads what others wrote."""
     wire = [(topic, encode(message)) for topic, message in drop(12, switch=5)]
     wire += [("/a/event", encode(Event(seq=1, stamp=0.1, node="a", kind="k", reason="r")))]
-    wire += [("/a/status", encode(NodeStatus(seq=1, stamp=0.1, node="a", kind="k", state="ready", pid=1)))]
+    wire += [
+        (
+            "/a/status",
+            encode(NodeStatus(seq=1, stamp=0.1, node="a", kind="k", state="ready", pid=1)),
+        )
+    ]
     requests = [
         Request("param.set", {"values": {"laws.pd.stiffness": 1e3}}),
         Request("status"),
@@ -283,7 +299,10 @@ def targets() -> list[Target]:
     laws = [
         b"{kind: pd, stiffness: 1000.0, damping: 3.0}",
         b"{kind: pd_alpha, stiffness: 1000.0, damping: 3.0, order: 1.2, taps: 10, gains: paper}",
-        b"{kind: multi_term, stiffness: 9.0, damping: 1.0, terms: [{gain: 1.0, order: 0.5}], taps: 4, gains: physical}",
+        (
+            b"{kind: multi_term, stiffness: 9.0, damping: 1.0, terms: [{gain: 1.0, order: 0.5}],"
+            b" taps: 4, gains: physical}"
+        ),
         b"{kind: fir, taps: [1000.0, -3.0]}",
     ]
     recording, starter = _recording(), _waiting()
@@ -294,20 +313,38 @@ def targets() -> list[Target]:
         corpus = [payload for name, payload in wire if name == topic]
         found.append(Target(f"wire {topic}", corpus, Decoder(kind).decode, (MessageRefusedError,)))
     found += [
-        Target("request", list(map(msgspec.msgpack.encode, requests)), lambda b: decode_request([b]), (MessageRefusedError,)),
-        Target("reply", list(map(msgspec.msgpack.encode, replies)), lambda b: decode_reply([b]), (MessageRefusedError,)),
+        Target(
+            "request",
+            list(map(msgspec.msgpack.encode, requests)),
+            lambda b: decode_request([b]),
+            (MessageRefusedError,),
+        ),
+        Target(
+            "reply",
+            list(map(msgspec.msgpack.encode, replies)),
+            lambda b: decode_reply([b]),
+            (MessageRefusedError,),
+        ),
         Target(
             "setup from another machine",
             [_setup(starter)],
             _starter(starter),
             (ParameterError, EndpointRefusedError, KeyRefusedError, RunError),
         ),
-        Target("yaml", [*scenes, *laws], _text(lambda text: parse_yaml(text, "fuzz")), (ParameterError,)),
+        Target(
+            "yaml",
+            [*scenes, *laws],
+            _text(lambda text: parse_yaml(text, "fuzz")),
+            (ParameterError,),
+        ),
         Target("launch file", scenes, _launch_file, (ParameterError,)),
         Target("law", laws, _text(_law), (ParameterError, LawRefusedError)),
         Target("key", [b"ab" * 32, b"0" * 40], _text(parse_key), (KeyRefusedError,)),
         Target(
-            "endpoint", [b"tcp://127.0.0.1:1#" + b"ab" * 32, b"ipc:///x"], _text(split), (EndpointRefusedError, KeyRefusedError)
+            "endpoint",
+            [b"tcp://127.0.0.1:1#" + b"ab" * 32, b"ipc:///x"],
+            _text(split),
+            (EndpointRefusedError, KeyRefusedError),
         ),
         Target("key file", [_identity()], _key_file, (KeyRefusedError,)),
         Target(
@@ -318,7 +355,8 @@ def targets() -> list[Target]:
                 b'{"op":"law","field":"gain","value":1}',
                 b'{"op":"switch","law":"pd","ramp":2}',
                 b'{"op":"undo"}',
-                # Once not answered at all: names that are no names, and a number that no float can hold.
+                # Once not answered at all: names that are no names, and a number that no float can
+                # hold.
                 b'{"op":[1],"id":1}',
                 b'{"op":"set","node":[1],"values":3}',
                 b'{"op":"hand","target":[0,0,1' + b"0" * 400 + b"]}",
@@ -334,7 +372,11 @@ def targets() -> list[Target]:
                 partial(assert_read_alike, kind),
                 (),
             )
-            for topic, kind in ((topics.DEVICE_STATE, DeviceState), (topics.PROXY, Proxy), (topics.FORCE, Force))
+            for topic, kind in (
+                (topics.DEVICE_STATE, DeviceState),
+                (topics.PROXY, Proxy),
+                (topics.FORCE, Force),
+            )
         ),
         Target("recording", [recording], _read, (RecordError,)),
         Target("recover", [recording], _recover, (RecordError,)),
@@ -354,7 +396,9 @@ def attempt(target: Target, luck: random.Random) -> bool:
     except target.error:
         return False
     except Exception as error:
-        raise AssertionError(f"{target.name}: {type(error).__name__}: {error}; input: {content!r}") from error
+        raise AssertionError(
+            f"{target.name}: {type(error).__name__}: {error}; input: {content!r}"
+        ) from error
     return True
 
 
@@ -374,11 +418,16 @@ def test_the_valid_inputs_are_valid(target: Target) -> None:
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
 @given(luck=st.randoms(use_true_random=False))
 @settings(max_examples=EXAMPLES, database=None)
-def test_damaged_input_raises_the_documented_error_only(target: Target, luck: random.Random) -> None:
+def test_damaged_input_raises_the_documented_error_only(
+    target: Target, luck: random.Random
+) -> None:
     attempt(target, luck)
 
 
-@pytest.mark.skipif(not (SECONDS or INPUTS), reason="a long run is asked for with HAPTIC_FUZZ_SECONDS or HAPTIC_FUZZ_INPUTS")
+@pytest.mark.skipif(
+    not (SECONDS or INPUTS),
+    reason="a long run is asked for with HAPTIC_FUZZ_SECONDS or HAPTIC_FUZZ_INPUTS",
+)
 @pytest.mark.timeout(0)
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
 def test_long_run(target: Target) -> None:

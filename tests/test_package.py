@@ -1,7 +1,7 @@
 """The wheel holds all that the project needs, and runs where there is no clone.
 
-It is built with the backend that is already installed and put into a folder of its own, so nothing is downloaded and the
-clone's own installation stays as it is.
+It is built with the backend that is already installed and put into a folder of its own, so nothing
+is downloaded and the clone's own installation stays as it is.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ PACKAGES = ("haptic", "messages", "nodes", "sim")
 
 def pip(*words: str) -> None:
     command = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--no-input", *words]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=120)
+    done = subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=120
+    )
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -35,7 +37,15 @@ def pip(*words: str) -> None:
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Build it."""
     folder = tmp_path_factory.mktemp("wheel")
-    pip("wheel", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", str(folder), str(ROOT))
+    pip(
+        "wheel",
+        "--no-deps",
+        "--no-build-isolation",
+        "--no-index",
+        "--wheel-dir",
+        str(folder),
+        str(ROOT),
+    )
     (built,) = folder.glob("*.whl")
     return built
 
@@ -58,9 +68,14 @@ def test_wheel_holds_packages_scenarios_markers_and_licence(wheel: Path) -> None
     metadata = f"haptic_nodes-{PROJECT['version']}.dist-info"
     assert {name.split("/")[0] for name in files} == {*PACKAGES, metadata}
     for package in PACKAGES:
-        beside = {path for path in (ROOT / package).rglob("*") if path.is_file() and "__pycache__" not in path.parts}
+        beside = {
+            path
+            for path in (ROOT / package).rglob("*")
+            if path.is_file() and "__pycache__" not in path.parts
+        }
         sources = {path.relative_to(ROOT).as_posix() for path in beside}
-        # Pictures and notebooks are for who reads the sources; ``haptic`` stands beside the packages.
+        # Pictures and notebooks are for who reads the sources; ``haptic`` stands beside the
+        # packages.
         apart = ("sim/figures/", "sim/notebooks/", "sim/python/")
         assert {name for name in sources if not name.startswith(apart)} <= set(files)
         assert f"{package}/py.typed" in files
@@ -82,7 +97,11 @@ def test_wheel_says_what_it_is_and_what_it_needs(wheel: Path) -> None:
     assert told["Name"] == PROJECT["name"]
     assert told["License-Expression"] == PROJECT["license"]
     assert told["Requires-Python"] == PROJECT["requires-python"]
-    needed = [text.partition(";")[0].strip() for text in told.get_all("Requires-Dist", []) if "extra" not in text]
+    needed = [
+        text.partition(";")[0].strip()
+        for text in told.get_all("Requires-Dist", [])
+        if "extra" not in text
+    ]
     assert sorted(needed) == sorted(PROJECT["dependencies"])
     registered = configparser.ConfigParser(delimiters=("=",))
     registered.optionxform = str  # type: ignore[assignment,method-assign]
@@ -92,28 +111,47 @@ def test_wheel_says_what_it_is_and_what_it_needs(wheel: Path) -> None:
     for group in groups.values():
         for place in group.values():
             module = place.partition(":")[0].replace(".", "/")
-            assert {f"{module}.py", f"{module}/__init__.py"} & set(files), f"{place}: not in the wheel"
+            assert {f"{module}.py", f"{module}/__init__.py"} & set(files), (
+                f"{place}: not in the wheel"
+            )
 
 
 @pytest.mark.slow
 def test_scenarios_run_from_the_wheel_in_another_folder(installed: Path, tmp_path: Path) -> None:
     with private_runtime_dir() as runtime_dir:
-        environment = {**os.environ, "PYTHONPATH": str(installed), "HAPTIC_RUNTIME_DIR": str(runtime_dir)}
+        environment = {
+            **os.environ,
+            "PYTHONPATH": str(installed),
+            "HAPTIC_RUNTIME_DIR": str(runtime_dir),
+        }
 
         def run(*words: str) -> str:
             done = subprocess.run(
-                words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False, timeout=120
+                words,
+                cwd=tmp_path,
+                env=environment,
+                capture_output=True,
+                text=True,
+                check=False,
+                timeout=120,
             )
             assert done.returncode == 0, done.stderr
             return done.stdout
 
         haptic = str(installed / "bin" / "haptic")
         assert run(haptic, "--version").split()[-1] == PROJECT["version"]
-        where = "import messages, nodes, sim; print(messages.__file__, nodes.__file__, sim.__file__)"
-        assert all(Path(path).is_relative_to(installed) for path in run(sys.executable, "-c", where).split())
+        where = (
+            "import messages, nodes, sim; print(messages.__file__, nodes.__file__, sim.__file__)"
+        )
+        assert all(
+            Path(path).is_relative_to(installed)
+            for path in run(sys.executable, "-c", where).split()
+        )
         listed = json.loads(run(haptic, "launch", "--list", "--json"))["scenarios"]
         assert set(listed) == {path.stem for path in (ROOT / "launch").glob("*.yaml")}
-        figures = json.loads(run(haptic, "launch", "floor_drop", "duration:=1", "--json").splitlines()[-1])
+        figures = json.loads(
+            run(haptic, "launch", "floor_drop", "duration:=1", "--json").splitlines()[-1]
+        )
         assert figures["exit_reason"] == "done"
         assert figures["ticks"] + figures["overruns"] == 500
         assert (tmp_path / figures["recording"]).is_file()

@@ -24,7 +24,11 @@ PAGES = {
     for path in [
         ROOT / "README.md",
         ROOT / ".github" / "CONTRIBUTING.md",
-        *sorted(path for folder in ("launch", "messages", "nodes", "sim") for path in (ROOT / folder).rglob("*.md")),
+        *sorted(
+            path
+            for folder in ("launch", "messages", "nodes", "sim")
+            for path in (ROOT / folder).rglob("*.md")
+        ),
     ]
 }
 README = PAGES["README.md"]
@@ -63,7 +67,9 @@ SHORTER = {
 }
 """What makes a command short enough for a test, by its first words."""
 
-INSTALLING = [line for block in blocks(README) for line in block.lines if line.startswith("python3 -m venv")]
+INSTALLING = [
+    line for block in blocks(README) for line in block.lines if line.startswith("python3 -m venv")
+]
 """The two pasted lines: `.ci/run` takes the second one from README.md, and any user's fresh clone the first."""
 
 BLOCKS = [  # tests/test_extending.py runs those of nodes/EXTENDING.md
@@ -114,7 +120,12 @@ def test_commands_run_as_they_are_written(
 def every_scene_has_its_row(rows: list[dict[str, Any]]) -> None:
     """Judge what the page's six launches of ``haptic bench loop --scenes`` say, so that no other test runs them again."""
     bodies = set(BODIES) if find_spec("mujoco") else set()
-    assert {row["scene"] for row in rows} == {"floor_drop", "sphere_feel", "mesh_pebble", "ball of 1280 triangles"} | bodies
+    assert {row["scene"] for row in rows} == {
+        "floor_drop",
+        "sphere_feel",
+        "mesh_pebble",
+        "ball of 1280 triangles",
+    } | bodies
     for row in rows:
         assert row["tick"] == ("plain" if row["scene"] in bodies else "compiled")
         assert 0.0 < row["spent_us"]["p50"] <= row["spent_us"]["p99"]
@@ -132,7 +143,12 @@ def every_message_is_accounted_for(found: dict[str, Any]) -> None:
     assert all(one["lost"] == 0 for one in found["accounts"].values())
     assert found["accounts"]["driver"]["sent"] > 100
     assert found["shared"] > 100
-    assert sum(found["missed_after"].values()) == sum(found["causes"].values()) == found["missed"] >= found["held_up"]
+    assert (
+        sum(found["missed_after"].values())
+        == sum(found["causes"].values())
+        == found["missed"]
+        >= found["held_up"]
+    )
 
 
 def test_the_pasted_lines_install_launch_and_test() -> None:
@@ -156,30 +172,48 @@ def test_the_first_page_is_read_in_three_minutes() -> None:
     assert len(README.splitlines()) <= 175
 
 
-WRAPPED = ("README.md", "nodes/GLOSSARY.md", "nodes/driver/DEVICES.md", "sim/README.md", "sim/THEORY.md")
+WRAPPED = (
+    "README.md",
+    "nodes/GLOSSARY.md",
+    "nodes/driver/DEVICES.md",
+    "sim/README.md",
+    "sim/THEORY.md",
+)
 
 
 @pytest.mark.parametrize("name", WRAPPED)
 def test_lines_have_at_most_100_columns(name: str) -> None:
     """Rows of tables are excepted: Markdown cannot break them."""
-    assert [line for line in PAGES[name].splitlines() if len(line) > 100 and not line.startswith("|")] == []
+    assert [
+        line for line in PAGES[name].splitlines() if len(line) > 100 and not line.startswith("|")
+    ] == []
 
 
 @pytest.mark.parametrize("name", PAGES)
 def test_links_lead_somewhere(name: str) -> None:
     page = ROOT / name
-    targets = [target for target in links(PAGES[name]) if not target.startswith(("https://", "mailto:"))]
+    targets = [
+        target for target in links(PAGES[name]) if not target.startswith(("https://", "mailto:"))
+    ]
     paths = []
     for target in targets:
         path, _, anchor = target.partition("#")
         there = (page.parent / path).resolve() if path else page
         assert there.exists(), f"{target}: there is no such file"
-        assert not anchor or anchor in anchors(there.read_text(encoding="utf-8")), f"{target}: there is no such heading"
+        assert not anchor or anchor in anchors(there.read_text(encoding="utf-8")), (
+            f"{target}: there is no such heading"
+        )
         paths.append(str(there.relative_to(ROOT)))
     if (ROOT / ".git").exists() and paths:
-        listed = subprocess.run(["git", "ls-files", "--", *paths], cwd=ROOT, capture_output=True, text=True, check=True)
+        listed = subprocess.run(
+            ["git", "ls-files", "--", *paths], cwd=ROOT, capture_output=True, text=True, check=True
+        )
         for path in paths:
-            tracked = [line for line in listed.stdout.splitlines() if line == path or line.startswith(path + "/")]
+            tracked = [
+                line
+                for line in listed.stdout.splitlines()
+                if line == path or line.startswith(path + "/")
+            ]
             assert tracked, f"{path}: is not in the repository, so not in a clone"
 
 
@@ -200,13 +234,24 @@ def test_every_page_is_reached_from_the_first() -> None:
 
 def test_every_scenario_and_every_verb_is_mentioned() -> None:
     for path in (ROOT / "launch").glob("*.yaml"):
-        assert f"`{path.stem}`" in PAGES["launch/README.md"], f"scenario {path.stem} is not described"
+        assert f"`{path.stem}`" in PAGES["launch/README.md"], (
+            f"scenario {path.stem} is not described"
+        )
     for verb in (VERBS.points()[name] for name in verbs()):
         if verb.package == OURS:
-            assert re.search(rf"\bhaptic {verb.name}\b", README), f"haptic {verb.name} is not mentioned"
+            assert re.search(rf"\bhaptic {verb.name}\b", README), (
+                f"haptic {verb.name} is not mentioned"
+            )
 
 
 def test_nothing_is_shortened_that_is_not_there() -> None:
-    typed = [command(line, {}).words for text in PAGES.values() for block in blocks(text) for line in block.lines]
+    typed = [
+        command(line, {}).words
+        for text in PAGES.values()
+        for block in blocks(text)
+        for line in block.lines
+    ]
     for start in SHORTER:
-        assert any(words[: len(start.split())] == start.split() for words in typed), f"no command starts with {start}"
+        assert any(words[: len(start.split())] == start.split() for words in typed), (
+            f"no command starts with {start}"
+        )

@@ -35,8 +35,9 @@ class _Context(zmq.Context[zmq.Socket[bytes]]):
         try:
             return super().socket(*what, **options)
         except BaseException as error:
-            # What a signal's handler raises meanwhile leaves a socket that the context does not know, in the frames of the
-            # traceback: nobody could close it, and the context's end would wait for it for ever.
+            # What a signal's handler raises meanwhile leaves a socket that the context does not
+            # know, in the frames of the traceback: nobody could close it, and the context's end
+            # would wait for it for ever.
             traceback.clear_frames(error.__traceback__)
             raise
 
@@ -54,10 +55,12 @@ def move_aside(processors: Collection[int]) -> None:
     while not (thread := _second_thread()):
         if time.monotonic() > until:
             return
-        # It names itself when it gets its turn, for which this one, on the same core and as urgent, has to wait.
+        # It names itself when it gets its turn, for which this one, on the same core and as urgent,
+        # has to wait.
         time.sleep(0.001)
     if os.sched_getscheduler(thread) == os.SCHED_FIFO:
-        # Above what else the machine does: a recording would lack what waits too long for it. Below who answers requests.
+        # Above what else the machine does: a recording would lack what waits too long for it. Below
+        # who answers requests.
         priority = max(1, os.sched_getparam(thread).sched_priority - ASIDE - 1)
         os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
     if processors:
@@ -71,6 +74,11 @@ def _second_thread() -> int:
     for path in Path("/proc/self/task").iterdir():
         # One that is listed may have ended.
         with contextlib.suppress(OSError):
-            if (path / "comm").read_text(encoding="ascii", errors="replace").strip().endswith("IO/1"):
+            if (
+                (path / "comm")
+                .read_text(encoding="ascii", errors="replace")
+                .strip()
+                .endswith("IO/1")
+            ):
                 return int(path.name)
     return 0

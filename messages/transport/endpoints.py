@@ -1,18 +1,22 @@
 """Endpoints, and what each kind of them asks of a socket: encryption over tcp, keep-alives, bounded messages.
 
-An endpoint is ZeroMQ's own text, followed for an encrypted one by ``#`` and the public key of the machine that binds it::
+An endpoint is ZeroMQ's own text, followed for an encrypted one by ``#`` and the public key of the
+machine that binds it::
 
-    ipc:///run/user/1000/haptic/floor_drop-…/coupling.pub     a private directory: nobody else gets there
-    tcp://10.0.0.2:5600#9f0c…                                 CURVE, or it is refused
-    tcp://127.0.0.1:5600#9f0c…                                so too on loopback, which all users of the machine share
+    ipc:///run/user/1000/haptic/floor_drop-…/coupling.pub     a private directory: nobody else gets
+    there tcp://10.0.0.2:5600#9f0c…                                 CURVE, or it is refused
+    tcp://127.0.0.1:5600#9f0c…                                so too on loopback, which all users of
+    the machine share
 
-The key travels with the endpoint, so who knows where to connect also knows whom to expect there: a forger that binds in
-the place of a node cannot complete the handshake.
+The key travels with the endpoint, so who knows where to connect also knows whom to expect there: a
+forger that binds in the place of a node cannot complete the handshake.
 
-Two rules keep a peer from ending this process. libzmq (4.3.5) remembers a peer that leaves while its input is stopped, because
-a receive queue is full, and aborts (``Assertion failed: !_io_error``) when it then writes a heartbeat to it: one of its own, or
-the answer to one that the peer left behind in the buffer. So heartbeats are never switched on, a silent tcp peer is found by
-the kernel's keep-alives instead; and what others connect to has no limit on its receive queue, so that its input never stops.
+Two rules keep a peer from ending this process. libzmq (4.3.5) remembers a peer that leaves while
+its input is stopped, because a receive queue is full, and aborts (``Assertion failed: !_io_error``)
+when it then writes a heartbeat to it: one of its own, or the answer to one that the peer left
+behind in the buffer. So heartbeats are never switched on, a silent tcp peer is found by the
+kernel's keep-alives instead; and what others connect to has no limit on its receive queue, so that
+its input never stops.
 """
 
 import contextlib
@@ -32,16 +36,23 @@ Socket: TypeAlias = zmq.Socket[bytes]
 Context: TypeAlias = zmq.Context[Socket]
 
 
-DOMAIN = b"haptic"  # ZAP domain of the encrypted sockets; with it set and enforced, a process without a gate lets nobody in
+# ZAP domain of the encrypted sockets; with it set and enforced, a process without a gate lets
+# nobody in
+DOMAIN = b"haptic"
 
-# Longest frame that is received from a publisher or asked of a node; a longer one ends the connection [bytes].
+# Longest frame that is received from a publisher or asked of a node; a longer one ends the
+# connection [bytes].
 MAX_MESSAGE = 16 * MAX_PAYLOAD
 MAX_UPSTREAM = 1024  # longest frame that a listener may send to a publisher: a subscription [bytes]
 KEEPALIVE_S = 1  # how often the kernel asks a silent tcp peer whether it is still there [s]
 KEEPALIVE_PROBES = 2  # after so many of them without an answer it is given up
-HANDSHAKE_MS = 3000  # how long a local peer may take to introduce itself [ms]; ZeroMQ's 30 s let idle connections pile up
-TCP_HANDSHAKE_MS = 8000  # the same over tcp: two round trips of 1 s for the greeting, two for the keys, a lost packet [ms]
-RECONNECT_MS = 10  # how soon a listener tries again to reach a publisher that is not there yet or was respawned [ms]
+# how long a local peer may take to introduce itself [ms]; ZeroMQ's 30 s let idle connections pile
+# up
+HANDSHAKE_MS = 3000
+# the same over tcp: two round trips of 1 s for the greeting, two for the keys, a lost packet [ms]
+TCP_HANDSHAKE_MS = 8000
+# how soon a listener tries again to reach a publisher that is not there yet or was respawned [ms]
+RECONNECT_MS = 10
 MAX_RECONNECT_MS = 500  # longest pause between two tries to reach another machine [ms]
 
 
@@ -60,12 +71,13 @@ def split(endpoint: str) -> tuple[str, str]:
         raise EndpointRefusedError(f"{endpoint}: neither ipc:// nor tcp://")
     if not sign and _is_loopback(bare):
         raise EndpointRefusedError(
-            f"{bare}: every user of this machine can reach it, so it needs a key: haptic keys new; or use ipc://"
+            f"{bare}: every user of this machine can reach it, so it needs a key: haptic keys new;"
+            " or use ipc://"
         )
     if not sign:
         raise EndpointRefusedError(
-            f"{bare}: other machines can reach it, so it needs keys: on both machines haptic keys new, then on each "
-            "haptic keys allow NAME KEY with the key of the other"
+            f"{bare}: other machines can reach it, so it needs keys: on both machines haptic keys"
+            " new, then on each haptic keys allow NAME KEY with the key of the other"
         )
     return bare, key
 
@@ -88,11 +100,13 @@ def is_remote(endpoint: str) -> bool:
 
 
 def _set_tcp(socket: Socket) -> None:
-    # TCP_NODELAY is ZeroMQ's default. Keep-alives find a peer whose machine or cable went away without a word.
+    # TCP_NODELAY is ZeroMQ's default. Keep-alives find a peer whose machine or cable went away
+    # without a word.
     socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
     socket.setsockopt(zmq.TCP_KEEPALIVE_IDLE, KEEPALIVE_S)
     socket.setsockopt(zmq.TCP_KEEPALIVE_INTVL, KEEPALIVE_S)
-    # Not TCP_MAXRT: it would also bound how often a packet may be lost in a handshake over a bad cable.
+    # Not TCP_MAXRT: it would also bound how often a packet may be lost in a handshake over a bad
+    # cable.
     socket.setsockopt(zmq.TCP_KEEPALIVE_CNT, KEEPALIVE_PROBES)
     socket.setsockopt(zmq.HANDSHAKE_IVL, TCP_HANDSHAKE_MS)
     socket.setsockopt(zmq.CONNECT_TIMEOUT, 3000)
@@ -109,10 +123,14 @@ def connect(socket: Socket, endpoint: str) -> None:
         _set_tcp(socket)
     if key:
         me = identity()
-        socket.curve_publickey, socket.curve_secretkey = bytes.fromhex(me.public), bytes.fromhex(me.secret)
+        socket.curve_publickey, socket.curve_secretkey = (
+            bytes.fromhex(me.public),
+            bytes.fromhex(me.secret),
+        )
         socket.curve_serverkey = bytes.fromhex(key)
     else:
-        # Options last until they are changed: a plain endpoint after an encrypted one must not inherit its keys.
+        # Options last until they are changed: a plain endpoint after an encrypted one must not
+        # inherit its keys.
         socket.plain_server = False
     socket.connect(bare)
 
@@ -130,7 +148,10 @@ def closed_if_refused(*sockets: Socket) -> Iterator[None]:
 
 def await_given_back(endpoint: str, deadline: float) -> None:
     """Wait, after a close, until ZeroMQ's thread has removed an ipc endpoint's file: it must not remove the next one's."""
-    while os.path.exists(endpoint.partition("#")[0].removeprefix("ipc://")) and time.monotonic() < deadline:
+    while (
+        os.path.exists(endpoint.partition("#")[0].removeprefix("ipc://"))
+        and time.monotonic() < deadline
+    ):
         time.sleep(0.001)
 
 
@@ -142,14 +163,15 @@ def is_open_place(endpoint: str) -> bool:
 def bind(socket: Socket, endpoint: str, is_open: bool = False) -> None:
     """Bind a socket; where the endpoint has a key, as this machine, to machines that the gate lets in.
 
-    `socket`: of any kind. Plain endpoints are bound before encrypted ones: what is bound keeps the options it was bound with.
-    `is_open`: whether all users of this machine may come, where `is_open_place`: only for what nobody can command. Raises
-    EndpointRefusedError, KeyRefusedError when the endpoint or this machine's keys cannot be used, or the address is taken.
+    `socket`: of any kind. Plain endpoints are bound before encrypted ones: what is bound keeps the
+    options it was bound with. `is_open`: whether all users of this machine may come, where
+    `is_open_place`: only for what nobody can command. Raises EndpointRefusedError, KeyRefusedError
+    when the endpoint or this machine's keys cannot be used, or the address is taken.
     """
     bare, key = (endpoint, "") if is_open and is_open_place(endpoint) else split(endpoint)
     socket.setsockopt(zmq.MAXMSGSIZE, MAX_UPSTREAM if socket.type == zmq.XPUB else MAX_MESSAGE)
-    # See above: the input of what others connect to must not stop. Never on a socket that is bound again: libzmq 4.3.5 tells it
-    # to the peers that it is just putting out, and crashes.
+    # See above: the input of what others connect to must not stop. Never on a socket that is bound
+    # again: libzmq 4.3.5 tells it to the peers that it is just putting out, and crashes.
     if socket.rcvhwm:
         socket.rcvhwm = 0
     # What never introduces itself must not keep a place.
@@ -162,7 +184,9 @@ def bind(socket: Socket, endpoint: str, is_open: bool = False) -> None:
     if key:
         me = identity()
         if me.public != key:
-            raise EndpointRefusedError(f"{bare}: expected with the key {key}, but this machine's is {me.public}")
+            raise EndpointRefusedError(
+                f"{bare}: expected with the key {key}, but this machine's is {me.public}"
+            )
         socket.curve_server = True
         socket.curve_secretkey = bytes.fromhex(me.secret)
         socket.zap_domain = DOMAIN

@@ -1,9 +1,11 @@
 """The gate: lets only allowed keys in on encrypted sockets, and ends the connections of a key that is allowed no more.
 
-ZeroMQ asks it once per connection (ZAP, RFC 27), never per message, so it costs the loop nothing. It also watches these sockets
-for handshakes that fail before there is a key to ask about: a plain client, a port scan, a replayed or altered stream. Keys are
-read anew for each connection, and twice a second for those that are there. When one was revoked, replaced or cannot be read any
-more, the sockets are closed to all tcp peers and opened again (`Reopening`): who is still allowed is back within a second.
+ZeroMQ asks it once per connection (ZAP, RFC 27), never per message, so it costs the loop nothing.
+It also watches these sockets for handshakes that fail before there is a key to ask about: a plain
+client, a port scan, a replayed or altered stream. Keys are read anew for each connection, and twice
+a second for those that are there. When one was revoked, replaced or cannot be read any more, the
+sockets are closed to all tcp peers and opened again (`Reopening`): who is still allowed is back
+within a second.
 """
 
 import contextlib
@@ -21,14 +23,23 @@ from messages.transport.keys import identity, key_dir, trusted
 REVIEW = 0.5  # how often the keys of those who are connected are looked at [s]
 
 ZAP = "inproc://zeromq.zap.01"
-FAILURES = zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL | zmq.EVENT_HANDSHAKE_FAILED_AUTH
+FAILURES = (
+    zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
+    | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
+    | zmq.EVENT_HANDSHAKE_FAILED_AUTH
+)
 _FAILED: dict[int, str] = {
-    zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL: "without a valid handshake: a plain client, or an altered or replayed stream",
-    zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL: "that ended before its handshake was complete: the client gave up, "
-    "took too long or has no keys",
+    zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL: (
+        "without a valid handshake: a plain client, or an altered or replayed stream"
+    ),
+    zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL: (
+        "that ended before its handshake was complete: the client gave up, "
+        "took too long or has no keys"
+    ),
 }
 _STOP = "inproc://haptic.gate.stop"
-_MONITORED = struct.Struct("=Hi")  # first frame of a monitor's message: event and value (zmq_socket_monitor)
+# first frame of a monitor's message: event and value (zmq_socket_monitor)
+_MONITORED = struct.Struct("=Hi")
 
 
 def monitor(context: Context, socket: Socket, events: int) -> Socket:
@@ -70,7 +81,8 @@ class Reopening:
                     self._closed.append(place)
                     self._socket.unbind(place.partition("#")[0])
         for place in list(self._closed):
-            # ZeroMQ's thread may still hold the port; and without this machine's keys nobody is let in.
+            # ZeroMQ's thread may still hold the port; and without this machine's keys nobody is let
+            # in.
             with contextlib.suppress(EndpointRefusedError):
                 bind(self._socket, place)
                 self._closed.remove(place)
@@ -79,8 +91,9 @@ class Reopening:
 class Gate(threading.Thread):
     """Guards the encrypted sockets of one process; to be started before they are bound, stopped before the context ends.
 
-    On the gate's thread it calls `begin` first (to leave the loop's processor), `denied` with one sentence for every peer that
-    was not let in or was disconnected, and `evict` when all connections must end, because a key is not allowed any more.
+    On the gate's thread it calls `begin` first (to leave the loop's processor), `denied` with one
+    sentence for every peer that was not let in or was disconnected, and `evict` when all
+    connections must end, because a key is not allowed any more.
     """
 
     def __init__(
@@ -157,15 +170,18 @@ class Gate(threading.Thread):
         self._zap.send_multipart([version, request, code, text, name.encode(), b""])
         if not name:
             where = address.decode("ascii", "replace").removeprefix("::ffff:")
-            self._denied(f"a connection from {where} with the unknown key {key}; to let it in: haptic keys allow NAME {key}")
+            self._denied(
+                f"a connection from {where} with the unknown key {key}; to let it in: haptic keys"
+                f" allow NAME {key}"
+            )
 
     def _review(self) -> None:
         gone = self._entered - self._trusted().keys() if self._entered else set()
         if gone:
             self._entered -= gone
             self._denied(
-                f"the key {', '.join(sorted(gone))} is not allowed any more; all connections over tcp end, and those "
-                "still allowed connect again"
+                f"the key {', '.join(sorted(gone))} is not allowed any more; all connections over"
+                " tcp end, and those still allowed connect again"
             )
             self._evict()
 

@@ -1,12 +1,13 @@
 """Keys of machines: who this one is and which others are let in, in files that nobody else can read or change.
 
-One CURVE key pair per user and machine, kept below ``$HAPTIC_KEYS`` (or ``~/.config/haptic/keys``)::
+One CURVE key pair per user and machine, kept below ``$HAPTIC_KEYS`` (or
+``~/.config/haptic/keys``)::
 
     identity.key      secret and public key of this machine, mode 0600
     allowed/NAME.key  public key of another machine, mode 0600
 
-A key is written as 64 hexadecimal digits, which every shell leaves alone. A machine that is allowed may listen, publish in
-its place and send control requests; there is no half of it.
+A key is written as 64 hexadecimal digits, which every shell leaves alone. A machine that is allowed
+may listen, publish in its place and send control requests; there is no half of it.
 """
 
 import os
@@ -47,17 +48,27 @@ def _private_dir(path: Path) -> None:
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
-        raise KeyRefusedError(f"{path}: cannot be made: {error.strerror}; name a folder of your own in $HAPTIC_KEYS") from error
+        raise KeyRefusedError(
+            f"{path}: cannot be made: {error.strerror}; name a folder of your own in $HAPTIC_KEYS"
+        ) from error
     found = path.lstat()
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077:
-        raise KeyRefusedError(f"{path}: must be a directory of user {os.getuid()} with mode 0700; chmod 700 it")
+    if (
+        not stat.S_ISDIR(found.st_mode)
+        or found.st_uid != os.getuid()
+        or stat.S_IMODE(found.st_mode) & 0o077
+    ):
+        raise KeyRefusedError(
+            f"{path}: must be a directory of user {os.getuid()} with mode 0700; chmod 700 it"
+        )
 
 
 def _write(path: Path, text: str, replace: bool = False) -> None:
     """Write a file that is private from its first byte on; never through a link."""
     _private_dir(path.parent)
     draft = path.with_name(f".{path.name}.{os.getpid()}")
-    descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    descriptor = os.open(
+        draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600
+    )
     try:
         with os.fdopen(descriptor, "w", encoding="ascii") as file:
             file.write(text)
@@ -68,7 +79,9 @@ def _write(path: Path, text: str, replace: bool = False) -> None:
         else:
             os.link(draft, path)
     except FileExistsError as error:
-        raise KeyRefusedError(f"{path}: exists already; remove it first, or give --replace") from error
+        raise KeyRefusedError(
+            f"{path}: exists already; remove it first, or give --replace"
+        ) from error
     finally:
         draft.unlink(missing_ok=True)
 
@@ -81,8 +94,14 @@ def _read(path: Path) -> list[str]:
         raise KeyRefusedError(f"{path}: {error.strerror}") from error
     with os.fdopen(descriptor, encoding="ascii", errors="replace") as file:
         found = os.fstat(file.fileno())
-        if not stat.S_ISREG(found.st_mode) or found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077:
-            raise KeyRefusedError(f"{path}: must be a file of user {os.getuid()} with mode 0600; chmod 600 it")
+        if (
+            not stat.S_ISREG(found.st_mode)
+            or found.st_uid != os.getuid()
+            or stat.S_IMODE(found.st_mode) & 0o077
+        ):
+            raise KeyRefusedError(
+                f"{path}: must be a file of user {os.getuid()} with mode 0600; chmod 600 it"
+            )
         return file.read(4096).split()
 
 
@@ -95,7 +114,9 @@ def parse_key(text: str) -> str:
             raise KeyRefusedError(f"{text!r}: 40 characters that are not Z85") from error
     key = text.lower()
     if not _KEY.fullmatch(key):
-        raise KeyRefusedError(f"{text!r}: a key is 64 hexadecimal digits (or 40 characters of Z85); got {len(text)}")
+        raise KeyRefusedError(
+            f"{text!r}: a key is 64 hexadecimal digits (or 40 characters of Z85); got {len(text)}"
+        )
     return key
 
 
@@ -110,12 +131,18 @@ def identity(folder: Path | None = None) -> Identity:
     """Read this machine's key pair."""
     path = (folder or key_dir()) / "identity.key"
     if not path.exists():
-        raise KeyRefusedError(f"{path}: no such file; this machine has no keys yet: haptic keys new")
+        raise KeyRefusedError(
+            f"{path}: no such file; this machine has no keys yet: haptic keys new"
+        )
     words = _read(path)
     if len(words) != 2 or not all(_KEY.fullmatch(word) for word in words):
-        raise KeyRefusedError(f"{path}: not a public and a secret key; make new ones: haptic keys new --replace")
+        raise KeyRefusedError(
+            f"{path}: not a public and a secret key; make new ones: haptic keys new --replace"
+        )
     if bytes(z85.decode(zmq.curve_public(z85.encode(bytes.fromhex(words[1]))))).hex() != words[0]:
-        raise KeyRefusedError(f"{path}: public and secret key do not belong together: haptic keys new --replace")
+        raise KeyRefusedError(
+            f"{path}: public and secret key do not belong together: haptic keys new --replace"
+        )
     return Identity(words[0], words[1])
 
 
@@ -134,7 +161,9 @@ def allowed(folder: Path | None = None) -> dict[str, str]:
     for path in sorted(((folder or key_dir()) / "allowed").glob("*.key")):
         words = _read(path)
         if len(words) != 1:
-            raise KeyRefusedError(f"{path}: not one public key; remove it, and: haptic keys allow {path.stem} KEY")
+            raise KeyRefusedError(
+                f"{path}: not one public key; remove it, and: haptic keys allow {path.stem} KEY"
+            )
         found[path.stem] = parse_key(words[0])
     return found
 
@@ -159,7 +188,9 @@ def revoke(name: str) -> Path:
     path = key_dir() / "allowed" / f"{name}.key"
     if not _NAME.fullmatch(name) or (not path.is_symlink() and not path.exists()):
         there = sorted(found.stem for found in (key_dir() / "allowed").glob("*.key"))
-        raise KeyRefusedError(f"no key of {name!r} is allowed here; there is: {', '.join(there) or 'none'}")
+        raise KeyRefusedError(
+            f"no key of {name!r} is allowed here; there is: {', '.join(there) or 'none'}"
+        )
     path.unlink()
     return path
 
@@ -169,7 +200,7 @@ def key_of(name: str) -> str:
     there = allowed()
     if name not in there:
         raise KeyRefusedError(
-            f"no key of {name!r} is allowed here (there is: {', '.join(there) or 'none'}); on that machine: haptic keys new, "
-            f"then here: haptic keys allow {name} KEY"
+            f"no key of {name!r} is allowed here (there is: {', '.join(there) or 'none'}); on that"
+            f" machine: haptic keys new, then here: haptic keys allow {name} KEY"
         )
     return there[name]

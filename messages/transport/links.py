@@ -1,9 +1,10 @@
 """Links: connections to publishers that must not go deaf in silence.
 
-ZeroMQ tries again when a peer goes away, but gives up for good when what comes breaks its protocol: a message above the
-limit, or another service on a node's port. It says so to nobody. Here a link that was given up, that gets no handshake, or
-over which nothing comes any more, raises an event with the reason and is reconnected. All of it off the loop: the loop's
-thread only takes up what was asked for, between two ticks.
+ZeroMQ tries again when a peer goes away, but gives up for good when what comes breaks its protocol:
+a message above the limit, or another service on a node's port. It says so to nobody. Here a link
+that was given up, that gets no handshake, or over which nothing comes any more, raises an event
+with the reason and is reconnected. All of it off the loop: the loop's thread only takes up what was
+asked for, between two ticks.
 """
 
 import contextlib
@@ -19,13 +20,23 @@ from messages.transport.endpoints import MAX_MESSAGE, TCP_HANDSHAKE_MS, Context,
 from messages.transport.gate import FAILURES, monitor, monitored
 from messages.transport.keys import trusted
 
-GIVEN_UP = 0.3  # so long after the end of a connection without another try ZeroMQ has given it up [s]
+# so long after the end of a connection without another try ZeroMQ has given it up [s]
+GIVEN_UP = 0.3
 AGAIN = 1.0  # shortest time between two new connections of a link [s]
 PERIOD = 0.5  # how often `Links.keep` looks [s]
-SILENCE = 3.0  # after so long without a message a link counts as silent, and is reconnected when it is not connected [s]
-PATIENCE = 30.0  # so long may a connected one be silent [s]: the other process may live, starved of its processor
+# after so long without a message a link counts as silent, and is reconnected when it is not
+# connected [s]
+SILENCE = 3.0
+# so long may a connected one be silent [s]: the other process may live, starved of its processor
+PATIENCE = 30.0
 
-_EVENTS = FAILURES | zmq.EVENT_CONNECTED | zmq.EVENT_DISCONNECTED | zmq.EVENT_CONNECT_RETRIED | zmq.EVENT_HANDSHAKE_SUCCEEDED
+_EVENTS = (
+    FAILURES
+    | zmq.EVENT_CONNECTED
+    | zmq.EVENT_DISCONNECTED
+    | zmq.EVENT_CONNECT_RETRIED
+    | zmq.EVENT_HANDSHAKE_SUCCEEDED
+)
 _NOT_LET_IN = "this machine's key is not let in there; there: haptic keys allow NAME KEY"
 _NO_KEY = "what answers there does not have the key that is expected; its messages are ignored"
 _NO_NODE = "what answers there is not a node"
@@ -50,11 +61,18 @@ class _Link:
     def take(self, event: int, now: float) -> str:
         """Take an event; why the other side was not accepted, or did not accept, when it is that."""
         if event == zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL and not self.key:
-            # A node that ends at this very moment is no intruder. ZeroMQ tries again; what keeps failing is reported as a link.
+            # A node that ends at this very moment is no intruder. ZeroMQ tries again; what keeps
+            # failing is reported as a link.
             self.failed = _WENT_AWAY
             return ""
         if event & FAILURES:
-            self.failed = _NOT_LET_IN if event == zmq.EVENT_HANDSHAKE_FAILED_AUTH else _NO_KEY if self.key else _NO_NODE
+            self.failed = (
+                _NOT_LET_IN
+                if event == zmq.EVENT_HANDSHAKE_FAILED_AUTH
+                else _NO_KEY
+                if self.key
+                else _NO_NODE
+            )
             return self.failed
         self.state, self.since = _STATES[event], now
         if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
@@ -69,7 +87,10 @@ class _Link:
             return ""
         if self.state == "given up" and now - self.since > GIVEN_UP:
             if self.was_open:
-                return f"what came was longer than {MAX_MESSAGE} bytes, the limit, or no message at all"
+                return (
+                    f"what came was longer than {MAX_MESSAGE} bytes, the limit, or no message"
+                    " at all"
+                )
             return self.failed or _NO_NODE
         if self.state == "no handshake" and now - self.since > 1e-3 * TCP_HANDSHAKE_MS + GIVEN_UP:
             return f"{_NO_NODE}: no handshake"
@@ -79,8 +100,8 @@ class _Link:
 class Links:
     """Looks after the links of one process.
 
-    `tell` takes one sentence: which link, why, and what is done; `denied` one for every answer that was not accepted. `call` is
-    called when `tend` has something to do.
+    `tell` takes one sentence: which link, why, and what is done; `denied` one for every answer that
+    was not accepted. `call` is called when `tend` has something to do.
     """
 
     def __init__(
@@ -134,7 +155,10 @@ class Links:
         for link in self._links:
             if link.key and link.key not in there and not link.is_revoked:
                 link.is_revoked = True
-                self._tell(f"{link.bare}: its key {link.key} is not allowed here any more; nothing more is taken from it")
+                self._tell(
+                    f"{link.bare}: its key {link.key} is not allowed here any more; nothing more is"
+                    " taken from it"
+                )
                 self._asked.append((link, False))
                 self._call()
             elif link.is_revoked and link.key in there:
@@ -150,10 +174,20 @@ class Links:
         before, self._silent = self._silent, self._silent + passed
         for link in self._links:
             limit = PATIENCE if link.state == "connected" else SILENCE
-            # Once for each time that it lasts so long. Over a slow cable a new link takes longer than that.
+            # Once for each time that it lasts so long. Over a slow cable a new link takes longer
+            # than that.
             is_long = math.floor(self._silent / limit) > math.floor(before / limit)
-            if is_long and not link.is_revoked and now - link.since > limit and link.state != "no handshake":
-                self._renew(link, f"no message for {limit:g} s ({link.failed or link.state}); reconnecting", now)
+            if (
+                is_long
+                and not link.is_revoked
+                and now - link.since > limit
+                and link.state != "no handshake"
+            ):
+                self._renew(
+                    link,
+                    f"no message for {limit:g} s ({link.failed or link.state}); reconnecting",
+                    now,
+                )
 
     def keep(self) -> None:
         """Look and tend twice a second, for a listener that has one thread; called as often as it likes."""
@@ -188,7 +222,11 @@ def _meant(links: list[_Link], place: str) -> list[_Link]:
     """Links that ZeroMQ means by an endpoint, which it may write with an address in place of a name."""
     exact = [link for link in links if link.bare == place]
     port = place.rpartition(":")[2]
-    return exact or [link for link in links if link.bare.startswith("tcp://") and link.bare.rpartition(":")[2] == port]
+    return exact or [
+        link
+        for link in links
+        if link.bare.startswith("tcp://") and link.bare.rpartition(":")[2] == port
+    ]
 
 
 def say_link(reason: str) -> None:

@@ -1,9 +1,9 @@
 """A port at which anybody on this machine may listen, unencrypted: for a process that can be done without.
 
-What strangers connect to is in no process of the loop: nodes/base has no such socket. A forwarder (nodes/forwarder.py) or
-``haptic relay`` listens to the nodes as their user and publishes here what they say. What a stranger makes this process keep,
-subscriptions and messages that it does not take, is bounded by ending all connections when memory grows; who only listens is
-back at once.
+What strangers connect to is in no process of the loop: nodes/base has no such socket. A forwarder
+(nodes/forwarder.py) or ``haptic relay`` listens to the nodes as their user and publishes here what
+they say. What a stranger makes this process keep, subscriptions and messages that it does not take,
+is bounded by ending all connections when memory grows; who only listens is back at once.
 """
 
 import contextlib
@@ -27,7 +27,8 @@ from messages.transport.endpoints import (
 
 MOST_GROWTH = 128 << 20  # by so much memory may grow before all listeners are disconnected [bytes]
 QUEUE = 4096  # messages queued for one listener before its newest ones are dropped
-GIVEN_BACK = 10.0  # how long ZeroMQ may take to give back a port that was closed, under thousands of connections [s]
+# how long ZeroMQ may take to give back a port that was closed, under thousands of connections [s]
+GIVEN_BACK = 10.0
 
 _PERIOD = 0.5
 _PAGE = resource.getpagesize()
@@ -66,7 +67,8 @@ class OpenPort:
         self._usual = self._usual or memory
         if memory - self._usual > MOST_GROWTH:
             self._denied(
-                f"{self._endpoint}: memory grew by {(memory - self._usual) >> 20} MiB; all listeners there are disconnected"
+                f"{self._endpoint}: memory grew by {(memory - self._usual) >> 20} MiB; all"
+                " listeners there are disconnected"
             )
             self._usual = memory
             self._renew()

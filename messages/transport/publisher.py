@@ -1,7 +1,7 @@
 """The publisher of a node: one message to the next hop of the loop first, then to listeners.
 
-Default high-water marks on loop sockets, and XPUB, which sees its subscribers come: a loop starts when everybody listens, not
-after a sleep.
+Default high-water marks on loop sockets, and XPUB, which sees its subscribers come: a loop starts
+when everybody listens, not after a sleep.
 """
 
 import os
@@ -13,7 +13,9 @@ import zmq
 from messages.transport.endpoints import Context, Socket, bind, closed_if_refused, remove_ipc
 from messages.transport.gate import Gate, Reopening
 
-SEND_QUEUE = 4096  # messages queued for one stalled listener before its newest ones are dropped: 8 s at 500 Hz, about 1 MB
+# messages queued for one stalled listener before its newest ones are dropped: 8 s at 500 Hz, about
+# 1 MB
+SEND_QUEUE = 4096
 
 # As plain numbers: pyzmq's enums cost more than the calls that take them.
 _EVENTS = int(zmq.EVENTS)
@@ -25,15 +27,21 @@ _POLLIN = int(zmq.POLLIN)
 class Publisher:
     """What a node publishes: first to the next hop of the loop at `endpoint`, then to listeners.
 
-    Hop and listeners have a socket and an I/O thread each. So a tick goes on as soon as its message has left, what goes to
-    loggers is carried by another core than the loop's, and no number of them is between a sample and its force. `more`: further
-    endpoints for hops, encrypted ones last. `listen`: endpoints for listeners, with a context made ``aside``; without any they
-    connect where the hops do. `batch`: messages for listeners that are collected before they are sent: waking another core
-    costs more than a message.
+    Hop and listeners have a socket and an I/O thread each. So a tick goes on as soon as its message
+    has left, what goes to loggers is carried by another core than the loop's, and no number of them
+    is between a sample and its force. `more`: further endpoints for hops, encrypted ones last.
+    `listen`: endpoints for listeners, with a context made ``aside``; without any they connect where
+    the hops do. `batch`: messages for listeners that are collected before they are sent: waking
+    another core costs more than a message.
     """
 
     def __init__(
-        self, context: Context, endpoint: str, more: Iterable[str] = (), listen: Iterable[str] = (), batch: int = 1
+        self,
+        context: Context,
+        endpoint: str,
+        more: Iterable[str] = (),
+        listen: Iterable[str] = (),
+        batch: int = 1,
     ) -> None:
         self._endpoints = ((endpoint, *more), tuple(listen))
         self._sockets: list[Socket] = []
@@ -47,7 +55,10 @@ class Publisher:
         self._aside = super(zmq.Socket, self._sockets[-1]).send
         self._batch = batch
         self._held: list[tuple[bytes, bytes]] = []
-        self._reopening = [Reopening(*one) for one in zip(self._sockets, filter(None, self._endpoints), strict=True)]
+        self._reopening = [
+            Reopening(*one)
+            for one in zip(self._sockets, filter(None, self._endpoints), strict=True)
+        ]
         self._subscriptions: Counter[bytes] = Counter()
         self.endpoint = endpoint  # where the next hop connects
 
@@ -64,7 +75,11 @@ class Publisher:
 
     def native_handles(self) -> tuple[int, int, int]:
         """Give compiled code ZeroMQ's addresses of the sockets for hop and listeners (0 for none), and messages in a batch."""
-        return self._sockets[0].underlying, self._sockets[1].underlying if self.apart else 0, self._batch
+        return (
+            self._sockets[0].underlying,
+            self._sockets[1].underlying if self.apart else 0,
+            self._batch,
+        )
 
     def send(self, topic: bytes, payload: bytes) -> None:
         """Publish one message to the next hop, then to the listeners: two frames, topic and payload."""
@@ -73,7 +88,8 @@ class Publisher:
         if self.apart:
             self._held.append((topic, payload))
             if len(self._held) >= self._batch:
-                # Under FIFO the I/O thread, no more urgent than this one, still has the message for the hop.
+                # Under FIFO the I/O thread, no more urgent than this one, still has the message for
+                # the hop.
                 os.sched_yield()
                 self.flush()
 

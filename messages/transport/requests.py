@@ -1,7 +1,7 @@
 """Requests to a running node: parameters, laws, status, stop. One request, one reply, on a socket of its own.
 
-A request is a MessagePack map ``{op, args}``, a reply ``{ok, result, error}``. The node serves them on a second thread, never
-between sample and force.
+A request is a MessagePack map ``{op, args}``, a reply ``{ok, result, error}``. The node serves them
+on a second thread, never between sample and force.
 """
 
 import time
@@ -121,7 +121,9 @@ def decode_reply(frames: Sequence[bytes]) -> Reply:
     return _decode("Reply", _reply, frames, MAX_REPLY)
 
 
-def _decode(name: str, decoder: msgspec.msgpack.Decoder[T], frames: Sequence[bytes], limit: int) -> T:
+def _decode(
+    name: str, decoder: msgspec.msgpack.Decoder[T], frames: Sequence[bytes], limit: int
+) -> T:
     if len(frames) != 1:
         raise MessageRefusedError(f"{name}: {len(frames)} frames, expected 1")
     if len(frames[0]) > limit:
@@ -135,8 +137,8 @@ def _decode(name: str, decoder: msgspec.msgpack.Decoder[T], frames: Sequence[byt
 class Desk:
     """Where a node takes requests and answers them, one after the other.
 
-    A ROUTER, as libzmq's own REP loses the next reply, whosever it is, when somebody sent no whole request and is gone (4.3.5:
-    its rollback keeps the state of the reply that it could not begin).
+    A ROUTER, as libzmq's own REP loses the next reply, whosever it is, when somebody sent no whole
+    request and is gone (4.3.5: its rollback keeps the state of the reply that it could not begin).
 
     Parameters
     ----------
@@ -179,10 +181,13 @@ class Connection:
     endpoint : str
         The node's control endpoint.
     watch : callable, optional
-        Called again and again while an answer is waited for; it raises when there is nobody left who could give one.
+        Called again and again while an answer is waited for; it raises when there is nobody left
+        who could give one.
     """
 
-    def __init__(self, context: Context, endpoint: str, watch: Callable[[], None] | None = None) -> None:
+    def __init__(
+        self, context: Context, endpoint: str, watch: Callable[[], None] | None = None
+    ) -> None:
         self._context = context
         self._endpoint = endpoint
         self._watch = watch
@@ -208,13 +213,16 @@ class Connection:
         Raises
         ------
         ControlError
-            When the request is too long, or the node refuses, answers nonsense, or does not answer in time.
+            When the request is too long, or the node refuses, answers nonsense, or does not answer
+            in time.
         EndpointRefusedError, KeyRefusedError
             When the endpoint or this machine's keys cannot be used.
         """
         payload = msgspec.msgpack.encode(Request(op, args))
         if len(payload) > MAX_REQUEST:
-            raise ControlError(f"{self._endpoint}: {op}: a request of {len(payload)} bytes, limit {MAX_REQUEST}")
+            raise ControlError(
+                f"{self._endpoint}: {op}: a request of {len(payload)} bytes, limit {MAX_REQUEST}"
+            )
         self._refuse_revoked()
         socket = self._socket = self._socket or self._connected()
         socket.rcvtimeo = socket.sndtimeo = int(timeout * 1000)
@@ -224,7 +232,9 @@ class Connection:
         except zmq.Again as error:
             # What comes later must not be taken for the answer to another request.
             self.drop()
-            raise NoAnswerError(f"{self._endpoint}: no answer to {op} within {timeout:g} s; is the node running?") from error
+            raise NoAnswerError(
+                f"{self._endpoint}: no answer to {op} within {timeout:g} s; is the node running?"
+            ) from error
         try:
             reply = decode_reply(frames)
         except MessageRefusedError as error:
@@ -250,7 +260,10 @@ class Connection:
         bare, _, key = self._endpoint.partition("#")
         if key and key not in trusted()[0]:
             self.drop()
-            raise ControlError(f"{bare}: its key {key} is not allowed here; to allow it: haptic keys allow NAME {key}")
+            raise ControlError(
+                f"{bare}: its key {key} is not allowed here; to allow it: haptic keys allow NAME"
+                f" {key}"
+            )
 
     def _connected(self) -> Socket:
         socket = self._context.socket(zmq.REQ)

@@ -1,7 +1,7 @@
 """ZeroMQ sockets as the loop needs them: one bound publisher per node, listeners that connect, two frames per message.
 
-The choices are measured ones: blocking receive rather than a poller, default high-water marks on loop sockets, no
-CONFLATE (it corrupts multipart messages).
+The choices are measured ones: blocking receive rather than a poller, default high-water marks on
+loop sockets, no CONFLATE (it corrupts multipart messages).
 """
 
 import select
@@ -49,8 +49,9 @@ class Subscription:
     fd : int
         Descriptor to wait on: see `receive_until`.
     next_frame : callable
-        Waits for the next frame for as long as `set_timeout` says, then raises `TimedOut`. For the loop, where each call
-        costs a tick: it compares the first frame with the topic that it expects, and takes the second.
+        Waits for the next frame for as long as `set_timeout` says, then raises `TimedOut`. For the
+        loop, where each call costs a tick: it compares the first frame with the topic that it
+        expects, and takes the second.
 
     Raises
     ------
@@ -59,7 +60,12 @@ class Subscription:
     """
 
     def __init__(
-        self, context: Context, endpoints: Iterable[str], topics: Iterable[str], queue: int = 1000, links: Links | None = None
+        self,
+        context: Context,
+        endpoints: Iterable[str],
+        topics: Iterable[str],
+        queue: int = 1000,
+        links: Links | None = None,
     ) -> None:
         self._socket = context.socket(zmq.SUB)
         endpoints = list(endpoints)
@@ -132,7 +138,8 @@ class Subscription:
         Returns
         -------
         tuple of bytes or None
-            Topic and payload; None when the time was over or it was woken, ``(b"", b"")`` for a message of one frame.
+            Topic and payload; None when the time was over or it was woken, ``(b"", b"")`` for a
+            message of one frame.
         """
         self.set_timeout(timeout_ms)
         try:
@@ -144,8 +151,8 @@ class Subscription:
     def resynchronise(self) -> None:
         """Drop what is left of the present message, so that the next frame is a topic again.
 
-        For readers that take frames without asking where a message ends, which costs a tick about 3 µs: a message of one frame,
-        or of three, shows as a topic that is not the one expected.
+        For readers that take frames without asking where a message ends, which costs a tick about 3
+        µs: a message of one frame, or of three, shows as a topic that is not the one expected.
         """
         while self._get(_MORE):
             self.next_frame()
@@ -167,7 +174,8 @@ class Subscription:
     def receive_soon(self, deadline: float) -> tuple[bytes, bytes] | None:
         """Wait for a message that is all but sure to come before a `deadline` [s]: cheaper than `receive_until`.
 
-        The wait is ZeroMQ's own, in whole milliseconds: should the message not come, this may return one after the deadline.
+        The wait is ZeroMQ's own, in whole milliseconds: should the message not come, this may
+        return one after the deadline.
 
         Returns
         -------
@@ -183,13 +191,15 @@ class Subscription:
     def receive_until(self, deadline: float) -> tuple[bytes, bytes] | None:
         """Wait for the next message until a `deadline` on the monotonic clock [s], to the microsecond.
 
-        ZeroMQ's own time-outs are whole milliseconds, too coarse above 500 Hz, so the wait is a select on the socket's
-        descriptor. That is edge-triggered: the socket must have said that it has nothing before each wait.
+        ZeroMQ's own time-outs are whole milliseconds, too coarse above 500 Hz, so the wait is a
+        select on the socket's descriptor. That is edge-triggered: the socket must have said that it
+        has nothing before each wait.
 
         Returns
         -------
         tuple of bytes or None
-            Topic and payload; None when the time was over; an empty payload for a message of one frame.
+            Topic and payload; None when the time was over; an empty payload for a message of one
+            frame.
         """
         while not self._returned and not self._get(_EVENTS) & _POLLIN:  # type: ignore[operator]  # an int, for this option
             remaining = deadline - time.monotonic()

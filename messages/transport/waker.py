@@ -1,7 +1,8 @@
 """Ending a wait for the next message from another thread, or from a signal handler.
 
-A receive with a time-out costs a tick 1.5 µs more than one without, and a node that waits for something else than messages
-sees it only when the time is over. So the loop waits without end, and other threads send it a message inside the process.
+A receive with a time-out costs a tick 1.5 µs more than one without, and a node that waits for
+something else than messages sees it only when the time is over. So the loop waits without end, and
+other threads send it a message inside the process.
 """
 
 import os

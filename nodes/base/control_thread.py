@@ -1,7 +1,8 @@
 """The second thread of a node: serves control requests, writes the status, watches the parameter file.
 
-It is the only thread that may take its time. It never touches the loop's sockets: what must be published goes through the
-node's outbox, what must change is handed over between two ticks. Whatever a request provokes, it goes on serving.
+It is the only thread that may take its time. It never touches the loop's sockets: what must be
+published goes through the node's outbox, what must change is handed over between two ticks.
+Whatever a request provokes, it goes on serving.
 """
 
 from __future__ import annotations
@@ -19,7 +20,14 @@ import zmq
 
 from messages import topics
 from messages.codec import MessageRefusedError
-from messages.transport.endpoints import Context, EndpointRefusedError, await_given_back, bind, closed_if_refused, remove_ipc
+from messages.transport.endpoints import (
+    Context,
+    EndpointRefusedError,
+    await_given_back,
+    bind,
+    closed_if_refused,
+    remove_ipc,
+)
 from messages.transport.gate import Gate, Reopening
 from messages.transport.links import Links
 from messages.transport.requests import Desk, Reply, Request, decode_request
@@ -34,12 +42,15 @@ if TYPE_CHECKING:
     from nodes.parameters.yaml_io import WatchedFile
 
 STATUS_PERIOD = 0.5
-MOST_GROWTH = 256 << 20  # so much memory grown means unbounded requests: who sends requests is disconnected [bytes]
-BURST, RATE = 50, 100.0  # requests served at once, and how many a second then: each takes the interpreter from the loop
+# so much memory grown means unbounded requests: who sends requests is disconnected [bytes]
+MOST_GROWTH = 256 << 20
+# requests served at once, and how many a second then: each takes the interpreter from the loop
+BURST, RATE = 50, 100.0
 END_TIMEOUT = 10.0  # how long a request that is being served may take at the node's end [s]
 
 WATCH_PERIOD = 0.1
-MOST, SHOWN = 4, 60  # how many changes of a file are told by name, and how many characters of each value
+# how many changes of a file are told by name, and how many characters of each value
+MOST, SHOWN = 4, 60
 
 
 class ControlServer(threading.Thread):
@@ -49,7 +60,8 @@ class ControlServer(threading.Thread):
         super().__init__(name=f"{node.setup.name}-control", daemon=True)
         self._node = node
         self._ending = threading.Event()
-        # Each time it wakes up for nothing, it takes the interpreter's lock from the loop for some 100 µs.
+        # Each time it wakes up for nothing, it takes the interpreter's lock from the loop for some
+        # 100 µs.
         often = node.setup.watch or node.setup.lease
         self._patience_ms = int((WATCH_PERIOD if often else STATUS_PERIOD) * 1000)
         self._context = context
@@ -77,23 +89,32 @@ class ControlServer(threading.Thread):
             "clock.set": node.set_clock,
             "param.list": node.store.flat,
             "param.get": lambda name: node.store.get(name),
-            "param.set": lambda values, force=False: self._change(lambda: node.store.changed(values), force),
+            "param.set": lambda values, force=False: self._change(
+                lambda: node.store.changed(values), force
+            ),
             "param.dump": node.store.dump,
-            "param.load": lambda values, force=False: self._change(lambda: node.store.merged(values), force),
+            "param.load": lambda values, force=False: self._change(
+                lambda: node.store.merged(values), force
+            ),
             **node.operations(),
         }
-        kept = Path(node.setup.run_dir) / f"{node.setup.name}.leases" if node.setup.run_dir else None
+        kept = (
+            Path(node.setup.run_dir) / f"{node.setup.name}.leases" if node.setup.run_dir else None
+        )
         self._leases = Leases(node.setup.name, self._perform, kept)
         self._operations |= self._leases.operations()
 
     def _change(self, make: Callable[[], Any], force: bool = False) -> dict[str, Any]:
-        return self._node.changes.change(make, self._node.prepare_forced if force else self._node.prepare)
+        return self._node.changes.change(
+            make, self._node.prepare_forced if force else self._node.prepare
+        )
 
     def _open(self) -> None:
         node = self._node
         self._desk = Desk(self._context)
         self._socket = self._desk.socket
-        # Requests are carried by the thread that serves listeners, off the loop's processor where there is another.
+        # Requests are carried by the thread that serves listeners, off the loop's processor where
+        # there is another.
         self._socket.setsockopt(zmq.AFFINITY, 1 << (int(self._context.get(zmq.IO_THREADS)) - 1))
         self._socket.rcvtimeo = self._patience_ms
         with closed_if_refused(self._socket):
@@ -107,8 +128,14 @@ class ControlServer(threading.Thread):
         node, name = self._node, self._node.setup.name
         return {
             "status": msgspec.to_builtins(node.status()),
-            "publishes": [*map(node.setup.topic, node.publishes), topics.status(name), topics.event(name)],
-            "listens_to": [topic if topic == "*" else node.setup.topic(topic) for topic in node.listens_to],
+            "publishes": [
+                *map(node.setup.topic, node.publishes),
+                topics.status(name),
+                topics.event(name),
+            ],
+            "listens_to": [
+                topic if topic == "*" else node.setup.topic(topic) for topic in node.listens_to
+            ],
             "operations": sorted(self._operations),
             "endpoint": node.setup.publish,
         }
@@ -134,7 +161,8 @@ class ControlServer(threading.Thread):
         if now - self._usual_memory > MOST_GROWTH:
             grown = now - self._usual_memory
             self._node.events.deny(
-                f"memory grew by {grown >> 20} MiB; all connections for requests are ended", {"grown_bytes": grown}
+                f"memory grew by {grown >> 20} MiB; all connections for requests are ended",
+                {"grown_bytes": grown},
             )
             self._usual_memory = now
             self._socket.close(linger=0)
@@ -166,11 +194,16 @@ class ControlServer(threading.Thread):
             try:
                 self._perform(op, args)
             except Exception as error:  # noqa: BLE001  # as for requests: told, and served on
-                self._node.events.emit_each("lease", f"lease {name!r} has run out, but {op} failed: {error}")
+                self._node.events.emit_each(
+                    "lease", f"lease {name!r} has run out, but {op} failed: {error}"
+                )
             else:
-                self._node.events.emit_each("lease", f"lease {name!r} expired without a renewal: {op} {args}"[:4000])
+                self._node.events.emit_each(
+                    "lease", f"lease {name!r} expired without a renewal: {op} {args}"[:4000]
+                )
         if over:
-            # Parameters first: a process that dies in between must not leave those of a borrower without a lease.
+            # Parameters first: a process that dies in between must not leave those of a borrower
+            # without a lease.
             self._keep()
             try:
                 self._leases.save()
@@ -189,7 +222,9 @@ class ControlServer(threading.Thread):
         except ParameterError as error:
             return Reply(False, error=str(error)[:4000])
         except Exception as error:  # noqa: BLE001  # e.g. what a law of another package raises while it is compiled
-            return Reply(False, error=f"{name}: {request.op}: {type(error).__name__}: {error}"[:4000])
+            return Reply(
+                False, error=f"{name}: {request.op}: {type(error).__name__}: {error}"[:4000]
+            )
 
     def _perform(self, op: str, args: Mapping[str, Any]) -> Any:
         """Perform an operation; raise ParameterError for an unknown one and for arguments that it does not take."""
@@ -230,14 +265,18 @@ class ControlServer(threading.Thread):
         try:
             encoded = msgspec.msgpack.encode(reply)
         except (TypeError, OverflowError, RecursionError) as error:
-            encoded = msgspec.msgpack.encode(Reply(False, error=f"{node.setup.name}: unsendable result: {error}"))
+            encoded = msgspec.msgpack.encode(
+                Reply(False, error=f"{node.setup.name}: unsendable result: {error}")
+            )
         self._desk.answer(encoded)
 
     def _keep(self) -> None:
         try:
             keep(self._node)
         except OSError as error:
-            self._node.events.emit("kept", f"the parameters would not outlive this process: {error}")
+            self._node.events.emit(
+                "kept", f"the parameters would not outlive this process: {error}"
+            )
 
     def run(self) -> None:
         """Serve until stopped."""
@@ -247,11 +286,18 @@ class ControlServer(threading.Thread):
                 self._serve()
             except zmq.ZMQError as error:
                 self._node.events.emit("control", f"a request could not be served: {error}")
-            for duty in (self._node.look_after, self._keep, self._watch_lease, self._put_back, self._look_around):
+            for duty in (
+                self._node.look_after,
+                self._keep,
+                self._watch_lease,
+                self._put_back,
+                self._look_around,
+            ):
                 try:
                     duty()
                 except OSError as error:
-                    # Descriptors or memory ran out: what the lease and the next request are for goes on.
+                    # Descriptors or memory ran out: what the lease and the next request are for
+                    # goes on.
                     self._node.events.emit("control", f"{error}")
                 except Exception as error:  # noqa: BLE001  # e.g. code of a device: the node ends softly, and is reachable
                     self._end_softly(error)
@@ -280,12 +326,18 @@ class ControlServer(threading.Thread):
             self._reopening.tend()
             self._review_memory()
             # Who answers each tick should hear one all the time, from the first one on.
-            self._links.look(node.counted().ticks or None if node.answers and node.state == "running" else None)
+            self._links.look(
+                node.counted().ticks or None if node.answers and node.state == "running" else None
+            )
 
     def _watch_descriptors(self) -> None:
         node = self._node
         # Over tcp ZeroMQ bears it.
-        if node.setup.control.startswith("ipc://") and not node.stopping and (reason := descriptors.shortage()):
+        if (
+            node.setup.control.startswith("ipc://")
+            and not node.stopping
+            and (reason := descriptors.shortage())
+        ):
             node.events.emit("descriptors", f"{reason}; stopping")
             node.failing = True
             node.stop(reason)
@@ -300,7 +352,9 @@ class ControlServer(threading.Thread):
                 node.events.log(f"applied {watched.path}: {_told(receipt)}")
         except Exception as error:  # noqa: BLE001  # as for requests: refused, told, and served on
             known = isinstance(error, ParameterError)
-            reason = f"{where}{error}" if known else f"{watched.path}: {type(error).__name__}: {error}"
+            reason = (
+                f"{where}{error}" if known else f"{watched.path}: {type(error).__name__}: {error}"
+            )
             node.events.emit_each("refused", f"{reason}; the running parameters are untouched")
         finally:
             node.watched = watched.applied
@@ -309,8 +363,8 @@ class ControlServer(threading.Thread):
         """Stop serving and wait for the thread, but not for ever."""
         self._ending.set()
         if self.is_alive():
-            # The thread may end this very moment by itself, and nobody takes it; without a descriptor left to wake it by, it
-            # looks by itself before long.
+            # The thread may end this very moment by itself, and nobody takes it; without a
+            # descriptor left to wake it by, it looks by itself before long.
             with contextlib.suppress(zmq.ZMQError), self._context.socket(zmq.REQ) as waker:
                 waker.linger = 0
                 waker.connect(self._wake)
@@ -325,6 +379,9 @@ class ControlServer(threading.Thread):
 
 def _told(receipt: dict[str, Any]) -> str:
     """Tell what a changed file has changed, in one line; the receipt itself is published and recorded."""
-    changed = [f"{path} {str(old)[:SHOWN]} → {str(new)[:SHOWN]}" for path, (old, new) in receipt["changed"].items()]
+    changed = [
+        f"{path} {str(old)[:SHOWN]} → {str(new)[:SHOWN]}"
+        for path, (old, new) in receipt["changed"].items()
+    ]
     more = f", {len(changed) - MOST} more" if len(changed) > MOST else ""
     return f"{', '.join(changed[:MOST])}{more} from tick {receipt['seq']} on"

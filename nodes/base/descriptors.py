@@ -3,7 +3,8 @@
 import os
 import resource
 
-SPARE, PART = 32, 4  # so many must be left, and at least this part of all: connections come faster than anybody looks
+# so many must be left, and at least this part of all: connections come faster than anybody looks
+SPARE, PART = 32, 4
 
 
 def take() -> None:
@@ -30,4 +31,7 @@ def shortage() -> str:
     if not _are_short():
         return ""
     most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
-    return f"of {most} descriptors, the limit (ulimit -n), too few are left; without one the next connection would abort it"
+    return (
+        f"of {most} descriptors, the limit (ulimit -n), too few are left; without one the next"
+        " connection would abort it"
+    )

@@ -1,6 +1,7 @@
 """What a node has to say beside its ticks: events, what it refused, whom it turned away, and when that was.
 
-Nothing here waits: what is published goes into an outbox, which the loop empties when its tick's own message has left.
+Nothing here waits: what is published goes into an outbox, which the loop empties when its tick's
+own message has left.
 """
 
 import math
@@ -28,9 +29,14 @@ class Clock:
 
     def __init__(self, setup: Setup, seq: Callable[[], int]) -> None:
         # Whether time is that of the ticks: lockstep.
-        self._name, self._period, self.simulated = setup.name, setup.period, setup.pace == "lockstep"
+        self._name, self._period, self.simulated = (
+            setup.name,
+            setup.period,
+            setup.pace == "lockstep",
+        )
         self._seq = seq
-        # What is added to this host's monotonic clock to get the run's time, and how far off that may be [s].
+        # What is added to this host's monotonic clock to get the run's time, and how far off that
+        # may be [s].
         self.offset = self.error = 0.0
 
     def now(self) -> float:
@@ -39,8 +45,16 @@ class Clock:
 
     def set(self, offset: float, error: float) -> None:
         """Take over how far this host's clock is from the launcher's, as the launcher has measured it."""
-        if not (isinstance(offset, float) and isinstance(error, float) and math.isfinite(offset) and error >= 0.0):
-            raise ParameterError(f"{self._name}: clock.set {offset!r} {error!r}: expected two finite numbers of seconds")
+        if not (
+            isinstance(offset, float)
+            and isinstance(error, float)
+            and math.isfinite(offset)
+            and error >= 0.0
+        ):
+            raise ParameterError(
+                f"{self._name}: clock.set {offset!r} {error!r}: expected two finite numbers of"
+                " seconds"
+            )
         self.offset, self.error = offset, error
 
 
@@ -49,9 +63,12 @@ class Events:
 
     def __init__(self, name: str, clock: Clock, seq: Callable[[], int]) -> None:
         self._name, self._clock, self._seq = name, clock, seq
-        self.outbox: deque[tuple[bytes, bytes]] = deque(maxlen=1024)  # topics and payloads that wait for the end of the tick
-        self.waiting = False  # whether something waits to be done between two ticks: the one thing that a loop looks at
-        self.interrupt: Callable[[], None] = lambda: None  # ends the loop's wait for a message, where it waits without end
+        # topics and payloads that wait for the end of the tick
+        self.outbox: deque[tuple[bytes, bytes]] = deque(maxlen=1024)
+        # whether something waits to be done between two ticks: the one thing that a loop looks at
+        self.waiting = False
+        # ends the loop's wait for a message, where it waits without end
+        self.interrupt: Callable[[], None] = lambda: None
         # Has compiled ticks that go on send a message; whether they will.
         self.mail: Callable[[bytes, bytes], bool] | None = None
         # Nodes are made on the thread that runs their loop.
@@ -86,7 +103,8 @@ class Events:
         always : bool
             Publish each event, and thin out its log lines alone.
         count : int
-            Number of the event among those of its kind, where the caller counts them; 0: counted here.
+            Number of the event among those of its kind, where the caller counts them; 0: counted
+            here.
 
         Raises
         ------
@@ -102,7 +120,9 @@ class Events:
         if seldom or always:
             self._publish_event(kind, reason, numbers)
 
-    def emit_each(self, kind: EventKind | OtherKind, reason: str, data: Mapping[str, float] = NONE) -> None:
+    def emit_each(
+        self, kind: EventKind | OtherKind, reason: str, data: Mapping[str, float] = NONE
+    ) -> None:
         """Publish and log an event, however often: for what people do, which cannot come in every tick."""
         numbers = checked_data(kind, data)
         self.log(f"{kind}: {reason}")
@@ -110,7 +130,9 @@ class Events:
 
     def _publish_event(self, kind: str, reason: str, data: dict[str, float]) -> None:
         seq, stamp = self._seq(), self._clock.now()
-        message = Event(seq=seq, stamp=stamp, node=self._name, kind=kind, reason=reason[:4000], data=data)
+        message = Event(
+            seq=seq, stamp=stamp, node=self._name, kind=kind, reason=reason[:4000], data=data
+        )
         self.publish(topics.event(self._name), message)
 
     def publish(self, topic: str, message: Message) -> None:

@@ -12,10 +12,14 @@ from nodes.base.node import IDLE_MS, Node
 M = TypeVar("M", bound=Message)
 
 
-Hear = Mapping[bytes, Callable[[bytes], None]]  # topics beside the one that is followed, and who takes their payloads
+# topics beside the one that is followed, and who takes their payloads
+Hear = Mapping[bytes, Callable[[bytes], None]]
 
 
-def _follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str, hear: Hear) -> Callable[[], M | None]:
+# Long: one compiled function: a call across it would cost what it saves.
+def _follow(  # noqa: C901, PLR0915
+    node: Node, inbox: Subscription, decoder: Decoder[M], topic: str, hear: Hear
+) -> Callable[[], M | None]:
     """Follow one loop topic; in real time a node that was stalled goes on with the present, not with what piled up."""
     expected = topic.encode()
     ticks = node.make_compiled()
@@ -42,7 +46,11 @@ def _follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str, he
         if missing > 0 and last >= 0:
             counters.gaps = min(counters.gaps + missing, MAX_COUNT)
         elif seq < last:
-            node.events.emit("restart", f"{topic} went back from tick {last} to {seq}", {"last_tick": last, "tick": seq})
+            node.events.emit(
+                "restart",
+                f"{topic} went back from tick {last} to {seq}",
+                {"last_tick": last, "tick": seq},
+            )
 
     def take() -> M | None:
         try:
@@ -59,7 +67,9 @@ def _follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str, he
             payload = next_frame()
             while payload == expected:
                 # A message of one frame, and the beginning of the next.
-                node.events.refuse(f"a message of one frame on {topic}, where topic and payload were expected")
+                node.events.refuse(
+                    f"a message of one frame on {topic}, where topic and payload were expected"
+                )
                 payload = next_frame()
             message = decode(payload)
         except TimedOut:
@@ -68,8 +78,11 @@ def _follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str, he
         except MessageRefusedError as error:
             node.events.refuse(str(error))
             return None
-        # A newer message that compiled ticks have put back must not stay there: they go on at the socket.
-        if realtime and (clock() + node.clock.offset - message.stamp > period or inbox.has_returned()):
+        # A newer message that compiled ticks have put back must not stay there: they go on at the
+        # socket.
+        if realtime and (
+            clock() + node.clock.offset - message.stamp > period or inbox.has_returned()
+        ):
             message = newest(message)
         seq, last = message.seq, counters.seq
         if seq != last + 1:
@@ -81,7 +94,9 @@ def _follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str, he
     return take if ticks is None else ticks.in_front_of(take)
 
 
-def _pass_on(node: Node, hear: Callable[[bytes], None], next_frame: Callable[[], bytes], frame: bytes) -> None:
+def _pass_on(
+    node: Node, hear: Callable[[bytes], None], next_frame: Callable[[], bytes], frame: bytes
+) -> None:
     """Pass on the payload of a topic beside the one that is followed."""
     try:
         hear(next_frame())
@@ -90,7 +105,12 @@ def _pass_on(node: Node, hear: Callable[[bytes], None], next_frame: Callable[[],
 
 
 def answer_ticks(
-    node: Node, message: type[M], topic: str, answers_on: str, respond: Callable[[M], bytes | None], hear: Hear | None = None
+    node: Node,
+    message: type[M],
+    topic: str,
+    answers_on: str,
+    respond: Callable[[M], bytes | None],
+    hear: Hear | None = None,
 ) -> None:
     """Answer each tick of a loop topic until stopped: with what `respond` returns, unless that is None.
 
@@ -106,8 +126,8 @@ def answer_ticks(
         taken = take()
         if taken is not None:
             if taken.seq == counters.answered:
-                # Asked again (lockstep, after a lost answer): the same answer, to who waits for it. Neither memory nor
-                # listeners may see the tick twice.
+                # Asked again (lockstep, after a lost answer): the same answer, to who waits for it.
+                # Neither memory nor listeners may see the tick twice.
                 send_again(to, node.answer)
             elif (payload := respond(taken)) is not None:
                 counters.answered, node.answer = taken.seq, payload

@@ -17,7 +17,8 @@ class Stopwatch:
     """How long the control thread has been at work: for so long it may have kept the interpreter from the loop."""
 
     def __init__(self) -> None:
-        self._state: tuple[float, float | None] = (0.0, None)  # together: the loop reads them at any moment
+        # together: the loop reads them at any moment
+        self._state: tuple[float, float | None] = (0.0, None)
 
     def start(self) -> None:
         """Begin to count."""
@@ -60,7 +61,13 @@ class Change:
 class Changes:
     """How a node's parameters change, all or nothing: prepared on the control thread, applied by a loop that still `lives`."""
 
-    def __init__(self, setup: Setup, store: ParameterStore, notify: Callable[[], None], lives: Callable[[], bool]) -> None:
+    def __init__(
+        self,
+        setup: Setup,
+        store: ParameterStore,
+        notify: Callable[[], None],
+        lives: Callable[[], bool],
+    ) -> None:
         self._setup, self._store, self._notify, self._lives = setup, store, notify, lives
         self._waiting: deque[Change] = deque()
         self.serving = Stopwatch()  # how long the control thread was at work
@@ -92,26 +99,34 @@ class Changes:
                     change.applied.wait()
                 else:
                     raise ParameterError(
-                        f"{self._setup.name}: not taken up by the loop within {timeout:g} s; nothing was changed; "
-                        "is the node stopping?"
+                        f"{self._setup.name}: not taken up by the loop within {timeout:g} s;"
+                        " nothing was changed; is the node stopping?"
                     )
             return change.result()
         finally:
             self.serving.start()
 
-    def change(self, make: Callable[[], Any], prepare: Callable[[Any], Callable[[int], Any]]) -> dict[str, Any]:
+    def change(
+        self, make: Callable[[], Any], prepare: Callable[[Any], Callable[[int], Any]]
+    ) -> dict[str, Any]:
         """Make new parameters, check, prepare and apply them, all or nothing; a receipt with what changed (control thread)."""
         # Should they change in between (a scheduled swap), all is made again from the newer ones.
         while True:
             base = self._store.current
             parameters = make()
             if self._setup.allow_paths is not None:
-                check_paths(parameters, [Path(folder) for folder in self._setup.allow_paths], self._setup.name)
+                check_paths(
+                    parameters,
+                    [Path(folder) for folder in self._setup.allow_paths],
+                    self._setup.name,
+                )
             receipt = self.hand_over(self._unless_changed(base, parameters, prepare(parameters)))
             if receipt is not None:
                 return {**receipt, "changed": differences(base, parameters)}
 
-    def _unless_changed(self, base: Any, parameters: Any, apply: Callable[[int], Any]) -> Callable[[int], Any]:
+    def _unless_changed(
+        self, base: Any, parameters: Any, apply: Callable[[int], Any]
+    ) -> Callable[[int], Any]:
         def at_tick(seq: int) -> Any:
             if self._store.current is not base:
                 return None

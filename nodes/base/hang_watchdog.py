@@ -1,7 +1,8 @@
 """A loop that stands still, noticed from another thread: a device's call that hangs is an end like any other, not a silence.
 
-Who looks does so about twice a second. Time in which it was stopped or starved itself does not count: it saw nothing then.
-Nor does time in which what it looks at was kept from running. The launcher looks at its processes with the same `HangWatchdog`.
+Who looks does so about twice a second. Time in which it was stopped or starved itself does not
+count: it saw nothing then. Nor does time in which what it looks at was kept from running. The
+launcher looks at its processes with the same `HangWatchdog`.
 """
 
 import faulthandler
@@ -23,14 +24,16 @@ SENDING = 0.2  # how long its last messages may take to leave [s]
 LOOK = 0.4  # shortest time between two looks [s]
 
 
-GRACE = 5.0  # so much longer than its limit may a call hold the interpreter's lock, in which nobody can look [s]
+# so much longer than its limit may a call hold the interpreter's lock, in which nobody can look [s]
+GRACE = 5.0
 
 
 class LastResort:
     """Ends the process when not even the thread that looks can run: the call that hangs holds the interpreter's lock.
 
-    It is a timer of the interpreter's own, in C, which needs no lock. All that it can say is where the threads were, to a file
-    that the launcher reads. A process that was stopped for so long ends too; its device has let go by then.
+    It is a timer of the interpreter's own, in C, which needs no lock. All that it can say is where
+    the threads were, to a file that the launcher reads. A process that was stopped for so long ends
+    too; its device has let go by then.
     """
 
     def __init__(self, setup: Setup) -> None:

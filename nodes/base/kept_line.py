@@ -1,13 +1,15 @@
 """The line that is kept up to date on a terminal: written over and over, and never left behind in pieces.
 
-The cursor rests at its beginning. A terminal that is made narrower breaks the line, and the cursor stays with the first
+The cursor rests at its beginning. A terminal that is made narrower breaks the line, and the cursor
+stays with the first
 piece: what is erased from there on is all of it.
 """
 
 import os
 from typing import TextIO
 
-ERASE = "\r\x1b[J"  # from the beginning of the line to the end of the screen, below which nothing stands
+# from the beginning of the line to the end of the screen, below which nothing stands
+ERASE = "\r\x1b[J"
 
 
 def is_smart(stream: TextIO) -> bool:

@@ -1,7 +1,8 @@
 """Leases: changes that a node reverts when the client that made them stops renewing.
 
 A client that borrows a running launch (pushes its device, tries laws) takes a lease at each node
-that it changes, renews it, and makes its changes under it. A client that is killed or held up renews
+that it changes, renews it, and makes its changes under it. A client that is killed or held up
+renews
 nothing: the lease runs out and the node does what was agreed. From then on the node refuses the
 changes of that client, which may wake up later and not know. A lease belongs to its `holder`: for
 another client it has run out. A request without a holder speaks for whoever holds the lease. Leases
@@ -46,7 +47,9 @@ class _Lease(msgspec.Struct):
 class Leases:
     """Leases of one node, kept in the file `path` for the process after this one; used by its control thread alone."""
 
-    def __init__(self, node: str, perform: Callable[[str, Mapping[str, Any]], Any], path: Path | None = None) -> None:
+    def __init__(
+        self, node: str, perform: Callable[[str, Mapping[str, Any]], Any], path: Path | None = None
+    ) -> None:
         self._node = node
         self._perform = perform
         self._path = path
@@ -68,16 +71,26 @@ class Leases:
 
     def operations(self) -> dict[str, Callable[..., Any]]:
         """Return the operations on leases, by name."""
-        return {"lease.take": self._take, "lease.renew": self._renew, "lease.change": self._change, "lease.end": self._end}
+        return {
+            "lease.take": self._take,
+            "lease.renew": self._renew,
+            "lease.change": self._change,
+            "lease.end": self._end,
+        }
 
-    def _take(self, name: str, seconds: float, then: str, args: Mapping[str, Any], holder: str = "") -> dict[str, Any]:
+    def _take(
+        self, name: str, seconds: float, then: str, args: Mapping[str, Any], holder: str = ""
+    ) -> dict[str, Any]:
         if not (isinstance(seconds, int | float) and 0.0 < seconds <= LONGEST):
-            raise ParameterError(f"{self._node}: lease {name!r} of {seconds!r} s, expected more than 0, at most {LONGEST:g} s")
+            raise ParameterError(
+                f"{self._node}: lease {name!r} of {seconds!r} s, expected more than 0, at most"
+                f" {LONGEST:g} s"
+            )
         if name in self._held:
             agreed = self._held[name].seconds
             raise ParameterError(
-                f"{self._node}: lease {name!r} is held by somebody else; it ends when they are done, or {agreed:g} s after "
-                "they were heard of last: try again then"
+                f"{self._node}: lease {name!r} is held by somebody else; it ends when they are"
+                f" done, or {agreed:g} s after they were heard of last: try again then"
             )
         if len(self._held) >= MOST:
             raise ParameterError(f"{self._node}: {MOST} leases are held already; end one first")
@@ -105,8 +118,9 @@ class Leases:
         """Perform an operation under a lease; refuse it once the lease has run out."""
         if not self._is_held(name, holder):
             raise ParameterError(
-                f"{self._node}: {operation} refused: its lease {name!r} has run out, because nothing "
-                "renewed it in time; the node has reverted what was changed under it. Start again"
+                f"{self._node}: {operation} refused: its lease {name!r} has run out, because"
+                " nothing renewed it in time; the node has reverted what was changed under it."
+                " Start again"
             )
         return self._perform(operation, args)
 
@@ -121,10 +135,14 @@ class Leases:
     def run_out(self) -> list[tuple[str, str, dict[str, Any]]]:
         """Remove the leases that have run out; return name, operation and arguments of each, oldest first.
 
-        The caller saves once it has reverted the changes: a process that ends before that leaves them to the next one.
+        The caller saves once it has reverted the changes: a process that ends before that leaves
+        them to the next one.
         """
         now = time.monotonic()
-        over = sorted((lease for lease in self._held.values() if lease.until <= now), key=lambda lease: lease.until)
+        over = sorted(
+            (lease for lease in self._held.values() if lease.until <= now),
+            key=lambda lease: lease.until,
+        )
         for lease in over:
             del self._held[lease.name]
         return [(lease.name, lease.then, lease.args) for lease in over]

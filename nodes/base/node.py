@@ -1,8 +1,9 @@
 """The base of all nodes: what a kind defines, and what every node can use.
 
-The main thread owns the loop's sockets and does nothing but ticks: blocking receive, plain floats, send. A second thread
-serves control requests on its own socket; what it prepares is handed over by one reference assignment and taken up between
-two ticks, and what it wants published goes through an outbox that is emptied after the tick's own message has left.
+The main thread owns the loop's sockets and does nothing but ticks: blocking receive, plain floats,
+send. A second thread serves control requests on its own socket; what it prepares is handed over by
+one reference assignment and taken up between two ticks, and what it wants published goes through an
+outbox that is emptied after the tick's own message has left.
 """
 
 from __future__ import annotations
@@ -48,17 +49,20 @@ class Node:
     queue : int
         Messages that may wait to be taken in.
     answers : bool
-        Whether each tick is one message taken and one sent; ``sent`` and ``received`` count only what comes on top.
+        Whether each tick is one message taken and one sent; ``sent`` and ``received`` count only
+        what comes on top.
     answer : bytes
         What was sent for the tick answered last.
     kernel_module : str
-        Module of the compiled ticks of the kind (nodes/compiled); empty when it has none. Not inherited.
+        Module of the compiled ticks of the kind (nodes/compiled); empty when it has none. Not
+        inherited.
     kernel : callable or None
         They, where the launch asks for them and they could be had.
     ticks_compiled : int
         How many of the ticks they did.
     counters : Counters
-        How far it is; of a node with compiled ticks its whole state, which they change where it stands.
+        How far it is; of a node with compiled ticks its whole state, which they change where it
+        stands.
     clock, events, changes : Clock, Events, Changes
         The run's time; what it has to say beside its ticks; how its parameters change.
     compiled : TickTaker or None
@@ -74,7 +78,8 @@ class Node:
     resumed_at : int
         Tick from which this process goes on with what a predecessor had; -1 for the first one.
     watched : tuple of int, or None
-        Which save of the watched file has been taken up: one that was is older than what has been set since.
+        Which save of the watched file has been taken up: one that was is older than what has been
+        set since.
     """
 
     Parameters: ClassVar[type[msgspec.Struct]] = msgspec.Struct
@@ -98,13 +103,16 @@ class Node:
         self.store = ParameterStore(setup.name, self.Parameters, setup.parameters)
         self.state = "configuring"
         self.stop_reason = ""
-        self.lost_launcher = False  # whether it ends because its launcher sent no request for a whole lease
+        # whether it ends because its launcher sent no request for a whole lease
+        self.lost_launcher = False
         self.stopping = self.failing = False
         self.started = threading.Event()
         self.counters = self.make_counters()
         self.clock = Clock(setup, lambda: self.counted().seq)
         self.events = Events(setup.name, self.clock, lambda: self.counted().seq)
-        self.changes = Changes(setup, self.store, self.events.notify, lambda: self.state not in ("finished", "failed"))
+        self.changes = Changes(
+            setup, self.store, self.events.notify, lambda: self.state not in ("finished", "failed")
+        )
         self.inbox: Subscription | None = None
         self.links: Links | None = None
         self.sent = self.received = 0
@@ -173,8 +181,8 @@ class Node:
         Returns
         -------
         tuple of dict and dict, or None
-            The node's parameters with that device, and the plant that it is to a coupling; None for a node without a virtual
-            device.
+            The node's parameters with that device, and the plant that it is to a coupling; None for
+            a node without a virtual device.
 
         Raises
         ------
@@ -185,15 +193,19 @@ class Node:
         return None
 
     @classmethod
-    def plant(cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]) -> dict[str, float]:
+    def plant(
+        cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]
+    ) -> dict[str, float]:
         """Return what the node `name` with these `parameters`, as written, knows of the plant along the `axes` of the scene.
 
-        The launcher fills it into the ``plant`` of the chain's coupling, which judges its laws on it.
+        The launcher fills it into the ``plant`` of the chain's coupling, which judges its laws on
+        it.
 
         Returns
         -------
         dict of str to float
-            Fields of `nodes.coupling.parameters.PlantParameters` in their units; none for a node that knows nothing.
+            Fields of `nodes.coupling.parameters.PlantParameters` in their units; none for a node
+            that knows nothing.
 
         Raises
         ------
@@ -251,7 +263,8 @@ class Node:
         del parameters
         return frozenset(nodes)
 
-    # -- what a kind of node defines ---------------------------------------------------------------------------------
+    # -- what a kind of node defines
+    # ---------------------------------------------------------------------------------
 
     def configure(self) -> None:
         """Build what the loop needs from the parameters, before any socket exists."""
@@ -267,13 +280,19 @@ class Node:
         del kernel
         raise TypeError(f"node kind {self.setup.kind!r} does not define compiled_ticks()")
 
-    def connect(self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]) -> None:
+    def connect(
+        self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]
+    ) -> None:
         """Connect to the publishers of what the kind listens to; `subscribe` takes endpoints, topics and queue length."""
         if self.listens_to == ("*",):
-            self.inbox = subscribe(set(self.setup.sources.values()), self.subscribes(self.store.current), self.queue)
+            self.inbox = subscribe(
+                set(self.setup.sources.values()), self.subscribes(self.store.current), self.queue
+            )
         elif self.listens_to:
             wanted = [self.setup.topic(topic) for topic in self.listens_to]
-            self.inbox = subscribe({self.setup.sources[topic] for topic in self.listens_to}, wanted, self.queue)
+            self.inbox = subscribe(
+                {self.setup.sources[topic] for topic in self.listens_to}, wanted, self.queue
+            )
 
     def loop(self) -> None:
         """Tick until `stopping` (main thread)."""
@@ -306,7 +325,9 @@ class Node:
             When the node cannot change while it runs.
         """
         del parameters
-        raise ParameterError(f"{self.setup.name}: parameters of a {self.setup.kind} are fixed while it runs")
+        raise ParameterError(
+            f"{self.setup.name}: parameters of a {self.setup.kind} are fixed while it runs"
+        )
 
     def prepare_forced(self, parameters: Any) -> Callable[[int], Any]:
         """Prepare new, valid `parameters` that the user insists on although the node advises against them (control thread).
@@ -331,7 +352,8 @@ class Node:
         """
         return {}
 
-    # -- what every node can use -------------------------------------------------------------------------------------
+    # -- what every node can use
+    # -------------------------------------------------------------------------------------
 
     def make_counters(self) -> Any:
         """Make what counts the node's ticks.

@@ -9,7 +9,11 @@ from nodes.parameters.store import ParameterError
 NODES = Registry(
     "haptic.nodes",
     "kind of node",
-    lambda _, found: "" if isinstance(found, type) and issubclass(found, Node) else f"{found!r} is not a subclass of Node",
+    lambda _, found: (
+        ""
+        if isinstance(found, type) and issubclass(found, Node)
+        else f"{found!r} is not a subclass of Node"
+    ),
 )
 
 
@@ -23,10 +27,14 @@ def load(factory: str) -> type[Node]:
     module, _, name = factory.partition(":")
     try:
         found = getattr(importlib.import_module(module), name)
-    except (Exception, SystemExit) as error:  # another package's module may raise anything while it is imported
-        raise ParameterError(f"{factory}: cannot be imported: {type(error).__name__}: {error}") from error
+    # another package's module may raise anything while it is imported
+    except (Exception, SystemExit) as error:
+        raise ParameterError(
+            f"{factory}: cannot be imported: {type(error).__name__}: {error}"
+        ) from error
     if not (isinstance(found, type) and issubclass(found, Node)):
         raise ParameterError(
-            f"{factory}: {found!r} is registered as a kind of node, but is not a subclass of nodes.base.node.Node"
+            f"{factory}: {found!r} is registered as a kind of node, but is not a subclass of"
+            " nodes.base.node.Node"
         )
     return found

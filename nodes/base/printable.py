@@ -3,7 +3,8 @@
 import re
 import unicodedata
 
-COLOURS = {"red": 31, "green": 32, "yellow": 33, "bold": 1, "dim": 2}  # what `haptic` colours with, as SGR codes
+# what `haptic` colours with, as SGR codes
+COLOURS = {"red": 31, "green": 32, "yellow": 33, "bold": 1, "dim": 2}
 
 _OURS = re.compile(f"(\x1b\\[(?:0|{'|'.join(map(str, COLOURS.values()))})m)")
 
@@ -14,8 +15,14 @@ def printable(text: str) -> str:
     Colours of `haptic` itself stay.
     """
     # Every second part is one of our colours.
-    return "".join(part if n % 2 else "".join(map(_shown, part)) for n, part in enumerate(_OURS.split(text)))
+    return "".join(
+        part if n % 2 else "".join(map(_shown, part)) for n, part in enumerate(_OURS.split(text))
+    )
 
 
 def _shown(sign: str) -> str:
-    return sign if sign.isprintable() or sign in "\n\t" or unicodedata.category(sign) == "Zs" else "\ufffd"
+    return (
+        sign
+        if sign.isprintable() or sign in "\n\t" or unicodedata.category(sign) == "Zs"
+        else "\ufffd"
+    )

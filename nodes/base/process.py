@@ -1,6 +1,7 @@
 """The life of a node's process: sockets, ready, ticks, and an end that leaves the device safe and nothing open.
 
-Whatever ends the loop, an exception included: first the device is made safe, then it is reported, then all is closed.
+Whatever ends the loop, an exception included: first the device is made safe, then it is reported,
+then all is closed.
 """
 
 import signal
@@ -30,9 +31,12 @@ from nodes.base.status_report import write_report
 from nodes.base.stderr_queue import instead_of_stderr
 from nodes.parameters.store import ParameterError
 
-LISTENERS_WAIT = 0.002  # how long messages for listeners may be collected in real time, one period or more [s]
-LOCKSTEP_BATCH = 32  # how many are collected in lockstep: to wake an idle core for them costs the loop some µs
-REPORT_SHARE = 0.5  # for so much of its lease a node started by hand waits at its end until its report is fetched
+# how long messages for listeners may be collected in real time, one period or more [s]
+LISTENERS_WAIT = 0.002
+# how many are collected in lockstep: to wake an idle core for them costs the loop some µs
+LOCKSTEP_BATCH = 32
+# for so much of its lease a node started by hand waits at its end until its report is fetched
+REPORT_SHARE = 0.5
 
 
 def _await_listeners(node: Node) -> None:
@@ -40,7 +44,11 @@ def _await_listeners(node: Node) -> None:
     node.state = "waiting"
     while node.publisher.listeners() < node.setup.listeners and not node.stopping:
         if time.monotonic() > deadline:
-            there, expected, patience = node.publisher.listeners(), node.setup.listeners, node.setup.patience
+            there, expected, patience = (
+                node.publisher.listeners(),
+                node.setup.listeners,
+                node.setup.patience,
+            )
             node.events.emit(
                 "listeners",
                 f"{there} of {expected} listeners within {patience:g} s; going on without",
@@ -54,7 +62,8 @@ def _await_listeners(node: Node) -> None:
 def _heed_signals(node: Node) -> None:
     """Let a thread wait for signals: a handler would interrupt the loop's thread, which may hold the very lock it needs."""
     asking = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
-    # Threads made from here on inherit it; nodes/__main__.py has done the same for those of imports.
+    # Threads made from here on inherit it; nodes/__main__.py has done the same for those of
+    # imports.
     signal.pthread_sigmask(signal.SIG_BLOCK, asking)
 
     def wait() -> None:
@@ -62,7 +71,8 @@ def _heed_signals(node: Node) -> None:
             node.stop(signal.Signals(signal.sigwait(asking)).name)
 
     threading.Thread(target=wait, name=f"{node.setup.name}-signals", daemon=True).start()
-    # Sent when somebody opens a watched file that is being read under a lease; its default is to end the process.
+    # Sent when somebody opens a watched file that is being read under a lease; its default is to
+    # end the process.
     signal.signal(signal.SIGIO, signal.SIG_IGN)
 
 
@@ -71,7 +81,9 @@ def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | N
     setup = node.setup
     bound = (setup.publish, setup.control, setup.reach, setup.listen_reach)
     events = node.events
-    links = node.links = Links(context, lambda reason: events.emit("link", reason), events.deny, events.notify)
+    links = node.links = Links(
+        context, lambda reason: events.emit("link", reason), events.deny, events.notify
+    )
 
     def evict() -> None:
         node.publisher.evict()
@@ -79,12 +91,25 @@ def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | N
         events.notify()
 
     is_encrypted = any("#" in place for place in bound)
-    gate = Gate(context, events.deny, evict, partial(realtime.step_aside, setup.scheduling)) if is_encrypted else None
+    gate = (
+        Gate(context, events.deny, evict, partial(realtime.step_aside, setup.scheduling))
+        if is_encrypted
+        else None
+    )
     try:
-        hops, listeners = filter(None, [setup.reach]), filter(None, [setup.listen, setup.listen_reach])
-        batch = LOCKSTEP_BATCH if setup.pace == "lockstep" else max(1, int(LISTENERS_WAIT / setup.period))
+        hops, listeners = (
+            filter(None, [setup.reach]),
+            filter(None, [setup.listen, setup.listen_reach]),
+        )
+        batch = (
+            LOCKSTEP_BATCH
+            if setup.pace == "lockstep"
+            else max(1, int(LISTENERS_WAIT / setup.period))
+        )
         node.publisher = Publisher(context, setup.publish, hops, listeners, batch)
-        node.connect(lambda endpoints, wanted, queue: Subscription(context, endpoints, wanted, queue, links))
+        node.connect(
+            lambda endpoints, wanted, queue: Subscription(context, endpoints, wanted, queue, links)
+        )
         if node.answers and node.inbox is not None:
             node.waker = Waker(context, node.setup.topic(node.listens_to[0]).encode())
             node.events.interrupt = node.waker.wake
@@ -150,7 +175,9 @@ def live(node: Node, load_kernel: Callable[[Node], None]) -> int:
     return code
 
 
-def _close(node: Node, context: Context, control: ControlServer, gate: Gate | None, code: int) -> int:
+def _close(
+    node: Node, context: Context, control: ControlServer, gate: Gate | None, code: int
+) -> int:
     node.state = "finished" if code == 0 else "failed"
     if node.setup.lease and not node.lost_launcher:
         control.await_fetch(REPORT_SHARE * node.setup.lease)

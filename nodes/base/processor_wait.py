@@ -8,9 +8,10 @@ from pathlib import Path
 class ProcessorWait:
     """How long a process has been kept from running by others, since the first look: time not to be held against it.
 
-    The kernel counts for each thread how long it was ready to run but did not (``schedstat``), and adds it up when the thread
-    gets its turn. One that has not had its turn since the last look is known by its state: ready to run, and nothing done. A
-    process that is stopped, frozen, or waits for something else than a processor is not kept from running by anybody.
+    The kernel counts for each thread how long it was ready to run but did not (``schedstat``), and
+    adds it up when the thread gets its turn. One that has not had its turn since the last look is
+    known by its state: ready to run, and nothing done. A process that is stopped, frozen, or waits
+    for something else than a processor is not kept from running by anybody.
     """
 
     def __init__(self) -> None:
@@ -42,4 +43,6 @@ class ProcessorWait:
 
 def state_of(path: Path) -> str:
     """Give the letter by which the kernel names the state of a process or thread, from its folder in /proc."""
-    return (path / "stat").read_text(encoding="ascii", errors="replace").rsplit(")", 1)[1].split()[0]
+    return (
+        (path / "stat").read_text(encoding="ascii", errors="replace").rsplit(")", 1)[1].split()[0]
+    )

@@ -1,8 +1,9 @@
 """What the kernel can do for a loop: one core for the chain, FIFO scheduling, exact timers; and waiting until a deadline.
 
-Pinning driver, environment and coupling, their I/O threads included, to one core gives most of the gain in the median and
-needs no privilege. FIFO brings the tail down from milliseconds to half of one, but only together with pinning. Both are
-inherited by threads made later, so they are set before the ZeroMQ context.
+Pinning driver, environment and coupling, their I/O threads included, to one core gives most of the
+gain in the median and needs no privilege. FIFO brings the tail down from milliseconds to half of
+one, but only together with pinning. Both are inherited by threads made later, so they are set
+before the ZeroMQ context.
 """
 
 import contextlib
@@ -21,7 +22,8 @@ from nodes.base.setup import Scheduling
 
 PR_SET_PDEATHSIG = 1
 
-WAKE_LATENCY = "/dev/cpu_dma_latency"  # who holds it open bounds the time to wake a processor [µs] (PM QoS)
+# who holds it open bounds the time to wake a processor [µs] (PM QoS)
+WAKE_LATENCY = "/dev/cpu_dma_latency"
 
 
 def apply(scheduling: Scheduling) -> list[str]:
@@ -31,7 +33,9 @@ def apply(scheduling: Scheduling) -> list[str]:
         try:
             os.sched_setaffinity(0, scheduling.cpus)
         except OSError as error:
-            refused.append(f"processors {scheduling.cpus}: {error.strerror}; the node runs on any processor")
+            refused.append(
+                f"processors {scheduling.cpus}: {error.strerror}; the node runs on any processor"
+            )
     if scheduling.fifo:
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(scheduling.fifo))
@@ -80,7 +84,10 @@ def awake() -> Iterator[str]:
     try:
         held = os.open(WAKE_LATENCY, os.O_WRONLY)
     except OSError as error:
-        yield f"{WAKE_LATENCY}: {error.strerror}; processors sleep between ticks, and answer later; see haptic doctor"
+        yield (
+            f"{WAKE_LATENCY}: {error.strerror}; processors sleep between ticks, and answer later;"
+            " see haptic doctor"
+        )
         return
     try:
         os.write(held, (0).to_bytes(4, sys.byteorder))
@@ -92,7 +99,8 @@ def awake() -> Iterator[str]:
 def step_aside(scheduling: Scheduling) -> None:
     """Take the calling thread off the chain's core and below its priority, above others: it may hold the interpreter's lock."""
     if scheduling.aside:
-        # Refused as `cpus` is where the node was started among other processors, which `apply` tells.
+        # Refused as `cpus` is where the node was started among other processors, which `apply`
+        # tells.
         with contextlib.suppress(OSError):
             os.sched_setaffinity(0, scheduling.aside)
     if os.sched_getscheduler(0) == os.SCHED_FIFO:
@@ -104,10 +112,12 @@ def quiet_interpreter() -> None:
     """Keep the interpreter's own work out of the ticks: leave all that there is to no collection, switch threads quickly."""
     # Not collected before: of 26 000 objects 500 are garbage, and to find them takes 5 to 10 ms.
     gc.freeze()
-    # From here on a few at a time, whatever the start had: a node that is started by hand is a command, which looks rarely.
+    # From here on a few at a time, whatever the start had: a node that is started by hand is a
+    # command, which looks rarely.
     gc.set_threshold(700, 10, 10)
     gc.enable()
-    # The control thread must give the interpreter lock back within a fraction of a tick (Python's default is 5 ms).
+    # The control thread must give the interpreter lock back within a fraction of a tick (Python's
+    # default is 5 ms).
     sys.setswitchinterval(5e-5)
 
 

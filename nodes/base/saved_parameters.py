@@ -1,6 +1,7 @@
 """Parameters outlive their process: a node that is started again goes on with those that it had, not the launch file's.
 
-They are written off the hot path, before a change is answered, into the directory of the run, with which they end.
+They are written off the hot path, before a change is answered, into the directory of the run, with
+which they end.
 """
 
 from pathlib import Path
@@ -27,7 +28,8 @@ def _path(node: Node) -> Path:
 
 def keep(node: Node) -> None:
     """Write the node's parameters down, if they are no longer those that were written last (control thread)."""
-    # In this order: what a scheduled swap changes in between is then done once more, and not left out.
+    # In this order: what a scheduled swap changes in between is then done once more, and not left
+    # out.
     seq, current = node.counted().seq, node.store.current
     if current is node.kept or not node.setup.run_dir:
         return
@@ -45,7 +47,12 @@ def resume(node: Node) -> None:
         kept = msgspec.json.decode(path.read_bytes(), type=Kept)
         node.store.accept(convert(kept.parameters, node.Parameters, node.setup.name))
     except (msgspec.DecodeError, ParameterError) as error:
-        node.events.log(f"what it had before it was started again cannot be used: {error}; the launch file's parameters hold")
+        node.events.log(
+            f"what it had before it was started again cannot be used: {error}; the launch file's"
+            " parameters hold"
+        )
         return
     node.kept, node.resumed_at, node.watched = node.store.current, kept.seq, kept.watched
-    node.events.emit_each("resumed", f"goes on with the parameters that it had at tick {kept.seq}", {"tick": kept.seq})
+    node.events.emit_each(
+        "resumed", f"goes on with the parameters that it had at tick {kept.seq}", {"tick": kept.seq}
+    )

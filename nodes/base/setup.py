@@ -43,7 +43,8 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     run, run_dir : str
         Name of the run and its private directory.
     name, kind, factory : str
-        Name in the launch (with the namespace of its chain: ``left/driver``), kind, and ``module:Class`` that implements it.
+        Name in the launch (with the namespace of its chain: ``left/driver``), kind, and
+        ``module:Class`` that implements it.
     period : float
         Sampling period T [s].
     pace : str
@@ -51,7 +52,8 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     apply : str
         When a force takes effect: ``on_arrival`` or ``next_tick``.
     tick : str
-        ``compiled`` where the node takes its usual ticks without the interpreter (nodes/compiled), ``plain`` where not.
+        ``compiled`` where the node takes its usual ticks without the interpreter (nodes/compiled),
+        ``plain`` where not.
     axes : list of str
         Axes that the scene computes.
     virtual : bool
@@ -63,7 +65,8 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     reach, listen_reach : str
         Endpoints that it binds besides, for hops and listeners on other machines; empty for none.
     allow_paths : list of str or None
-        Directories in which its parameters may name files, where the launcher is on another machine; None for anywhere.
+        Directories in which its parameters may name files, where the launcher is on another
+        machine; None for anywhere.
     by_hand : bool
         Whether somebody else than the launcher starts it.
     lease : float
@@ -71,7 +74,8 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     patience : float
         How long it waits for its listeners [s].
     sources : dict of str to str
-        Topic inside the chain (or ``<node>``, for all its topics) to the endpoint that publishes it.
+        Topic inside the chain (or ``<node>``, for all its topics) to the endpoint that publishes
+        it.
     remap : dict of str to str
         Topic inside the chain to the full name of the one that the node takes in its place.
     listeners : int
@@ -83,14 +87,15 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     plant : dict of str to float
         What the other nodes of the chain know of the device (`nodes.base.node.Node.plant`).
     peak_force : float or None
-        Largest force of the chain's driver along an axis, as far as its parameters say [N]; None where they do not.
+        Largest force of the chain's driver along an axis, as far as its parameters say [N]; None
+        where they do not.
     watch : str
         YAML file whose changes are applied while running; empty for none.
     manifest : dict of str to str
         What a logger writes into the recording: launch file, parameters, versions, clock offset.
     clock_offset, clock_error : float
-        What to add to the monotonic clock of the node's host to get that of the launcher's, as measured before the start, and
-        how far off that may be [s]; both 0 on the launcher's host.
+        What to add to the monotonic clock of the node's host to get that of the launcher's, as
+        measured before the start, and how far off that may be [s]; both 0 on the launcher's host.
     """
 
     run: str

@@ -24,7 +24,9 @@ def mapped(path: Path, size: int, make: bool) -> mmap.mmap:
         os.close(descriptor)
 
 
-def awaited(path: Path, size: int, maker: Setup, given_up: Callable[[], bool], patience: float = PATIENCE) -> Path:
+def awaited(
+    path: Path, size: int, maker: Setup, given_up: Callable[[], bool], patience: float = PATIENCE
+) -> Path:
     """Wait until the node that makes a file has made it: it may start later than who asks.
 
     That of a node on another machine never comes, and is not waited for.

@@ -1,8 +1,9 @@
 """A queue to standard error that nobody waits for.
 
-A reader may pause (a pager, Ctrl-S, a stalled ssh) or go away, and then a write to standard error blocks or fails. Neither may
-reach a loop that holds a force, nor the launcher that ends it. So lines go into a bounded queue, and a thread of its own writes
-them. What finds the queue full is dropped and counted; the events of a node are on its topic all the same.
+A reader may pause (a pager, Ctrl-S, a stalled ssh) or go away, and then a write to standard error
+blocks or fails. Neither may reach a loop that holds a force, nor the launcher that ends it. So
+lines go into a bounded queue, and a thread of its own writes them. What finds the queue full is
+dropped and counted; the events of a node are on its topic all the same.
 """
 
 import atexit
@@ -77,7 +78,10 @@ class StderrQueue(io.TextIOBase):
         while True:
             text = self._queue.get()
             if self.dropped > reported and not self._gone:
-                text = f"({self.dropped - reported} lines were dropped: nobody read them in time)\n{text}"
+                text = (
+                    f"({self.dropped - reported} lines were dropped: nobody read them in"
+                    f" time)\n{text}"
+                )
                 reported = self.dropped
             self._write_out(text.encode(errors="replace"))
             self._taken += 1
@@ -91,13 +95,16 @@ class StderrQueue(io.TextIOBase):
                 # Somebody who shares the descriptor has made it non-blocking.
                 select.select((), (self._descriptor,), (), 1.0)
             except OSError as error:
-                # A broken pipe or a terminal that is gone stays so; a full disk may have room later.
+                # A broken pipe or a terminal that is gone stays so; a full disk may have room
+                # later.
                 self._gone = error.errno in (errno.EPIPE, errno.EBADF, errno.EIO)
                 self.dropped += 1
                 return
 
 
-def instead_of_stderr(aside: Callable[[], None] = lambda: None, stdout_too: bool = False) -> StderrQueue:
+def instead_of_stderr(
+    aside: Callable[[], None] = lambda: None, stdout_too: bool = False
+) -> StderrQueue:
     """Let everything that this process prints to standard error go through a queue, tracebacks and warnings included."""
     words = StderrQueue(aside=aside)
     sys.stderr = words

@@ -1,9 +1,10 @@
 """Workers: processes of this machine that do what they are given, and never outlive who gave it.
 
-Each has a pipe, and a thread here that feeds it. A terminal sends Ctrl-C to all of them. It is blocked where a worker is
-started, and so in the worker from the first: a handler of its own would come too late. Who asked for the work decides, and ends
-the workers at once or lets them finish. One that dies loses nothing: another does what it was at. The standard library's pool
-is given up whole when one dies, and its workers answer a Ctrl-C in their first seconds with tracebacks.
+Each has a pipe, and a thread here that feeds it. A terminal sends Ctrl-C to all of them. It is
+blocked where a worker is started, and so in the worker from the first: a handler of its own would
+come too late. Who asked for the work decides, and ends the workers at once or lets them finish. One
+that dies loses nothing: another does what it was at. The standard library's pool is given up whole
+when one dies, and its workers answer a Ctrl-C in their first seconds with tracebacks.
 """
 
 import contextlib
@@ -88,7 +89,8 @@ class Workers(Executor):
         else:
             self.end()
 
-    # -- on the threads ----------------------------------------------------------------------------------------------
+    # -- on the threads
+    # ----------------------------------------------------------------------------------------------
 
     def _done(self, packed: bytes) -> Any:
         ended = 0
@@ -107,7 +109,10 @@ class Workers(Executor):
                 return answer
             raise answer
         how = signal.Signals(-ended).name if ended < 0 else f"exit code {ended}"
-        raise RefusedError(f"{TRIES} workers, one after another, ended with {how} at the same job: memory most often")
+        raise RefusedError(
+            f"{TRIES} workers, one after another, ended with {how} at the same job: memory most"
+            " often"
+        )
 
     def _start(self) -> _Worker:
         with self._starting:
@@ -115,9 +120,17 @@ class Workers(Executor):
                 raise RefusedError("the workers were ended")
             here, there = Pipe()
             with there:
-                # Neither -m's module nor the caller's script is run again: a worker imports what it is given.
+                # Neither -m's module nor the caller's script is run again: a worker imports what it
+                # is given.
                 process = subprocess.Popen(
-                    [sys.executable, "-P", "-m", "nodes.base.workers", str(there.fileno()), str(os.getpid())],
+                    [
+                        sys.executable,
+                        "-P",
+                        "-m",
+                        "nodes.base.workers",
+                        str(there.fileno()),
+                        str(os.getpid()),
+                    ],
                     stdin=subprocess.DEVNULL,
                     # An answer in JSON is the last line of standard output.
                     stdout=sys.__stderr__,

@@ -17,7 +17,10 @@ def add_run(parser: argparse.ArgumentParser) -> None:
 
 
 def sub_verb(
-    sub: argparse._SubParsersAction[argparse.ArgumentParser], name: str, run: Callable[[argparse.Namespace], int], text: str
+    sub: argparse._SubParsersAction[argparse.ArgumentParser],
+    name: str,
+    run: Callable[[argparse.Namespace], int],
+    text: str,
 ) -> argparse.ArgumentParser:
     """Declare a sub-verb that speaks to a running launch; the text is its help."""
     own = sub.add_parser(name, help=text, description=text)

@@ -26,80 +26,177 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
     sub = parser.add_subparsers(dest="chosen", metavar="|".join(OWN), required=True)
 
-    def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+    def declare(
+        name: str, run: Callable[[argparse.Namespace], int], text: str
+    ) -> argparse.ArgumentParser:
         own = sub.add_parser(name, help=text, description=text)
         own.set_defaults(run=lambda arguments: _checked(run, arguments))
         add_json(own)
         return own
 
-    _add_record(declare("record", _record, "Record a running launch into an MCAP file, until it ends or Ctrl-C."))
-    info = declare("info", _info, "Tell what a recording holds: topics, messages, gaps in seq, sent against recorded.")
-    play = declare("play", _play, "Publish a recording at its original pace, for PlotJuggler or a node to listen to.")
+    _add_record(
+        declare(
+            "record", _record, "Record a running launch into an MCAP file, until it ends or Ctrl-C."
+        )
+    )
+    info = declare(
+        "info",
+        _info,
+        "Tell what a recording holds: topics, messages, gaps in seq, sent against recorded.",
+    )
+    play = declare(
+        "play",
+        _play,
+        "Publish a recording at its original pace, for PlotJuggler or a node to listen to.",
+    )
     cut = declare("cut", _extract, "Copy a part of a recording into a new one.")
     cut.set_defaults(topics=[])
     few = declare("filter", _extract, "Copy some topics of a recording into one of their own.")
-    few.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="whole names of topics")
-    recover = declare("recover", _recover, "Copy all that is sound in a cut or damaged recording into a complete one.")
-    export = declare("export", _export, "Write a recording as tables: one row per tick, and the parameters beside them.")
+    few.add_argument(
+        "--topics", nargs="+", default=[], metavar="TOPIC", help="whole names of topics"
+    )
+    recover = declare(
+        "recover",
+        _recover,
+        "Copy all that is sound in a cut or damaged recording into a complete one.",
+    )
+    export = declare(
+        "export",
+        _export,
+        "Write a recording as tables: one row per tick, and the parameters beside them.",
+    )
     for own in (info, play, cut, few, recover, export):
         own.add_argument("file", type=Path)
     _add_play(play)
     export.add_argument(
         "--format",
         choices=("csv", "npz", "mat", "parquet", "ros2", "foxglove"),
-        help="csv: a directory, with a file per topic too (default); npz: numpy; mat: MATLAB; parquet: ticks only; "
-        "ros2: a directory that ros2 bag play takes; foxglove: the recording with its scene in three dimensions. "
-        "Taken from the ending of --out when left out",
+        help=(
+            "csv: a directory, with a file per topic too (default); npz: numpy; mat: MATLAB;"
+            " parquet: ticks only; ros2: a directory that ros2 bag play takes; foxglove: the"
+            " recording with its scene in three dimensions. Taken from the ending of --out when"
+            " left out"
+        ),
     )
-    plot = declare("plot", _plot, "Draw recordings: position, force, energy, response time; several as an overlay.")
+    plot = declare(
+        "plot",
+        _plot,
+        "Draw recordings: position, force, energy, response time; several as an overlay.",
+    )
     plot.add_argument("files", type=Path, nargs="+", metavar="file")
-    plot.add_argument("--xy", action="store_true", help="draw force over position instead of both over time")
+    plot.add_argument(
+        "--xy", action="store_true", help="draw force over position instead of both over time"
+    )
     for own in (cut, few, plot):
-        own.add_argument("--from", type=not_negative, dest="start", metavar="S", help="from this time of the run on [s]")
-        own.add_argument("--to", type=not_negative, dest="stop", metavar="S", help="up to this time [s]")
+        own.add_argument(
+            "--from",
+            type=not_negative,
+            dest="start",
+            metavar="S",
+            help="from this time of the run on [s]",
+        )
+        own.add_argument(
+            "--to", type=not_negative, dest="stop", metavar="S", help="up to this time [s]"
+        )
     for own in (cut, few):
         _add_patterns(own)
     for own, default in (
         (recover, "FILE.recovered.mcap"),
         (cut, "FILE.cut.mcap"),
         (few, "FILE.filter.mcap"),
-        (export, "the directory FILE_csv or FILE_ros2, or FILE.npz, .mat, .parquet, .foxglove.mcap"),
+        (
+            export,
+            "the directory FILE_csv or FILE_ros2, or FILE.npz, .mat, .parquet, .foxglove.mcap",
+        ),
         (plot, "FILE.png, FILE_xy.png, FILE_overlay.png; .svg and .pdf are what they are called"),
     ):
-        own.add_argument("--out", "-o", type=Path, metavar="PATH", help=f"what to write (default: {default}, beside it)")
+        own.add_argument(
+            "--out",
+            "-o",
+            type=Path,
+            metavar="PATH",
+            help=f"what to write (default: {default}, beside it)",
+        )
         own.add_argument("--force", action="store_true", help="replace what is there already")
 
 
 def _add_record(own: argparse.ArgumentParser) -> None:
-    own.add_argument("topics", nargs="*", metavar="TOPIC", help="whole names of topics; all when left out")
+    own.add_argument(
+        "topics", nargs="*", metavar="TOPIC", help="whole names of topics; all when left out"
+    )
     _add_patterns(own)
     own.add_argument("--all", "-a", action="store_true", help="record all topics, as without any")
-    own.add_argument("--out", "-o", type=Path, metavar="FILE", help="file to write (default: OUT_DIR/RUN-PID.mcap)")
     own.add_argument(
-        "--out-dir", type=Path, default=Path("recordings"), metavar="DIR", help="its directory (default: %(default)s)"
+        "--out",
+        "-o",
+        type=Path,
+        metavar="FILE",
+        help="file to write (default: OUT_DIR/RUN-PID.mcap)",
+    )
+    own.add_argument(
+        "--out-dir",
+        type=Path,
+        default=Path("recordings"),
+        metavar="DIR",
+        help="its directory (default: %(default)s)",
     )
     own.add_argument("--force", action="store_true", help="replace a file that is there already")
     add_run_name(own)
     own.add_argument(
-        "--duration", type=above_zero, default=0.0, metavar="S", help="record for S seconds from the first message"
+        "--duration",
+        type=above_zero,
+        default=0.0,
+        metavar="S",
+        help="record for S seconds from the first message",
     )
 
 
 def _add_play(own: argparse.ArgumentParser) -> None:
     own.add_argument(
-        "--endpoint", default="tcp://127.0.0.1:9872", help="where to publish (default: %(default)s, where PlotJuggler looks)"
+        "--endpoint",
+        default="tcp://127.0.0.1:9872",
+        help="where to publish (default: %(default)s, where PlotJuggler looks)",
     )
-    own.add_argument("--rate", "-r", type=above_zero, default=1.0, help="speed, 1 is the original pace, inf does not wait")
-    own.add_argument("--loop", "-l", action="store_true", help="begin again at the end, until Ctrl-C")
-    own.add_argument("--topics", nargs="+", metavar="TOPIC", help="topics to publish; all when left out")
-    own.add_argument("--start-offset", type=not_negative, default=0.0, metavar="S", help="begin so many seconds into it")
-    own.add_argument("--remap", "-m", nargs="+", default=[], metavar="OLD:=NEW", help="publish a topic under another name")
-    own.add_argument("--wait", action="store_true", help="wait for a listener before the first message")
+    own.add_argument(
+        "--rate",
+        "-r",
+        type=above_zero,
+        default=1.0,
+        help="speed, 1 is the original pace, inf does not wait",
+    )
+    own.add_argument(
+        "--loop", "-l", action="store_true", help="begin again at the end, until Ctrl-C"
+    )
+    own.add_argument(
+        "--topics", nargs="+", metavar="TOPIC", help="topics to publish; all when left out"
+    )
+    own.add_argument(
+        "--start-offset",
+        type=not_negative,
+        default=0.0,
+        metavar="S",
+        help="begin so many seconds into it",
+    )
+    own.add_argument(
+        "--remap",
+        "-m",
+        nargs="+",
+        default=[],
+        metavar="OLD:=NEW",
+        help="publish a topic under another name",
+    )
+    own.add_argument(
+        "--wait", action="store_true", help="wait for a listener before the first message"
+    )
 
 
 def _add_patterns(own: argparse.ArgumentParser) -> None:
-    own.add_argument("--regex", "-e", metavar="REGEX", help="the topics in whose names this is found")
-    own.add_argument("--exclude-regex", "-x", metavar="REGEX", help="but not those in whose names this is")
+    own.add_argument(
+        "--regex", "-e", metavar="REGEX", help="the topics in whose names this is found"
+    )
+    own.add_argument(
+        "--exclude-regex", "-x", metavar="REGEX", help="but not those in whose names this is"
+    )
 
 
 def _chosen(known: Iterable[str], arguments: argparse.Namespace) -> list[str]:
@@ -108,9 +205,15 @@ def _chosen(known: Iterable[str], arguments: argparse.Namespace) -> list[str]:
         wanted = re.compile(arguments.regex or "")
         unwanted = None if arguments.exclude_regex is None else re.compile(arguments.exclude_regex)
     except re.error as error:
-        raise UsageError(f"bag {arguments.chosen}: {error.pattern!r} is no regular expression: {error}") from error
+        raise UsageError(
+            f"bag {arguments.chosen}: {error.pattern!r} is no regular expression: {error}"
+        ) from error
     known = list(known)
-    named = [topic for topic in known if topic in arguments.topics or (arguments.regex and wanted.search(topic))]
+    named = [
+        topic
+        for topic in known
+        if topic in arguments.topics or (arguments.regex and wanted.search(topic))
+    ]
     chosen = named if arguments.topics or arguments.regex else known
     left = [topic for topic in chosen if unwanted is None or not unwanted.search(topic)]
     if not left:
@@ -132,7 +235,9 @@ def _checked(run: Callable[[argparse.Namespace], int], arguments: argparse.Names
 
 def _free(out: Path, force: bool) -> Path:
     if out.exists() and not force:
-        raise UsageError(f"{out}: exists already; replace it with --force, or write elsewhere with --out")
+        raise UsageError(
+            f"{out}: exists already; replace it with --force, or write elsewhere with --out"
+        )
     return out
 
 
@@ -146,16 +251,29 @@ def _record(arguments: argparse.Namespace) -> int:
 
         run = chosen_run(arguments)
         if arguments.all and arguments.topics:
-            raise UsageError(f"bag record: --all and topics ({' '.join(arguments.topics)}) at once; choose one")
+            raise UsageError(
+                f"bag record: --all and topics ({' '.join(arguments.topics)}) at once; choose one"
+            )
         for topic in arguments.topics:
             known_topic(run, topic)
         patterns = arguments.regex or arguments.exclude_regex
         topics = _chosen(run.endpoints(), arguments) if patterns else arguments.topics
         # Several recorders beside one launch each get a file of their own.
-        out = _free(arguments.out or arguments.out_dir / f"{run.run}-{os.getpid()}.mcap", arguments.force)
+        out = _free(
+            arguments.out or arguments.out_dir / f"{run.run}-{os.getpid()}.mcap", arguments.force
+        )
         print(f"recording {run.run} into {out}; Ctrl-C ends", file=sys.stderr, flush=True)
-        count = record(run, str(out), topics, lambda: bool(ended), arguments.duration or math.inf, arguments.force)
-        return answer(arguments.json, {"recording": str(out), "messages": count}, f"{out}: {count} messages")
+        count = record(
+            run,
+            str(out),
+            topics,
+            lambda: bool(ended),
+            arguments.duration or math.inf,
+            arguments.force,
+        )
+        return answer(
+            arguments.json, {"recording": str(out), "messages": count}, f"{out}: {count} messages"
+        )
 
 
 def _counted(messages: Mapping[str, int]) -> str:
@@ -169,7 +287,9 @@ def _in_order(start: float | None, stop: float | None) -> tuple[float, float]:
     return begin, end
 
 
-def _info_text(recording: Recording, verdict: Completeness, remote: Mapping[str, ClockRecord]) -> str:
+def _info_text(
+    recording: Recording, verdict: Completeness, remote: Mapping[str, ClockRecord]
+) -> str:
     lines = [str(recording.path)]
     facts = dict(recording.manifest)
     with contextlib.suppress(KeyError, ValueError, OverflowError):
@@ -178,20 +298,33 @@ def _info_text(recording: Recording, verdict: Completeness, remote: Mapping[str,
     for name in ("scenario", "run", "started", "host", "pace", "rate_hz"):
         if name in facts:
             lines.append(f"  {name:9} {facts[name]}")
-    lines.append(f"  {'duration':9} {recording.duration:.6g} s (recorded in {recording.wall_duration:.6g} s)")
+    lines.append(
+        f"  {'duration':9} {recording.duration:.6g} s (recorded in {recording.wall_duration:.6g} s)"
+    )
     lines.append(f"  {'state':9} {verdict.text}")
     if recording.cut:
         lines.append(f"  {'':9} {recording.cut}")
     width = max(map(len, recording.topics), default=5)
-    lines.append(f"  {'topic':{width}} {'messages':>9} {'rate [Hz]':>10} {'gaps':>6} {'repeats':>8}")
+    lines.append(
+        f"  {'topic':{width}} {'messages':>9} {'rate [Hz]':>10} {'gaps':>6} {'repeats':>8}"
+    )
     for topic, figures in recording.topics.items():
-        lines.append(f"  {topic:{width}} {figures.messages:9} {figures.rate:10.6g} {figures.gaps:6} {figures.back:8}")
+        lines.append(
+            f"  {topic:{width}} {figures.messages:9} {figures.rate:10.6g} {figures.gaps:6}"
+            f" {figures.back:8}"
+        )
     if verdict.left_out:
-        lines.append(f"  ticks left out by the driver, late by a whole period: {verdict.left_out} (gaps everywhere, no losses)")
+        lines.append(
+            f"  ticks left out by the driver, late by a whole period: {verdict.left_out} (gaps"
+            " everywhere, no losses)"
+        )
     for node, account in verdict.nodes.items():
         lines.append(f"  {node}: {account.text}")
     for node, clock in remote.items():
-        lines.append(f"  {node}: clock {-clock.offset:+.6f} s from the launcher's, known to ±{clock.error * 1e6:.0f} µs")
+        lines.append(
+            f"  {node}: clock {-clock.offset:+.6f} s from the launcher's, known to"
+            f" ±{clock.error * 1e6:.0f} µs"
+        )
     return "\n".join(lines)
 
 
@@ -219,7 +352,10 @@ def _info(arguments: argparse.Namespace) -> int:
             node: {"sent": account.sent, "recorded": account.recorded, "lost": account.lost}
             for node, account in verdict.nodes.items()
         },
-        "clocks": {node: {"offset_s": clock.offset, "error_s": clock.error} for node, clock in times.items()},
+        "clocks": {
+            node: {"offset_s": clock.offset, "error_s": clock.error}
+            for node, clock in times.items()
+        },
         "lost": verdict.lost,
         "overruns": verdict.left_out,
         "recovered": recording.recovered,
@@ -238,7 +374,9 @@ def _play(arguments: argparse.Namespace) -> int:
     recording = Recording(arguments.file)
     names = _remapped(recording, arguments.remap)
     if arguments.start_offset > recording.wall_duration:
-        raise UsageError(f"--start-offset {arguments.start_offset:g}: it lasts {recording.wall_duration:g} s")
+        raise UsageError(
+            f"--start-offset {arguments.start_offset:g}: it lasts {recording.wall_duration:g} s"
+        )
     counts: dict[str, int] = {}
     interrupts = []
 
@@ -260,7 +398,12 @@ def _play(arguments: argparse.Namespace) -> int:
             time.sleep(0.01)
         while True:
             for entry in play(
-                recording, publisher, rate=arguments.rate, topics=arguments.topics, offset=arguments.start_offset, remap=names
+                recording,
+                publisher,
+                rate=arguments.rate,
+                topics=arguments.topics,
+                offset=arguments.start_offset,
+                remap=names,
             ):
                 name = names.get(entry.topic, entry.topic)
                 counts[name] = counts.get(name, 0) + 1
@@ -274,7 +417,11 @@ def _play(arguments: argparse.Namespace) -> int:
         signal.signal(signal.SIGINT, before)
         publisher.close()
         context.destroy(linger=0)
-    pace = "without a pause" if math.isinf(arguments.rate) else f"at {arguments.rate:g} times the original pace"
+    pace = (
+        "without a pause"
+        if math.isinf(arguments.rate)
+        else f"at {arguments.rate:g} times the original pace"
+    )
     return answer(arguments.json, {"published": counts}, f"published {pace}:\n{_counted(counts)}")
 
 
@@ -285,7 +432,9 @@ def _remapped(recording: Recording, words: Iterable[str]) -> dict[str, str]:
         if not sign or not new.startswith("/"):
             raise UsageError(f"--remap {word}: expected OLD:=NEW, both with a leading slash")
         if old not in recording.topics:
-            raise UsageError(f"--remap {word}: no topic {old!r}; there are {', '.join(recording.topics)}")
+            raise UsageError(
+                f"--remap {word}: no topic {old!r}; there are {', '.join(recording.topics)}"
+            )
         names[old] = new
     return names
 
@@ -297,11 +446,17 @@ def _extract(arguments: argparse.Namespace) -> int:
     start, stop = _in_order(arguments.start, arguments.stop)
     for topic in arguments.topics:
         if topic not in recording.topics:
-            raise UsageError(f"{arguments.file}: no topic {topic!r}; there are {', '.join(recording.topics)}")
+            raise UsageError(
+                f"{arguments.file}: no topic {topic!r}; there are {', '.join(recording.topics)}"
+            )
     topics = _chosen(recording.topics, arguments)
-    out = _free(arguments.out or arguments.file.with_suffix(f".{arguments.chosen}.mcap"), arguments.force)
+    out = _free(
+        arguments.out or arguments.file.with_suffix(f".{arguments.chosen}.mcap"), arguments.force
+    )
     counts = extract(recording, out, topics, start, stop, overwrite=arguments.force)
-    return answer(arguments.json, {"out": str(out), "messages": counts}, f"{out}:\n{_counted(counts)}")
+    return answer(
+        arguments.json, {"out": str(out), "messages": counts}, f"{out}:\n{_counted(counts)}"
+    )
 
 
 def _recover(arguments: argparse.Namespace) -> int:
@@ -312,7 +467,12 @@ def _recover(arguments: argparse.Namespace) -> int:
     lines = [f"{out}: {sum(saved.messages.values())} messages saved"]
     lines += [f"  {topic}: {count}" for topic, count in saved.messages.items()]
     lines += saved.problems or ["the recording was complete and sound: nothing was lost"]
-    figures = {"out": str(out), "messages": saved.messages, "problems": saved.problems, "recovered": bool(saved.problems)}
+    figures = {
+        "out": str(out),
+        "messages": saved.messages,
+        "problems": saved.problems,
+        "recovered": bool(saved.problems),
+    }
     return answer(arguments.json, figures, "\n".join(lines))
 
 
@@ -326,7 +486,10 @@ def _export(arguments: argparse.Namespace) -> int:
     ending = arguments.out.suffix.removeprefix(".") if arguments.out else ""
     form = arguments.format or ending or "csv"
     if form not in formats:
-        raise UsageError(f"{arguments.out}: {ending!r} is no format; take one of {', '.join(formats)} with --format")
+        raise UsageError(
+            f"{arguments.out}: {ending!r} is no format; take one of {', '.join(formats)} with"
+            " --format"
+        )
     ending = {"csv": "_csv", "ros2": "_ros2", "foxglove": ".foxglove.mcap"}.get(form, f".{form}")
     out = _free(arguments.out or source.with_name(f"{source.stem}{ending}"), arguments.force)
     recording = Recording(source)
@@ -336,7 +499,9 @@ def _export(arguments: argparse.Namespace) -> int:
             recording.require_ticks()
         except RecordError as error:
             complain(error)  # the other tables are written all the same
-    return answer(arguments.json, {"files": [str(file) for file in files]}, "\n".join(map(str, files)))
+    return answer(
+        arguments.json, {"files": [str(file) for file in files]}, "\n".join(map(str, files))
+    )
 
 
 def _plot(arguments: argparse.Namespace) -> int:
@@ -347,10 +512,19 @@ def _plot(arguments: argparse.Namespace) -> int:
     _in_order(start := arguments.start, stop := arguments.stop)
     alone = len(files) == 1 and not arguments.xy
     ending = "" if alone else "_xy" if arguments.xy else "_overlay"
-    out = _free(arguments.out or files[0].with_name(f"{files[0].stem}{ending}.png"), arguments.force)
+    out = _free(
+        arguments.out or files[0].with_name(f"{files[0].stem}{ending}.png"), arguments.force
+    )
     recordings = [Recording(file) for file in files]
     if alone:
         plot(recordings[0], out, start=start, stop=stop, overwrite=arguments.force)
     else:
-        plot_several(recordings, out, over_position=arguments.xy, start=start, stop=stop, overwrite=arguments.force)
+        plot_several(
+            recordings,
+            out,
+            over_position=arguments.xy,
+            start=start,
+            stop=stop,
+            overwrite=arguments.force,
+        )
     return answer(arguments.json, {"plot": str(out)}, str(out))

@@ -12,7 +12,8 @@ from nodes.parameters.registry import NotInstalledError
 from nodes.parameters.store import ParameterError
 
 SCRIPTS = {  # what to evaluate, by shell; each asks ``haptic completion words`` at every TAB
-    "bash": """\
+    "bash": (
+        """\
 _haptic() {
     local words
     words=$(haptic completion words -- "${COMP_WORDS[@]:1:COMP_CWORD}" 2>/dev/null)
@@ -22,8 +23,10 @@ _haptic() {
 COMP_WORDBREAKS=${COMP_WORDBREAKS//:/}
 COMP_WORDBREAKS=${COMP_WORDBREAKS//=/}
 complete -o default -F _haptic haptic
-""",
-    "zsh": """\
+"""
+    ),
+    "zsh": (
+        """\
 _haptic() {
     local -a found
     found=("${(@f)$(haptic completion words -- "${(@)words[2,CURRENT]}" 2>/dev/null)}")
@@ -33,21 +36,30 @@ _haptic() {
 }
 (( $+functions[compdef] )) || { autoload -Uz compinit && compinit -u }
 compdef _haptic haptic
-""",
-    "fish": """\
+"""
+    ),
+    "fish": (
+        """\
 function __haptic
     set -l typed (commandline -opc) (commandline -ct)
     haptic completion words -- $typed[2..-1] 2>/dev/null
 end
 complete -c haptic -a '(__haptic)'
-""",
+"""
+    ),
 }
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("shell", choices=[*SCRIPTS, "words"], help="which shell; words: what may follow (for the scripts)")
-    parser.add_argument("typed", nargs="*", help="with words: what stands on the line, the last one unfinished")
+    parser.add_argument(
+        "shell",
+        choices=[*SCRIPTS, "words"],
+        help="which shell; words: what may follow (for the scripts)",
+    )
+    parser.add_argument(
+        "typed", nargs="*", help="with words: what stands on the line, the last one unfinished"
+    )
     parser.set_defaults(run=run)
 
 
@@ -82,7 +94,9 @@ def candidates(typed: list[str]) -> list[str]:
     found: list[str] = []
     for number, action in enumerate(places):
         # One that takes several words stands for all that follow.
-        if number == len(given) or (number < len(given) and action.nargs in ("*", "+", argparse.REMAINDER)):
+        if number == len(given) or (
+            number < len(given) and action.nargs in ("*", "+", argparse.REMAINDER)
+        ):
             found += _values(action, given)
     return _fitting(found, prefix)
 
@@ -91,11 +105,20 @@ def _fitting(words: Iterable[str], prefix: str) -> list[str]:
     return [word for word in dict.fromkeys(words) if word.startswith(prefix)]
 
 
-def _descend(parser: argparse.ArgumentParser, done: list[str]) -> tuple[argparse.ArgumentParser, list[str]]:
+def _descend(
+    parser: argparse.ArgumentParser, done: list[str]
+) -> tuple[argparse.ArgumentParser, list[str]]:
     """Follow the sub-verbs that are typed already; give the innermost parser and what stands after its name."""
     rest = list(done)
     while True:
-        sub = next((action for action in parser._actions if isinstance(action, argparse._SubParsersAction)), None)
+        sub = next(
+            (
+                action
+                for action in parser._actions
+                if isinstance(action, argparse._SubParsersAction)
+            ),
+            None,
+        )
         below = parser.get_default("sub_verbs")
         place = next((i for i, word in enumerate(rest) if not word.startswith("-")), None)
         if place is None:
@@ -141,7 +164,11 @@ def _run() -> RunInfo:
 
 
 def _assignments(given: list[str]) -> list[str]:
-    return [f"{name}:=" for name in launch_file.read_arguments(launch_file.find(given[0]))[1]] if given else []
+    return (
+        [f"{name}:=" for name in launch_file.read_arguments(launch_file.find(given[0]))[1]]
+        if given
+        else []
+    )
 
 
 def _laws(_given: list[str]) -> list[str]:

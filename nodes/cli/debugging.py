@@ -16,7 +16,12 @@ class Debugging:
         self._say = say
         self._pids: dict[str, int] = {}
         nodes = {node: unusual(spec) for node, spec in launch.nodes.items()}
-        facts = {"file": launch.path, "arguments": launch.arguments, "run": unusual(launch.run), "nodes": nodes}
+        facts = {
+            "file": launch.path,
+            "arguments": launch.arguments,
+            "run": unusual(launch.run),
+            "nodes": nodes,
+        }
         for line in write_yaml(facts).splitlines():
             say(line)
 

@@ -1,6 +1,7 @@
 """Verbs made of sub-verbs, importing only the one asked for: a study that needs scipy does not slow the others.
 
-The sub-verb NAME of a verb is registered beside the verbs, as ``"VERB.NAME"``, and is a module of the same shape.
+The sub-verb NAME of a verb is registered beside the verbs, as ``"VERB.NAME"``, and is a module of
+the same shape.
 """
 
 import argparse
@@ -22,7 +23,9 @@ def dispatch(parser: argparse.ArgumentParser, verb: str, noun: str) -> None:
     names = "".join(f"  {name:{width}}  {first_line(full)}\n" for name, full in known.items())
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = f"{noun}:\n{names}\nhaptic {verb} {noun.upper()} --help tells more."
-    parser.add_argument("chosen", metavar=noun.upper(), choices=list(known), help="one of those below")
+    parser.add_argument(
+        "chosen", metavar=noun.upper(), choices=list(known), help="one of those below"
+    )
     parser.add_argument("rest", metavar="...", nargs=argparse.REMAINDER, help="its own arguments")
 
     def run(arguments: argparse.Namespace) -> int:
@@ -39,7 +42,9 @@ def dispatch(parser: argparse.ArgumentParser, verb: str, noun: str) -> None:
             return int(chosen.run(chosen))
         except KeyboardInterrupt as interrupt:
             sys.stderr.write(erased(sys.stderr))
-            complain(": ".join([f"{verb} {arguments.chosen} was interrupted", *map(str, interrupt.args)]))
+            complain(
+                ": ".join([f"{verb} {arguments.chosen} was interrupted", *map(str, interrupt.args)])
+            )
             raise
 
     parser.set_defaults(run=run, sub_verbs=known)
@@ -47,15 +52,20 @@ def dispatch(parser: argparse.ArgumentParser, verb: str, noun: str) -> None:
 
 def refuse_unwritable(path: Path, option: str = "--out") -> None:
     """Refuse a place that cannot be written to before the work is done, and name the option that chooses another."""
-    there = next(place for place in (path, *path.absolute().parents) if place.exists() or place.is_symlink())
+    there = next(
+        place for place in (path, *path.absolute().parents) if place.exists() or place.is_symlink()
+    )
     if there != path and not there.is_dir():
         raise UsageError(f"{path}: {there} is not a directory; choose another {option}")
     try:
         if there.is_dir():
-            # Asked by doing it: root may do what the mode forbids, and nobody may write to a read-only disk.
+            # Asked by doing it: root may do what the mode forbids, and nobody may write to a
+            # read-only disk.
             with tempfile.TemporaryFile(dir=there):
                 pass
         elif not os.access(there, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     except OSError as error:
-        raise UsageError(f"{path}: {there} cannot be written to: {error.strerror}; choose another {option}") from error
+        raise UsageError(
+            f"{path}: {there} cannot be written to: {error.strerror}; choose another {option}"
+        ) from error

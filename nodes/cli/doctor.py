@@ -29,8 +29,11 @@ DISTRIBUTION = ("/usr",)  # where the interpreters of distributions are installe
 WAKE_UPS = 250
 PERIOD = 0.002  # wake-ups that are measured, and their period [s]: half a second at 500 Hz
 LATE = 200e-6  # a wake-up later than this costs a tenth of a tick at 500 Hz [s]
-OPEN_FILES = 256  # descriptors that a node needs at most, encrypted connections to many listeners included
-RUN_NAME = 83  # what a run adds to the runtime directory's path: scenario of 16 characters, time, and a socket's name
+# descriptors that a node needs at most, encrypted connections to many listeners included
+OPEN_FILES = 256
+# what a run adds to the runtime directory's path: scenario of 16 characters, time, and a socket's
+# name
+RUN_NAME = 83
 
 
 class Diagnosis(NamedTuple):
@@ -56,7 +59,10 @@ def _read(path: str) -> str | None:
 
 
 def _limit(kind: int) -> str:
-    soft, hard = (("unlimited" if value == resource.RLIM_INFINITY else str(value)) for value in resource.getrlimit(kind))
+    soft, hard = (
+        ("unlimited" if value == resource.RLIM_INFINITY else str(value))
+        for value in resource.getrlimit(kind)
+    )
     return f"{soft} (hard limit {hard})"
 
 
@@ -68,23 +74,28 @@ def _fifo() -> Diagnosis:
         return Diagnosis(
             "limited",
             f"priority {FIFO} refused: {error.strerror} (rtprio limit {allowed})",
-            "put '@realtime - rtprio 90' into /etc/security/limits.d/realtime.conf, add yourself to the group realtime and "
-            "log in again; in a container: --cap-add SYS_NICE --ulimit rtprio=90. Until then another process may cost ticks",
+            "put '@realtime - rtprio 90' into /etc/security/limits.d/realtime.conf, add yourself to"
+            " the group realtime and log in again; in a container: --cap-add SYS_NICE --ulimit"
+            " rtprio=90. Until then another process may cost ticks",
         )
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     return Diagnosis("ok", f"priority {FIFO} granted (rtprio limit {allowed}; root needs none)")
 
 
 def _throttling() -> Diagnosis:
-    runtime, period = _read("/proc/sys/kernel/sched_rt_runtime_us"), _read("/proc/sys/kernel/sched_rt_period_us")
+    runtime, period = (
+        _read("/proc/sys/kernel/sched_rt_runtime_us"),
+        _read("/proc/sys/kernel/sched_rt_period_us"),
+    )
     if runtime is None or period is None:
         return Diagnosis("ok", "not readable here")
     if int(runtime) < 0:
         return Diagnosis("ok", "off")
     return Diagnosis(
         "ok",
-        f"FIFO may use {runtime} of every {period} µs: no hindrance to one loop with a fixed rate; several on one processor "
-        "may use that up, which shows as gaps of some 50 ms; lockstep, which never sleeps, runs without FIFO because of it",
+        f"FIFO may use {runtime} of every {period} µs: no hindrance to one loop with a fixed rate;"
+        " several on one processor may use that up, which shows as gaps of some 50 ms; lockstep,"
+        " which never sleeps, runs without FIFO because of it",
     )
 
 
@@ -94,13 +105,20 @@ def _processors() -> Diagnosis:
     text = f"{len(available)} of {os.cpu_count()} available: {', '.join(map(str, available))}"
     text += f"; isolated: {isolated}" if isolated else ""
     if len(available) < 2:
-        remedy = "give the loop a second one: with one, loggers and plots share it with the chain driver-environment-coupling"
+        remedy = (
+            "give the loop a second one: with one, loggers and plots share it with the chain"
+            " driver-environment-coupling"
+        )
         return Diagnosis("limited", text, remedy)
     try:
         os.sched_setaffinity(0, available[-1:])
         os.sched_setaffinity(0, available)
     except OSError as error:
-        return Diagnosis("limited", f"{text}; pinning refused: {error.strerror}", "allow sched_setaffinity in the container")
+        return Diagnosis(
+            "limited",
+            f"{text}; pinning refused: {error.strerror}",
+            "allow sched_setaffinity in the container",
+        )
     return Diagnosis("ok", f"{text}; the chain is pinned to {realtime.quietest_processor()}")
 
 
@@ -111,7 +129,10 @@ def _governor() -> Diagnosis:
         return Diagnosis("ok", "not readable here (a virtual machine, or fixed by the firmware)")
     if governor == "performance":
         return Diagnosis("ok", governor)
-    remedy = "sudo cpupower frequency-set -g performance: a core that clocks down between ticks answers late"
+    remedy = (
+        "sudo cpupower frequency-set -g performance: a core that clocks down between ticks answers"
+        " late"
+    )
     return Diagnosis("limited", f"{governor} on processor {core}", remedy)
 
 
@@ -119,12 +140,19 @@ def _sleep() -> Diagnosis:
     with realtime.awake() as refused:
         if not refused:
             return Diagnosis("ok", f"can be kept awake ({realtime.WAKE_LATENCY})")
-    remedy = f"write access to {realtime.WAKE_LATENCY} (a udev rule, or root): without, answers come some 10 µs later"
+    remedy = (
+        f"write access to {realtime.WAKE_LATENCY} (a udev rule, or root): without, answers come"
+        " some 10 µs later"
+    )
     return Diagnosis("limited", refused.partition(";")[0], remedy)
 
 
 def _preemption() -> Diagnosis:
-    models = [word for word in ("PREEMPT_RT", "PREEMPT_DYNAMIC", "PREEMPT") if word in platform.version().split()]
+    models = [
+        word
+        for word in ("PREEMPT_RT", "PREEMPT_DYNAMIC", "PREEMPT")
+        if word in platform.version().split()
+    ]
     models += ["PREEMPT_RT"] if _read("/sys/kernel/realtime") == "1" else []
     unknown = "preemption model not named in its version; the wake-ups below show what it is worth"
     return Diagnosis("ok", f"{platform.release()}, {models[0] if models else unknown}")
@@ -141,13 +169,19 @@ def _runtime() -> Diagnosis:
     try:
         path = runtime_dir()
     except (RunError, OSError) as error:
-        return Diagnosis("missing", str(error), "set HAPTIC_RUNTIME_DIR to a directory that you may write to")
+        return Diagnosis(
+            "missing", str(error), "set HAPTIC_RUNTIME_DIR to a directory that you may write to"
+        )
     longest = len(os.fsencode(path)) + RUN_NAME
     if longest > MAX_IPC_PATH:
         text = f"{path}: socket paths would reach {longest} bytes, limit {MAX_IPC_PATH}"
-        return Diagnosis("missing", text, "set HAPTIC_RUNTIME_DIR to a shorter path, e.g. below /tmp")
+        return Diagnosis(
+            "missing", text, "set HAPTIC_RUNTIME_DIR to a shorter path, e.g. below /tmp"
+        )
     if not os.access(path, os.W_OK | os.X_OK):
-        return Diagnosis("missing", f"{path}: not writable", "set HAPTIC_RUNTIME_DIR to one that is")
+        return Diagnosis(
+            "missing", f"{path}: not writable", "set HAPTIC_RUNTIME_DIR to one that is"
+        )
     return Diagnosis("ok", f"{path}, private")
 
 
@@ -165,16 +199,19 @@ def _zeromq() -> Diagnosis:
 
 def interpreter() -> Diagnosis:
     """Look at how this interpreter was built."""
-    optimised = "-fprofile-use" in (sysconfig.get_config_var("PY_CORE_CFLAGS") or "") or "--enable-optimizations" in (
-        sysconfig.get_config_var("CONFIG_ARGS") or ""
-    )
+    optimised = "-fprofile-use" in (
+        sysconfig.get_config_var("PY_CORE_CFLAGS") or ""
+    ) or "--enable-optimizations" in (sysconfig.get_config_var("CONFIG_ARGS") or "")
     text = f"{platform.python_implementation()} {platform.python_version()}"
     if optimised:
         return Diagnosis("ok", f"{text}, built with PGO")
     if sys.base_prefix in DISTRIBUTION:
-        # Distributions run the profiling build by hand, so that its flags are not in the configuration.
+        # Distributions run the profiling build by hand, so that its flags are not in the
+        # configuration.
         return Diagnosis("ok", f"{text}, the distribution's build")
-    remedy = "use a build with --enable-optimizations (distributions' and uv's are): nodes answer faster"
+    remedy = (
+        "use a build with --enable-optimizations (distributions' and uv's are): nodes answer faster"
+    )
     return Diagnosis("limited", f"{text}, built without PGO", remedy)
 
 
@@ -238,8 +275,8 @@ def _compiled_tick() -> Diagnosis:
         return Diagnosis(
             "limited",
             f"cannot be compiled here: {'; '.join(failed)}; auto takes the plain tick",
-            "mend what it names (python -m nodes.compiled.build MODULE says more); haptic launch floor_drop --tick compiled "
-            "compiles it again",
+            "mend what it names (python -m nodes.compiled.build MODULE says more); haptic launch"
+            " floor_drop --tick compiled compiles it again",
         )
     if not missing:
         return Diagnosis("ok", f"built for this version and processor, auto takes it: {folder()}")
@@ -247,7 +284,8 @@ def _compiled_tick() -> Diagnosis:
     return Diagnosis(
         "limited",
         f"not built for this version: {', '.join(missing)}; auto takes the plain tick",
-        f"haptic launch floor_drop --tick compiled: compiles it once, about {seconds:.0f} s here; auto takes it from then on",
+        f"haptic launch floor_drop --tick compiled: compiles it once, about {seconds:.0f} s here;"
+        " auto takes it from then on",
     )
 
 
@@ -259,10 +297,15 @@ def _punctuality(measured: dict[str, dict[str, float]]) -> Diagnosis:
     )
     if best["p99"] <= LATE * 1e6:
         return Diagnosis("ok", text)
-    return Diagnosis("limited", text, "stop what else runs on this machine, and see SCHED_FIFO, CPU governor and kernel above")
+    return Diagnosis(
+        "limited",
+        text,
+        "stop what else runs on this machine, and see SCHED_FIFO, CPU governor and kernel above",
+    )
 
 
-CHECKS: dict[str, Callable[[], Diagnosis]] = {  # what is looked at, in this order, before wake-ups are measured
+# what is looked at, in this order, before wake-ups are measured
+CHECKS: dict[str, Callable[[], Diagnosis]] = {
     "Python": interpreter,
     "ZeroMQ": _zeromq,
     "other packages": _packages,
@@ -275,13 +318,16 @@ CHECKS: dict[str, Callable[[], Diagnosis]] = {  # what is looked at, in this ord
     "CPU governor": _governor,
     "idle processors": _sleep,
     "kernel": _preemption,
-    "locked memory": lambda: Diagnosis("ok", f"{_limit(resource.RLIMIT_MEMLOCK)} bytes; nodes lock none"),
+    "locked memory": lambda: Diagnosis(
+        "ok", f"{_limit(resource.RLIMIT_MEMLOCK)} bytes; nodes lock none"
+    ),
 }
 
 
 def _findings(measured: dict[str, dict[str, float]]) -> dict[str, Diagnosis]:
     findings = {name: check() for name, check in CHECKS.items()}
-    cpus = [realtime.quietest_processor()]  # as a node of the chain would run: pinned, and with FIFO where it is granted
+    # as a node of the chain would run: pinned, and with FIFO where it is granted
+    cpus = [realtime.quietest_processor()]
     realtime.apply(Scheduling(cpus=cpus))
     measured["normal"] = wake_ups()
     findings["timer slack"] = _slack()
@@ -309,5 +355,7 @@ def run(arguments: argparse.Namespace) -> int:
     verdict = "nothing essential is missing" if fine else "a loop cannot run here"
     lines.append(f"{verdict}{f'; {limited} settings could be better' if limited else ''}")
     checks = [{"name": name, **finding._asdict()} for name, finding in findings.items()]
-    answer(arguments.json, {"fine": fine, "checks": checks, "wake_up_us": measured}, "\n".join(lines))
+    answer(
+        arguments.json, {"fine": fine, "checks": checks, "wake_up_us": measured}, "\n".join(lines)
+    )
     return 0 if fine else 1

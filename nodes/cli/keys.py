@@ -12,7 +12,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
     sub = parser.add_subparsers(dest="chosen", metavar="new|allow|revoke|list", required=True)
 
-    def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+    def declare(
+        name: str, run: Callable[[argparse.Namespace], int], text: str
+    ) -> argparse.ArgumentParser:
         own = sub.add_parser(name, help=text, description=text)
         add_json(own)
         own.set_defaults(run=lambda arguments: _told(run, arguments))
@@ -21,13 +23,18 @@ def add(parser: argparse.ArgumentParser) -> None:
     new = declare("new", _new, "Make this machine's key pair and print the public key.")
     new.add_argument("--replace", action="store_true", help="replace the pair that is there")
     allow = declare(
-        "allow", _allow, "Let another machine in: its public key, under a name (its address, as launch files say host)."
+        "allow",
+        _allow,
+        "Let another machine in: its public key, under a name (its address, as launch files say"
+        " host).",
     )
     allow.add_argument("name")
     allow.add_argument("key", help="64 hexadecimal digits, as its haptic keys list prints them")
     allow.add_argument("--replace", action="store_true", help="replace another key under that name")
     revoke = declare(
-        "revoke", _revoke, "Let a machine in no more: its open connections to whatever runs here end within a second."
+        "revoke",
+        _revoke,
+        "Let a machine in no more: its open connections to whatever runs here end within a second.",
     )
     revoke.add_argument("name")
     declare("list", _list, "Print this machine's public key and the machines that are let in.")
@@ -43,7 +50,9 @@ def _told(run: Callable[[argparse.Namespace], int], arguments: argparse.Namespac
 def _new(arguments: argparse.Namespace) -> int:
     made = keys.new_identity(arguments.replace)
     text = f"{made.public}\n(on the other machines: haptic keys allow NAME {made.public})"
-    return answer(arguments.json, {"public_key": made.public, "directory": str(keys.key_dir())}, text)
+    return answer(
+        arguments.json, {"public_key": made.public, "directory": str(keys.key_dir())}, text
+    )
 
 
 def _allow(arguments: argparse.Namespace) -> int:
@@ -54,7 +63,10 @@ def _allow(arguments: argparse.Namespace) -> int:
 
 def _revoke(arguments: argparse.Namespace) -> int:
     path = keys.revoke(arguments.name)
-    text = f"{arguments.name} is no longer allowed ({path} removed); what runs here ends its connections within a second"
+    text = (
+        f"{arguments.name} is no longer allowed ({path} removed); what runs here ends its"
+        " connections within a second"
+    )
     return answer(arguments.json, {"name": arguments.name, "file": str(path)}, text)
 
 
@@ -65,4 +77,8 @@ def _list(arguments: argparse.Namespace) -> int:
         mine, own = "", str(error)
     there = keys.allowed()
     lines = [f"this machine  {own}", *(f"{name:12}  {key}" for name, key in there.items())]
-    return answer(arguments.json, {"public_key": mine, "allowed": there, "directory": str(keys.key_dir())}, "\n".join(lines))
+    return answer(
+        arguments.json,
+        {"public_key": mine, "allowed": there, "directory": str(keys.key_dir())},
+        "\n".join(lines),
+    )

@@ -38,31 +38,59 @@ from nodes.recording.writer import Ended, write_ended
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("scenario", nargs="?", help="name of a launch file, or the path of one")
-    parser.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
+    parser.add_argument(
+        "assignments", nargs="*", metavar="name:=value", help="arguments of the launch file"
+    )
     parser.add_argument("--list", action="store_true", help="list the scenarios")
-    parser.add_argument("--show-args", "-s", action="store_true", help="show the arguments of a scenario")
-    parser.add_argument("--without", action="append", default=[], metavar="NODE", help="leave a node out, e.g. logger")
+    parser.add_argument(
+        "--show-args", "-s", action="store_true", help="show the arguments of a scenario"
+    )
+    parser.add_argument(
+        "--without",
+        action="append",
+        default=[],
+        metavar="NODE",
+        help="leave a node out, e.g. logger",
+    )
     parser.add_argument(
         "--params",
         action="append",
         default=[],
         type=Path,
         metavar="FILE",
-        help="lay parameters over those of the nodes, as haptic param dump and haptic study design write them",
+        help=(
+            "lay parameters over those of the nodes, as haptic param dump and haptic study design"
+            " write them"
+        ),
     )
     parser.add_argument(
         "--tick",
         choices=("auto", "compiled", "plain"),
-        help="how the loop's nodes take their ticks: compiled, or by the interpreter; tick:= does the same",
+        help=(
+            "how the loop's nodes take their ticks: compiled, or by the interpreter; tick:= does"
+            " the same"
+        ),
     )
     parser.add_argument(
-        "--out-dir", type=Path, metavar="DIR", help="directory of recordings and plot (default: as the launch file says)"
+        "--out-dir",
+        type=Path,
+        metavar="DIR",
+        help="directory of recordings and plot (default: as the launch file says)",
     )
     parser.add_argument(
-        "--debug", "-d", action="store_true", help="print what is launched, argument by argument, and each process"
+        "--debug",
+        "-d",
+        action="store_true",
+        help="print what is launched, argument by argument, and each process",
     )
-    parser.add_argument("--no-plot", action="store_true", help="do not draw the recording at the end")
-    parser.add_argument("--view", action="store_true", help="serve a page to see and touch it; its URL is printed first")
+    parser.add_argument(
+        "--no-plot", action="store_true", help="do not draw the recording at the end"
+    )
+    parser.add_argument(
+        "--view",
+        action="store_true",
+        help="serve a page to see and touch it; its URL is printed first",
+    )
     add_json(parser)
     parser.set_defaults(run=run)
 
@@ -71,7 +99,10 @@ def _list() -> dict[str, Any]:
     found = {}
     for name, path in launch_file.scenarios().items():
         summary, arguments = launch_file.read_arguments(path)
-        found[name] = {"summary": summary, "arguments": {key: value.default for key, value in arguments.items()}}
+        found[name] = {
+            "summary": summary,
+            "arguments": {key: value.default for key, value in arguments.items()},
+        }
     return {"scenarios": found}
 
 
@@ -96,7 +127,9 @@ def _recordings(launch: Launch, supervisor: Supervisor) -> list[tuple[str, str]]
     found = []
     for name, child in supervisor.children.items():
         # A logger that was killed leaves no report, but a file.
-        path = supervisor.reports.get(name, {}).get("recording") or _path_of(child.setup, supervisor.run)
+        path = supervisor.reports.get(name, {}).get("recording") or _path_of(
+            child.setup, supervisor.run
+        )
         if path:
             host = launch.nodes[name].host
             place = f"[{host}]:" if ":" in host else f"{host}:"
@@ -122,8 +155,13 @@ def _note_cut(supervisor: Supervisor, ticks: int) -> None:
 
 def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
     """Collect the figures of a run from the reports of its nodes."""
-    drivers = {name.rpartition("/")[0]: name for name, child in supervisor.children.items() if child.drives}
-    chains = {chain: _of_chain(launch, chain, supervisor.reports.get(name, {})) for chain, name in drivers.items()}
+    drivers = {
+        name.rpartition("/")[0]: name for name, child in supervisor.children.items() if child.drives
+    }
+    chains = {
+        chain: _of_chain(launch, chain, supervisor.reports.get(name, {}))
+        for chain, name in drivers.items()
+    }
     recordings = [place + path for place, path in _recordings(launch, supervisor)]
     return {
         "scenario": launch.scenario,
@@ -131,9 +169,19 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
         # Of several chains the first, and all below.
         **next(iter(chains.values()), _of_chain(launch, "", {})),
         "tick": supervisor.tick,
-        "tick_by_node": {name: tick for name, report in supervisor.reports.items() if (tick := report.get("tick"))},
-        "ticks_compiled": {name: report.get("ticks_compiled", 0) for name, report in supervisor.reports.items()},
-        "spent_us": {name: spent for name, report in supervisor.reports.items() if (spent := report.get("spent_us"))},
+        "tick_by_node": {
+            name: tick
+            for name, report in supervisor.reports.items()
+            if (tick := report.get("tick"))
+        },
+        "ticks_compiled": {
+            name: report.get("ticks_compiled", 0) for name, report in supervisor.reports.items()
+        },
+        "spent_us": {
+            name: spent
+            for name, report in supervisor.reports.items()
+            if (spent := report.get("spent_us"))
+        },
         "recording": recordings[0] if recordings else None,
         "recordings": recordings,
         "plot": None,
@@ -152,22 +200,44 @@ def _of_chain(launch: Launch, chain: str, driver: dict[str, Any]) -> dict[str, A
     axes = launch.axes.get(chain) or launch.run.axes
     axis, single = "xyz".index(axes[0]), len(axes) == 1
     final = driver.get("final", {})
-    nothing = {"ticks": 0, "missed": 0, "overruns": 0, "rate_hz": 0.0, "response_us": {}, "age_ticks_max": 0}
+    nothing = {
+        "ticks": 0,
+        "missed": 0,
+        "overruns": 0,
+        "rate_hz": 0.0,
+        "response_us": {},
+        "age_ticks_max": 0,
+    }
     nothing |= {"energy_j": 0.0, "energy_max_j": 0.0, "guard": None, "safety": {}}
     return {key: driver.get(key, none) for key, none in nothing.items()} | {
         "final": {
             key: (final[key][axis] if single else final[key]) if key in final else None
-            for key in ("position_m", "force_n", "motion", "swing_m", "frequency_hz", "velocity_m_per_s")
+            for key in (
+                "position_m",
+                "force_n",
+                "motion",
+                "swing_m",
+                "frequency_hz",
+                "velocity_m_per_s",
+            )
         }
     }
 
 
 def _safety_text(safety: dict[str, Any]) -> list[str]:
     """Lines about what the driver's safety did; none for a run in which it had nothing to do."""
-    counts = [f"{number} refused ({why})" for why, number in safety.get("refused", {}).items() if number]
-    counts += [f"{number} lowered ({which})" for which, number in safety.get("limited", {}).items() if number]
+    counts = [
+        f"{number} refused ({why})" for why, number in safety.get("refused", {}).items() if number
+    ]
+    counts += [
+        f"{number} lowered ({which})"
+        for which, number in safety.get("limited", {}).items()
+        if number
+    ]
     first = ("waiting", "active")  # the first force is no news
-    changes = [one["reason"] for one in safety.get("changes", []) if (one["before"], one["after"]) != first]
+    changes = [
+        one["reason"] for one in safety.get("changes", []) if (one["before"], one["after"]) != first
+    ]
     lines = [f"  safety    forces {', '.join(counts)}"] if counts else []
     lines += [f"  safety    {text}" for text in (*safety.get("told", []), *changes)]
     return lines
@@ -175,22 +245,35 @@ def _safety_text(safety: dict[str, Any]) -> list[str]:
 
 def _ending(final: dict[str, Any], stopped: bool) -> str:
     """Say how the motion ended: a mass that buzzes or falls is not at rest."""
-    motion, where = final["motion"], f"position {final['position_m'] * 1e3:+.4f} mm, force {final['force_n']:+.4f} N"
+    motion, where = (
+        final["motion"],
+        f"position {final['position_m'] * 1e3:+.4f} mm, force {final['force_n']:+.4f} N",
+    )
     swing, speed = f"{final['swing_m'] * 1e3:.3g} mm", f"{final['velocity_m_per_s']:+.3g} m/s"
     if motion == "swinging":
         return f"  swinging  {where}, {swing} to and fro at {final['frequency_hz']:.3g} Hz"
     if motion == "falling":
-        return f"  falling   {where}, {speed}: {'the driver has stopped' if stopped else 'it touches nothing'}"
+        return (
+            f"  falling   {where}, {speed}:"
+            f" {'the driver has stopped' if stopped else 'it touches nothing'}"
+        )
     return f"  at rest   {where}" if motion == "at rest" else f"  moving    {where}, {speed}"
 
 
 def _text(launch: Launch, figures: dict[str, Any], overload: str = "") -> str:
     lines = [f"{launch.scenario}: {figures['exit_reason']} after {figures['ticks']} ticks"]
-    lines += [f"  failed    {failure}" for failure in figures["failures"] if failure != figures["exit_reason"]]
+    lines += [
+        f"  failed    {failure}"
+        for failure in figures["failures"]
+        if failure != figures["exit_reason"]
+    ]
     by_node = figures["tick_by_node"]
     if by_node:
         ticks = sorted(set(by_node.values()))
-        shown = [f"{tick}: {', '.join(name for name in by_node if by_node[name] == tick)}" for tick in ticks]
+        shown = [
+            f"{tick}: {', '.join(name for name in by_node if by_node[name] == tick)}"
+            for tick in ticks
+        ]
         lines.append(f"  tick      {'; '.join(shown) if len(ticks) > 1 else ticks[0]}")
     if overload:
         lines.append(f"  overload  {overload}")
@@ -207,15 +290,19 @@ def _chain_text(figures: dict[str, Any]) -> list[str]:
     response, lines = figures["response_us"], list[str]()
     if response and figures["ticks"]:
         lines = [
-            f"  rate      {figures['rate_hz']:.2f} Hz, missed {figures['missed']}, overruns {figures['overruns']}, "
-            f"oldest force {figures['age_ticks_max']} ticks",
-            f"  response  p50 {response['p50']:.0f} µs, p99 {response['p99']:.0f} µs, "
-            f"p99.9 {response['p999']:.0f} µs, max {response['max']:.0f} µs",
+            (
+                f"  rate      {figures['rate_hz']:.2f} Hz, missed {figures['missed']}, overruns"
+                f" {figures['overruns']}, oldest force {figures['age_ticks_max']} ticks"
+            ),
+            (
+                f"  response  p50 {response['p50']:.0f} µs, p99 {response['p99']:.0f} µs, "
+                f"p99.9 {response['p999']:.0f} µs, max {response['max']:.0f} µs"
+            ),
         ]
     if guard := figures["guard"]:
         lines.append(
-            f"  guard     lowered {guard['lowered']} and raised {guard['raised']} forces; given out beyond what was in store: "
-            f"at most {guard['highest_j'] * 1e3:.4g} mJ"
+            f"  guard     lowered {guard['lowered']} and raised {guard['raised']} forces; given out"
+            f" beyond what was in store: at most {guard['highest_j'] * 1e3:.4g} mJ"
         )
     lines += _safety_text(figures["safety"])
     final = figures["final"]
@@ -239,20 +326,27 @@ def run(arguments: argparse.Namespace) -> int:
         given = launch_file.parse_assignments(arguments.assignments)
         if arguments.tick is not None:
             given["tick"] = arguments.tick
-        launch = launch_file.without(launch_file.read(arguments.scenario, given, arguments.params), arguments.without)
+        launch = launch_file.without(
+            launch_file.read(arguments.scenario, given, arguments.params), arguments.without
+        )
         if arguments.out_dir:
             launch = _into(launch, arguments.out_dir)
         _check_places(launch)
         return _launch(with_view(launch) if arguments.view else launch, arguments)
     except ParameterError as error:
-        raise UsageError(launch.origins.located(str(error)) if launch is not None else str(error)) from error
+        raise UsageError(
+            launch.origins.located(str(error)) if launch is not None else str(error)
+        ) from error
 
 
 def _places(launch: Launch) -> Iterator[tuple[str, Path]]:
     """Name the loggers of this machine, and where each records to."""
     for name, spec in launch.nodes.items():
         if spec.kind == "logger" and not spec.host:
-            yield name, Path(file_of(spec.parameters.get("path", LoggerParameters().path), "{run}", name))
+            yield (
+                name,
+                Path(file_of(spec.parameters.get("path", LoggerParameters().path), "{run}", name)),
+            )
 
 
 def _check_places(launch: Launch) -> None:
@@ -262,8 +356,8 @@ def _check_places(launch: Launch) -> None:
         refuse_unwritable(path, "--out-dir")
         if (other := taken.setdefault(path.absolute(), name)) != name:
             raise UsageError(
-                f"{launch.scenario}: {other} and {name} both record to {path}; give one of them another "
-                f"nodes.{name}.parameters.path"
+                f"{launch.scenario}: {other} and {name} both record to {path}; give one of them"
+                f" another nodes.{name}.parameters.path"
             )
 
 
@@ -300,7 +394,8 @@ def _print(text: str) -> None:
 
 
 def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
-    # A reader of the launcher's output may pause; the launcher must look after its nodes, and heed Ctrl-C, all the same.
+    # A reader of the launcher's output may pause; the launcher must look after its nodes, and heed
+    # Ctrl-C, all the same.
     instead_of_stderr()
     status = StatusLine(launch)
 
@@ -320,7 +415,9 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
     supervisor = Supervisor(launch, say)
 
     def on_signal(number: int) -> None:
-        supervisor.interrupt(ended_why(str(place_of(supervisor.run))) or signal.Signals(number).name)
+        supervisor.interrupt(
+            ended_why(str(place_of(supervisor.run))) or signal.Signals(number).name
+        )
 
     with heeding(on_signal):
         try:
@@ -334,9 +431,15 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
     _note_cut(supervisor, figures["ticks"])
     if not arguments.json:
         # First what happened: drawing takes a second.
-        _print(printable(_text(launch, figures, "" if supervisor.load is None else supervisor.load.text)))
+        _print(
+            printable(
+                _text(launch, figures, "" if supervisor.load is None else supervisor.load.text)
+            )
+        )
     if launch.run.tick == "auto" and supervisor.tick == "plain" and figures["ticks"]:
-        processors = {cpu for child in supervisor.children.values() for cpu in child.setup.scheduling.cpus}
+        processors = {
+            cpu for child in supervisor.children.values() for cpu in child.setup.scheduling.cpus
+        }
         with realtime.off(processors):
             compile_later(kernel_modules(launch), say)
     # One on another machine is drawn there: haptic bag plot.
@@ -356,6 +459,7 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
         return 1
     if supervisor.load is not None and supervisor.load.cause == "chains":
         return OVERLOADED
-    # launch/README.md says which end is early; one without an end of its own, a service for one, ends well by a signal.
+    # launch/README.md says which end is early; one without an end of its own, a service for one,
+    # ends well by a signal.
     early = {STOPPED: 130, "SIGINT": 130, "SIGTERM": 143, "SIGHUP": 129}
     return early.get(supervisor.exit_reason, 0) if launch.run.ticks else 0

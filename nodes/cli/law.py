@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from nodes.stability.plant import Plant
 
 OF_LAW = ("stiffness", "gain", "order", "taps", "gains", "derivative")
-OF_LOOP = ("rate", "mass", "heaviest", "damping", "delay", "hand", "launch")  # describe a law and a loop that need not run
+# describe a law and a loop that need not run
+OF_LOOP = ("rate", "mass", "heaviest", "damping", "delay", "hand", "launch")
 DEFAULTS = {
     "rate": 500.0,
     "mass": 0.1,
@@ -38,7 +39,17 @@ ROWS = (
     ("pole_radius", "pole radius (stable below 1)", ""),
 )
 
-_NO_PARAMETERS = ("run", "law", "kind", "rate_hz", "plant", "taps_n_per_m", "sections", "passive_scale", "landing_proof")
+_NO_PARAMETERS = (
+    "run",
+    "law",
+    "kind",
+    "rate_hz",
+    "plant",
+    "taps_n_per_m",
+    "sections",
+    "passive_scale",
+    "landing_proof",
+)
 
 
 LEAK = 0.05  # difference of H(1) and K, as a part of the larger, that is warned of
@@ -48,29 +59,56 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
     sub = parser.add_subparsers(dest="chosen", metavar="list|show|switch", required=True)
 
-    def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+    def declare(
+        name: str, run: Callable[[argparse.Namespace], int], text: str
+    ) -> argparse.ArgumentParser:
         own = sub_verb(sub, name, run, text)
-        own.add_argument("--node", default="coupling", help="the coupling that is meant (default: %(default)s)")
+        own.add_argument(
+            "--node", default="coupling", help="the coupling that is meant (default: %(default)s)"
+        )
         return own
 
-    declare("list", _list, "List the laws that a running coupling can switch to; the active one is marked.")
-    switch = declare("switch", _switch, "Switch the law between two ticks; tells what both really render.")
+    declare(
+        "list",
+        _list,
+        "List the laws that a running coupling can switch to; the active one is marked.",
+    )
+    switch = declare(
+        "switch", _switch, "Switch the law between two ticks; tells what both really render."
+    )
     switch.add_argument("law")
-    switch.add_argument("--ramp", type=whole(0, 100_000), metavar="TICKS", help="cross-fade (default: the coupling's own)")
+    switch.add_argument(
+        "--ramp",
+        type=whole(0, 100_000),
+        metavar="TICKS",
+        help="cross-fade (default: the coupling's own)",
+    )
     switch.add_argument("--force", action="store_true", help=FORCE)
     show = declare(
         "show",
         _show,
-        "Show what a law really renders: in the running loop, in a launch file (--launch), or in a loop that you describe.",
+        "Show what a law really renders: in the running loop, in a launch file (--launch), or in a"
+        " loop that you describe.",
     )
     show.add_argument(
-        "law", nargs="?", help="name of a law, kind or preset, or a mapping {kind: ...}; the active one if left out"
+        "law",
+        nargs="?",
+        help="name of a law, kind or preset, or a mapping {kind: ...}; the active one if left out",
     )
-    show.add_argument("assignments", nargs="*", metavar="name:=value", help="parameters of the law, or of the launch file")
+    show.add_argument(
+        "assignments",
+        nargs="*",
+        metavar="name:=value",
+        help="parameters of the law, or of the launch file",
+    )
     show.add_argument("--launch", metavar="SCENARIO", help="law, rate and device of a launch file")
     declare_quantities(show, rate=None, mass=None, damping=None, delay=None, hand=None, gain=None)
     declare_law(show)
-    show.add_argument("--heaviest", type=positive, help="greatest mass of the device, where --mass is the least [kg]")
+    show.add_argument(
+        "--heaviest",
+        type=positive,
+        help="greatest mass of the device, where --mass is the least [kg]",
+    )
 
 
 def _list(arguments: argparse.Namespace) -> int:
@@ -80,7 +118,9 @@ def _list(arguments: argparse.Namespace) -> int:
     lines = []
     for name, law in found["laws"].items():
         values = ", ".join(f"{key} {_short(value)}" for key, value in law.items() if key != "kind")
-        lines.append(f"{'*' if name == found['active'] else ' '} {name:{width}}  {law['kind']}: {values}")
+        lines.append(
+            f"{'*' if name == found['active'] else ' '} {name:{width}}  {law['kind']}: {values}"
+        )
     if found["active"] not in found["laws"]:
         lines.append(f"* {found['active']}: a law failed; haptic law switch takes another")
     return answer(arguments.json, {"run": run.run, **found}, "\n".join(lines))
@@ -90,7 +130,13 @@ def _short(value: Any) -> str:
     if isinstance(value, list) and len(value) > 4:
         return f"[{len(value)} values]"
     if isinstance(value, list) and value and isinstance(value[0], dict):
-        return "[" + "; ".join(", ".join(f"{key} {inner}" for key, inner in term.items()) for term in value) + "]"
+        return (
+            "["
+            + "; ".join(
+                ", ".join(f"{key} {inner}" for key, inner in term.items()) for term in value
+            )
+            + "]"
+        )
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
@@ -103,7 +149,9 @@ def _table(columns: dict[str, dict[str, Any]]) -> list[str]:
     for key, label, unit in ROWS:
         values = [figures.get(key) for figures in columns.values()]
         if any(value is not None for value in values):
-            shown = "  ".join(f"{'—' if value is None else format(value, '.6g'):>14}" for value in values)
+            shown = "  ".join(
+                f"{'—' if value is None else format(value, '.6g'):>14}" for value in values
+            )
             lines.append(f"  {label:{wide}}  {shown} {unit}".rstrip())
     return lines
 
@@ -114,13 +162,16 @@ def _switch(arguments: argparse.Namespace) -> int:
     receipt = ask(run, node, "law.switch", law=arguments.law, **values, **forced(arguments))
     lines = [receipt_text(node, receipt)]
     if "was" in receipt:
-        lines += _table({f"was {receipt['from']}": receipt["was"], f"is {receipt['to']}": receipt["is"]})
+        lines += _table(
+            {f"was {receipt['from']}": receipt["was"], f"is {receipt['to']}": receipt["is"]}
+        )
     return answer(arguments.json, {"run": run.run, "node": node, **receipt}, "\n".join(lines))
 
 
 def _show(arguments: argparse.Namespace) -> int:
     if ":=" in (arguments.law or ""):
-        # ``law show --launch floor_drop stiffness:=900``: no law named, the first word is an assignment.
+        # ``law show --launch floor_drop stiffness:=900``: no law named, the first word is an
+        # assignment.
         arguments.assignments.insert(0, arguments.law)
         arguments.law = None
     if arguments.launch is not None:
@@ -134,12 +185,15 @@ def _show(arguments: argparse.Namespace) -> int:
     worlds = world_figures(figures)
     skipped = {*_NO_PARAMETERS, "masses_kg", "worst_mass_kg", *(key for key, _, _ in ROWS)}
     parameters = ", ".join(
-        f"{key} {_short(value)}" for key, value in figures.items() if key not in skipped and not key.startswith("f_")
+        f"{key} {_short(value)}"
+        for key, value in figures.items()
+        if key not in skipped and not key.startswith("f_")
     )
     taps = figures["taps_n_per_m"]
     lines = [
         f"{figures['law']}: {figures.get('kind', '')} {parameters}".rstrip(),
-        f"  taps {', '.join(f'{tap:.6g}' for tap in taps[:8])}{f', … ({len(taps)})' if len(taps) > 8 else ''} N/m"
+        "  taps"
+        f" {', '.join(f'{tap:.6g}' for tap in taps[:8])}{f', … ({len(taps)})' if len(taps) > 8 else ''} N/m"
         + (f", {figures['sections']} recursive sections" if figures["sections"] else ""),
         *_table({"": figures}),
         *world_lines(worlds, max(len(label) for _, label, _ in ROWS)),
@@ -152,9 +206,15 @@ def _show(arguments: argparse.Namespace) -> int:
     if "landing_proof" in figures:
         lines.append(f"  {figures['landing_proof']['text']}")
     if figures["h_nyquist_n_per_m"] is None:
-        lines.append("  its own code is left out of H(1), which is that of its taps; the other figures need taps alone")
+        lines.append(
+            "  its own code is left out of H(1), which is that of its taps; the other figures need"
+            " taps alone"
+        )
     if arguments.damping is not None and arguments.gain is None and "damping" in figures:
-        lines.append(f"  --damping {arguments.damping:g} is the device's; the law's own is --gain, {figures['damping']:g} here")
+        lines.append(
+            f"  --damping {arguments.damping:g} is the device's; the law's own is --gain,"
+            f" {figures['damping']:g} here"
+        )
     return answer(arguments.json, figures | worlds, "\n".join(lines))
 
 
@@ -165,18 +225,29 @@ def _leak(figures: dict[str, Any]) -> list[str]:
         return []
     if abs(felt - nominal) <= LEAK * max(abs(nominal), abs(felt)):
         return []
-    return [f"  warning: H(1) is {felt:.6g} N/m and K {nominal:.6g} N/m: a short memory leaks: take more taps, or sections"]
+    return [
+        f"  warning: H(1) is {felt:.6g} N/m and K {nominal:.6g} N/m: a short memory leaks: take"
+        " more taps, or sections"
+    ]
 
 
 def _landing(law: CompiledLaw, plants: list[Plant], contact: str | None = None) -> dict[str, Any]:
     """Whether every drop settles on a wall of the law, proven on each device; `contact`: the convention of a launch."""
     from nodes.stability.landing_proof import prove_landing
 
-    worst = min((prove_landing(law, plant) for plant in plants), key=lambda one: (one.proven, one.margin))
+    worst = min(
+        (prove_landing(law, plant) for plant in plants), key=lambda one: (one.proven, one.margin)
+    )
     text = worst.text()
     if contact is not None and contact != worst.convention:
         text += f"; this launch has {contact}, which no proof covers"
-    return {"proven": worst.proven, "convention": worst.convention, "contact": contact, "why": worst.why, "text": text}
+    return {
+        "proven": worst.proven,
+        "convention": worst.convention,
+        "contact": contact,
+        "why": worst.why,
+        "text": text,
+    }
 
 
 def _describes(arguments: argparse.Namespace) -> bool:
@@ -195,14 +266,26 @@ def _described(arguments: argparse.Namespace) -> dict[str, Any]:
     from nodes.laws.parse import compile_law, law_to_dict, parse_law
     from nodes.parameters.yaml_io import parse_yaml
 
-    data = parse_yaml(arguments.law, "law") if arguments.law.lstrip().startswith("{") else {"kind": arguments.law}
+    data = (
+        parse_yaml(arguments.law, "law")
+        if arguments.law.lstrip().startswith("{")
+        else {"kind": arguments.law}
+    )
     for option in OF_LAW:
         if (value := getattr(arguments, option)) is not None:
             data["damping" if option == "gain" else option] = value
     law = parse_law({**data, **parse_assignments(arguments.assignments)})
-    loop = {name: value if (value := getattr(arguments, name)) is not None else usual for name, usual in DEFAULTS.items()}
+    loop = {
+        name: value if (value := getattr(arguments, name)) is not None else usual
+        for name, usual in DEFAULTS.items()
+    }
     period = 1.0 / loop["rate"]
-    plant = PlantParameters(mass=loop["mass"], damping=loop["damping"], stiffness=loop["hand"], heaviest=arguments.heaviest)
+    plant = PlantParameters(
+        mass=loop["mass"],
+        damping=loop["damping"],
+        stiffness=loop["hand"],
+        heaviest=arguments.heaviest,
+    )
     compiled = compile_law(law, period)
     figures = worst_figures(compiled, plant, period, loop["delay"])
     figures["landing_proof"] = _landing(compiled, plant.over_workspace(period, loop["delay"]))
@@ -219,22 +302,48 @@ def _of_launch(arguments: argparse.Namespace) -> dict[str, Any]:
     from nodes.launcher import launch_file
     from nodes.parameters.store import convert
 
-    launch = launch_file.read(arguments.launch, launch_file.parse_assignments(arguments.assignments))
+    launch = launch_file.read(
+        arguments.launch, launch_file.parse_assignments(arguments.assignments)
+    )
     if arguments.node not in launch.nodes:
-        raise UsageError(f"{launch.scenario}: no node is named {arguments.node!r}; there is: {', '.join(launch.nodes)}")
-    parameters: CouplingParameters = convert(launch.nodes[arguments.node].parameters, CouplingParameters, arguments.node)
-    options = {"mass": "mass", "heaviest": "heaviest", "damping": "damping", "delay": "delay", "hand": "stiffness"}
-    given = {name: value for option, name in options.items() if (value := getattr(arguments, option)) is not None}
+        raise UsageError(
+            f"{launch.scenario}: no node is named {arguments.node!r}; there is:"
+            f" {', '.join(launch.nodes)}"
+        )
+    parameters: CouplingParameters = convert(
+        launch.nodes[arguments.node].parameters, CouplingParameters, arguments.node
+    )
+    options = {
+        "mass": "mass",
+        "heaviest": "heaviest",
+        "damping": "damping",
+        "delay": "delay",
+        "hand": "stiffness",
+    }
+    given = {
+        name: value
+        for option, name in options.items()
+        if (value := getattr(arguments, option)) is not None
+    }
     if given:
-        plant = msgspec.to_builtins(parameters.plant) if parameters.plant is not None else {"mass": DEFAULTS["mass"]}
-        parameters = msgspec.structs.replace(parameters, plant=convert({**plant, **given}, PlantParameters, "plant"))
+        plant = (
+            msgspec.to_builtins(parameters.plant)
+            if parameters.plant is not None
+            else {"mass": DEFAULTS["mass"]}
+        )
+        parameters = msgspec.structs.replace(
+            parameters, plant=convert({**plant, **given}, PlantParameters, "plant")
+        )
     period = 1.0 / arguments.rate if arguments.rate is not None else launch.run.period
     book = LawBook(arguments.node, period)
     name = arguments.law or parameters.law
     delay = 1.0 if launch.run.apply == "next_tick" else 0.0
     proof = {}
     if parameters.plant is not None:
-        contact = f"{parameters.history} history, force {'clamped' if parameters.clamp else 'not clamped'}"
+        contact = (
+            f"{parameters.history} history, force"
+            f" {'clamped' if parameters.clamp else 'not clamped'}"
+        )
         plants = parameters.plant.over_workspace(period, delay)
         proof["landing_proof"] = _landing(book.compile(parameters, name), plants, contact)
     return {

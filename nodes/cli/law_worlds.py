@@ -33,17 +33,25 @@ def world_figures(shown: Mapping[str, Any]) -> dict[str, Any]:
         return {}
     declared = msgspec.convert(shown["plant"], PlantParameters)
     fields = load_law(shown["kind"]).__struct_fields__
-    law = parse_law({"kind": shown["kind"], **{name: shown[name] for name in fields if name in shown}})
+    law = parse_law(
+        {"kind": shown["kind"], **{name: shown[name] for name in fields if name in shown}}
+    )
     period, late = 1.0 / shown["rate_hz"], shown["delay_ticks"] - declared.device_delay
     derivative = without_spring(law, period)
-    masses = {declared.mass, declared.heaviest or declared.mass, shown.get("worst_mass_kg") or declared.mass}
+    masses = {
+        declared.mass,
+        declared.heaviest or declared.mass,
+        shown.get("worst_mass_kg") or declared.mass,
+    }
     found: dict[str, float | None] = {}
     for mass in masses:
         loop = msgspec.structs.replace(declared, mass=mass, delay=max(late, 0.0)).at(period, 0.0)
         alone = dataclasses.replace(loop, partner=None)
         if declared.partner_mass is not None and loop.other is not None:
             other = OtherDevice(loop.other.damping, loop.other.delay)
-            limits = {"two_hands": world_k_max(derivative, alone, other, any_hand=True).k_max_n_per_m}
+            limits = {
+                "two_hands": world_k_max(derivative, alone, other, any_hand=True).k_max_n_per_m
+            }
         else:
             limits = dict(world_limits(derivative, alone).k_max_n_per_m)
         for name, k in limits.items():
@@ -55,7 +63,8 @@ def world_figures(shown: Mapping[str, Any]) -> dict[str, Any]:
 def world_lines(figures: Mapping[str, Any], wide: int) -> list[str]:
     """Return a line for each figure of `world_figures`; `wide`: of the names [characters]."""
     return [
-        f"  {label:{wide}}  {'none certified' if figures[key] is None else format(figures[key], '.6g'):>14}"
+        f"  {label:{wide}} "
+        f" {'none certified' if figures[key] is None else format(figures[key], '.6g'):>14}"
         f"{'' if figures[key] is None else ' N/m'}"
         for key, label in ROWS
         if key in figures

@@ -1,7 +1,8 @@
 """The command ``haptic``: finds its verbs through the entry points ``haptic.verbs`` and imports only the one asked for.
 
-A verb is a module whose docstring's first line is its help and which has ``add(parser)``: it declares its arguments and sets
-``run``, a function of the parsed arguments that returns the exit code. A name with a dot is a sub-verb: ``study.kmax``.
+A verb is a module whose docstring's first line is its help and which has ``add(parser)``: it
+declares its arguments and sets ``run``, a function of the parsed arguments that returns the exit
+code. A name with a dot is a sub-verb: ``study.kmax``.
 """
 
 import argparse
@@ -29,11 +30,18 @@ from nodes.parameters.registry import NotInstalledError, Registry
 from nodes.parameters.store import ParameterError
 
 VERBS = Registry(
-    "haptic.verbs", "verb", lambda _, found: "" if callable(getattr(found, "add", None)) else f"{found!r} has no add(parser)"
+    "haptic.verbs",
+    "verb",
+    lambda _, found: (
+        "" if callable(getattr(found, "add", None)) else f"{found!r} has no add(parser)"
+    ),
 )
 ASKING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # signals that ask for an end
 
-_CHOICE = re.compile(r"invalid choice: '(?P<given>[^']*)' \((?:maybe you meant '[^']*', )?choose from (?P<known>.*)\)")
+_CHOICE = re.compile(
+    r"invalid choice: '(?P<given>[^']*)' \((?:maybe you meant '[^']*', )?choose from"
+    r" (?P<known>.*)\)"
+)
 
 
 class Parser(argparse.ArgumentParser):
@@ -41,18 +49,23 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **{**options, "allow_abbrev": False})
-        # The innermost one is left in the namespace: who finds words left over complains with its usage.
+        # The innermost one is left in the namespace: who finds words left over complains with its
+        # usage.
         self.set_defaults(parser=self)
 
     def add_argument(self, *names: Any, **options: Any) -> argparse.Action:
         """Declare an argument; one that may be left out has a default, or argparse lists it among those that are missing."""
-        return super().add_argument(*names, **({"default": []} if options.get("nargs") == "*" else {}) | options)
+        return super().add_argument(
+            *names, **({"default": []} if options.get("nargs") == "*" else {}) | options
+        )
 
     def error(self, message: str) -> NoReturn:
         """Complain and exit with 2."""
         wrong = _CHOICE.search(message)
         if wrong is not None:
-            message += _probably(wrong["given"], (word.strip("'\" ") for word in wrong["known"].split(",")))
+            message += _probably(
+                wrong["given"], (word.strip("'\" ") for word in wrong["known"].split(","))
+            )
         super().error(message)
 
     def refuse(self, words: list[str]) -> NoReturn:
@@ -73,7 +86,9 @@ def sub_verbs(verb: str) -> dict[str, str]:
 
 
 def _probably(given: str, known: Iterable[str]) -> str:
-    return "".join(f"; did you mean {name}?" for name in difflib.get_close_matches(given, list(known), 1))
+    return "".join(
+        f"; did you mean {name}?" for name in difflib.get_close_matches(given, list(known), 1)
+    )
 
 
 def add_run_name(parser: argparse.ArgumentParser) -> None:
@@ -82,13 +97,18 @@ def add_run_name(parser: argparse.ArgumentParser) -> None:
         "--run",
         metavar="NAME",
         dest="run_name",
-        help="which launch, when several are running, or NAME/NAMESPACE for one of its chains (default: $HAPTIC_RUN)",
+        help=(
+            "which launch, when several are running, or NAME/NAMESPACE for one of its chains"
+            " (default: $HAPTIC_RUN)"
+        ),
     )
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Offer --json."""
-    parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    parser.add_argument(
+        "--json", action="store_true", help="answer with one JSON object on the last line"
+    )
 
 
 def answer(as_json: bool, figures: Mapping[str, Any], text: str) -> int:
@@ -98,7 +118,9 @@ def answer(as_json: bool, figures: Mapping[str, Any], text: str) -> int:
 
 
 @contextlib.contextmanager
-def heeding(heed: Callable[[int], Any], numbers: Iterable[signal.Signals] = ASKING) -> Iterator[None]:
+def heeding(
+    heed: Callable[[int], Any], numbers: Iterable[signal.Signals] = ASKING
+) -> Iterator[None]:
     """Let a function take the signals that ask for an end, for the time of a block."""
     before = {number: signal.signal(number, lambda number, _: heed(number)) for number in numbers}
     try:
@@ -110,13 +132,18 @@ def heeding(heed: Callable[[int], Any], numbers: Iterable[signal.Signals] = ASKI
 
 def coloured(text: str, colour: str, stream: TextIO) -> str:
     """Colour a text for people: on a terminal only, and not where NO_COLOR is set (no-color.org)."""
-    return text if not is_smart(stream) or os.environ.get("NO_COLOR") else f"\x1b[{COLOURS[colour]}m{text}\x1b[0m"
+    return (
+        text
+        if not is_smart(stream) or os.environ.get("NO_COLOR")
+        else f"\x1b[{COLOURS[colour]}m{text}\x1b[0m"
+    )
 
 
 def complain(error: object) -> None:
     """Say on standard error what went wrong."""
     print(coloured("haptic:", "red", sys.stderr), printable(str(error)), file=sys.stderr)
-    # A launch in this process has put a queue in place of standard error: who reads the exit code finds the reason there.
+    # A launch in this process has put a queue in place of standard error: who reads the exit code
+    # finds the reason there.
     drain_stderr()
 
 
@@ -138,13 +165,17 @@ def parser_for(chosen: str | None) -> Parser:
 
 def _add_registered(parser: argparse.ArgumentParser, verb: str) -> None:
     """Add what is registered as ``"VERB.NAME"`` to a verb that declares sub-verbs of its own; these go before."""
-    places = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    places = [
+        action for action in parser._actions if isinstance(action, argparse._SubParsersAction)
+    ]
     for place in places:
         for name, full in sub_verbs(verb).items():
             if name in place.choices:
                 continue
             place.metavar = f"{place.metavar}|{name}"
-            own = place.add_parser(name, help=first_line(full).replace("%", "%%"), description=first_line(full))
+            own = place.add_parser(
+                name, help=first_line(full).replace("%", "%%"), description=first_line(full)
+            )
             try:
                 VERBS.load(full).add(own)
             except (Exception, SystemExit) as error:  # noqa: BLE001  # of another package: it costs its own name
@@ -157,7 +188,11 @@ def _add_registered(parser: argparse.ArgumentParser, verb: str) -> None:
 def _refuse(error: BaseException, arguments: argparse.Namespace) -> int:
     """Say why a sub-verb cannot be run; the others of its verb can."""
     del arguments
-    text = str(error) if isinstance(error, NotInstalledError) else f"cannot declare its arguments: {error!r}"
+    text = (
+        str(error)
+        if isinstance(error, NotInstalledError)
+        else f"cannot declare its arguments: {error!r}"
+    )
     raise UsageError(text) from error
 
 
@@ -175,7 +210,8 @@ def first_line(name: str) -> str:
 def main(argv: list[str] | None = None) -> int:
     """Run one verb."""
     argv = sys.argv[1:] if argv is None else argv
-    # A node waits for signals in a thread and blocks them everywhere else; a command that it starts inherits that.
+    # A node waits for signals in a thread and blocks them everywhere else; a command that it starts
+    # inherits that.
     signal.pthread_sigmask(signal.SIG_UNBLOCK, ASKING)
     # Verbs draw into files: what else matplotlib is told to draw on must not stop them.
     os.environ["MPLBACKEND"] = "agg"
@@ -191,7 +227,8 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
-        # The reader of a pipe (head, grep -q) went away: not our failure, and Python must not complain at exit.
+        # The reader of a pipe (head, grep -q) went away: not our failure, and Python must not
+        # complain at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:

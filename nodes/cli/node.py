@@ -17,19 +17,38 @@ def add(parser: argparse.ArgumentParser) -> None:
     sub_verb(sub, "list", _list, "List the nodes with kind, state and process number.")
     info = sub_verb(sub, "info", _info, "Tell a node's state, counters, topics and operations.")
     info.add_argument("node")
-    start = sub_verb(sub, "start", _start, "Start a node that a launch waits for: one with by_hand or host in its launch file.")
+    start = sub_verb(
+        sub,
+        "start",
+        _start,
+        "Start a node that a launch waits for: one with by_hand or host in its launch file.",
+    )
     start.add_argument("node")
-    start.add_argument("--bind", metavar="HOST:PORT", help="for a launch on another machine: where this node is reached")
-    start.add_argument("--kind", default="", help="with --bind: the one kind that it may become (default: its name)")
+    start.add_argument(
+        "--bind",
+        metavar="HOST:PORT",
+        help="for a launch on another machine: where this node is reached",
+    )
+    start.add_argument(
+        "--kind",
+        default="",
+        help="with --bind: the one kind that it may become (default: its name)",
+    )
     start.add_argument(
         "--allow-path",
         metavar="DIR",
         type=Path,
         action="append",
         default=[],
-        help="with --bind: where its parameters may name files and libraries; may be given several times",
+        help=(
+            "with --bind: where its parameters may name files and libraries; may be given several"
+            " times"
+        ),
     )
-    text = "Let a driver that has stopped a swinging loop take forces again, by its ramp. Change the law first."
+    text = (
+        "Let a driver that has stopped a swinging loop take forces again, by its ramp. Change the"
+        " law first."
+    )
     again = sub_verb(sub, "rearm", _rearm, text)
     again.add_argument("node", nargs="?", help="the driver (default: the run's only one)")
 
@@ -47,7 +66,10 @@ def _list(arguments: argparse.Namespace) -> int:
     run = chosen_run(arguments)
     found = {name: _state(run, name) for name in run.nodes}
     width = max(map(len, found))
-    lines = [f"/{name:{width}}  {node['kind']:12} {node['state']:12} {node['pid']}" for name, node in found.items()]
+    lines = [
+        f"/{name:{width}}  {node['kind']:12} {node['state']:12} {node['pid']}"
+        for name, node in found.items()
+    ]
     return answer(arguments.json, {"run": run.run, "nodes": found}, "\n".join(lines))
 
 
@@ -70,11 +92,17 @@ def _info(arguments: argparse.Namespace) -> int:
     figures |= (device := {op: told for op, told in asked.items() if told is not None})
     counters = ("ticks", "sent", "received", "refused", "skipped", "gaps", "denied")
     offset, error = status["clock_offset"], status["clock_error"]
-    known = f"{-offset:+.6f} s from the launcher's, known to ±{error * 1e6:.0f} µs" if error else "the launcher's own"
+    known = (
+        f"{-offset:+.6f} s from the launcher's, known to ±{error * 1e6:.0f} µs"
+        if error
+        else "the launcher's own"
+    )
     lines = [
         f"/{name}: {status['kind']}, {status['state']}, process {status['pid']}",
-        f"  {setup.pace} at {1.0 / setup.period:g} Hz, processors {setup.scheduling.cpus or 'any'}, "
-        f"FIFO {setup.scheduling.fifo or 'no'}",
+        (
+            f"  {setup.pace} at {1.0 / setup.period:g} Hz, processors"
+            f" {setup.scheduling.cpus or 'any'}, FIFO {setup.scheduling.fifo or 'no'}"
+        ),
         "  " + ", ".join(f"{key} {status[key]}" for key in counters),
         f"  memory {status['memory'] / 1e6:.1f} MB, processor time {status['cpu']:.2f} s",
         f"  clock {known}",
@@ -100,11 +128,15 @@ def _rearm(arguments: argparse.Namespace) -> int:
     run = chosen_run(arguments)
     found = run.drivers()
     if not arguments.node and len(found) != 1:
-        raise UsageError(f"node rearm: {run.run} has the drivers {', '.join(found) or 'none'}; name one")
+        raise UsageError(
+            f"node rearm: {run.run} has the drivers {', '.join(found) or 'none'}; name one"
+        )
     name = node_name(run, arguments.node or found[0])
     receipt = ask(run, name, "rearm", beside=True)
     return answer(
-        arguments.json, {"run": run.run, "node": name, **receipt}, f"/{name}: takes forces again, from tick {receipt['seq']}"
+        arguments.json,
+        {"run": run.run, "node": name, **receipt},
+        f"/{name}: takes forces again, from tick {receipt['seq']}",
     )
 
 
@@ -119,8 +151,12 @@ def _start(arguments: argparse.Namespace) -> int:
             return join.start_here(run, node_name(run, arguments.node))
         host, _, port = arguments.bind.rpartition(":")
         if not host or not port.isdecimal() or not 0 < int(port) < 65535:
-            raise UsageError(f"--bind {arguments.bind}: expected HOST:PORT with a port from 1 to 65534")
-        return join.start_for(arguments.node, host.strip("[]"), int(port), arguments.kind, arguments.allow_path)
+            raise UsageError(
+                f"--bind {arguments.bind}: expected HOST:PORT with a port from 1 to 65534"
+            )
+        return join.start_for(
+            arguments.node, host.strip("[]"), int(port), arguments.kind, arguments.allow_path
+        )
     except (ValueError, RunError) as error:
         # Keys, endpoints and parameters are all refused by value.
         raise UsageError(str(error)) from error

@@ -30,15 +30,22 @@ def with_view(launch: Launch) -> Launch:
         for driver, spec in launch.nodes.items()
         if realtime and (spec.parameters.get("pointer") or {}).get("beyond")
     }
-    view = NodeSpec(kind=KIND, required=False, respawn=True, parameters={"again": True} if again else {})
+    view = NodeSpec(
+        kind=KIND, required=False, respawn=True, parameters={"again": True} if again else {}
+    )
     chains = chains_of(launch)  # A page shows one chain
-    pages = {free_name(launch, f"{chain}/{KIND}" if len(chains) > 1 and chain else KIND): view for chain in chains or [""]}
+    pages = {
+        free_name(launch, f"{chain}/{KIND}" if len(chains) > 1 and chain else KIND): view
+        for chain in chains or [""]
+    }
     return msgspec.structs.replace(launch, nodes={**launch.nodes, **again, **pages})
 
 
 def announce(url: str, as_json: bool, out: IO[str] | StderrQueue | None = None) -> None:
     """Print where the page is, and open it where somebody sits at a screen."""
-    print(json.dumps({"url": url}) if as_json else f"page  {url}", file=out or sys.stdout, flush=True)
+    print(
+        json.dumps({"url": url}) if as_json else f"page  {url}", file=out or sys.stdout, flush=True
+    )
     screen = "DISPLAY" in os.environ or "WAYLAND_DISPLAY" in os.environ
     if screen and not as_json and sys.stdout.isatty():
         _open(url)
@@ -53,7 +60,8 @@ def _open(url: str) -> None:
     descriptor, path = tempfile.mkstemp(prefix="haptic-page-", suffix=".html")
     with open(descriptor, "w", encoding="utf-8") as file:
         file.write(
-            f'<!doctype html><title>haptic</title><meta http-equiv="refresh" content="0; url={url}"><a href="{url}">page</a>\n'
+            '<!doctype html><title>haptic</title><meta http-equiv="refresh" content="0;'
+            f' url={url}"><a href="{url}">page</a>\n'
         )
     # A browser may take its time to start.
     atexit.register(lambda: Path(path).unlink(missing_ok=True))
@@ -76,10 +84,17 @@ class PageAnnouncer:
     def __call__(self, supervisor: Supervisor) -> None:
         """Look for pages that are served by now."""
         for name, child in supervisor.children.items():
-            if child.setup.kind == KIND and name not in self._announced and child.running and not supervisor.ending:
+            if (
+                child.setup.kind == KIND
+                and name not in self._announced
+                and child.running
+                and not supervisor.ending
+            ):
                 # Read as it stands: the view's own modules are none of the launcher's business.
                 path = Path(supervisor.run_dir) / f"{name}.page.json"
                 if path.exists():
                     self._announced.add(name)
                     self._words = self._words or StderrQueue(sys.stdout.fileno())
-                    announce(msgspec.json.decode(path.read_bytes())["url"], self._as_json, self._words)
+                    announce(
+                        msgspec.json.decode(path.read_bytes())["url"], self._as_json, self._words
+                    )

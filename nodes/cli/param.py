@@ -28,24 +28,51 @@ SHORT = 60  # longest value that is printed in full [characters]
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
-    sub = parser.add_subparsers(dest="chosen", metavar="list|get|set|describe|dump|load", required=True)
+    sub = parser.add_subparsers(
+        dest="chosen", metavar="list|get|set|describe|dump|load", required=True
+    )
     listing = sub_verb(sub, "list", _list, "List the parameters of a node, or of all.")
     listing.add_argument("node", nargs="?", help="all nodes when left out")
 
-    def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+    def declare(
+        name: str, run: Callable[[argparse.Namespace], int], text: str
+    ) -> argparse.ArgumentParser:
         own = sub_verb(sub, name, run, text)
         own.add_argument("node")
         return own
 
     get = declare("get", _get, "Read one parameter, or a branch of them.")
     get.add_argument("name", help="e.g. laws.pd.stiffness, or laws.multi_term.terms[0].gain")
-    change = declare("set", _set, "Change parameters while the loop runs; several at once are one change, all or nothing.")
-    change.add_argument("pairs", nargs="+", metavar="NAME VALUE", help="values as in YAML, e.g. laws.pd.stiffness 1500")
-    describe = declare("describe", _describe, "Tell what parameters are: type, unit, limits, default, meaning.")
-    describe.add_argument("names", nargs="*", metavar="NAME", help="e.g. laws.pd.stiffness; all when left out")
-    dump = declare("dump", _dump, "Write all parameters of a node as YAML, as load and the launch file read them.")
-    dump.add_argument("--out", "-o", type=Path, metavar="FILE", help="write to a file that does not exist yet")
-    load = declare("load", _load, "Lay a YAML file, whole or in part, over a node's parameters; all or nothing.")
+    change = declare(
+        "set",
+        _set,
+        "Change parameters while the loop runs; several at once are one change, all or nothing.",
+    )
+    change.add_argument(
+        "pairs",
+        nargs="+",
+        metavar="NAME VALUE",
+        help="values as in YAML, e.g. laws.pd.stiffness 1500",
+    )
+    describe = declare(
+        "describe", _describe, "Tell what parameters are: type, unit, limits, default, meaning."
+    )
+    describe.add_argument(
+        "names", nargs="*", metavar="NAME", help="e.g. laws.pd.stiffness; all when left out"
+    )
+    dump = declare(
+        "dump",
+        _dump,
+        "Write all parameters of a node as YAML, as load and the launch file read them.",
+    )
+    dump.add_argument(
+        "--out", "-o", type=Path, metavar="FILE", help="write to a file that does not exist yet"
+    )
+    load = declare(
+        "load",
+        _load,
+        "Lay a YAML file, whole or in part, over a node's parameters; all or nothing.",
+    )
     load.add_argument("file", help="written by dump or by a study; - for standard input")
     for own in (change, load):
         own.add_argument("--force", action="store_true", help=FORCE)
@@ -69,14 +96,20 @@ def _list(arguments: argparse.Namespace) -> int:
 def _get(arguments: argparse.Namespace) -> int:
     run, node = chosen_node(arguments)
     value = ask(run, node, "param.get", name=arguments.name)
-    return answer(arguments.json, {"run": run.run, "node": node, "name": arguments.name, "value": value}, _flow(value))
+    return answer(
+        arguments.json,
+        {"run": run.run, "node": node, "name": arguments.name, "value": value},
+        _flow(value),
+    )
 
 
 def _set(arguments: argparse.Namespace) -> int:
     run, node = chosen_node(arguments)
     words = arguments.pairs
     if len(words) % 2:
-        raise UsageError(f"param set {node}: {words[-1]!r} has no value; give NAME VALUE, as often as you like")
+        raise UsageError(
+            f"param set {node}: {words[-1]!r} has no value; give NAME VALUE, as often as you like"
+        )
     values: dict[str, Any] = {}
     for name, text in zip(words[::2], words[1::2], strict=True):
         if name in values:
@@ -84,16 +117,27 @@ def _set(arguments: argparse.Namespace) -> int:
         values[name] = parse_yaml(text, f"{node}.{name}")
     receipt = ask(run, node, "param.set", values=values, **forced(arguments))
     return answer(
-        arguments.json, {"run": run.run, "node": node, "values": values, "receipt": receipt}, receipt_text(node, receipt)
+        arguments.json,
+        {"run": run.run, "node": node, "values": values, "receipt": receipt},
+        receipt_text(node, receipt),
     )
 
 
 def receipt_text(node: str, receipt: dict[str, Any]) -> str:
     """Tell a receipt to people."""
-    changes = [f"{path} {_short(old)} → {_short(new)}" for path, (old, new) in receipt.get("changed", {}).items()]
-    lines = [f"/{node}: {changes[0] if changes else 'nothing changed'} from tick {receipt['seq']} on"]
+    changes = [
+        f"{path} {_short(old)} → {_short(new)}"
+        for path, (old, new) in receipt.get("changed", {}).items()
+    ]
+    lines = [
+        f"/{node}: {changes[0] if changes else 'nothing changed'} from tick {receipt['seq']} on"
+    ]
     if "force_step_n" in receipt:
-        laws = f"{receipt['from']} → {receipt['to']}" if receipt["from"] != receipt["to"] else receipt["to"]
+        laws = (
+            f"{receipt['from']} → {receipt['to']}"
+            if receipt["from"] != receipt["to"]
+            else receipt["to"]
+        )
         fade = f", cross-fade of {receipt['ramp']} ticks" if receipt["ramp"] else ""
         lines[0] += f", law {laws}, force step {receipt['force_step_n']:.3g} N{fade}"
     lines += [f"  {change}" for change in changes[1:MOST]]
@@ -115,7 +159,10 @@ def _stability(receipt: dict[str, Any]) -> list[str]:
     before = "" if found["was_pole_radius"] is None else f"{found['was_pole_radius']:.4g} → "
     now = "stable below 1" if found["stable"] else "UNSTABLE: taken by force"
     of_law = "" if found.get("law") in (None, receipt.get("to")) else f" of {found['law']}"
-    return [f"  pole radius{of_law} {before}{found['pole_radius']:.4g} ({now}) at a delay of {found['delay_ticks']:.3g} ticks"]
+    return [
+        f"  pole radius{of_law} {before}{found['pole_radius']:.4g} ({now}) at a delay of"
+        f" {found['delay_ticks']:.3g} ticks"
+    ]
 
 
 def forced(arguments: argparse.Namespace) -> dict[str, bool]:
@@ -126,7 +173,9 @@ def forced(arguments: argparse.Namespace) -> dict[str, bool]:
 def _struct_of(kind: str) -> type[Any] | None:
     """Struct of an installed law or surface, a preset's law included; None for what is neither."""
     kind = str(PRESETS.get(kind, {"kind": kind})["kind"])
-    return next((registry.load(kind) for registry in (LAWS, SURFACES) if kind in registry.names()), None)
+    return next(
+        (registry.load(kind) for registry in (LAWS, SURFACES) if kind in registry.names()), None
+    )
 
 
 def _describe(arguments: argparse.Namespace) -> int:
@@ -161,16 +210,24 @@ def _dump(arguments: argparse.Namespace) -> int:
         except OSError as error:
             raise RefusedError(f"{arguments.out}: {error.strerror}") from error
         text = f"{arguments.out}\n"
-    return answer(arguments.json, {"run": run.run, "node": node, "parameters": parameters}, text.rstrip("\n"))
+    return answer(
+        arguments.json, {"run": run.run, "node": node, "parameters": parameters}, text.rstrip("\n")
+    )
 
 
 def _load(arguments: argparse.Namespace) -> int:
     run, node = chosen_node(arguments)
     try:
-        values = parse_yaml(sys.stdin.read(), "-") if arguments.file == "-" else read_yaml(arguments.file)
+        values = (
+            parse_yaml(sys.stdin.read(), "-")
+            if arguments.file == "-"
+            else read_yaml(arguments.file)
+        )
     except (ParameterError, UnicodeDecodeError) as error:
         raise UsageError(str(error)) from error
     receipt = ask(run, node, "param.load", values=values, **forced(arguments))
     return answer(
-        arguments.json, {"run": run.run, "node": node, "file": arguments.file, "receipt": receipt}, receipt_text(node, receipt)
+        arguments.json,
+        {"run": run.run, "node": node, "file": arguments.file, "receipt": receipt},
+        receipt_text(node, receipt),
     )

@@ -17,18 +17,32 @@ from nodes.launcher.runs import RunInfo
 from nodes.parameters.store import convert
 from nodes.parameters.yaml_io import parse_yaml
 
-WRENCH, TARGET = "/external/wrench", "/external/target"  # a force on top of the law's [N]; where a virtual hand pulls to [m]
+# a force on top of the law's [N]; where a virtual hand pulls to [m]
+WRENCH, TARGET = "/external/wrench", "/external/target"
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("topic", help=f"{WRENCH} (a force on top of the law's) or {TARGET} (of a virtual device's hand)")
-    parser.add_argument("values", help="{force: [0, 0, 1]} in N, {position: [0.02, 0, 0]} in m; or the three numbers alone")
     parser.add_argument(
-        "--rate", "-r", type=between(1e-3, 1000.0), default=50.0, metavar="HZ", help="how often (default: %(default)g)"
+        "topic",
+        help=f"{WRENCH} (a force on top of the law's) or {TARGET} (of a virtual device's hand)",
+    )
+    parser.add_argument(
+        "values",
+        help="{force: [0, 0, 1]} in N, {position: [0.02, 0, 0]} in m; or the three numbers alone",
+    )
+    parser.add_argument(
+        "--rate",
+        "-r",
+        type=between(1e-3, 1000.0),
+        default=50.0,
+        metavar="HZ",
+        help="how often (default: %(default)g)",
     )
     parser.add_argument("--once", "-1", action="store_true", help="once, and end")
-    parser.add_argument("--times", "-t", type=whole(0, 10**9), default=0, metavar="N", help="so often, and end")
+    parser.add_argument(
+        "--times", "-t", type=whole(0, 10**9), default=0, metavar="N", help="so often, and end"
+    )
 
 
 def _vector(text: str, name: str) -> Vector:
@@ -51,7 +65,9 @@ def _sender(run: RunInfo, arguments: argparse.Namespace) -> Callable[[], Any]:
     try:
         pointer = PointerWriter(pointer_file(setup.run_dir, setup.name))
     except FileNotFoundError as error:
-        raise RefusedError(f"{driver}: no hand can be dragged; give a sim_driver device.hand and pointer: {{}}") from error
+        raise RefusedError(
+            f"{driver}: no hand can be dragged; give a sim_driver device.hand and pointer: {{}}"
+        ) from error
     return lambda: pointer.write(position)
 
 
@@ -59,7 +75,10 @@ def publish(arguments: argparse.Namespace) -> int:
     """Publish until it was enough, Ctrl-C, or the end of the run."""
     if arguments.topic not in (WRENCH, TARGET):
         why = ": each tick has one, of its own node" if arguments.topic in LOOP else ""
-        raise UsageError(f"{arguments.topic} cannot be published from outside{why}; there are {WRENCH} and {TARGET}")
+        raise UsageError(
+            f"{arguments.topic} cannot be published from outside{why}; there are {WRENCH} and"
+            f" {TARGET}"
+        )
     run = chosen_chain(arguments)
     send = _sender(run, arguments)
     count, most = 0, 1 if arguments.once else arguments.times
@@ -73,4 +92,8 @@ def publish(arguments: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         # What is not renewed is gone by itself.
         pass
-    return answer(arguments.json, {"topic": arguments.topic, "published": count}, f"{arguments.topic}: published {count}")
+    return answer(
+        arguments.json,
+        {"topic": arguments.topic, "published": count},
+        f"{arguments.topic}: published {count}",
+    )

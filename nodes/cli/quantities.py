@@ -16,7 +16,8 @@ class Interval(NamedTuple):
     high: float | None = None
 
 
-_LEAST = 1e-12  # of any quantity that is not 0; and 1e12 at most: squares and quotients of both stay numbers
+# of any quantity that is not 0; and 1e12 at most: squares and quotients of both stay numbers
+_LEAST = 1e-12
 
 
 def positive(text: str) -> float:
@@ -69,7 +70,9 @@ def between(low: float, high: float, zero: bool = False) -> Callable[[str], floa
         """Read one."""
         value = not_negative(text) if zero else positive(text)
         if value and not low <= value <= high:
-            raise argparse.ArgumentTypeError(f"{text}: must be between {low:g} and {high:g}{', or 0' if zero else ''}")
+            raise argparse.ArgumentTypeError(
+                f"{text}: must be between {low:g} and {high:g}{', or 0' if zero else ''}"
+            )
         return value
 
     return read
@@ -122,12 +125,17 @@ def declare(parser: argparse.ArgumentParser, **defaults: float | Interval | None
         else:
             shown = None if default is None else f"{default:g}"
         parser.add_argument(
-            f"--{name}", type=read, default=default, help=text if shown is None else f"{text} (default: {shown})"
+            f"--{name}",
+            type=read,
+            default=default,
+            help=text if shown is None else f"{text} (default: {shown})",
         )
 
 
 def declare_law(parser: argparse.ArgumentParser) -> None:
     """Declare the parameters of a law that are most often varied."""
     declare(parser, stiffness=None, order=None, taps=None)
-    parser.add_argument("--gains", choices=("physical", "paper", "unlimited"), help="unit of the gain")
+    parser.add_argument(
+        "--gains", choices=("physical", "paper", "unlimited"), help="unit of the gain"
+    )
     parser.add_argument("--derivative", help="realisation of the derivative, e.g. gl")

@@ -1,7 +1,8 @@
 """Publish the topics of running launches on one endpoint that stays: haptic relay tcp://127.0.0.1:9872, for PlotJuggler.
 
-A launch's own endpoints are files of its run, one per node. PlotJuggler (from 3.10 on) connects one SUB socket to one address,
-``tcp://localhost:9872`` unless told otherwise, and takes what the relay sends as it is: two frames, topic and MessagePack map.
+A launch's own endpoints are files of its run, one per node. PlotJuggler (from 3.10 on) connects one
+SUB socket to one address, ``tcp://localhost:9872`` unless told otherwise, and takes what the relay
+sends as it is: two frames, topic and MessagePack map.
 """
 
 import argparse
@@ -22,7 +23,8 @@ from nodes.client.launches import known_topic
 from nodes.client.listen import QUIET_MS, listening
 from nodes.launcher.runs import RunInfo, alive, runs
 
-ENDPOINT = "tcp://127.0.0.1:9872"  # where PlotJuggler's ZeroMQ subscriber looks unless it is told otherwise
+# where PlotJuggler's ZeroMQ subscriber looks unless it is told otherwise
+ENDPOINT = "tcp://127.0.0.1:9872"
 
 _LOCAL = ("tcp://127.0.0.1:", "tcp://localhost:", "tcp://[::1]:", "ipc://")
 
@@ -30,7 +32,9 @@ _LOCAL = ("tcp://127.0.0.1:", "tcp://localhost:", "tcp://[::1]:", "ipc://")
 def local_publisher(context: Context, endpoint: str) -> OpenPort:
     """Bind a publisher for listeners of this machine, any user's: it sends, and obeys nobody."""
     if not endpoint.startswith(_LOCAL):
-        raise UsageError(f"{endpoint}: only {', '.join(_LOCAL)}...; nothing is published for other machines here")
+        raise UsageError(
+            f"{endpoint}: only {', '.join(_LOCAL)}...; nothing is published for other machines here"
+        )
     try:
         return OpenPort(context, endpoint, _say)
     except (ValueError, zmq.ZMQError) as error:
@@ -39,10 +43,18 @@ def local_publisher(context: Context, endpoint: str) -> OpenPort:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("endpoint", nargs="?", default=ENDPOINT, help="where to publish (default: %(default)s)")
-    parser.add_argument("--topics", nargs="+", metavar="TOPIC", default=[], help="whole names; all when left out")
+    parser.add_argument(
+        "endpoint", nargs="?", default=ENDPOINT, help="where to publish (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--topics", nargs="+", metavar="TOPIC", default=[], help="whole names; all when left out"
+    )
     add_run_name(parser)
-    parser.add_argument("--once", action="store_true", help="end with the launch instead of waiting for the next one")
+    parser.add_argument(
+        "--once",
+        action="store_true",
+        help="end with the launch instead of waiting for the next one",
+    )
     add_json(parser)
     parser.set_defaults(run=run)
 
@@ -83,9 +95,15 @@ def _next(arguments: argparse.Namespace, before: list[str]) -> RunInfo:
     wanted = arguments.run_name or os.environ.get("HAPTIC_RUN")
     waiting = False
     while True:
-        found = [one for one in runs().values() if one.run not in before and wanted in (None, "", one.run, one.scenario)]
+        found = [
+            one
+            for one in runs().values()
+            if one.run not in before and wanted in (None, "", one.run, one.scenario)
+        ]
         if len(found) > 1:
-            raise UsageError(f"several runs: {', '.join(one.run for one in found)}; choose one with --run NAME")
+            raise UsageError(
+                f"several runs: {', '.join(one.run for one in found)}; choose one with --run NAME"
+            )
         if found:
             return found[0]
         if not waiting:

@@ -21,12 +21,36 @@ from nodes.launcher.supervisor import Supervisor
 from nodes.parameters.store import ParameterError
 
 PATIENCE = 0.2  # how long a node may take to answer [s]; what it would have told is left out then
-SLOW = 3  # law and surface are asked for every so many times only: each question costs a node's loop some microseconds
+# law and surface are asked for every so many times only: each question costs a node's loop some
+# microseconds
+SLOW = 3
 
-KEEP = ("safety", "device", "penetration", "force", "law", "missed", "tick", "scenario", "response", "rate")
+KEEP = (
+    "safety",
+    "device",
+    "penetration",
+    "force",
+    "law",
+    "missed",
+    "tick",
+    "scenario",
+    "response",
+    "rate",
+)
 """Parts of the line; the first ones are kept longest on a narrow terminal."""
 
-ORDER = ("scenario", "tick", "rate", "law", "penetration", "force", "missed", "response", "safety", "device")
+ORDER = (
+    "scenario",
+    "tick",
+    "rate",
+    "law",
+    "penetration",
+    "force",
+    "missed",
+    "response",
+    "safety",
+    "device",
+)
 """Parts as they stand from left to right."""
 
 
@@ -80,7 +104,9 @@ class StatusLine:
         for child in supervisor.children.values():
             if child.running and topic in load(child.setup.factory).publishes:
                 try:
-                    return call(supervisor.context, child.setup.control, op, timeout=PATIENCE, **arguments)
+                    return call(
+                        supervisor.context, child.setup.control, op, timeout=PATIENCE, **arguments
+                    )
                 except ControlError:
                     return None
         return None
@@ -109,9 +135,11 @@ class StatusLine:
             "rate": f"{rate:.0f} Hz",
             "force": f"force {now['force_n'][self._axis]:+.2f} N",
             "law": f"law {self._law}" if self._law else "",
-            "penetration": f"{'penetration' if depth < 0.0 else 'distance'} {abs(depth) * 1e3:.2f} mm"
-            if distance is not None
-            else "",
+            "penetration": (
+                f"{'penetration' if depth < 0.0 else 'distance'} {abs(depth) * 1e3:.2f} mm"
+                if distance is not None
+                else ""
+            ),
             "missed": f"missed {now['missed']}",
             "response": f"p50 {p50:.0f} p99 {p99:.0f} µs",
             "safety": now["safety"],

@@ -11,12 +11,19 @@ from nodes.cli.ask import chosen_run
 from nodes.cli.main import add_json, answer
 from nodes.launcher.runs import STOPPED, alive, place_of, runs, write_end
 
-TIMEOUT = 60.0  # longest end of a launch [s]: a driver comes down from its largest force, a recorder writes what it holds
+# longest end of a launch [s]: a driver comes down from its largest force, a recorder writes what it
+# holds
+TIMEOUT = 60.0
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("run_name", nargs="?", metavar="RUN", help="run or scenario (default: $HAPTIC_RUN, or the only one)")
+    parser.add_argument(
+        "run_name",
+        nargs="?",
+        metavar="RUN",
+        help="run or scenario (default: $HAPTIC_RUN, or the only one)",
+    )
     parser.add_argument("--all", "-a", action="store_true", help="end all launches of this user")
     add_json(parser)
     parser.set_defaults(run=run)
@@ -28,7 +35,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"stop: --all and {arguments.run_name} at once; choose one")
     ending = list(runs().values()) if arguments.all else [chosen_run(arguments)]
     for one in ending:
-        # It may have ended by itself this moment, or its disk be full: then nobody reads why it ends.
+        # It may have ended by itself this moment, or its disk be full: then nobody reads why it
+        # ends.
         with contextlib.suppress(OSError):
             write_end(place_of(one.run), STOPPED)
         with contextlib.suppress(ProcessLookupError):
@@ -37,7 +45,14 @@ def run(arguments: argparse.Namespace) -> int:
     for one in ending:
         while alive(one.launcher):
             if time.monotonic() > deadline:
-                raise RefusedError(f"{one.run}: its launcher, process {one.launcher}, has not ended within {TIMEOUT:g} s")
+                raise RefusedError(
+                    f"{one.run}: its launcher, process {one.launcher}, has not ended within"
+                    f" {TIMEOUT:g} s"
+                )
             time.sleep(0.02)
     names = [one.run for one in ending]
-    return answer(arguments.json, {"stopped": names}, "\n".join(f"{name}: ended" for name in names) or "nothing is running")
+    return answer(
+        arguments.json,
+        {"stopped": names},
+        "\n".join(f"{name}: ended" for name in names) or "nothing is running",
+    )

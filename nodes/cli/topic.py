@@ -34,28 +34,63 @@ REPORT_PERIOD = 1.0  # how often the measuring sub-verbs tell where they are [s]
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
-    sub = parser.add_subparsers(dest="chosen", metavar="list|info|echo|hz|bw|delay|pub", required=True)
+    sub = parser.add_subparsers(
+        dest="chosen", metavar="list|info|echo|hz|bw|delay|pub", required=True
+    )
     declare = partial(sub_verb, sub)
     listing = declare("list", _list, "List the topics with their types and publishers.")
-    listing.add_argument("--show-types", "-t", action="store_true", help="as ROS 2 does: name and [type] only")
-    declare("info", _info, "Tell a topic's type, fields with units, and publisher.").add_argument("topic")
-    echo = declare("echo", _echo, "Print the messages of a topic (with --json: one JSON object per line).")
+    listing.add_argument(
+        "--show-types", "-t", action="store_true", help="as ROS 2 does: name and [type] only"
+    )
+    declare("info", _info, "Tell a topic's type, fields with units, and publisher.").add_argument(
+        "topic"
+    )
+    echo = declare(
+        "echo", _echo, "Print the messages of a topic (with --json: one JSON object per line)."
+    )
     echo.add_argument("--once", action="store_true", help="print one message and end, as -n 1")
-    echo.add_argument("--field", metavar="NAME", help="print only this field, e.g. position or position[2]")
-    add_publish(declare("pub", publish, "Give a force or a hand's target from outside, as far as the driver allows it."))
+    echo.add_argument(
+        "--field", metavar="NAME", help="print only this field, e.g. position or position[2]"
+    )
+    add_publish(
+        declare(
+            "pub",
+            publish,
+            "Give a force or a hand's target from outside, as far as the driver allows it.",
+        )
+    )
     figures = [
-        declare("hz", partial(_measure, _Measure), "Measure rate and intervals of a topic, as received."),
+        declare(
+            "hz", partial(_measure, _Measure), "Measure rate and intervals of a topic, as received."
+        ),
         declare("bw", partial(_measure, _Bandwidth), "Measure the bandwidth of a topic."),
-        declare("delay", partial(_measure, _Delay), "Measure the time from a message's stamp to its receipt (realtime runs)."),
+        declare(
+            "delay",
+            partial(_measure, _Delay),
+            "Measure the time from a message's stamp to its receipt (realtime runs).",
+        ),
     ]
     for own in figures:
         own.add_argument(
-            "--window", "-w", type=_count, default=0, metavar="N", help="measure the last N messages; all when left out"
+            "--window",
+            "-w",
+            type=_count,
+            default=0,
+            metavar="N",
+            help="measure the last N messages; all when left out",
         )
     for own in (echo, *figures):
         own.add_argument("topic")
-        own.add_argument("--count", "-n", type=_count, default=0, metavar="N", help="end after so many messages")
-        own.add_argument("--duration", type=above_zero, default=0.0, metavar="S", help="end after so many seconds")
+        own.add_argument(
+            "--count", "-n", type=_count, default=0, metavar="N", help="end after so many messages"
+        )
+        own.add_argument(
+            "--duration",
+            type=above_zero,
+            default=0.0,
+            metavar="S",
+            help="end after so many seconds",
+        )
 
 
 def _count(text: str) -> int:
@@ -78,12 +113,16 @@ def _type_name(topic: str) -> str:
 
 def _list(arguments: argparse.Namespace) -> int:
     run = chosen_run(arguments)
-    found = {topic: {"type": _type_name(topic), "node": node} for topic, node in _published(run).items()}
+    found = {
+        topic: {"type": _type_name(topic), "node": node} for topic, node in _published(run).items()
+    }
     width = max(map(len, found))
     if arguments.show_types:
         lines = [f"{topic} [haptic.{shown['type']}]" for topic, shown in found.items()]
     else:
-        lines = [f"{topic:{width}}  {shown['type']:12} {shown['node']}" for topic, shown in found.items()]
+        lines = [
+            f"{topic:{width}}  {shown['type']:12} {shown['node']}" for topic, shown in found.items()
+        ]
     return answer(arguments.json, {"run": run.run, "topics": found}, "\n".join(lines))
 
 
@@ -102,10 +141,14 @@ def _info(arguments: argparse.Namespace) -> int:
     }
     lines = [
         f"{topic}  {figures['type']}",
-        f"  published by {figures['node']} on {figures['endpoint']}" + (", once per tick" if topic in LOOP else ""),
+        f"  published by {figures['node']} on {figures['endpoint']}"
+        + (", once per tick" if topic in LOOP else ""),
     ]
     width = max(map(len, shown["properties"]), default=0)
-    lines += [f"  {name:{width}}  {field['type']:8} {field['description']}" for name, field in shown["properties"].items()]
+    lines += [
+        f"  {name:{width}}  {field['type']:8} {field['description']}"
+        for name, field in shown["properties"].items()
+    ]
     return answer(arguments.json, figures, "\n".join(lines))
 
 
@@ -148,7 +191,14 @@ def _echo(arguments: argparse.Namespace) -> int:
         if arguments.json:
             print(json.dumps(value), flush=True)
         elif isinstance(value, dict):
-            print(printable("\n".join(f"{name}: {json.dumps(item, ensure_ascii=False)}" for name, item in value.items())))
+            print(
+                printable(
+                    "\n".join(
+                        f"{name}: {json.dumps(item, ensure_ascii=False)}"
+                        for name, item in value.items()
+                    )
+                )
+            )
             print("---", flush=True)
         else:
             print(printable(json.dumps(value, ensure_ascii=False)), flush=True)
@@ -167,7 +217,9 @@ class Spread:
         """Take one value."""
         self.count += 1
         first = self.count == 1
-        self.low, self.high = (value, value) if first else (min(self.low, value), max(self.high, value))
+        self.low, self.high = (
+            (value, value) if first else (min(self.low, value), max(self.high, value))
+        )
         off = value - self.mean
         self.mean += off / self.count
         self._squares += off * (value - self.mean)
@@ -211,7 +263,13 @@ class _Measure:
     def figures(self) -> dict[str, Any]:
         span = self._last - self._first
         rate = (self.count - 1) / span if span > 0.0 else 0.0
-        return {"messages": self.count, "refused": self.refused, "gaps": self._gaps, "rate_hz": rate, **self._own(rate)}
+        return {
+            "messages": self.count,
+            "refused": self.refused,
+            "gaps": self._gaps,
+            "rate_hz": rate,
+            **self._own(rate),
+        }
 
     def _own(self, rate: float) -> dict[str, Any]:
         del rate
@@ -220,8 +278,9 @@ class _Measure:
     def line(self) -> str:
         spread = self._spread
         return (
-            f"average rate: {self.figures()['rate_hz']:.3f} Hz   interval min {spread.low * 1e3:.3f}, "
-            f"max {spread.high * 1e3:.3f}, std {spread.deviation * 1e3:.3f} ms   window: {self.count}, gaps: {self._gaps}"
+            f"average rate: {self.figures()['rate_hz']:.3f} Hz   interval min"
+            f" {spread.low * 1e3:.3f}, max {spread.high * 1e3:.3f}, std"
+            f" {spread.deviation * 1e3:.3f} ms   window: {self.count}, gaps: {self._gaps}"
         )
 
 
@@ -264,15 +323,18 @@ class _Delay(_Measure):
     def line(self) -> str:
         shown = {name: f"{value * 1e6:.0f}" for name, value in self.figures()["delay_s"].items()}
         return (
-            f"average delay: {shown['mean']} µs   min {shown['min']}, p50 {shown['p50']}, p99 {shown['p99']},"
-            f" max {shown['max']}, std {shown['std']} µs   window: {self.count}"
+            f"average delay: {shown['mean']} µs   min {shown['min']}, p50 {shown['p50']}, p99"
+            f" {shown['p99']}, max {shown['max']}, std {shown['std']} µs   window: {self.count}"
         )
 
 
 def _measure(kind: type[_Measure], arguments: argparse.Namespace) -> int:
     run = chosen_run(arguments)
     if kind is _Delay and any(setup.pace == "lockstep" for setup in run.nodes.values()):
-        raise UsageError(f"{run.run}: stamps are simulated time in lockstep, so they have no delay; pace:=realtime has")
+        raise UsageError(
+            f"{run.run}: stamps are simulated time in lockstep, so they have no delay;"
+            " pace:=realtime has"
+        )
     known_topic(run, arguments.topic)
     measure = kind()
     window: deque[Heard] = deque(maxlen=arguments.window)

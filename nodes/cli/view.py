@@ -21,19 +21,34 @@ TELL = 2.0  # how often it is told how much of a long recording is read [s]
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add_run_name(parser)
-    parser.add_argument("--replay", type=Path, metavar="FILE", help="a recording instead of a running launch")
-    parser.add_argument("--over", type=Path, metavar="FILE", help="with --replay: another recording, drawn over it")
-    parser.add_argument("--port", type=PORT, default=0, help="port of the page (default: a free one)")
-    parser.add_argument("--address", default="127.0.0.1", help="only 127.0.0.1; others are refused with what to do instead")
+    parser.add_argument(
+        "--replay", type=Path, metavar="FILE", help="a recording instead of a running launch"
+    )
+    parser.add_argument(
+        "--over", type=Path, metavar="FILE", help="with --replay: another recording, drawn over it"
+    )
+    parser.add_argument(
+        "--port", type=PORT, default=0, help="port of the page (default: a free one)"
+    )
+    parser.add_argument(
+        "--address",
+        default="127.0.0.1",
+        help="only 127.0.0.1; others are refused with what to do instead",
+    )
     parser.add_argument(
         "--foxglove",
         type=PORT,
         nargs="?",
         const=8765,
         metavar="PORT",
-        help="let Foxglove or Lichtblick connect too, at ws://127.0.0.1:PORT (default 8765); needs haptic-nodes[foxglove]",
+        help=(
+            "let Foxglove or Lichtblick connect too, at ws://127.0.0.1:PORT (default 8765); needs"
+            " haptic-nodes[foxglove]"
+        ),
     )
-    parser.add_argument("--json", action="store_true", help='the URL as {"url": …} on the first line')
+    parser.add_argument(
+        "--json", action="store_true", help='the URL as {"url": …} on the first line'
+    )
     parser.set_defaults(run=run)
 
 
@@ -66,12 +81,22 @@ def _beside(found: RunInfo, arguments: argparse.Namespace, ended: list[int]) -> 
             announce(pages.server.url, arguments.json)
             if arguments.foxglove is not None:
                 port = pages.bridge(arguments.foxglove)
-                print(f"Foxglove and Lichtblick find the run at ws://127.0.0.1:{port}", file=sys.stderr, flush=True)
+                print(
+                    f"Foxglove and Lichtblick find the run at ws://127.0.0.1:{port}",
+                    file=sys.stderr,
+                    flush=True,
+                )
             # A launch tells its end; one that was killed does not.
-            await pages.run(lambda: bool(ended or pages.live.ended or not alive(found.launcher)), links.keep)
+            await pages.run(
+                lambda: bool(ended or pages.live.ended or not alive(found.launcher)), links.keep
+            )
 
         asyncio.run(serve())
-    return answer(arguments.json, {"run": found.run, "ended": pages.live.ended}, f"{found.run}: {pages.live.ended}")
+    return answer(
+        arguments.json,
+        {"run": found.run, "ended": pages.live.ended},
+        f"{found.run}: {pages.live.ended}",
+    )
 
 
 def _replay(arguments: argparse.Namespace, ended: list[int]) -> int:
@@ -100,5 +125,7 @@ def _replay(arguments: argparse.Namespace, ended: list[int]) -> int:
 
     asyncio.run(serve())
     if arguments.json:
-        print(json.dumps({"replay": str(arguments.replay), "duration_s": pages.duration}), flush=True)
+        print(
+            json.dumps({"replay": str(arguments.replay), "duration_s": pages.duration}), flush=True
+        )
     return 0

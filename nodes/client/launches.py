@@ -29,8 +29,8 @@ class NoSuchNameError(UsageError):
 def find(name: str | None = None, patience: float = PATIENCE) -> RunInfo:
     """Find the launch that is meant: by its run or scenario, else by the variable HAPTIC_RUN, else the only one that runs.
 
-    ``NAME/left`` or ``/left`` means its chain in the namespace ``left`` alone. `patience`: how long to wait while nothing runs
-    [s]: a launch that was started a moment ago has not appeared yet.
+    ``NAME/left`` or ``/left`` means its chain in the namespace ``left`` alone. `patience`: how long
+    to wait while nothing runs [s]: a launch that was started a moment ago has not appeared yet.
     """
     wanted = os.environ.get("HAPTIC_RUN") or None
     until = time.monotonic() + patience
@@ -55,10 +55,12 @@ def node_name(run: RunInfo, name: str) -> str:
         return within[0]
     if within:
         raise NoSuchNameError(
-            f"{run.run}: several nodes are named {plain!r}: {', '.join(within)}; name one whole, or choose its chain with "
-            f"--run /{within[0].rpartition('/')[0]}"
+            f"{run.run}: several nodes are named {plain!r}: {', '.join(within)}; name one whole, or"
+            f" choose its chain with --run /{within[0].rpartition('/')[0]}"
         )
-    raise NoSuchNameError(f"{run.run}: no node is named {name!r}; {_hint(plain, list(run.nodes), 'there is:')}")
+    raise NoSuchNameError(
+        f"{run.run}: no node is named {name!r}; {_hint(plain, list(run.nodes), 'there is:')}"
+    )
 
 
 def known_topic(run: RunInfo, topic: str) -> str:
@@ -80,14 +82,25 @@ def roles(run: RunInfo) -> dict[str, str]:
 
     run.only_chain()
     published = {name: load(setup.factory).publishes for name, setup in run.nodes.items()}
-    return {role: name for role, topic in _PUBLISHES.items() for name, mine in published.items() if topic in mine}
+    return {
+        role: name
+        for role, topic in _PUBLISHES.items()
+        for name, mine in published.items()
+        if topic in mine
+    }
 
 
 def ask(run: RunInfo, node: str, op: str, timeout: float = TIMEOUT, **args: Any) -> Any:
     """Ask one node to do `op` (messages/PROTOCOL.md); ControlError says why it refuses, does not answer, or cannot be asked."""
     node = node_name(run, node)
     if op == "param.set" and is_moved(run, node, args.get("values")):
-        return set_moved(run, node, args["values"], functools.partial(_ask, run, timeout), bool(args.get("force")))
+        return set_moved(
+            run,
+            node,
+            args["values"],
+            functools.partial(_ask, run, timeout),
+            bool(args.get("force")),
+        )
     return _ask(run, timeout, node, op, **args)
 
 

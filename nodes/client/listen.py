@@ -29,7 +29,11 @@ class Heard(NamedTuple):
 
 @contextlib.contextmanager
 def listening(
-    run: RunInfo, endpoints: Iterable[str], topics: Iterable[str], queue: int = QUEUE, say: Callable[[str], None] = say_link
+    run: RunInfo,
+    endpoints: Iterable[str],
+    topics: Iterable[str],
+    queue: int = QUEUE,
+    say: Callable[[str], None] = say_link,
 ) -> Iterator[tuple[Subscription, Links]]:
     """Subscribe off the processors of a run; `say` takes what became of a link."""
     # The socket's threads, and others that are started in the block, inherit it.
@@ -49,8 +53,13 @@ def listen(run: RunInfo, topics: Collection[str], duration: float = 0.0) -> Iter
     """Receive messages until the run ends or the time is over."""
     endpoints = run.endpoints()
     names = {within(run.namespace, topic).encode(): topic for topic in topics}
-    decoders = {topic: Decoder(kind) for topic in topics if (kind := message_type(topic)) is not None}
-    with listening(run, {endpoints[topic] for topic in topics}, map(bytes.decode, names)) as (inbox, links):
+    decoders = {
+        topic: Decoder(kind) for topic in topics if (kind := message_type(topic)) is not None
+    }
+    with listening(run, {endpoints[topic] for topic in topics}, map(bytes.decode, names)) as (
+        inbox,
+        links,
+    ):
         until = time.monotonic() + duration if duration else float("inf")
         while True:
             frames = inbox.receive(QUIET_MS)
@@ -63,7 +72,8 @@ def listen(run: RunInfo, topics: Collection[str], duration: float = 0.0) -> Iter
                     return
                 yield None
                 continue
-            topic = names.get(frames[0])  # A subscription is a prefix: what merely begins like a topic is not meant
+            # A subscription is a prefix: what merely begins like a topic is not meant
+            topic = names.get(frames[0])
             if topic is None:
                 continue
             message: Message | None

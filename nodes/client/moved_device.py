@@ -11,32 +11,40 @@ from nodes.base.node_kinds import load
 from nodes.launcher.plants import has_plant
 from nodes.launcher.runs import RunInfo
 
-FIELDS: Final = {"device.delay": "device_delay", "mapping.scale": "scale"}  # a driver's parameter to that of the plant
+# a driver's parameter to that of the plant
+FIELDS: Final = {"device.delay": "device_delay", "mapping.scale": "scale"}
 
 
 def is_moved(run: RunInfo, node: str, values: object) -> bool:
     """Return whether setting `values` of a `node` changes a device that laws are judged on."""
     if not (isinstance(values, Mapping) and FIELDS.keys() & values.keys()):
         return False
-    return topics.DEVICE_STATE in load(run.nodes[node].factory).publishes and bool(_coupling(run, node))
+    return topics.DEVICE_STATE in load(run.nodes[node].factory).publishes and bool(
+        _coupling(run, node)
+    )
 
 
 def _coupling(run: RunInfo, driver: str) -> str:
     """Return the node of the driver's chain that judges laws on a plant; empty for none."""
     namespace = driver.rpartition("/")[0]
     inside = (
-        name for name, setup in run.nodes.items() if name.rpartition("/")[0] == namespace and has_plant(load(setup.factory))
+        name
+        for name, setup in run.nodes.items()
+        if name.rpartition("/")[0] == namespace and has_plant(load(setup.factory))
     )
     return next(inside, "")
 
 
-def set_moved(run: RunInfo, driver: str, values: Mapping[str, Any], ask: Callable[..., Any], force: bool) -> Any:
+def set_moved(
+    run: RunInfo, driver: str, values: Mapping[str, Any], ask: Callable[..., Any], force: bool
+) -> Any:
     """Set `values` of a driver; return its receipt. `ask` takes a node, an operation and its arguments.
 
     Raises
     ------
     ControlError
-        When the law would be unstable on that device, or the driver refuses: both are as before then.
+        When the law would be unstable on that device, or the driver refuses: both are as before
+        then.
     """
     coupling = _coupling(run, driver)
     plant = ask(coupling, "param.get", name="plant")
@@ -48,7 +56,11 @@ def set_moved(run: RunInfo, driver: str, values: Mapping[str, Any], ask: Callabl
         field, new = FIELDS[name], values[name]
         if isinstance(new, int | float):
             # What the plant says beyond the device's own delay stays.
-            more = plant[field] - ask(driver, "param.get", name=name) if field == "device_delay" else 0.0
+            more = (
+                plant[field] - ask(driver, "param.get", name=name)
+                if field == "device_delay"
+                else 0.0
+            )
             wanted[f"plant.{field}"] = max(0.0, round(new + more, 9))
     before = {path: plant[path.removeprefix("plant.")] for path in wanted}
     if wanted:

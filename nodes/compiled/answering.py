@@ -1,8 +1,9 @@
 """The Python side of compiled ticks: it enters them before each plain tick, and comes back with what is unusual.
 
-A node that answers ticks waits for its next message with a function (nodes/base/follow.py). `CompiledTicks.in_front_of` puts
-the compiled ticks in front of it: they answer message after message, and when one is not theirs it is put back on the
-subscription, so that the plain tick receives it as if nobody had looked at it.
+A node that answers ticks waits for its next message with a function (nodes/base/follow.py).
+`CompiledTicks.in_front_of` puts the compiled ticks in front of it: they answer message after
+message, and when one is not theirs it is put back on the subscription, so that the plain tick
+receives it as if nobody had looked at it.
 """
 
 from __future__ import annotations
@@ -18,13 +19,21 @@ import msgspec
 
 from messages.codec import MAX_PAYLOAD
 from messages.topics import LOOP
-from nodes.compiled.layout import LONGEST_IN, LONGEST_MAIL, LONGEST_OUT, LONGEST_TEXT, LONGEST_TOPIC, NEVER
+from nodes.compiled.layout import (
+    LONGEST_IN,
+    LONGEST_MAIL,
+    LONGEST_OUT,
+    LONGEST_TEXT,
+    LONGEST_TOPIC,
+    NEVER,
+)
 from nodes.compiled.library import Kernel, functions
 from nodes.compiled.message_fields import key_blocks
 
 M = TypeVar("M")
 
-LOCKSTEP_TICKS: Final = 256  # a kernel stops after so many in lockstep; each stop costs a tick or two at 8 kHz
+# a kernel stops after so many in lockstep; each stop costs a tick or two at 8 kHz
+LOCKSTEP_TICKS: Final = 256
 WAIT_MS: Final = 100  # longest wait for a message before it looks [ms]
 
 
@@ -52,10 +61,23 @@ class CompiledTicks:
         self._frame = self._room("frame", LONGEST_TOPIC)
         self._text = self._room("text", LONGEST_TEXT + 16)
         self._room("events_size", 8).raw = (4).to_bytes(8, sys.byteorder)
-        self._mail = self._room("mail_topic", LONGEST_TOPIC), self._room("mail_payload", LONGEST_MAIL)
+        self._mail = (
+            self._room("mail_topic", LONGEST_TOPIC),
+            self._room("mail_payload", LONGEST_MAIL),
+        )
         # An encoder may write 16 bytes beyond its message.
-        sizes = {"payload": LONGEST_IN, "spare": LONGEST_IN, "time": 16, "events": 8, "held_sizes": 8 * state.batch}
-        for name, size in {**sizes, "out": LONGEST_OUT + 16, "held": state.batch * LONGEST_OUT + 16}.items():
+        sizes = {
+            "payload": LONGEST_IN,
+            "spare": LONGEST_IN,
+            "time": 16,
+            "events": 8,
+            "held_sizes": 8 * state.batch,
+        }
+        for name, size in {
+            **sizes,
+            "out": LONGEST_OUT + 16,
+            "held": state.batch * LONGEST_OUT + 16,
+        }.items():
             self._room(name, size)
         for name, content in (("expected", expected), ("topic", topic)):
             self._room(name, len(content) + 1).value = content.encode()
@@ -82,7 +104,8 @@ class CompiledTicks:
         self.state.text_size = len(encoded)
         return True
 
-    # -- what a kind of node defines ---------------------------------------------------------------------------------
+    # -- what a kind of node defines
+    # ---------------------------------------------------------------------------------
 
     def load_state(self) -> bool:
         """Tell the kernel what it must know before its ticks; whether they are its own."""
@@ -91,7 +114,8 @@ class CompiledTicks:
     def store_state(self) -> None:
         """Do what follows from compiled ticks."""
 
-    # -- for other threads, while the kernel ticks --------------------------------------------------------------------
+    # -- for other threads, while the kernel ticks
+    # --------------------------------------------------------------------
 
     def mail(self, topic: bytes, payload: bytes) -> bool:
         """Have the kernel send a message that is not part of a tick; whether it will, or the loop has to be called for it."""
@@ -111,7 +135,8 @@ class CompiledTicks:
             self._mailing.release()
         return True
 
-    # -- the border --------------------------------------------------------------------------------------------------
+    # -- the border
+    # --------------------------------------------------------------------------------------------------
 
     def go(self) -> int:
         """Let the kernel tick until it stops; what it tells."""
@@ -134,7 +159,9 @@ class CompiledTicks:
         state = self.state
         if state.mail:
             topic, payload = self._mail
-            self._node.events.outbox.appendleft((topic.raw[: state.mail_topic_size], payload.raw[: state.mail_size]))
+            self._node.events.outbox.appendleft(
+                (topic.raw[: state.mail_topic_size], payload.raw[: state.mail_size])
+            )
             state.mail = 0
             self._node.events.waiting = True
 
@@ -158,7 +185,8 @@ class CompiledTicks:
             if not state.frames:
                 return None
             if state.skipping:
-                # For this one, which is unusual, the one before was left out: whether rightly, the plain tick finds out.
+                # For this one, which is unusual, the one before was left out: whether rightly, the
+                # plain tick finds out.
                 state.skipped -= 1
                 inbox.put_back((self._expected, ctypes.string_at(state.spare, state.spare_size)))
             inbox.put_back(self._frames())
@@ -171,6 +199,9 @@ class CompiledTicks:
         state = self.state
         frames = [self._frame.raw[: state.frame_size]]
         if state.frames == 2:
-            size = state.payload_size  # A payload too long for the buffer is refused for its length alone
-            frames.append(ctypes.string_at(state.payload, size) if size <= MAX_PAYLOAD else bytes(size))
+            # A payload too long for the buffer is refused for its length alone
+            size = state.payload_size
+            frames.append(
+                ctypes.string_at(state.payload, size) if size <= MAX_PAYLOAD else bytes(size)
+            )
         return frames

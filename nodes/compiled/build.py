@@ -44,8 +44,8 @@ def reason(entry: cache.CacheEntry | None) -> str:
 def expected_seconds(modules: Sequence[str]) -> tuple[float, bool]:
     """Return how long compiling takes here [s], and whether each kernel was compiled here before.
 
-    The processor time that each took last time, side by side on the processors of this machine; `USUAL` for one
-    that was never compiled.
+    The processor time that each took last time, side by side on the processors of this machine;
+    `USUAL` for one that was never compiled.
     """
     took = []
     for module in modules:
@@ -95,21 +95,33 @@ def _build_one(module: str) -> str:
         return f"{module}: not compiled within {TIMEOUT:g} s"
     if not process.returncode:
         return ""
-    lines = errors.strip().splitlines() or [f"the compiler ended with exit code {process.returncode}"]
+    lines = errors.strip().splitlines() or [
+        f"the compiler ended with exit code {process.returncode}"
+    ]
     return f"{module}: {lines[-1]}"
 
 
-# -- in the process that compiles ------------------------------------------------------------------------------------
+# -- in the process that compiles
+# ------------------------------------------------------------------------------------
 
 
 def _cause(error: Exception) -> str:
     """Say in a line why a kernel could not be compiled, and where: numba reports it innermost, below all that called it."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [
+        type(error).__name__
+    ]
     failed = [n for n, line in enumerate(lines[:-1]) if _FAILED in line]
     if not failed:
         return lines[-1]
     cause = lines[failed[-1] + 1]
-    where = next((line.removeprefix("File ").rstrip(":") for line in lines[failed[-1] :] if line.startswith("File ")), "")
+    where = next(
+        (
+            line.removeprefix("File ").rstrip(":")
+            for line in lines[failed[-1] :]
+            if line.startswith("File ")
+        ),
+        "",
+    )
     if cause.startswith("Untyped global name"):
         cause += "; a function that a tick calls must be named in its kernel"
     return f"{cause} ({where})" if where else cause

@@ -1,10 +1,12 @@
 """Compiled code on disk: whatever is loaded was written by this user, whole, from the sources that are installed now.
 
-Compiled code is run as it stands, so a file that somebody else could have written is never opened. Everything lies in one
-folder of the user's own: nobody else can write to it or to what leads there, and it is entered without following a link. An
-entry is one file: the digest of all that follows, what it was made of (every source file, by digest), and the code. It is
-written aside and put in place at once, so it is there as a whole or not at all; one that is cut, damaged or of other sources
-counts as absent, and is made anew by whoever may compile. What is run is the copy in memory whose digest was taken.
+Compiled code is run as it stands, so a file that somebody else could have written is never opened.
+Everything lies in one folder of the user's own: nobody else can write to it or to what leads there,
+and it is entered without following a link. An entry is one file: the digest of all that follows,
+what it was made of (every source file, by digest), and the code. It is written aside and put in
+place at once, so it is there as a whole or not at all; one that is cut, damaged or of other sources
+counts as absent, and is made anew by whoever may compile. What is run is the copy in memory whose
+digest was taken.
 
 Versions and processor are in the folder's name.
 """
@@ -32,9 +34,12 @@ import msgspec
 from messages.errors import HapticError
 from nodes.parameters.installed import version
 
-ROOT: Final = Path(__file__).parents[2]  # where the packages are installed: sources are named from here
-LARGEST: Final = 256 * 2**20  # longest entry that is read [bytes]; a kernel has some hundred thousand
-# How long another process that makes an entry is waited for, before it is made twice [s]: one that ends lets go of it.
+# where the packages are installed: sources are named from here
+ROOT: Final = Path(__file__).parents[2]
+# longest entry that is read [bytes]; a kernel has some hundred thousand
+LARGEST: Final = 256 * 2**20
+# How long another process that makes an entry is waited for, before it is made twice [s]: one that
+# ends lets go of it.
 PATIENCE: Final = 120.0
 _DIGEST: Final = 64
 _BARE: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
@@ -73,13 +78,19 @@ def _versions() -> str:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         lines = []
-    text += sorted({line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))})
+    text += sorted(
+        {line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))}
+    )
     return hashlib.sha256("|".join(text).encode()).hexdigest()[:16]
 
 
 def folder() -> Path:
     """Name the folder of compiled code, which need not exist: below ``NUMBA_CACHE_DIR``, ``XDG_CACHE_HOME`` or ``~/.cache``."""
-    base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    base = (
+        os.environ.get("NUMBA_CACHE_DIR")
+        or os.environ.get("XDG_CACHE_HOME")
+        or Path.home() / ".cache"
+    )
     return Path(base).absolute() / "haptic-nodes" / f"compiled-{_versions()}"
 
 
@@ -128,14 +139,17 @@ def _enter(name: str, make: bool) -> int:
                 if make:
                     with contextlib.suppress(FileExistsError):
                         os.mkdir(step, 0o700, dir_fd=outer)
-                at = os.open(step, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=outer)
+                at = os.open(
+                    step, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=outer
+                )
             finally:
                 os.close(outer)
             found = os.fstat(at)
             if found.st_uid != os.getuid() or _others_write(found):
                 os.close(at)
                 raise CacheRefusedError(
-                    f"{path}: {step} must belong to user {os.getuid()}, with write permission for nobody else; remove it"
+                    f"{path}: {step} must belong to user {os.getuid()}, with write permission for"
+                    " nobody else; remove it"
                 )
     except (CacheRefusedError, FileNotFoundError):
         raise
@@ -174,7 +188,10 @@ def sources_of(module: str) -> dict[str, str]:
                     if isinstance(found, ast.Import):
                         waiting += [one.name for one in found.names]
                     elif isinstance(found, ast.ImportFrom) and found.module:
-                        waiting += [found.module, *(f"{found.module}.{one.name}" for one in found.names)]
+                        waiting += [
+                            found.module,
+                            *(f"{found.module}.{one.name}" for one in found.names),
+                        ]
     return sources
 
 
@@ -185,7 +202,9 @@ def read(name: str) -> CacheEntry | None:
     except FileNotFoundError:
         return None
     try:
-        descriptor = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK, dir_fd=at)
+        descriptor = os.open(
+            name, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK, dir_fd=at
+        )
     except FileNotFoundError:
         return None
     except OSError as error:
@@ -196,7 +215,8 @@ def read(name: str) -> CacheEntry | None:
     if not stat.S_ISREG(found.st_mode) or found.st_uid != os.getuid() or _others_write(found):
         os.close(descriptor)
         raise CacheRefusedError(
-            f"{folder() / name}: must be a file of user {os.getuid()} that nobody else may write to; remove it"
+            f"{folder() / name}: must be a file of user {os.getuid()} that nobody else may write"
+            " to; remove it"
         )
     with os.fdopen(descriptor, "rb") as file:
         whole = file.read(LARGEST) if found.st_size <= LARGEST else b""
@@ -231,7 +251,8 @@ def write(name: str, entry: CacheEntry, sources: Mapping[str, str]) -> None:
         os.close(at)
 
 
-_made_here: set[str] = set()  # entries that this process's threads make: nobody waits here, who may hold what they need
+# entries that this process's threads make: nobody waits here, who may hold what they need
+_made_here: set[str] = set()
 
 
 @contextlib.contextmanager
@@ -287,7 +308,8 @@ def alone() -> int | None:
         os.close(at)
 
 
-_open: list[int] = []  # descriptors of libraries: by a name it has met, a loader would give the library it had before
+# descriptors of libraries: by a name it has met, a loader would give the library it had before
+_open: list[int] = []
 
 
 def load(library: bytes) -> Any:

@@ -13,7 +13,8 @@ from nodes.compiled.message_fields import NotCompilableError
 WantedTick: TypeAlias = Literal["auto", "compiled", "plain"]
 
 
-SCARCE: Final = 1000.0  # from this rate on a tick by the interpreter fills a good part of the period [Hz]
+# from this rate on a tick by the interpreter fills a good part of the period [Hz]
+SCARCE: Final = 1000.0
 
 
 def choose(
@@ -21,8 +22,9 @@ def choose(
 ) -> Literal["compiled", "plain"]:
     """Settle which tick the nodes of a launch take.
 
-    ``auto`` takes the compiled one where it is there already, and makes no launch wait for the compiler. It always
-    says that one cannot be compiled, and where time is scarce that one is missing, which is compiled after the
+    ``auto`` takes the compiled one where it is there already, and makes no launch wait for the
+    compiler. It always says that one cannot be compiled, and where time is scarce that one is
+    missing, which is compiled after the
     launch: `compile_later`.
     """
     if wanted == "plain" or not modules:
@@ -33,16 +35,25 @@ def choose(
         say(f"using the plain tick; compiled code is not taken from there: {error}")
         return "plain"
     failed = next(filter(None, map(reason, found.values())), "")
-    missing = [module for module, entry in found.items() if entry is None or (reason(entry) and wanted == "compiled")]
+    missing = [
+        module
+        for module, entry in found.items()
+        if entry is None or (reason(entry) and wanted == "compiled")
+    ]
     if wanted == "auto":
         if failed:
             say(f"using the plain tick; the compiled one is not available: {failed}")
         elif scarce and missing:
-            say("using the plain tick; the compiled one is not built yet (--tick compiled builds it once)")
+            say(
+                "using the plain tick; the compiled one is not built yet (--tick compiled builds it"
+                " once)"
+            )
         return "plain" if failed or missing else "compiled"
     if missing:
         seconds, is_measured = expected_seconds(missing)
-        source = "as it took here last time" if is_measured else "an estimate: it is the first time here"
+        source = (
+            "as it took here last time" if is_measured else "an estimate: it is the first time here"
+        )
         kernels = f"{len(missing)} kernel{'s' if len(missing) > 1 else ''}"
         say(f"compiling {kernels}, once for this version: about {seconds:.0f} s ({source})")
         try:
@@ -63,4 +74,7 @@ def compile_later(modules: Collection[str], say: Callable[[str], None]) -> None:
         return  # the launch has said so
     if missing:
         build_in_background(missing)
-        say("the plain tick ran; the compiled one is being made in the background, for the next launch")
+        say(
+            "the plain tick ran; the compiled one is being made in the background, for the next"
+            " launch"
+        )

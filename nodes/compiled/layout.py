@@ -1,24 +1,39 @@
 """What the plain and the compiled side of a node share: structs that both read and write, laid out once.
 
-Addresses are whole numbers: a kernel knows nothing of Python's objects. Whoever fills them in keeps alive what they point to.
+Addresses are whole numbers: a kernel knows nothing of Python's objects. Whoever fills them in keeps
+alive what they point to.
 """
 
 from __future__ import annotations
 
 from ctypes import Array, Structure, addressof, c_double, c_int64
 from functools import cache
-from typing import Annotated, Any, Final, TypeAlias, TypeVar, cast, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Final,
+    TypeAlias,
+    TypeVar,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 NEVER: Final = 2**62  # a tick that does not come
 LONGEST_OUT: Final = 1024  # room for one message sent [bytes]; the longest is under 600
-LONGEST_IN: Final = 65536 + 64  # room for one message received [bytes]; a longer one is refused for its length
-LONGEST_TOPIC: Final = 256  # room for a first frame [bytes]; of a longer one only the beginning is ever told
-LONGEST_MAIL: Final = 4096  # room for a message that is not part of a tick [bytes]; a longer one makes the kernel stop
+# room for one message received [bytes]; a longer one is refused for its length
+LONGEST_IN: Final = 65536 + 64
+# room for a first frame [bytes]; of a longer one only the beginning is ever told
+LONGEST_TOPIC: Final = 256
+# room for a message that is not part of a tick [bytes]; a longer one makes the kernel stop
+LONGEST_MAIL: Final = 4096
 LONGEST_TEXT: Final = 128  # longest text in a message sent, encoded [bytes]
 
 REALS: Final = 32  # room for the numbers of a message, read or to be written
 WHOLES: Final = 16  # the same for its whole numbers
-TEXTS: Final = 12  # where among the wholes address and size of a message's text stand; size -1 for one that is absent
+# where among the wholes address and size of a message's text stand; size -1 for one that is absent
+TEXTS: Final = 12
 
 
 Vector3: TypeAlias = Annotated[list[float], 3]
@@ -31,8 +46,9 @@ S = TypeVar("S")
 def struct(declared: type[S]) -> type[S]:
     """Lay out the annotations of a class as a ctypes struct, those of its base first.
 
-    ``float`` and ``int`` are one number of 64 bits; ``Annotated[list[float], n]`` is an array of n. A type checker sees the
-    class as it is written, so a misspelt variable is an error; numba sees the struct.
+    ``float`` and ``int`` are one number of 64 bits; ``Annotated[list[float], n]`` is an array of n.
+    A type checker sees the class as it is written, so a misspelt variable is an error; numba sees
+    the struct.
 
     Raises
     ------
@@ -40,9 +56,17 @@ def struct(declared: type[S]) -> type[S]:
         For an annotation that is none of these.
     """
     hints = get_type_hints(declared, include_extras=True)
-    # The checker's bases are the struct's own fields here: numpy and numba look at one list of them.
-    fields = [(name, _laid_out(f"{declared.__name__}.{name}", kind)) for name, kind in hints.items()]
-    body = {"_fields_": fields, "__annotations__": hints, "__doc__": declared.__doc__, "__module__": declared.__module__}
+    # The checker's bases are the struct's own fields here: numpy and numba look at one list of
+    # them.
+    fields = [
+        (name, _laid_out(f"{declared.__name__}.{name}", kind)) for name, kind in hints.items()
+    ]
+    body = {
+        "_fields_": fields,
+        "__annotations__": hints,
+        "__doc__": declared.__doc__,
+        "__module__": declared.__module__,
+    }
     return cast("type[S]", type(declared.__name__, (Structure,), body))
 
 
@@ -50,10 +74,12 @@ def _laid_out(where: str, kind: Any) -> Any:
     if kind in _NUMBERS:
         return _NUMBERS[kind]
     if get_origin(kind) is Annotated:
-        (items, size) = get_args(kind)
+        items, size = get_args(kind)
         if get_origin(items) is list and get_args(items)[0] in _NUMBERS and isinstance(size, int):
             return _NUMBERS[get_args(items)[0]] * size
-    raise TypeError(f"{where}: {kind!r} has no place in a struct; use float, int or Annotated[list[float], n]")
+    raise TypeError(
+        f"{where}: {kind!r} has no place in a struct; use float, int or Annotated[list[float], n]"
+    )
 
 
 @struct
@@ -140,7 +166,12 @@ def _ordinary(struct: Any) -> type[Any]:
         for name, value in given.items():
             setattr(state, name, value)
 
-    body = {"__slots__": tuple(zeros), "__init__": begin, "__doc__": struct.__doc__, "_fields_": struct._fields_}
+    body = {
+        "__slots__": tuple(zeros),
+        "__init__": begin,
+        "__doc__": struct.__doc__,
+        "_fields_": struct._fields_,
+    }
     return type(struct.__name__, (), body)
 
 

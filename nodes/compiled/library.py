@@ -1,7 +1,7 @@
 """Loading compiled kernels, and finding the C functions that they call: pyzmq's own libzmq, and libc.
 
-Sockets belong to the libzmq that made them, so it must be the very one that pyzmq has loaded: beside its wheel,
-within its extension, or the system's.
+Sockets belong to the libzmq that made them, so it must be the very one that pyzmq has loaded:
+beside its wheel, within its extension, or the system's.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from nodes.compiled.message_fields import NotCompilableError
 _ZMQ: Final = ("zmq_recv", "zmq_send", "zmq_getsockopt")
 _LIBC: Final = ("clock_gettime", "clock_nanosleep", "ppoll", "sched_yield")
 
-Kernel: TypeAlias = Callable[[int], int]  # from the address of a node's state to the number of ticks done
+# from the address of a node's state to the number of ticks done
+Kernel: TypeAlias = Callable[[int], int]
 _kept: list[Any] = []  # what must live as long as its functions may be called
 
 
@@ -36,7 +37,9 @@ def library_of_pyzmq() -> str:
             library.zmq_version(*map(ctypes.byref, numbers))
             if tuple(number.value for number in numbers) == zmq.zmq_version_info():
                 return path
-    raise NotCompilableError(f"pyzmq's libzmq is not to be found among {', '.join(candidates) or 'what is loaded'}")
+    raise NotCompilableError(
+        f"pyzmq's libzmq is not to be found among {', '.join(candidates) or 'what is loaded'}"
+    )
 
 
 def functions() -> dict[str, int]:
@@ -82,7 +85,8 @@ def obtain_calls(module: str, names: Sequence[str]) -> list[int]:
         raise NotCompilableError(failed)
     if entry is None:
         raise NotCompilableError(
-            f"{module} is not compiled on this machine; `haptic launch floor_drop --tick compiled` builds it once"
+            f"{module} is not compiled on this machine; `haptic launch floor_drop --tick compiled`"
+            " builds it once"
         )
     try:
         return _addresses(entry, names)
@@ -91,8 +95,11 @@ def obtain_calls(module: str, names: Sequence[str]) -> list[int]:
 
 
 def _kernel_at(address: int) -> Kernel:
-    # numba's own way of calling: where the result goes, where an exception would be told, and the argument.
-    function = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)(address)
+    # numba's own way of calling: where the result goes, where an exception would be told, and the
+    # argument.
+    function = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)(
+        address
+    )
     result, error = ctypes.c_int64(), ctypes.c_void_p()
     at, message = ctypes.addressof(result), ctypes.addressof(error)
 

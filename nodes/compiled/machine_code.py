@@ -1,8 +1,9 @@
 """Machine code of a kernel: numba writes each function once, LLVM optimises all of them together once.
 
-For a function that Python calls, numba optimises and emits its own machine code, and again within each function that calls
-it. Nothing calls the parts of a kernel, so they stay text until the kernel is whole. What numba does of itself, a lowered
-module per function, is unchanged, and LLVM gets the same instructions: without fastmath it may not change their results.
+For a function that Python calls, numba optimises and emits its own machine code, and again within
+each function that calls it. Nothing calls the parts of a kernel, so they stay text until the kernel
+is whole. What numba does of itself, a lowered module per function, is unchanged, and LLVM gets the
+same instructions: without fastmath it may not change their results.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from typing import Any, Final
 ENTRY: Final = "haptic_tick"  # name of a kernel in its file
 _LINKERS: Final = ("cc", "gcc", "clang")
 
-# A kernel's memory belongs to Python, which holds it: numba's counts of references to it have nothing to count.
+# A kernel's memory belongs to Python, which holds it: numba's counts of references to it have
+# nothing to count.
 _NO_COUNTS: Final = """
     define linkonce_odr void @NRT_incref(ptr %memory) alwaysinline { ret void }
     define linkonce_odr void @NRT_decref(ptr %memory) alwaysinline { ret void }
@@ -38,14 +40,17 @@ def object_file(module: str) -> bytes:
     import llvmlite.binding as llvm
 
     loaded: Any = importlib.import_module(module)
-    # What the compiler makes lives until this process ends: looking for garbage in it takes a twelfth of the time.
+    # What the compiler makes lives until this process ends: looking for garbage in it takes a
+    # twelfth of the time.
     gc.disable()
     called = getattr(loaded, "ENTRIES", None)
     entries = {ENTRY: (loaded.ticks, "int64(int64)")} if called is None else called
     names, unit = _whole(entries)
     if called is not None:
         signatures = {name: signature for name, (_, signature) in entries.items()}
-        unit.link_in(llvm.parse_assembly("\n".join(_by_c(n, names[n], signatures[n]) for n in entries)))
+        unit.link_in(
+            llvm.parse_assembly("\n".join(_by_c(n, names[n], signatures[n]) for n in entries))
+        )
     for function in unit.functions:
         if not function.is_declaration and function.name not in (*entries, *names.values()):
             function.linkage = "internal"
@@ -55,7 +60,11 @@ def object_file(module: str) -> bytes:
         else:
             unit.get_function(made_name).linkage = "internal"
     target = llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine(
-        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=3, reloc="pic", codemodel="default"
+        cpu=llvm.get_host_cpu_name(),
+        features=llvm.get_host_cpu_features().flatten(),
+        opt=3,
+        reloc="pic",
+        codemodel="default",
     )
     llvm.initialize_native_asmprinter()
     options = llvm.create_pipeline_tuning_options(speed_level=3)
@@ -63,7 +72,9 @@ def object_file(module: str) -> bytes:
     builder.getModulePassManager().run(unit, builder)
     wanted = [f.name for f in unit.functions if f.is_declaration and f.name.startswith("NRT_")]
     if wanted:
-        raise RuntimeError(f"{module}: a kernel allocates no memory, and this one calls {wanted[0]}")
+        raise RuntimeError(
+            f"{module}: a kernel allocates no memory, and this one calls {wanted[0]}"
+        )
     made: bytes = target.emit_object(unit)
     return made
 
@@ -92,13 +103,16 @@ def _whole(entries: dict[str, Any]) -> tuple[dict[str, str], Any]:
     context.refresh()
     codegen = context.codegen()
     codegen._library_class = Parts
-    # Python calls none of them. numba knows a function by what it would call, so each needs a builtin of its own.
+    # Python calls none of them. numba knows a function by what it would call, so each needs a
+    # builtin of its own.
     context.get_executable = lambda *_: [].append
     # Of numba's options a type checker knows only the common ones.
     compile_: Any = numba.njit
     names, waiting = {}, []
     for name, (function, signature) in entries.items():
-        compiled = compile_([signature], no_cpython_wrapper=True, no_cfunc_wrapper=True)(function.py_func)
+        compiled = compile_([signature], no_cpython_wrapper=True, no_cfunc_wrapper=True)(
+            function.py_func
+        )
         (result,) = compiled.overloads.values()
         names[name] = result.fndesc.llvm_func_name
         waiting.append(result.library)
@@ -120,7 +134,9 @@ def _whole(entries: dict[str, Any]) -> tuple[dict[str, str], Any]:
 
 def _by_c(name: str, made: str, signature: str) -> str:
     """Write a function with C's way of calling around one of numba's, which takes result and error first."""
-    kinds = ["double" if kind == "float64" else "i64" for kind in signature[:-1].split("(")[1].split(",")]
+    kinds = [
+        "double" if kind == "float64" else "i64" for kind in signature[:-1].split("(")[1].split(",")
+    ]
     given = ", ".join(f"{kind} %a{n}" for n, kind in enumerate(kinds))
     return f"""
         declare i32 @"{made}"(ptr, ptr, {", ".join(kinds)})

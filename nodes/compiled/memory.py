@@ -1,7 +1,7 @@
 """Memory by its address and the clock, for rules that are interpreted and compiled: here for the interpreter.
 
-Where a rule looks at an array that somebody else holds, or at the clock, it calls a function of this module;
-nodes/compiled/kernels/machine.py says what a kernel does in its place.
+Where a rule looks at an array that somebody else holds, or at the clock, it calls a function of
+this module; nodes/compiled/kernels/machine.py says what a kernel does in its place.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The fields of a message as tables: what the compiled tick knows of it, read from the message's own type.
 
-So a bound, a default or a new field is written once, in messages/types.py. A field of a kind that is not listed here cannot be
-compiled; the plain tick takes its message then.
+So a bound, a default or a new field is written once, in messages/types.py. A field of a kind that
+is not listed here cannot be compiled; the plain tick takes its message then.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ class Field(NamedTuple):
 
     name: str  # its key on the wire
     kind: int  # `REAL`, `VECTOR`, `WHOLE`, `FLAG` or `TEXT`
-    slot: int  # where its value stands: among the reals (a vector takes three), the wholes (flags too) or the texts
+    # where its value stands: among the reals (a vector takes three), the wholes (flags too) or the
+    # texts
+    slot: int
     low: int  # bounds of a whole number; `high` is the longest length of a text [characters]
     high: int
     # Value when it is absent; None when it must be there. Texts are checked only, so theirs is 0.
@@ -44,9 +46,15 @@ def fields_of(message: type[Message]) -> tuple[Field, ...]:
         low = high = room = 0
         if isinstance(kind_of, inspect.FloatType):
             kind, bank, room = REAL, 0, 1
-        elif isinstance(kind_of, inspect.TupleType) and all(isinstance(t, inspect.FloatType) for t in kind_of.item_types):
+        elif isinstance(kind_of, inspect.TupleType) and all(
+            isinstance(t, inspect.FloatType) for t in kind_of.item_types
+        ):
             kind, bank, room = VECTOR, 0, len(kind_of.item_types)
-        elif isinstance(kind_of, inspect.IntType) and kind_of.ge is not None and kind_of.le is not None:
+        elif (
+            isinstance(kind_of, inspect.IntType)
+            and kind_of.ge is not None
+            and kind_of.le is not None
+        ):
             kind, bank, room, low, high = WHOLE, 1, 1, kind_of.ge, kind_of.le
         elif isinstance(kind_of, inspect.BoolType):
             kind, bank, room = FLAG, 1, 1
@@ -57,7 +65,9 @@ def fields_of(message: type[Message]) -> tuple[Field, ...]:
         if kind == VECTOR and room != 3:
             raise NotCompilableError(f"{message.__name__}.{name}: a vector of {room}, not three")
         if len(name.encode()) > LONGEST_NAME:
-            raise NotCompilableError(f"{message.__name__}.{name}: a name longer than {LONGEST_NAME} bytes")
+            raise NotCompilableError(
+                f"{message.__name__}.{name}: a name longer than {LONGEST_NAME} bytes"
+            )
         default: float | None = None
         if not field.required:
             default = float(field.default) if kind in (REAL, WHOLE, FLAG) else 0.0

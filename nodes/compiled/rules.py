@@ -1,6 +1,7 @@
 """Rules: plain functions on a state, which the interpreter calls and compiled ticks compile as they stand.
 
-A rule registers by itself; nodes/compiled/kernels/sources.py hands all of them to numba. Nothing here imports numba.
+A rule registers by itself; nodes/compiled/kernels/sources.py hands all of them to numba. Nothing
+here imports numba.
 """
 
 from __future__ import annotations

@@ -9,7 +9,8 @@ from nodes.compiled.answering import CompiledTicks
 from nodes.compiled.library import Kernel
 from nodes.coupling.renderer import Renderer
 
-STANDBY_TICKS = 64  # the kernel stops so often for laws that stand by: they run along before the history forgets
+# the kernel stops so often for laws that stand by: they run along before the history forgets
+STANDBY_TICKS = 64
 
 
 class CouplingTicks(CompiledTicks):

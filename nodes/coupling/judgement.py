@@ -20,17 +20,22 @@ if TYPE_CHECKING:
     from nodes.stability.judge import Verdict
 
 _SOFTEST = 1e-12  # a stiffness is looked for from this part of what was asked
-_DIGITS = 3  # significant digits of a value that would be taken: the measured delay moves the fourth
+# significant digits of a value that would be taken: the measured delay moves the fourth
+_DIGITS = 3
 
 
-VIRTUAL, ASKED_FOR = "the device is virtual, and its driver ends what swings", "somebody took it while it was felt"
+VIRTUAL, ASKED_FOR = (
+    "the device is virtual, and its driver ends what swings",
+    "somebody took it while it was felt",
+)
 """Why a node may start, or start again, with a law that would be refused as a change."""
 
 
 def refuses_start(policy: str, because: str) -> bool:
     """Whether a coupling refuses to start unstable; `because`: why it may where changes are refused, empty for no reason.
 
-    What was granted outlives a process: one that refused it when it is started again would leave the run without a law.
+    What was granted outlives a process: one that refused it when it is started again would leave
+    the run without a law.
     """
     return because != ASKED_FOR and (policy == "refuse" or (policy == "changes" and not because))
 
@@ -50,14 +55,18 @@ class Judgement:
         What the other nodes of the chain know of the plant (`nodes.base.node.Node.plant`).
     """
 
-    def __init__(self, node: str, period: float, book: LawBook, known: Mapping[str, float] | None = None) -> None:
+    def __init__(
+        self, node: str, period: float, book: LawBook, known: Mapping[str, float] | None = None
+    ) -> None:
         self._node, self._period, self._book, self._known = node, period, book, known or {}
 
-    def refuse_contradiction(self, parameters: CouplingParameters, now: CouplingParameters | None = None) -> None:
+    def refuse_contradiction(
+        self, parameters: CouplingParameters, now: CouplingParameters | None = None
+    ) -> None:
         """Refuse a plant on which laws would be judged more stable than they are on the device that is known.
 
-        `now`: the parameters before a change; what was taken before may stay. A device's delay is not compared in a change,
-        because it may have changed since the start.
+        `now`: the parameters before a change; what was taken before may stay. A device's delay is
+        not compared in a change, because it may have changed since the start.
         """
         plant, before = parameters.plant, now and now.plant
         if plant is None or parameters.stability in ("warn", "off") or plant == before:
@@ -68,30 +77,41 @@ class Judgement:
                 continue
             where, unit = f"{self._node}.plant.{field}", _UNITS[field]
             raise ParameterError(
-                f"{where}: {_shown(written, unit)}, but {_WHOSE.get(field, 'the device has')} {limit} {unit}: laws would be "
-                f"judged on another device. Leave {where} out, which fills it in, or set {self._node}.stability to warn"
+                f"{where}: {_shown(written, unit)}, but {_WHOSE.get(field, 'the device has')}"
+                f" {limit} {unit}: laws would be judged on another device. Leave {where} out, which"
+                f" fills it in, or set {self._node}.stability to warn"
             )
 
-    def verdict(self, parameters: CouplingParameters, law: CompiledLaw, measured_delay: float) -> Verdict | None:
+    def verdict(
+        self, parameters: CouplingParameters, law: CompiledLaw, measured_delay: float
+    ) -> Verdict | None:
         """Judge a compiled law on the declared device, where its mass makes the loop worst."""
         if parameters.plant is None or parameters.stability == "off":
             return None
         from nodes.stability.judge import judge
 
-        found = [judge(law, plant) for plant in parameters.plant.over_workspace(self._period, measured_delay)]
+        found = [
+            judge(law, plant)
+            for plant in parameters.plant.over_workspace(self._period, measured_delay)
+        ]
         return max(filter(None, found), key=lambda one: one.pole_radius, default=None)
 
     def why_not(self, parameters: CouplingParameters) -> str:
         """Return why there is no verdict."""
         if parameters.plant is None:
             return f"{self._node}.plant, the device, is not declared"
-        return f"{self._node}.stability is off" if parameters.stability == "off" else "the law has code of its own"
+        return (
+            f"{self._node}.stability is off"
+            if parameters.stability == "off"
+            else "the law has code of its own"
+        )
 
     def of_moving_world(self, parameters: CouplingParameters, delay: float) -> list[str]:
         """Return what is certain of the law of tick 0 whatever a world that moves is, for this hand and for any hand.
 
-        A world that answers in the same tick may be any; a tool that is stepped may touch anything; a second device may be in
-        any hand, as this one. Empty for a coupling to a wall, and for a law without poles.
+        A world that answers in the same tick may be any; a tool that is stepped may touch anything;
+        a second device may be in any hand, as this one. Empty for a coupling to a wall, and for a
+        law without poles.
         """
         plant = parameters.plant
         if plant is None or parameters.stability == "off":
@@ -110,8 +130,14 @@ class Judgement:
         else:
             world = SteppedTool(plant.tool_damping, loop.delay - plant.device_delay)
         hands = (True,) if isinstance(world, OtherDevice) else (False, True)
-        found = [judge_world(law, replace(loop, partner=None), world, any_hand) for any_hand in hands]
-        return [f"{self._node}.laws.{parameters.law}: {verdict.text}" for verdict in found if verdict is not None]
+        found = [
+            judge_world(law, replace(loop, partner=None), world, any_hand) for any_hand in hands
+        ]
+        return [
+            f"{self._node}.laws.{parameters.law}: {verdict.text}"
+            for verdict in found
+            if verdict is not None
+        ]
 
     def unjudged(self, parameters: CouplingParameters) -> str:
         """Return why a law that will render has no verdict; empty when all of them have."""
@@ -122,18 +148,23 @@ class Judgement:
                 return f"{self._node}.laws.{name} has code of its own, which has no poles"
         return ""
 
-    def at_start(self, parameters: CouplingParameters, delay: float, because: str = "") -> list[str]:
+    def at_start(
+        self, parameters: CouplingParameters, delay: float, because: str = ""
+    ) -> list[str]:
         """Judge the law of tick 0, those that are scheduled, and the fallback; `because`: as of `refuses_start`."""
         if parameters.stability == "refuse" and parameters.plant is None and because != ASKED_FOR:
             raise ParameterError(
-                f"{self._node}.stability: refuse needs {self._node}.plant, the device that a law is judged with; "
-                "declare its mass and damping, or set stability to warn"
+                f"{self._node}.stability: refuse needs {self._node}.plant, the device that a law is"
+                " judged with; declare its mass and damping, or set stability to warn"
             )
         warnings = []
         for name in _rendering(parameters):
             verdict = self.verdict(parameters, self._book.compile(parameters, name), delay)
             if verdict is not None and not verdict.stable:
-                warnings.append(f"{self._complaint(f'laws.{name}', verdict)}; {self._remedy(None, parameters, name, verdict)}")
+                warnings.append(
+                    f"{self._complaint(f'laws.{name}', verdict)};"
+                    f" {self._remedy(None, parameters, name, verdict)}"
+                )
         warnings += self._of_fallback(parameters, delay)
         policy = parameters.stability
         if warnings and refuses_start(policy, because):
@@ -150,7 +181,13 @@ class Judgement:
         return [f"{self._complaint('fallback', verdict)}; lower {self._node}.fallback.damping"]
 
     def of_change(
-        self, now: CouplingParameters | None, wanted: CouplingParameters, name: str, law: CompiledLaw, delay: float, force: bool
+        self,
+        now: CouplingParameters | None,
+        wanted: CouplingParameters,
+        name: str,
+        law: CompiledLaw,
+        delay: float,
+        force: bool,
     ) -> tuple[Verdict | None, str]:
         """Judge a law that would render after a change."""
         verdict = self.verdict(wanted, law, delay)
@@ -161,11 +198,13 @@ class Judgement:
             return verdict, text
         remedy = self._remedy(now, wanted, name, verdict)
         raise ParameterError(
-            f"{text}; nothing was changed. {remedy[0].upper()}{remedy[1:]}; to study it all the same, "
-            f"--force, or set {self._node}.stability to warn"
+            f"{text}; nothing was changed. {remedy[0].upper()}{remedy[1:]}; to study it all the"
+            f" same, --force, or set {self._node}.stability to warn"
         )
 
-    def refuse_fallback(self, now: CouplingParameters, wanted: CouplingParameters, delay: float, force: bool) -> None:
+    def refuse_fallback(
+        self, now: CouplingParameters, wanted: CouplingParameters, delay: float, force: bool
+    ) -> None:
         """Refuse a changed fallback that would be unstable, as a law is."""
         if now.fallback != wanted.fallback and not force and wanted.stability != "warn":
             for text in self._of_fallback(wanted, delay):
@@ -179,11 +218,18 @@ class Judgement:
             held = f" on a spring of {other.stiffness:g} N/m" if other.stiffness else ""
             hand += f", coupled to {other.mass:g} kg, {other.damping:g} N s/m{held}"
         return (
-            f"{self._node}.{what}: pole radius {verdict.pole_radius:.6g} (limit: < 1) with mass {plant.mass:g} kg, "
-            f"damping {plant.damping:g} N s/m{hand} at a delay of {plant.delay:.3g} ticks: the loop is unstable"
+            f"{self._node}.{what}: pole radius {verdict.pole_radius:.6g} (limit: < 1) with mass"
+            f" {plant.mass:g} kg, damping {plant.damping:g} N s/m{hand} at a delay of"
+            f" {plant.delay:.3g} ticks: the loop is unstable"
         )
 
-    def _remedy(self, now: CouplingParameters | None, wanted: CouplingParameters, name: str, verdict: Verdict) -> str:
+    def _remedy(
+        self,
+        now: CouplingParameters | None,
+        wanted: CouplingParameters,
+        name: str,
+        verdict: Verdict,
+    ) -> str:
         from nodes.stability.judge import between, furthest_stable, judge
 
         asked = self._book.description(wanted, name)
@@ -192,32 +238,50 @@ class Judgement:
         if not start:
             whole = self._compiled(asked)
             share = furthest_stable(lambda part: _scaled(whole, part), verdict.plant)
-            part = f"all taps of {where} times {_rounded(share, 0.0):g}" if share else f"no part of {where}"
+            part = (
+                f"all taps of {where} times {_rounded(share, 0.0):g}"
+                if share
+                else f"no part of {where}"
+            )
             return f"{part} would be taken"
 
         def at(share: float) -> Any:
-            return _mapped(asked, lambda path, end: between(start[path], end, share) if path in start else end)
+            return _mapped(
+                asked, lambda path, end: between(start[path], end, share) if path in start else end
+            )
 
         share = furthest_stable(lambda part: self._compiled(at(part)), verdict.plant)
         if share is None:
-            return f"no value of {where}.{' or '.join(start)} would be taken on the way there, the rest as asked"
+            return (
+                f"no value of {where}.{' or '.join(start)} would be taken on the way there, the"
+                " rest as asked"
+            )
         reached, ends = _numbers(at(share)), _numbers(asked)
         if len(start) > 1:
-            return f"together, {where} would be taken up to " + ", ".join(f"{path} {reached[path]:.4g}" for path in start)
+            return f"together, {where} would be taken up to " + ", ".join(
+                f"{path} {reached[path]:.4g}" for path in start
+            )
         ((path, begin),) = start.items()
         value = _rounded(reached[path], begin)
         rounded = self._compiled(_mapped(asked, lambda at, end: value if at == path else end))
         found = judge(rounded, verdict.plant)
         shown = f"{value:g}" if found is not None and found.stable else f"{reached[path]:.9g}"
-        return f"the {'largest' if ends[path] > begin else 'smallest'} {where}.{path} that would be taken is {shown}"
+        return (
+            f"the {'largest' if ends[path] > begin else 'smallest'} {where}.{path} that would be"
+            f" taken is {shown}"
+        )
 
-    def _start(self, now: CouplingParameters | None, name: str, asked: dict[str, Any]) -> dict[str, float]:
+    def _start(
+        self, now: CouplingParameters | None, name: str, asked: dict[str, Any]
+    ) -> dict[str, float]:
         """Where the way to what is asked begins: the values before, else no stiffness; nothing when the law has none."""
         ends = _numbers(asked)
         if now is not None and name in self._book.names(now):
             before = self._book.description(now, name)
             begins = _numbers(before)
-            changed = {path: begins[path] for path in ends if path in begins and begins[path] != ends[path]}
+            changed = {
+                path: begins[path] for path in ends if path in begins and begins[path] != ends[path]
+            }
             if changed and _mapped(before, lambda path, value: ends.get(path, value)) == asked:
                 return changed
         return {"stiffness": _SOFTEST * ends["stiffness"]} if "stiffness" in ends else {}
@@ -227,16 +291,30 @@ class Judgement:
 
 
 _CLOSE = 0.01  # relative difference up to which a written value is the known one, rounded
-_UNITS = {"mass": "kg", "heaviest": "kg", "tool_mass": "kg", "damping": "N s/m", "stiffness": "N/m", "device_delay": "ticks"}
+_UNITS = {
+    "mass": "kg",
+    "heaviest": "kg",
+    "tool_mass": "kg",
+    "damping": "N s/m",
+    "stiffness": "N/m",
+    "device_delay": "ticks",
+}
 _UNITS |= {"scale": "", "tool_stiffness": "N/m", "tool_lag": "ticks"}
-_UNITS |= {"tool_damping": "N s/m", "partner_mass": "kg", "partner_damping": "N s/m", "partner_stiffness": "N/m"}
+_UNITS |= {
+    "tool_damping": "N s/m",
+    "partner_mass": "kg",
+    "partner_damping": "N s/m",
+    "partner_stiffness": "N/m",
+}
 _MOVABLE = ("device_delay", "scale")  # what a driver may change while it runs
 _WHOSE = {
     "tool_mass": "the tool of the scene weighs",
     "tool_damping": "the tool of the scene is damped to ground by",
     "tool_stiffness": "the body that is felt is on a spring of",
     "tool_lag": "what is felt answers later by",
-    **dict.fromkeys(("partner_mass", "partner_damping", "partner_stiffness"), "the second device has"),
+    **dict.fromkeys(
+        ("partner_mass", "partner_damping", "partner_stiffness"), "the second device has"
+    ),
     "scale": "the driver maps at a scale of",
 }
 
@@ -244,7 +322,8 @@ _WHOSE = {
 def contradictions(plant: PlantParameters, known: Mapping[str, float]) -> dict[str, str]:
     """Return the fields of a plant that make a loop look more stable than it is on the known device.
 
-    Less mass or damping, a stiffer hand, a lighter tool and a longer delay are a worse device, which a user may ask for.
+    Less mass or damping, a stiffer hand, a lighter tool and a longer delay are a worse device,
+    which a user may ask for.
 
     Parameters
     ----------
@@ -258,7 +337,10 @@ def contradictions(plant: PlantParameters, known: Mapping[str, float]) -> dict[s
     dict of str to str
         Field to the known value, in the field's unit.
     """
-    limits = {**known, **({"heaviest": known.get("heaviest", known["mass"])} if "mass" in known else {})}
+    limits = {
+        **known,
+        **({"heaviest": known.get("heaviest", known["mass"])} if "mass" in known else {}),
+    }
     found = {}
     for field, limit in limits.items():
         value = getattr(plant, field)
@@ -303,7 +385,10 @@ def _mapped(tree: Any, change: Callable[[str, float], float], path: str = "") ->
     if isinstance(tree, float):
         return change(path, tree)
     if isinstance(tree, dict):
-        return {key: _mapped(inner, change, f"{path}.{key}" if path else key) for key, inner in tree.items()}
+        return {
+            key: _mapped(inner, change, f"{path}.{key}" if path else key)
+            for key, inner in tree.items()
+        }
     if isinstance(tree, list):
         return [_mapped(inner, change, f"{path}[{i}]") for i, inner in enumerate(tree)]
     return tree

@@ -21,8 +21,31 @@ _look = record_at(record_of(CouplingState))
 _scan = make_scan(Proxy)
 _encode = make_encode(Force)
 _IN, _OUT = fields_of(Proxy), fields_of(Force)
-_SEQ, _CONTACT, _REBASED, _STAMP, _POSITION, _PROXY, _NORMAL, _DISTANCE, _DELAY, _CREDIT, _COMPLIANCE = slots(
-    _IN, "seq", "contact", "rebased", "stamp", "position", "proxy", "normal", "distance", "delay", "credit", "compliance"
+(
+    _SEQ,
+    _CONTACT,
+    _REBASED,
+    _STAMP,
+    _POSITION,
+    _PROXY,
+    _NORMAL,
+    _DISTANCE,
+    _DELAY,
+    _CREDIT,
+    _COMPLIANCE,
+) = slots(
+    _IN,
+    "seq",
+    "contact",
+    "rebased",
+    "stamp",
+    "position",
+    "proxy",
+    "normal",
+    "distance",
+    "delay",
+    "credit",
+    "compliance",
 )
 _TO_SEQ, _TO_REVISION, _TO_STAMP, _TO_FORCE, _TO_NORMAL, _TO_CREDIT = slots(
     _OUT, "seq", "revision", "stamp", "force", "normal", "credit"
@@ -55,14 +78,18 @@ def _see(s: CouplingState, n: int, m: int, history: Any, head: int) -> None:
 @compilable
 def _gain_of(s: CouplingState, n: int, m: int) -> float:
     at = _SLOTS * n + m
-    return newest_gain(reals_at(s.taps[at], s.taps_count[at]), reals_at(s.sections[at], 4 * s.sections_count[at]))
+    return newest_gain(
+        reals_at(s.taps[at], s.taps_count[at]), reals_at(s.sections[at], 4 * s.sections_count[at])
+    )
 
 
 @compilable
 def _revise(s: CouplingState, n: int, m: int, by: float) -> None:
     at = _SLOTS * n + m
     count = s.sections_count[at]
-    revise_sections(reals_at(s.sections[at], 4 * count), reals_at(s.sections_state[at], 2 * count), by)
+    revise_sections(
+        reals_at(s.sections[at], 4 * count), reals_at(s.sections_state[at], 2 * count), by
+    )
 
 
 _render, _bridge = make_render(LawPort(_ring, _force_of, _see, _gain_of, _revise), compilable)
@@ -108,13 +135,22 @@ def ticks(address: int) -> int:
     """Answer proxies with forces until something is unusual."""
     s = _look(address)
     done = 0
-    position, proxy, normal = (s.reals[_POSITION : _POSITION + 3], s.reals[_PROXY : _PROXY + 3], s.reals[_NORMAL : _NORMAL + 3])
+    position, proxy, normal = (
+        s.reals[_POSITION : _POSITION + 3],
+        s.reals[_PROXY : _PROXY + 3],
+        s.reals[_NORMAL : _NORMAL + 3],
+    )
     force = s.out_reals[_TO_FORCE : _TO_FORCE + 3]
     while done < s.most:
         if not receive(s, 0) or not _scan(s.payload, s.payload + s.payload_size, s.reals, s.wholes):
             break
         seq = s.wholes[_SEQ]
-        if not in_order(s, seq) or s.answered < 0 or s.wholes[_REBASED] != s.rebased or s.jumps != 0:
+        if (
+            not in_order(s, seq)
+            or s.answered < 0
+            or s.wholes[_REBASED] != s.rebased
+            or s.jumps != 0
+        ):
             break  # a beginning or a jump: the plain tick begins the histories anew
         if overtaken(s, s.reals[_STAMP]):
             continue
@@ -127,7 +163,17 @@ def ticks(address: int) -> int:
             s.answered = s.seq
         _note(s, True)
         compliance = s.reals[_COMPLIANCE]
-        if not _render(s, position, proxy, normal, distance, contact, compliance, force, s.pushes[s.axes - 1] + 1):
+        if not _render(
+            s,
+            position,
+            proxy,
+            normal,
+            distance,
+            contact,
+            compliance,
+            force,
+            s.pushes[s.axes - 1] + 1,
+        ):
             _note(s, False)  # the plain tick does it, and falls back
             break
         s.frames = 0
@@ -138,8 +184,11 @@ def ticks(address: int) -> int:
         for i in range(3):
             s.out_reals[_TO_NORMAL + i] = normal[i] if contact else 0.0
         s.out_reals[_TO_CREDIT] = s.reals[_CREDIT]
-        s.out_reals[_TO_STAMP] = monotonic(s) + s.clock_offset if s.realtime != 0 else s.reals[_STAMP]
-        s.ticks += 1  # before it is sent: whoever has the answer and asks for the count finds it there
+        s.out_reals[_TO_STAMP] = (
+            monotonic(s) + s.clock_offset if s.realtime != 0 else s.reals[_STAMP]
+        )
+        # before it is sent: whoever has the answer and asks for the count finds it there
+        s.ticks += 1
         at = out_at(s)
         answer(s, at, _encode(at, s.out_keys, s.out_reals, s.out_wholes, s.text, s.text_size) - at)
         done += 1

@@ -23,8 +23,13 @@ class LawBook:
 
     def names(self, parameters: CouplingParameters) -> list[str]:
         """List what can be switched to."""
-        kinds = [kind for kind in law_names() if kind not in PRESETS and self._usual(parameters, kind)]
-        return [*parameters.laws, *(name for name in [*preset_names(), *kinds] if name not in parameters.laws)]
+        kinds = [
+            kind for kind in law_names() if kind not in PRESETS and self._usual(parameters, kind)
+        ]
+        return [
+            *parameters.laws,
+            *(name for name in [*preset_names(), *kinds] if name not in parameters.laws),
+        ]
 
     def description(self, parameters: CouplingParameters, name: str) -> dict[str, Any]:
         """Describe a law completely."""
@@ -34,7 +39,12 @@ class LawBook:
         """Describe a law in one line, for receipts."""
         whole = {"law": name, **self.description(parameters, name)}
         if len(text := describe(whole)) > MAX_TEXT:
-            text = describe({key: f"{len(value)} values" if isinstance(value, list) else value for key, value in whole.items()})
+            text = describe(
+                {
+                    key: f"{len(value)} values" if isinstance(value, list) else value
+                    for key, value in whole.items()
+                }
+            )
         return text[:MAX_TEXT]
 
     def _find(self, parameters: CouplingParameters, name: str) -> Any:
@@ -42,8 +52,13 @@ class LawBook:
             return parameters.laws[name]
         if name in PRESETS or name in law_names():
             fields = _fields(name)
-            return {"kind": name, **{key: value for key, value in parameters.usual.items() if key in fields}}
-        raise ParameterError(f"{self._node}.law: no law is named {name!r}; {choices(name, self.names(parameters))}")
+            return {
+                "kind": name,
+                **{key: value for key, value in parameters.usual.items() if key in fields},
+            }
+        raise ParameterError(
+            f"{self._node}.law: no law is named {name!r}; {choices(name, self.names(parameters))}"
+        )
 
     def _usual(self, parameters: CouplingParameters, kind: str) -> bool:
         """Whether a kind is a law with what is usual here."""
@@ -60,12 +75,14 @@ class LawBook:
         compiled = compile_law(parse_law(self._find(parameters, name), where), self._period, where)
         if len(compiled.taps) > parameters.memory:
             raise ParameterError(
-                f"{where}: {len(compiled.taps)} taps, but {self._node}.memory is {parameters.memory}; "
-                "shorten the law, or start with a longer memory"
+                f"{where}: {len(compiled.taps)} taps, but {self._node}.memory is"
+                f" {parameters.memory}; shorten the law, or start with a longer memory"
             )
         return compiled
 
-    def figures(self, parameters: CouplingParameters, law: CompiledLaw | str, measured_delay: float) -> dict[str, Any]:
+    def figures(
+        self, parameters: CouplingParameters, law: CompiledLaw | str, measured_delay: float
+    ) -> dict[str, Any]:
         """Tell what a law, compiled or by its name, really renders."""
         compiled = self.compile(parameters, law) if isinstance(law, str) else law
         if parameters.plant is None:
@@ -99,8 +116,8 @@ class LawBook:
             tick = round(swap.at / self._period)
             if tick < taken_until:
                 raise ParameterError(
-                    f"{where}.at: {swap.at:g} s is tick {tick}, but the swap before it is over at tick {taken_until} only; "
-                    "schedule it later or shorten that one's ramp"
+                    f"{where}.at: {swap.at:g} s is tick {tick}, but the swap before it is over at"
+                    f" tick {taken_until} only; schedule it later or shorten that one's ramp"
                 )
             taken_until = tick + max(swap.ramp, 1)
 
@@ -108,10 +125,14 @@ class LawBook:
         """Refuse a change of what cannot change while the node runs."""
         for name in FIXED:
             if getattr(now, name) != getattr(wanted, name):
-                raise ParameterError(f"{self._node}.{name}: is fixed while the node runs; set it in the launch file")
+                raise ParameterError(
+                    f"{self._node}.{name}: is fixed while the node runs; set it in the launch file"
+                )
 
 
-def worst_figures(compiled: CompiledLaw, plant: PlantParameters, period: float, delay: float) -> dict[str, Any]:
+def worst_figures(
+    compiled: CompiledLaw, plant: PlantParameters, period: float, delay: float
+) -> dict[str, Any]:
     """Tell what a law renders on a device; where its mass depends on its position, with the mass that is worst for the loop."""
     from nodes.stability.closed_loop import law_figures
 
@@ -119,7 +140,11 @@ def worst_figures(compiled: CompiledLaw, plant: PlantParameters, period: float, 
     if plant.heaviest is None:
         return found[0]
     worst = max(range(len(found)), key=lambda i: found[i]["pole_radius"] or 0.0)
-    return {**found[worst], "worst_mass_kg": plant.masses[worst], "masses_kg": [plant.mass, plant.heaviest]}
+    return {
+        **found[worst],
+        "worst_mass_kg": plant.masses[worst],
+        "masses_kg": [plant.mass, plant.heaviest],
+    }
 
 
 def _fields(name: str) -> tuple[str, ...]:

@@ -1,7 +1,8 @@
 """Rendering on one axis: one deflection history that all laws share, and the law that reads it now.
 
-A swap replaces the law between two ticks; because the history is shared there is no start-up transient, and a cross-fade is
-a weighted sum of laws over the same history. Laws with recursive sections are brought up to date by replaying it.
+A swap replaces the law between two ticks; because the history is shared there is no start-up
+transient, and a cross-fade is a weighted sum of laws over the same history. Laws with recursive
+sections are brought up to date by replaying it.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from nodes.compiled.layout import state_of
 from nodes.coupling.state import LEAVING, CouplingState
 from nodes.laws import CompiledLaw
 
-UNROLLED_TAPS = 30  # of more, numpy's multiply and running sum are faster than a written-out sum: ``haptic bench taps``
+# of more, numpy's multiply and running sum are faster than a written-out sum: ``haptic bench taps``
+UNROLLED_TAPS = 30
 
 
 def _in_state(name: str) -> Any:
@@ -35,7 +37,8 @@ class History:
     def __init__(self, length: int, state: Any = None, n: int = 0) -> None:
         state = state_of(CouplingState) if state is None else state
         self._state, self._n = state, n
-        self.length = self.known = length  # how many of the newest values can be relied on: all, but for a snapshot
+        # how many of the newest values can be relied on: all, but for a snapshot
+        self.length = self.known = length
         self.values = array("d", [0.0]) * (2 * length)  # the ring [m], shape (2 * length,)
         self.filled_at, self.level = 0, 0.0  # pushes after it was last filled, and with what [m]
         state.history[n] = self.values.buffer_info()[0]
@@ -51,7 +54,8 @@ class History:
     def fill(self, value: float) -> None:
         """Replace all values by one: the deflection has always been the same."""
         self.values[:] = array("d", [value]) * len(self.values)
-        self.pushes += self.length  # for a snapshot under way, and for laws that have seen what is gone now
+        # for a snapshot under way, and for laws that have seen what is gone now
+        self.pushes += self.length
         self.filled_at, self.level = self.pushes, value
 
     def snapshot(self) -> History:
@@ -61,7 +65,8 @@ class History:
         copy.values = self.values[:]
         # Each push meanwhile has overwritten the oldest value, and one more may be under way.
         copy.length, copy.known = self.length, max(self.length - 1 - (self.pushes - copy.pushes), 0)
-        # Not self.head, which a push under way may have moved already: each push moves it down by one.
+        # Not self.head, which a push under way may have moved already: each push moves it down by
+        # one.
         copy.head = -copy.pushes % self.length
         return copy
 
@@ -95,7 +100,8 @@ def sum_of_taps(taps: tuple[float, ...], history: History) -> Callable[[int], fl
 
     def add(head: int) -> float:
         multiply(weights, ring[head : head + n], products)
-        # A running sum adds in order, as the kernel does; numpy's own sum and dot do not. + 0.0 turns −0.0 into 0.0.
+        # A running sum adds in order, as the kernel does; numpy's own sum and dot do not. + 0.0
+        # turns −0.0 into 0.0.
         return float(running_sum(products, out=products)[-1]) + 0.0
 
     return add
@@ -106,17 +112,23 @@ class LawOnAxis:
 
     def __init__(self, law: CompiledLaw, history: History, axis: int = 0) -> None:
         if len(law.taps) > history.length:
-            raise ValueError(f"{len(law.taps)} taps, but the history remembers {history.length}: raise memory")
+            raise ValueError(
+                f"{len(law.taps)} taps, but the history remembers {history.length}: raise memory"
+            )
         self._history = history
-        # Taps and coefficients of its sections (see `nodes.arithmetic.sections`) as compiled ticks take them.
+        # Taps and coefficients of its sections (see `nodes.arithmetic.sections`) as compiled ticks
+        # take them.
         self.numbers = array("d", law.taps)
         self.coefficients = array("d", [c for section in law.sections for c in section])
-        self.state = array("d", [0.0]) * (2 * len(law.sections))  # state of the sections [N], shape (2 * s,)
+        # state of the sections [N], shape (2 * s,)
+        self.state = array("d", [0.0]) * (2 * len(law.sections))
         self._pushes = history.pushes
         self.taps = law.taps  # its taps [N/m], shape (n + 1,)
-        self.gain = newest_gain(self.numbers, self.coefficients)  # of taps and sections on the newest deflection [N/m]
+        # of taps and sections on the newest deflection [N/m]
+        self.gain = newest_gain(self.numbers, self.coefficients)
         self.plain = not law.sections and law.evaluate is None  # whether it is nothing but taps
-        self.sum_of_taps = sum_of_taps(law.taps, history)  # adds them, from the history's head to the force [N]
+        # adds them, from the history's head to the force [N]
+        self.sum_of_taps = sum_of_taps(law.taps, history)
         self._own = law.own_code(axis)
         self._own_force: float | None = None
         self._law, self._axis = law, axis
@@ -178,7 +190,9 @@ class LawOnAxis:
     def present(self) -> float:
         """Force for the newest deflection, which the sections have already seen; changes nothing."""
         force = self.sum_of_taps(self._history.head) + sum(self.state[::2])
-        return force + (self.first_force(self._history) if self._own_force is None else self._own_force)
+        return force + (
+            self.first_force(self._history) if self._own_force is None else self._own_force
+        )
 
 
 Share: TypeAlias = tuple[LawOnAxis, float]  # a law and its part in the force

@@ -1,8 +1,9 @@
 """The coupling node: renders a force for each proxy with the law that is active now, and swaps laws while the wall is felt.
 
-A law is prepared on the control thread (validated, compiled, judged for stability, brought up to date, tried) and taken up
-between two ticks (nodes/coupling/renderer.py); what is refused leaves the running law untouched. A law that raises, returns a
-force that is not finite or overruns its budget twice within a second is replaced within the same tick.
+A law is prepared on the control thread (validated, compiled, judged for stability, brought up to
+date, tried) and taken up between two ticks (nodes/coupling/renderer.py); what is refused leaves the
+running law untouched. A law that raises, returns a force that is not finite or overruns its budget
+twice within a second is replaced within the same tick.
 """
 
 from __future__ import annotations
@@ -47,8 +48,8 @@ def _least_delay(setup: Setup) -> float:
 def _check_frame(parameters: CouplingParameters, setup: Setup) -> None:
     if parameters.frame == "surface" and len(setup.axes) < 3:
         raise ParameterError(
-            f"{setup.name}.frame: surface turns the history in space, but run.axes is [{', '.join(setup.axes)}]; take world, "
-            "or name all three axes"
+            f"{setup.name}.frame: surface turns the history in space, but run.axes is"
+            f" [{', '.join(setup.axes)}]; take world, or name all three axes"
         )
 
 
@@ -78,9 +79,12 @@ class Coupling(Node):
     def unjudged(cls, setup: Setup) -> str:
         """Return why a law that will render is not judged."""
         book = LawBook(setup.name, setup.period)
-        return Judgement(setup.name, setup.period, book).unjudged(convert(setup.parameters, CouplingParameters, setup.name))
+        return Judgement(setup.name, setup.period, book).unjudged(
+            convert(setup.parameters, CouplingParameters, setup.name)
+        )
 
-    # -- off the hot path --------------------------------------------------------------------------------------------
+    # -- off the hot path
+    # --------------------------------------------------------------------------------------------
 
     def make_counters(self) -> Any:
         """Make its state."""
@@ -93,7 +97,9 @@ class Coupling(Node):
         self.counters.delay = _least_delay(self.setup)
         self._failed_text = ""
         self._book = LawBook(self.setup.name, self.setup.period)
-        self._judgement = Judgement(self.setup.name, self.setup.period, self._book, self.setup.plant)
+        self._judgement = Judgement(
+            self.setup.name, self.setup.period, self._book, self.setup.plant
+        )
         self._book.check(parameters)
         axes = [AXIS_INDEX[axis] for axis in self.setup.axes]
         self._renderer = Renderer(axes, parameters.memory, self.counters)
@@ -107,27 +113,37 @@ class Coupling(Node):
             self.events.emit_each("world", text)
         self._settle(parameters, self._make_fallback(parameters))
         self._renderer.law = self._prepare_law(parameters, parameters.law)
-        swaps = [(round(swap.at / self.setup.period), swap) for swap in sorted(parameters.schedule, key=lambda swap: swap.at)]
+        swaps = [
+            (round(swap.at / self.setup.period), swap)
+            for swap in sorted(parameters.schedule, key=lambda swap: swap.at)
+        ]
         # What a predecessor has done already is in the parameters that it had.
         due = [(tick, swap) for tick, swap in swaps if tick > self.resumed_at]
-        self._take_schedule([(tick, self._prepare_law(parameters, swap.law), swap.ramp) for tick, swap in due])
+        self._take_schedule(
+            [(tick, self._prepare_law(parameters, swap.law), swap.ramp) for tick, swap in due]
+        )
         if parameters.figures or parameters.plant is not None:
-            # Importing numpy takes tens of milliseconds with the interpreter's lock: now, not while the wall is felt.
+            # Importing numpy takes tens of milliseconds with the interpreter's lock: now, not while
+            # the wall is felt.
             self._book.figures(parameters, self._renderer.law.compiled, self._felt_delay)
 
     def _take_schedule(self, schedule: list[Scheduled]) -> None:
         self._schedule = schedule
         if self._realtime:
-            # Replaying the history at the swap would take longer than a tick. In lockstep nobody waits, and the
-            # one-process scene replays it too.
+            # Replaying the history at the swap would take longer than a tick. In lockstep nobody
+            # waits, and the one-process scene replays it too.
             self._renderer.standby = [law for _, law, _ in schedule if law.compiled.sections]
 
-    def _changed_schedule(self, now: CouplingParameters, parameters: CouplingParameters, force: bool) -> list[Scheduled]:
+    def _changed_schedule(
+        self, now: CouplingParameters, parameters: CouplingParameters, force: bool
+    ) -> list[Scheduled]:
         """Compile anew what is scheduled and was changed."""
         changed = []
         for tick, law, ramp in list(self._schedule):
             fresh = law
-            is_changed = self._book.description(parameters, law.name) != self._book.description(now, law.name)
+            is_changed = self._book.description(parameters, law.name) != self._book.description(
+                now, law.name
+            )
             if is_changed:
                 fresh = self._prepare_law(parameters, law.name)
             if is_changed or parameters.plant != now.plant:
@@ -149,22 +165,30 @@ class Coupling(Node):
 
     def _prepare_law(self, parameters: CouplingParameters, name: str) -> ActiveLaw:
         compiled = self._book.compile(parameters, name)
-        return ActiveLaw(name, self._book.text(parameters, name), compiled, self._renderer.histories)
+        return ActiveLaw(
+            name, self._book.text(parameters, name), compiled, self._renderer.histories
+        )
 
     @property
     def _felt_delay(self) -> float:
         """Delay of the loop as measured by now [ticks], no more than a law is judged at; from any thread."""
         return min(float(self.counters.delay), LONGEST_DELAY)
 
-    def _judge(self, now: CouplingParameters, wanted: CouplingParameters, law: ActiveLaw, force: bool) -> dict[str, Any]:
+    def _judge(
+        self, now: CouplingParameters, wanted: CouplingParameters, law: ActiveLaw, force: bool
+    ) -> dict[str, Any]:
         """Refuse a change that the stability figures call unstable, or tell these figures, before and after it."""
-        verdict, warning = self._judgement.of_change(now, wanted, law.name, law.compiled, self._felt_delay, force)
+        verdict, warning = self._judgement.of_change(
+            now, wanted, law.name, law.compiled, self._felt_delay, force
+        )
         if warning:
             self.events.emit_each("stability", warning)
         before = self._judgement.verdict(wanted, self._renderer.law.compiled, self._felt_delay)
         return self._judged(law.name, wanted, verdict, before)
 
-    def _judged(self, law: str, wanted: CouplingParameters, verdict: Verdict | None, before: Verdict | None) -> dict[str, Any]:
+    def _judged(
+        self, law: str, wanted: CouplingParameters, verdict: Verdict | None, before: Verdict | None
+    ) -> dict[str, Any]:
         """Return what a receipt says of a law's stability."""
         return {
             "law": law,
@@ -175,24 +199,33 @@ class Coupling(Node):
             "why": "" if verdict else self._judgement.why_not(wanted),
         }
 
-    def _judge_set_aside(self, now: CouplingParameters, wanted: CouplingParameters, force: bool) -> dict[str, Any]:
+    def _judge_set_aside(
+        self, now: CouplingParameters, wanted: CouplingParameters, force: bool
+    ) -> dict[str, Any]:
         """Judge the changed laws that do not render; return the figures of the last one, none where nothing was judged."""
         figures: dict[str, Any] = {}
         for name, law in wanted.laws.items():
             if law == now.laws.get(name):
                 continue
             compiled = self._book.compile(wanted, name)
-            if name == wanted.law or any(scheduled.name == name for _, scheduled, _ in self._schedule):
+            if name == wanted.law or any(
+                scheduled.name == name for _, scheduled, _ in self._schedule
+            ):
                 continue  # judged with what renders
-            verdict, warning = self._judgement.of_change(now, wanted, name, compiled, self._felt_delay, force)
+            verdict, warning = self._judgement.of_change(
+                now, wanted, name, compiled, self._felt_delay, force
+            )
             if warning:
                 self.events.emit_each("stability", warning)
             figures = self._judged(name, wanted, verdict, self._before(now, wanted, name))
         return figures
 
-    def _before(self, now: CouplingParameters, wanted: CouplingParameters, name: str) -> Verdict | None:
+    def _before(
+        self, now: CouplingParameters, wanted: CouplingParameters, name: str
+    ) -> Verdict | None:
         """Return the verdict on a law as it was before a change; None where it was none."""
-        with contextlib.suppress(ParameterError):  # there was none of that name, or it was too long to render
+        # there was none of that name, or it was too long to render
+        with contextlib.suppress(ParameterError):
             return self._judgement.verdict(wanted, self._book.compile(now, name), self._felt_delay)
         return None
 
@@ -215,13 +248,17 @@ class Coupling(Node):
             over = budget.overrun()
             if not over:
                 return
-        raise ParameterError(f"law {law.name!r}: {over}; raise {self.setup.name}.budget or choose another law")
+        raise ParameterError(
+            f"law {law.name!r}: {over}; raise {self.setup.name}.budget or choose another law"
+        )
 
     def prepare_forced(self, parameters: Any) -> Callable[[int], Any]:
         """Prepare changed parameters even if the loop becomes unstable with them."""
         return self.prepare(parameters, force=True)
 
-    def prepare(self, parameters: Any, action: str = "", ramp: int | None = None, force: bool = False) -> Callable[[int], Any]:
+    def prepare(
+        self, parameters: Any, action: str = "", ramp: int | None = None, force: bool = False
+    ) -> Callable[[int], Any]:
         """Prepare changed parameters: compile the active law anew, refuse what must not change while it runs."""
         now: CouplingParameters = self.store.current
         action = action or ("set" if parameters.law == now.law else "switch")
@@ -239,7 +276,8 @@ class Coupling(Node):
         if judged != (self._renderer.law.compiled, now.plant, now.stability):
             stability = {"stability": self._judge(now, parameters, law, force)}
         if action == "set" and law.text == self._failed_text:
-            # What failed does not come back because something else was set; switching to it by name does that.
+            # What failed does not come back because something else was set; switching to it by name
+            # does that.
             law = fallback
         self._bring_up(law, parameters)
         schedule = self._changed_schedule(now, parameters, force)
@@ -263,7 +301,9 @@ class Coupling(Node):
 
     def _list_laws(self) -> dict[str, Any]:
         parameters: CouplingParameters = self.store.current
-        laws = {name: self._book.description(parameters, name) for name in self._book.names(parameters)}
+        laws = {
+            name: self._book.description(parameters, name) for name in self._book.names(parameters)
+        }
         return {"active": self._renderer.law.name, "laws": laws}
 
     def _show_law(self, law: str = "") -> dict[str, Any]:
@@ -271,10 +311,19 @@ class Coupling(Node):
         plant = {} if parameters.plant is None else {"plant": msgspec.to_builtins(parameters.plant)}
         if law:
             described = self._book.description(parameters, law)
-            return {"law": law, **described, **plant, **self._book.figures(parameters, law, self._felt_delay)}
+            return {
+                "law": law,
+                **described,
+                **plant,
+                **self._book.figures(parameters, law, self._felt_delay),
+            }
         active = self._renderer.law
         described = msgspec.json.decode(active.text)
-        return {**described, **plant, **self._book.figures(parameters, active.compiled, self._felt_delay)}
+        return {
+            **described,
+            **plant,
+            **self._book.figures(parameters, active.compiled, self._felt_delay),
+        }
 
     def _switch_law(self, law: str, ramp: int | None = None, force: bool = False) -> dict[str, Any]:
         usual = self.store.current.ramp
@@ -288,30 +337,55 @@ class Coupling(Node):
             return msgspec.structs.replace(changed, ramp=usual)
 
         change = self.changes.change
-        receipt: dict[str, Any] = change(make, lambda wanted: self.prepare(wanted, "switch", ramps[-1], bool(force)))
+        receipt: dict[str, Any] = change(
+            make, lambda wanted: self.prepare(wanted, "switch", ramps[-1], bool(force))
+        )
         parameters: CouplingParameters = self.store.current
         if parameters.figures:
             receipt["was"] = self._book.figures(parameters, before.compiled, self._felt_delay)
             receipt["is"] = self._book.figures(parameters, law, self._felt_delay)
         return receipt
 
-    # -- between two ticks -------------------------------------------------------------------------------------------
+    # -- between two ticks
+    # -------------------------------------------------------------------------------------------
 
-    def _swap(self, seq: int, law: ActiveLaw, ramp: int, action: str, reason: str) -> dict[str, Any]:
+    def _swap(
+        self, seq: int, law: ActiveLaw, ramp: int, action: str, reason: str
+    ) -> dict[str, Any]:
         old = self._renderer.law
         force_step = self._renderer.swap(law, ramp)
         self._failed_text = self._failed_text if law.name == "fallback" else ""
         self._file_receipt(seq, action, old, law, reason, force_step, ramp)
-        told = {"from": old.name, "to": law.name, "force_step_n": force_step, "ramp": ramp, "revision": self.counters.revision}
+        told = {
+            "from": old.name,
+            "to": law.name,
+            "force_step_n": force_step,
+            "ramp": ramp,
+            "revision": self.counters.revision,
+        }
         return {"seq": seq, "action": action, **told}
 
     def _file_receipt(
-        self, seq: int, action: str, old: ActiveLaw, new: ActiveLaw, reason: str, force_step: float = 0.0, ramp: int = 0
+        self,
+        seq: int,
+        action: str,
+        old: ActiveLaw,
+        new: ActiveLaw,
+        reason: str,
+        force_step: float = 0.0,
+        ramp: int = 0,
     ) -> None:
         self.counters.revision += 1
-        told: dict[str, Any] = {"before": old.text, "after": new.text, "force_step": force_step, "ramp": ramp}
+        told: dict[str, Any] = {
+            "before": old.text,
+            "after": new.text,
+            "force_step": force_step,
+            "ramp": ramp,
+        }
         stamp, revision = self.clock.now(), self.counters.revision
-        receipt = Receipt(seq=seq, stamp=stamp, action=action, reason=reason[:4000], revision=revision, **told)
+        receipt = Receipt(
+            seq=seq, stamp=stamp, action=action, reason=reason[:4000], revision=revision, **told
+        )
         self.events.publish(self.setup.topic(topics.RECEIPT), receipt)
 
     def _follow_schedule(self, seq: int) -> None:
@@ -324,7 +398,9 @@ class Coupling(Node):
             try:
                 self._swap(seq, law, ramp, "switch", "schedule")
             except ParameterError as error:
-                self.events.emit_each("refused", f"scheduled swap at tick {seq}: {error}; the running law goes on")
+                self.events.emit_each(
+                    "refused", f"scheduled swap at tick {seq}: {error}; the running law goes on"
+                )
             else:
                 self.store.accept(msgspec.structs.replace(self.store.current, law=law.name))
 
@@ -338,7 +414,8 @@ class Coupling(Node):
 
         return CouplingTicks(self, kernel, self._renderer)
 
-    # -- the tick ----------------------------------------------------------------------------------------------------
+    # -- the tick
+    # ----------------------------------------------------------------------------------------------------
 
     def _fall_back(self, proxy: Proxy, reason: str, due: int = 0) -> Vector:
         failed = self._renderer.law
@@ -367,7 +444,8 @@ class Coupling(Node):
             return self._fall_back(proxy, over)
         self.events.emit(
             "budget",
-            f"law {self._renderer.name!r} at tick {proxy.seq}: {over}; once more within a second is too often",
+            f"law {self._renderer.name!r} at tick {proxy.seq}: {over}; once more within a second is"
+            " too often",
             {"tick": proxy.seq},
         )
         return force
@@ -377,11 +455,19 @@ class Coupling(Node):
         step, ramp = self._renderer.force_step, proxy.ease or self.counters.ease_usual
         if step > 0.0:
             began = self.counters.answered < 0
-            what = "the loop begins in contact" if began else "position, surface or proxy jumped without motion"
-            how = f"eased over {ramp * self.setup.period:.3g} s" if ramp > 1 else "at once: ease is 0"
+            what = (
+                "the loop begins in contact"
+                if began
+                else "position, surface or proxy jumped without motion"
+            )
+            how = (
+                f"eased over {ramp * self.setup.period:.3g} s" if ramp > 1 else "at once: ease is 0"
+            )
             text = f"tick {proxy.seq}: {what}: a force step of {step:.4g} N, {how}"
             seconds = ramp * self.setup.period if ramp > 1 else 0.0
-            self.events.emit_each("eased", text, {"tick": proxy.seq, "force_step_n": step, "ramp_s": seconds})
+            self.events.emit_each(
+                "eased", text, {"tick": proxy.seq, "force_step_n": step, "ramp_s": seconds}
+            )
 
     def _answer(self, proxy: Proxy) -> bytes:
         seq, s, renderer = proxy.seq, self.counters, self._renderer

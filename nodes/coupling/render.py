@@ -1,7 +1,8 @@
 """From a proxy to a force: the rule of a coupling's tick, one source for the interpreter, the compiled tick and one process.
 
-`evaluate` is the force of one law on numbers, for whoever has them at hand. `make_render` makes the tick on the coupling's
-state; what differs between ways of playing is how a law in a slot is found and called, its `LawPort`.
+`evaluate` is the force of one law on numbers, for whoever has them at hand. `make_render` makes the
+tick on the coupling's state; what differs between ways of playing is how a law in a slot is found
+and called, its `LawPort`.
 """
 
 from __future__ import annotations
@@ -17,7 +18,11 @@ from nodes.coupling.state import SLOTS, CouplingState
 
 @rule
 def evaluate(
-    taps: Sequence[float], recursive: Sequence[float] | None, state: MutableSequence[float], history: Sequence[float], head: int
+    taps: Sequence[float],
+    recursive: Sequence[float] | None,
+    state: MutableSequence[float],
+    history: Sequence[float],
+    head: int,
 ) -> float:
     """Force of one law over the history."""
     force = fir(taps, history, head)
@@ -30,13 +35,17 @@ class LawPort(NamedTuple):
     """What a tick needs of the laws; each takes the state first."""
 
     ring: Callable[[Any, int], Any]  # gives the history of an axis
-    force_of: Callable[[Any, int, int, Any, int], float]  # renders the newest deflection with the law in a slot of that axis
-    see: Callable[[Any, int, int, Any, int], None]  # lets that law's sections see a deflection that nobody renders
+    # renders the newest deflection with the law in a slot of that axis
+    force_of: Callable[[Any, int, int, Any, int], float]
+    # lets that law's sections see a deflection that nobody renders
+    see: Callable[[Any, int, int, Any, int], None]
     gain_of: Callable[[Any, int, int], float]  # gain of that law on the newest deflection [N/m]
-    revise: Callable[[Any, int, int, float], None]  # corrects that law's sections for a newest deflection too large by so much
+    # corrects that law's sections for a newest deflection too large by so much
+    revise: Callable[[Any, int, int, float], None]
 
 
-LEAST_COSINE: Final = 0.9  # of how far a normal turns in a tick: beyond some 25° it is an edge, and the history stays
+# of how far a normal turns in a tick: beyond some 25° it is an edge, and the history stays
+LEAST_COSINE: Final = 0.9
 _SHORTEST: Final = 0.5  # length below which a normal is none; 1 for all that surfaces give
 
 
@@ -51,7 +60,12 @@ def begin_turning(s: CouplingState, frame: str) -> None:
     s.turning = 1 if turns else 2
 
 
-def turn(turned: MutableSequence[float], upright: MutableSequence[float], normal: Sequence[float], contact: bool) -> None:
+def turn(
+    turned: MutableSequence[float],
+    upright: MutableSequence[float],
+    normal: Sequence[float],
+    contact: bool,
+) -> None:
     """Turn axes (rows of a matrix) as a normal turns, so that a deflection keeps its components; at an edge, leave them."""
     a, b, c = upright[0], upright[1], upright[2]
     x, y, z = normal[0], normal[1], normal[2]
@@ -60,28 +74,39 @@ def turn(turned: MutableSequence[float], upright: MutableSequence[float], normal
         return
     cosine = a * x + b * y + c * z
     if cosine >= LEAST_COSINE:
-        # Rodrigues: v + w × v + w × (w × v)/(1 + cos) turns by the angle between both normals, with w their cross product.
+        # Rodrigues: v + w × v + w × (w × v)/(1 + cos) turns by the angle between both normals, with
+        # w their cross product.
         u, v, w = b * z - c * y, c * x - a * z, a * y - b * x
         part = 1.0 / (1.0 + cosine)
         for row in range(0, 9, 3):
             p, q, r = turned[row], turned[row + 1], turned[row + 2]
             d, e, f = v * r - w * q, w * p - u * r, u * q - v * p
-            p, q, r = (p + d + part * (v * f - w * e), q + e + part * (w * d - u * f), r + f + part * (u * e - v * d))
+            p, q, r = (
+                p + d + part * (v * f - w * e),
+                q + e + part * (w * d - u * f),
+                r + f + part * (u * e - v * d),
+            )
             # One step of Newton's towards length 1: rounding does not add up over hours.
             scale = 1.5 - 0.5 * (p * p + q * q + r * r)
             turned[row], turned[row + 1], turned[row + 2] = scale * p, scale * q, scale * r
     upright[0], upright[1], upright[2] = x, y, z
 
 
-def deflections(s: CouplingState, position: Any, proxy: Any, distance: float, normal: Any, contact: bool) -> list[float]:
+def deflections(
+    s: CouplingState, position: Any, proxy: Any, distance: float, normal: Any, contact: bool
+) -> list[float]:
     """Return what a tick would push into each history [m], in the axes that the histories have now."""
-    world = [deflection(position[i], proxy[i], distance, normal[i], contact, s.raw != 0) for i in range(3)]
+    world = [
+        deflection(position[i], proxy[i], distance, normal[i], contact, s.raw != 0)
+        for i in range(3)
+    ]
     if s.turning == 0:
         return [world[s.axis[n]] for n in range(s.axes)]
     return [sum((s.turned[3 * n + i] * world[i] for i in range(3)), 0.0) for n in range(s.axes)]
 
 
-def make_render(
+# Long: one compiled function: a call across it would cost what it saves.
+def make_render(  # noqa: C901, PLR0915
     port: LawPort, made: Callable[[Any], Any] = lambda function: function
 ) -> tuple[Callable[..., bool], Callable[..., None]]:
     """Make the tick of a port, and the bridge over ticks that were left out."""
@@ -91,19 +116,31 @@ def make_render(
 
     @made
     def turned_deflection(
-        s: CouplingState, n: int, position: Any, proxy: Any, distance: float, normal: Any, contact: bool, raw: bool
+        s: CouplingState,
+        n: int,
+        position: Any,
+        proxy: Any,
+        distance: float,
+        normal: Any,
+        contact: bool,
+        raw: bool,
     ) -> float:
         """Deflection along an axis that turns; all three of the world are computed then."""
         value = 0.0
         for i in range(3):
-            value += s.turned[3 * n + i] * deflection(position[i], proxy[i], distance, normal[i], contact, raw)
+            value += s.turned[3 * n + i] * deflection(
+                position[i], proxy[i], distance, normal[i], contact, raw
+            )
         return value
 
     @made
-    def give_way(s: CouplingState, n: int, history: Any, head: int, force: float, compliance: float) -> float:
+    def give_way(
+        s: CouplingState, n: int, history: Any, head: int, force: float, compliance: float
+    ) -> float:
         """Return the force on a proxy that yields to it in the same tick; history and sections get the deflection left.
 
-        F = F̂ − g·C·F with F̂ the force as if the proxy did not yield, g the gain on the newest deflection, C the compliance.
+        F = F̂ − g·C·F with F̂ the force as if the proxy did not yield, g the gain on the newest
+        deflection, C the compliance.
         """
         fading = s.fade_ramp > 0
         gain = gain_of(s, n, 0)
@@ -122,8 +159,9 @@ def make_render(
             revise(s, n, m, by)
         return force
 
+    # Long: one compiled function: a call across it would cost what it saves.
     @made
-    def render(
+    def render(  # noqa: C901
         s: CouplingState,
         position: Any,
         proxy: Any,
@@ -181,7 +219,8 @@ def make_render(
         if s.ease_ramp > 0:
             for n in range(s.axes):
                 i = s.axis[n]
-                # Of what the driver does not hand over nothing is felt: eased in full, 500 N would be at its limit at once.
+                # Of what the driver does not hand over nothing is felt: eased in full, 500 N would
+                # be at its limit at once.
                 peak = s.ease_peak if s.ease_peak > 0.0 else math.inf
                 asked = limit(force[i], 0.0, peak, math.inf)
                 if s.ease_done == 0:
@@ -195,14 +234,24 @@ def make_render(
         return True
 
     @made
-    def bridge(s: CouplingState, position: Any, proxy: Any, normal: Any, distance: float, contact: bool, missing: int) -> None:
+    def bridge(
+        s: CouplingState,
+        position: Any,
+        proxy: Any,
+        normal: Any,
+        distance: float,
+        contact: bool,
+        missing: int,
+    ) -> None:
         """Fill ticks that were left out by a straight line up to the newest deflection: a jump would read as velocity."""
         laws = 1 + s.leaving if s.fade_ramp > 0 else 1
         for n in range(s.axes):
             i = s.axis[n]
             history = ring(s, n)
             if s.turning != 0:
-                newest = turned_deflection(s, n, position, proxy, distance, normal, contact, s.raw != 0)
+                newest = turned_deflection(
+                    s, n, position, proxy, distance, normal, contact, s.raw != 0
+                )
             else:
                 newest = deflection(position[i], proxy[i], distance, normal[i], contact, s.raw != 0)
             before = history[s.head[n]]

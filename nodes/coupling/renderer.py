@@ -1,6 +1,7 @@
 """Which law renders on all axes now, how another takes over between two ticks, and what takes over when it fails.
 
-Everything here runs on the loop's thread but the making and warming up of a law, which happens before it is handed over.
+Everything here runs on the loop's thread but the making and warming up of a law, which happens
+before it is handed over.
 """
 
 from __future__ import annotations
@@ -23,9 +24,12 @@ from nodes.parameters.store import ParameterError
 class ActiveLaw:
     """A law ready to render on all axes."""
 
-    def __init__(self, name: str, text: str, compiled: CompiledLaw, histories: Sequence[History]) -> None:
+    def __init__(
+        self, name: str, text: str, compiled: CompiledLaw, histories: Sequence[History]
+    ) -> None:
         self.name, self.text, self.compiled = name, text, compiled
-        self.watched = compiled.evaluate is not None  # whether it has code of its own, which may raise or take its time
+        # whether it has code of its own, which may raise or take its time
+        self.watched = compiled.evaluate is not None
         self.axes = [LawOnAxis(compiled, history, n) for n, history in enumerate(histories)]
 
     def warm_up(self, histories: Sequence[History]) -> None:
@@ -45,9 +49,13 @@ class ActiveLaw:
                 force = axis.first_force(history)
                 finite = math.isfinite(force)
             except Exception as error:  # a law of another package may raise anything
-                raise ParameterError(f"law {self.name!r}: raised {type(error).__name__}: {error}") from error
+                raise ParameterError(
+                    f"law {self.name!r}: raised {type(error).__name__}: {error}"
+                ) from error
             if not finite:
-                raise ParameterError(f"law {self.name!r}: returned {force}, which is not a finite force")
+                raise ParameterError(
+                    f"law {self.name!r}: returned {force}, which is not a finite force"
+                )
 
 
 def settle_conventions(s: CouplingState, parameters: CouplingParameters, period: float) -> None:
@@ -69,7 +77,8 @@ class Renderer:
         self.axes = list(axes)
         s.axes, s.axis[:], s.length, s.clamp = len(self.axes), (*axes, 0, 0)[:3], memory, 1
         self.histories = [History(memory, s, n) for n in range(len(self.axes))]  # one per axis
-        self.standby: list[ActiveLaw] = []  # laws that will take over later and whose sections run along until then
+        # laws that will take over later and whose sections run along until then
+        self.standby: list[ActiveLaw] = []
         self._leaving: list[list[Share]] = []
         self.watched = False  # whether a tick runs a law's own code
         self.name = ""  # its name
@@ -104,7 +113,10 @@ class Renderer:
             self._laws[n][:] = [share[0] for share in shares]
             for slot, (one, weight) in enumerate(shares, SLOTS * n):
                 s.taps[slot], s.taps_count[slot] = one.numbers.buffer_info()
-                s.sections[slot], s.sections_count[slot] = one.coefficients.buffer_info()[0], len(one.state) // 2
+                s.sections[slot], s.sections_count[slot] = (
+                    one.coefficients.buffer_info()[0],
+                    len(one.state) // 2,
+                )
                 s.sections_state[slot], s.weight[slot] = one.state.buffer_info()[0], weight
                 states += len(one.state)
         self._undo = array("d", [0.0]) * states
@@ -147,7 +159,8 @@ class Renderer:
     def follow(self, proxy: Proxy, last: int) -> bool:
         """Prepare the histories for a tick after tick `last` (−1: none). Return whether it begins a jump, to be eased.
 
-        Lost ticks are bridged. The first deflection ever, and one after a jump that no motion made, are no velocity.
+        Lost ticks are bridged. The first deflection ever, and one after a jump that no motion made,
+        are no velocity.
         """
         s = self.state
         missing = proxy.seq - last - 1
@@ -165,10 +178,13 @@ class Renderer:
     def _rebase(self, proxy: Proxy, conventions: bool) -> bool:
         """Begin the histories anew, at rest at the present deflection. Return whether that or the conventions are others."""
         s = self.state
-        values = deflections(s, proxy.position, proxy.proxy, proxy.distance, proxy.normal, proxy.contact)
+        values = deflections(
+            s, proxy.position, proxy.proxy, proxy.distance, proxy.normal, proxy.contact
+        )
         s.upright[:] = (0.0, 0.0, 0.0)  # a normal that jumped has not turned
         if not conventions and all(
-            value == history.values[history.head] for value, history in zip(values, self.histories, strict=True)
+            value == history.values[history.head]
+            for value, history in zip(values, self.histories, strict=True)
         ):
             return False
         for n, (value, history) in enumerate(zip(values, self.histories, strict=True)):
@@ -185,7 +201,15 @@ class Renderer:
 
     def bridge(self, proxy: Proxy, missing: int) -> None:
         """Fill lost ticks by a straight line up to the present one, which is not yet rendered."""
-        self._bridge(self.state, proxy.position, proxy.proxy, proxy.normal, proxy.distance, proxy.contact, missing)
+        self._bridge(
+            self.state,
+            proxy.position,
+            proxy.proxy,
+            proxy.normal,
+            proxy.distance,
+            proxy.contact,
+            missing,
+        )
 
     def swap(self, law: ActiveLaw, ramp: int) -> float:
         """Let another law take over from the next tick on; all or nothing."""
@@ -203,13 +227,15 @@ class Renderer:
         step = math.hypot(*steps)
         if not math.isfinite(step):
             raise ParameterError(
-                f"law {law.name!r}: a force step of {step} N; its taps are too large for the present deflection"
+                f"law {law.name!r}: a force step of {step} N; its taps are too large for the"
+                " present deflection"
             )
         watched = self.watched
         self._leaving = leaving if ramp > 0 else []
         s.fade_ramp, s.fade_done = ramp, 0
         self.law = law
-        self.watched = self.watched or (watched and ramp > 0)  # as long as the laws that leave run their own code
+        # as long as the laws that leave run their own code
+        self.watched = self.watched or (watched and ramp > 0)
         return step
 
     def fall_back(self, proxy: Proxy, due: int = 0) -> Vector:
@@ -217,7 +243,14 @@ class Renderer:
         self._law, self.name = self.fallback, self.fallback.name
         self._end_fade()
         force = [0.0, 0.0, 0.0]
-        met = proxy.position, proxy.proxy, proxy.normal, proxy.distance, proxy.contact, proxy.compliance
+        met = (
+            proxy.position,
+            proxy.proxy,
+            proxy.normal,
+            proxy.distance,
+            proxy.contact,
+            proxy.compliance,
+        )
         self._render(self.state, *met, force, due)
         for law in self.standby:
             law.catch_up()

@@ -1,6 +1,7 @@
 """The state of a coupling: one struct, which interpreted and compiled ticks read and write where it stands.
 
-Laws stand in slots, `SLOTS` for each axis of the scene: the one that renders, then those that fade out.
+Laws stand in slots, `SLOTS` for each axis of the scene: the one that renders, then those that fade
+out.
 """
 
 from __future__ import annotations
@@ -9,7 +10,8 @@ from typing import Annotated, Final, TypeAlias
 
 from nodes.compiled.layout import LoopState, Vector3, struct
 
-LEAVING: Final = 8  # laws that may fade out together, to bound a tick's work: of faster swaps some are joined
+# laws that may fade out together, to bound a tick's work: of faster swaps some are joined
+LEAVING: Final = 8
 SLOTS: Final = 1 + LEAVING
 
 
@@ -68,4 +70,5 @@ class CouplingState(LoopState):
     felt: Vector3  # force of the last tick [N]
     ease_from: Vector3  # force at the jump [N]
     ease_offset: Vector3  # how much that was more than was asked [N]
-    ease_peak: float  # largest force of the driver along an axis [N], beyond which nothing is felt; 0 for unknown
+    # largest force of the driver along an axis [N], beyond which nothing is felt; 0 for unknown
+    ease_peak: float

@@ -1,9 +1,10 @@
 """A law's time budget: what it used itself, not what the machine took from it.
 
-On a shared machine a thread may lose its core for milliseconds through no fault of its own. A law overruns when it
-computed for longer than its budget, or when it took longer because it went to sleep; being preempted is neither. Time that the
-host of a virtual machine takes counts as computed, though, and a wait for another thread of the interpreter as sleep: one
-overrun alone is the machine's, a second one within a second the law's.
+On a shared machine a thread may lose its core for milliseconds through no fault of its own. A law
+overruns when it computed for longer than its budget, or when it took longer because it went to
+sleep; being preempted is neither. Time that the host of a virtual machine takes counts as computed,
+though, and a wait for another thread of the interpreter as sleep: one overrun alone is the
+machine's, a second one within a second the law's.
 """
 
 from __future__ import annotations
@@ -38,7 +39,10 @@ class Budget:
         cpu = time.thread_time() - self._cpu
         if cpu > self.seconds:
             return f"computed for {cpu * 1e6:.0f} µs, budget {self.seconds * 1e6:.0f} µs"
-        if wall - excused > self.seconds and resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw > self._slept:
+        if (
+            wall - excused > self.seconds
+            and resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw > self._slept
+        ):
             return f"slept: took {wall * 1e6:.0f} µs, budget {self.seconds * 1e6:.0f} µs"
         return ""
 

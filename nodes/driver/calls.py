@@ -1,13 +1,16 @@
 """A device behind two calls, which compiled ticks make by their addresses.
 
-``int read(int64_t context, int64_t seq, double *out)`` gives the position at a tick in the first three of six numbers, and,
-for a simulated hand, where it pulls to in the others, which are zero before the call [m];
-``int write(int64_t context, const double *force, int64_t seq, double offset)`` hands a force over, as the methods of
-`nodes.driver.device.Device` do. A negative status says that the call failed: `out` is left as it was then, and the driver asks
-the method, which raises or gives what there is. So no position is ever taken for 0 because it could not be read. `JUMPED` from
-``read`` says that the position is elsewhere without a motion; a device in Python has a counter of that, ``jumps``.
+``int read(int64_t context, int64_t seq, double *out)`` gives the position at a tick in the first
+three of six numbers, and, for a simulated hand, where it pulls to in the others, which are zero
+before the call [m]; ``int write(int64_t context, const double *force, int64_t seq, double offset)``
+hands a force over, as the methods of `nodes.driver.device.Device` do. A negative status says that
+the call failed: `out` is left as it was then, and the driver asks the method, which raises or gives
+what there is. So no position is ever taken for 0 because it could not be read. `JUMPED` from
+``read`` says that the position is elsewhere without a motion; a device in Python has a counter of
+that, ``jumps``.
 
-A device that lives without the interpreter offers its own calls (`Compiled`); for any other one they are made here.
+A device that lives without the interpreter offers its own calls (`Compiled`); for any other one
+they are made here.
 """
 
 from __future__ import annotations
@@ -69,7 +72,9 @@ def numbers_of(position: Any, what: str) -> Vector:
         x, y, z = position
         return float(x), float(y), float(z)
     except (TypeError, ValueError):
-        raise TypeError(f"{what}: read_position() gave {position!r}, expected three numbers in metres") from None
+        raise TypeError(
+            f"{what}: read_position() gave {position!r}, expected three numbers in metres"
+        ) from None
 
 
 class DeviceCalls:
@@ -84,7 +89,9 @@ class DeviceCalls:
 
     def _read(self, _context: int, seq: int, out: Any) -> int:
         try:
-            out[0], out[1], out[2] = numbers_of(self._device.read_position(seq), type(self._device).__name__)
+            out[0], out[1], out[2] = numbers_of(
+                self._device.read_position(seq), type(self._device).__name__
+            )
             out[3], out[4], out[5] = self._target()
         except BaseException as error:  # noqa: BLE001  # nothing can be raised through compiled code
             self._error = error

@@ -30,11 +30,16 @@ class DriverTicks(CompiledTicks):
         # struct pollfd: descriptor, then two shorts: POLLIN, and the answer
         self._poll = array("i", [self._inbox.fd, 1])
         self.keep("poll", self._poll)
-        self._texts = [ctypes.create_string_buffer(msgspec.msgpack.encode(text).ljust(32, b"\0")) for text in SAFETY]
+        self._texts = [
+            ctypes.create_string_buffer(msgspec.msgpack.encode(text).ljust(32, b"\0"))
+            for text in SAFETY
+        ]
         s.texts[:] = [ctypes.addressof(text) for text in self._texts]
         s.text_sizes[:] = [len(msgspec.msgpack.encode(text)) for text in SAFETY]
         self.payload = b""  # the state that was published last
-        s.most = 0  # in and out once without a tick: the first time, with cold caches, it takes some ticks of 8 kHz
+        # in and out once without a tick: the first time, with cold caches, it takes some ticks of 8
+        # kHz
+        s.most = 0
         self.go()
 
     def run(self, s: DriverState) -> int:

@@ -27,8 +27,13 @@ class Condition:
             return self._ask()
         except Exception as error:  # noqa: BLE001  # whatever a vendor's library raises: requests go on being served
             node = self._node
-            self._failed = f"{node.setup.name}: condition() of the device failed: {type(error).__name__}: {error}"
-            node.events.emit("device", f"{self._failed}; the force is brought down to zero, and the driver ends")
+            self._failed = (
+                f"{node.setup.name}: condition() of the device failed: {type(error).__name__}:"
+                f" {error}"
+            )
+            node.events.emit(
+                "device", f"{self._failed}; the force is brought down to zero, and the driver ends"
+            )
             node.failing = True
             node.stop(self._failed)
             return self._failed

@@ -1,8 +1,9 @@
 """Forces from outside the loop (a ROS 2 graph, a program): taken on top of the law's, before ramp, guard and limits.
 
-Nobody may push a device unasked: the launch file allows it, with the largest force and the age at which one that is not
-renewed counts as gone. Who gives a force is a control thread; the tick reads it where it stands. There are two places, and the
-one that counts is named by a single number, so a tick never sees half of a force.
+Nobody may push a device unasked: the launch file allows it, with the largest force and the age at
+which one that is not renewed counts as gone. Who gives a force is a control thread; the tick reads
+it where it stands. There are two places, and the one that counts is named by a single number, so a
+tick never sees half of a force.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ class ExternalParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     age: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 0.1
 
 
-def give(s: DriverState, allowed: ExternalParameters | None, where: str, force: Sequence[float]) -> dict[str, Any]:
+def give(
+    s: DriverState, allowed: ExternalParameters | None, where: str, force: Sequence[float]
+) -> dict[str, Any]:
     """Let a force act from the next tick on, until it is renewed or too old (control thread)."""
     if allowed is None:
         raise ParameterError(
@@ -42,8 +45,8 @@ def give(s: DriverState, allowed: ExternalParameters | None, where: str, force: 
         if part != 0.0 and i not in computed:
             named = ", ".join("xyz"[n] for n in computed)
             raise ParameterError(
-                f"{where}.external.force: {part:g} N along {'xyz'[i]}, but run.axes is [{named}]: nothing would be felt there; "
-                "leave it 0, or name all axes"
+                f"{where}.external.force: {part:g} N along {'xyz'[i]}, but run.axes is [{named}]:"
+                " nothing would be felt there; leave it 0, or name all axes"
             )
     norm = math.hypot(x, y, z)
     share = min(1.0, allowed.peak / norm) if norm > 0.0 else 1.0

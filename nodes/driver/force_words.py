@@ -29,14 +29,25 @@ class StateWords(NamedTuple):
 
 STATES: Final[Mapping[str, StateWords]] = {
     "waiting": StateWords(
-        "the driver waits for the first force of the coupling", "does it run, and does the environment? haptic node list"
+        "the driver waits for the first force of the coupling",
+        "does it run, and does the environment? haptic node list",
     ),
     "ramp": StateWords("the driver lets the force in slowly after a start or a loss", ""),
     "active": StateWords("the driver hands over what the law asks for", ""),
-    "damping": StateWords("the coupling is late; the driver damps the device meanwhile", "haptic node list"),
-    "zero": StateWords("the coupling is silent; the watchdog has let go until a fresh force comes", "haptic node list"),
-    "fault": StateWords("the device is outside its workspace, or gives no position", "move the handle back, or see mapping"),
-    "stopped": StateWords("the loop swung, and the driver stopped it", "choose a softer law, then haptic node rearm"),
+    "damping": StateWords(
+        "the coupling is late; the driver damps the device meanwhile", "haptic node list"
+    ),
+    "zero": StateWords(
+        "the coupling is silent; the watchdog has let go until a fresh force comes",
+        "haptic node list",
+    ),
+    "fault": StateWords(
+        "the device is outside its workspace, or gives no position",
+        "move the handle back, or see mapping",
+    ),
+    "stopped": StateWords(
+        "the loop swung, and the driver stopped it", "choose a softer law, then haptic node rearm"
+    ),
 }
 
 
@@ -54,11 +65,19 @@ NOTES: Final[Mapping[int, Note]] = {
     notes.FRESH_FORCE: Note("safety", (), "fresh forces again"),
     notes.DONE_RAMP: Note("safety", ("ramp_ticks",), "ramp of {ramp_ticks:.0f} ticks done"),
     notes.SILENT: Note(
-        "safety", ("silent_ticks", "limit_ticks"), "no fresh force for {silent_ticks:.0f} ticks, limit {limit_ticks:.0f}"
+        "safety",
+        ("silent_ticks", "limit_ticks"),
+        "no fresh force for {silent_ticks:.0f} ticks, limit {limit_ticks:.0f}",
     ),
-    notes.STILL_SILENT: Note("safety", ("silent_ticks",), "no fresh force for {silent_ticks:.0f} ticks"),
-    notes.LET_GO: Note("safety", (), "no force was written in time, and the device let go by itself"),
-    notes.NO_POSITION: Note("safety", ("x_m", "y_m", "z_m"), "the device gives position ({x_m}, {y_m}, {z_m})"),
+    notes.STILL_SILENT: Note(
+        "safety", ("silent_ticks",), "no fresh force for {silent_ticks:.0f} ticks"
+    ),
+    notes.LET_GO: Note(
+        "safety", (), "no force was written in time, and the device let go by itself"
+    ),
+    notes.NO_POSITION: Note(
+        "safety", ("x_m", "y_m", "z_m"), "the device gives position ({x_m}, {y_m}, {z_m})"
+    ),
     notes.OUTSIDE: Note(
         "safety",
         ("axis", "position_m", "low_m", "high_m"),
@@ -68,21 +87,33 @@ NOTES: Final[Mapping[int, Note]] = {
     notes.SWINGS: Note(
         "stopped",
         ("limit_n", "strokes", "span_s", "energy_j"),
-        "the loop gives out energy: its force came to the limit of {limit_n:g} N, or stayed there, "
-        "{strokes:.0f} times within {span_s:.2g} s and gave out {energy_j:.3g} J; no force until it is asked for: "
-        "a softer law first, then haptic node rearm, or launch again",
-        "{strokes:.0f} strokes to the limit of {limit_n:g} N within {span_s:.2g} s, {energy_j:.3g} J given out",
+        "the loop gives out energy: its force came to the limit of {limit_n:g} N, or stayed there,"
+        " {strokes:.0f} times within {span_s:.2g} s and gave out {energy_j:.3g} J; no force until"
+        " it is asked for: a softer law first, then haptic node rearm, or launch again",
+        "{strokes:.0f} strokes to the limit of {limit_n:g} N within {span_s:.2g} s, {energy_j:.3g}"
+        " J given out",
     ),
     notes.CONTINUOUS: Note(
-        "limit", ("lowered", "limit_n"), "continuous force at tick {tick:.0f}: limit {limit_n:.3g} N reached"
+        "limit",
+        ("lowered", "limit_n"),
+        "continuous force at tick {tick:.0f}: limit {limit_n:.3g} N reached",
     ),
     notes.HELD_UP: Note(
-        "device", ("from_tick",), "no force from tick {from_tick:.0f} to {tick:.0f}; the device let go by itself"
+        "device",
+        ("from_tick",),
+        "no force from tick {from_tick:.0f} to {tick:.0f}; the device let go by itself",
     ),
     notes.REARMED: Note(
-        "rearmed", (), "armed again on request: the force comes back by its ramp, and swings are counted from zero"
+        "rearmed",
+        (),
+        "armed again on request: the force comes back by its ramp, and swings are counted from"
+        " zero",
     ),
-    notes.JUMPED: Note("safety", (), "the position jumped without a motion: what is felt goes to what is asked by the ramp"),
+    notes.JUMPED: Note(
+        "safety",
+        (),
+        "the position jumped without a motion: what is felt goes to what is asked by the ramp",
+    ),
     notes.REFUSED_FIRST: Note(
         "refused_future",
         ("refused", "answers_tick"),
@@ -91,7 +122,8 @@ NOTES: Final[Mapping[int, Note]] = {
     notes.REFUSED_FIRST + 1: Note(
         "refused_replayed",
         ("refused", "answers_tick", "last_tick"),
-        "a force for tick {answers_tick:.0f} once more: {last_tick:.0f} was the last (replayed or out of order)",
+        "a force for tick {answers_tick:.0f} once more: {last_tick:.0f} was the last (replayed or"
+        " out of order)",
     ),
     notes.REFUSED_FIRST + 2: Note(
         "refused_stale",
@@ -164,7 +196,9 @@ def why_no_force(s: DriverState, condition: str = "") -> str:
     state, name = STATES[SAFETY[s.safety]], SAFETY[s.safety]
     place = ", ".join(f"{x:.4g}" for x in s.place)
     if s.safety == FAULT:
-        ends = "; ".join(f"{s.workspace[2 * i]:.3g} to {s.workspace[2 * i + 1]:.3g}" for i in range(3))
+        ends = "; ".join(
+            f"{s.workspace[2 * i]:.3g} to {s.workspace[2 * i + 1]:.3g}" for i in range(3)
+        )
         return f"{state.text}: position ({place}) m, workspace ({ends}) m; {state.remedy}"
     if name not in ("active", "ramp"):
         return f"{state.text}: {state.remedy}"
@@ -173,13 +207,15 @@ def why_no_force(s: DriverState, condition: str = "") -> str:
         left = ["xyz"[i] for i in range(3) if i not in list(s.axis[: s.axes])]
         beside = f"; along {' and '.join(left)} the scene computes nothing" if left else ""
         return (
-            f"the law asks for none: nothing is touched at ({place}) m{beside}. A surface out of the device's reach "
-            "needs a mapping, or the device a re-centre"
+            f"the law asks for none: nothing is touched at ({place}) m{beside}. A surface out of"
+            " the device's reach needs a mapping, or the device a re-centre"
         )
     if name == "ramp":
         return f"({force}) N: {state.text}"
     lowered = sum(s.limited_by)
-    return f"({force}) N are handed to the device" + (f"; its limits held {lowered} of them back" if lowered else "")
+    return f"({force}) N are handed to the device" + (
+        f"; its limits held {lowered} of them back" if lowered else ""
+    )
 
 
 def size(vector: Vector) -> float:
@@ -236,7 +272,10 @@ def explain(
         return "stop", f"No force, or another one: {device}."
     law = force.law if force is not None else ""
     if law == "fallback":
-        return "warn", f"{given:.2f} N: the law failed, so the fallback renders; choose a law to go on."
+        return (
+            "warn",
+            f"{given:.2f} N: the law failed, so the fallback renders; choose a law to go on.",
+        )
     if state.safety == "ramp":
         return "warn", f"{given:.2f} N: {words}."
     if proxy is None:
@@ -248,18 +287,32 @@ def explain(
     return _in_contact(state, proxy, force, given)
 
 
-def _in_contact(state: DeviceState, proxy: Proxy, force: Force | None, given: float) -> tuple[str, str]:
+def _in_contact(
+    state: DeviceState, proxy: Proxy, force: Force | None, given: float
+) -> tuple[str, str]:
     """Return level and sentence of a loop in which nothing is wrong."""
     if not proxy.contact:
         if any(proxy.normal):
-            return "rest", f"No force: nothing is touched; the surface is {abs(proxy.distance) * 1e3:.1f} mm away."
+            return (
+                "rest",
+                (
+                    f"No force: nothing is touched; the surface is {abs(proxy.distance) * 1e3:.1f}"
+                    " mm away."
+                ),
+            )
         return "rest", "No force: there is nothing to touch."
     law = force.law if force is not None and force.law else "the law"
     asked = size(force.force) if force is not None else 0.0
     # Another tick's force says nothing about limits.
     same = force is not None and force.seq == state.force_seq
     if same and asked > given + 0.02 * asked + NO_FORCE and state.age == 0 and asked > 0.05:
-        return ("warn", f"{given:.2f} N of the {asked:.2f} N that the law asks for: the driver's limits hold the rest back.")
+        return (
+            "warn",
+            (
+                f"{given:.2f} N of the {asked:.2f} N that the law asks for: the driver's limits"
+                " hold the rest back."
+            ),
+        )
     if given <= NO_FORCE:
         return "rest", f"No force: {law} renders none at this deflection."
     depth = f", {abs(proxy.distance) * 1e3:.2f} mm deep" if any(proxy.normal) else ""

@@ -5,7 +5,16 @@ from __future__ import annotations
 from messages.types import DeviceState, Force
 from nodes.compiled.kernels import hop, machine
 from nodes.compiled.kernels.encode import make_encode
-from nodes.compiled.kernels.hop import called, flush, has_message, keep, monotonic, out_at, receive, send_hop
+from nodes.compiled.kernels.hop import (
+    called,
+    flush,
+    has_message,
+    keep,
+    monotonic,
+    out_at,
+    receive,
+    send_hop,
+)
 from nodes.compiled.kernels.machine import compilable, copy16, reals_at, record_at, wholes_at
 from nodes.compiled.kernels.scan import make_scan
 from nodes.compiled.kernels.sources import record_of, register_rules
@@ -23,8 +32,19 @@ _SEQ, _FORCE, _NORMAL, _CREDIT = slots(_IN, "seq", "force", "normal", "credit")
 _TO_SEQ, _TO_FORCE_SEQ, _TO_AGE, _TO_MISSED, _TO_OVERRUNS, _TO_REBASED = slots(
     _OUT, "seq", "force_seq", "age", "missed", "overruns", "rebased"
 )
-_TO_POSITION, _TO_FORCE, _TO_MEAN, _TO_TARGET = slots(_OUT, "position", "force", "mean_force", "target")
-_TO_STAMP, _TO_CHANGED_AT, _TO_RESPONSE, _TO_LATENESS, _TO_ENERGY, _TO_DELAY, _TO_GUARD, _TO_SURPLUS = slots(
+_TO_POSITION, _TO_FORCE, _TO_MEAN, _TO_TARGET = slots(
+    _OUT, "position", "force", "mean_force", "target"
+)
+(
+    _TO_STAMP,
+    _TO_CHANGED_AT,
+    _TO_RESPONSE,
+    _TO_LATENESS,
+    _TO_ENERGY,
+    _TO_DELAY,
+    _TO_GUARD,
+    _TO_SURPLUS,
+) = slots(
     _OUT, "stamp", "changed_at", "response", "lateness", "energy", "delay", "guard", "surplus"
 )
 _TIMER_ABSTIME = 1
@@ -68,14 +88,20 @@ def _write(s: DriverState, seq: int, offset: float) -> bool:
     room = reals_at(s.device_room, 6)
     for i in range(3):
         room[i] = s.handed[i]
-    return bool(machine.call_write(s.device_write, (s.device_context, s.device_room, seq, offset)) >= 0)
+    return bool(
+        machine.call_write(s.device_write, (s.device_context, s.device_room, seq, offset)) >= 0
+    )
 
 
 @compilable
 def _publish(s: DriverState, seq: int, stamp: float) -> None:
     out, whole = s.out_reals, s.out_wholes
     for i in range(3):
-        out[_TO_POSITION + i], out[_TO_FORCE + i], out[_TO_MEAN + i] = s.position[i], s.force[i], s.acting[i]
+        out[_TO_POSITION + i], out[_TO_FORCE + i], out[_TO_MEAN + i] = (
+            s.position[i],
+            s.force[i],
+            s.acting[i],
+        )
         out[_TO_TARGET + i] = s.target[i]
     out[_TO_STAMP], out[_TO_RESPONSE], out[_TO_LATENESS] = stamp, s.response, s.lateness
     out[_TO_ENERGY], out[_TO_DELAY], out[_TO_CHANGED_AT] = s.energy, s.delay, s.changed_at
@@ -87,7 +113,8 @@ def _publish(s: DriverState, seq: int, stamp: float) -> None:
     size = _encode(at, s.out_keys, out, whole, s.texts[s.safety], s.text_sizes[s.safety]) - at
     s.sent, s.sent_size = at, size
     s.states_sent += 1
-    s.sampled = monotonic(s)  # taken before sending: under FIFO the whole chain may run before the call returns
+    # taken before sending: under FIFO the whole chain may run before the call returns
+    s.sampled = monotonic(s)
     send_hop(s, at, size)
 
 
@@ -140,7 +167,9 @@ def _called(s: DriverState) -> bool:
     return bool(called(s) or s.attention != 0)
 
 
-_lockstep, _realtime = make_ticks(Port(_clock, _sleep_until, _read, _write, _publish, _receive, _aside, _called), compilable)
+_lockstep, _realtime = make_ticks(
+    Port(_clock, _sleep_until, _read, _write, _publish, _receive, _aside, _called), compilable
+)
 
 
 @compilable

@@ -11,7 +11,9 @@ from nodes.driver.device import Bounds, DeviceLimits, Workspace
 from nodes.driver.state import PEAKS
 from nodes.parameters.checked import NonNegative, Positive
 
-STOP_TIME = 1.5  # longest way from the largest force down to zero [s]; a launcher waits twice as long before it presses on
+# longest way from the largest force down to zero [s]; a launcher waits twice as long before it
+# presses on
+STOP_TIME = 1.5
 
 
 class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -25,17 +27,21 @@ class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     continuous_force: Largest root-mean-square force over `thermal_time` [N].
     thermal_time: Time constant of the motor's heating [s].
     slew: Fastest change of force [N/s].
-    ramp: Time in which forces grow to their full size after a start [s]. None for `recovery`, unless the first force is zero:
-        contacts that a motion makes have no ramp.
-    recovery: The same after a jump of the position, damping, zero force, a fault or a driver that was started again [s]; `ramp`
-        where that is longer. A force that was away for less than a fifth of it begins with a part: each tick away costs five
-        ticks of ramp.
-    workspace: Smallest and largest coordinate of each axis [m]; a position outside is a fault, not data, and the force is zero.
-    stop_after: How often within 2 s the force may come to `peak_force` while the loop gives out energy; then the loop is
-        unstable, and the driver stops for good: damping, then no force until ``haptic node rearm`` asks for it, or the driver
-        is started again. A force that stays there while energy is given out stops it after 1 s. At most 64; None for never.
-    hang: After so long within one tick the device is taken to hang, and the driver ends [s]; None for a debugger.
-    without: Which of ``peak_force``, ``slew``, ``workspace`` and ``hold`` need not be declared; a virtual device then has none.
+    ramp: Time in which forces grow to their full size after a start [s]. None for `recovery`,
+        unless the first force is zero: contacts that a motion makes have no ramp.
+    recovery: The same after a jump of the position, damping, zero force, a fault or a driver that
+        was started again [s]; `ramp` where that is longer. A force that was away for less than a
+        fifth of it begins with a part: each tick away costs five ticks of ramp.
+    workspace: Smallest and largest coordinate of each axis [m]; a position outside is a fault, not
+        data, and the force is zero.
+    stop_after: How often within 2 s the force may come to `peak_force` while the loop gives out
+        energy; then the loop is unstable, and the driver stops for good: damping, then no force
+        until ``haptic node rearm`` asks for it, or the driver is started again. A force that stays
+        there while energy is given out stops it after 1 s. At most 64; None for never.
+    hang: After so long within one tick the device is taken to hang, and the driver ends [s]; None
+        for a debugger.
+    without: Which of ``peak_force``, ``slew``, ``workspace`` and ``hold`` need not be declared; a
+        virtual device then has none.
     """
 
     watchdog: Annotated[int, msgspec.Meta(ge=1)] = 10
@@ -74,39 +80,50 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
     damping_ticks: int
     max_age: int
     workspace: Workspace  # smallest and largest coordinate of each axis [m]
-    overruled: tuple[str, ...]  # what the launch file asked for in vain: path, value, limit and what holds instead
+    # what the launch file asked for in vain: path, value, limit and what holds instead
+    overruled: tuple[str, ...]
 
 
 def undeclared(parameters: SafetyParameters, device: DeviceLimits) -> str:
     """Say which limits a real device must declare and does not: largest force, workspace, a deadline of its own."""
     peak = parameters.peak_force is not None or math.isfinite(device.peak_force)
-    bounded = parameters.workspace is not None or all(math.isfinite(low + high) for low, high in device.workspace)
+    bounded = parameters.workspace is not None or all(
+        math.isfinite(low + high) for low, high in device.workspace
+    )
     declared = {"peak_force": peak, "workspace": bounded, "hold": math.isfinite(device.hold)}
-    missing = ", ".join(name for name, known in declared.items() if not known and name not in parameters.without)
+    missing = ", ".join(
+        name for name, known in declared.items() if not known and name not in parameters.without
+    )
     return missing and (
-        f"the device declares no {missing}, which a real device must have (DeviceLimits in nodes/driver/device.py); "
-        f"to start it all the same: safety.without: [{missing}]"
+        f"the device declares no {missing}, which a real device must have (DeviceLimits in"
+        f" nodes/driver/device.py); to start it all the same: safety.without: [{missing}]"
     )
 
 
-def lower(parameters: SafetyParameters, device: DeviceLimits, period: float, where: str = "safety") -> Limits:
+def lower(
+    parameters: SafetyParameters, device: DeviceLimits, period: float, where: str = "safety"
+) -> Limits:
     """Take the lower of what a launch file asks for and what the device bears."""
     overruled: list[str] = []
 
     def least(name: str, wanted: float | None, bears: float, unit: str) -> float | None:
         if wanted is not None and wanted > bears:
-            overruled.append(f"{where}.{name}: {wanted:g} {unit}, limit {bears:g} {unit} of the device, which holds")
+            overruled.append(
+                f"{where}.{name}: {wanted:g} {unit}, limit {bears:g} {unit} of the device, which"
+                " holds"
+            )
         value = bears if wanted is None else min(bears, wanted)
         return value if math.isfinite(value) else None
 
     peak = least("peak_force", parameters.peak_force, device.peak_force, "N")
     slew = least("slew", parameters.slew, device.slew, "N/s")
     if slew is not None and (peak is None or peak > slew * STOP_TIME):
-        # What could not be taken down in time is not built up: the soft stop must end, and within the slew.
+        # What could not be taken down in time is not built up: the soft stop must end, and within
+        # the slew.
         if peak is not None:
             overruled.append(
-                f"{where}.slew: {slew:g} N/s takes {peak / slew:.3g} s from {peak:g} N to zero, limit {STOP_TIME:g} s; "
-                f"the largest force is {slew * STOP_TIME:g} N"
+                f"{where}.slew: {slew:g} N/s takes {peak / slew:.3g} s from {peak:g} N to zero,"
+                f" limit {STOP_TIME:g} s; the largest force is {slew * STOP_TIME:g} N"
             )
         peak = slew * STOP_TIME
     silence = device.silence / period
@@ -116,22 +133,27 @@ def lower(parameters: SafetyParameters, device: DeviceLimits, period: float, whe
         most = max(least_ticks, int(silence)) if math.isfinite(silence) else wanted
         if wanted > most and wanted != getattr(SafetyParameters(), name):
             overruled.append(
-                f"{where}.{name}: {wanted} ticks, limit {most} ticks ({device.silence:g} s) of the device, which holds"
+                f"{where}.{name}: {wanted} ticks, limit {most} ticks ({device.silence:g} s) of the"
+                " device, which holds"
             )
         ticks[name] = min(wanted, most)
     bounds: list[Bounds] = []
     for axis, (low, high) in enumerate(device.workspace):
-        wanted_low, wanted_high = (-math.inf, math.inf) if parameters.workspace is None else parameters.workspace[axis]
+        wanted_low, wanted_high = (
+            (-math.inf, math.inf) if parameters.workspace is None else parameters.workspace[axis]
+        )
         if parameters.workspace is not None and (wanted_low < low or wanted_high > high):
             overruled.append(
-                f"{where}.workspace[{axis}]: {wanted_low:g} to {wanted_high:g} m, limit {low:g} to {high:g} m of the device, "
-                "which holds"
+                f"{where}.workspace[{axis}]: {wanted_low:g} to {wanted_high:g} m, limit {low:g} to"
+                f" {high:g} m of the device, which holds"
             )
         bounds.append((max(low, wanted_low), min(high, wanted_high)))
     return Limits(
         peak=peak,
         slew=None if slew is None else slew * period,
-        continuous=least("continuous_force", parameters.continuous_force, device.continuous_force, "N"),
+        continuous=least(
+            "continuous_force", parameters.continuous_force, device.continuous_force, "N"
+        ),
         workspace=(bounds[0], bounds[1], bounds[2]),
         overruled=tuple(overruled),
         **ticks,

@@ -1,9 +1,10 @@
 """How the device moves and comes to an end, and what the forces on it give out: rates are over the time that really passed.
 
-A tick can be lost because the driver was held up, or because the position it got is no position. Then the next sample ends a
-longer step: its displacement is divided by all the ticks that it took, and its energy is that of the mean force over them.
-Within a tick the mean force is split where the measured arrivals changed it, for energies exact under zero-order hold: between
-two samples the device is taken to move evenly, and with one force per tick nothing is assumed.
+A tick can be lost because the driver was held up, or because the position it got is no position.
+Then the next sample ends a longer step: its displacement is divided by all the ticks that it took,
+and its energy is that of the mean force over them. Within a tick the mean force is split where the
+measured arrivals changed it, for energies exact under zero-order hold: between two samples the
+device is taken to move evenly, and with one force per tick nothing is assumed.
 """
 
 from __future__ import annotations
@@ -20,8 +21,12 @@ from nodes.driver.state import DriverState
 
 RECENT: Final = 0.25  # time at the end of a run that tells how it ends [s]; at least `LEAST` ticks
 LEAST: Final = 64
-REST = 1e-6  # largest swing that counts as rest [m]: about what a fingertip feels at its most sensitive, near 250 Hz
-_FALL = 1.0  # least acceleration without a force that is called falling [m/s²]: a damped device that glides has less
+# largest swing that counts as rest [m]: about what a fingertip feels at its most sensitive, near
+# 250 Hz
+REST = 1e-6
+# least acceleration without a force that is called falling [m/s²]: a damped device that glides has
+# less
+_FALL = 1.0
 
 
 def set_motion(s: DriverState, latency: float) -> list[array[float]]:
@@ -149,7 +154,8 @@ def ending(samples: Sequence[float], force: float, period: float) -> Ending:
     if len(crossings) >= 3:
         frequency = 0.5 * (len(crossings) - 1) / ((crossings[-1] - crossings[0]) * period)
         return Ending("swinging", swing, frequency, velocity)
-    # The newer half alone: a bounce before it is no fall, nor is one within it, which turns the device round.
+    # The newer half alone: a bounce before it is no fall, nor is one within it, which turns the
+    # device round.
     half = (len(samples) - 1) // 4
     last = samples[-1 - 2 * half :]
     bend = last[-1] - 2.0 * last[half] + last[0]

@@ -1,14 +1,16 @@
 """The motor's heating: a force may be large for a while, but not for long, and it must be taken down without a jump.
 
-Heat is the mean square of the force, forgotten with one time constant. Cutting the force when the heat reaches its limit
-would be a jump of several newtons under somebody's hand, so the force is lowered early enough: at any time the way down to
-the continuous force, at the slew limit, still fits below the heat limit, even when so many ticks as the watchdog has are lost
-before each step of it, in which the device holds what it has.
+Heat is the mean square of the force, forgotten with one time constant. Cutting the force when the
+heat reaches its limit would be a jump of several newtons under somebody's hand, so the force is
+lowered early enough: at any time the way down to the continuous force, at the slew limit, still
+fits below the heat limit, even when so many ticks as the watchdog has are lost before each step of
+it, in which the device holds what it has.
 
-Let φ = exp(−T/τ), h the heat [N²], C the limit, s the largest change in a tick, n the watchdog's ticks and κ = φ^(1+n). Before
-each tick holds κh + (1−κ)(F² + R(F)) ≤ C², where R(F) = (F³ − C³)/(3s) for F > C bounds the sum of the squares on the way
-down from F to C. Holding F for up to 1+n ticks and then going down by s keeps that inequality, because (F−s)² + R(F−s) ≤ R(F):
-so there is always a force that respects it.
+Let φ = exp(−T/τ), h the heat [N²], C the limit, s the largest change in a tick, n the watchdog's
+ticks and κ = φ^(1+n). Before each tick holds κh + (1−κ)(F² + R(F)) ≤ C², where R(F) = (F³ −
+C³)/(3s) for F > C bounds the sum of the squares on the way down from F to C. Holding F for up to
+1+n ticks and then going down by s keeps that inequality, because (F−s)² + R(F−s) ≤ R(F): so there
+is always a force that respects it.
 """
 
 from __future__ import annotations
@@ -19,7 +21,8 @@ from typing import Final
 from nodes.compiled.rules import rule
 from nodes.driver.state import DriverState
 
-HALVINGS: Final = 24  # steps of the bisection between the forces that are safe and wanted: 1e-7 of their difference
+# steps of the bisection between the forces that are safe and wanted: 1e-7 of their difference
+HALVINGS: Final = 24
 
 
 def set_heat(s: DriverState, continuous: float | None, thermal_time: float, period: float) -> None:
@@ -80,5 +83,9 @@ def lower_heat(s: DriverState) -> bool:
             low = found = middle
         else:
             high = middle
-    s.wanted[0], s.wanted[1], s.wanted[2] = x + found * (a - x), y + found * (b - y), z + found * (c - z)
+    s.wanted[0], s.wanted[1], s.wanted[2] = (
+        x + found * (a - x),
+        y + found * (b - y),
+        z + found * (c - z),
+    )
     return True

@@ -1,8 +1,9 @@
 """The driver node: the clock of the loop, and the only one that touches the device.
 
-At each tick it samples the position, publishes it, and waits for the force that answers this very tick. ``realtime`` waits
-until the next absolute deadline and goes on without an answer if it must; ``lockstep`` waits for the answer, however long,
-so a run is deterministic and as fast as the machine allows. The next state message says what happened in a tick.
+At each tick it samples the position, publishes it, and waits for the force that answers this very
+tick. ``realtime`` waits until the next absolute deadline and goes on without an answer if it must;
+``lockstep`` waits for the answer, however long, so a run is deterministic and as fast as the
+machine allows. The next state message says what happened in a tick.
 """
 
 from __future__ import annotations
@@ -46,15 +47,20 @@ if TYPE_CHECKING:
 
 __all__ = ["ASK_AGAIN", "SOFT_STOP", "Driver"]
 
-ASK_AGAIN = 0.5  # in lockstep, an unanswered tick is published again: its answer was lost with a node [s]
+# in lockstep, an unanswered tick is published again: its answer was lost with a node [s]
+ASK_AGAIN = 0.5
 STAND_STILL = 60.0  # longest that a loop in lockstep stands still at one request [s]
 LOOK_UP = 0.01  # how often it looks meanwhile at what waits between two ticks [s]
-SOFT_STOP = STOP_TIME + 1.0  # after so long on the way down to zero force the device is taken to hang [s]
+# after so long on the way down to zero force the device is taken to hang [s]
+SOFT_STOP = STOP_TIME + 1.0
 
 
 def _kept(name: str) -> Any:
     """Let a counter that every node has stand in the driver's state."""
-    return property(lambda node: getattr(node.counters, name), lambda node, value: setattr(node.counters, name, value))
+    return property(
+        lambda node: getattr(node.counters, name),
+        lambda node, value: setattr(node.counters, name, value),
+    )
 
 
 class Driver(Node):
@@ -65,7 +71,8 @@ class Driver(Node):
     virtual : bool
         Whether the device lives in simulated time and can wait.
     device_module : str
-        Module of the device's compiled calls (nodes/driver/calls.py); empty for a device written in Python, or in C.
+        Module of the device's compiled calls (nodes/driver/calls.py); empty for a device written in
+        Python, or in C.
     movable : str
         Which of its parameters change while it runs, for errors.
     driving : DriverState
@@ -86,7 +93,8 @@ class Driver(Node):
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        cls.kernel_module = Driver.kernel_module  # the tick is every driver's; a kind only makes its device
+        # the tick is every driver's; a kind only makes its device
+        cls.kernel_module = Driver.kernel_module
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
@@ -141,7 +149,8 @@ class Driver(Node):
         s.period, s.realtime, s.virtual = period, self.setup.pace == "realtime", self.virtual
         s.next_tick = self.setup.apply == "next_tick"
         s.axes, s.axis[:] = len(axes), (*axes, 0, 0)[:3]
-        # The device lets go by itself so many ticks after the last force that was written; maybe not all of it yet.
+        # The device lets go by itself so many ticks after the last force that was written; maybe
+        # not all of it yet.
         s.device_hold_ticks = (limits.hold if limits.lets_go is None else limits.lets_go) / period
         held = lower(parameters.safety, limits, period, f"{self.setup.name}.safety")
         if s.realtime == 0:
@@ -149,13 +158,19 @@ class Driver(Node):
         set_safety(s, parameters.safety, held, period)
         self._kept = set_motion(s, round((limits.latency or 0.0) / period, 9))
         set_guard(s, parameters.passivity)
-        # One that was started again may have a guard that somebody set while it ran, which is not the launch file's.
+        # One that was started again may have a guard that somebody set while it ran, which is not
+        # the launch file's.
         written: DriverParameters = convert(self.setup.parameters, self.Parameters, self.setup.name)
-        self._report.begin(self._device, held, written.passivity is not None and written.passivity.guard == "on")
+        self._report.begin(
+            self._device, held, written.passivity is not None and written.passivity.guard == "on"
+        )
         for text in held.overruled:
             self.events.emit("limit", text)
         if limits.latency is None and s.guard_on:
-            text = "the device does not tell its latency: the guard takes forces to act when they are handed over"
+            text = (
+                "the device does not tell its latency: the guard takes forces to act when they are"
+                " handed over"
+            )
             self.events.emit("guard", text)
         waits = self.virtual or parameters.safety.hang is None
         self._watch = Watch(self, limits, None if waits else LastResort(self.setup))
@@ -185,7 +200,9 @@ class Driver(Node):
                 self.inbox.set_timeout(IDLE_MS)
                 self._report.first = time.monotonic()
             self._tick(ticks)
-            self._report.last = end = realtime.sleep_until(s.epoch + s.seq * s.period) if s.realtime else time.monotonic()
+            self._report.last = end = (
+                realtime.sleep_until(s.epoch + s.seq * s.period) if s.realtime else time.monotonic()
+            )
             self._last_sample(end + self.clock.offset if s.realtime else s.seq * s.period)
             self._report.complete = s.seq >= s.until
             if self._report.complete:
@@ -206,8 +223,12 @@ class Driver(Node):
                 asked = max(asked, s.sampled)
                 if time.monotonic() - asked > ASK_AGAIN:
                     asked = time.monotonic()
-                    self.events.emit("unanswered", f"tick {s.seq} has no answer; asking again", {"tick": s.seq})
-                    payload = self._plain.payload if self.compiled is None else self.compiled.last_sent()
+                    self.events.emit(
+                        "unanswered", f"tick {s.seq} has no answer; asking again", {"tick": s.seq}
+                    )
+                    payload = (
+                        self._plain.payload if self.compiled is None else self.compiled.last_sent()
+                    )
                     self.publisher.send_hop(self.setup.topic(topics.DEVICE_STATE).encode(), payload)
             # The middle of a tick is no time for what waits between two.
             if why == BROKEN:
@@ -224,10 +245,16 @@ class Driver(Node):
             self.compiled.raise_error()
         if s.failed:
             s.failed = 0
-            held = not s.realtime or time.monotonic() < s.epoch + (s.written + s.device_hold_ticks) * s.period
+            held = (
+                not s.realtime
+                or time.monotonic() < s.epoch + (s.written + s.device_hold_ticks) * s.period
+            )
             self._device.write_force(tuple(s.handed) if held else ZERO, s.seq, 0.0)
         else:
-            s.place[:] = numbers_of(self._device.read_position(s.seq), f"{self.setup.name}: {type(self._device).__name__}")
+            s.place[:] = numbers_of(
+                self._device.read_position(s.seq),
+                f"{self.setup.name}: {type(self._device).__name__}",
+            )
             s.jumped |= self._plain.jumps.again()
             s.place_given = 1
 
@@ -256,12 +283,17 @@ class Driver(Node):
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
         """Prepare another guard, its account at zero: all of a driver that changes, where the launch file asked for none."""
-        if msgspec.structs.replace(parameters, passivity=None) != msgspec.structs.replace(self.store.current, passivity=None):
+        if msgspec.structs.replace(parameters, passivity=None) != msgspec.structs.replace(
+            self.store.current, passivity=None
+        ):
             raise ParameterError(
-                f"{self.setup.name}: parameters of a {self.setup.kind} are fixed while it runs, all but {self.movable}"
+                f"{self.setup.name}: parameters of a {self.setup.kind} are fixed while it runs, all"
+                f" but {self.movable}"
             )
         if self._report.own_guard:
-            raise ParameterError(f"{self.setup.name}.passivity: the launch file's own guard is fixed while it runs")
+            raise ParameterError(
+                f"{self.setup.name}.passivity: the launch file's own guard is fixed while it runs"
+            )
 
         def apply(seq: int) -> dict[str, Any]:
             set_guard(self.driving, parameters.passivity)
@@ -272,7 +304,9 @@ class Driver(Node):
     def _tell_notes(self) -> None:
         for note in self._report.notes():
             # Every change of state is published, whatever else happened.
-            self.events.emit(note.kind, note.reason, note.data, always=note.is_change, count=note.nth)
+            self.events.emit(
+                note.kind, note.reason, note.data, always=note.is_change, count=note.nth
+            )
 
     def between_ticks(self, seq: int) -> None:
         """Tell what happened, then do what every node does."""
@@ -289,12 +323,17 @@ class Driver(Node):
         """Offer what the launcher's status line asks for, and take forces from outside."""
         limits = self._device.limits
         return {
-            "progress": lambda: {**self._report.progress(self.setup.ticks), "condition": self._condition.told()},
+            "progress": lambda: {
+                **self._report.progress(self.setup.ticks),
+                "condition": self._condition.told(),
+            },
             "device": lambda: {"opening_s": limits.opening, "closing_s": limits.closing},
             "rearm": self._rearm,
             "stand": self._stand,
             "force": lambda: {"why": why_no_force(self.driving, self._condition.told())},
-            "external": lambda force: give(self.driving, self.store.current.external, self.setup.name, force),
+            "external": lambda force: give(
+                self.driving, self.store.current.external, self.setup.name, force
+            ),
         }
 
     def _rearm(self, beside: bool = False) -> dict[str, Any]:
@@ -302,8 +341,9 @@ class Driver(Node):
         name = self.setup.name
         if not (self.virtual or beside):
             raise ParameterError(
-                f"{name}: a real device, whose driver has stopped a loop that gave out energy; choose a softer law, "
-                "stand beside the device, and ask for forces again: haptic node rearm"
+                f"{name}: a real device, whose driver has stopped a loop that gave out energy;"
+                " choose a softer law, stand beside the device, and ask for forces again: haptic"
+                " node rearm"
             )
 
         def apply(seq: int) -> dict[str, Any]:
@@ -318,9 +358,14 @@ class Driver(Node):
         """Begin no tick for so long, or until 0 s are asked for: a loop that nobody follows takes the machine from others."""
         name = self.setup.name
         if self.driving.realtime:
-            raise ParameterError(f"{name}: only a loop in lockstep can stand still; a device in real time cannot wait")
+            raise ParameterError(
+                f"{name}: only a loop in lockstep can stand still; a device in real time cannot"
+                " wait"
+            )
         if not (isinstance(seconds, int | float) and 0.0 <= seconds <= STAND_STILL):
-            raise ParameterError(f"{name}: stand still for {seconds!r} s: expected 0 to {STAND_STILL:g} s")
+            raise ParameterError(
+                f"{name}: stand still for {seconds!r} s: expected 0 to {STAND_STILL:g} s"
+            )
         self._stands_until = time.monotonic() + seconds
         self.events.notify()
         return {}

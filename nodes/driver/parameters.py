@@ -17,8 +17,10 @@ class DriverParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     """Parameters that every driver has.
 
     safety: Limits; see nodes/driver/limits.py.
-    passivity: Passivity observer and controller after the law; see nodes/driver/passivity.py. None for none.
-    external: Whether forces from outside the loop are taken, and which; see nodes/driver/external.py. None for none.
+    passivity: Passivity observer and controller after the law; see nodes/driver/passivity.py. None
+        for none.
+    external: Whether forces from outside the loop are taken, and which; see
+        nodes/driver/external.py. None for none.
     """
 
     safety: SafetyParameters = SafetyParameters()
@@ -30,12 +32,12 @@ def check(setup: Setup, parameters: Any, virtual: bool) -> None:
     """Check pace and workspace."""
     if setup.pace == "lockstep" and not virtual:
         raise ParameterError(
-            f"{setup.name}: pace lockstep waits for each force, however long, which no device but a virtual one can; "
-            "use realtime"
+            f"{setup.name}: pace lockstep waits for each force, however long, which no device but a"
+            " virtual one can; use realtime"
         )
     for axis, (low, high) in enumerate(parameters.safety.workspace or ()):
         if not low < high:
             raise ParameterError(
-                f"{setup.name}.safety.workspace[{axis}]: {low:g} to {high:g} m, expected low to high: outside it there "
-                "is no force"
+                f"{setup.name}.safety.workspace[{axis}]: {low:g} to {high:g} m, expected low to"
+                " high: outside it there is no force"
             )

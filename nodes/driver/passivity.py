@@ -1,34 +1,41 @@
 """Passivity observer and controller (Hannaford & Ryu 2002; Ryu, Kim & Hannaford 2004): a guard after any law.
 
-Under zero-order hold the energy given out by the virtual side is exact in samples: E_k = E_{k−1} + F_{k−1}·(x_k − x_{k−1}).
-A virtual wall may store what it was given and give that back, no more: E ≤ 0. The controller looks one tick ahead, with the
-displacement of the tick before: on the way out the force is lowered so far that no more leaves than is in store; on the way
-in, while more was given out than was taken, a damper may take the rest back.
+Under zero-order hold the energy given out by the virtual side is exact in samples: E_k = E_{k−1} +
+F_{k−1}·(x_k − x_{k−1}). A virtual wall may store what it was given and give that back, no more: E ≤
+0. The controller looks one tick ahead, with the displacement of the tick before: on the way out the
+force is lowered so far that no more leaves than is in store; on the way in, while more was given
+out than was taken, a damper may take the rest back.
 
-With Δ_k = x_k − x_{k−1}, whatever the law asks for and however the device moves, if a force takes effect in its own tick,
+With Δ_k = x_k − x_{k−1}, whatever the law asks for and however the device moves, if a force takes
+effect in its own tick,
 
     E_{k+1} ≤ max(E_k, 0) + F_k (Δ_{k+1} − Δ_k),
 
-so that one tick gives out no more than force times the *change* of the displacement, T²·|F·acceleration|: what nobody can
-know when the force is chosen. (For a free mass m that is F²T²/m.) The force never changes sign and zero stays zero: free
-space remains free, and a wall never pulls.
+so that one tick gives out no more than force times the *change* of the displacement,
+T²·|F·acceleration|: what nobody can know when the force is chosen. (For a free mass m that is
+F²T²/m.) The force never changes sign and zero stays zero: free space remains free, and a wall never
+pulls.
 
-Energy that a law has dissipated is not in store, but E does not know that: credit from minutes of damping could feed an
-instability later. So credit is forgotten when there is no force (no contact: nothing can be stored) and, where a stiffness is
-given, whenever it exceeds what a spring of that stiffness holds at the present force, F²/(2k). A debt is never forgotten.
+Energy that a law has dissipated is not in store, but E does not know that: credit from minutes of
+damping could feed an instability later. So credit is forgotten when there is no force (no contact:
+nothing can be stored) and, where a stiffness is given, whenever it exceeds what a spring of that
+stiffness holds at the present force, F²/(2k). A debt is never forgotten.
 
-**Several axes have two accounts**: what the law stores along the surface's normal, which comes with the force, and what acts
-along the surface, where friction only ever takes. With one account a rubbing surface would pay for an unstable normal: at μ
-0.3 and a PD wall of 6000 N/m it chatters at 52 mm/s, without friction or with two accounts at 22. An account each for x, y and
-z would not do: along a surface that leans or curves, what one axis takes another gives back, and the guard would brake a motion
-that makes no energy. Where there is no normal, what acts along the wanted force has account 0.
+**Several axes have two accounts**: what the law stores along the surface's normal, which comes with
+the force, and what acts along the surface, where friction only ever takes. With one account a
+rubbing surface would pay for an unstable normal: at μ 0.3 and a PD wall of 6000 N/m it chatters at
+52 mm/s, without friction or with two accounts at 22. An account each for x, y and z would not do:
+along a surface that leans or curves, what one axis takes another gives back, and the guard would
+brake a motion that makes no energy. Where there is no normal, what acts along the wanted force has
+account 0.
 
-**A partner** (nodes/environment/partner.py) may give out what was put in here: what is forgotten is counted as `surplus`, sent
-with the state, and comes to the partner's guard as `credit` of its forces. Sums are sent, so that what is lost or late on the
-way delays energy and makes none.
+**A partner** (nodes/environment/partner.py) may give out what was put in here: what is forgotten is
+counted as `surplus`, sent with the state, and comes to the partner's guard as `credit` of its
+forces. Sums are sent, so that what is lost or late on the way delays energy and makes none.
 
-A device may itself apply a force later than it was handed over (its latency). What acts is then what went into a line that
-much earlier, and what is still in the line will act before anything that is chosen now (THEORY.md §6).
+A device may itself apply a force later than it was handed over (its latency). What acts is then
+what went into a line that much earlier, and what is still in the line will act before anything that
+is chosen now (THEORY.md §6).
 """
 
 from __future__ import annotations
@@ -43,19 +50,20 @@ from nodes.compiled.memory import reals_at
 from nodes.compiled.rules import rule
 from nodes.driver.state import DriverState
 
-ROUNDED: Final = 1e-9  # what acts along a surface with less is rounding of the normal, and no friction [N]
+# what acts along a surface with less is rounding of the normal, and no friction [N]
+ROUNDED: Final = 1e-9
 
 
 class PassivityParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of the guard.
 
     guard: ``on`` or ``off``.
-    stiffness: Stiffness of the spring that the law stands for [N/m]: no more is kept in store than it holds. None forgets
-        credit in free space only.
-    damping: Largest damper that takes back what was given out too much [N s/m]; keep it well below m/T of the device, or the
-        guard itself is what shakes. 0 lets the next contact pay.
-    allowance: Energy that may be given out beyond what is in store before the guard acts [J]: a last line beside a law that is
-        meant to be felt as it is.
+    stiffness: Stiffness of the spring that the law stands for [N/m]: no more is kept in store than
+        it holds. None forgets credit in free space only.
+    damping: Largest damper that takes back what was given out too much [N s/m]; keep it well below
+        m/T of the device, or the guard itself is what shakes. 0 lets the next contact pay.
+    allowance: Energy that may be given out beyond what is in store before the guard acts [J]: a
+        last line beside a law that is meant to be felt as it is.
     """
 
     guard: Literal["on", "off"] = "on"
@@ -125,7 +133,8 @@ def control(energy: float, force: float, step: float, rate: float) -> float:
     elif given < 0.0 and energy > 0.0:
         take = energy / step
         most = rate * step
-        # Both have the sign of the step; the damper's force has the opposite one, which is that of the law's force.
+        # Both have the sign of the step; the damper's force has the opposite one, which is that of
+        # the law's force.
         if take * step > most * step:
             take = most
         return force - take
@@ -151,8 +160,8 @@ def set_guard(s: DriverState, parameters: PassivityParameters | None) -> None:
 def count_step(s: DriverState) -> None:
     """Count what acted between the two newest samples.
 
-    One axis has the account of its number. Several have two: account 0 of what acted along the normal (of everything, where
-    there is none), account 1 of the rest.
+    One axis has the account of its number. Several have two: account 0 of what acted along the
+    normal (of everything, where there is none), account 1 of the rest.
     """
     if s.axes == 1:
         i = s.axis[0]

@@ -28,7 +28,9 @@ class PlainTicks:
     def __init__(self, node: Any, device: Device) -> None:
         self._node, self._device, self._inbox = node, device, node.inbox
         self._publisher, self._events, self._take = node.publisher, node.events, node.intake.take
-        self._topic, self._expected = (node.setup.topic(name).encode() for name in (topics.DEVICE_STATE, topics.FORCE))
+        self._topic, self._expected = (
+            node.setup.topic(name).encode() for name in (topics.DEVICE_STATE, topics.FORCE)
+        )
         self._decoder, self._clock = Decoder(Force), time.monotonic
         self._what = f"{node.setup.name}: {type(device).__name__}"
         self.jumps = Jumps(device)
@@ -86,7 +88,8 @@ class PlainTicks:
             )
         )
         s.states_sent += 1
-        s.sampled = self._clock()  # taken before sending: under FIFO the whole chain may run before the call returns
+        # taken before sending: under FIFO the whole chain may run before the call returns
+        s.sampled = self._clock()
         self._publisher.send_hop(self._topic, payload)
         self.payload = payload
 

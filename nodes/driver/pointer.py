@@ -1,8 +1,9 @@
 """The mouse as a hand: a page writes where the hand's target should be, a sim driver reads it every tick.
 
-Both map one small file in the run's private directory. The value is sequence-locked: the writer counts up before and after,
-in the order of memory, and the reader takes it only when both counts agree. So a tick pays under a microsecond and nobody
-waits for anybody. A value that is not renewed expires: a page that falls silent lets go.
+Both map one small file in the run's private directory. The value is sequence-locked: the writer
+counts up before and after, in the order of memory, and the reader takes it only when both counts
+agree. So a tick pays under a microsecond and nobody waits for anybody. A value that is not renewed
+expires: a page that falls silent lets go.
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ sim/device/state.py reads it too.
 _COUNT = struct.Struct("<Q")
 _TARGET = struct.Struct("<dddd")
 
-SILENCE = 2.0  # after so long without a new value a pointer counts as let go: its view has ended, or stands still [s]
+# after so long without a new value a pointer counts as let go: its view has ended, or stands still
+# [s]
+SILENCE = 2.0
 
 
 class PointerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -40,8 +43,8 @@ class PointerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
 
     speed: Fastest movement of the hand's target [m/s].
     silence: Without a new value for so long the hand lets go: its target goes back to its path [s].
-    beyond: Whether a page may make the loop unstable on purpose, and start the driver again when it has stopped. Only a virtual
-        driver has a pointer: nothing breaks, and nobody is pushed.
+    beyond: Whether a page may make the loop unstable on purpose, and start the driver again when it
+        has stopped. Only a virtual driver has a pointer: nothing breaks, and nobody is pushed.
     """
 
     speed: Annotated[float, msgspec.Meta(gt=0.0)] = 0.5
@@ -54,7 +57,9 @@ def pointer_file(run_dir: str | Path, driver: str) -> Path:
     return Path(run_dir) / f"{driver}.pointer"
 
 
-def awaited_pointer(driver: Setup, given_up: Callable[[], bool], patience: float = PATIENCE) -> Path:
+def awaited_pointer(
+    driver: Setup, given_up: Callable[[], bool], patience: float = PATIENCE
+) -> Path:
     """Place of a driver's pointer file, once it is there where the launch promises one."""
     path = pointer_file(driver.run_dir, driver.name)
     promised = driver.parameters.get("pointer") is not None and driver.pace == "realtime"

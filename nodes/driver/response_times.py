@@ -1,7 +1,7 @@
 """Counting response times: one bin per microsecond, so that percentiles of any length of run cost no memory.
 
-The bins lie scattered over memory, and a tick that touches them waits for it. So a tick only writes its response next to the
-last one; every `BLOCK` ticks they are counted together.
+The bins lie scattered over memory, and a tick that touches them waits for it. So a tick only writes
+its response next to the last one; every `BLOCK` ticks they are counted together.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ class ResponseTimes:
 
     def __init__(self, state: Any = None) -> None:
         self._state: Any = state_of(DriverState) if state is None else state
-        # How many took so many microseconds; the last one counts all that took longer, shape (BINS + 1,).
+        # How many took so many microseconds; the last one counts all that took longer, shape (BINS
+        # + 1,).
         self.bins = array("q", [0]) * (BINS + 1)
         self._state.bins = self.bins.buffer_info()[0]
 

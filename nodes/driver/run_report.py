@@ -12,7 +12,8 @@ from nodes.driver.motion import Ending, endings
 from nodes.driver.response_times import ResponseTimes
 from nodes.driver.state import LIMITED, REFUSED, SAFETY
 
-REASONS: Final = 8  # changes of state that the summary of a run tells; all of them are on the driver's event topic
+# changes of state that the summary of a run tells; all of them are on the driver's event topic
+REASONS: Final = 8
 
 
 class DriverReport:
@@ -22,7 +23,8 @@ class DriverReport:
         self._state = state
         self.responses = ResponseTimes(state)  # its response times
         self.first = self.last = 0.0  # when its first and its last tick were [s]
-        self.first_seq = self.soft_stop_ticks = 0  # its first tick, and what it took to bring the force down
+        # its first tick, and what it took to bring the force down
+        self.first_seq = self.soft_stop_ticks = 0
         self.complete = False  # whether it came to its last tick
         self.own_guard = False
         self._overruled: tuple[str, ...] = ()
@@ -59,7 +61,9 @@ class DriverReport:
         s = self._state
         return {
             "state": SAFETY[s.safety],
-            "entered": {name: times for name, times in zip(SAFETY, s.entered, strict=True) if times},
+            "entered": {
+                name: times for name, times in zip(SAFETY, s.entered, strict=True) if times
+            },
             "refused": dict(zip(REFUSED, s.refused_for, strict=True)),
             "limited": dict(zip(LIMITED, s.limited_by, strict=True)),
             "reasons": [note.reason for note in self._changes],
@@ -91,7 +95,10 @@ class DriverReport:
             "final": {
                 "position_m": list(s.position),
                 "force_n": list(s.force),
-                **{name: list(values) for name, values in zip(Ending._fields, zip(*ends, strict=True), strict=True)},
+                **{
+                    name: list(values)
+                    for name, values in zip(Ending._fields, zip(*ends, strict=True), strict=True)
+                },
             },
         }
 

@@ -2,25 +2,31 @@
 
 A small machine of states, the same for the virtual device and for hardware::
 
-    waiting ──first force──▶ ramp ──▶ active ──no fresh force for `watchdog` ticks──▶ damping ──▶ zero
+    waiting ──first force──▶ ramp ──▶ active ──no fresh force for `watchdog` ticks──▶ damping ──▶
+    zero
                               ▲                                                                  │
                               ├──────────────────────── a fresh force ───────────────────────────┘
                             zero ◀──back inside── fault ◀──outside the workspace── any of them
-                         stopped ◀──the force swings between its limits, and gives out energy── any of them
+                         stopped ◀──the force swings between its limits, and gives out energy── any
+                         of them
 
-``stopped`` is for good: damping, then no force, until somebody asks for it (`rearm`) or the driver is started again.
-While there is no force, a hand that keeps pushing sinks in, and the law then asks for far more than before. So every force
-that was away comes back by a ramp: each tick away takes `REGAIN` ticks of ramp, up to the whole one (`recovery`). A ramp that
-pushes the device fast grows slowly, and goes back beyond `RETURN_SPEED`: whoever has sunk in is let out, not thrown.
+``stopped`` is for good: damping, then no force, until somebody asks for it (`rearm`) or the driver
+is started again. While there is no force, a hand that keeps pushing sinks in, and the law then asks
+for far more than before. So every force that was away comes back by a ramp: each tick away takes
+`REGAIN` ticks of ramp, up to the whole one (`recovery`). A ramp that pushes the device fast grows
+slowly, and goes back beyond `RETURN_SPEED`: whoever has sunk in is let out, not thrown.
 
-A force that no motion made has a ramp too: the first one of a run, unless it is zero, and the one after a jump of the position
-(`rebase`: a clutch, a re-centre, a device that was read again elsewhere), during which what was felt before fades.
+A force that no motion made has a ramp too: the first one of a run, unless it is zero, and the one
+after a jump of the position (`rebase`: a clutch, a re-centre, a device that was read again
+elsewhere), during which what was felt before fades.
 
-Limits come from the device and from the launch file, whichever is lower; one that asks for more gets an event that says so.
-Whatever messages come in whatever order: on each axis the force stays within the peak, all changes made during one tick
-add up to no more than the slew, and the mean square of the force stays within the continuous limit, see motor_heat.py.
+Limits come from the device and from the launch file, whichever is lower; one that asks for more
+gets an event that says so. Whatever messages come in whatever order: on each axis the force stays
+within the peak, all changes made during one tick add up to no more than the slew, and the mean
+square of the force stays within the continuous limit, see motor_heat.py.
 
-The rules are plain functions on the driver's state: the interpreter calls them, and the compiled tick compiles them.
+The rules are plain functions on the driver's state: the interpreter calls them, and the compiled
+tick compiles them.
 """
 
 from __future__ import annotations
@@ -36,14 +42,33 @@ from nodes.driver.limits import STOP_TIME, Limits, SafetyParameters, recovery_ra
 from nodes.driver.motion import find_velocity
 from nodes.driver.motor_heat import close_tick, lower_heat, note_heat, set_heat
 from nodes.driver.passivity import guarded
-from nodes.driver.state import ACTIVE, DAMPING, FAULT, IDLE, NOTHING, RAMP, STOPPED, DriverState, note, seldom
+from nodes.driver.state import (
+    ACTIVE,
+    DAMPING,
+    FAULT,
+    IDLE,
+    NOTHING,
+    RAMP,
+    STOPPED,
+    DriverState,
+    note,
+    seldom,
+)
 
-REACH: Final = 1e6  # farther than this no device is: a position beyond is a fault of whoever measured it [m]
+# farther than this no device is: a position beyond is a fault of whoever measured it [m]
+REACH: Final = 1e6
 
-STOP_WINDOW: Final = 2.0  # a loop is stopped that reaches the largest force `stop_after` times in it, and gives out energy [s]
-PRESSES: Final = 2  # a force that stays at its limit and gives out energy stops the loop within the window divided by this
-REGAIN: Final = 5  # ticks of ramp that one tick without a force costs: after a fifth of `recovery` the whole ramp is due
-RETURN_SPEED: Final = 0.25  # faster than this a force that comes back must not push [m/s]: the reduced speed of ISO 10218-1
+# a loop is stopped that reaches the largest force `stop_after` times in it, and gives out energy
+# [s]
+STOP_WINDOW: Final = 2.0
+# a force that stays at its limit and gives out energy stops the loop within the window divided by
+# this
+PRESSES: Final = 2
+# ticks of ramp that one tick without a force costs: after a fifth of `recovery` the whole ramp is
+# due
+REGAIN: Final = 5
+# faster than this a force that comes back must not push [m/s]: the reduced speed of ISO 10218-1
+RETURN_SPEED: Final = 0.25
 
 FUTURE, REPLAYED, STALE, NOT_FINITE = range(4)
 PEAK, SLEW, HEAT = range(3)
@@ -83,7 +108,14 @@ def set_workspace(s: DriverState, limits: Limits) -> None:
 
 @rule
 def enter(
-    s: DriverState, state: int, seq: int, why: int, a: float = 0.0, b: float = 0.0, c: float = 0.0, d: float = 0.0
+    s: DriverState,
+    state: int,
+    seq: int,
+    why: int,
+    a: float = 0.0,
+    b: float = 0.0,
+    c: float = 0.0,
+    d: float = 0.0,
 ) -> None:
     """Change what is done with forces."""
     before = s.safety
@@ -143,7 +175,8 @@ def command(s: DriverState, seq: int, share: float) -> None:
     """Turn the admitted message into `force`; what is on the device acts for a `share` of the tick before it."""
     s.force_seq = s.got_seq
     s.since = seq
-    # Along an axis that nobody computes there is no force, and none that ramp, guard and heat would reckon with.
+    # Along an axis that nobody computes there is no force, and none that ramp, guard and heat would
+    # reckon with.
     s.wanted[0] = s.wanted[1] = s.wanted[2] = 0.0
     for i in range(3):
         s.normal[i] = s.got_normal[i]
@@ -159,7 +192,8 @@ def command(s: DriverState, seq: int, share: float) -> None:
         asked = abs(s.wanted[0]) + abs(s.wanted[1]) + abs(s.wanted[2])
         guarded(s, share)
         if s.safety == RAMP and asked > 0.0:
-            # The ramp goes on from what the guard lets through: else a force that it took away would be back at once.
+            # The ramp goes on from what the guard lets through: else a force that it took away
+            # would be back at once.
             passed = abs(s.wanted[0]) + abs(s.wanted[1]) + abs(s.wanted[2])
             s.regained = s.regained * min(passed / asked, 1.0)
     hand_over(s, seq)
@@ -241,8 +275,9 @@ def rebase(s: DriverState, seq: int) -> None:
 def _regrowth(pushed: float, size: float) -> float:
     """Tell by how many ticks a ramp grows in one, by the power of the whole force [W] and its size [N].
 
-    It slows down from half of `RETURN_SPEED` on. With whole steps, forth below that speed and `REGAIN` back above it, a hand
-    could swing around it without an end: one in thirty did, of three thousand with other springs, devices and laws.
+    It slows down from half of `RETURN_SPEED` on. With whole steps, forth below that speed and
+    `REGAIN` back above it, a hand could swing around it without an end: one in thirty did, of three
+    thousand with other springs, devices and laws.
     """
     if size <= 0.0:
         return 1.0
@@ -307,7 +342,8 @@ def watch_position(s: DriverState, seq: int) -> bool:
                 s.brake[0] = s.brake[1] = s.brake[2] = 0.0
                 return False
     if s.safety == FAULT:
-        # Not active yet: a force must come first, which then grows by the ramp. How it came here was not seen.
+        # Not active yet: a force must come first, which then grows by the ramp. How it came here
+        # was not seen.
         s.rebased = seq
         enter(s, NOTHING, seq, notes.BACK_INSIDE)
     return True
@@ -317,9 +353,10 @@ def watch_position(s: DriverState, seq: int) -> bool:
 def watch_swings(s: DriverState, seq: int) -> None:
     """Stop for good when the force comes to its limit again and again and the loop gives out energy meanwhile.
 
-    Energy is compared between moments at which the force comes to its limit, so that what a surface has in store then is
-    no part of it. A surface that takes energy, as one does that somebody taps hard, is not stopped. A force that stays at its
-    limit counts again and again while more was given out than when it came there: a hand that pushes on only takes energy.
+    Energy is compared between moments at which the force comes to its limit, so that what a surface
+    has in store then is no part of it. A surface that takes energy, as one does that somebody taps
+    hard, is not stopped. A force that stays at its limit counts again and again while more was
+    given out than when it came there: a hand that pushes on only takes energy.
     """
     if s.safety != STOPPED:
         _watch_press(s, seq)
@@ -396,4 +433,7 @@ def soft_stop(start: Vector, slew: float, period: float) -> list[Vector]:
     steps = max(1, min(10, int(STOP_TIME / period)))
     if math.isfinite(slew):
         steps = max(steps, math.ceil(max(map(abs, start)) / slew))
-    return [(start[0] * left / steps, start[1] * left / steps, start[2] * left / steps) for left in range(steps - 1, -1, -1)]
+    return [
+        (start[0] * left / steps, start[1] * left / steps, start[2] * left / steps)
+        for left in range(steps - 1, -1, -1)
+    ]

@@ -1,8 +1,8 @@
 """The state of a driver: one struct, which interpreted and compiled ticks read and write where it stands.
 
-A new variable is a line here, and one where it is used. Whatever has no limit holds infinity. Rules are plain functions on the
-struct, each in the module of what it rules; what they report is a code with numbers (`note`), which
-nodes/driver/force_words.py turns into words when the tick is done.
+A new variable is a line here, and one where it is used. Whatever has no limit holds infinity. Rules
+are plain functions on the struct, each in the module of what it rules; what they report is a code
+with numbers (`note`), which nodes/driver/force_words.py turns into words when the tick is done.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ RECENT: Final = 512  # newest response times that are kept as they are, for the 
 PEAKS: Final = 64  # room for the moments at which the force came to its limit
 
 NOTES: Final = 32
-NOTE: Final = 8  # numbers of a note on what the rules do in a tick: code, tick, change of state, and five more
+# numbers of a note on what the rules do in a tick: code, tick, change of state, and five more
+NOTE: Final = 8
 
 
 @struct
@@ -86,9 +87,11 @@ class DriverState(LoopState):
     slewed: Vector3  # how far the force has changed in this tick [N]
     mean: Vector3  # mean force of this tick up to `split` [N]
     split: float  # place in the tick up to which `mean` is complete [ticks]
-    changed_at: float  # place in the tick at which the first new force was written; 1 for none [ticks]
+    # place in the tick at which the first new force was written; 1 for none [ticks]
+    changed_at: float
     device_hold_ticks: float  # ticks without a write after which the device lets go by itself
-    external: Annotated[list[float], 6]  # forces from outside, two places (nodes/driver/external.py) [N]
+    # forces from outside, two places (nodes/driver/external.py) [N]
+    external: Annotated[list[float], 6]
     external_until: Annotated[list[int], 2]  # tick up to which each holds
     external_at: int  # which one counts
 
@@ -212,11 +215,18 @@ def note(
 ) -> None:
     """Take down what is to be said when the tick is done."""
     if s.notes_count >= NOTES:
-        # No tick has so many, and each ends with them told; compiled code would write beyond the end.
+        # No tick has so many, and each ends with them told; compiled code would write beyond the
+        # end.
         return
     at = NOTE * s.notes_count
     s.notes[at], s.notes[at + 1], s.notes[at + 2] = float(code), float(seq), float(change)
-    s.notes[at + 3], s.notes[at + 4], s.notes[at + 5], s.notes[at + 6], s.notes[at + 7] = a, b, c, d, e
+    s.notes[at + 3], s.notes[at + 4], s.notes[at + 5], s.notes[at + 6], s.notes[at + 7] = (
+        a,
+        b,
+        c,
+        d,
+        e,
+    )
     s.notes_count += 1
 
 

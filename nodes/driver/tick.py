@@ -1,8 +1,9 @@
 """The tick of a driver, in real time and in lockstep: read, publish, wait for the answer, hand it over.
 
-One source for the interpreter and the compiled tick. What differs is the `Port`: how time passes, how the device is called, and
-who brings a message (pyzmq and msgspec, or ZeroMQ by its address and the scanner). What a port cannot do by itself ends `ticks`
-with a reason; whoever called it mends that and calls it again, and the tick goes on where it stood.
+One source for the interpreter and the compiled tick. What differs is the `Port`: how time passes,
+how the device is called, and who brings a message (pyzmq and msgspec, or ZeroMQ by its address and
+the scanner). What a port cannot do by itself ends `ticks` with a reason; whoever called it mends
+that and calls it again, and the tick goes on where it stood.
 """
 
 from __future__ import annotations
@@ -15,13 +16,36 @@ from nodes.driver.motion import act, sample, split
 from nodes.driver.notes import HELD_UP, REFUSED_FIRST
 from nodes.driver.passivity import count_step
 from nodes.driver.response_times import note_response
-from nodes.driver.safety import STALE, admit, command, let_go, missed, rebase, watch_position, watch_swings
-from nodes.driver.state import ACTIVE, BETWEEN, DAMPING, FAULT, RAMP, WAITING, DriverState, note, seldom
+from nodes.driver.safety import (
+    STALE,
+    admit,
+    command,
+    let_go,
+    missed,
+    rebase,
+    watch_position,
+    watch_swings,
+)
+from nodes.driver.state import (
+    ACTIVE,
+    BETWEEN,
+    DAMPING,
+    FAULT,
+    RAMP,
+    WAITING,
+    DriverState,
+    note,
+    seldom,
+)
 
-GOT, NONE, REFUSED, UNREAD = range(4)  # of waiting for a message: one; none in time; refused; the port cannot judge it
-GO_ON, SILENT, BROKEN = range(3)  # why `ticks` ended: nothing unusual; no answer for a while; the device did not do as asked
+# of waiting for a message: one; none in time; refused; the port cannot judge it
+GOT, NONE, REFUSED, UNREAD = range(4)
+# why `ticks` ended: nothing unusual; no answer for a while; the device did not do as asked
+GO_ON, SILENT, BROKEN = range(3)
 
-BEHIND = 3  # after so many ticks without their answer in a row a tick waits for one period more, after twice as many for two
+# after so many ticks without their answer in a row a tick waits for one period more, after twice as
+# many for two
+BEHIND = 3
 MOST_BEHIND = 64  # so far such ticks are counted; each answer that is on time halves the count
 
 
@@ -30,10 +54,12 @@ class Port(NamedTuple):
 
     clock: Callable[[Any], float]  # the time [s]
     sleep_until: Callable[[Any, float], float]  # gives the time on waking
-    read: Callable[[Any, int], bool]  # fills `place` and `jumped`; this and the next tell whether the device did it
+    # fills `place` and `jumped`; this and the next tell whether the device did it
+    read: Callable[[Any, int], bool]
     write: Callable[[Any, int, float], bool]  # hands over `handed`
     publish: Callable[[Any, int, float], None]  # sends the state of a tick
-    receive: Callable[[Any, float], int]  # waits for a message until a time, or in lockstep for a while
+    # waits for a message until a time, or in lockstep for a while
+    receive: Callable[[Any, float], int]
     aside: Callable[[Any], None]  # sends what listeners get when nothing waits for it any more
     called: Callable[[Any], bool]  # tells whether something waits between two ticks
 
@@ -64,12 +90,14 @@ def lost(s: DriverState, seq: int, late: float) -> None:
 def patience(s: DriverState, deadline: float, following: float) -> float:
     """Return until when a tick waits for its answer [s]: the next tick, or later where several in a row were not answered.
 
-    Whoever answers is behind then, and a state more would only wait there and make the next answer late as well. So a loop
-    that is too fast for its machine goes on as fast as it is answered, and loses the ticks that are too much. It waits no
-    longer than a force may be old, and never past the watchdog or the moment at which the device lets go.
+    Whoever answers is behind then, and a state more would only wait there and make the next answer
+    late as well. So a loop that is too fast for its machine goes on as fast as it is answered, and
+    loses the ticks that are too much. It waits no longer than a force may be old, and never past
+    the watchdog or the moment at which the device lets go.
     """
     more = min(s.unanswered // BEHIND, s.max_age)
-    # Under ``next_tick`` an answer has a tick to come anyway, and its force must take effect at a deadline.
+    # Under ``next_tick`` an answer has a tick to come anyway, and its force must take effect at a
+    # deadline.
     if more == 0 or s.next_tick != 0 or s.safety == DAMPING or s.safety == FAULT:
         return following
     last = following + more * s.period
@@ -83,8 +111,9 @@ def patience(s: DriverState, deadline: float, following: float) -> float:
 def in_time(s: DriverState, now: float, answers: int) -> bool:
     """Return whether a force may still be written; otherwise the driver was held up, and what it holds stays.
 
-    The device may have let go of the force before it meanwhile, which must not come back without a ramp, and an answer may have
-    become too old. `answers` is the tick of that answer, or -1 for a force of the driver's own.
+    The device may have let go of the force before it meanwhile, which must not come back without a
+    ramp, and an answer may have become too old. `answers` is the tick of that answer, or -1 for a
+    force of the driver's own.
     """
     held = s.handed[0] != 0.0 or s.handed[1] != 0.0 or s.handed[2] != 0.0
     is_late = held and now >= s.epoch + (s.written + s.device_hold_ticks) * s.period
@@ -93,7 +122,15 @@ def in_time(s: DriverState, now: float, answers: int) -> bool:
         s.refused_for[STALE] += 1
         if seldom(s.refused_for[STALE]):
             age = (now - s.epoch) / s.period - answers
-            note(s, REFUSED_FIRST + STALE, s.seq, -1, float(s.refused_for[STALE]), age, float(s.max_age))
+            note(
+                s,
+                REFUSED_FIRST + STALE,
+                s.seq,
+                -1,
+                float(s.refused_for[STALE]),
+                age,
+                float(s.max_age),
+            )
     if is_late:
         for i in range(3):
             s.force[i] = s.handed[i]
@@ -133,7 +170,8 @@ def close(s: DriverState) -> None:
     s.phase = BETWEEN
 
 
-def make_ticks(
+# Long: one compiled function: a call across it would cost what it saves.
+def make_ticks(  # noqa: C901, PLR0915
     port: Port, made: Callable[[Any], Any] = lambda function: function
 ) -> tuple[Callable[[Any], int], Callable[[Any], int]]:
     """Make the ticks of a port, in lockstep and in real time: they go on until something waits, and tell why they ended."""
@@ -158,8 +196,11 @@ def make_ticks(
             s.failed = 1
 
     @made
-    def hand_over_in_time(s: DriverState, force: Any, seq: int, offset: float, answers: int) -> bool:
-        # The last look at the clock before the device is called: the driver may be held up after every wait.
+    def hand_over_in_time(
+        s: DriverState, force: Any, seq: int, offset: float, answers: int
+    ) -> bool:
+        # The last look at the clock before the device is called: the driver may be held up after
+        # every wait.
         if not in_time(s, clock(s), answers):
             return False
         hand_over(s, force, seq, offset)
@@ -189,8 +230,9 @@ def make_ticks(
         close(s)
         return GO_ON
 
+    # Long: one compiled function: a call across it would cost what it saves.
     @made
-    def realtime_tick(s: DriverState) -> int:
+    def realtime_tick(s: DriverState) -> int:  # noqa: C901, PLR0915
         seq = s.seq
         deadline = s.epoch + seq * s.period
         following = deadline + s.period
@@ -205,13 +247,15 @@ def make_ticks(
                     return GO_ON
                 s.lateness = now - deadline
                 if s.has_following != 0:
-                    s.has_following = 0  # under ``next_tick`` hardware, too, gets its force at the start of the tick
+                    # under ``next_tick`` hardware, too, gets its force at the start of the tick
+                    s.has_following = 0
                     hand_over_in_time(s, s.following, seq, 0.0, s.force_seq)
             if not begin(s, seq, now + s.clock_offset):
                 return BROKEN
             s.age = max(seq - s.force_seq, 0) if s.force_seq >= 0 else 0
-            # An answer that comes a little late is waited for, and the next tick sampled late: sampled on time, it would take
-            # the processor from that answer and be answered late itself, and so would the next. Not so when nothing came.
+            # An answer that comes a little late is waited for, and the next tick sampled late:
+            # sampled on time, it would take the processor from that answer and be answered late
+            # itself, and so would the next. Not so when nothing came.
             s.patient, s.heard, s.answered = s.heard, 0, 0
             s.split, s.changed_at = 0.0, 1.0
             for i in range(3):
@@ -259,18 +303,25 @@ def make_ticks(
         if s.next_tick == 0:
             split(s, 1.0)
         if s.answered == 0:
-            # Only who is heard is behind: in a silence nobody is waited for, and every tick is sampled.
+            # Only who is heard is behind: in a silence nobody is waited for, and every tick is
+            # sampled.
             s.unanswered = min(s.unanswered + s.heard, MOST_BEHIND)
         elif s.arrival < following:
-            s.unanswered //= 2  # on time again; an answer that had to be waited for leaves the patience as it is
+            # on time again; an answer that had to be waited for leaves the patience as it is
+            s.unanswered //= 2
         if s.answered == 0:
-            s.missed += 1 if s.safety != FAULT else 0  # in a fault there is no position that could have been answered
+            # in a fault there is no position that could have been answered
+            s.missed += 1 if s.safety != FAULT else 0
             s.response = 0.0
             is_written = False
             if missed(s, seq):
                 s.has_following = 0
                 is_written = hand_over_in_time(s, s.force, seq + 1, 0.0, -1)
-            if not is_written and s.has_following == 0 and seq + 1 - s.written >= s.device_hold_ticks:
+            if (
+                not is_written
+                and s.has_following == 0
+                and seq + 1 - s.written >= s.device_hold_ticks
+            ):
                 let_go(s, seq, s.written + s.device_hold_ticks)
         close(s)
         return GO_ON

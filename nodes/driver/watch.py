@@ -37,7 +37,11 @@ class Watch:
         self._wind(limit)
         if self._watchdog.look((what, *progress)) >= limit:
             hold = self._limits.hold
-            lets_go = f"it lets go by itself after {hold:g} s" if math.isfinite(hold) else "it may hold its last force"
+            lets_go = (
+                f"it lets go by itself after {hold:g} s"
+                if math.isfinite(hold)
+                else "it may hold its last force"
+            )
             give_up(self._node, f"the device hangs: no end of {what} within {limit:g} s; {lets_go}")
 
     def _wind(self, limit: float) -> None:

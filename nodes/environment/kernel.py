@@ -26,13 +26,38 @@ _tells_fault = make_match("fault")
 _encode = make_encode(Proxy)
 _TEXTS, _JUMPED, _INSIDE = TEXTS, JUMPED, INSIDE
 _IN, _OUT = fields_of(DeviceState), fields_of(Proxy)
-_SEQ, _REBASED, _STAMP, _POSITION, _DELAY = slots(_IN, "seq", "rebased", "stamp", "position", "delay")
-_TO_SEQ, _TO_CONTACT, _TO_REBASED, _TO_EASE, _TO_STAMP, _TO_POSITION, _TO_PROXY, _TO_NORMAL, _TO_DISTANCE, _TO_DELAY = slots(
-    _OUT, "seq", "contact", "rebased", "ease", "stamp", "position", "proxy", "normal", "distance", "delay"
+_SEQ, _REBASED, _STAMP, _POSITION, _DELAY = slots(
+    _IN, "seq", "rebased", "stamp", "position", "delay"
+)
+(
+    _TO_SEQ,
+    _TO_CONTACT,
+    _TO_REBASED,
+    _TO_EASE,
+    _TO_STAMP,
+    _TO_POSITION,
+    _TO_PROXY,
+    _TO_NORMAL,
+    _TO_DISTANCE,
+    _TO_DELAY,
+) = slots(
+    _OUT,
+    "seq",
+    "contact",
+    "rebased",
+    "ease",
+    "stamp",
+    "position",
+    "proxy",
+    "normal",
+    "distance",
+    "delay",
 )
 
 
-def make_ticks(meet: Callable[[int, Any, Any, float, float, float, Any], bool]) -> Callable[[int], int]:
+def make_ticks(
+    meet: Callable[[int, Any, Any, float, float, float, Any], bool],
+) -> Callable[[int], int]:
     """Make the ticks of an environment that meets its surface so."""
 
     @compilable
@@ -76,7 +101,8 @@ def make_ticks(meet: Callable[[int, Any, Any, float, float, float, Any], bool]) 
                 end = monotonic(s)
                 out[_TO_STAMP] = end + s.clock_offset
                 note_spent(s.spent, end - begin)
-            s.ticks += 1  # before it is sent: whoever has the answer and asks for the count finds it there
+            # before it is sent: whoever has the answer and asks for the count finds it there
+            s.ticks += 1
             at = out_at(s)
             answer(s, at, _encode(at, s.out_keys, out, s.out_wholes, s.text, s.text_size) - at)
             done += 1
@@ -93,4 +119,5 @@ def _meet(kind: int, table: Any, memory: Any, x: float, y: float, z: float, met:
     return meet_flat(kind, table, x, y, z, met)
 
 
-ticks = make_ticks(_meet)  # answer device states with proxies on a surface without shapes until something is unusual
+# answer device states with proxies on a surface without shapes until something is unusual
+ticks = make_ticks(_meet)

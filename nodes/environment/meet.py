@@ -1,6 +1,7 @@
 """Where the proxy is: one function on numbers, which every way of playing a tick runs, interpreted or compiled.
 
-A surface is a kind, a table of floats that never changes while it is touched, and a small table of what its proxy remembers.
+A surface is a kind, a table of floats that never changes while it is touched, and a small table of
+what its proxy remembers.
 """
 
 from __future__ import annotations
@@ -13,7 +14,15 @@ from messages.types import Vector
 from nodes.arithmetic import plane_distance
 from nodes.compiled.rules import rule
 from nodes.environment.shapes import proxy
-from nodes.environment.shapes.tables import DISTANCE, IN_CONTACT, INSIDE, LOST, NORMAL, PLACED, PROXY
+from nodes.environment.shapes.tables import (
+    DISTANCE,
+    IN_CONTACT,
+    INSIDE,
+    LOST,
+    NORMAL,
+    PLACED,
+    PROXY,
+)
 from nodes.environment.state import ANCHOR, MET, PLANE, SHAPES
 
 
@@ -35,7 +44,9 @@ def meet_plane(position: float, surface: float, side: float) -> tuple[float, flo
 
 
 @rule
-def meet_flat(kind: int, table: Sequence[float], x: float, y: float, z: float, met: MutableSequence[float]) -> bool:
+def meet_flat(
+    kind: int, table: Sequence[float], x: float, y: float, z: float, met: MutableSequence[float]
+) -> bool:
     """Let a proxy follow the device to a position [m] on a surface without shapes."""
     met[0], met[1], met[2] = x, y, z
     met[3] = met[4] = met[5] = met[6] = met[7] = met[8] = 0.0
@@ -51,7 +62,13 @@ def meet_flat(kind: int, table: Sequence[float], x: float, y: float, z: float, m
 
 
 def meet(
-    kind: int, table: Sequence[float], memory: MutableSequence[float], x: float, y: float, z: float, met: MutableSequence[float]
+    kind: int,
+    table: Sequence[float],
+    memory: MutableSequence[float],
+    x: float,
+    y: float,
+    z: float,
+    met: MutableSequence[float],
 ) -> bool:
     """Let a proxy follow the device to a position [m]: the answer is written into `met`; whether there is contact."""
     if kind != SHAPES:

@@ -1,7 +1,7 @@
 """The environment node: for each device position, where the proxy is.
 
-It holds no state but the surface, so a lost or repeated position costs nothing. It forwards position and measured delay, so
-that the coupling needs one input only.
+It holds no state but the surface, so a lost or repeated position costs nothing. It forwards
+position and measured delay, so that the coupling needs one input only.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class EnvironmentParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=T
     """Parameters of the environment.
 
     surface: ``kind`` and parameters of the surface: see nodes/environment/surfaces.py.
-    ease: Time in which the force goes from what was felt to what is asked when the surface is changed [s]; None for the
-        coupling's own ``ease``.
+    ease: Time in which the force goes from what was felt to what is asked when the surface is
+        changed [s]; None for the coupling's own ``ease``.
     """
 
     surface: dict[str, Any] = msgspec.field(default_factory=lambda: {"kind": "free"})
@@ -69,7 +69,10 @@ class Environment(Node):
     @classmethod
     def axes(cls, parameters: Mapping[str, Any], name: str) -> tuple[Axis, ...]:
         """Tell which axes the scene must compute."""
-        return parse_surface(parameters.get("surface", {"kind": "free"}), f"{name}.surface").pushes() or ()
+        return (
+            parse_surface(parameters.get("surface", {"kind": "free"}), f"{name}.surface").pushes()
+            or ()
+        )
 
     def configure(self) -> None:
         """Build the surface."""
@@ -78,7 +81,9 @@ class Environment(Node):
 
     def make_counters(self) -> Any:
         """Make its state."""
-        return state_of(EnvironmentState, self.setup.tick == "compiled", seq=-1, answered=-1, kind=UNKNOWN)
+        return state_of(
+            EnvironmentState, self.setup.tick == "compiled", seq=-1, answered=-1, kind=UNKNOWN
+        )
 
     def _touch(self, meet: Callable[[Vector], Meeting]) -> None:
         """Meet the surface of `_place`; interpreted and compiled ticks go on with one memory of its proxy."""
@@ -90,7 +95,9 @@ class Environment(Node):
             s.table, s.table_count = numbers.table.buffer_info()
             s.memory, s.memory_count = numbers.memory.buffer_info()
 
-    def _built(self, parameters: EnvironmentParameters) -> tuple[TouchedSurface, Callable[[Vector], Meeting]]:
+    def _built(
+        self, parameters: EnvironmentParameters
+    ) -> tuple[TouchedSurface, Callable[[Vector], Meeting]]:
         where = f"{self.setup.name}.surface"
         surface = parse_surface(parameters.surface, where)
         meet_axes(surface, self.setup.axes, where)
@@ -107,7 +114,8 @@ class Environment(Node):
                 computed = ", ".join(self.setup.axes)
                 self.events.emit(
                     "axes",
-                    f"the surface pushes along {axis}, but run.axes is [{computed}]: no force there",
+                    f"the surface pushes along {axis}, but run.axes is [{computed}]: no force"
+                    " there",
                     {"axis": AXIS_INDEX[axis]},
                 )
             return met
@@ -128,7 +136,11 @@ class Environment(Node):
             self._touch(meet)
             if jump:
                 s.rebased = seq
-                s.ease = 0 if parameters.ease is None else max(round(parameters.ease / self.setup.period), 1)
+                s.ease = (
+                    0
+                    if parameters.ease is None
+                    else max(round(parameters.ease / self.setup.period), 1)
+                )
             return {"seq": seq, "surface": parameters.surface, "rebased": s.rebased}
 
         return apply
@@ -137,12 +149,15 @@ class Environment(Node):
         """Make the compiled ticks."""
         from nodes.environment.compiled_tick import EnvironmentTicks
 
-        return EnvironmentTicks(self, kernel, self.kernel_of(self.setup.parameters) != self.kernel_module)
+        return EnvironmentTicks(
+            self, kernel, self.kernel_of(self.setup.parameters) != self.kernel_module
+        )
 
     def _answer(self, state: DeviceState) -> bytes | None:
         simulated = self.clock.simulated
         if state.safety == "fault" and not simulated:
-            # The position is an old one; who follows bridges the gap. In lockstep somebody waits for an answer.
+            # The position is an old one; who follows bridges the gap. In lockstep somebody waits
+            # for an answer.
             return None
         begin = 0.0 if simulated else time.monotonic()
         s = self.counters
@@ -178,7 +193,8 @@ class Environment(Node):
         if s.answered >= 0:
             self._place.begin()
         if not 0 <= s.answered < state.seq or state.rebased <= s.rebased:
-            # Also where the driver counts anew: a jump of its own from before must not hide this one.
+            # Also where the driver counts anew: a jump of its own from before must not hide this
+            # one.
             s.rebased, s.ease = state.seq, 0
         s.driver_rebased = state.rebased
 
@@ -188,11 +204,17 @@ class Environment(Node):
         if inside > self.counters.inside:
             solids = "a solid that is" if inside == 1 else f"{inside} solids that are"
             self.events.emit_each(
-                "inside", f"the tool begins inside of {solids} not felt until it is outside", {"solids": inside}
+                "inside",
+                f"the tool begins inside of {solids} not felt until it is outside",
+                {"solids": inside},
             )
         elif inside < self.counters.inside:
-            left = "all solids are felt now" if inside == 0 else f"{inside} solids are still not felt"
-            self.events.emit_each("inside", f"the tool has come outside: {left}", {"solids": inside})
+            left = (
+                "all solids are felt now" if inside == 0 else f"{inside} solids are still not felt"
+            )
+            self.events.emit_each(
+                "inside", f"the tool has come outside: {left}", {"solids": inside}
+            )
         self.counters.inside = inside
 
     def report(self) -> dict[str, Any]:

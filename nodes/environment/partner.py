@@ -1,9 +1,9 @@
 """Another hand as the environment: the coupling holds the device to where the partner's device is.
 
-Two people, each with a device, a coupling and a law of their own; what travels between them are positions, as late as the
-network makes them. The position presented to the coupling never jumps: a partner that is first heard, or heard again, is
-met where the device is, and the offset to where it really is fades at `align`. So does the way back to free air when the
-partner falls silent.
+Two people, each with a device, a coupling and a law of their own; what travels between them are
+positions, as late as the network makes them. The position presented to the coupling never jumps: a
+partner that is first heard, or heard again, is met where the device is, and the offset to where it
+really is fades at `align`. So does the way back to free air when the partner falls silent.
 """
 
 from __future__ import annotations
@@ -35,8 +35,10 @@ class PartnerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     """Parameters of an environment that is another device.
 
     silence: Time without a message of the partner after which it counts as gone [s].
-    align: MetresPerSecond at which an offset to the partner fades, so that nobody is pushed by a jump [m/s].
-    fastest: MetresPerSecond beyond which a step of the partner's position is a jump and no motion [m/s].
+    align: MetresPerSecond at which an offset to the partner fades, so that nobody is pushed by a
+        jump [m/s].
+    fastest: MetresPerSecond beyond which a step of the partner's position is a jump and no motion
+        [m/s].
     """
 
     silence: Patience = 0.1
@@ -69,8 +71,13 @@ class Partner:
         """Take a message of the partner; return False for one that is old or tells no position."""
         if state.safety == "fault" or state.seq == self._seq:
             return False
-        if state.seq < self._seq and self.state == HEARD and self._seq - state.seq < 1.0 / self._period:
-            return False  # overtaken on the way; a partner that began anew is older by far, or was silent
+        if (
+            state.seq < self._seq
+            and self.state == HEARD
+            and self._seq - state.seq < 1.0 / self._period
+        ):
+            # overtaken on the way; a partner that began anew is older by far, or was silent
+            return False
         if self.state == HEARD:
             step = _minus(state.position, self.place)
             ticks = max(state.seq - self._seq, 1)
@@ -154,7 +161,8 @@ class PartnerEnvironment(Node):
         """Begin without a partner."""
         self._partner = Partner(self.setup.period, self.store.current)
         self._decoder = Decoder(DeviceState)
-        self.heard = self.late = 0  # messages of the partner that counted, and that came too late to
+        # messages of the partner that counted, and that came too late to
+        self.heard = self.late = 0
 
     def _hear(self, payload: bytes) -> None:
         try:
@@ -174,7 +182,8 @@ class PartnerEnvironment(Node):
         proxy, contact = self._partner.present(state.position, state.seq)
         self._report(before, state)
         note_spent(self.counters.spent, time.monotonic() - begin)
-        # The coupling holds the device to the partner from all sides: no normal, and nothing to clamp.
+        # The coupling holds the device to the partner from all sides: no normal, and nothing to
+        # clamp.
         return encode(
             Proxy(
                 seq=state.seq,
@@ -194,21 +203,33 @@ class PartnerEnvironment(Node):
             apart = math.dist(state.position, self._partner.place)
             self.events.emit(
                 "partner",
-                f"heard, {1e3 * apart:.3g} mm apart: aligned at {parameters.align:g} m/s, in {apart / parameters.align:.2g} s",
+                f"heard, {1e3 * apart:.3g} mm apart: aligned at {parameters.align:g} m/s, in"
+                f" {apart / parameters.align:.2g} s",
                 {"apart_m": apart, "align_m_per_s": parameters.align},
             )
         elif now == SILENT and before == HEARD:
             self.events.emit(
                 "partner",
-                f"silent for {parameters.silence:g} s (silence): the device is let go at {parameters.align:g} m/s",
+                f"silent for {parameters.silence:g} s (silence): the device is let go at"
+                f" {parameters.align:g} m/s",
                 {"silent_s": parameters.silence, "align_m_per_s": parameters.align},
             )
 
     def report(self) -> dict[str, Any]:
         """Return the time its ticks took, and how many messages of the partner came, and came too late."""
-        return {"spent_us": spent_us(self.counters.spent), "partner": {"heard": self.heard, "overtaken": self.late}}
+        return {
+            "spent_us": spent_us(self.counters.spent),
+            "partner": {"heard": self.heard, "overtaken": self.late},
+        }
 
     def loop(self) -> None:
         """Answer until stopped, with the newest position of the partner."""
         partner = self.setup.topic(topics.PARTNER).encode()
-        answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self._answer, {partner: self._hear})
+        answer_ticks(
+            self,
+            DeviceState,
+            topics.DEVICE_STATE,
+            topics.PROXY,
+            self._answer,
+            {partner: self._hear},
+        )

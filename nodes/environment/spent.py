@@ -1,8 +1,8 @@
 """How long an environment takes for its part of a tick: counted in bins of equal ratios, compiled and interpreted alike.
 
-In real time only: in lockstep nobody looks at a clock. A compiled tick counts from the message in hand to the answer's stamp,
-decoding included; an interpreted one, and a scene of bodies, from the decoded message to the proxy. Receiving and sending are
-the transport's.
+In real time only: in lockstep nobody looks at a clock. A compiled tick counts from the message in
+hand to the answer's stamp, decoding included; an interpreted one, and a scene of bodies, from the
+decoded message to the proxy. Receiving and sending are the transport's.
 """
 
 from __future__ import annotations
@@ -48,5 +48,8 @@ def spent_us(counts: Sequence[int]) -> dict[str, float]:
         return float(f"{1e6 * LEAST * 2.0 ** (place / PER_OCTAVE):.3g}")
 
     below = list(accumulate(counts))
-    found = {name: edge(next(place for place, sum_ in enumerate(below) if sum_ >= part * ticks) + 0.5) for name, part in _AT}
+    found = {
+        name: edge(next(place for place, sum_ in enumerate(below) if sum_ >= part * ticks) + 0.5)
+        for name, part in _AT
+    }
     return found | {"max": edge(1 + max(place for place, count in enumerate(counts) if count))}

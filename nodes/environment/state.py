@@ -28,5 +28,7 @@ class EnvironmentState(LoopState):
     rebased: int  # tick of the environment's own latest jump
     ease: int  # length of its easing [ticks]; 0 for the coupling's own
     driver_rebased: int  # latest jump that the driver sent
-    inside: int  # solids that the last event said are not felt, because the tool began inside of them
-    spent: Annotated[list[int], BINS]  # ticks by the time that they took (nodes/environment/spent.py)
+    # solids that the last event said are not felt, because the tool began inside of them
+    inside: int
+    # ticks by the time that they took (nodes/environment/spent.py)
+    spent: Annotated[list[int], BINS]

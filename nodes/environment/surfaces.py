@@ -1,7 +1,7 @@
 """What the device can touch: surfaces as a registry, each one a few numbers and the question "where is the proxy?".
 
-A surface answers on plain floats and computes only the axis it lies across. Other packages add surfaces through the entry
-points ``haptic.surfaces``.
+A surface answers on plain floats and computes only the axis it lies across. Other packages add
+surfaces through the entry points ``haptic.surfaces``.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ def _wrong_surface(name: str, found: Any) -> str:
 
 SURFACES = Registry("haptic.surfaces", "surface", _wrong_surface)
 
-Meeting: TypeAlias = tuple[Vector, Vector, float, bool]  # proxy [m], outward normal, distance [m], contact
+# proxy [m], outward normal, distance [m], contact
+Meeting: TypeAlias = tuple[Vector, Vector, float, bool]
 
 
 class AxisSurface(NamedTuple):
@@ -86,7 +87,9 @@ class Surface(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         """
         numbers = self.numbers(0.0)
         if numbers is None:
-            raise TypeError(f"surface kind {type(self).kind!r} defines neither numbers() nor meeting()")
+            raise TypeError(
+                f"surface kind {type(self).kind!r} defines neither numbers() nor meeting()"
+            )
         return meeting_of(numbers)
 
     def meeting_every(self, period: float) -> Callable[[Vector], Meeting]:
@@ -151,7 +154,8 @@ class Surface(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         Returns
         -------
         AxisSurface or None
-            The same surface on that axis; None when it is more than that, and only a launch plays it.
+            The same surface on that axis; None when it is more than that, and only a launch plays
+            it.
         """
         del axis
         return None
@@ -198,7 +202,9 @@ class Plane(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def numbers(self, period: float) -> Numbers:
         """Describe the surface by numbers."""
         del period
-        return Numbers(PLANE, array("d", (AXIS_INDEX[self.axis], self.position, self.normal)), array("d"))
+        return Numbers(
+            PLANE, array("d", (AXIS_INDEX[self.axis], self.position, self.normal)), array("d")
+        )
 
     def pushes(self) -> tuple[Axis, ...]:
         """Tell along which axes it can push."""
@@ -206,7 +212,11 @@ class Plane(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     def on_axis(self, axis: Axis) -> AxisSurface:
         """Reduce to one axis."""
-        return AxisSurface("plane", self.position, float(self.normal)) if axis == self.axis else AxisSurface("free")
+        return (
+            AxisSurface("plane", self.position, float(self.normal))
+            if axis == self.axis
+            else AxisSurface("free")
+        )
 
 
 class Anchor(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -309,6 +319,7 @@ def meet_axes(surface: Surface, axes: Sequence[str], where: str) -> None:
     left_out = [axis for axis in surface.pushes() or () if axis not in axes]
     if left_out:
         raise ParameterError(
-            f"{where}: a {surface.kind} that pushes along {', '.join(left_out)}, but run.axes is [{', '.join(axes)}]: nothing "
-            "would be felt there; name all axes, or leave axes out and they are taken from the surface"
+            f"{where}: a {surface.kind} that pushes along {', '.join(left_out)}, but run.axes is"
+            f" [{', '.join(axes)}]: nothing would be felt there; name all axes, or leave axes out"
+            " and they are taken from the surface"
         )

@@ -15,14 +15,25 @@ from nodes.environment.surfaces import Meeting, Surface, numbers_of
 class TouchedSurface:
     """A surface with its proxy."""
 
-    meet: Callable[[Vector], Meeting]  # from a device position [m] to proxy, normal, distance and contact
+    # from a device position [m] to proxy, normal, distance and contact
+    meet: Callable[[Vector], Meeting]
 
-    def __init__(self, surface: Surface, period: float, met: MutableSequence[float] | None = None) -> None:
+    def __init__(
+        self, surface: Surface, period: float, met: MutableSequence[float] | None = None
+    ) -> None:
         self.numbers = numbers_of(surface, period)
         self._met = [0.0] * MET if met is None else met
         # Made with the surface, not when it is taken: that is between two ticks.
-        self._identity = identity_of(self.numbers.table) if self.numbers is not None and self.kind == SHAPES else None
-        self.meet = surface.meeting_every(period) if self.numbers is None else meeting_of(self.numbers, self._met)
+        self._identity = (
+            identity_of(self.numbers.table)
+            if self.numbers is not None and self.kind == SHAPES
+            else None
+        )
+        self.meet = (
+            surface.meeting_every(period)
+            if self.numbers is None
+            else meeting_of(self.numbers, self._met)
+        )
 
     @property
     def kind(self) -> int:
@@ -37,7 +48,11 @@ class TouchedSurface:
     @property
     def inside(self) -> int:
         """How many solids are not felt because the tool began inside of them."""
-        return int(self.numbers.memory[INSIDE]) if self.numbers is not None and self.kind == SHAPES else 0
+        return (
+            int(self.numbers.memory[INSIDE])
+            if self.numbers is not None and self.kind == SHAPES
+            else 0
+        )
 
     def take(self, other: TouchedSurface) -> bool:
         """Become another surface, whose proxy begins where this one's is. Return whether that is a jump.
@@ -54,7 +69,12 @@ class TouchedSurface:
                 jump = False
             else:
                 carry_over(self._identity, before.memory, other._identity, after.memory)
-        self.numbers, self.meet, self._met, self._identity = after, other.meet, other._met, other._identity
+        self.numbers, self.meet, self._met, self._identity = (
+            after,
+            other.meet,
+            other._met,
+            other._identity,
+        )
         return jump
 
     def begin(self) -> None:

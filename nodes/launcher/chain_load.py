@@ -1,7 +1,8 @@
 """What the chains of a launch take of the processors: estimated before the start, measured while they run.
 
-What a tick of a chain costs here is kept beside the compiled code, by what the chain is made of. So the next launch can be
-told before it starts how many chains this machine carries, and its chains are spread over the processors.
+What a tick of a chain costs here is kept beside the compiled code, by what the chain is made of. So
+the next launch can be told before it starts how many chains this machine carries, and its chains
+are spread over the processors.
 """
 
 from __future__ import annotations
@@ -21,10 +22,16 @@ from nodes.base.node_kinds import load, node_kinds
 from nodes.compiled.cache import folder
 from nodes.launcher.launch_spec import Launch
 
-CARRIED: Final = 0.75  # part of a processor that chains may take: from there on waiting for each other makes them miss ticks
-LISTENERS: Final = 0.25  # part of a processor that is left to loggers, pages and the launcher where chains take all processors
-LATE: Final = 0.05  # share of lost ticks from which a run was overloaded, where its processors had no time left
-BUSY: Final = 0.85  # part of a processor's time from which it had none left; FIFO tasks get 0.95 at most
+# part of a processor that chains may take: from there on waiting for each other makes them miss
+# ticks
+CARRIED: Final = 0.75
+# part of a processor that is left to loggers, pages and the launcher where chains take all
+# processors
+LISTENERS: Final = 0.25
+# share of lost ticks from which a run was overloaded, where its processors had no time left
+LATE: Final = 0.05
+# part of a processor's time from which it had none left; FIFO tasks get 0.95 at most
+BUSY: Final = 0.85
 OVERLOADED: Final = 4  # exit code of a launch whose own chains were too many for its processors
 _SHORTEST: Final = 0.5  # a shorter run tells nothing of what a tick costs [s]
 _KINDS_KEPT: Final = 256
@@ -62,12 +69,14 @@ class Load(msgspec.Struct, frozen=True, kw_only=True):
         of = "one processor" if self.processors == 1 else f"{self.processors} processors"
         if self.cause == "chains":
             return (
-                f"{chains}: they took {self.busy:.0%} of {of}, {self.tick_cost_us:.0f} µs a tick; this machine carries about "
-                f"{_counted(self.carried)} of that kind: start fewer, lower run.rate, or take --tick compiled"
+                f"{chains}: they took {self.busy:.0%} of {of}, {self.tick_cost_us:.0f} µs a tick;"
+                f" this machine carries about {_counted(self.carried)} of that kind: start fewer,"
+                " lower run.rate, or take --tick compiled"
             )
         return (
-            f"{chains}: they took {self.busy:.0%} of {of}, and waited for others {self.waited:.2g} s a second; end what else "
-            "keeps this machine busy, or grant SCHED_FIFO (haptic doctor)"
+            f"{chains}: they took {self.busy:.0%} of {of}, and waited for others {self.waited:.2g}"
+            " s a second; end what else keeps this machine busy, or grant SCHED_FIFO (haptic"
+            " doctor)"
         )
 
 
@@ -77,8 +86,16 @@ def _counted(chains: int) -> str:
 
 def _hops(launch: Launch, namespace: str) -> list[str]:
     kinds = node_kinds()
-    inside = {name: load(kinds[spec.kind]) for name, spec in launch.nodes.items() if name.rpartition("/")[0] == namespace}
-    return [name for name, kind in inside.items() if any(topic in kind.publishes for topic in topics.LOOP)]
+    inside = {
+        name: load(kinds[spec.kind])
+        for name, spec in launch.nodes.items()
+        if name.rpartition("/")[0] == namespace
+    }
+    return [
+        name
+        for name, kind in inside.items()
+        if any(topic in kind.publishes for topic in topics.LOOP)
+    ]
 
 
 def kind_of_chain(launch: Launch, namespace: str, tick: str) -> str:
@@ -90,7 +107,10 @@ def kind_of_chain(launch: Launch, namespace: str, tick: str) -> str:
     for name in _hops(launch, namespace):
         spec = launch.nodes[name]
         surface = spec.parameters.get("surface")
-        parts += [spec.kind, str(surface.get("kind", ""))[:64] if isinstance(surface, Mapping) else ""]
+        parts += [
+            spec.kind,
+            str(surface.get("kind", ""))[:64] if isinstance(surface, Mapping) else "",
+        ]
     return " ".join([*parts, "".join(launch.axes.get(namespace) or launch.run.axes)])
 
 
@@ -146,9 +166,10 @@ def warning(launch: Launch, chains: list[str], tick: str, processors: int) -> st
     rate = launch.run.rate
     most = carried(mean / rate, rate, processors)
     return (
-        f"overload ahead: {_counted(len(chains))} at {rate:g} Hz will take {whole:.0%} of one processor, as measured here "
-        f"({mean / rate * 1e6:.0f} µs a tick), and there are {processors}; this machine carries about {_counted(most)} of that "
-        f"kind: start fewer, lower run.rate{'' if tick == 'compiled' else ', or take --tick compiled'}"
+        f"overload ahead: {_counted(len(chains))} at {rate:g} Hz will take {whole:.0%} of one"
+        f" processor, as measured here ({mean / rate * 1e6:.0f} µs a tick), and there are"
+        f" {processors}; this machine carries about {_counted(most)} of that kind: start fewer,"
+        f" lower run.rate{'' if tick == 'compiled' else ', or take --tick compiled'}"
     )
 
 
@@ -173,7 +194,8 @@ def spread(chains: Iterable[str], cores: list[int], shares: Mapping[str, float])
 def _processor_time(pid: int) -> float:
     """Return the processor time of a process, all its threads together [s]; 0 for one that is gone."""
     try:
-        return time.clock_gettime((~pid << 3) | 2)  # the kernel's clock of a process, as clock_getcpuclockid makes it
+        # the kernel's clock of a process, as clock_getcpuclockid makes it
+        return time.clock_gettime((~pid << 3) | 2)
     except OSError:
         return 0.0
 
@@ -183,7 +205,9 @@ def _waited(pid: int) -> float:
     waited = 0
     with contextlib.suppress(OSError, ValueError):
         for task in os.listdir(f"/proc/{pid}/task"):
-            waited += int(Path(f"/proc/{pid}/task/{task}/schedstat").read_text(encoding="ascii").split()[1])
+            waited += int(
+                Path(f"/proc/{pid}/task/{task}/schedstat").read_text(encoding="ascii").split()[1]
+            )
     return waited * 1e-9
 
 
@@ -224,7 +248,11 @@ class Meter:
 
 
 def load_of(
-    launch: Launch, had: float, waiting: float, reports: Mapping[str, Mapping[str, Any]], processors: int
+    launch: Launch,
+    had: float,
+    waiting: float,
+    reports: Mapping[str, Mapping[str, Any]],
+    processors: int,
 ) -> Load | None:
     """Return how busy a run was; None for one that was too short to tell, or did not tick in real time.
 
@@ -243,8 +271,14 @@ def load_of(
     """
     rate, done, lost, most = launch.run.rate, 0, 0, 0
     for report in reports.values():
-        ticks, missed, left_out = (int(report.get(name, 0)) for name in ("ticks", "missed", "overruns"))
-        done, lost, most = done + ticks - missed, lost + missed + left_out, max(most, ticks + left_out)
+        ticks, missed, left_out = (
+            int(report.get(name, 0)) for name in ("ticks", "missed", "overruns")
+        )
+        done, lost, most = (
+            done + ticks - missed,
+            lost + missed + left_out,
+            max(most, ticks + left_out),
+        )
     seconds = most / rate
     if seconds < _SHORTEST or had <= 0.0 or launch.run.pace != "realtime":
         return None

@@ -21,20 +21,24 @@ from nodes.base.processor_wait import ProcessorWait, state_of
 from nodes.base.setup import Setup
 from nodes.base.status_report import write_whole
 
-PYTHON = (sys.executable, "-P")  # our processes': without the working directory, where a ``sim.py`` may be anybody's
-START_TIMEOUT = 90.0  # until a node is ready [s]: eight launches at once on two processors take more than 30 s
+# our processes': without the working directory, where a ``sim.py`` may be anybody's
+PYTHON = (sys.executable, "-P")
+# until a node is ready [s]: eight launches at once on two processors take more than 30 s
+START_TIMEOUT = 90.0
 
 
 class Child:
     """One node's process, started again so often (-1: for ever); the launch ends with one that is `required`."""
 
     patience = START_TIMEOUT  # how long the launcher waits for it to be ready [s]
-    distance = 0.0  # how much longer than on this machine the first answer over a new connection takes [s]
+    # how much longer than on this machine the first answer over a new connection takes [s]
+    distance = 0.0
 
     def __init__(self, setup: Setup, respawns: int, delay: float, required: bool) -> None:
         self.setup = setup
         self.drives = DEVICE_STATE in load(setup.factory).publishes  # whether it is the driver
-        self.hops = any(topic in LOOP for topic in load(setup.factory).publishes)  # whether it is one of the loop
+        # whether it is one of the loop
+        self.hops = any(topic in LOOP for topic in load(setup.factory).publishes)
         self.listens = bool(setup.manifest)  # whether it only listens (a logger)
         self.respawns = respawns
         self.delay = delay
@@ -45,7 +49,8 @@ class Child:
         self._wait_for_processor = ProcessorWait()
         self.again_at: float | None = None
         self.ready_at = time.monotonic()  # when it was ready; before, when it was made [s]
-        self.opening = self.closing = 0.0  # how long its device may take to open, from then on, and to close [s]
+        # how long its device may take to open, from then on, and to close [s]
+        self.opening = self.closing = 0.0
         self.to_start = False
         self.ready = False
         self.over = False
@@ -63,7 +68,8 @@ class Child:
             try:
                 ended = os.waitid(os.P_PID, self.process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)
             except ChildProcessError:
-                self._exit = 0  # whoever started the launcher ignores SIGCHLD, and the kernel keeps no exit code
+                # whoever started the launcher ignores SIGCHLD, and the kernel keeps no exit code
+                self._exit = 0
                 return self._exit
             if ended is not None:
                 self._exit = ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status
@@ -75,11 +81,16 @@ class Child:
         """How it ended, in words."""
         code = self.code
         if self.unreported:
-            return f"exit code {code} in mid-run, without its own word that it is done: something in it has called exit()"
+            return (
+                f"exit code {code} in mid-run, without its own word that it is done: something in"
+                " it has called exit()"
+            )
         if code is not None and code < 0:
             return signal.Signals(-code).name
         place = held_in(self.setup) if code else ""
-        return f"exit code {code}" + (f": its last resort: a call let no other thread run for {place}" if place else "")
+        return f"exit code {code}" + (
+            f": its last resort: a call let no other thread run for {place}" if place else ""
+        )
 
     @property
     def ended_badly(self) -> bool:
@@ -95,18 +106,24 @@ class Child:
     def _write_setup(self, run_dir: Path) -> Path:
         path = run_dir / f"{self.setup.name}.json"
         path.parent.mkdir(mode=0o700, exist_ok=True, parents=True)
-        write_whole(path, self.setup)  # a program that somebody started by hand may be waiting for it
+        # a program that somebody started by hand may be waiting for it
+        write_whole(path, self.setup)
         return path
 
     def start(self, run_dir: Path) -> None:
         """Start the process."""
         path = self._write_setup(run_dir)
-        # A group of its own, so that Ctrl-C on the terminal reaches the launcher alone, which ends the nodes in order.
+        # A group of its own, so that Ctrl-C on the terminal reaches the launcher alone, which ends
+        # the nodes in order.
         self.process = subprocess.Popen(
-            [*PYTHON, "-m", "nodes", str(path), str(os.getpid())], stdin=subprocess.DEVNULL, stdout=sys.stderr, process_group=0
+            [*PYTHON, "-m", "nodes", str(path), str(os.getpid())],
+            stdin=subprocess.DEVNULL,
+            stdout=sys.stderr,
+            process_group=0,
         )
         self.again_at = self._exit = None
-        self.ready = self.unreported = False  # another process: its interpreter is being set up again
+        # another process: its interpreter is being set up again
+        self.ready = self.unreported = False
 
     def state(self, context: Context, timeout: float = 0.25) -> str:
         """Ask for its state."""
@@ -118,7 +135,11 @@ class Child:
     def is_done(self, run_dir: Path) -> bool:
         """Whether it has ended and says itself that it was at its end; whatever else ends it, says nothing."""
         status = self.report(run_dir).get("status", {})
-        finished = self.process is not None and status.get("pid") == self.process.pid and status.get("state") == "finished"
+        finished = (
+            self.process is not None
+            and status.get("pid") == self.process.pid
+            and status.get("state") == "finished"
+        )
         return self.code == 0 and finished
 
     @property
@@ -137,7 +158,9 @@ class Child:
         assert self.process is not None  # noqa: S101
         # One that has ended writes nothing more.
         with contextlib.suppress(OSError):
-            for line in Path(f"/proc/{self.process.pid}/io").read_text(encoding="ascii").splitlines():
+            for line in (
+                Path(f"/proc/{self.process.pid}/io").read_text(encoding="ascii").splitlines()
+            ):
                 if line.startswith("wchar:"):
                     return int(line.split()[1])
         return 0

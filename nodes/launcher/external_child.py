@@ -1,9 +1,10 @@
 """A node that somebody else starts: on another machine, under a debugger, or written in another language.
 
-The launcher waits for it on its control endpoint, hands it its setup, keeps measuring how far its clock is from the
-launcher's, takes it as lost when it stays silent, and asks it to stop at the end. What no signal can reach ends by itself: such
-a node has a lease, which every request of the launcher renews. One that is started once more in place of a lost one is a
-respawn like any other: the launch file says whether it is taken back.
+The launcher waits for it on its control endpoint, hands it its setup, keeps measuring how far its
+clock is from the launcher's, takes it as lost when it stays silent, and asks it to stop at the end.
+What no signal can reach ends by itself: such a node has a lease, which every request of the
+launcher renews. One that is started once more in place of a lost one is a respawn like any other:
+the launch file says whether it is taken back.
 """
 
 import contextlib
@@ -28,16 +29,23 @@ from nodes.parameters.paths import needed
 from nodes.parameters.store import convert
 
 PATIENCE = 120.0  # how long the launcher waits for somebody to start a node [s]
-LOST = 5.0  # after so long without an answer, and its distance, a node that was there is taken as lost [s]
-UNREPORTED = 2.0  # after so long, and its distance, a node that said it is finished is believed gone, report or not [s]
-LEASE = 6.0  # after so long without a request, and its distance, such a node takes its launcher as lost, and stops [s]
+# after so long without an answer, and its distance, a node that was there is taken as lost [s]
+LOST = 5.0
+# after so long, and its distance, a node that said it is finished is believed gone, report or not
+# [s]
+UNREPORTED = 2.0
+# after so long without a request, and its distance, such a node takes its launcher as lost, and
+# stops [s]
+LEASE = 6.0
 
 ROUND_TRIPS = 12
 """What the first answer over a new connection may take: one for tcp, two for the greeting, two for the keys, one for itself,
 and as many again where the first try found nobody there yet, or lost a packet."""
 
-ANSWER, LONGEST_ANSWER = 1.0, 8.0  # how long an answer is waited for at first, and at last: the distance may be that long [s]
-DRIFT = 50e-6  # how fast two monotonic clocks may drift apart [s/s]: two ordinary crystals of 25 ppm each
+# how long an answer is waited for at first, and at last: the distance may be that long [s]
+ANSWER, LONGEST_ANSWER = 1.0, 8.0
+# how fast two monotonic clocks may drift apart [s/s]: two ordinary crystals of 25 ppm each
+DRIFT = 50e-6
 WINDOW = 16  # measurements of a clock that are kept
 
 PERIOD = 0.5
@@ -51,7 +59,10 @@ def command(setup: Setup) -> str:
     bare, _ = split(setup.control)
     if bare.startswith("ipc://"):
         own = f"{setup.run_dir}/{setup.name}.json"
-        return f"haptic node start {setup.name} --run {setup.run}   (or a program of your own, with {own})"
+        return (
+            f"haptic node start {setup.name} --run {setup.run}   (or a program of your own, with"
+            f" {own})"
+        )
     host, _, port = bare.removeprefix("tcp://").rpartition(":")
     words = ["haptic node start", setup.name, "--bind", f"{host}:{int(port) - 1}"]
     if setup.kind != setup.name:
@@ -64,10 +75,11 @@ def command(setup: Setup) -> str:
 class ClockOffset:
     """Offset of another host's monotonic clock, from repeated questions for its time.
 
-    The time of a run is that of the launcher's host. Of a question asked at t0, answered with the other's time r and received
-    at t3, only so much is known: r was the other's time somewhere between t0 and t3. So the offset is (t0 + t3)/2 − r, off by
-    at most half the round trip; the shortest of the last round trips tells best (NTP's filter), and an old one loses worth at
-    the rate at which two crystals may drift apart.
+    The time of a run is that of the launcher's host. Of a question asked at t0, answered with the
+    other's time r and received at t3, only so much is known: r was the other's time somewhere
+    between t0 and t3. So the offset is (t0 + t3)/2 − r, off by at most half the round trip; the
+    shortest of the last round trips tells best (NTP's filter), and an old one loses worth at the
+    rate at which two crystals may drift apart.
     """
 
     def __init__(self) -> None:
@@ -76,13 +88,17 @@ class ClockOffset:
     def add(self, asked: float, remote: float, answered: float) -> None:
         """Take one measurement."""
         if answered >= asked:
-            self._measured.append((answered, (asked + answered) / 2.0 - remote, (answered - asked) / 2.0))
+            self._measured.append(
+                (answered, (asked + answered) / 2.0 - remote, (answered - asked) / 2.0)
+            )
 
     def best(self, now: float) -> tuple[float, float]:
         """Give the offset that is known best."""
         if not self._measured:
             return 0.0, float("inf")
-        bounds = [(half + DRIFT * max(now - when, 0.0), offset) for when, offset, half in self._measured]
+        bounds = [
+            (half + DRIFT * max(now - when, 0.0), offset) for when, offset, half in self._measured
+        ]
         error, offset = min(bounds)
         return offset, error
 
@@ -93,7 +109,13 @@ class ByHand(Child):
     patience = PATIENCE
 
     def __init__(
-        self, setup: Setup, respawns: int, delay: float, required: bool, context: Context, say: Callable[[str], None]
+        self,
+        setup: Setup,
+        respawns: int,
+        delay: float,
+        required: bool,
+        context: Context,
+        say: Callable[[str], None],
     ) -> None:
         super().__init__(setup, respawns, delay, required)
         self._line = Connection(context, setup.control)
@@ -149,7 +171,9 @@ class ByHand(Child):
         self.again_at = None
         self._say(f"waiting for {self.setup.name}: {command(self.setup)}")
         self._ending.clear()
-        self._thread = threading.Thread(target=self._watch, name=f"{self.setup.name}-watch", daemon=True)
+        self._thread = threading.Thread(
+            target=self._watch, name=f"{self.setup.name}-watch", daemon=True
+        )
         self._thread.start()
 
     def state(self, context: Context, timeout: float = 0.25) -> str:
@@ -183,7 +207,8 @@ class ByHand(Child):
         del run_dir
         return self._report
 
-    # -- on the watching thread --------------------------------------------------------------------------------------
+    # -- on the watching thread
+    # --------------------------------------------------------------------------------------
 
     def _ask(self, op: str, **args: object) -> Any:
         wait = self._wait
@@ -219,7 +244,10 @@ class ByHand(Child):
                     self._code, self._end = 1, f"no answer for {self._lost:g} s ({error})"
             except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
                 # Of a program of somebody else's anything may come.
-                self._code, self._end = 1, f"an answer that is not of the protocol ({type(error).__name__}: {error})"
+                self._code, self._end = (
+                    1,
+                    f"an answer that is not of the protocol ({type(error).__name__}: {error})",
+                )
             ready = self._state in ("ready", "running")
             self._ending.wait(PERIOD if ready and not self._stop else _QUICK)
 
@@ -227,7 +255,8 @@ class ByHand(Child):
         status = self._ask("status")
         state, process = str(status["state"]), int(status.get("pid", 0))
         if self._process and process != self._process:
-            # Faster than the loss was noticed; what is there now knows neither setup nor, as a driver, that it was started.
+            # Faster than the loss was noticed; what is there now knows neither setup nor, as a
+            # driver, that it was started.
             self._code, self._end = 1, f"process {process} in place of {self._process}"
             return
         self._process = process
@@ -258,7 +287,9 @@ class ByHand(Child):
         if not math.isfinite(error):
             return self.setup
         lease = self.setup.lease + round(self.distance)
-        return msgspec.structs.replace(self.setup, clock_offset=offset, clock_error=error, lease=lease)
+        return msgspec.structs.replace(
+            self.setup, clock_offset=offset, clock_error=error, lease=lease
+        )
 
     @contextlib.contextmanager
     def _optional(self, needed: str = "") -> Iterator[None]:

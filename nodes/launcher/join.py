@@ -1,8 +1,9 @@
 """Starting one node by hand: beside a launch on this machine, or for a launch on another one.
 
-For another machine's launch it waits on the node's control endpoint until that launcher, whose key must be allowed here, hands
-it the setup. What kind of node that is, which code it runs and which files it touches is decided here, by what is installed
-and by this command line; what in the setup would reach beyond that is refused or replaced.
+For another machine's launch it waits on the node's control endpoint until that launcher, whose key
+must be allowed here, hands it the setup. What kind of node that is, which code it runs and which
+files it touches is decided here, by what is installed and by this command line; what in the setup
+would reach beyond that is refused or replaced.
 """
 
 import fcntl
@@ -40,7 +41,10 @@ def start_here(run: runs.RunInfo, name: str) -> int:
     """Start a node of a launch on this machine that waits for it."""
     setup = run.nodes[name]
     if not setup.by_hand or not split(setup.control)[0].startswith("ipc://"):
-        raise ParameterError(f"{name}: the launch does not wait for it here; its launch file says so with by_hand: true")
+        raise ParameterError(
+            f"{name}: the launch does not wait for it here; its launch file says so with by_hand:"
+            " true"
+        )
     _claim(setup)
     return live(load(setup.factory)(setup), load_kernel)
 
@@ -54,7 +58,8 @@ def _claim(setup: Setup) -> None:
         other = os.read(held, 32).decode("ascii", errors="replace")
         os.close(held)
         raise ParameterError(
-            f"{setup.name}: process {other} is this node already; end it first: kill {other}; kill -CONT {other}"
+            f"{setup.name}: process {other} is this node already; end it first: kill {other}; kill"
+            f" -CONT {other}"
         ) from error
     os.ftruncate(held, 0)
     os.write(held, str(os.getpid()).encode("ascii"))
@@ -63,13 +68,16 @@ def _claim(setup: Setup) -> None:
 class Starter:
     """Waits for the launcher of the node `name` on another machine and takes its setup, within `kind` and `allow_paths`."""
 
-    def __init__(self, name: str, host: str, port: int, kind: str = "", allow_paths: Sequence[Path] = ()) -> None:
+    def __init__(
+        self, name: str, host: str, port: int, kind: str = "", allow_paths: Sequence[Path] = ()
+    ) -> None:
         self._name = name
         self._kind = kind or name.rpartition("/")[2]
         kinds = node_kinds()
         if self._kind not in kinds:
             raise ParameterError(
-                f"{name}: no kind of node is named {self._kind!r}; say which it is with --kind: {', '.join(sorted(kinds))}"
+                f"{name}: no kind of node is named {self._kind!r}; say which it is with --kind:"
+                f" {', '.join(sorted(kinds))}"
             )
         self._factory = kinds[self._kind]
         self._allow_paths = [folder.resolve() for folder in allow_paths]
@@ -84,7 +92,10 @@ class Starter:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, self._on_signal)
         context = new_context()
-        gate = Gate(context, lambda reason: print(f"[{self._name}] denied: {reason}", file=sys.stderr, flush=True))
+        gate = Gate(
+            context,
+            lambda reason: print(f"[{self._name}] denied: {reason}", file=sys.stderr, flush=True),
+        )
         desk = Desk(context)
         try:
             bind(desk.socket, self.control)
@@ -122,7 +133,12 @@ class Starter:
 
     def _reply(self, op: str) -> Reply:
         status = {"state": "unconfigured", "node": self._name, "pid": os.getpid()}
-        answers = {"status": status, "clock": {"monotonic_s": time.monotonic()}, "configure": None, "stop": None}
+        answers = {
+            "status": status,
+            "clock": {"monotonic_s": time.monotonic()},
+            "configure": None,
+            "stop": None,
+        }
         self._stopping = self._stopping or op == "stop"
         if op not in answers:
             return Reply(False, error=f"{self._name}: unconfigured; known: {', '.join(answers)}")
@@ -135,26 +151,33 @@ class Starter:
             raise ParameterError(f"setup.name: {setup.name!r}, but {self._name!r} was started here")
         for field, own in (("publish", self.publish), ("control", self.control)):
             if getattr(setup, field) != own:
-                raise ParameterError(f"setup.{field}: {getattr(setup, field)}, but this node binds {own}")
+                raise ParameterError(
+                    f"setup.{field}: {getattr(setup, field)}, but this node binds {own}"
+                )
         beyond = (setup.reach, setup.listen, setup.listen_reach, setup.watch)
         if any(beyond) or setup.lease <= 0.0:
             raise ParameterError(
-                "setup: reach, listen, listen_reach and watch must be empty and lease positive on another machine"
+                "setup: reach, listen, listen_reach and watch must be empty and lease positive on"
+                " another machine"
             )
         for topic, source in setup.sources.items():
             if not split(source)[0].startswith("tcp://"):
                 raise ParameterError(f"setup.sources.{topic}: {source} is not on the network")
         if setup.kind != self._kind:
             raise ParameterError(
-                f"setup.kind: {setup.kind!r}, but a {self._kind} was started here; to let it be the other: "
-                f"haptic node start {self._name} --kind {setup.kind}"
+                f"setup.kind: {setup.kind!r}, but a {self._kind} was started here; to let it be the"
+                f" other: haptic node start {self._name} --kind {setup.kind}"
             )
         allowed = [str(folder) for folder in self._allow_paths]
-        made = msgspec.structs.replace(setup, factory=self._factory, run_dir="", allow_paths=allowed)
+        made = msgspec.structs.replace(
+            setup, factory=self._factory, run_dir="", allow_paths=allowed
+        )
         kind = load(made.factory)
         made = msgspec.structs.replace(made, scheduling=here(setup.scheduling, kind))
         # Before anything of the kind's own looks at them.
-        check_paths(convert(setup.parameters, kind.Parameters, self._name), self._allow_paths, self._name)
+        check_paths(
+            convert(setup.parameters, kind.Parameters, self._name), self._allow_paths, self._name
+        )
         kind.check(made)
         kind(made)
         folder = runs.new_node_dir(f"{_plain(setup.run)}-{setup.name.replace('/', '-')}")
@@ -168,7 +191,11 @@ def here(asked: Scheduling, kind: type[Node]) -> Scheduling:
     others = sorted(os.sched_getaffinity(0) - {quietest})
     if not asked.cpus or not others:
         return Scheduling(fifo=asked.fifo)
-    return Scheduling(cpus=[quietest], aside=others, fifo=asked.fifo) if is_hop(kind) else Scheduling(cpus=others)
+    return (
+        Scheduling(cpus=[quietest], aside=others, fifo=asked.fifo)
+        if is_hop(kind)
+        else Scheduling(cpus=others)
+    )
 
 
 def _plain(run: str) -> str:
@@ -178,7 +205,9 @@ def _plain(run: str) -> str:
     return run
 
 
-def start_for(name: str, host: str, port: int, kind: str = "", allow_paths: Sequence[Path] = ()) -> int:
+def start_for(
+    name: str, host: str, port: int, kind: str = "", allow_paths: Sequence[Path] = ()
+) -> int:
     """Start a node for a launch on another machine."""
     starter = Starter(name, host, port, kind, allow_paths)
     print(f"[{name}] waiting for its launcher at {starter.control}", file=sys.stderr, flush=True)

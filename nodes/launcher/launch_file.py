@@ -1,9 +1,10 @@
 """Launch files: one YAML per scenario, with arguments, checked completely before anything is started.
 
-A launch file has these parts: ``summary``, ``arguments`` (with default, unit, help, limits), ``run`` (rate, pace, apply,
-duration, axes, scheduling), ``nodes``, and where it matters ``model`` (what the scene is for, what it leaves out on
-purpose), ``include`` (other launch files, each in a namespace). ``$(var NAME)`` stands for an argument and ``$(dirname)`` for
-the folder of the launch file, as in ROS 2. ``run.NAME:=VALUE`` sets what stands under ``run`` without an argument for it.
+A launch file has these parts: ``summary``, ``arguments`` (with default, unit, help, limits),
+``run`` (rate, pace, apply, duration, axes, scheduling), ``nodes``, and where it matters ``model``
+(what the scene is for, what it leaves out on purpose), ``include`` (other launch files, each in a
+namespace). ``$(var NAME)`` stands for an argument and ``$(dirname)`` for the folder of the launch
+file, as in ROS 2. ``run.NAME:=VALUE`` sets what stands under ``run`` without an argument for it.
 """
 
 import contextlib
@@ -21,7 +22,15 @@ from messages.topics import within
 from nodes.base.node import Node
 from nodes.base.node_kinds import load, node_kinds
 from nodes.base.setup import Axis
-from nodes.launcher.launch_spec import Argument, Include, Including, Launch, LaunchText, NodeSpec, RunSpec
+from nodes.launcher.launch_spec import (
+    Argument,
+    Include,
+    Including,
+    Launch,
+    LaunchText,
+    NodeSpec,
+    RunSpec,
+)
 from nodes.launcher.origins import Origins
 from nodes.launcher.plants import with_plants
 from nodes.parameters.refusals import choices
@@ -29,8 +38,15 @@ from nodes.parameters.registry import Registry
 from nodes.parameters.store import ParameterError, convert, merge, of_node
 from nodes.parameters.yaml_io import parse_yaml, read_yaml
 
-COLLECTIONS = Registry("haptic.launch", "collection of scenarios")  # names packages with launch files; none is imported
-_KINDS = {float: "a number", int: "a whole number", str: "text", bool: "true or false", list: "a list"}
+# names packages with launch files; none is imported
+COLLECTIONS = Registry("haptic.launch", "collection of scenarios")
+_KINDS = {
+    float: "a number",
+    int: "a whole number",
+    str: "text",
+    bool: "true or false",
+    list: "a list",
+}
 _WHOLE = re.compile(r"^\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)$")
 _WITHIN = re.compile(r"\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)")
 _NAME = re.compile(r"(?=.{1,32}$)[a-z][a-z0-9_]*(/[a-z][a-z0-9_]*)*")
@@ -38,16 +54,21 @@ _RUN = "run."
 LISTED = "run"  # no node's name: its setup would be the file that lists all nodes, run.json
 
 DEVICE = "device"  # argument that puts a real device in the place of a launch file's virtual one
-_DEVICE = Argument(default="none", help="a real device whose known values are taken: haptic device presets")
+_DEVICE = Argument(
+    default="none", help="a real device whose known values are taken: haptic device presets"
+)
 
-MAX_FILLED_IN = 4096  # longest text made of arguments, a path's length: a kilobyte of ``$(var a)`` would make gigabytes
+# longest text made of arguments, a path's length: a kilobyte of ``$(var a)`` would make gigabytes
+MAX_FILLED_IN = 4096
 
 
 def launch_dirs() -> list[Path]:
     """List where launch files are: in the wheel, beside the package, in packages under the entry points ``haptic.launch``."""
     nodes = Path(__file__).resolve().parents[1]
     specs = [_spec(point.value) for point in COLLECTIONS.points().values()]
-    added = [Path(place) for spec in specs if spec for place in spec.submodule_search_locations or ()]
+    added = [
+        Path(place) for spec in specs if spec for place in spec.submodule_search_locations or ()
+    ]
     return [path for path in (nodes / "_launch", nodes.parent / "launch", *added) if path.is_dir()]
 
 
@@ -61,7 +82,9 @@ def _spec(package: str) -> ModuleSpec | None:
 
 def scenarios() -> dict[str, Path]:
     """List the launch files that are installed, sorted; this project's go before those of other packages."""
-    found = {path.stem: path for folder in reversed(launch_dirs()) for path in folder.glob("*.yaml")}
+    found = {
+        path.stem: path for folder in reversed(launch_dirs()) for path in folder.glob("*.yaml")
+    }
     return dict(sorted(found.items()))
 
 
@@ -76,9 +99,14 @@ def find(name: str) -> Path:
             name.encode()
             if path.is_file():
                 return path
-            raise ParameterError(f"{name}: {'is a directory, expected a launch file' if path.is_dir() else 'no such file'}")
+            raise ParameterError(
+                f"{name}:"
+                f" {'is a directory, expected a launch file' if path.is_dir() else 'no such file'}"
+            )
         except UnicodeEncodeError as error:
-            raise ParameterError(f"{name!r}: not UTF-8, as a launch file's name has to be; rename it") from error
+            raise ParameterError(
+                f"{name!r}: not UTF-8, as a launch file's name has to be; rename it"
+            ) from error
         except OSError as error:
             # Longer than a name may be, or in a folder that is not ours.
             raise ParameterError(f"{name}: {error.strerror}") from error
@@ -99,14 +127,19 @@ def _offered(path: Path, file: LaunchText, including: Including) -> dict[str, Ar
         factory = kinds.get(kind) if isinstance(kind, str) else None
         # What is no kind, is not installed or does not import is refused when the launch is read.
         with contextlib.suppress(ParameterError, AttributeError):
-            if factory and load(factory).substitute_device.__func__ is not Node.substitute_device.__func__:  # type: ignore[attr-defined]
+            if (
+                factory
+                and load(factory).substitute_device.__func__ is not Node.substitute_device.__func__  # type: ignore[attr-defined]
+            ):
                 return {DEVICE: _DEVICE}
     # So is what cannot be included.
     with contextlib.suppress(ParameterError):
         including = including.another(path, path.name)
         for entry in file.include:
             inner = find(_beside(path, str(entry.get("launch"))))
-            if offered := _offered(inner, convert(read_yaml(inner), LaunchText, inner.name), including):
+            if offered := _offered(
+                inner, convert(read_yaml(inner), LaunchText, inner.name), including
+            ):
                 return offered
     return {}
 
@@ -128,7 +161,9 @@ def parse_assignments(words: list[str]) -> dict[str, Any]:
     return values
 
 
-def _fill_in(path: Path, arguments: Mapping[str, Argument], given: Mapping[str, Any]) -> dict[str, Any]:
+def _fill_in(
+    path: Path, arguments: Mapping[str, Argument], given: Mapping[str, Any]
+) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for name in given:
         if name not in arguments:
@@ -145,47 +180,89 @@ def _fill_in(path: Path, arguments: Mapping[str, Argument], given: Mapping[str, 
         if kind is str and isinstance(value, (int, float)):
             value = str(value)
         if type(value) is not kind:
-            raise ParameterError(f"{where}: expected {_KINDS.get(kind, kind.__name__)}, got {value!r}")
+            raise ParameterError(
+                f"{where}: expected {_KINDS.get(kind, kind.__name__)}, got {value!r}"
+            )
         unit = f" {argument.unit}" if argument.unit else ""
-        if argument.min is not None and isinstance(value, (int, float)) and not value >= argument.min:
-            raise ParameterError(f"{where}: {value!r}{unit}, limit: at least {argument.min:g}{unit}")
-        if argument.max is not None and isinstance(value, (int, float)) and not value <= argument.max:
+        if (
+            argument.min is not None
+            and isinstance(value, (int, float))
+            and not value >= argument.min
+        ):
+            raise ParameterError(
+                f"{where}: {value!r}{unit}, limit: at least {argument.min:g}{unit}"
+            )
+        if (
+            argument.max is not None
+            and isinstance(value, (int, float))
+            and not value <= argument.max
+        ):
             raise ParameterError(f"{where}: {value!r}{unit}, limit: at most {argument.max:g}{unit}")
         if argument.choices and value not in argument.choices:
-            raise ParameterError(f"{where}: {value!r}, expected one of {', '.join(argument.choices)}")
+            raise ParameterError(
+                f"{where}: {value!r}, expected one of {', '.join(argument.choices)}"
+            )
         values[name] = value
     return values
 
 
 def _bound(text: str, instead: Mapping[str, str], where: str) -> None:
-    length = len(text) + sum(text.count(word) * (len(value) - len(word)) for word, value in instead.items())
+    length = len(text) + sum(
+        text.count(word) * (len(value) - len(word)) for word, value in instead.items()
+    )
     if length > MAX_FILLED_IN and not _WHOLE.match(text):
-        raise ParameterError(f"{where}: {length} characters once its arguments are filled in, limit {MAX_FILLED_IN}")
+        raise ParameterError(
+            f"{where}: {length} characters once its arguments are filled in, limit {MAX_FILLED_IN}"
+        )
 
 
 def _substitute(data: Any, values: Mapping[str, Any], where: str, origins: Origins) -> Any:
     if isinstance(data, dict):
-        return {key: _substitute(inner, values, f"{where}.{key}", origins) for key, inner in data.items()}
+        return {
+            key: _substitute(inner, values, f"{where}.{key}", origins)
+            for key, inner in data.items()
+        }
     if isinstance(data, list):
-        return [_substitute(inner, values, f"{where}[{i}]", origins) for i, inner in enumerate(data)]
+        return [
+            _substitute(inner, values, f"{where}[{i}]", origins) for i, inner in enumerate(data)
+        ]
     if isinstance(data, str) and "$(" in data:
-        _bound(data, {"$(dirname)": origins.folder, **{f"$(var {name})": str(values[name]) for name in values}}, where)
+        _bound(
+            data,
+            {
+                "$(dirname)": origins.folder,
+                **{f"$(var {name})": str(values[name]) for name in values},
+            },
+            where,
+        )
         data = data.replace("$(dirname)", origins.folder)
         for name in _WITHIN.findall(data):
             if name not in values:
-                raise ParameterError(f"{where}: $(var {name}) is not an argument; {choices(name, values)}")
+                raise ParameterError(
+                    f"{where}: $(var {name}) is not an argument; {choices(name, values)}"
+                )
             origins.filled_in(where, name)
         whole = _WHOLE.match(data)
-        return values[whole[1]] if whole else _WITHIN.sub(lambda match: str(values[match.group(1)]), data)
+        return (
+            values[whole[1]]
+            if whole
+            else _WITHIN.sub(lambda match: str(values[match.group(1)]), data)
+        )
     return data
 
 
-def read(name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = (), including: Including | None = None) -> Launch:
+def read(
+    name: str,
+    given: Mapping[str, Any],
+    laid_over: Sequence[Path] = (),
+    including: Including | None = None,
+) -> Launch:
     """Read a launch file, fill in its arguments and lay files of parameters over those of its nodes.
 
-    `given`: arguments that differ from their defaults; every launch file has ``tick`` and ``run.NAME`` (see `RunSpec`), each
-    with a virtual device ``device``. `laid_over`: YAML files from node to parameters, whole or in part, as ``haptic param
-    dump`` and ``haptic study design`` write them; later ones go before. `including`: the files that include this one.
+    `given`: arguments that differ from their defaults; every launch file has ``tick`` and
+    ``run.NAME`` (see `RunSpec`), each with a virtual device ``device``. `laid_over`: YAML files
+    from node to parameters, whole or in part, as ``haptic param dump`` and ``haptic study design``
+    write them; later ones go before. `including`: the files that include this one.
     """
     path = find(name)
     outermost = including is None
@@ -201,16 +278,28 @@ def read(name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = (), in
 
 
 def _read(
-    path: Path, data: Any, given: Mapping[str, Any], laid_over: Sequence[Path], origins: Origins, including: Including
+    path: Path,
+    data: Any,
+    given: Mapping[str, Any],
+    laid_over: Sequence[Path],
+    origins: Origins,
+    including: Including,
 ) -> Launch:
     file = convert(data, LaunchText, path.name)
     # Besides ``run.NAME``: every launch file has ``tick``.
-    over = {name for name in given if name.startswith(_RUN) or (name == "tick" and name not in file.arguments)}
+    over = {
+        name
+        for name in given
+        if name.startswith(_RUN) or (name == "tick" and name not in file.arguments)
+    }
     over_run = {name.removeprefix(_RUN): given[name] for name in over}
     declared = {**(_offered(path, file, Including()) if DEVICE in given else {}), **file.arguments}
-    values = _fill_in(path, declared, {name: value for name, value in given.items() if name not in over})
+    values = _fill_in(
+        path, declared, {name: value for name, value in given.items() if name not in over}
+    )
     included = [
-        _include(entry, values, f"{path.name}.include[{i}]", origins, including) for i, entry in enumerate(file.include)
+        _include(entry, values, f"{path.name}.include[{i}]", origins, including)
+        for i, entry in enumerate(file.include)
     ]
     nodes = _nodes(path, file, values, origins, included)
     for written in laid_over:
@@ -226,7 +315,11 @@ def _read(
     if DEVICE not in file.arguments and (device := values.get(DEVICE, "none")) not in ("", "none"):
         nodes = _with_device(nodes, device, path.name)
     written_run = {**_substitute(file.run, values, f"{path.name}.run", origins), **over_run}
-    run = convert({**_common_run(included, written_run, path.name), **written_run}, RunSpec, f"{path.name}.run")
+    run = convert(
+        {**_common_run(included, written_run, path.name), **written_run},
+        RunSpec,
+        f"{path.name}.run",
+    )
     run, axes = _axes(run, nodes, included, path.name)
     return Launch(
         scenario=path.stem,
@@ -252,16 +345,24 @@ def _with_device(nodes: Mapping[str, NodeSpec], device: str, where: str) -> dict
             parameters, plants[name.rpartition("/")[0]] = stood
             found[name] = msgspec.structs.replace(spec, parameters=parameters)
     if not plants:
-        raise ParameterError(f"{where}: {DEVICE}:={device}: no node of it has a virtual device; leave it out")
+        raise ParameterError(
+            f"{where}: {DEVICE}:={device}: no node of it has a virtual device; leave it out"
+        )
     for name, spec in found.items():
         plant = plants.get(name.rpartition("/")[0])
         if plant is not None and isinstance(spec.parameters.get("plant"), Mapping):
-            found[name] = msgspec.structs.replace(spec, parameters=merge(spec.parameters, {"plant": plant}))
+            found[name] = msgspec.structs.replace(
+                spec, parameters=merge(spec.parameters, {"plant": plant})
+            )
     return found
 
 
 def _nodes(
-    path: Path, file: LaunchText, values: Mapping[str, Any], origins: Origins, included: Sequence[tuple[str, Launch]]
+    path: Path,
+    file: LaunchText,
+    values: Mapping[str, Any],
+    origins: Origins,
+    included: Sequence[tuple[str, Launch]],
 ) -> dict[str, NodeSpec]:
     """Nodes of the included files, then the file's own."""
     nodes: dict[str, NodeSpec] = {}
@@ -270,7 +371,11 @@ def _nodes(
         for name, spec in launch.nodes.items():
             full = f"{namespace}/{name}" if namespace else name
             if not _NAME.fullmatch(full) or full in nodes:
-                why = "is there twice; give one a namespace" if full in nodes else "is longer than 32 letters"
+                why = (
+                    "is there twice; give one a namespace"
+                    if full in nodes
+                    else "is longer than 32 letters"
+                )
                 raise ParameterError(f"{path.name}.include: {launch.scenario}: node {full!r} {why}")
             remap = {topic: within(namespace, instead) for topic, instead in spec.remap.items()}
             nodes[full] = msgspec.structs.replace(spec, remap=remap)
@@ -278,42 +383,60 @@ def _nodes(
         where = f"{path.name}.nodes.{node}"
         if not _NAME.fullmatch(node):
             raise ParameterError(
-                f"{where}: a node's name is lower-case letters, digits and _, with its namespace and / before it, at most 32"
+                f"{where}: a node's name is lower-case letters, digits and _, with its namespace"
+                " and / before it, at most 32"
             )
         if node == LISTED:
             raise ParameterError(
-                f"{where}: {LISTED!r} is the name of the file that lists a run's nodes; give the node another, or a namespace"
+                f"{where}: {LISTED!r} is the name of the file that lists a run's nodes; give the"
+                " node another, or a namespace"
             )
         if node in nodes:
-            raise ParameterError(f"{where}: an included launch file has a node of that name; give it a namespace")
+            raise ParameterError(
+                f"{where}: an included launch file has a node of that name; give it a namespace"
+            )
         nodes[node] = made = convert(_substitute(spec, values, where, origins), NodeSpec, where)
         if made.kind not in kinds:
-            raise ParameterError(f"{where}.kind: {made.kind!r} is not installed; {choices(made.kind, sorted(kinds))}")
+            raise ParameterError(
+                f"{where}.kind: {made.kind!r} is not installed; {choices(made.kind, sorted(kinds))}"
+            )
     if not nodes:
-        raise ParameterError(f"{path.name}: no nodes: name them under nodes, or other launch files under include")
+        raise ParameterError(
+            f"{path.name}: no nodes: name them under nodes, or other launch files under include"
+        )
     return nodes
 
 
-def _include(entry: Any, values: Mapping[str, Any], where: str, origins: Origins, including: Including) -> tuple[str, Launch]:
+def _include(
+    entry: Any, values: Mapping[str, Any], where: str, origins: Origins, including: Including
+) -> tuple[str, Launch]:
     """Read an included launch file; with its namespace."""
     made: Include = convert(_substitute(entry, values, where, origins), Include, where)
     if made.namespace and not _NAME.fullmatch(made.namespace):
         raise ParameterError(
-            f"{where}.namespace: {made.namespace!r}: lower-case letters, digits and _, without a / around, at most 32"
+            f"{where}.namespace: {made.namespace!r}: lower-case letters, digits and _, without a /"
+            " around, at most 32"
         )
     try:
-        launch = without(read(_beside(including.files[-1], made.launch), made.arguments, (), including), made.without)
+        launch = without(
+            read(_beside(including.files[-1], made.launch), made.arguments, (), including),
+            made.without,
+        )
     except ParameterError as error:
         raise ParameterError(f"{where}: {error}") from error
     nodes = dict(launch.nodes)
     for node, over in made.parameters.items():
         if node not in nodes:
             raise ParameterError(f"{where}.parameters: no node {node!r}; {choices(node, nodes)}")
-        nodes[node] = msgspec.structs.replace(nodes[node], parameters=merge(nodes[node].parameters, over))
+        nodes[node] = msgspec.structs.replace(
+            nodes[node], parameters=merge(nodes[node].parameters, over)
+        )
     return made.namespace, msgspec.structs.replace(launch, nodes=nodes)
 
 
-def _common_run(included: Sequence[tuple[str, Launch]], written: Mapping[str, Any], where: str) -> dict[str, Any]:
+def _common_run(
+    included: Sequence[tuple[str, Launch]], written: Mapping[str, Any], where: str
+) -> dict[str, Any]:
     """Collect what the included files say of how the loop runs and this one does not; they have to agree."""
     found: dict[str, Any] = {}
     for _, launch in included:
@@ -321,7 +444,8 @@ def _common_run(included: Sequence[tuple[str, Launch]], written: Mapping[str, An
             value = getattr(launch.run, name)
             if found.setdefault(name, value) != value:
                 raise ParameterError(
-                    f"{where}.run.{name}: the included files differ: {found[name]} and {value}; say here which it is"
+                    f"{where}.run.{name}: the included files differ: {found[name]} and {value}; say"
+                    " here which it is"
                 )
     return found
 
@@ -337,40 +461,56 @@ def _axes(
     kinds, axes = node_kinds(), {}
     for namespace, launch in included:
         for inner in dict.fromkeys(name.rpartition("/")[0] for name in launch.nodes):
-            axes["/".join(filter(None, (namespace, inner)))] = launch.axes.get(inner) or launch.run.axes
+            axes["/".join(filter(None, (namespace, inner)))] = (
+                launch.axes.get(inner) or launch.run.axes
+            )
     for namespace in dict.fromkeys(name.rpartition("/")[0] for name in nodes):
         chain = {name: spec for name, spec in nodes.items() if name.rpartition("/")[0] == namespace}
         wanted = dict.fromkeys(
-            axis for node, spec in chain.items() for axis in load(kinds[spec.kind]).axes(spec.parameters, node)
+            axis
+            for node, spec in chain.items()
+            for axis in load(kinds[spec.kind]).axes(spec.parameters, node)
         )
         if wanted:
             axes.setdefault(namespace, list(wanted))
     first: list[Axis] = next(iter(axes.values()), ["z"])
-    return msgspec.structs.replace(run, axes=first), {name: own for name, own in axes.items() if own != first}
+    return msgspec.structs.replace(run, axes=first), {
+        name: own for name, own in axes.items() if own != first
+    }
 
 
 def without(launch: Launch, left_out: list[str]) -> Launch:
     """Leave nodes out of a launch."""
     for name in left_out:
         if name not in launch.nodes:
-            raise ParameterError(f"{launch.scenario}.nodes: no node {name!r}; {choices(name, launch.nodes)}")
-    return msgspec.structs.replace(launch, nodes={name: spec for name, spec in launch.nodes.items() if name not in left_out})
+            raise ParameterError(
+                f"{launch.scenario}.nodes: no node {name!r}; {choices(name, launch.nodes)}"
+            )
+    return msgspec.structs.replace(
+        launch, nodes={name: spec for name, spec in launch.nodes.items() if name not in left_out}
+    )
 
 
 def _by_node(written: Path, nodes: Mapping[str, Any], where: str) -> dict[str, Any]:
     tree = read_yaml(written)
     if not isinstance(tree, dict) or not tree:
-        raise ParameterError(f"{written}: expected a mapping from node to parameters, got {str(tree)[:100]!r}")
+        raise ParameterError(
+            f"{written}: expected a mapping from node to parameters, got {str(tree)[:100]!r}"
+        )
     for node, parameters in tree.items():
         if node not in nodes:
             raise ParameterError(f"{written}: {where} has no node {node!r}; {choices(node, nodes)}")
         if not isinstance(parameters, dict):
-            raise ParameterError(f"{written}.{node}: expected a mapping of parameters, got {str(parameters)[:100]!r}")
+            raise ParameterError(
+                f"{written}.{node}: expected a mapping of parameters, got {str(parameters)[:100]!r}"
+            )
     return tree
 
 
 def _watched(node: str, spec: NodeSpec, where: str) -> dict[str, Any]:
     if not Path(spec.watch).is_file():
-        raise ParameterError(f"{where}.watch: {spec.watch}: no such file; write one with haptic param dump {node}")
+        raise ParameterError(
+            f"{where}.watch: {spec.watch}: no such file; write one with haptic param dump {node}"
+        )
     merged: dict[str, Any] = merge(spec.parameters, of_node(read_yaml(spec.watch), node))
     return merged

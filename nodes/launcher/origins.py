@@ -21,13 +21,16 @@ class Origins:
         self._given = given
         self._nodes = set(nodes)
         self._path = path
-        self._over: dict[str, tuple[str, int]] = {}  # the lines of parameters that go before the launch file
+        # the lines of parameters that go before the launch file
+        self._over: dict[str, tuple[str, int]] = {}
         self._arguments: dict[str, str] = {}
 
     @cached_property
     def _lines(self) -> dict[str, tuple[str, int]]:
         """File and line of each place; reading them takes as long as reading the launch file: only for an error."""
-        return {place: (self._path.name, line) for place, line in lines_of(self._path).items()} | self._over
+        return {
+            place: (self._path.name, line) for place, line in lines_of(self._path).items()
+        } | self._over
 
     def laid_over(self, path: Path) -> None:
         """Note a file of parameters, by node, that goes before the launch file."""
@@ -55,7 +58,11 @@ class Origins:
         behind = ""
         if argument is not None:
             given = argument in self._given
-            behind = f" (given as {argument}:={self._given[argument]})" if given else f" (the default of {argument})"
+            behind = (
+                f" (given as {argument}:={self._given[argument]})"
+                if given
+                else f" (the default of {argument})"
+            )
         while place not in self._lines:
             place, whole = _LAST.sub("", place, count=1), place
             if place == whole:

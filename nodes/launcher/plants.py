@@ -1,7 +1,8 @@
 """The plant of each coupling: written once, as the device, and filled in where the coupling needs it.
 
-A coupling judges its laws on ``plant``. What the other nodes of its chain know of that (`nodes.base.node.Node.plant`: a
-virtual device its mass, a driver its scale, a scene the mass of its tool) is filled in where the launch file leaves it out.
+A coupling judges its laws on ``plant``. What the other nodes of its chain know of that
+(`nodes.base.node.Node.plant`: a virtual device its mass, a driver its scale, a scene the mass of
+its tool) is filled in where the launch file leaves it out.
 """
 
 from __future__ import annotations
@@ -19,8 +20,20 @@ from nodes.parameters.store import ParameterError
 
 _PLANT = "plant"
 # Fields as they are when they are left out.
-_OF_PARTNERS = ("tool_damping", "tool_stiffness", "partner_damping", "partner_stiffness", "partner_later")
-_USUAL = {"damping": 0.0, "stiffness": 0.0, "device_delay": 0.0, "scale": 1.0, **dict.fromkeys(_OF_PARTNERS, 0.0)}
+_OF_PARTNERS = (
+    "tool_damping",
+    "tool_stiffness",
+    "partner_damping",
+    "partner_stiffness",
+    "partner_later",
+)
+_USUAL = {
+    "damping": 0.0,
+    "stiffness": 0.0,
+    "device_delay": 0.0,
+    "scale": 1.0,
+    **dict.fromkeys(_OF_PARTNERS, 0.0),
+}
 _DIGITS = 12  # significant digits: 0.1 kg and a hand of 0.05 kg are 0.15 kg, as a person adds them
 
 
@@ -42,8 +55,12 @@ def known_plant(launch: Launch, namespace: str) -> dict[str, float]:
 def known_peak(launch: Launch, namespace: str) -> float | None:
     """Return the largest force that the drivers of a chain hand over along an axis [N]; None where no parameter says."""
     kinds, period = node_kinds(), launch.run.period
-    inside = [(name, spec) for name, spec in launch.nodes.items() if name.rpartition("/")[0] == namespace]
-    found = [load(kinds[spec.kind]).largest_force(spec.parameters, name, period) for name, spec in inside]
+    inside = [
+        (name, spec) for name, spec in launch.nodes.items() if name.rpartition("/")[0] == namespace
+    ]
+    found = [
+        load(kinds[spec.kind]).largest_force(spec.parameters, name, period) for name, spec in inside
+    ]
     return min((peak for peak in found if peak is not None), default=None)
 
 
@@ -53,7 +70,8 @@ def with_plants(launch: Launch) -> Launch:
     Raises
     ------
     ParameterError
-        When a node's parameters describe no device, or one that answers later than a law is judged at.
+        When a node's parameters describe no device, or one that answers later than a law is judged
+        at.
     """
     kinds, nodes = node_kinds(), dict(launch.nodes)
     for name, spec in launch.nodes.items():
@@ -63,11 +81,14 @@ def with_plants(launch: Launch) -> Launch:
         known = known_plant(launch, name.rpartition("/")[0])
         if (late := known.get("device_delay", 0.0)) > LONGEST_DELAY:
             raise ParameterError(
-                f"{name}.plant.device_delay: the device answers {late:g} ticks late, limit {LONGEST_DELAY:g}: no law is judged "
-                f"at so much. Shorten the device's delay, or set {name}.plant to null"
+                f"{name}.plant.device_delay: the device answers {late:g} ticks late, limit"
+                f" {LONGEST_DELAY:g}: no law is judged at so much. Shorten the device's delay, or"
+                f" set {name}.plant to null"
             )
         telling = {field: value for field, value in known.items() if value != _USUAL.get(field)}
         whole = {**telling, **written}
         if written or "mass" in whole:
-            nodes[name] = msgspec.structs.replace(spec, parameters={**spec.parameters, _PLANT: whole})
+            nodes[name] = msgspec.structs.replace(
+                spec, parameters={**spec.parameters, _PLANT: whole}
+            )
     return msgspec.structs.replace(launch, nodes=nodes)

@@ -1,10 +1,12 @@
 """The reaper: what is left to do when the launcher itself is killed.
 
-A small process of its own session, holding the other end of a pipe. The launcher writes down each node that it starts; when the
-pipe closes without a ``done``, the launcher is dead: the reaper stops the nodes (SIGTERM, then SIGKILL) and removes the run's
-directory. It holds them by descriptors, so that it needs no look into ``/proc``, which may be hidden, and no process number is
-mistaken for another. A node that was just being started notices by itself that its parent is gone. The reaper imports nothing
-but the standard library, so that it is small and cannot fail with the rest. A launcher whose reaper was killed starts another.
+A small process of its own session, holding the other end of a pipe. The launcher writes down each
+node that it starts; when the pipe closes without a ``done``, the launcher is dead: the reaper stops
+the nodes (SIGTERM, then SIGKILL) and removes the run's directory. It holds them by descriptors, so
+that it needs no look into ``/proc``, which may be hidden, and no process number is mistaken for
+another. A node that was just being started notices by itself that its parent is gone. The reaper
+imports nothing but the standard library, so that it is small and cannot fail with the rest. A
+launcher whose reaper was killed starts another.
 """
 
 import contextlib
@@ -62,7 +64,8 @@ def main(arguments: list[str]) -> int:
         words = line.split()
         if words == ["done"]:
             return 0
-        # The number of a node, and how long its end may take; the number may be one that another has had before.
+        # The number of a node, and how long its end may take; the number may be one that another
+        # has had before.
         if len(words) == 2 and words[0].isdigit():
             pid = int(words[0])
             if pid in nodes:

@@ -1,9 +1,10 @@
 """Runs of launches on this machine: where they live, how to find them, how nothing stale stays behind.
 
-A run is a private directory (mode 0700) in ``runs`` below the runtime directory. It holds the sockets, one setup file per
-node, and ``run.json``, which tells listeners who publishes what. It is removed at every end: by the launcher, by the reaper
-when the launcher was killed, and by the next launch should both have been killed. Whatever does not bear the mark of a run
-belongs to somebody else and stays.
+A run is a private directory (mode 0700) in ``runs`` below the runtime directory. It holds the
+sockets, one setup file per node, and ``run.json``, which tells listeners who publishes what. It is
+removed at every end: by the launcher, by the reaper when the launcher was killed, and by the next
+launch should both have been killed. Whatever does not bear the mark of a run belongs to somebody
+else and stays.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ from nodes.base.status_report import write_whole
 
 MAX_IPC_PATH = 107  # longest path of a Unix socket [bytes]
 LONGEST_NAME = 32  # longest name of a node [letters]
-LONGEST_SCENARIO = 48  # so much of a scenario's name is in its runs' [letters]: a recording's name has 255 bytes
+# so much of a scenario's name is in its runs' [letters]: a recording's name has 255 bytes
+LONGEST_SCENARIO = 48
 
 
 class RunError(UsageError):
@@ -45,7 +47,8 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
     launcher_started: int = 0  # when that was started (`started_at`)
     wall_minus_monotonic: float = 0.0  # what to add to a stamp to get wall time [s]
     manifest: dict[str, str] = {}  # what goes into every recording
-    namespace: str = ""  # namespace of the one chain that this is about (`within`); empty for the whole run
+    # namespace of the one chain that this is about (`within`); empty for the whole run
+    namespace: str = ""
     manifests: dict[str, dict[str, str]] = {}  # the same for one chain alone, by namespace
 
     @property
@@ -68,7 +71,11 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         """Name the nodes that publish a device's state: the driver of each chain."""
         from nodes.base.node_kinds import load
 
-        return [name for name, setup in self.nodes.items() if topics.DEVICE_STATE in load(setup.factory).publishes]
+        return [
+            name
+            for name, setup in self.nodes.items()
+            if topics.DEVICE_STATE in load(setup.factory).publishes
+        ]
 
     def chains(self) -> list[str]:
         """List the namespaces of the chains: of their drivers."""
@@ -78,7 +85,9 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         """Give one chain of the run as if it were alone: nodes and topics are named as inside it."""
         namespace = namespace.strip("/")
         inside = {
-            name.removeprefix(f"{namespace}/"): setup for name, setup in self.nodes.items() if name.startswith(f"{namespace}/")
+            name.removeprefix(f"{namespace}/"): setup
+            for name, setup in self.nodes.items()
+            if name.startswith(f"{namespace}/")
         }
         if not inside:
             known = ", ".join(filter(None, self.chains())) or "none"
@@ -95,7 +104,8 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         chains = self.chains()
         if len(chains) > 1:
             raise RunError(
-                f"{self.run}: several chains: {', '.join(chains)}; choose one with --run {self.scenario}/{chains[-1]}"
+                f"{self.run}: several chains: {', '.join(chains)}; choose one with --run"
+                f" {self.scenario}/{chains[-1]}"
             )
         return self.within(chains[0]) if chains and chains[0] else self
 
@@ -116,7 +126,8 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         return found
 
 
-MARK = ".haptic-run"  # file in the directory of each run, and nowhere else: the sweep removes nothing without it
+# file in the directory of each run, and nowhere else: the sweep removes nothing without it
+MARK = ".haptic-run"
 
 _MARKED = "Directory of a run of haptic-nodes; the next launch removes it when the run is over.\n"
 
@@ -131,7 +142,10 @@ def runtime_dir() -> Path:
         # A predictable name in a shared directory is safe because owner and mode are checked below.
         path = Path("/tmp") / f"haptic-{os.getuid()}"  # noqa: S108
     if "#" in str(path):
-        raise RunError(f"{path}: its name has a #, which begins the key of an endpoint; set HAPTIC_RUNTIME_DIR to another")
+        raise RunError(
+            f"{path}: its name has a #, which begins the key of an endpoint; set HAPTIC_RUNTIME_DIR"
+            " to another"
+        )
     return _private(path)
 
 
@@ -142,15 +156,19 @@ def _private(path: Path) -> Path:
     except OSError as error:
         # A file or a dangling link in its place, a disk that is full or read-only.
         raise RunError(
-            f"{path}: the runtime directory cannot be made: {error.strerror}; set HAPTIC_RUNTIME_DIR to a directory of your own"
+            f"{path}: the runtime directory cannot be made: {error.strerror}; set"
+            " HAPTIC_RUNTIME_DIR to a directory of your own"
         ) from error
     if found.st_uid != os.getuid():
         raise RunError(
-            f"{path}: belongs to user {found.st_uid}, must be a directory of user {os.getuid()}; set HAPTIC_RUNTIME_DIR to one "
-            "of your own"
+            f"{path}: belongs to user {found.st_uid}, must be a directory of user {os.getuid()};"
+            " set HAPTIC_RUNTIME_DIR to one of your own"
         )
     if stat.S_IMODE(found.st_mode) & 0o077 or not stat.S_ISDIR(found.st_mode):
-        raise RunError(f"{path}: must be a directory of user {os.getuid()} with mode 0700; remove it or chmod 700 it")
+        raise RunError(
+            f"{path}: must be a directory of user {os.getuid()} with mode 0700; remove it or chmod"
+            " 700 it"
+        )
     return path
 
 
@@ -164,7 +182,11 @@ def is_marked(path: Path) -> bool:
     try:
         found, mark = path.lstat(), (path / MARK).lstat()
         ours = stat.S_ISDIR(found.st_mode) and stat.S_ISREG(mark.st_mode)
-        return ours and found.st_uid == mark.st_uid == os.getuid() and (path / MARK).read_text("utf-8") == _MARKED
+        return (
+            ours
+            and found.st_uid == mark.st_uid == os.getuid()
+            and (path / MARK).read_text("utf-8") == _MARKED
+        )
     except (OSError, UnicodeDecodeError):
         return False
 
@@ -177,7 +199,8 @@ def place_of(run: str) -> Path:
         if longest <= MAX_IPC_PATH:
             return path
     raise RunError(
-        f"{path}: socket paths could reach {longest} bytes, limit {MAX_IPC_PATH}; set HAPTIC_RUNTIME_DIR to a shorter path"
+        f"{path}: socket paths could reach {longest} bytes, limit {MAX_IPC_PATH}; set"
+        " HAPTIC_RUNTIME_DIR to a shorter path"
     )
 
 
@@ -264,13 +287,17 @@ def read_chain(setup: Setup, given_up: Callable[[], bool], patience: float = 10.
     deadline = time.monotonic() + patience
     while not path.exists():
         if time.monotonic() > deadline or given_up():
-            raise OSError(f"{path}: the launcher has not listed the run's nodes within {patience:g} s")
+            raise OSError(
+                f"{path}: the launcher has not listed the run's nodes within {patience:g} s"
+            )
         time.sleep(0.005)
     run = msgspec.json.decode(path.read_bytes(), type=RunInfo)
     try:
         return run.within(setup.namespace) if setup.namespace else run.only_chain()
     except RunError as error:
-        raise OSError(f"{error}: a {setup.kind} node has one chain; give {setup.name} its namespace") from error
+        raise OSError(
+            f"{error}: a {setup.kind} node has one chain; give {setup.name} its namespace"
+        ) from error
 
 
 STOPPED = "stopped by haptic stop"  # why a run ends that was not interrupted at its own terminal
@@ -334,7 +361,9 @@ def find_run(name: str | None = None) -> RunInfo:
         raise RunError("nothing is running; start something with: haptic launch floor_drop")
     if not fits:
         raise RunError(f"no run is named {name!r}; running: {', '.join(live)}")
-    raise RunError(f"several runs: {', '.join(info.run for info in fits)}; choose one with --run NAME")
+    raise RunError(
+        f"several runs: {', '.join(info.run for info in fits)}; choose one with --run NAME"
+    )
 
 
 def sweep() -> list[str]:

@@ -1,9 +1,10 @@
 """Supervision of one run in ROS 2's manner: start, respawn, required nodes, and an end that leaves nothing behind.
 
-An end goes in order: first the driver (which brings the force to zero, and has the time that its device declares), then the
-rest of the chain, last the loggers, so that every message is recorded. Each node is asked with SIGINT, then SIGTERM, then
-SIGKILL; a stopped one is woken up first. Who asks a second time (Ctrl-C) waits less for all but the driver, which needs its
-time to bring the force down.
+An end goes in order: first the driver (which brings the force to zero, and has the time that its
+device declares), then the rest of the chain, last the loggers, so that every message is recorded.
+Each node is asked with SIGINT, then SIGTERM, then SIGKILL; a stopped one is woken up first. Who
+asks a second time (Ctrl-C) waits less for all but the driver, which needs its time to bring the
+force down.
 """
 
 from __future__ import annotations
@@ -29,7 +30,14 @@ from nodes.launcher.chain_load import LATE, Load, Meter, keep_costs, kind_of_cha
 from nodes.launcher.child import PYTHON, Child
 from nodes.launcher.external_child import ByHand
 from nodes.launcher.launch_spec import Launch
-from nodes.launcher.wiring import chain_manifest, chains_of, manifest_of, settle_tick, wire, with_forwarder
+from nodes.launcher.wiring import (
+    chain_manifest,
+    chains_of,
+    manifest_of,
+    settle_tick,
+    wire,
+    with_forwarder,
+)
 
 INT_TIMEOUT = 3.0
 TERM_TIMEOUT = 2.0
@@ -86,7 +94,9 @@ class Supervisor:
                 self._say(refused)
             self._supervise(progress, held)
 
-    def _supervise(self, progress: Callable[[Supervisor], None] | None, held: contextlib.ExitStack) -> None:
+    def _supervise(
+        self, progress: Callable[[Supervisor], None] | None, held: contextlib.ExitStack
+    ) -> None:
         self._begun = time.monotonic()
         runs.sweep()
         run_dir = runs.new_run_dir(self.run)
@@ -105,7 +115,11 @@ class Supervisor:
             manifest = manifest_of(self._launch, self.run, offset)
             setups = wire(self._launch, self.run, run_dir, manifest)
             self._warn_of_overload()
-            self.unjudged = {name: why for name, setup in setups.items() if (why := load(setup.factory).unjudged(setup))}
+            self.unjudged = {
+                name: why
+                for name, setup in setups.items()
+                if (why := load(setup.factory).unjudged(setup))
+            }
             for why in self.unjudged.values():
                 self._say(f"stability not judged: {why}")
             info = runs.RunInfo(
@@ -116,7 +130,11 @@ class Supervisor:
                 nodes=setups,
                 wall_minus_monotonic=offset,
                 manifest=manifest,
-                manifests={chain: chain_manifest(self._launch, manifest, chain) for chain in chains_of(self._launch) if chain},
+                manifests={
+                    chain: chain_manifest(self._launch, manifest, chain)
+                    for chain in chains_of(self._launch)
+                    if chain
+                },
             )
             self._reaper = self._start_reaper(run_dir)
             for name, setup in setups.items():
@@ -128,10 +146,13 @@ class Supervisor:
                 self._start_child(child)
             runs.write_run(run_dir, info)
             self._await_ready()
-            # From here on: nodes that start again are imported elsewhere, too, and then go where they belong.
+            # From here on: nodes that start again are imported elsewhere, too, and then go where
+            # they belong.
             held.enter_context(realtime.off(info.processors))
             self._start_driver()
-            self._meter = Meter({name: child.process.pid for name, child in self._hops().items() if child.process})
+            self._meter = Meter(
+                {name: child.process.pid for name, child in self._hops().items() if child.process}
+            )
             self._watch(progress)
         finally:
             self._end_all()
@@ -145,7 +166,11 @@ class Supervisor:
 
     def _hops(self) -> dict[str, Child]:
         """Return the nodes of the chains that have a process here."""
-        return {name: child for name, child in self.children.items() if child.hops and child.process is not None}
+        return {
+            name: child
+            for name, child in self.children.items()
+            if child.hops and child.process is not None
+        }
 
     def _warn_of_overload(self) -> None:
         available = len(os.sched_getaffinity(0))
@@ -158,15 +183,23 @@ class Supervisor:
         if not hasattr(self, "_meter"):
             return
         had = self._meter.had(self.reports)
-        reports = {name.rpartition("/")[0]: self.reports.get(name, {}) for name, child in self.children.items() if child.drives}
+        reports = {
+            name.rpartition("/")[0]: self.reports.get(name, {})
+            for name, child in self.children.items()
+            if child.drives
+        }
         cores = {cpu for child in self._hops().values() for cpu in child.setup.scheduling.cpus}
         processors = len(cores) or len(os.sched_getaffinity(0))
-        self.load = load_of(self._launch, sum(had.values()), self._meter.waiting(), reports, processors)
+        self.load = load_of(
+            self._launch, sum(had.values()), self._meter.waiting(), reports, processors
+        )
         if self.load is not None and self.load.lost < LATE:
             costs = {}
             for chain, report in reports.items():
                 spent = sum(time for name, time in had.items() if name.rpartition("/")[0] == chain)
-                costs[kind_of_chain(self._launch, chain, self.tick)] = spent / max(1, report.get("ticks", 0))
+                costs[kind_of_chain(self._launch, chain, self.tick)] = spent / max(
+                    1, report.get("ticks", 0)
+                )
             keep_costs(costs)
 
     def _start_child(self, child: Child) -> None:
@@ -177,9 +210,12 @@ class Supervisor:
         """Tell the reaper of a process; it notices by itself when one is gone."""
         pipe = self._reaper.stdin
         if child.process is not None and pipe is not None:
-            # A reaper that is gone is replaced soon, and told of all; one that is stopped must not hold up the launcher.
+            # A reaper that is gone is replaced soon, and told of all; one that is stopped must not
+            # hold up the launcher.
             with contextlib.suppress(BrokenPipeError, BlockingIOError):
-                os.write(pipe.fileno(), b"%d %f\n" % (child.process.pid, child.opening + child.closing))
+                os.write(
+                    pipe.fileno(), b"%d %f\n" % (child.process.pid, child.opening + child.closing)
+                )
 
     def _start_reaper(self, run_dir: Path) -> subprocess.Popen[bytes]:
         started = subprocess.Popen(
@@ -201,7 +237,8 @@ class Supervisor:
             pipe.write(b"done\n")
         with contextlib.suppress(BrokenPipeError):
             pipe.close()
-        # One that somebody has stopped must not hold up the launcher; all that it was there for is done.
+        # One that somebody has stopped must not hold up the launcher; all that it was there for is
+        # done.
         self._reaper.send_signal(signal.SIGCONT)
         try:
             self._reaper.wait(KILL_TIMEOUT)
@@ -211,7 +248,9 @@ class Supervisor:
 
     def _keep_reaper(self) -> None:
         if self._reaper.poll() is not None:
-            self._say(f"the reaper ended with exit code {self._reaper.returncode}; starting another")
+            self._say(
+                f"the reaper ended with exit code {self._reaper.returncode}; starting another"
+            )
             if self._reaper.stdin is not None:
                 self._reaper.stdin.close()
             self._reaper = self._start_reaper(self.run_dir)
@@ -234,7 +273,9 @@ class Supervisor:
                     self._note_ready(child)
                     break
                 if time.monotonic() - begun > patience:
-                    raise LaunchFailedError(f"{name}: still {state} after {patience:g} s{_burdened()}")
+                    raise LaunchFailedError(
+                        f"{name}: still {state} after {patience:g} s{_burdened()}"
+                    )
                 time.sleep(0.01)
 
     def _note_ready(self, child: Child) -> None:
@@ -242,11 +283,18 @@ class Supervisor:
         if child.drives:
             # A driver in another language may not know the question.
             with contextlib.suppress(ControlError):
-                times = call(self.context, child.setup.control, "device", timeout=1.0 + child.distance)
+                times = call(
+                    self.context, child.setup.control, "device", timeout=1.0 + child.distance
+                )
                 try:
-                    child.opening, child.closing = float(times["opening_s"]), float(times["closing_s"])
+                    child.opening, child.closing = (
+                        float(times["opening_s"]),
+                        float(times["closing_s"]),
+                    )
                 except (KeyError, OverflowError, TypeError, ValueError) as error:
-                    raise LaunchFailedError(f"{child.setup.name}: answers device with {times!r:.100}") from error
+                    raise LaunchFailedError(
+                        f"{child.setup.name}: answers device with {times!r:.100}"
+                    ) from error
             self._write_down(child)
 
     def _start_driver(self) -> None:
@@ -307,7 +355,11 @@ class Supervisor:
     def _own_reason(self, name: str, child: Child) -> str:
         """Return what a node said itself when it ended in order, although something failed; empty for any other end."""
         status = self._read_report(name).get("status", {})
-        said = str(status.get("reason", "")) if child.code == 1 and status.get("state") == "failed" else ""
+        said = (
+            str(status.get("reason", ""))
+            if child.code == 1 and status.get("state") == "failed"
+            else ""
+        )
         return f": {said.removeprefix(f'{name}: ')}" if said else ""
 
     def _restart_driver(self, child: Child) -> None:
@@ -340,18 +392,28 @@ class Supervisor:
                 self.failures.append(f"{name}: ended with {child.end}")
 
     def _end(self, group: list[Child]) -> None:
-        for number, patience in ((signal.SIGINT, INT_TIMEOUT), (signal.SIGTERM, TERM_TIMEOUT), (signal.SIGKILL, KILL_TIMEOUT)):
+        for number, patience in (
+            (signal.SIGINT, INT_TIMEOUT),
+            (signal.SIGTERM, TERM_TIMEOUT),
+            (signal.SIGKILL, KILL_TIMEOUT),
+        ):
             left = [child for child in group if child.running]
             for child in left:
                 if number != signal.SIGINT:
                     self._say(f"{child.setup.name}: does not end; {number.name}")
-                # While its interpreter is being set up, a process answers SIGINT with a traceback, SIGTERM with silence.
-                child.send(number if child.ready else max(number, signal.SIGTERM, key=_INSISTENCE.index))
+                # While its interpreter is being set up, a process answers SIGINT with a traceback,
+                # SIGTERM with silence.
+                child.send(
+                    number if child.ready else max(number, signal.SIGTERM, key=_INSISTENCE.index)
+                )
             self._await_end(left, number, patience)
         for child in group:
             if child.running:
                 # The kernel holds on to it: a frozen control group, a file system that is gone.
-                self.failures.append(f"{child.setup.name}: process still there {KILL_TIMEOUT:g} s after SIGKILL; left behind")
+                self.failures.append(
+                    f"{child.setup.name}: process still there {KILL_TIMEOUT:g} s after SIGKILL;"
+                    " left behind"
+                )
                 self._say(self.failures[-1])
 
     def _await_end(self, left: list[Child], number: signal.Signals, patience: float) -> None:
@@ -366,14 +428,24 @@ class Supervisor:
             if killed and not any(child.is_frozen for child in left if child.running):
                 # On a machine with thirty times more to do than it can, dying takes its time too.
                 granted = DYING
-            if self._hurry and not killed and not any(child.drives for child in left) and now - begun > HURRY_TIMEOUT:
+            if (
+                self._hurry
+                and not killed
+                and not any(child.drives for child in left)
+                and now - begun > HURRY_TIMEOUT
+            ):
                 return
             if killed and now - begun > patience + granted:
                 return
             if now >= looked and not killed:
                 looked = now + LOOK
                 stood = [
-                    (child, watched[child.setup.name].look(child.progress() if child.listens else 0, child.waited()))
+                    (
+                        child,
+                        watched[child.setup.name].look(
+                            child.progress() if child.listens else 0, child.waited()
+                        ),
+                    )
                     for child in left
                     if child.running
                 ]
@@ -382,7 +454,11 @@ class Supervisor:
                 half = 0.5 * (now - begun)
                 if not announced and now - begun > 0.5 * patience + granted:
                     for child in (child for child, at in stood if at < half):
-                        why = f"does not get its turn{_burdened()}" if child.waited() > half else "still writing"
+                        why = (
+                            f"does not get its turn{_burdened()}"
+                            if child.waited() > half
+                            else "still writing"
+                        )
                         self._say(f"{child.setup.name}: {why}; waited for (Ctrl-C again: not)")
                         announced = True
             time.sleep(0.005)
@@ -397,4 +473,8 @@ class Supervisor:
 def _burdened() -> str:
     """Name a machine that has more to do than it can as the reason of what takes too long."""
     load, processors = os.getloadavg()[0], os.cpu_count() or 1
-    return f"; this machine is busy: load {load:.0f} on {processors} processors" if load > 2 * processors else ""
+    return (
+        f"; this machine is busy: load {load:.0f} on {processors} processors"
+        if load > 2 * processors
+        else ""
+    )

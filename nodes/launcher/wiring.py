@@ -22,13 +22,18 @@ from nodes.parameters.refusals import choices
 from nodes.parameters.store import ParameterError, convert
 
 FORWARDER = "forwarder"  # the kind of node at which strangers may listen
-FIFO = 50  # priority of the chain in real time: above what a desktop runs, below the kernel's own threads
+# priority of the chain in real time: above what a desktop runs, below the kernel's own threads
+FIFO = 50
 
 
 def chains_of(launch: Launch) -> list[str]:
     """List the namespaces of a launch's chains: of the nodes that publish a device's state."""
     factories = node_kinds()
-    drives = [name for name, spec in launch.nodes.items() if topics.DEVICE_STATE in load(factories[spec.kind]).publishes]
+    drives = [
+        name
+        for name, spec in launch.nodes.items()
+        if topics.DEVICE_STATE in load(factories[spec.kind]).publishes
+    ]
     return list(dict.fromkeys(name.rpartition("/")[0] for name in drives))
 
 
@@ -40,11 +45,17 @@ def is_hop(kind: type[Node]) -> bool:
 def _cores(launch: Launch) -> dict[str, int | None]:
     """Choose each chain's processor, once for all nodes; chains share one where that leaves none for the rest.
 
-    Chains that one processor does not carry, by what their ticks cost here before, are spread over all.
+    Chains that one processor does not carry, by what their ticks cost here before, are spread over
+    all.
     """
     factories = node_kinds()
-    # Not the namespaces of listeners alone, which would take the last processors that are left for them.
-    loops = (name.rpartition("/")[0] for name, spec in launch.nodes.items() if is_hop(load(factories[spec.kind])))
+    # Not the namespaces of listeners alone, which would take the last processors that are left for
+    # them.
+    loops = (
+        name.rpartition("/")[0]
+        for name, spec in launch.nodes.items()
+        if is_hop(load(factories[spec.kind]))
+    )
     chains = dict.fromkeys([*chains_of(launch), *loops])
     available = sorted(os.sched_getaffinity(0))
     cpu = launch.run.cpu
@@ -59,33 +70,44 @@ def _cores(launch: Launch) -> dict[str, int | None]:
         return dict(spread(chains, [first, *others], estimated(launch, chains, launch.run.tick)))
     if cpu in available:
         return dict.fromkeys(chains, cpu)
-    raise ParameterError(f"{launch.scenario}.run.cpu: {cpu}, available: {', '.join(map(str, available))}")
+    raise ParameterError(
+        f"{launch.scenario}.run.cpu: {cpu}, available: {', '.join(map(str, available))}"
+    )
 
 
 def _rank(namespace: str, cores: Mapping[str, int | None]) -> int:
     """Return how many chains on the same processor go before this one.
 
-    Were they equal, the drivers of all chains would go before every environment and coupling: on a processor with too many
-    chains nobody would be answered at all. So each chain goes before the next as a whole, and only the last ones lose ticks.
+    Were they equal, the drivers of all chains would go before every environment and coupling: on a
+    processor with too many chains nobody would be answered at all. So each chain goes before the
+    next as a whole, and only the last ones lose ticks.
     """
     together = [chain for chain, core in cores.items() if core == cores.get(namespace)]
     return together.index(namespace) if namespace in together else 0
 
 
-def _scheduling(launch: Launch, kind: type[Node], namespace: str, cores: dict[str, int | None]) -> Scheduling:
+def _scheduling(
+    launch: Launch, kind: type[Node], namespace: str, cores: dict[str, int | None]
+) -> Scheduling:
     run, core = launch.run, cores.get(namespace)
     available = sorted(os.sched_getaffinity(0))
     others = [cpu for cpu in available if cpu not in cores.values()] or available
     hops = [hop for hop, topic in enumerate(topics.LOOP) if topic in kind.publishes]
     if not hops:
         return Scheduling(cpus=others)
-    # In saturated lockstep the kernel throttles FIFO tasks, which shows as gaps of 50 ms; without pinning they gain nothing.
+    # In saturated lockstep the kernel throttles FIFO tasks, which shows as gaps of 50 ms; without
+    # pinning they gain nothing.
     automatic = FIFO if launch.run.pace == "realtime" and run.cpu != "any" else 0
     fifo = automatic if run.fifo == "auto" else run.fifo
     fifo = max(1, fifo - len(topics.LOOP) * _rank(namespace, cores)) if fifo else 0
-    # Who has sent must not hold up who has received: coupling above environment, and the driver, which waits for both, on top.
+    # Who has sent must not hold up who has received: coupling above environment, and the driver,
+    # which waits for both, on top.
     urgency = fifo + (hops[0] or len(topics.LOOP)) if fifo else 0
-    return Scheduling(fifo=urgency) if core is None else Scheduling(cpus=[core], aside=others, fifo=urgency)
+    return (
+        Scheduling(fifo=urgency)
+        if core is None
+        else Scheduling(cpus=[core], aside=others, fifo=urgency)
+    )
 
 
 def _roles(launch: Launch) -> tuple[dict[str, type[Node]], dict[str, str], dict[str, str]]:
@@ -97,8 +119,9 @@ def _roles(launch: Launch) -> tuple[dict[str, type[Node]], dict[str, str], dict[
         for topic in _full(name, kind.publishes):
             if topic in publisher:
                 raise ParameterError(
-                    f"{launch.scenario}.nodes.{name}: {topic} is already published by {publisher[topic]}; a second chain needs "
-                    "a namespace of its own, as in right/driver"
+                    f"{launch.scenario}.nodes.{name}: {topic} is already published by"
+                    f" {publisher[topic]}; a second chain needs a namespace of its own, as in"
+                    " right/driver"
                 )
             publisher[topic] = name
     for name, kind in classes.items():
@@ -107,22 +130,31 @@ def _roles(launch: Launch) -> tuple[dict[str, type[Node]], dict[str, str], dict[
             where = f"{launch.scenario}.nodes.{name}.remap"
             if topic not in kind.listens_to:
                 raise ParameterError(
-                    f"{where}: the node does not listen to {topic!r}; {choices(topic, kind.listens_to)}"
+                    f"{where}: the node does not listen to {topic!r};"
+                    f" {choices(topic, kind.listens_to)}"
                     if kind.listens_to not in ((), ("*",))
-                    else f"{where}: a {launch.nodes[name].kind} listens to no single topic that could be another"
+                    else (
+                        f"{where}: a {launch.nodes[name].kind} listens to no single topic that"
+                        " could be another"
+                    )
                 )
             if topics.message_type(topic) is not topics.message_type(instead):
-                raise ParameterError(f"{where}.{topic}: {instead!r} does not carry the same messages")
+                raise ParameterError(
+                    f"{where}.{topic}: {instead!r} does not carry the same messages"
+                )
         for topic in kind.listens_to:
             if topic != "*" and (full := _takes(launch, name, topic)) not in publisher:
                 raise ParameterError(
-                    f"{launch.scenario}.nodes.{name}: listens to {full}, which no node publishes; {choices(full, publisher)}"
+                    f"{launch.scenario}.nodes.{name}: listens to {full}, which no node publishes;"
+                    f" {choices(full, publisher)}"
                 )
     relays: dict[str, str] = {}
     for name, kind in classes.items():
         for topic in _full(name, kind.relays):
             if topic in relays:
-                raise ParameterError(f"{launch.scenario}.nodes.{name}: {topic} is already relayed by {relays[topic]}")
+                raise ParameterError(
+                    f"{launch.scenario}.nodes.{name}: {topic} is already relayed by {relays[topic]}"
+                )
             relays[topic] = name
     return classes, publisher, relays
 
@@ -142,16 +174,23 @@ class _Places:
 
     def __init__(self, launch: Launch) -> None:
         self._launch = launch
-        self._ports = {name: spec.port or launch.run.port + 2 * i for i, (name, spec) in enumerate(launch.nodes.items())}
+        self._ports = {
+            name: spec.port or launch.run.port + 2 * i
+            for i, (name, spec) in enumerate(launch.nodes.items())
+        }
         taken: dict[tuple[str, int], str] = {}
         for name, spec in launch.nodes.items():
             ports = [(spec.host, self._ports[name]), (spec.host, self._ports[name] + 1)]
             for place in [*ports, *([("", spec.open_port)] if spec.open_port else [])]:
                 other = taken.setdefault(place, name)
                 if other != name:
-                    raise ParameterError(f"{launch.scenario}.nodes.{name}.port: {place[1]} is taken by {other}")
+                    raise ParameterError(
+                        f"{launch.scenario}.nodes.{name}.port: {place[1]} is taken by {other}"
+                    )
             if spec.open_port and spec.host:
-                raise ParameterError(f"{launch.scenario}.nodes.{name}.open_port: only for a node on this machine")
+                raise ParameterError(
+                    f"{launch.scenario}.nodes.{name}.open_port: only for a node on this machine"
+                )
 
     def _tcp(self, host: str, port: int, key: str, where: str) -> str:
         bare = f"tcp://{f'[{host}]' if ':' in host else host}:{port}"
@@ -159,7 +198,9 @@ class _Places:
             return f"{bare}#{key_of(key) if key else identity().public}"
         except KeyRefusedError as error:
             others = "other machines" if is_remote(bare) else "all users of this machine"
-            raise ParameterError(f"{self._launch.scenario}.{where}: {others} can reach {host}: {error}") from error
+            raise ParameterError(
+                f"{self._launch.scenario}.{where}: {others} can reach {host}: {error}"
+            ) from error
 
     def far(self, name: str, offset: int = 0) -> str:
         """Endpoint of a node on another machine; empty for one on this machine."""
@@ -177,7 +218,8 @@ class _Places:
         if not address:
             if any(is_remote(f"tcp://{host}:1") for host in hosts):
                 raise ParameterError(
-                    f"{self._launch.scenario}.run.host: needed, the address under which {hosts[0]} reaches this machine"
+                    f"{self._launch.scenario}.run.host: needed, the address under which {hosts[0]}"
+                    " reaches this machine"
                 )
             address = "127.0.0.1"
         return self._tcp(address, self._ports[name] + offset, "", "run.host")
@@ -186,7 +228,11 @@ class _Places:
 def kernel_modules(launch: Launch) -> list[str]:
     """Name the compiled ticks that the nodes of this machine could take."""
     factories = node_kinds()
-    here = [(load(factories[spec.kind]), spec.parameters) for spec in launch.nodes.values() if not spec.host]
+    here = [
+        (load(factories[spec.kind]), spec.parameters)
+        for spec in launch.nodes.values()
+        if not spec.host
+    ]
     return sorted({module for kind, parameters in here for module in kind.modules(parameters)})
 
 
@@ -199,7 +245,9 @@ def settle_tick(launch: Launch, say: Callable[[str], None]) -> Launch:
 
 def free_name(launch: Launch, name: str) -> str:
     """Name a node that is added to a launch: as wanted, or with a number behind."""
-    return next(free for free in (name, *(f"{name}_{i}" for i in range(2, 100))) if free not in launch.nodes)
+    return next(
+        free for free in (name, *(f"{name}_{i}" for i in range(2, 100))) if free not in launch.nodes
+    )
 
 
 def with_forwarder(launch: Launch) -> Launch:
@@ -207,14 +255,22 @@ def with_forwarder(launch: Launch) -> Launch:
     ports = {name: spec.open_port for name, spec in launch.nodes.items() if spec.open_port}
     if not ports:
         return launch
-    spec = NodeSpec(kind=FORWARDER, parameters={"ports": ports}, required=False, respawn=True, respawn_max=-1)
-    return msgspec.structs.replace(launch, nodes={**launch.nodes, free_name(launch, FORWARDER): spec})
+    spec = NodeSpec(
+        kind=FORWARDER, parameters={"ports": ports}, required=False, respawn=True, respawn_max=-1
+    )
+    return msgspec.structs.replace(
+        launch, nodes={**launch.nodes, free_name(launch, FORWARDER): spec}
+    )
 
 
 def _audible(launch: Launch, name: str) -> set[str]:
     """Nodes that one which listens to everything may hear: those of its namespace; outside of any, all."""
     namespace = name.rpartition("/")[0]
-    return {other for other in launch.nodes if other != name and (not namespace or other.startswith(f"{namespace}/"))}
+    return {
+        other
+        for other in launch.nodes
+        if other != name and (not namespace or other.startswith(f"{namespace}/"))
+    }
 
 
 def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> dict[str, Setup]:
@@ -232,7 +288,9 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
         if far[source]:
             return far[source]
         if far[listener]:
-            return reached.setdefault((source, local is listen), places.reach(source, int(local is listen)))
+            return reached.setdefault(
+                (source, local is listen), places.reach(source, int(local is listen))
+            )
         return local[source]
 
     def taken(listener: str, topic: str) -> str:
@@ -242,15 +300,24 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
 
     def takes(listener: str, source: str) -> bool:
         topics = (topic for topic in classes[listener].listens_to if topic != "*")
-        return source in heard[listener] or any(taken(listener, topic) == source for topic in topics)
+        return source in heard[listener] or any(
+            taken(listener, topic) == source for topic in topics
+        )
 
     setups = {}
     cores = _cores(launch)
     devices = [kind for kind in classes.values() if topics.DEVICE_STATE in kind.publishes]
-    parameters = {name: convert(launch.nodes[name].parameters, kind.Parameters, name) for name, kind in classes.items()}
+    parameters = {
+        name: convert(launch.nodes[name].parameters, kind.Parameters, name)
+        for name, kind in classes.items()
+    }
     subscribed = {name: len(kind.subscribes(parameters[name])) for name, kind in classes.items()}
     heard = {
-        name: kind.hears(parameters[name], _audible(launch, name)) if "*" in kind.listens_to else frozenset()
+        name: (
+            kind.hears(parameters[name], _audible(launch, name))
+            if "*" in kind.listens_to
+            else frozenset()
+        )
         for name, kind in classes.items()
     }
     for name, spec in launch.nodes.items():
@@ -258,13 +325,19 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
         everything = kind.listens_to == ("*",)
         if spec.respawn and launch.run.pace == "lockstep" and kind.publishes and not everything:
             raise ParameterError(
-                f"{launch.scenario}.nodes.{name}.respawn: a respawned node has lost its state, so a lockstep run would no "
-                "longer be deterministic; use pace realtime"
+                f"{launch.scenario}.nodes.{name}.respawn: a respawned node has lost its state, so a"
+                " lockstep run would no longer be deterministic; use pace realtime"
             )
         if everything:
-            sources = {other: endpoint(other, listen, name) for other in launch.nodes if other in heard[name]}
+            sources = {
+                other: endpoint(other, listen, name)
+                for other in launch.nodes
+                if other in heard[name]
+            }
         else:
-            sources = {topic: endpoint(taken(name, topic), publish, name) for topic in kind.listens_to}
+            sources = {
+                topic: endpoint(taken(name, topic), publish, name) for topic in kind.listens_to
+            }
         setups[name] = Setup(
             run=run,
             run_dir=str(run_dir),
@@ -286,17 +359,23 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             patience=PATIENCE if by_hand else 10.0,
             sources=sources,
             remap=spec.remap,
-            listeners=sum(subscribed[other] for other in launch.nodes if other != name and takes(other, name)),
+            listeners=sum(
+                subscribed[other] for other in launch.nodes if other != name and takes(other, name)
+            ),
             scheduling=_scheduling(launch, kind, name.rpartition("/")[0], cores),
             parameters=spec.parameters,
             plant=known_plant(launch, name.rpartition("/")[0]) if has_plant(kind) else {},
             peak_force=known_peak(launch, name.rpartition("/")[0]) if has_plant(kind) else None,
             watch=os.path.abspath(spec.watch) if spec.watch else "",
-            manifest=chain_manifest(launch, manifest, name.rpartition("/")[0]) if everything else {},
+            manifest=(
+                chain_manifest(launch, manifest, name.rpartition("/")[0]) if everything else {}
+            ),
         )
         kind.check(setups[name])
     return {
-        name: msgspec.structs.replace(setup, reach=reached.get((name, False), ""), listen_reach=reached.get((name, True), ""))
+        name: msgspec.structs.replace(
+            setup, reach=reached.get((name, False), ""), listen_reach=reached.get((name, True), "")
+        )
         for name, setup in setups.items()
     }
 
@@ -305,7 +384,10 @@ def manifest_of(launch: Launch, run: str, wall_minus_monotonic: float) -> dict[s
     """Describe a run for its recordings."""
     uname = os.uname()
     factories = node_kinds()
-    publishes = {name: list(_full(name, load(factories[spec.kind]).publishes)) for name, spec in launch.nodes.items()}
+    publishes = {
+        name: list(_full(name, load(factories[spec.kind]).publishes))
+        for name, spec in launch.nodes.items()
+    }
     return {
         "run": run,
         "scenario": launch.scenario,
@@ -322,7 +404,11 @@ def manifest_of(launch: Launch, run: str, wall_minus_monotonic: float) -> dict[s
         "kernel": f"{uname.sysname} {uname.release} {uname.machine}",
         "launch_file": launch.text,
         "publishes": msgspec.json.encode(publishes).decode(),
-        "nodes": msgspec.json.encode({name: spec.parameters for name, spec in launch.nodes.items()}).decode(),
+        "nodes": (
+            msgspec.json.encode(
+                {name: spec.parameters for name, spec in launch.nodes.items()}
+            ).decode()
+        ),
     }
 
 
@@ -331,7 +417,9 @@ def chain_manifest(launch: Launch, manifest: dict[str, str], namespace: str) -> 
     if not namespace:
         return manifest
     inside = {
-        name.removeprefix(f"{namespace}/"): spec for name, spec in launch.nodes.items() if name.startswith(f"{namespace}/")
+        name.removeprefix(f"{namespace}/"): spec
+        for name, spec in launch.nodes.items()
+        if name.startswith(f"{namespace}/")
     }
     chain = msgspec.structs.replace(
         launch,
@@ -341,5 +429,8 @@ def chain_manifest(launch: Launch, manifest: dict[str, str], namespace: str) -> 
     )
     nodes = {node: unusual(spec) for node, spec in inside.items()}
     text = {"summary": launch.summary, "run": unusual(chain.run), "nodes": nodes}
-    chain = msgspec.structs.replace(chain, text=msgspec.json.format(msgspec.json.encode(text)).decode())  # JSON is YAML
+    # JSON is YAML
+    chain = msgspec.structs.replace(
+        chain, text=msgspec.json.format(msgspec.json.encode(text)).decode()
+    )
     return manifest_of(chain, manifest["run"], float(manifest["wall_minus_monotonic_s"]))

@@ -1,8 +1,9 @@
 """The coupling laws: parameters in, taps out. One law per file; other packages add laws through entry points ``haptic.laws``.
 
-A law is a frozen msgspec struct whose fields are its parameters, with one method, ``compile``. What it compiles to is the
-same for all: a vector of taps over the shared deflection history (every law of the paper is just that, eq. 1, 6, 10) and, for
-recursive realisations of D^α, parallel second-order sections beside them. So a swap of laws is a swap of numbers.
+A law is a frozen msgspec struct whose fields are its parameters, with one method, ``compile``. What
+it compiles to is the same for all: a vector of taps over the shared deflection history (every law
+of the paper is just that, eq. 1, 6, 10) and, for recursive realisations of D^α, parallel
+second-order sections beside them. So a swap of laws is a swap of numbers.
 """
 
 from __future__ import annotations
@@ -28,11 +29,16 @@ __all__ = ["LAWS", "CompiledLaw", "Law", "law_kinds", "law_names", "load_law"]
 def _wrong_law(name: str, found: Any) -> str:
     if not (isinstance(found, type) and issubclass(found, Law)):
         return f"{found!r} is not a subclass of nodes.laws.Law"
-    return "" if found.kind == name else f"{found!r} calls itself {found.kind!r}; its class variable kind must be its name"
+    return (
+        ""
+        if found.kind == name
+        else f"{found!r} calls itself {found.kind!r}; its class variable kind must be its name"
+    )
 
 
 LAWS = Registry("haptic.laws", "law", _wrong_law)
-# What is worked out of a law beside its coefficients, by packages above this one: its response, its plane of K and B.
+# What is worked out of a law beside its coefficients, by packages above this one: its response, its
+# plane of K and B.
 RESULTS = Registry("haptic.results", "result of a law")
 
 
@@ -47,10 +53,11 @@ class CompiledLaw:
     sections : tuple of tuple of float, shape (s, 4)
         b0, b1 [N/m], a1, a2 of parallel sections y = b0·x + b1·x₋₁ − a1·y₋₁ − a2·y₋₂.
     evaluate : callable or None
-        A law's own code beside taps and sections, for what is not linear: from (ring, head), with ``ring[head + m]`` the
-        deflection m ticks ago, to a force [N] that is added. It is tried once before it may render, and watched then:
-        when it raises, returns a force that is not finite or overruns its budget, the fallback takes over within the
-        same tick. Code that remembers something from tick to tick has a method ``on_axis`` (see `own_code`).
+        A law's own code beside taps and sections, for what is not linear: from (ring, head), with
+        ``ring[head + m]`` the deflection m ticks ago, to a force [N] that is added. It is tried
+        once before it may render, and watched then: when it raises, returns a force that is not
+        finite or overruns its budget, the fallback takes over within the same tick. Code that
+        remembers something from tick to tick has a method ``on_axis`` (see `own_code`).
     """
 
     taps: tuple[float, ...]
@@ -63,7 +70,8 @@ class CompiledLaw:
         Parameters
         ----------
         axis : int
-            Which of the axes that the scene computes, from 0. Code with a method ``on_axis`` is made anew by it, for this axis.
+            Which of the axes that the scene computes, from 0. Code with a method ``on_axis`` is
+            made anew by it, for this axis.
 
         Returns
         -------
@@ -71,7 +79,11 @@ class CompiledLaw:
             `evaluate`, or what its ``on_axis`` makes; None for a law without code of its own.
         """
         made = getattr(self.evaluate, "on_axis", None)
-        return self.evaluate if made is None else cast(Callable[[Sequence[float], int], float], made(axis))
+        return (
+            self.evaluate
+            if made is None
+            else cast(Callable[[Sequence[float], int], float], made(axis))
+        )
 
     @overload
     def response(self, z: complex) -> complex: ...
@@ -113,7 +125,9 @@ class CompiledLaw:
     @property
     def finite(self) -> bool:
         """Whether every coefficient is finite."""
-        return all(map(math.isfinite, self.taps)) and all(math.isfinite(c) for s in self.sections for c in s)
+        return all(map(math.isfinite, self.taps)) and all(
+            math.isfinite(c) for s in self.sections for c in s
+        )
 
     def stable_sections(self) -> bool:
         """Whether the recursive sections themselves decay.
@@ -166,9 +180,12 @@ class Law(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         Raises
         ------
         ValueError
-            When the parameters cannot be realised; the text names the parameter, its value and the limit.
+            When the parameters cannot be realised; the text names the parameter, its value and the
+            limit.
         """
-        raise TypeError(f"law kind {type(self).kind!r} does not define compile(), asked for T = {period:g} s")
+        raise TypeError(
+            f"law kind {type(self).kind!r} does not define compile(), asked for T = {period:g} s"
+        )
 
     def response(self, plant: Any = None, **options: Any) -> Any:
         """Return stiffness and damping that are rendered against frequency.

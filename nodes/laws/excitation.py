@@ -1,9 +1,9 @@
 """A safe push for identifying a device: two pseudo-random forces over a soft spring that keeps it where it is.
 
-It is a law like any other, so it takes over in a running launch by a swap and goes through all of the driver's limits. The
-fast force tells mass and delay, the slow one damping and friction. Beyond `reach` it only pushes back; a device that stays
-there (the edge of the workspace, a hand that pulls it away) ends it for good, and so does the end of its time: what is left
-is the soft spring.
+It is a law like any other, so it takes over in a running launch by a swap and goes through all of
+the driver's limits. The fast force tells mass and delay, the slow one damping and friction. Beyond
+`reach` it only pushes back; a device that stays there (the edge of the workspace, a hand that pulls
+it away) ends it for good, and so does the end of its time: what is left is the soft spring.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from nodes.parameters.checked import NonNegative, Positive
 
 ClockTicks = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
 
-FADE = 1.0  # time in which the load fades out when the push is over: a force that nobody asks for any more does not stay [s]
+# time in which the load fades out when the push is over: a force that nobody asks for any more does
+# not stay [s]
+FADE = 1.0
 ASTRAY = 100  # ticks in a row beyond twice the reach after which the push ends for good
 
 
@@ -75,7 +77,8 @@ class Excitation(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     reach: Deflection beyond which it pushes back only [m].
     start: Time in which the push grows to its full size [s].
     seed: Of the pseudo-random signs; every axis has its own.
-    load: Constant force on every axis, for a device whose weight nothing else carries [N]; fades out when the push is over.
+    load: Constant force on every axis, for a device whose weight nothing else carries [N]; fades
+        out when the push is over.
     """
 
     kind: ClassVar[str] = "excitation"

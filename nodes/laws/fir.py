@@ -1,6 +1,7 @@
 """FIR: raw taps, for laws designed at tap level (``haptic study design``) rather than through a formula.
 
-A designed law may have a recursive part beside its taps: sections, as every law of this package compiles to.
+A designed law may have a recursive part beside its taps: sections, as every law of this package
+compiles to.
 """
 
 from __future__ import annotations
@@ -29,8 +30,10 @@ class RecursiveSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 class FIR(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """F[k] = Σ h_m x[k−m] with the taps as they are given, and recursive sections beside them where there are any.
 
-    taps: h_0 ... h_n [N/m]. They were made for one sampling period; at another one they are another law.
-    period: Sampling period that the taps were made for [s]. When given, the law refuses to run at any other.
+    taps: h_0 ... h_n [N/m]. They were made for one sampling period; at another one they are another
+        law.
+    period: Sampling period that the taps were made for [s]. When given, the law refuses to run at
+        any other.
     recursive: Parallel sections y = b0·x + b1·x₋₁ − a1·y₋₁ − a2·y₋₂, added to the taps.
     """
 
@@ -43,7 +46,10 @@ class FIR(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Hand out the taps."""
         if self.period is not None and abs(period / self.period - 1.0) > 1e-6:
             raise ValueError(
-                f"period: these taps were made for T = {self.period:g} s and the loop runs at T = {period:g} s; "
-                f"run at rate {1.0 / self.period:g} Hz or design the law again for this period"
+                f"period: these taps were made for T = {self.period:g} s and the loop runs at T ="
+                f" {period:g} s; run at rate {1.0 / self.period:g} Hz or design the law again for"
+                " this period"
             )
-        return CompiledLaw(self.taps, tuple((part.b0, part.b1, part.a1, part.a2) for part in self.recursive or ()))
+        return CompiledLaw(
+            self.taps, tuple((part.b0, part.b1, part.a1, part.a2) for part in self.recursive or ())
+        )

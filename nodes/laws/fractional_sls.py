@@ -1,8 +1,9 @@
 """Fractional standard linear solid: a spring beside an arm that relaxes; Kelvin and Voigt's and Maxwell's are within it.
 
-The arm is a spring in series with a fractional damper: τ^α D^α of its force is felt back. Without relaxation the law is
-`pd_alpha` (Kelvin–Voigt); with order 1 the arm is a velocity behind a filter; without the spring it is Maxwell's, which bears
-nothing for ever. With its whole memory the arm is a sum of exponentials (`nodes.laws.derivatives.relaxation`), and relaxes.
+The arm is a spring in series with a fractional damper: τ^α D^α of its force is felt back. Without
+relaxation the law is `pd_alpha` (Kelvin–Voigt); with order 1 the arm is a velocity behind a filter;
+without the spring it is Maxwell's, which bears nothing for ever. With its whole memory the arm is a
+sum of exponentials (`nodes.laws.derivatives.relaxation`), and relaxes.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ class FractionalSLS(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     damping: B_α of the arm [N s^α/m]; at high frequency the arm is a spring of B_α/τ^α.
     order: α, 0 < α ≤ 1.
     relaxation: τ [s].
-    taps: Length of a short memory, n + 1 deflections: its end leaks, H(1) is not K. None: the whole memory, which relaxes.
+    taps: Length of a short memory, n + 1 deflections: its end leaks, H(1) is not K. None: the whole
+        memory, which relaxes.
     """
 
     kind: ClassVar[str] = "fractional_sls"
@@ -38,7 +40,9 @@ class FractionalSLS(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
         spring = self.damping / self.relaxation**self.order
         if self.taps is not None:
             answer = step_answer(self.order, (self.relaxation / period) ** self.order, self.taps)
-            arm = [spring * (now - before) for now, before in zip(answer, [0.0, *answer], strict=False)]
+            arm = [
+                spring * (now - before) for now, before in zip(answer, [0.0, *answer], strict=False)
+            ]
             return CompiledLaw((arm[0] + self.stiffness, *arm[1:]))
         whole = relaxation(self.order, self.relaxation, period)
         taps = [spring * tap for tap in whole.taps]

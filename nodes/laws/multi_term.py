@@ -30,8 +30,8 @@ class MultiTerm(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     damping: B, common to all terms [N s/m].
     terms: Gains and orders, at least one term.
     taps: Length of each derivative's tap vector; the paper's FIR order n is ``taps`` − 1.
-    gains: Unit of the terms' gains, see `nodes.laws.fields.term_gain`; there is no default because with T in seconds they
-        differ by (T/2)^(α−1) per term.
+    gains: Unit of the terms' gains, see `nodes.laws.fields.term_gain`; there is no default because
+        with T in seconds they differ by (T/2)^(α−1) per term.
     derivative: Registered realisation of D^α (entry points ``haptic.derivatives``).
     """
 
@@ -45,6 +45,9 @@ class MultiTerm(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     def compile(self, period: float) -> CompiledLaw:
         """Turn the parameters into taps."""
-        gains = (self.damping * term_gain(term.gain, term.order, self.gains, period, self.taps) for term in self.terms)
+        gains = (
+            self.damping * term_gain(term.gain, term.order, self.gains, period, self.taps)
+            for term in self.terms
+        )
         units = (realise(self.derivative, term.order, self.taps, period) for term in self.terms)
         return combine(self.stiffness, list(zip(gains, units, strict=True)))

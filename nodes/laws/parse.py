@@ -1,7 +1,8 @@
 """From a parsed YAML mapping to a law, from a law to taps that may be rendered, and back; errors carry the path.
 
-Everything that changes a law at run time goes through here (launch file, ``haptic param``, ``haptic law``), so what is
-refused is refused everywhere, with the path, the value, the limit and what to do.
+Everything that changes a law at run time goes through here (launch file, ``haptic param``, ``haptic
+law``), so what is refused is refused everywhere, with the path, the value, the limit and what to
+do.
 """
 
 from __future__ import annotations
@@ -29,13 +30,18 @@ def parse_law(data: object, path: str = "law") -> Law:
     if isinstance(data, str) and data in PRESETS:
         data = {"kind": data}
     if not isinstance(data, Mapping):
-        raise LawRefusedError(f"{path}: expected a mapping with kind and parameters, got {short(data)}")
+        raise LawRefusedError(
+            f"{path}: expected a mapping with kind and parameters, got {short(data)}"
+        )
     named = data.get("kind")
     whole = expand(data)
     kind = whole.pop("kind", None)
     if not isinstance(kind, str) or kind not in law_names():
         known = [*law_names(), *preset_names()]
-        raise LawRefusedError(f"{path}.kind: {short(named)} is not an installed law or preset; {choices(named, known)}")
+        raise LawRefusedError(
+            f"{path}.kind: {short(named)} is not an installed law or preset;"
+            f" {choices(named, known)}"
+        )
     try:
         law = load_law(kind)
     except NotInstalledError as error:
@@ -43,14 +49,19 @@ def parse_law(data: object, path: str = "law") -> Law:
     parameters = law.__struct_fields__
     unknown = [key for key in whole if key not in parameters]
     if unknown:
-        raise LawRefusedError(f"{path}.{unknown[0]}: law kind {kind} has no such parameter; it takes {', '.join(parameters)}")
+        raise LawRefusedError(
+            f"{path}.{unknown[0]}: law kind {kind} has no such parameter; it takes"
+            f" {', '.join(parameters)}"
+        )
     try:
         made: Law = convert(whole, law, path)
         return made
     except ParameterError as error:
         raise LawRefusedError(f"{error} (law kind {kind})") from error
     except Exception as error:  # a law of another package may raise anything
-        raise LawRefusedError(f"{path}: cannot be made: {type(error).__name__}: {error} (law kind {kind})") from error
+        raise LawRefusedError(
+            f"{path}: cannot be made: {type(error).__name__}: {error} (law kind {kind})"
+        ) from error
 
 
 def law_to_dict(law: Law) -> dict[str, Any]:
@@ -59,7 +70,9 @@ def law_to_dict(law: Law) -> dict[str, Any]:
     try:
         values: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(law))
     except Exception as error:  # a law of another package may have a field of any type
-        raise LawRefusedError(f"law kind {law.kind}: cannot be written down: {type(error).__name__}: {error}") from error
+        raise LawRefusedError(
+            f"law kind {law.kind}: cannot be written down: {type(error).__name__}: {error}"
+        ) from error
     return {"kind": law.kind, **{key: value for key, value in values.items() if value is not None}}
 
 
@@ -70,24 +83,34 @@ def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
     try:
         compiled = law.compile(period)
     except OverflowError as error:
-        raise LawRefusedError(f"{path}: taps overflow at T = {period:g} s; lower the gains or the order") from error
+        raise LawRefusedError(
+            f"{path}: taps overflow at T = {period:g} s; lower the gains or the order"
+        ) from error
     except ValueError as error:
         text = str(error)
-        raise LawRefusedError(f"{path}.{text}" if re.match(r"[a-z_]+[.:\[]", text) else f"{path}: {text}") from error
+        raise LawRefusedError(
+            f"{path}.{text}" if re.match(r"[a-z_]+[.:\[]", text) else f"{path}: {text}"
+        ) from error
     except Exception as error:  # a law of another package may raise anything
-        raise LawRefusedError(f"{path}: cannot be compiled: {type(error).__name__}: {error}") from error
+        raise LawRefusedError(
+            f"{path}: cannot be compiled: {type(error).__name__}: {error}"
+        ) from error
     if not isinstance(compiled, CompiledLaw):
-        raise LawRefusedError(f"{path}: compiles to {type(compiled).__name__}, expected CompiledLaw (law kind {law.kind})")
+        raise LawRefusedError(
+            f"{path}: compiles to {type(compiled).__name__}, expected CompiledLaw (law kind"
+            f" {law.kind})"
+        )
     # The sum of the taps is only known to rounding: what is below it has no sign.
     rounding = 2.0**-52 * sum(map(abs, compiled.taps))
     if not (compiled.finite and math.isfinite(rounding)):
         raise LawRefusedError(
-            f"{path}: taps or their sum are not finite at T = {period:g} s (limit: below 1.8e308); lower the gains or the order"
+            f"{path}: taps or their sum are not finite at T = {period:g} s (limit: below 1.8e308);"
+            " lower the gains or the order"
         )
     if not compiled.stable_sections():
         raise LawRefusedError(
-            f"{path}: a recursive section has a pole on or outside the unit circle (limit: radius < 1); "
-            "choose another derivative or order"
+            f"{path}: a recursive section has a pole on or outside the unit circle (limit: radius <"
+            " 1); choose another derivative or order"
         )
     if compiled.evaluate is not None:
         try:
@@ -96,11 +119,12 @@ def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
             raise LawRefusedError(
                 f"{path}: its own code cannot be made for an axis: {type(error).__name__}: {error}"
             ) from error
-        return compiled  # it adds a force that no transfer function tells; the coupling watches it at run time
+        # it adds a force that no transfer function tells; the coupling watches it at run time
+        return compiled
     h1 = compiled.h1
     if not h1 > rounding:
         raise LawRefusedError(
-            f"{path}: renders H(1) = {h1:.6g} N/m to a held deflection (limit: > {rounding:.2g}), it would pull "
-            "into the wall; raise the stiffness, lower the damping or use more taps"
+            f"{path}: renders H(1) = {h1:.6g} N/m to a held deflection (limit: > {rounding:.2g}),"
+            " it would pull into the wall; raise the stiffness, lower the damping or use more taps"
         )
     return compiled

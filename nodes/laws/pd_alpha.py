@@ -12,11 +12,13 @@ from nodes.laws.fields import Damping, Gains, Order, Stiffness, Taps, term_gain
 class PDAlpha(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """F = K x + B_α D^α x.
 
-    stiffness: Nominal K [N/m]. What is felt at rest is H(1) = K + B_α·D(1): a truncated derivative leaks (THEORY.md §1).
+    stiffness: Nominal K [N/m]. What is felt at rest is H(1) = K + B_α·D(1): a truncated derivative
+        leaks (THEORY.md §1).
     damping: B_α: [N s^α/m] with physical gains, [N s/m] with the others.
     order: α, 0 < α < 4.
     taps: Length of the derivative's tap vector; the paper's FIR order n is ``taps`` − 1.
-    gains: Unit of `damping`, see `nodes.laws.fields.term_gain`; there is no default because they differ by (T/2)^(α−1).
+    gains: Unit of `damping`, see `nodes.laws.fields.term_gain`; there is no default because they
+        differ by (T/2)^(α−1).
     derivative: Registered realisation of D^α (entry points ``haptic.derivatives``).
     """
 

@@ -1,7 +1,9 @@
 """PD with a velocity by adaptive windowing (Janabi-Sharifi, Hayward & Chen 2000): long windows at rest, short ones in motion.
 
-The velocity is the slope of the longest line from the newest sample back that passes within an encoder step of every sample
-between: both ends and the sample are wrong by half a step at most. That is no sum of taps: the law has code of its own, a pure
+The velocity is the slope of the longest line from the newest sample back that passes within an
+encoder step of every sample
+between: both ends and the sample are wrong by half a step at most. That is no sum of taps: the law
+    has code of its own, a pure
 function of the deflection history. Its stability is known by simulation and launches, not by poles.
 """
 
@@ -35,7 +37,9 @@ class PDWindowed(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def compile(self, period: float) -> CompiledLaw:
         """Turn the spring into a tap; the damper is the law's own code."""
         taps = (self.stiffness, *(0.0,) * self.window)
-        return CompiledLaw(taps, evaluate=WindowedDamper(self.damping / period, self.resolution, self.window))
+        return CompiledLaw(
+            taps, evaluate=WindowedDamper(self.damping / period, self.resolution, self.window)
+        )
 
 
 def windowed_slope(ring: Sequence[float], head: int, error: float, window: int) -> float:

@@ -1,7 +1,8 @@
 """Named presets: laws that can be used wherever the kind of a law is named, published ones and designed ones.
 
-A preset is a kind with most of its parameters filled in; what is written beside its name replaces the preset's values,
-so ``{kind: paper_optimum, stiffness: 800}`` is the paper's optimum on another spring.
+A preset is a kind with most of its parameters filled in; what is written beside its name replaces
+the preset's values, so ``{kind: paper_optimum, stiffness: 800}`` is the paper's optimum on another
+spring.
 """
 
 from __future__ import annotations
@@ -12,8 +13,9 @@ from typing import Any
 
 PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
-        # Paper, end of its section on the optimum: A = [1.69, 1.32], α = [1.50, 3.47]. The normalisation (f(ω_N) = 1 per
-        # term) and n = 3 are inferred from the flatness of f (THEORY.md §2); the paper prints neither. K and B are ours.
+        # Paper, end of its section on the optimum: A = [1.69, 1.32], α = [1.50, 3.47]. The
+        # normalisation (f(ω_N) = 1 per term) and n = 3 are inferred from the flatness of f
+        # (THEORY.md §2); the paper prints neither. K and B are ours.
         "paper_optimum": {
             "kind": "multi_term",
             "stiffness": 1000.0,
@@ -22,20 +24,38 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
             "taps": 4,
             "gains": "paper",
         },
-        # haptic study design --delay 0..0.5: 50 to 200 g, b = 1 N s/m, 500 Hz, pole radius <= 0.99, |H(-1)| <= 1e4 N/m.
-        # For apply: on_arrival, where a force arrives within half a tick. H(1) is 3736 N/m; the best PD there has 2813 N/m.
-        "designed_d0": {"kind": "fir", "taps": [10007.78, -6048.18, -3158.42, 2934.69], "period": 0.002},
-        # haptic study design --delay 1: the same for apply: next_tick. H(1) is 2396 N/m; the best PD there has 1836 N/m. The
-        # search ends within 1 % of that (sim/README.md).
-        "designed_d1": {"kind": "fir", "taps": [9329.46, -7062.28, -3142.96, 3271.69], "period": 0.002},
-        # haptic study design --for any_hand --delay 0, 1, 1.5, 2 --taps 1, 5, 4, 6: stable for any hand, of any mass, and any
-        # passive world that answers within the tick, on a device with b = 1 N s/m at 500 Hz (THEORY.md §20). H(1) is 999.9,
-        # 469.4, 383.8 and 310.5 N/m; PD has 1000, 384.9, 305.5 and 241.7 there, and no causal linear law more than 1000, 500,
-        # 400 and 333.3.
+        # haptic study design --delay 0..0.5: 50 to 200 g, b = 1 N s/m, 500 Hz, pole radius <= 0.99,
+        # |H(-1)| <= 1e4 N/m. For apply: on_arrival, where a force arrives within half a tick. H(1)
+        # is 3736 N/m; the best PD there has 2813 N/m.
+        "designed_d0": {
+            "kind": "fir",
+            "taps": [10007.78, -6048.18, -3158.42, 2934.69],
+            "period": 0.002,
+        },
+        # haptic study design --delay 1: the same for apply: next_tick. H(1) is 2396 N/m; the best
+        # PD there has 1836 N/m. The search ends within 1 % of that (sim/README.md).
+        "designed_d1": {
+            "kind": "fir",
+            "taps": [9329.46, -7062.28, -3142.96, 3271.69],
+            "period": 0.002,
+        },
+        # haptic study design --for any_hand --delay 0, 1, 1.5, 2 --taps 1, 5, 4, 6: stable for any
+        # hand, of any mass, and any passive world that answers within the tick, on a device with b
+        # = 1 N s/m at 500 Hz (THEORY.md §20). H(1) is 999.9, 469.4, 383.8 and 310.5 N/m; PD has
+        # 1000, 384.9, 305.5 and 241.7 there, and no causal linear law more than 1000, 500, 400 and
+        # 333.3.
         "any_hand_d0": {"kind": "fir", "taps": [999.9], "period": 0.002},
-        "any_hand_d1": {"kind": "fir", "taps": [817.72, -563.45, 318.06, -133.14, 30.19], "period": 0.002},
+        "any_hand_d1": {
+            "kind": "fir",
+            "taps": [817.72, -563.45, 318.06, -133.14, 30.19],
+            "period": 0.002,
+        },
         "any_hand_d1_5": {"kind": "fir", "taps": [869.87, -745.55, 321.9, -62.46], "period": 0.002},
-        "any_hand_d2": {"kind": "fir", "taps": [767.83, -598.83, 1.88, 288.71, -195.69, 46.6], "period": 0.002},
+        "any_hand_d2": {
+            "kind": "fir",
+            "taps": [767.83, -598.83, 1.88, 288.71, -195.69, 46.6],
+            "period": 0.002,
+        },
     }
 )
 """Preset name to parameters, the law's kind among them."""

@@ -15,7 +15,9 @@ NonNegative: TypeAlias = Annotated[float, msgspec.Meta(ge=0.0)]
 def _unchecked(kind: type[msgspec.Struct]) -> type[Any]:
     """Make a struct of the same fields that does not check itself, for msgspec to check."""
     hints = get_type_hints(kind, include_extras=True)
-    return msgspec.defstruct(kind.__name__, [(name, hints[name]) for name in kind.__struct_fields__], kw_only=True)
+    return msgspec.defstruct(
+        kind.__name__, [(name, hints[name]) for name in kind.__struct_fields__], kw_only=True
+    )
 
 
 def _plain(value: Any) -> Any:
@@ -29,7 +31,11 @@ def check_fields(made: msgspec.Struct, name: str = "") -> None:
     """Check all fields of a struct that was just made, as `convert` checks a mapping; for ``__post_init__``."""
     kind = type(made)
     values = {field: getattr(made, field) for field in kind.__struct_fields__}
-    whole = convert({field: _plain(value) for field, value in values.items()}, _unchecked(kind), name or kind.__name__)
+    whole = convert(
+        {field: _plain(value) for field, value in values.items()},
+        _unchecked(kind),
+        name or kind.__name__,
+    )
     for field, value in values.items():
         found = getattr(whole, field)
         if type(found) is not type(value):

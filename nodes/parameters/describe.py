@@ -36,23 +36,37 @@ class Description(msgspec.Struct, kw_only=True):
     meaning: str = ""  # one sentence
 
 
-def described(target: type[Any], values: Any, path: str, struct_of: Callable[[str], type[Any] | None]) -> Description:
+def described(
+    target: type[Any], values: Any, path: str, struct_of: Callable[[str], type[Any] | None]
+) -> Description:
     """Describe a parameter."""
     info: inspect.Type = inspect.type_info(target)
-    found = Description(type=_words(info), meaning=(target.__doc__ or "").strip().partition("\n")[0])
+    found = Description(
+        type=_words(info), meaning=(target.__doc__ or "").strip().partition("\n")[0]
+    )
     done = ""
     for name, index in STEP.findall(path):
-        if isinstance(info, inspect.AnyType) or (isinstance(info, inspect.DictType) and _kind(values)):
+        if isinstance(info, inspect.AnyType) or (
+            isinstance(info, inspect.DictType) and _kind(values)
+        ):
             own = struct_of(_kind(values))
             info = inspect.type_info(own) if own is not None else info
         info = _without_none(info)
         if name == "kind" and _kind(values):
-            return Description(type="text", required=True, meaning="What it is: one of the kinds that are installed.")
+            return Description(
+                type="text",
+                required=True,
+                meaning="What it is: one of the kinds that are installed.",
+            )
         step = f"[{index}]" if index else f".{name}" if done else name
         if name and isinstance(info, inspect.StructType):
             fields = {field.encode_name: field for field in info.fields}
             if name == "kind" and name not in fields and _kind(values):
-                return Description(type="text", required=True, meaning="What it is: one of the kinds that are installed.")
+                return Description(
+                    type="text",
+                    required=True,
+                    meaning="What it is: one of the kinds that are installed.",
+                )
             if name not in fields:
                 raise ParameterError(f"{done}{step}: no such parameter; {choices(name, fields)}")
             found = _field(info.cls, fields[name])
@@ -64,7 +78,9 @@ def described(target: type[Any], values: Any, path: str, struct_of: Callable[[st
             info = info.item_type
             found = Description(type=_words(info), meaning=found.meaning)
         elif not isinstance(info, inspect.AnyType):
-            raise ParameterError(f"{done}{step}: there is nothing below {done or 'it'}, which is {_words(info)}")
+            raise ParameterError(
+                f"{done}{step}: there is nothing below {done or 'it'}, which is {_words(info)}"
+            )
         values, _ = look_up(values, name or step)
         done += step
     return found
@@ -117,7 +133,11 @@ def _words(info: inspect.Type) -> str:
     if isinstance(info, inspect.DictType):
         return "parameters by name"
     if isinstance(info, inspect.TupleType):
-        return f"{len(info.item_types)} × {_words(info.item_types[0])}" if info.item_types else "nothing"
+        return (
+            f"{len(info.item_types)} × {_words(info.item_types[0])}"
+            if info.item_types
+            else "nothing"
+        )
     if isinstance(info, inspect.CollectionType):
         return f"list of {_words(info.item_type)}"
     return _NAMES.get(type(info), "anything")

@@ -1,7 +1,8 @@
 """What is installed on Python's path: packages, their versions and their entry points, as installers write them down.
 
-``importlib.metadata`` reads the same files, but importing it and reading five groups with it takes 40 ms: a tenth of the time
-from `haptic launch` to the first tick. Here the path is read once for all groups.
+``importlib.metadata`` reads the same files, but importing it and reading five groups with it takes
+40 ms: a tenth of the time from `haptic launch` to the first tick. Here the path is read once for
+all groups.
 """
 
 import importlib
@@ -29,7 +30,9 @@ class EntryPoint(NamedTuple):
     def load(self) -> Any:
         """Import what it names: an attribute of a module, or the module."""
         attributes = self.value.partition(":")[2].strip()
-        return reduce(getattr, filter(None, attributes.split(".")), importlib.import_module(self.module))
+        return reduce(
+            getattr, filter(None, attributes.split(".")), importlib.import_module(self.module)
+        )
 
 
 def groups() -> list[str]:
@@ -88,7 +91,9 @@ def _points(path: tuple[str, ...]) -> dict[str, dict[str, EntryPoint]]:
                 name, _, value = (word.strip() for word in line.partition("="))
                 package = package or _header(folder, "Name") or folder.stem.partition("-")[0]
                 # What stands in brackets are extras, which nothing here asks for.
-                groups.setdefault(group, {})[name] = EntryPoint(name, value.partition("[")[0].strip(), package)
+                groups.setdefault(group, {})[name] = EntryPoint(
+                    name, value.partition("[")[0].strip(), package
+                )
     return groups
 
 

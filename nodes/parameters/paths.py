@@ -1,7 +1,8 @@
 """Paths and libraries in parameters: which of them a node may take from a launcher on another machine.
 
-A launcher on this machine runs as the same user and may name any file. One elsewhere may name only what lies in the
-directories that the node's own command line allows (``--allow-path``): a path can be a library to load or a file to replace.
+A launcher on this machine runs as the same user and may name any file. One elsewhere may name only
+what lies in the directories that the node's own command line allows (``--allow-path``): a path can
+be a library to load or a file to replace.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,9 +17,11 @@ from nodes.parameters.store import ParameterError
 
 _LOCAL = "decided where the node runs"
 
-LocalPath: TypeAlias = Annotated[str, msgspec.Meta(extra={_LOCAL: True})]  # type of a parameter that names a file or a library
+# type of a parameter that names a file or a library
+LocalPath: TypeAlias = Annotated[str, msgspec.Meta(extra={_LOCAL: True})]
 
-LocalChoice: TypeAlias = Annotated[bool, msgspec.Meta(extra={_LOCAL: True})]  # switch that decides what happens to a file
+# switch that decides what happens to a file
+LocalChoice: TypeAlias = Annotated[bool, msgspec.Meta(extra={_LOCAL: True})]
 
 
 def check_paths(parameters: msgspec.Struct, allowed: Sequence[Path], where: str) -> None:
@@ -28,14 +31,16 @@ def check_paths(parameters: msgspec.Struct, allowed: Sequence[Path], where: str)
     for path, value, is_declared in _local(parameters, where):
         if isinstance(value, str):
             # Links are followed: what counts is where it leads.
-            refused = "\0" in value or not any(Path(value).resolve().is_relative_to(folder) for folder in folders)
+            refused = "\0" in value or not any(
+                Path(value).resolve().is_relative_to(folder) for folder in folders
+            )
         else:
             refused = is_declared and not folders
         if refused:
             folder = Path(value).parent if isinstance(value, str) else "DIR"
             raise ParameterError(
-                f"{path}: {value!r} comes from another machine and is not allowed here; where the node is started: "
-                f"haptic node start ... --allow-path {folder}"
+                f"{path}: {value!r} comes from another machine and is not allowed here; where the"
+                f" node is started: haptic node start ... --allow-path {folder}"
             )
 
 
@@ -64,5 +69,8 @@ def _local(value: Any, where: str) -> Iterator[tuple[str, Any, bool]]:
 
 def needed(parameters: msgspec.Struct) -> list[str]:
     """List the directories that a node on another machine must be allowed for its parameters to be taken."""
-    found = [str(Path(value).parent) if isinstance(value, str) else "." for _, value, _ in _local(parameters, "")]
+    found = [
+        str(Path(value).parent) if isinstance(value, str) else "."
+        for _, value, _ in _local(parameters, "")
+    ]
     return list(dict.fromkeys(found))

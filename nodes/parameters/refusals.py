@@ -1,6 +1,7 @@
 """What msgspec refuses, in words: which parameter, what was given, what could have been, and what was probably meant.
 
-Of msgspec's own text only the path and the names of fields are read; the rest is said by the type and the value found there.
+Of msgspec's own text only the path and the names of fields are read; the rest is said by the type
+and the value found there.
 """
 
 import difflib
@@ -11,12 +12,15 @@ from typing import Any
 
 from msgspec import inspect
 
-_AT = re.compile(r"^(?P<reason>.*?)(?: - at (?:`key(?:\[\.\.\.\])?` in )?`\$(?P<path>.*)`)?$", re.DOTALL)
+_AT = re.compile(
+    r"^(?P<reason>.*?)(?: - at (?:`key(?:\[\.\.\.\])?` in )?`\$(?P<path>.*)`)?$", re.DOTALL
+)
 STEP = re.compile(r"([^.\[\]]+)|\[(\d+|\.\.\.)\]")
 _UNKNOWN = re.compile(r"Object contains unknown field `(?P<name>.*)`", re.DOTALL)
 _MISSING = re.compile(r"Object missing required field `(?P<name>.*)`", re.DOTALL)
 
-_NAMES: dict[type[inspect.Type], str] = {  # what a type is called, in the order in which alternatives are named
+# what a type is called, in the order in which alternatives are named
+_NAMES: dict[type[inspect.Type], str] = {
     inspect.BoolType: "true or false",
     inspect.IntType: "a whole number",
     inspect.FloatType: "a number",
@@ -29,7 +33,8 @@ _NAMES: dict[type[inspect.Type], str] = {  # what a type is called, in the order
     inspect.NoneType: "nothing",
 }
 
-_KINDS: dict[type[inspect.Type], tuple[type, ...]] = {  # values that are of a type, and may break its bounds
+# values that are of a type, and may break its bounds
+_KINDS: dict[type[inspect.Type], tuple[type, ...]] = {
     inspect.IntType: (int,),
     inspect.FloatType: (int, float),
     inspect.StrType: (str,),
@@ -53,7 +58,9 @@ def choices(given: object, known: Iterable[str]) -> str:
     """Say what there is in place of a name that is not, and which was probably meant."""
     names = list(known)
     close = difflib.get_close_matches(given, names, 1) if isinstance(given, str) else []
-    return f"there is: {', '.join(names) or 'nothing yet'}" + "".join(f"; did you mean {name}?" for name in close)
+    return f"there is: {', '.join(names) or 'nothing yet'}" + "".join(
+        f"; did you mean {name}?" for name in close
+    )
 
 
 def short(value: object) -> str:
@@ -67,14 +74,20 @@ def worded(refusal: str, data: Any, target: Any) -> tuple[str, str]:
     match = _AT.match(refusal)
     reason, path = (match["reason"], match["path"] or "") if match else (refusal, "")
     if unknown := _UNKNOWN.fullmatch(reason):
-        fields = [field.encode_name for info in _types_at(target, path) for field in getattr(info, "fields", ())]
+        fields = [
+            field.encode_name
+            for info in _types_at(target, path)
+            for field in getattr(info, "fields", ())
+        ]
         return f"{path}.{unknown['name']}", f"no such parameter; {choices(unknown['name'], fields)}"
     if missing := _MISSING.fullmatch(reason):
         return f"{path}.{missing['name']}", "is missing, and has no default"
     value, known = look_up(data, path)
     shown = f", got {_called(value)}" if known else ""
     # What a type checks by itself says its own words.
-    types = _types_at(target, path) if reason.startswith(("Expected ", "Invalid enum value ")) else []
+    types = (
+        _types_at(target, path) if reason.startswith(("Expected ", "Invalid enum value ")) else []
+    )
     for info in types:
         if isinstance(info, inspect.DictType) and isinstance(value, dict):
             for key in value:
@@ -85,8 +98,12 @@ def worded(refusal: str, data: Any, target: Any) -> tuple[str, str]:
             return path, f"expected {words}{shown}{length}"
     if choice := [str(one) for info in types for one in getattr(info, "values", ())]:
         close = difflib.get_close_matches(str(value), choice, 1)
-        return path, f"expected one of {', '.join(choice)}{shown}" + "".join(f"; did you mean {name}?" for name in close)
-    if words := " or ".join(dict.fromkeys(name for kind, name in _NAMES.items() for info in types if type(info) is kind)):
+        return path, f"expected one of {', '.join(choice)}{shown}" + "".join(
+            f"; did you mean {name}?" for name in close
+        )
+    if words := " or ".join(
+        dict.fromkeys(name for kind, name in _NAMES.items() for info in types if type(info) is kind)
+    ):
         return path, f"expected {words}{shown}"
     scalar = isinstance(value, str | int | float)
     return path, f"{reason.replace('`', '')}{shown if scalar else ''}"
@@ -94,7 +111,11 @@ def worded(refusal: str, data: Any, target: Any) -> tuple[str, str]:
 
 def _broken(info: inspect.Type, value: Any) -> str:
     """Word the bound of a type that a value of it breaks; empty where it is of another type, or keeps them all."""
-    if isinstance(info, inspect.TupleType) and isinstance(value, list | tuple) and len(value) != len(info.item_types):
+    if (
+        isinstance(info, inspect.TupleType)
+        and isinstance(value, list | tuple)
+        and len(value) != len(info.item_types)
+    ):
         return f"a list of length {len(info.item_types)}"
     if isinstance(value, bool) or not isinstance(value, _KINDS.get(type(info), ())):
         return ""
@@ -103,7 +124,11 @@ def _broken(info: inspect.Type, value: Any) -> str:
         if limit is not None and not kept(value, limit):
             return f"{_NAMES[type(info)]} {words} {limit:.12g}"
     pattern = info.pattern if isinstance(info, inspect.StrType) else None
-    return "" if pattern is None or re.search(pattern, str(value)) else f"a name that matches {pattern!r}"
+    return (
+        ""
+        if pattern is None or re.search(pattern, str(value))
+        else f"a name that matches {pattern!r}"
+    )
 
 
 def _called(value: Any) -> str:
@@ -127,7 +152,12 @@ def _types_at(target: Any, path: str) -> list[inspect.Type]:
     """All types that a value may have at a path."""
     found = list(_members(inspect.type_info(target)))
     for name, index in STEP.findall(path):
-        found = [inner for info in found for below in _below(info, name, index) for inner in _members(below)]
+        found = [
+            inner
+            for info in found
+            for below in _below(info, name, index)
+            for inner in _members(below)
+        ]
     return found
 
 

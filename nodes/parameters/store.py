@@ -1,7 +1,8 @@
 """A node's parameters: one typed tree, addressed by paths such as ``laws.pd.stiffness``, changed all or nothing.
 
-The struct that types the tree is the only place where names, types, limits and defaults are written; the YAML reader, the
-command line and the control requests all go through it, so an error always carries the path, the value and the limit.
+The struct that types the tree is the only place where names, types, limits and defaults are
+written; the YAML reader, the command line and the control requests all go through it, so an error
+always carries the path, the value and the limit.
 """
 
 import math
@@ -14,7 +15,16 @@ import msgspec
 from messages.errors import HapticError
 from nodes.parameters.refusals import STEP, choices, worded
 
-__all__ = ["ParameterError", "ParameterStore", "convert", "describe", "differences", "flattened", "merge", "of_node"]
+__all__ = [
+    "ParameterError",
+    "ParameterStore",
+    "convert",
+    "describe",
+    "differences",
+    "flattened",
+    "merge",
+    "of_node",
+]
 
 _PATH = re.compile(r"[^.\[\]]+(?:\.[^.\[\]]+|\[\d+\])*")
 
@@ -76,8 +86,8 @@ def merge(base: Any, over: Any) -> Any:
     Parameters
     ----------
     base, over : object
-        Builtins. Mappings are merged name by name, everything else is replaced; a mapping that names another ``kind``
-        replaces the one that is there, whose parameters would not fit it.
+        Builtins. Mappings are merged name by name, everything else is replaced; a mapping that
+        names another ``kind`` replaces the one that is there, whose parameters would not fit it.
 
     Returns
     -------
@@ -136,7 +146,11 @@ def differences(before: msgspec.Struct, after: msgspec.Struct) -> dict[str, list
         Path to the values before and after; None where there was or is none.
     """
     old, new = flattened(msgspec.to_builtins(before)), flattened(msgspec.to_builtins(after))
-    return {path: [old.get(path), new.get(path)] for path in dict.fromkeys([*old, *new]) if old.get(path) != new.get(path)}
+    return {
+        path: [old.get(path), new.get(path)]
+        for path in dict.fromkeys([*old, *new])
+        if old.get(path) != new.get(path)
+    }
 
 
 def describe(parameters: Mapping[str, Any]) -> str:
@@ -216,7 +230,10 @@ class ParameterStore:
 
     def _steps(self, name: str) -> list[str | int]:
         if not (isinstance(name, str) and _PATH.fullmatch(name)):
-            raise ParameterError(f"{self._node}: {name!r} is not a parameter's name, e.g. laws.pd.stiffness or axes[0]")
+            raise ParameterError(
+                f"{self._node}: {name!r} is not a parameter's name, e.g. laws.pd.stiffness or"
+                " axes[0]"
+            )
         return [key if key else int(index) for key, index in STEP.findall(name)]
 
     def _walk(self, value: Any, steps: Sequence[str | int]) -> Any:
@@ -230,7 +247,10 @@ class ParameterStore:
             return value[step]
         if isinstance(step, int) and isinstance(value, list) and step < len(value):
             return value[step]
-        there = f"there is: {'nothing below it; set it as a whole' if value is None else 'no further names'}"
+        there = (
+            "there is:"
+            f" {'nothing below it; set it as a whole' if value is None else 'no further names'}"
+        )
         if isinstance(value, dict):
             there = choices(step, value)
         elif isinstance(value, list):
@@ -241,8 +261,8 @@ class ParameterStore:
     def changed(self, values: Mapping[str, Any]) -> Any:
         """Make the parameters that result from setting some of them: `values`, from path to new value.
 
-        A name that is not there yet is taken where names are free (a new law, a parameter that a law did not state); what
-        reads that mapping refuses those it does not know.
+        A name that is not there yet is taken where names are free (a new law, a parameter that a
+        law did not state); what reads that mapping refuses those it does not know.
 
         Returns
         -------

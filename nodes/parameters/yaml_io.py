@@ -1,7 +1,8 @@
 """YAML as the project reads and writes it: bounded, without surprises, and never half-written.
 
-Numbers are what they look like (``1e3`` is a number, ``010`` is ten, ``1:30`` and ``off`` are text), a key stands once, and
-aliases are refused because a kilobyte of them expands to gigabytes. What `write_yaml` writes reads back to the same bits.
+Numbers are what they look like (``1e3`` is a number, ``010`` is ten, ``1:30`` and ``off`` are
+text), a key stands once, and aliases are refused because a kilobyte of them expands to gigabytes.
+What `write_yaml` writes reads back to the same bits.
 """
 
 import contextlib
@@ -23,7 +24,8 @@ MAX_INT = 2**63 - 1  # integers travel between the processes as 64 bits
 
 _BREAKS = re.compile("[\x85\u2028\u2029]")
 
-_RESOLVED = (  # plain scalars that are not text: those of YAML 1.2, and digits may be grouped with _
+# plain scalars that are not text: those of YAML 1.2, and digits may be grouped with _
+_RESOLVED = (
     ("bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), "tTfF"),
     ("null", re.compile(r"^(?:~|null|Null|NULL|)$"), ["~", "n", "N", ""]),
     ("int", re.compile(r"^(?:[-+]?[0-9][0-9_]*|0x[0-9a-fA-F]+)$"), "-+0123456789"),
@@ -83,7 +85,8 @@ class _Loader(yaml.SafeLoader):
 
     def construct_int(self, node: Any) -> int:
         text = str(self.construct_scalar(node)).replace("_", "")
-        # The length first: Python refuses to read very long numbers, with advice that helps nobody here.
+        # The length first: Python refuses to read very long numbers, with advice that helps nobody
+        # here.
         value = int(text, 16 if text.startswith("0x") else 10) if len(text) < 100 else MAX_INT + 1
         if not -MAX_INT <= value <= MAX_INT:
             raise yaml.YAMLError(f"{text[:40]}: limit ±{MAX_INT}; write a float{node.start_mark}")
@@ -110,7 +113,8 @@ _Loader.yaml_constructors[None] = yaml.SafeLoader.construct_undefined
 
 _TAB = r"found character '\t' that cannot start any token"
 
-_NAMELESS = ' in "<unicode string>"'  # what PyYAML calls a file of which it was given the text; its name stands before that
+# what PyYAML calls a file of which it was given the text; its name stands before that
+_NAMELESS = ' in "<unicode string>"'
 
 
 def parse_yaml(text: str, source: str) -> Any:
@@ -121,7 +125,11 @@ def parse_yaml(text: str, source: str) -> Any:
         # _Loader is a SafeLoader: it constructs builtins only.
         return yaml.load(text, Loader=_Loader)  # noqa: S506
     except (yaml.YAMLError, RecursionError, ValueError) as error:
-        reason = " ".join(str(error).split()).replace(_TAB, "a tab, where YAML takes spaces").replace(_NAMELESS, "")
+        reason = (
+            " ".join(str(error).split())
+            .replace(_TAB, "a tab, where YAML takes spaces")
+            .replace(_NAMELESS, "")
+        )
         raise ParameterError(f"{source}: not valid YAML: {reason}") from error
 
 
@@ -140,7 +148,10 @@ def lines_of(path: str | os.PathLike[str]) -> dict[str, int]:
                 found[f"{place}[{i}]"] = value.start_mark.line + 1
                 walk(value, f"{place}[{i}]")
 
-    with contextlib.suppress(yaml.YAMLError, OSError, ValueError), open(path, encoding="utf-8") as file:
+    with (
+        contextlib.suppress(yaml.YAMLError, OSError, ValueError),
+        open(path, encoding="utf-8") as file,
+    ):
         walk(yaml.compose(file.read(4 * MAX_CHARACTERS), Loader=_Loader), "")
     return found
 
@@ -148,8 +159,16 @@ def lines_of(path: str | os.PathLike[str]) -> dict[str, int]:
 def write_yaml(data: Any, width: int = 120) -> str:
     """Write builtins as YAML that `parse_yaml` reads back unchanged."""
     for plain in (True, False):
-        text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=plain, default_flow_style=None, width=width)
-        # PyYAML writes Unicode's own line breaks as they are and then reads them as blanks; escaped they are safe.
+        text: str = yaml.dump(
+            data,
+            Dumper=_Dumper,
+            sort_keys=False,
+            allow_unicode=plain,
+            default_flow_style=None,
+            width=width,
+        )
+        # PyYAML writes Unicode's own line breaks as they are and then reads them as blanks; escaped
+        # they are safe.
         if not _BREAKS.search(text):
             break
     return text
@@ -159,10 +178,13 @@ def read_yaml(path: str | os.PathLike[str]) -> Any:
     """Read a YAML file."""
     try:
         with open(path, "rb") as file:
-            # A document of that many characters has at most four times as many bytes; a device never ends.
+            # A document of that many characters has at most four times as many bytes; a device
+            # never ends.
             content = file.read(4 * MAX_CHARACTERS + 1)
         if len(content) > 4 * MAX_CHARACTERS:
-            raise ParameterError(f"{path}: more than {4 * MAX_CHARACTERS} bytes, limit {MAX_CHARACTERS} characters")
+            raise ParameterError(
+                f"{path}: more than {4 * MAX_CHARACTERS} bytes, limit {MAX_CHARACTERS} characters"
+            )
         return parse_yaml(content.decode("utf-8"), str(path))
     except OSError as error:
         raise ParameterError(f"{path}: {error.strerror}") from error
@@ -173,9 +195,10 @@ def read_yaml(path: str | os.PathLike[str]) -> Any:
 class WatchedFile:
     """A YAML file whose saved changes are picked up, never half-written ones.
 
-    A file is read only when size and time have stayed the same for two polls and the kernel confirms, by granting a read
-    lease, that no process has it open for writing. A writer that opens it while the lease is held makes the kernel send
-    SIGIO, which ends a process that does not ignore it: nodes do (nodes/base/node.py).
+    A file is read only when size and time have stayed the same for two polls and the kernel
+    confirms, by granting a read lease, that no process has it open for writing. A writer that opens
+    it while the lease is held makes the kernel send SIGIO, which ends a process that does not
+    ignore it: nodes do (nodes/base/node.py).
     """
 
     def __init__(self, path: str, applied: tuple[int, int, int] | None = None) -> None:
@@ -198,7 +221,8 @@ class WatchedFile:
             self._seen = signature
             if signature is None or not steady or signature == self.applied:
                 return None
-            # A pipe would be waited for until somebody writes to it, by the thread that answers requests.
+            # A pipe would be waited for until somebody writes to it, by the thread that answers
+            # requests.
             descriptor = os.open(self.path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
                 os.close(descriptor)
@@ -208,7 +232,8 @@ class WatchedFile:
                     return None
                 content = file.read(4 * MAX_CHARACTERS + 1)
                 self._lease(file.fileno(), fcntl.F_UNLCK)
-            # Saved again, or replaced by another file, while it was read: the next polls will see that one.
+            # Saved again, or replaced by another file, while it was read: the next polls will see
+            # that one.
             if self._signature() != signature:
                 return None
             self.applied = signature
@@ -225,6 +250,7 @@ class WatchedFile:
         except BlockingIOError:
             return False
         except OSError:
-            # The file system or the file's owner gives no leases (NFS, another user's file): two equal polls must do.
+            # The file system or the file's owner gives no leases (NFS, another user's file): two
+            # equal polls must do.
             return True
         return True

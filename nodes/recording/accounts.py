@@ -17,13 +17,16 @@ class Account(msgspec.Struct):
 
     sent: int  # messages sent, by the last status of each of its processes
     recorded: int  # messages of the node recorded before that status
-    # Difference; 0 when everything arrived. Of a late logger, and of a cut, only what was sent after the first status there, is
-    # missing in ``seq`` and was not left out by the driver.
+    # Difference; 0 when everything arrived. Of a late logger, and of a cut, only what was sent
+    # after the first status there, is missing in ``seq`` and was not left out by the driver.
     lost: int
-    # Messages sent before the logger listened or the cut begins, as the first recorded status tells: not lost.
+    # Messages sent before the logger listened or the cut begins, as the first recorded status
+    # tells: not lost.
     early: int
-    since: int  # ``seq`` at which the recording of its chain begins: above 0 for a logger that came late
-    # Whether the last status is a final one: otherwise the node was killed, or the logger left before it.
+    # ``seq`` at which the recording of its chain begins: above 0 for a logger that came late
+    since: int
+    # Whether the last status is a final one: otherwise the node was killed, or the logger left
+    # before it.
     finished: bool
 
     @property
@@ -31,7 +34,9 @@ class Account(msgspec.Struct):
         """The account in words."""
         whole = "all there" if self.finished else "nothing missing so far; its end is not there"
         parts = [f"{self.lost} lost" if self.lost else whole]
-        parts += [f"{self.early} before it was listened to"] if self.early and not self.since else []
+        parts += (
+            [f"{self.early} before it was listened to"] if self.early and not self.since else []
+        )
         parts += [f"recorded from seq {self.since} on"] if self.since else []
         return f"sent {self.sent}, recorded {self.recorded}: {', '.join(parts)}"
 
@@ -41,10 +46,12 @@ class Completeness(msgspec.Struct):
 
     complete: bool  # whether its writer finished the file; not so for a cut one that was recovered
     end_s: float  # time of the run at which the recording ends [s]
-    # Ticks of the run that came after the end of a cut recording; None where no launch told how many the run had.
+    # Ticks of the run that came after the end of a cut recording; None where no launch told how
+    # many the run had.
     missing_ticks: int | None
     nodes: dict[str, Account]  # what each node sent against what was recorded
-    # Ticks that the driver left out: gaps in ``seq`` everywhere, but no losses; None where its states were not recorded.
+    # Ticks that the driver left out: gaps in ``seq`` everywhere, but no losses; None where its
+    # states were not recorded.
     left_out: int | None
 
     @property
@@ -56,18 +63,28 @@ class Completeness(msgspec.Struct):
     def text(self) -> str:
         """The verdict in words."""
         if not self.complete:
-            after = "what came after is" if self.missing_ticks is None else f"{self.missing_ticks} ticks after it are"
+            after = (
+                "what came after is"
+                if self.missing_ticks is None
+                else f"{self.missing_ticks} ticks after it are"
+            )
             before = f"; {self.lost} messages lost before" if self.lost else ""
             return f"cut at {self.end_s:.3f} s; {after} not there{before}"
         if self.lost is None:
-            return "complete, losses unknown: no node's status recorded together with all its topics"
+            return (
+                "complete, losses unknown: no node's status recorded together with all its topics"
+            )
         return f"complete, {f'{self.lost} messages' if self.lost else 'nothing'} lost"
 
 
 def completeness(recording: Recording) -> Completeness:
     """Judge whether a recording holds everything."""
     ended = read_ended(recording.path) if recording.recovered else None
-    last = [figures.last_seq for topic, figures in recording.topics.items() if split(topic)[1] == DEVICE_STATE]
+    last = [
+        figures.last_seq
+        for topic, figures in recording.topics.items()
+        if split(topic)[1] == DEVICE_STATE
+    ]
     missing = max(ended.ticks - max(last), 0) if ended and last else None
     return Completeness(not recording.recovered, recording.duration, missing, *_compared(recording))
 
@@ -75,33 +92,45 @@ def completeness(recording: Recording) -> Completeness:
 class ClockRecord(msgspec.Struct):
     """How far the clock of a node's host was from the launcher's; its stamps are corrected by that already."""
 
-    # What was added to that clock to get the time of the run, as measured last [s]; 0 on the launcher's host.
+    # What was added to that clock to get the time of the run, as measured last [s]; 0 on the
+    # launcher's host.
     offset: float
-    error: float  # how far off that was at most, the largest bound of the whole recording [s]; 0 on the launcher's host
+    # how far off that was at most, the largest bound of the whole recording [s]; 0 on the
+    # launcher's host
+    error: float
 
 
 def clocks(recording: Recording) -> dict[str, ClockRecord]:
     """Tell how far the nodes' clocks were from the launcher's, by the recorded statuses: a manifest is written too early."""
     found: dict[str, ClockRecord] = {}
-    for entry in recording.entries(topic for topic in recording.topics if message_type(topic) is NodeStatus):
+    for entry in recording.entries(
+        topic for topic in recording.topics if message_type(topic) is NodeStatus
+    ):
         status = entry.message
         if isinstance(status, NodeStatus):
             before = found.get(status.node)
-            found[status.node] = ClockRecord(status.clock_offset, max(status.clock_error, before.error if before else 0.0))
+            found[status.node] = ClockRecord(
+                status.clock_offset, max(status.clock_error, before.error if before else 0.0)
+            )
     return found
 
 
 def _tick_topics(recording: Recording, status: NodeStatus) -> Sequence[str]:
     """Topics outside its own name that a node publishes, by the manifest."""
     found = recording.facts(MANIFEST, "publishes", dict[str, list[str]])
-    own = found.get(status.node) or found.get(status.node.removeprefix(f"{recording.namespace}/"), [])
+    own = found.get(status.node) or found.get(
+        status.node.removeprefix(f"{recording.namespace}/"), []
+    )
     return [split(topic)[1] if recording.namespace else topic for topic in own]
 
 
 def _all_taken(recording: Recording, topics: Collection[str]) -> bool:
     """Tell whether all topics of a node were to be in the recording: where only some were, there is nothing to compare."""
     full = {within(recording.namespace, topic) for topic in topics}
-    chosen, without = recording.facts(MANIFEST, CHOSEN, set[str]), recording.facts(EXTRACT, WITHOUT, set[str])
+    chosen, without = (
+        recording.facts(MANIFEST, CHOSEN, set[str]),
+        recording.facts(EXTRACT, WITHOUT, set[str]),
+    )
     return not full & without and (not chosen or full <= chosen)
 
 
@@ -118,17 +147,26 @@ class _Told(msgspec.Struct):
     finished: bool = False
 
 
-def _first_told(recording: Recording, topic: str, status: NodeStatus, counts: dict[str, int], begins: dict[str, int]) -> _Told:
+def _first_told(
+    recording: Recording,
+    topic: str,
+    status: NodeStatus,
+    counts: dict[str, int],
+    begins: dict[str, int],
+) -> _Told:
     """Begin with a node at its first status."""
     ticking = _tick_topics(recording, status)
     place = topic.rpartition("/")[0]
     own = [t for t in counts if t in ticking or t.startswith(f"{place}/")]
     chain = split(topic)[0]
     since = begins.get(chain, max(begins.values(), default=0))
-    # What it counts and nobody received was sent before the logger listened, or the cut begins, if no tick was sent yet.
+    # What it counts and nobody received was sent before the logger listened, or the cut begins, if
+    # no tick was sent yet.
     ahead = since or not any(counts.get(t, 0) for t in ticking)
     early = max(status.sent - sum(counts[t] for t in own), 0) if ahead else 0
-    comparable = (not ticking or ticking[0] in counts) and _all_taken(recording, {*ticking, topic, f"{place}/event"})
+    comparable = (not ticking or ticking[0] in counts) and _all_taken(
+        recording, {*ticking, topic, f"{place}/event"}
+    )
     return _Told(own, chain, since, early, comparable)
 
 
@@ -144,13 +182,18 @@ def _compared(recording: Recording) -> tuple[dict[str, Account], int | None]:
     statuses = {topic for topic in topics if message_type(topic) is NodeStatus}
     counts = dict.fromkeys(topics, 0)
     told: dict[str, _Told] = {}
-    states, before, left_out = msgspec.json.Decoder(DeviceState), dict[str, DeviceState](), dict[str, int]()
+    states, before, left_out = (
+        msgspec.json.Decoder(DeviceState),
+        dict[str, DeviceState](),
+        dict[str, int](),
+    )
     for topic, raw, offset in recording.raw():
         chain, inside = places[topic]
         if inside == DEVICE_STATE:
             state = recording.decode(states, raw, offset)
             last = before.get(chain, state)
-            # A driver that was started again counts anew, in real time from the tick on where the other ended.
+            # A driver that was started again counts anew, in real time from the tick on where the
+            # other ended.
             more = state.overruns - last.overruns if state.seq > last.seq else 0
             left_out[chain] = left_out.get(chain, 0) + max(more, 0)
             before[chain] = state
@@ -169,7 +212,9 @@ def _compared(recording: Recording) -> tuple[dict[str, Account], int | None]:
         lost = max(sent - node.recorded - node.early, 0)
         if node.since:
             # What a node skipped for something newer is missing in seq too, but was never sent.
-            lost = min(lost, max(sum(topics[t].gaps for t in node.own) - left_out.get(node.chain, 0), 0))
+            lost = min(
+                lost, max(sum(topics[t].gaps for t in node.own) - left_out.get(node.chain, 0), 0)
+            )
         if node.comparable:
             found[name] = Account(sent, node.recorded, lost, node.early, node.since, node.finished)
     return found, sum(left_out.values()) if left_out else None

@@ -1,6 +1,7 @@
 """A recording for other programs: one table per tick, a table per topic, and the parameters of the run beside them.
 
-CSV for everything, NPZ for numpy, MAT for MATLAB and Octave, Parquet for pandas, polars and databases.
+CSV for everything, NPZ for numpy, MAT for MATLAB and Octave, Parquet for pandas, polars and
+databases.
 """
 
 from __future__ import annotations
@@ -23,7 +24,15 @@ from messages.types import Message
 from nodes.recording.facts import DEEPEST, depth
 from nodes.recording.reader import Recording
 from nodes.recording.table import COLUMNS, VECTORS, Row, read, rows
-from nodes.recording.writer import LAUNCH_FILE, MANIFEST, PARAMETERS, VERSIONS, RecordError, discard, save
+from nodes.recording.writer import (
+    LAUNCH_FILE,
+    MANIFEST,
+    PARAMETERS,
+    VERSIONS,
+    RecordError,
+    discard,
+    save,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -56,7 +65,11 @@ def columns(message_type: type[Message]) -> list[str]:
         unit = _UNIT.search(field.get("description", ""))
         suffix = f" [{unit[1]}]" if unit else ""
         # A vector is x, y and z; a handle's orientation has a w.
-        parts = [f"{name}_{part}" for part in "xyzw"[: field["maxItems"]]] if field["type"] == "array" else [name]
+        parts = (
+            [f"{name}_{part}" for part in "xyzw"[: field["maxItems"]]]
+            if field["type"] == "array"
+            else [name]
+        )
         found += [part + suffix for part in parts]
     return found
 
@@ -78,7 +91,9 @@ def parameters(recording: Recording) -> dict[str, Any]:
         "parameters": {node: parsed(text) for node, text in metadata.get(PARAMETERS, {}).items()},
         "launch_file": metadata.get(LAUNCH_FILE, {}).get("yaml", ""),
         "versions": metadata.get(VERSIONS, {}),
-        "columns": {name: {"unit": unit, "meaning": meaning} for name, (unit, meaning, _) in COLUMNS.items()},
+        "columns": {
+            name: {"unit": unit, "meaning": meaning} for name, (unit, meaning, _) in COLUMNS.items()
+        },
     }
 
 
@@ -92,7 +107,9 @@ def _flat(values: Iterable[Any]) -> Iterator[Any]:
 
 def begin_of(recording: Recording) -> float:
     """Stamp of the first tick, of several chains the earliest [s], or of whatever came first where there are no ticks."""
-    ticks = [figures for topic, figures in recording.topics.items() if split(topic)[1] == DEVICE_STATE]
+    ticks = [
+        figures for topic, figures in recording.topics.items() if split(topic)[1] == DEVICE_STATE
+    ]
     return min((figures.first_stamp for figures in ticks or recording.topics.values()), default=0.0)
 
 
@@ -124,7 +141,9 @@ def export_csv(recording: Recording, out: str | Path, *, overwrite: bool = False
             for entry in recording.entries():
                 writer = writers.get(entry.topic)
                 if writer is None:
-                    stream = stack.enter_context(files[entry.topic].open(mode, newline="", encoding="utf-8"))
+                    stream = stack.enter_context(
+                        files[entry.topic].open(mode, newline="", encoding="utf-8")
+                    )
                     writer = writers[entry.topic] = csv.writer(stream)
                     writer.writerow(columns(type(entry.message)))
                 values = _flat(msgspec.structs.astuple(entry.message))
@@ -165,19 +184,25 @@ def _beside(out: Path) -> Path:
 def _refuse_existing(recording: Recording, out: Path) -> None:
     for path in (out, _beside(out)):
         if path.exists() and (path == out or not _stand(recording, path)):
-            raise RecordError(f"{path}: exists already; give another name or ask for it to be overwritten")
+            raise RecordError(
+                f"{path}: exists already; give another name or ask for it to be overwritten"
+            )
 
 
 def _tables(recording: Recording) -> dict[str, Arrays]:
     """All tables as arrays, by name; time of each from the first tick on."""
-    found: dict[str, Arrays] = {TICKS: read(recording.path)} if DEVICE_STATE in recording.topics else {}
+    found: dict[str, Arrays] = (
+        {TICKS: read(recording.path)} if DEVICE_STATE in recording.topics else {}
+    )
     for topic, name in plain_names(recording.topics).items():
         arrays = recording.arrays(topic)
         found[name] = {"time": arrays["stamp"] - begin_of(recording), **arrays}
     for table, arrays in found.items():
         for field, array in arrays.items():
             if array.dtype.hasobject:
-                what = f"{table}.{field} holds numbers beyond 64 bits, which arrays cannot; export CSV"
+                what = (
+                    f"{table}.{field} holds numbers beyond 64 bits, which arrays cannot; export CSV"
+                )
                 raise RecordError(f"{recording.path}: {what}")
     return found
 
@@ -186,13 +211,19 @@ def export_npz(recording: Recording, out: str | Path, *, overwrite: bool = False
     """Write one NPZ file with the arrays of the ticks and of all topics, and the parameters as JSON."""
     import numpy as np
 
-    arrays = {f"{name}.{field}": array for name, table in _tables(recording).items() for field, array in table.items()}
+    arrays = {
+        f"{name}.{field}": array
+        for name, table in _tables(recording).items()
+        for field, array in table.items()
+    }
     buffer = BytesIO()
     np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]  # the stub takes a keyword of numpy's for any name
     return _save_with_parameters(recording, Path(out), buffer.getvalue(), overwrite)
 
 
-def _save_with_parameters(recording: Recording, out: Path, data: bytes, overwrite: bool) -> list[Path]:
+def _save_with_parameters(
+    recording: Recording, out: Path, data: bytes, overwrite: bool
+) -> list[Path]:
     if not overwrite:
         _refuse_existing(recording, out)
     save(out, data, overwrite)
@@ -205,7 +236,10 @@ def export_mat(recording: Recording, out: str | Path, *, overwrite: bool = False
     from scipy.io.matlab import MatWriteError
 
     tables: dict[str, Any] = {
-        name: {field: array.astype(object) if array.dtype.kind == "U" else array for field, array in table.items()}
+        name: {
+            field: array.astype(object) if array.dtype.kind == "U" else array
+            for field, array in table.items()
+        }
         for name, table in _tables(recording).items()
     }
     tables["parameters"] = json.dumps(parameters(recording), ensure_ascii=False)
@@ -224,23 +258,32 @@ def export_parquet(recording: Recording, out: str | Path, *, overwrite: bool = F
         import pyarrow as pa
         from pyarrow import parquet
     except ImportError as error:
-        raise RecordError("Parquet needs pyarrow: pip install 'haptic-nodes[parquet]', or export CSV") from error
+        raise RecordError(
+            "Parquet needs pyarrow: pip install 'haptic-nodes[parquet]', or export CSV"
+        ) from error
     out = Path(out)
     if not overwrite:
         _refuse_existing(recording, out)
     begin = begin_of(recording)
     types = {"law": pa.string(), "safety": pa.string(), "contact": pa.int8()}
-    types |= dict.fromkeys(("seq", "force_seq", "revision", "age", "missed", "overruns"), pa.int64())
+    types |= dict.fromkeys(
+        ("seq", "force_seq", "revision", "age", "missed", "overruns"), pa.int64()
+    )
     fields = []
     for column in _tick_names():
         name, _, unit = column.partition(" ")
-        fields.append(pa.field(name, types.get(name, pa.float64()), metadata={"unit": unit.strip("[]")}))
+        fields.append(
+            pa.field(name, types.get(name, pa.float64()), metadata={"unit": unit.strip("[]")})
+        )
     layout = pa.schema(fields, metadata={"parameters": json.dumps(parameters(recording))})
     ticks = (_tick(row, begin) for row in rows(recording))
     try:
         with parquet.ParquetWriter(out, layout, compression="zstd") as writer:
             while block := list(islice(ticks, _ROWS)):
-                arrays = [pa.array(values, field.type) for values, field in zip(zip(*block, strict=True), layout, strict=True)]
+                arrays = [
+                    pa.array(values, field.type)
+                    for values, field in zip(zip(*block, strict=True), layout, strict=True)
+                ]
                 writer.write_table(pa.table(arrays, schema=layout))
     except OSError as error:
         discard(out)

@@ -1,7 +1,8 @@
 """A recording as a ROS 2 bag: ``ros2 bag play`` plays it, RViz and PlotJuggler show it.
 
-A folder with an MCAP file and ``metadata.yaml`` of version 8, which Humble and all newer ones read. Stamps are
-wall-clock time, positions metres; frames follow REP 103 (x forward, y left, z up), which is ours.
+A folder with an MCAP file and ``metadata.yaml`` of version 8, which Humble and all newer ones read.
+Stamps are wall-clock time, positions metres; frames follow REP 103 (x forward, y left, z up), which
+is ours.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from nodes.recording.ros2_messages import RosMessages
 from nodes.recording.wall_clock import CLOCK, read_offsets
 from nodes.recording.writer import RecordError
 
-CHAIN = (  # topics of a chain in the bag, and their types; of several each has its namespace before them
+# topics of a chain in the bag, and their types; of several each has its namespace before them
+CHAIN = (
     ("/haptic/device/pose", "geometry_msgs/msg/PoseStamped"),
     ("/haptic/device/force", "geometry_msgs/msg/WrenchStamped"),
     ("/haptic/device/joints", "sensor_msgs/msg/JointState"),
@@ -56,11 +58,15 @@ def export_ros2(recording: Recording, out: str | Path, *, overwrite: bool = Fals
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
-        raise RecordError("a ROS 2 bag needs rosbags: pip install 'haptic-nodes[rosbag]'") from error
+        raise RecordError(
+            "a ROS 2 bag needs rosbags: pip install 'haptic-nodes[rosbag]'"
+        ) from error
     folder = Path(out)
     if folder.exists():
         if not overwrite:
-            raise RecordError(f"{folder}: exists already; give another name or ask for it to be overwritten")
+            raise RecordError(
+                f"{folder}: exists already; give another name or ask for it to be overwritten"
+            )
         if not (folder / "metadata.yaml").is_file():
             raise RecordError(f"{folder}: is no bag, and is not overwritten")
         shutil.rmtree(folder)
@@ -73,9 +79,20 @@ def export_ros2(recording: Recording, out: str | Path, *, overwrite: bool = Fals
 
     try:
         with Writer(folder, version=8, storage_plugin=StoragePlugin.MCAP) as writer:
-            chains = {chain for chain, topic in map(topics.split, recording.topics) if topic in topics.LOOP} or {""}
-            kinds = dict(COMMON) | {topics.within(chain, topic): kind for chain in sorted(chains) for topic, kind in CHAIN}
-            lines = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in kinds.items()}
+            chains = {
+                chain
+                for chain, topic in map(topics.split, recording.topics)
+                if topic in topics.LOOP
+            } or {""}
+            kinds = dict(COMMON) | {
+                topics.within(chain, topic): kind
+                for chain in sorted(chains)
+                for topic, kind in CHAIN
+            }
+            lines = {
+                topic: writer.add_connection(topic, kind, typestore=store)
+                for topic, kind in kinds.items()
+            }
             first = True
             for entry in recording.entries():
                 at = round(entry.message.stamp * 1e9) + offset

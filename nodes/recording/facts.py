@@ -1,7 +1,7 @@
 """What was recorded with a run, read as what it should be: a recording may be another program's, or made to deceive.
 
-Rate, axes and publishers of the manifest, and the nodes' parameters. What is not what it should be is a RecordError. Files that
-parameters name are opened only where their reader keeps files anyway.
+Rate, axes and publishers of the manifest, and the nodes' parameters. What is not what it should be
+is a RecordError. Files that parameters name are opened only where their reader keeps files anyway.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ def period_of(recording: Recording) -> float:
         rate = math.nan
     if not SLOWEST <= rate <= FASTEST:
         raise RecordError(
-            f"{recording.path}: {MANIFEST}.rate_hz is {text[:40]!r}, expected {SLOWEST:g} to {FASTEST:g} Hz; "
-            "without it nothing can be replayed or drawn as a scene"
+            f"{recording.path}: {MANIFEST}.rate_hz is {text[:40]!r}, expected {SLOWEST:g} to"
+            f" {FASTEST:g} Hz; without it nothing can be replayed or drawn as a scene"
         )
     return 1.0 / rate
 
@@ -39,7 +39,10 @@ def axes_of(recording: Recording) -> list[str]:
     text = recording.manifest.get("axes", "")
     axes = text.split(",")
     if not set(axes) <= set(AXIS_INDEX) or len(set(axes)) != len(axes):
-        raise RecordError(f"{recording.path}: {MANIFEST}.axes is {text[:40]!r}, expected some of x, y, z with commas between")
+        raise RecordError(
+            f"{recording.path}: {MANIFEST}.axes is {text[:40]!r}, expected some of x, y, z with"
+            " commas between"
+        )
     return axes
 
 
@@ -54,7 +57,9 @@ def parameters_of(recording: Recording) -> dict[str, dict[str, Any]]:
     for node in recording.metadata.get(PARAMETERS, {}):
         values = recording.facts(PARAMETERS, node, dict[str, Any])
         if depth(values) > DEEPEST:
-            raise RecordError(f"{recording.path}: {PARAMETERS}.{node}: nested deeper than {DEEPEST}")
+            raise RecordError(
+                f"{recording.path}: {PARAMETERS}.{node}: nested deeper than {DEEPEST}"
+            )
         found[node] = values
     return found
 
@@ -76,20 +81,23 @@ def group(values: Mapping[str, Any], name: str) -> dict[str, Any]:
 def refuse_foreign_files(recording: Recording, parameters: Mapping[str, Any], node: str) -> None:
     """Raise RecordError where an environment's parameters name a file that its reader did not put where it is.
 
-    A recording of somebody else may name any file of this machine, a device or a pipe. Opened are regular files below the
-    recording's folder, the working directory, and the folders of installed scenarios.
+    A recording of somebody else may name any file of this machine, a device or a pipe. Opened are
+    regular files below the recording's folder, the working directory, and the folders of installed
+    scenarios.
     """
     for text in _names(parameters):
         try:
             file = Path(text).expanduser().resolve()
-            allowed = file.is_file() and any(file.is_relative_to(folder) for folder in _folders(recording.path))
+            allowed = file.is_file() and any(
+                file.is_relative_to(folder) for folder in _folders(recording.path)
+            )
         except (OSError, ValueError, RuntimeError):
             allowed = False
         if not allowed:
             raise RecordError(
-                f"{recording.path}: {PARAMETERS}.{node} names the file {text[:200]!r}, which is no file below "
-                f"{recording.path.absolute().parent} or the working directory, and is not opened; copy it there, or work in a "
-                "folder above it"
+                f"{recording.path}: {PARAMETERS}.{node} names the file {text[:200]!r}, which is no"
+                f" file below {recording.path.absolute().parent} or the working directory, and is"
+                " not opened; copy it there, or work in a folder above it"
             )
 
 

@@ -1,7 +1,8 @@
 """One style for every picture: colours that the colour-blind tell apart, line styles for print, PDF and SVG beside PNG.
 
-The colours are those of Okabe and Ito (2008); each comes with a line style and a marker of its own, so that a black and white
-print is read as well. A function that draws is decorated with `styled`; `save_figure` writes all formats.
+The colours are those of Okabe and Ito (2008); each comes with a line style and a marker of its own,
+so that a black and white print is read as well. A function that draws is decorated with `styled`;
+`save_figure` writes all formats.
 """
 
 from __future__ import annotations
@@ -24,16 +25,28 @@ if TYPE_CHECKING:
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Blue, vermilion, green, purple, orange, sky and black, in this order."""
 
-LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6, 1.5, 1, 1.5, 1, 1.5)), (0, (3, 1)), (0, (8, 2)))
+LINES: tuple[Any, ...] = (
+    "-",
+    "--",
+    "-.",
+    ":",
+    (0, (6, 1.5, 1, 1.5, 1, 1.5)),
+    (0, (3, 1)),
+    (0, (8, 2)),
+)
 """Line styles in the same order."""
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")  # markers in the same order
 BAD, GREY, INK = "#B22222", "#8A8F98", "#1D252C"
 
-OMEGA = r"$\omega/\omega_\mathrm{N}$  [1]"  # label of an axis of frequency in units of the Nyquist frequency
+# label of an axis of frequency in units of the Nyquist frequency
+OMEGA = r"$\omega/\omega_\mathrm{N}$  [1]"
 _RAISED = str.maketrans("0123456789-−", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁻")
 
-_SYMBOLS = ((re.compile(r"\bD\^([\d.]+)"), r"$D^{\1}$"), (re.compile(r"\bK_max\b"), r"$K_\\mathrm{max}$"))
+_SYMBOLS = (
+    (re.compile(r"\bD\^([\d.]+)"), r"$D^{\1}$"),
+    (re.compile(r"\bK_max\b"), r"$K_\\mathrm{max}$"),
+)
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
@@ -80,8 +93,11 @@ def styled(draw: Callable[_P, _T]) -> Callable[_P, _T]:
         import matplotlib as mpl
 
         with mpl.rc_context(_rc()), warnings.catch_warnings():
-            # On a machine that stalls for a second while a legend is placed: nothing that its user could mend.
-            warnings.filterwarnings("ignore", message="Creating legend with loc", category=UserWarning)
+            # On a machine that stalls for a second while a legend is placed: nothing that its user
+            # could mend.
+            warnings.filterwarnings(
+                "ignore", message="Creating legend with loc", category=UserWarning
+            )
             return draw(*words, **named)
 
     return drawn
@@ -95,14 +111,17 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 @styled
-def save_figure(figure: Figure, path: Path, room: Callable[[Path], Path] = lambda path: path) -> Path:
+def save_figure(
+    figure: Figure, path: Path, room: Callable[[Path], Path] = lambda path: path
+) -> Path:
     """Write a picture as PNG, and beside it as PDF and SVG; `room` makes room for a file, see `sim.results.fresh`."""
     path.parent.mkdir(parents=True, exist_ok=True)
     _write_numbers_plainly(figure)
     figure.set_dpi(150)
     settle_layout(figure)
     for suffix in (".pdf", ".svg", path.suffix):
-        # Drawn before it is written: on a full disk matplotlib's PDF loses the reason in an error of its own.
+        # Drawn before it is written: on a full disk matplotlib's PDF loses the reason in an error
+        # of its own.
         drawn = io.BytesIO()
         with _letters_alone():
             figure.savefig(drawn, dpi=150, format=suffix.removeprefix("."))
@@ -192,7 +211,13 @@ def name_rows(axes: Axes, names: Sequence[str]) -> None:
 
 def legend_above(axes: Axes, columns: int = 2) -> None:
     """Name marks above a panel whose inside is full."""
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2, handletextpad=0.3)
+    axes.legend(
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=columns,
+        borderaxespad=0.2,
+        handletextpad=0.3,
+    )
 
 
 def label_ends(axes: Axes, size: float = 8.0) -> None:
@@ -207,14 +232,30 @@ def label_ends(axes: Axes, size: float = 8.0) -> None:
         seen = np.flatnonzero((x >= low) & (x <= high) & np.isfinite(y))
         if name.startswith("_") or not seen.size:
             continue
-        end = axes.transAxes.inverted().transform(axes.transData.transform((x[seen[-1]], y[seen[-1]])))
+        end = axes.transAxes.inverted().transform(
+            axes.transData.transform((x[seen[-1]], y[seen[-1]]))
+        )
         ends.append((float(np.clip(end[1], 0.0, 1.0)), float(end[0]), name, line.get_color()))
     ends.sort(key=lambda end: end[0])
     # A line of text, in parts of the panel's height.
     least = 1.25 * size / 72.0 * axes.get_figure(root=True).dpi / axes.get_window_extent().height  # type: ignore[union-attr]
-    for (_, at, name, colour), height in zip(ends, _apart([end[0] for end in ends], least), strict=True):
-        place: Any = {"xycoords": "axes fraction", "xytext": (5, 0), "textcoords": "offset points", "va": "center"}
-        axes.annotate(name, (min(at, 1.0), height), **place, color=colour, fontsize=size, annotation_clip=False)
+    for (_, at, name, colour), height in zip(
+        ends, _apart([end[0] for end in ends], least), strict=True
+    ):
+        place: Any = {
+            "xycoords": "axes fraction",
+            "xytext": (5, 0),
+            "textcoords": "offset points",
+            "va": "center",
+        }
+        axes.annotate(
+            name,
+            (min(at, 1.0), height),
+            **place,
+            color=colour,
+            fontsize=size,
+            annotation_clip=False,
+        )
 
 
 def _apart(heights: Sequence[float], least: float) -> list[float]:
@@ -229,13 +270,21 @@ def _apart(heights: Sequence[float], least: float) -> list[float]:
     return found
 
 
-def threshold(axes: Axes, value: float, name: str, vertical: bool = False, before: bool = False) -> None:
+def threshold(
+    axes: Axes, value: float, name: str, vertical: bool = False, before: bool = False
+) -> None:
     """Draw a line that decides something, and name it, value and unit included; the name of a vertical one stands after it."""
     draw = axes.axvline if vertical else axes.axhline
     draw(value, color=INK, lw=0.9, ls=(0, (1, 1.5)))
     place: tuple[float, float] = (value, 0.99) if vertical else (0.01, value)
     # Near the top the name would lie over the title.
-    high = not vertical and axes.transAxes.inverted().transform(axes.transData.transform((axes.get_xlim()[1], value)))[1] > 0.9
+    high = (
+        not vertical
+        and axes.transAxes.inverted().transform(
+            axes.transData.transform((axes.get_xlim()[1], value))
+        )[1]
+        > 0.9
+    )
     axes.annotate(
         name,
         place,
@@ -246,7 +295,8 @@ def threshold(axes: Axes, value: float, name: str, vertical: bool = False, befor
         fontsize=7.5,
         color=INK,
         va="top" if vertical or high else "bottom",
-        # A curve that passes behind it does not strike it through; an outline would make shapes of the letters.
+        # A curve that passes behind it does not strike it through; an outline would make shapes of
+        # the letters.
         bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.6},
         zorder=5,
     )

@@ -1,6 +1,7 @@
 """Loggers: listen to everything, write MCAP, cost the loop nothing.
 
-A logger is a node of a launch, or ``haptic bag record`` beside it; both use the same recorder. A publisher never waits for
+A logger is a node of a launch, or ``haptic bag record`` beside it; both use the same recorder. A
+publisher never waits for
 one: a stalled logger loses messages beyond the publisher's queue, and the recording tells how many.
 """
 
@@ -38,7 +39,8 @@ QUIET_MS = 200  # how long no message may come before a stopped logger believes 
 class LoggerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of a logger node.
 
-    path: The file; ``{run}`` stands for the name of the run, and of the logger's namespace if it has one.
+    path: The file; ``{run}`` stands for the name of the run, and of the logger's namespace if it
+        has one.
     topics: Topics to record; empty for all.
     overwrite: Whether an existing file may be replaced.
     """
@@ -56,7 +58,9 @@ def file_of(path: str, run: str, node: str) -> str:
 class Recorder:
     """Writes what a subscription receives: the topics of these whole names, or all."""
 
-    def __init__(self, inbox: Subscription, writer: RecordWriter, topics: Collection[str] = ()) -> None:
+    def __init__(
+        self, inbox: Subscription, writer: RecordWriter, topics: Collection[str] = ()
+    ) -> None:
         self._inbox = inbox
         self._topics = frozenset(topic.encode() for topic in topics)
         self._writer = writer
@@ -67,7 +71,8 @@ class Recorder:
         self.recorded = 0
         self.refused = 0
         self.latest = -math.inf  # stamp of the message written last [s]
-        # What to add to this host's monotonic clock to get the time of the run, in which receipt is recorded [s].
+        # What to add to this host's monotonic clock to get the time of the run, in which receipt is
+        # recorded [s].
         self.clock_offset = 0.0
 
     def take(self, timeout_ms: int) -> bool:
@@ -86,8 +91,8 @@ class Recorder:
         # A subscription is a prefix: what merely begins like a topic is not meant.
         if self._topics and topic not in self._topics:
             return
-        # A node that is asked again answers again; one with a single socket, to its listeners too. The same to the byte, its
-        # stamp included, is one message.
+        # A node that is asked again answers again; one with a single socket, to its listeners too.
+        # The same to the byte, its stamp included, is one message.
         if self._last.get(topic) == payload:
             return
         self._last[topic] = payload
@@ -112,10 +117,12 @@ class Recorder:
         """Record what is still under way, until nothing comes any more, or all that comes was sent after an `end` [s]."""
         wait, pid = ProcessorWait(), os.getpid()
         late = 0
-        # Publishers are heard in turn: what one of them sent late says nothing of what still waits of another.
+        # Publishers are heard in turn: what one of them sent late says nothing of what still waits
+        # of another.
         while late <= len(self._last):
             if not self.take(0):
-                # A while counts only where this process had a processor: else its I/O thread may hold messages.
+                # A while counts only where this process had a processor: else its I/O thread may
+                # hold messages.
                 began, before = time.monotonic(), wait.look(pid)
                 if not self.take(QUIET_MS):
                     if time.monotonic() - began - (wait.look(pid) - before) > 0.5e-3 * QUIET_MS:
@@ -124,7 +131,9 @@ class Recorder:
             late = late + 1 if self.latest > end else 0
 
 
-def open_writer(path: str, manifest: dict[str, str], overwrite: bool, topics: Collection[str] = ()) -> RecordWriter:
+def open_writer(
+    path: str, manifest: dict[str, str], overwrite: bool, topics: Collection[str] = ()
+) -> RecordWriter:
     """Create a recording of these topics, or all, its folder included."""
     try:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -165,7 +174,8 @@ class Logger(Node):
             if kind is None or (inside not in FIXED and topic[1:].rpartition("/")[0] not in nodes):
                 known = [*FIXED, *(f"/{node}/{{status,event}}" for node in sorted(nodes))]
                 raise ParameterError(
-                    f"{setup.name}.topics[{number}]: nothing publishes {topic!r}; there are {', '.join(known)}"
+                    f"{setup.name}.topics[{number}]: nothing publishes {topic!r}; there are"
+                    f" {', '.join(known)}"
                 )
 
     def configure(self) -> None:
@@ -175,9 +185,13 @@ class Logger(Node):
         diary = Path(self.setup.run_dir) / f"{self.setup.name}.parts"
         path, first = next_part(Path(self._path), diary)
         if not first:
-            self.events.emit_each("recording", f"goes on in {path}; {self._path} is left as its predecessor left it")
+            self.events.emit_each(
+                "recording", f"goes on in {path}; {self._path} is left as its predecessor left it"
+            )
         try:
-            self._writer = open_writer(str(path), self.setup.manifest, parameters.overwrite, parameters.topics)
+            self._writer = open_writer(
+                str(path), self.setup.manifest, parameters.overwrite, parameters.topics
+            )
         except RecordError as error:
             raise OSError(str(error)) from error
         self._recorder: Recorder | None = None
@@ -186,7 +200,11 @@ class Logger(Node):
         """Tell what was recorded."""
         recorder = self._recorder
         return {
-            "recording": os.path.abspath(self._path) if self.setup.control.startswith("tcp://") else self._path,
+            "recording": (
+                os.path.abspath(self._path)
+                if self.setup.control.startswith("tcp://")
+                else self._path
+            ),
             "recorded": recorder.recorded if recorder else 0,
             "refused": recorder.refused if recorder else 0,
         }
@@ -203,7 +221,8 @@ class Logger(Node):
                 self.received = self.counters.ticks = recorder.recorded
                 self.events.refused = recorder.refused
                 self.between_ticks(0)
-            # What is sent later, where only this logger ends, is not its business; in lockstep nothing tells when it was sent.
+            # What is sent later, where only this logger ends, is not its business; in lockstep
+            # nothing tells when it was sent.
             end = self.clock.now() if self.setup.pace == "realtime" else math.inf
             recorder.drain(end)
         except RecordError as error:
@@ -226,12 +245,17 @@ class Logger(Node):
 
 
 def record(
-    run: RunInfo, path: str, topics: list[str], ended: Callable[[], bool], duration: float = math.inf, overwrite: bool = False
+    run: RunInfo,
+    path: str,
+    topics: list[str],
+    ended: Callable[[], bool],
+    duration: float = math.inf,
+    overwrite: bool = False,
 ) -> int:
     """Record a running launch from beside it, until that ends, or somebody ends this; how many messages were recorded.
 
-    The `duration` [s] begins with the first message, or when one that is sent must have come: connecting takes as long as the
-    machine is slow.
+    The `duration` [s] begins with the first message, or when one that is sent must have come:
+    connecting takes as long as the machine is slow.
     """
     # On the wire the topics of a chain have its namespace.
     topics = [within(run.namespace, topic) for topic in topics]
@@ -247,11 +271,15 @@ def record(
             if not heard and recorder.recorded:
                 until = time.monotonic() + duration
             links.keep()
-        # What came until now still waits, where this process was held up; in lockstep nothing tells when it was sent.
+        # What came until now still waits, where this process was held up; in lockstep nothing tells
+        # when it was sent.
         if run.lives and run.manifest.get("pace") == "lockstep":
-            soon = time.monotonic() + 1e-3 * QUIET_MS  # what was sent just now may still be in ZeroMQ's threads
+            # what was sent just now may still be in ZeroMQ's threads
+            soon = time.monotonic() + 1e-3 * QUIET_MS
             for _ in range(QUEUE):
-                if not recorder.take(0) and (time.monotonic() > soon or not recorder.take(QUIET_MS)):
+                if not recorder.take(0) and (
+                    time.monotonic() > soon or not recorder.take(QUIET_MS)
+                ):
                     break
         else:
             recorder.drain(time.monotonic() if run.lives else math.inf)

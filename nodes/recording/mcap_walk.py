@@ -1,9 +1,10 @@
 """Walk the records of an MCAP file, and tell a cut file (its writer was killed) from a damaged one.
 
-Why not the library's own stream reader: it does not say where a file is cut or damaged, returns short data silently, puts no
-limit on what a chunk unpacks to, and verifies no checksum of the summary (of 201 recordings with one bit flipped it read 52
-without a word, this one none), at three times the time per message (20 µs for 6). Here every length is checked against
-what is there, every checksum is verified, and an error names the offset.
+Why not the library's own stream reader: it does not say where a file is cut or damaged, returns
+short data silently, puts no limit on what a chunk unpacks to, and verifies no checksum of the
+summary (of 201 recordings with one bit flipped it read 52 without a word, this one none), at three
+times the time per message (20 µs for 6). Here every length is checked against what is there, every
+checksum is verified, and an error names the offset.
 """
 
 from __future__ import annotations
@@ -19,7 +20,15 @@ import zstandard
 from nodes.recording.writer import RecordError
 
 MAGIC = b"\x89MCAP0\r\n"
-FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, METADATA, DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0C, 0x0F
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, METADATA, DATA_END = (
+    0x02,
+    0x03,
+    0x04,
+    0x05,
+    0x06,
+    0x0C,
+    0x0F,
+)
 """Opcodes of the MCAP specification that are read here; others are stepped over."""
 
 MAX_RECORD = 1 << 28  # largest record that is read [bytes]
@@ -31,7 +40,8 @@ RUN_LENGTH, RESERVED = 1, 3  # kinds of blocks of a zstd frame
 MOST_BLOCKS = 4096  # blocks of a frame: MAX_CHUNK has 64 of the usual size
 
 FRAME = struct.Struct("<BQ")  # opcode and length in front of each record
-CHUNK_HEAD = struct.Struct("<QQQI")  # a chunk's first and last log time, uncompressed size and checksum
+# a chunk's first and last log time, uncompressed size and checksum
+CHUNK_HEAD = struct.Struct("<QQQI")
 _MESSAGE = struct.Struct("<HIQQ")
 _U16 = struct.Struct("<H")
 _U32 = struct.Struct("<I")
@@ -103,7 +113,9 @@ def parse_channel(path: Path, record: Record) -> Channel:
     def parse(content: bytes) -> Channel:
         topic, at = _string(content, 4)
         encoding, _ = _string(content, at)
-        return Channel(_U16.unpack_from(content, 0)[0], _U16.unpack_from(content, 2)[0], topic, encoding)
+        return Channel(
+            _U16.unpack_from(content, 0)[0], _U16.unpack_from(content, 2)[0], topic, encoding
+        )
 
     return _parsed(path, record, "channel", parse)
 
@@ -117,7 +129,9 @@ def parse_schema(path: Path, record: Record) -> Schema:
         (length,) = _U32.unpack_from(content, at)
         if at + 4 + length > len(content):
             raise ValueError(f"a schema of {length} bytes does not fit")
-        return Schema(_U16.unpack_from(content, 0)[0], name, encoding, content[at + 4 : at + 4 + length])
+        return Schema(
+            _U16.unpack_from(content, 0)[0], name, encoding, content[at + 4 : at + 4 + length]
+        )
 
     return _parsed(path, record, "schema", parse)
 
@@ -142,7 +156,9 @@ def parse_metadata(path: Path, record: Record) -> tuple[str, dict[str, str]]:
 def parse_message(path: Path, record: Record) -> RawMessage:
     """Parse a message record."""
     if len(record.content) < _MESSAGE.size:
-        raise RecordError(f"{path}: damaged message at byte {record.offset}: {len(record.content)} bytes")
+        raise RecordError(
+            f"{path}: damaged message at byte {record.offset}: {len(record.content)} bytes"
+        )
     channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(record.content)
     return RawMessage(channel, sequence, log_time, publish_time, record.content[_MESSAGE.size :])
 
@@ -187,7 +203,8 @@ def unpack_chunk(path: Path, record: Record) -> Iterator[Record]:
         if compression == "zstd":
             if (frame := frame_length(data)) != length:
                 raise ValueError(f"its compressed frame ends after {frame} of {length} bytes")
-            # The size inside the zstd frame decides how much memory is taken: check it before it is believed.
+            # The size inside the zstd frame decides how much memory is taken: check it before it is
+            # believed.
             if zstandard.frame_content_size(data) not in (size, -1):
                 raise ValueError("the compressed frame has another size than the chunk says")
             data = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
@@ -210,13 +227,21 @@ def _split(path: Path, offset: int, data: bytes, most: int) -> Iterator[Record]:
     while at < len(data):
         count += 1
         if count > most:
-            raise RecordError(f"{path}: damaged chunk at byte {offset}: more than {most} records, as many as it has bytes")
+            raise RecordError(
+                f"{path}: damaged chunk at byte {offset}: more than {most} records, as many as it"
+                " has bytes"
+            )
         if at + FRAME.size > len(data):
-            raise RecordError(f"{path}: damaged chunk at byte {offset}: it ends within a record's length")
+            raise RecordError(
+                f"{path}: damaged chunk at byte {offset}: it ends within a record's length"
+            )
         opcode, length = FRAME.unpack_from(data, at)
         at += FRAME.size
         if at + length > len(data):
-            raise RecordError(f"{path}: damaged chunk at byte {offset}: a record of {length} bytes does not fit into the chunk")
+            raise RecordError(
+                f"{path}: damaged chunk at byte {offset}: a record of {length} bytes does not fit"
+                " into the chunk"
+            )
         yield Record(offset, opcode, data[at : at + length])
         at += length
 
@@ -239,7 +264,8 @@ def walk(path: Path) -> Iterator[Record]:
         if start != MAGIC:
             what = "is empty" if not start else f"starts with {start!r}"
             raise RecordError(f"{path}: {what}, so it is no MCAP recording ({size} bytes)")
-        # A file with an end was finished by its writer: what does not fit in there is damage, not a cut.
+        # A file with an end was finished by its writer: what does not fit in there is damage, not a
+        # cut.
         stream.seek(max(size - len(MAGIC), len(MAGIC)))
         ended = stream.read() == MAGIC
         stream.seek(len(MAGIC))
@@ -251,23 +277,37 @@ def walk(path: Path) -> Iterator[Record]:
             rest = size - offset - FRAME.size
             if opcode == 0 or length > rest:
                 if ended:
-                    raise RecordError(f"{path}: damaged at byte {offset}: opcode {opcode}, {length} of {rest} bytes")
-                raise CutError(f"{path}: cut at byte {offset}: {size - offset} bytes after it are no whole record")
+                    raise RecordError(
+                        f"{path}: damaged at byte {offset}: opcode {opcode}, {length} of {rest}"
+                        " bytes"
+                    )
+                raise CutError(
+                    f"{path}: cut at byte {offset}: {size - offset} bytes after it are no whole"
+                    " record"
+                )
             if length > MAX_RECORD:
-                raise RecordError(f"{path}: a record of {length} bytes at byte {offset}, limit {MAX_RECORD}")
+                raise RecordError(
+                    f"{path}: a record of {length} bytes at byte {offset}, limit {MAX_RECORD}"
+                )
             content = stream.read(length)
             if len(content) != length:
                 raise CutError(f"{path}: cut at byte {offset} while it was being read")
             if opcode == DATA_END:
                 if length < 4 or _U32.unpack_from(content)[0] not in (0, checksum):
-                    raise RecordError(f"{path}: damaged: the checksum of the data up to byte {offset} does not match")
+                    raise RecordError(
+                        f"{path}: damaged: the checksum of the data up to byte {offset} does not"
+                        " match"
+                    )
                 checksum = 0
             elif opcode == FOOTER:
                 tail = stream.read()
                 if tail != MAGIC and MAGIC.startswith(tail):
                     raise CutError(f"{path}: cut at byte {offset}, in its very last bytes")
                 if length != 20 or not footer_sound(content, checksum) or tail != MAGIC:
-                    raise RecordError(f"{path}: damaged: the summary before byte {offset} or the end does not match")
+                    raise RecordError(
+                        f"{path}: damaged: the summary before byte {offset} or the end does not"
+                        " match"
+                    )
                 yield Record(offset, opcode, content)
                 return
             else:

@@ -31,19 +31,27 @@ def _labels(recordings: Sequence[Recording], lines: Sequence[Lines]) -> list[str
     """Name the runs: by scenario and law where that tells them apart, else by file."""
     facts = [
         printable(
-            f"{recording.manifest.get('scenario', recording.path.stem)[:24]}, law {', '.join(line.laws)[:30] or 'unknown'}"
+            f"{recording.manifest.get('scenario', recording.path.stem)[:24]}, law"
+            f" {', '.join(line.laws)[:30] or 'unknown'}"
         )
         for recording, line in zip(recordings, lines, strict=True)
     ]
     if len(set(facts)) == len(facts):
         return facts
-    return [f"{text}  ({recording.path.stem[-40:]})" for text, recording in zip(facts, recordings, strict=True)]
+    return [
+        f"{text}  ({recording.path.stem[-40:]})"
+        for text, recording in zip(facts, recordings, strict=True)
+    ]
 
 
 def _look(number: int, count: int) -> dict[str, Any]:
     """Look of a line: after all colours the same ones come with other lines; the first is the widest, and so always seen."""
     style = LINES[(number + number // len(COLOURS)) % len(LINES)]
-    return {"color": COLOURS[number % len(COLOURS)], "ls": style, "lw": 1.0 + 2.5 * (count - 1 - number) / RUNS}
+    return {
+        "color": COLOURS[number % len(COLOURS)],
+        "ls": style,
+        "lw": 1.0 + 2.5 * (count - 1 - number) / RUNS,
+    }
 
 
 def _legend(figure: Figure, axes: Axes, labels: Sequence[str]) -> None:
@@ -61,10 +69,15 @@ def _checked(recordings: Sequence[Recording]) -> None:
         raise RecordError(f"{len(recordings)} recordings; one picture shows 1 to {RUNS}")
 
 
-def overlay(recordings: Sequence[Recording], start: float | None = None, stop: float | None = None) -> Figure:
+def overlay(
+    recordings: Sequence[Recording], start: float | None = None, stop: float | None = None
+) -> Figure:
     """Draw position and force of several runs, each from its first state on."""
     _checked(recordings)
-    lines = [Lines(recording, start or 0.0, math.inf if stop is None else stop) for recording in recordings]
+    lines = [
+        Lines(recording, start or 0.0, math.inf if stop is None else stop)
+        for recording in recordings
+    ]
     if start is None and stop is None:
         rest = 1.25 * max(one.rest() for one in lines)
         if 0.0 < rest < 0.5 * max(one.stop - one.begin for one in lines):
@@ -76,7 +89,9 @@ def overlay(recordings: Sequence[Recording], start: float | None = None, stop: f
     for number, (one, label) in enumerate(zip(lines, labels, strict=True)):
         for axes, line, scale in ((panels[0], one.position, 1e3), (panels[1], one.force, 1.0)):
             time, values = line.arrays()
-            axes.plot(time - one.begin, values[:, axis] * scale, label=label, **_look(number, len(lines)))
+            axes.plot(
+                time - one.begin, values[:, axis] * scale, label=label, **_look(number, len(lines))
+            )
     level = _surface(lines[0], axis)
     if level is not None:
         panels[0].axhline(level, color=COLORS["surface"], lw=1.2, ls="--", zorder=1)
@@ -101,7 +116,9 @@ def _facts(level: float | None) -> str:
     return "" if level is None else f"dashed: the surface, at {level:.4g} mm".replace("-", "−")
 
 
-def _pairs(recording: Recording, start: float, stop: float) -> Iterator[tuple[DeviceState, DeviceState]]:
+def _pairs(
+    recording: Recording, start: float, stop: float
+) -> Iterator[tuple[DeviceState, DeviceState]]:
     """Go through the states with the next one each, which tells the force handed over at this one's tick."""
     before: DeviceState | None = None
     begin = recording.topics[DEVICE_STATE].first_stamp
@@ -109,12 +126,18 @@ def _pairs(recording: Recording, start: float, stop: float) -> Iterator[tuple[De
         state = entry.message
         if not isinstance(state, DeviceState):
             continue
-        if before is not None and state.seq == before.seq + 1 and start <= before.stamp - begin <= stop:
+        if (
+            before is not None
+            and state.seq == before.seq + 1
+            and start <= before.stamp - begin <= stop
+        ):
             yield before, state
         before = state
 
 
-def _trace(recording: Recording, lines: Lines, axis: int, start: float, stop: float) -> tuple[list[float], list[float]]:
+def _trace(
+    recording: Recording, lines: Lines, axis: int, start: float, stop: float
+) -> tuple[list[float], list[float]]:
     """Force over position, each way between two cells of a fine grid drawn once: an hour at rest is one point."""
     cell = [_extent(line, axis) / _CELLS or 1.0 for line in (lines.position, lines.force)]
     x: list[float] = []
@@ -144,7 +167,9 @@ def _extent(line: Line, axis: int) -> float:
     return float(np.ptp(values)) if len(values) else 0.0
 
 
-def force_over_position(recordings: Sequence[Recording], start: float | None = None, stop: float | None = None) -> Figure:
+def force_over_position(
+    recordings: Sequence[Recording], start: float | None = None, stop: float | None = None
+) -> Figure:
     """Draw the force handed to the device over the position at the same tick: what a wall feels like."""
     _checked(recordings)
     ends = start or 0.0, math.inf if stop is None else stop

@@ -1,6 +1,7 @@
 """A recording in several files: a logger that is started again goes on in a numbered one, and readers take them as one.
 
-``run.mcap`` is followed by ``run.2.mcap``, ``run.3.mcap`` and so on, as long as they are of the same run.
+``run.mcap`` is followed by ``run.2.mcap``, ``run.3.mcap`` and so on, as long as they are of the
+same run.
 """
 
 from __future__ import annotations

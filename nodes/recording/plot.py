@@ -1,7 +1,8 @@
 """A picture of a run from its recording: position and proxy, force, energy, response time, and when the law changed.
 
-Time is the stamp of the messages from the first tick on: the host's clock in real time, simulated time in lockstep. Of a run
-that ends at rest, position and force are shown up to a while after it came to rest, the response time always in full.
+Time is the stamp of the messages from the first tick on: the host's clock in real time, simulated
+time in lockstep. Of a run that ends at rest, position and force are shown up to a while after it
+came to rest, the response time always in full.
 """
 
 from __future__ import annotations
@@ -23,22 +24,49 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLORS = {"device": "#0072B2", "asked": "#D55E00", "surface": "#8a8f98", "late": "#c0262d", "switch": "#009E73"}
+COLORS = {
+    "device": "#0072B2",
+    "asked": "#D55E00",
+    "surface": "#8a8f98",
+    "late": "#c0262d",
+    "switch": "#009E73",
+}
 """What each colour of a plot stands for."""
 
 FORMATS = ("png", "svg", "pdf")
 
 DPI = 120
 
-_SAFETY = {"ramp": "#e8d9a0", "damping": "#f2b48a", "zero": "#e58c8c", "fault": "#c0262d", "stopped": "#7a1620"}
+_SAFETY = {
+    "ramp": "#e8d9a0",
+    "damping": "#f2b48a",
+    "zero": "#e58c8c",
+    "fault": "#c0262d",
+    "stopped": "#7a1620",
+}
 
 _ROWS = 3
 
 
-def _line(axes: Axes, line: Line, column: int, begin: float, scale: float, color: str, label: str, **style: Any) -> None:
+def _line(
+    axes: Axes,
+    line: Line,
+    column: int,
+    begin: float,
+    scale: float,
+    color: str,
+    label: str,
+    **style: Any,
+) -> None:
     time, values = line.arrays()
     if len(time):
-        axes.plot(time - begin, values[:, column] * scale, color=color, label=label, **{"lw": 1.2, **style})
+        axes.plot(
+            time - begin,
+            values[:, column] * scale,
+            color=color,
+            label=label,
+            **{"lw": 1.2, **style},
+        )
 
 
 def draw_position(axes: Axes, lines: Lines, axis: int) -> None:
@@ -65,21 +93,42 @@ def draw_position(axes: Axes, lines: Lines, axis: int) -> None:
 
 def _draw_force(axes: Axes, lines: Lines, axis: int) -> None:
     _line(axes, lines.asked, axis, lines.begin, 1.0, COLORS["asked"], "law", lw=0.9)
-    _line(axes, lines.force, axis, lines.begin, 1.0, COLORS["device"], "after limits", drawstyle="steps-post")
+    _line(
+        axes,
+        lines.force,
+        axis,
+        lines.begin,
+        1.0,
+        COLORS["device"],
+        "after limits",
+        drawstyle="steps-post",
+    )
     axes.set_ylabel(f"force {'xyz'[axis]} [N]")
     named: set[str] = set()
     for kind, low, high in lines.safety.spans():
         label = None if kind in named else f"safety: {kind}"
         named.add(kind)
         color = _SAFETY.get(kind, COLORS["surface"])
-        axes.axvspan(low - lines.begin, high - lines.begin, color=color, alpha=0.4, lw=0, label=label)
+        axes.axvspan(
+            low - lines.begin, high - lines.begin, color=color, alpha=0.4, lw=0, label=label
+        )
 
 
 def _draw_energy(axes: Axes, lines: Lines, guard: bool) -> None:
     axes.axhline(0.0, color=COLORS["surface"], lw=0.8)
-    _line(axes, lines.energy, 0, lines.begin, 1e3, COLORS["device"], "given out by the virtual side")
+    _line(
+        axes, lines.energy, 0, lines.begin, 1e3, COLORS["device"], "given out by the virtual side"
+    )
     if guard:
-        _line(axes, lines.energy, 1, lines.begin, 1e3, COLORS["asked"], "passivity guard: owed (+), in store (−)")
+        _line(
+            axes,
+            lines.energy,
+            1,
+            lines.begin,
+            1e3,
+            COLORS["asked"],
+            "passivity guard: owed (+), in store (−)",
+        )
     axes.set_ylabel("energy [mJ]")
 
 
@@ -87,7 +136,11 @@ def _draw_response(axes: Axes, lines: Lines, summary: Summary, realtime: bool) -
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     quantiles = summary.response_us
-    label = "p50 {p50:.0f}, p99 {p99:.0f}, max {max:.0f} µs".format(**quantiles) if quantiles else "no tick answered"
+    label = (
+        "p50 {p50:.0f}, p99 {p99:.0f}, max {max:.0f} µs".format(**quantiles)
+        if quantiles
+        else "no tick answered"
+    )
     time, extremes = lines.response.arrays()
     dots = [(at - lines.begin, value * 1e6) for at, value in lines.sampled]
     dots += zip((time - lines.begin).tolist(), (extremes[:, 0] * 1e6).tolist(), strict=True)
@@ -108,7 +161,14 @@ def _draw_response(axes: Axes, lines: Lines, summary: Summary, realtime: bool) -
     axes.axhline(period, color=COLORS["late"], lw=1.0, ls="--", label=f"period {period:.0f} µs")
     late = [(low + high) / 2.0 - lines.begin for _, low, high in lines.missed.spans()]
     if late:
-        axes.plot(late, [period] * len(late), "v", ms=5, color=COLORS["late"], label=f"missed ({summary.missed})")
+        axes.plot(
+            late,
+            [period] * len(late),
+            "v",
+            ms=5,
+            color=COLORS["late"],
+            label=f"missed ({summary.missed})",
+        )
 
 
 def _draw_receipts(panels: list[Axes], lines: Lines) -> None:
@@ -116,7 +176,9 @@ def _draw_receipts(panels: list[Axes], lines: Lines) -> None:
     low, high = panels[0].get_xlim()
     taken = [-math.inf] * _ROWS
     for stamp, action, law in lines.receipts:
-        color = {"switch": COLORS["switch"], "fallback": COLORS["late"]}.get(action, COLORS["surface"])
+        color = {"switch": COLORS["switch"], "fallback": COLORS["late"]}.get(
+            action, COLORS["surface"]
+        )
         at = stamp - lines.begin
         for axes in panels:
             axes.axvline(at, color=color, lw=1.0, ls=":")
@@ -127,10 +189,21 @@ def _draw_receipts(panels: list[Axes], lines: Lines) -> None:
         if row is None or at + width > high:
             continue
         taken[row] = at + width
-        place: Any = {"xycoords": ("data", "axes fraction"), "xytext": (3, 0), "textcoords": "offset points", "va": "top"}
+        place: Any = {
+            "xycoords": ("data", "axes fraction"),
+            "xytext": (3, 0),
+            "textcoords": "offset points",
+            "va": "top",
+        }
         box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8}
         panels[0].annotate(
-            printable(name), (at, 0.97 - 0.1 * row), fontsize=8, color=color, parse_math=False, bbox=box, **place
+            printable(name),
+            (at, 0.97 - 0.1 * row),
+            fontsize=8,
+            color=color,
+            parse_math=False,
+            bbox=box,
+            **place,
         )
 
 
@@ -140,12 +213,15 @@ def _subtitle(recording: Recording, summary: Summary, lines: Lines, axis: int, s
     share = 100.0 * (summary.missed or 0) / summary.ticks if summary.ticks else 0.0
     how_it_went = [
         f"{summary.ticks} ticks at {summary.rate_hz:.6g} Hz" + (f", {pace[:20]}" if pace else ""),
-        f"missed {summary.missed} ({share:.2g} %)" + (f", left out {summary.overruns}" if summary.overruns else ""),
+        f"missed {summary.missed} ({share:.2g} %)"
+        + (f", left out {summary.overruns}" if summary.overruns else ""),
         f"recording {completeness(recording).text}",
     ]
     what_came_of_it = [
         *(["law " + ", ".join(lines.laws)[:50]] if lines.laws else []),
-        f"ends at {summary.position_m[axis] * 1e3:.3f} mm, {summary.force_n[axis]:.3f} N".replace("-", "−"),
+        f"ends at {summary.position_m[axis] * 1e3:.3f} mm, {summary.force_n[axis]:.3f} N".replace(
+            "-", "−"
+        ),
         *([shown] if shown else []),
     ]
     return "\n".join("  ·  ".join(parts) for parts in (how_it_went, what_came_of_it))
@@ -162,9 +238,18 @@ def style(axes: Axes) -> None:
 def head(axes: Axes, title: str, text: str, room: int = 21) -> None:
     """Write title and facts above the topmost panel."""
     pad = room + 14 * len(text.splitlines()) + 5
-    axes.set_title(printable(title[:70]), fontsize=14, fontweight="bold", loc="left", pad=pad, parse_math=False)
-    place: Any = {"xycoords": "axes fraction", "xytext": (0, room), "textcoords": "offset points", "color": "#444a52"}
-    axes.annotate(printable(text), (0.0, 1.0), fontsize=9, linespacing=1.35, parse_math=False, **place)
+    axes.set_title(
+        printable(title[:70]), fontsize=14, fontweight="bold", loc="left", pad=pad, parse_math=False
+    )
+    place: Any = {
+        "xycoords": "axes fraction",
+        "xytext": (0, room),
+        "textcoords": "offset points",
+        "color": "#444a52",
+    }
+    axes.annotate(
+        printable(text), (0.0, 1.0), fontsize=9, linespacing=1.35, parse_math=False, **place
+    )
 
 
 def new_figure(height: float) -> Figure:
@@ -177,7 +262,9 @@ def new_figure(height: float) -> Figure:
     return figure
 
 
-def figure_of(recording: Recording, start: float | None = None, stop: float | None = None) -> Figure:
+def figure_of(
+    recording: Recording, start: float | None = None, stop: float | None = None
+) -> Figure:
     """Draw a run."""
     whole = Lines(recording, start or 0.0, math.inf if stop is None else stop)
     summary = summarise(recording)
@@ -188,7 +275,9 @@ def figure_of(recording: Recording, start: float | None = None, stop: float | No
             lines = Lines(recording, 0.0, 1.25 * rest)
             shown = f"at rest from {rest:.3g} s on: {1.25 * rest:.3g} of {length:.4g} s shown"
     axis = whole.axis
-    energy, guard = (bool((abs(whole.energy.arrays()[1][:, column]) > 0.0).any()) for column in (0, 1))
+    energy, guard = (
+        bool((abs(whole.energy.arrays()[1][:, column]) > 0.0).any()) for column in (0, 1)
+    )
     heights = [1.25, 1.0, *([0.7] if energy else []), 0.9]
     figure = new_figure(1.0 + 2.1 * sum(heights))
     panels = list(figure.subplots(len(heights), 1, height_ratios=heights))
@@ -207,7 +296,14 @@ def figure_of(recording: Recording, start: float | None = None, stop: float | No
         style(axes)
         if not axes.get_legend_handles_labels()[0]:
             continue  # of stamps that go back nothing is drawn
-        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), borderaxespad=0.0, fontsize=8, frameon=False, ncols=6)
+        axes.legend(
+            loc="lower right",
+            bbox_to_anchor=(1.0, 0.99),
+            borderaxespad=0.0,
+            fontsize=8,
+            frameon=False,
+            ncols=6,
+        )
     _draw_receipts(shared, lines)
     for axes in {shared[-1], panels[-1]}:
         axes.set_xlabel("time [s]" if realtime else "simulated time [s]")
@@ -234,7 +330,12 @@ def form_of(out: Path) -> str:
 
 
 def plot(
-    recording: Recording, out: str | Path, *, start: float | None = None, stop: float | None = None, overwrite: bool = False
+    recording: Recording,
+    out: str | Path,
+    *,
+    start: float | None = None,
+    stop: float | None = None,
+    overwrite: bool = False,
 ) -> Path:
     """Draw a run into a file."""
     form = form_of(Path(out))

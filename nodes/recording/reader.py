@@ -1,7 +1,8 @@
 """Read a recording: messages, figures per topic, gaps in ``seq``, and what was recorded with it.
 
-Opening reads the file once, checks every length and checksum, and keeps figures only, so that an hour of recording
-needs no more memory than a minute. A file whose writer was killed opens like any other and says where it was cut.
+Opening reads the file once, checks every length and checksum, and keeps figures only, so that an
+hour of recording needs no more memory than a minute. A file whose writer was killed opens like any
+other and says where it was cut.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ EXTRACT = "extract"  # metadata that tells which part of which file a part is
 WITHOUT = "without"  # what of them lists the topics that are not in it, by their full names
 _NANO = 1e9
 
-_OWN_NUMBERS = 1 << 16  # MCAP's numbers of channels are smaller; each part of a recording has its own
+# MCAP's numbers of channels are smaller; each part of a recording has its own
+_OWN_NUMBERS = 1 << 16
 M = TypeVar("M", bound=Message)
 T = TypeVar("T")
 
@@ -69,7 +71,8 @@ class Recording:
     path : Path
         The file.
     namespace : str
-        Namespace of its only chain, whose topics are named as inside it; empty where there is none, or several.
+        Namespace of its only chain, whose topics are named as inside it; empty where there is none,
+        or several.
     parts : list of Path
         It, and those in which a logger that was started again went on (nodes/recording/parts.py).
     topics : dict of str to TopicFigures
@@ -124,7 +127,9 @@ class Recording:
     @property
     def duration(self) -> float:
         """Time from the first to the last stamp [s]: of the ticks, or of all messages when there are none."""
-        figures = [self.topics[topic] for topic in LOOP if topic in self.topics] or list(self.topics.values())
+        figures = [self.topics[topic] for topic in LOOP if topic in self.topics] or list(
+            self.topics.values()
+        )
         if not figures:
             return 0.0
         return max(f.last_stamp for f in figures) - min(f.first_stamp for f in figures)
@@ -132,9 +137,14 @@ class Recording:
     def _channel(self, channel: Channel, offset: int) -> Channel:
         """Check a channel: JSON, and one number for one topic throughout."""
         if channel.encoding != "json":
-            raise RecordError(f"{self.path}: {channel.topic} is encoded as {channel.encoding!r}; only json is read here")
+            raise RecordError(
+                f"{self.path}: {channel.topic} is encoded as {channel.encoding!r}; only json is"
+                " read here"
+            )
         if self.channels.setdefault(channel.number, channel) != channel:
-            raise RecordError(f"{self.path}: damaged at byte {offset}: channel {channel.number} changes its topic")
+            raise RecordError(
+                f"{self.path}: damaged at byte {offset}: channel {channel.number} changes its topic"
+            )
         return channel
 
     def _records(self) -> Iterator[tuple[int, Record]]:
@@ -146,7 +156,8 @@ class Recording:
                         for inner in mcap_walk.unpack_chunk(path, record):
                             yield n * _OWN_NUMBERS, inner
                     elif record.opcode != mcap_walk.DATA_END:
-                        # What follows the end of the data repeats schemas and channels; the walk must still see the end.
+                        # What follows the end of the data repeats schemas and channels; the walk
+                        # must still see the end.
                         yield n * _OWN_NUMBERS, record
             except CutError as error:
                 self.cut = self.cut or str(error)
@@ -188,7 +199,8 @@ class Recording:
             self.namespace = namespace
             self.topics = {split(topic)[1]: figures for topic, figures in self.topics.items()}
             self.channels = {
-                number: channel._replace(topic=split(channel.topic)[1]) for number, channel in self.channels.items()
+                number: channel._replace(topic=split(channel.topic)[1])
+                for number, channel in self.channels.items()
             }
 
     def facts(self, record: str, name: str, kind: type[T]) -> T:
@@ -243,13 +255,22 @@ class Recording:
     def _count(self, raw: RawMessage, offset: int) -> None:
         channel = self.channels.get(raw.channel)
         if channel is None:
-            raise RecordError(f"{self.path}: damaged at byte {offset}: a message on channel {raw.channel}, which is unknown")
+            raise RecordError(
+                f"{self.path}: damaged at byte {offset}: a message on channel {raw.channel}, which"
+                " is unknown"
+            )
         figures = self.topics.setdefault(channel.topic, TopicFigures())
-        figures.add(raw.sequence, (raw.publish_time - self.publish_offset) / _NANO, split(channel.topic)[1] in LOOP)
+        figures.add(
+            raw.sequence,
+            (raw.publish_time - self.publish_offset) / _NANO,
+            split(channel.topic)[1] in LOOP,
+        )
 
     def _types(self) -> dict[int, type[Message]]:
         """Message type of each channel, by the name of its schema or else by its topic."""
-        known = {f"haptic.{t.__name__}": t for t in vars(messages.types).values() if isinstance(t, type)}
+        known = {
+            f"haptic.{t.__name__}": t for t in vars(messages.types).values() if isinstance(t, type)
+        }
         found: dict[int, type[Message]] = {}
         by_topic: dict[str, type[Message]] = {}
         for number, channel in self.channels.items():
@@ -308,7 +329,9 @@ class Recording:
             return decoder.decode(raw.data)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             topic = self.channels[raw.channel].topic
-            raise RecordError(f"{self.path}: {topic} seq {raw.sequence} (chunk at byte {offset}): {error}") from error
+            raise RecordError(
+                f"{self.path}: {topic} seq {raw.sequence} (chunk at byte {offset}): {error}"
+            ) from error
 
     def entries(self, topics: Iterable[str] | None = None) -> Iterator[Entry]:
         """Go through the messages in the order in which they were received.
@@ -326,11 +349,14 @@ class Recording:
         Raises
         ------
         RecordError
-            When a topic is not in the recording or of an unknown type, or a message does not fit its type.
+            When a topic is not in the recording or of an unknown type, or a message does not fit
+            its type.
         """
         wanted = set(self.topics if topics is None else topics)
         for topic in wanted - set(self.topics):
-            raise RecordError(f"{self.path}: no topic {topic!r}; there are {', '.join(self.topics) or 'none'}")
+            raise RecordError(
+                f"{self.path}: no topic {topic!r}; there are {', '.join(self.topics) or 'none'}"
+            )
         types = self._types()
         decoders: dict[int, msgspec.json.Decoder[Message]] = {}
         for number, channel in self.channels.items():
@@ -374,7 +400,8 @@ class Recording:
         Returns
         -------
         dict of str to numpy.ndarray
-            One array per field, shape (N,) or (N, 3) for vectors, and ``log_time`` [s], in the order of receipt.
+            One array per field, shape (N,) or (N, 3) for vectors, and ``log_time`` [s], in the
+            order of receipt.
 
         Raises
         ------

@@ -1,7 +1,7 @@
 """Copy recordings: the file of a killed logger into a complete one, telling what was saved and lost; or a part of one.
 
-Messages are copied as they stand, byte for byte. Chunks whose checksum does not match are left out and told; whatever is
-damaged around them, all chunks that are sound are found.
+Messages are copied as they stand, byte for byte. Chunks whose checksum does not match are left out
+and told; whatever is damaged around them, all chunks that are sound are found.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ class Recovered(msgspec.Struct):
     """What `recover` saved."""
 
     messages: dict[str, int]  # messages copied per topic
-    # What was wrong with the source, with offsets; empty when it was complete and sound, so that nothing was lost.
+    # What was wrong with the source, with offsets; empty when it was complete and sound, so that
+    # nothing was lost.
     problems: list[str]
 
 
@@ -48,7 +49,9 @@ def _summary(data: mmap.mmap) -> Iterator[Record]:
     if end < 0 or data[end:footer] != FRAME.pack(mcap_walk.FOOTER, 20):
         return
     (offset,) = struct.unpack_from("<Q", data, footer)
-    if offset > end or not mcap_walk.footer_sound(data[footer : footer + 20], zlib.crc32(data[offset:end])):
+    if offset > end or not mcap_walk.footer_sound(
+        data[footer : footer + 20], zlib.crc32(data[offset:end])
+    ):
         return
     while offset + FRAME.size <= end:
         opcode, length = FRAME.unpack_from(data, offset)
@@ -61,7 +64,8 @@ class _Budget:
     """Work that a search may spend on what only looks like a chunk, so that a small file cannot cost minutes."""
 
     def __init__(self, size: int) -> None:
-        self._left = 32 * size + 16 * mcap_walk.MAX_CHUNK  # [bytes]; twice of what any recording unpacks to
+        # [bytes]; twice of what any recording unpacks to
+        self._left = 32 * size + 16 * mcap_walk.MAX_CHUNK
 
     def spend(self, work: int) -> bool:
         """Take some work [bytes]; whether it was there."""
@@ -73,7 +77,11 @@ def _search(path: Path) -> Iterator[Record]:
     """Find what is sound wherever it stands: the summary, then every chunk, by its header's pattern and its checksum."""
     mark = b"\x04\x00\x00\x00zstd"
     lead = FRAME.size + mcap_walk.CHUNK_HEAD.size
-    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data, memoryview(data) as view:
+    with (
+        path.open("rb") as stream,
+        mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data,
+        memoryview(data) as view,
+    ):
         yield from _summary(data)
         budget = _Budget(len(data))
         at = data.find(mark, lead)
@@ -92,8 +100,8 @@ def _search(path: Path) -> Iterator[Record]:
 def _chunk_at(view: memoryview, start: int, budget: _Budget) -> bytes | None:
     """Return what may be a chunk, empty if it is none, None once the budget is spent.
 
-    Both its lengths are read from its data: the record's own and the one inside may be what is damaged, and stride over the
-    next chunk.
+    Both its lengths are read from its data: the record's own and the one inside may be what is
+    damaged, and stride over the next chunk.
     """
     head = start + FRAME.size
     body = head + mcap_walk.CHUNK_HEAD.size + 8 + _U64.size
@@ -108,7 +116,9 @@ def _chunk_at(view: memoryview, start: int, budget: _Budget) -> bytes | None:
             return b"" if budget.spend(REJECTED) else None
     if not budget.spend(length + size):
         return None
-    return bytes(view[head : body - _U64.size]) + _U64.pack(length) + bytes(view[body : body + length])
+    return (
+        bytes(view[head : body - _U64.size]) + _U64.pack(length) + bytes(view[body : body + length])
+    )
 
 
 def _problems(path: Path) -> list[str]:
@@ -128,7 +138,8 @@ def _problems(path: Path) -> list[str]:
 
 def _salvage(path: Path, sound: bool) -> Iterator[Record]:
     """Go through all that can be believed, chunks unpacked."""
-    # In a file that is not sound, records outside chunks have no checksum; metadata are taken while the walk goes well.
+    # In a file that is not sound, records outside chunks have no checksum; metadata are taken while
+    # the walk goes well.
     with contextlib.nullcontext() if sound else contextlib.suppress(RecordError):
         for record in mcap_walk.walk(path):
             if record.opcode == mcap_walk.CHUNK and sound:
@@ -139,7 +150,9 @@ def _salvage(path: Path, sound: bool) -> Iterator[Record]:
         yield from _search(path)
 
 
-def _sound(parse: Callable[[Path, Record], T], path: Path, record: Record, problems: list[str]) -> T | None:
+def _sound(
+    parse: Callable[[Path, Record], T], path: Path, record: Record, problems: list[str]
+) -> T | None:
     """Parse a record; note a damaged one."""
     try:
         return parse(path, record)
@@ -151,11 +164,14 @@ def _sound(parse: Callable[[Path, Record], T], path: Path, record: Record, probl
 class Copy:
     """The file being written: registers schemas and channels anew, each when its first message comes."""
 
-    def __init__(self, writer: Any, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
+    def __init__(
+        self, writer: Any, schemas: dict[int, Schema], channels: dict[int, Channel]
+    ) -> None:
         self.writer = writer
         self.counts: dict[str, int] = {}
         self.orphans = 0
-        # Names of the metadata that the parts before have, and how far their clock is from this one's, for both times [ns].
+        # Names of the metadata that the parts before have, and how far their clock is from this
+        # one's, for both times [ns].
         self._told: set[str] = set()
         self._clock: tuple[int, int] | None = None
         self.enter(schemas, channels)
@@ -171,8 +187,12 @@ class Copy:
     def _register(self, channel: Channel) -> int:
         schema = self.schemas.get(channel.schema)
         if schema is not None and channel.schema not in self._new_schemas:
-            self._new_schemas[channel.schema] = self.writer.register_schema(schema.name, schema.encoding, schema.data)
-        number: int = self.writer.register_channel(channel.topic, channel.encoding, self._new_schemas.get(channel.schema, 0))
+            self._new_schemas[channel.schema] = self.writer.register_schema(
+                schema.name, schema.encoding, schema.data
+            )
+        number: int = self.writer.register_channel(
+            channel.topic, channel.encoding, self._new_schemas.get(channel.schema, 0)
+        )
         return number
 
     def message(self, raw: RawMessage) -> None:
@@ -187,7 +207,9 @@ class Copy:
             min(max(time + shift, 0), LATEST_NS)
             for time, shift in zip((raw.log_time, raw.publish_time), self._shift, strict=True)
         )
-        self.writer.add_message(self._new_channels[raw.channel], log, raw.data, publish, raw.sequence)
+        self.writer.add_message(
+            self._new_channels[raw.channel], log, raw.data, publish, raw.sequence
+        )
         self.counts[channel.topic] = self.counts.get(channel.topic, 0) + 1
 
     def metadata(self, name: str, values: dict[str, str], problems: list[str]) -> None:
@@ -211,15 +233,21 @@ def _refuse_source(out: Path, sources: Iterable[Path]) -> None:
         raise RecordError(f"{out}: is the recording itself; give another name")
 
 
-def _layout(path: Path, sound: bool, problems: list[str]) -> tuple[dict[int, Schema], dict[int, Channel], int]:
+def _layout(
+    path: Path, sound: bool, problems: list[str]
+) -> tuple[dict[int, Schema], dict[int, Channel], int]:
     """Find schemas, channels and how many messages there are: the summary may name a channel whose own chunk is lost."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     messages = 0
     for record in _salvage(path, sound):
-        if record.opcode == mcap_walk.SCHEMA and (schema := _sound(mcap_walk.parse_schema, path, record, problems)):
+        if record.opcode == mcap_walk.SCHEMA and (
+            schema := _sound(mcap_walk.parse_schema, path, record, problems)
+        ):
             schemas.setdefault(schema.number, schema)
-        elif record.opcode == mcap_walk.CHANNEL and (channel := _sound(mcap_walk.parse_channel, path, record, problems)):
+        elif record.opcode == mcap_walk.CHANNEL and (
+            channel := _sound(mcap_walk.parse_channel, path, record, problems)
+        ):
             channels.setdefault(channel.number, channel)
         messages += record.opcode == mcap_walk.MESSAGE
     return schemas, channels, messages
@@ -243,16 +271,22 @@ def recover(path: str | Path, out: str | Path, *, overwrite: bool = False) -> Re
         for part, (schemas, channels, _) in layouts.items():
             copy.enter(schemas, channels)
             for record in _salvage(part, sound[part]):
-                if record.opcode == mcap_walk.MESSAGE and (raw := _sound(mcap_walk.parse_message, part, record, problems)):
+                if record.opcode == mcap_walk.MESSAGE and (
+                    raw := _sound(mcap_walk.parse_message, part, record, problems)
+                ):
                     copy.message(raw)
                 elif record.opcode == mcap_walk.METADATA and (
                     metadata := _sound(mcap_walk.parse_metadata, part, record, problems)
                 ):
                     copy.metadata(*metadata, problems)
         if copy.orphans:
-            problems.append(f"{path}: {copy.orphans} messages on channels whose topic is not known any more")
+            problems.append(
+                f"{path}: {copy.orphans} messages on channels whose topic is not known any more"
+            )
         if problems:
-            copy.writer.add_metadata(RECOVERY, {"source": str(path), "problems": "\n".join(problems)})
+            copy.writer.add_metadata(
+                RECOVERY, {"source": str(path), "problems": "\n".join(problems)}
+            )
         copy.writer.finish()
     return Recovered(copy.counts, problems)
 
@@ -275,9 +309,14 @@ def extract(
     low = zero + round(start * 1e9) if start > 0.0 else -math.inf
     high = math.inf if math.isinf(stop) else zero + round(stop * 1e9)
     # The nodes name themselves in full, so their topics stay so too.
-    full = {n: channel._replace(topic=within(recording.namespace, channel.topic)) for n, channel in recording.channels.items()}
+    full = {
+        n: channel._replace(topic=within(recording.namespace, channel.topic))
+        for n, channel in recording.channels.items()
+    }
     without = recording.facts(EXTRACT, WITHOUT, list[str])
-    without += [within(recording.namespace, topic) for topic in recording.topics if topic not in topics]
+    without += [
+        within(recording.namespace, topic) for topic in recording.topics if topic not in topics
+    ]
     with written(out, overwrite) as output:
         copy = Copy(mcap_writer(output), recording.schemas, full)
         part = {"source": str(recording.path), "from_s": repr(start), "to_s": repr(stop)}
@@ -288,6 +327,8 @@ def extract(
             if topic in topics and low <= raw.publish_time - recording.publish_offset <= high:
                 copy.message(raw)
         if not copy.counts:
-            raise RecordError(f"{recording.path}: no message of these topics from {start:g} s to {stop:g} s")
+            raise RecordError(
+                f"{recording.path}: no message of these topics from {start:g} s to {stop:g} s"
+            )
         copy.writer.finish()
     return copy.counts

@@ -23,7 +23,9 @@ class RosMessages:
 
     def time(self, nanoseconds: int) -> Any:
         """Build a time."""
-        return self._type("builtin_interfaces/msg/Time")(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+        return self._type("builtin_interfaces/msg/Time")(
+            sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9
+        )
 
     def header(self, nanoseconds: int) -> Any:
         """Build a header."""
@@ -42,27 +44,50 @@ class RosMessages:
 
     def pose(self, at: int, position: Vector) -> Any:
         """Build a position with its time [ns]."""
-        return self._type("geometry_msgs/msg/PoseStamped")(header=self.header(at), pose=self.place(position))
+        return self._type("geometry_msgs/msg/PoseStamped")(
+            header=self.header(at), pose=self.place(position)
+        )
 
     def wrench(self, at: int, force: Vector) -> Any:
         """Build a force [N] with its time [ns]."""
-        wrench = self._type("geometry_msgs/msg/Wrench")(force=self.vector(*force), torque=self.vector(0.0, 0.0, 0.0))
+        wrench = self._type("geometry_msgs/msg/Wrench")(
+            force=self.vector(*force), torque=self.vector(0.0, 0.0, 0.0)
+        )
         return self._type("geometry_msgs/msg/WrenchStamped")(header=self.header(at), wrench=wrench)
 
     def joints(self, at: int, state: DeviceState) -> Any:
         """Build the state of the axes."""
         import numpy as np
 
-        values = {"position": np.array(state.position), "velocity": np.zeros(0), "effort": np.array(state.force)}
-        return self._type("sensor_msgs/msg/JointState")(header=self.header(at), name=["x", "y", "z"], **values)
+        values = {
+            "position": np.array(state.position),
+            "velocity": np.zeros(0),
+            "effort": np.array(state.force),
+        }
+        return self._type("sensor_msgs/msg/JointState")(
+            header=self.header(at), name=["x", "y", "z"], **values
+        )
 
     def diagnostics(self, at: int, status: NodeStatus) -> Any:
         """Build a node's status."""
-        pair, kind = self._type("diagnostic_msgs/msg/KeyValue"), self._type("diagnostic_msgs/msg/DiagnosticStatus")
-        values = [pair(key=name, value=str(getattr(status, name))) for name in status.__struct_fields__]
+        pair, kind = (
+            self._type("diagnostic_msgs/msg/KeyValue"),
+            self._type("diagnostic_msgs/msg/DiagnosticStatus"),
+        )
+        values = [
+            pair(key=name, value=str(getattr(status, name))) for name in status.__struct_fields__
+        ]
         level = kind.OK if status.state == "running" else kind.WARN
-        one = kind(level=level, name=status.node, message=status.state, hardware_id=status.kind, values=values)
-        return self._type("diagnostic_msgs/msg/DiagnosticArray")(header=self.header(at), status=[one])
+        one = kind(
+            level=level,
+            name=status.node,
+            message=status.state,
+            hardware_id=status.kind,
+            values=values,
+        )
+        return self._type("diagnostic_msgs/msg/DiagnosticArray")(
+            header=self.header(at), status=[one]
+        )
 
     def text(self, text: str) -> Any:
         """Build a text."""
@@ -79,5 +104,12 @@ class RosMessages:
     def marker(self, at: int, shape: int, position: Vector, size: Vector) -> Any:
         """Build a shape for RViz, half transparent."""
         color = self._type("std_msgs/msg/ColorRGBA")(r=0.3, g=0.5, b=0.8, a=0.5)
-        seen: dict[str, Any] = {"type": shape, "pose": self.place(position), "scale": self.vector(*size), "color": color}
-        return self._type("visualization_msgs/msg/Marker")(header=self.header(at), ns=self._frame, **seen)
+        seen: dict[str, Any] = {
+            "type": shape,
+            "pose": self.place(position),
+            "scale": self.vector(*size),
+            "color": color,
+        }
+        return self._type("visualization_msgs/msg/Marker")(
+            header=self.header(at), ns=self._frame, **seen
+        )

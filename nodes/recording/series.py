@@ -1,7 +1,8 @@
 """Recordings as lines that a picture can hold: read as a stream, in memory that does not grow with the length of the run.
 
-Up to POINTS messages a line is what was recorded. A longer one keeps the smallest and the largest value of each of BINS
-stretches of time, so that no spike is lost and every extreme stands where it was, to the width of a line.
+Up to POINTS messages a line is what was recorded. A longer one keeps the smallest and the largest
+value of each of BINS stretches of time, so that no spike is lost and every extreme stands where it
+was, to the width of a line.
 """
 
 from __future__ import annotations
@@ -78,7 +79,9 @@ class Spans:
 
     def add(self, begin: float, end: float, name: str) -> None:
         """Note that it was the case."""
-        low, high = (min(max(int((time - self._start) / self._width), 0), BINS - 1) for time in (begin, end))
+        low, high = (
+            min(max(int((time - self._start) / self._width), 0), BINS - 1) for time in (begin, end)
+        )
         self._seen.setdefault(name, bytearray(BINS))[low : high + 1] = b"\1" * (high + 1 - low)
 
     def spans(self) -> Iterator[tuple[str, float, float]]:
@@ -99,36 +102,49 @@ class Lines:
         recording.require_ticks()
         figures = recording.topics[DEVICE_STATE]
         if figures.messages < 2:
-            raise RecordError(f"{recording.path}: fewer than two messages on {DEVICE_STATE}; a plot needs at least two")
-        self.begin = figures.first_stamp  # stamp of the recording's first state: time 0 of the picture [s]
+            raise RecordError(
+                f"{recording.path}: fewer than two messages on {DEVICE_STATE}; a plot needs at"
+                " least two"
+            )
+        # stamp of the recording's first state: time 0 of the picture [s]
+        self.begin = figures.first_stamp
         # The stretch, as stamps [s].
         self.start = max(self.begin + start, self.begin)
         self.stop = min(self.begin + stop, figures.last_stamp)
         if not self.start < self.stop and figures.first_stamp < figures.last_stamp:
             lasts = f"it lasts {recording.duration:.6g} s"
-            raise RecordError(f"{recording.path}: nothing between {start:g} and {stop:g} s; {lasts}")
+            raise RecordError(
+                f"{recording.path}: nothing between {start:g} and {stop:g} s; {lasts}"
+            )
         ends = self.start, self.stop
-        # By axis: position [m], force handed to the device at the tick at which it was [N], force by the law before limits [N].
+        # By axis: position [m], force handed to the device at the tick at which it was [N], force
+        # by the law before limits [N].
         self.position, self.force, self.asked = Line(*ends, 3), Line(*ends, 3), Line(*ends, 3)
-        # Energy given out, and the passivity guard's account [J]; response time of the ticks answered in time [s]; proxy, and
-        # surface where there is one that faces this axis [m].
+        # Energy given out, and the passivity guard's account [J]; response time of the ticks
+        # answered in time [s]; proxy, and surface where there is one that faces this axis [m].
         self.energy, self.response, self.proxy = Line(*ends, 2), Line(*ends, 1), Line(*ends, 6)
-        # Safety states other than active, and ticks that were not answered in time (named ``missed``).
+        # Safety states other than active, and ticks that were not answered in time (named
+        # ``missed``).
         self.safety, self.missed = Spans(*ends), Spans(*ends)
-        # Time and response time of every so many-th of them [s]: what is usual, where `response` tells the extremes.
+        # Time and response time of every so many-th of them [s]: what is usual, where `response`
+        # tells the extremes.
         self.sampled: list[tuple[float, float]] = []
         self._stride = -(-figures.messages // POINTS)
         # Where the surface faces: largest component seen of each axis, sign included, shape (3,).
         self.normal = [0.0, 0.0, 0.0]
-        self.receipts: list[tuple[float, str, str]] = []  # the first 200 changes: stamp, action, and law from then on
+        # the first 200 changes: stamp, action, and law from then on
+        self.receipts: list[tuple[float, str, str]] = []
         self.laws: list[str] = []  # laws that computed a force
         self._before: DeviceState | None = None
         self._named = -1
         self._read(recording)
 
     def _read(self, recording: Recording) -> None:
-        wanted = [topic for topic in (DEVICE_STATE, PROXY, FORCE, RECEIPT) if topic in recording.topics]
-        # Where ticks are recorded in their order, nothing comes after the first state behind the stretch.
+        wanted = [
+            topic for topic in (DEVICE_STATE, PROXY, FORCE, RECEIPT) if topic in recording.topics
+        ]
+        # Where ticks are recorded in their order, nothing comes after the first state behind the
+        # stretch.
         ordered = not recording.topics[DEVICE_STATE].back
         for entry in recording.entries(wanted):
             message: Any = entry.message
@@ -200,6 +216,10 @@ class Lines:
         for line, share in ((self.position, 0.01), (self.force, 0.02)):
             time, values = line.arrays()
             values = values[:, self.axis]
-            away = np.abs(values - values[-1]) > share * np.ptp(values) if len(values) else np.zeros(0, dtype=bool)
+            away = (
+                np.abs(values - values[-1]) > share * np.ptp(values)
+                if len(values)
+                else np.zeros(0, dtype=bool)
+            )
             last = max([last, *time[away][-1:]])
         return last - self.begin

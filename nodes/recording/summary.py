@@ -12,20 +12,24 @@ from messages.topics import DEVICE_STATE
 from messages.types import DeviceState
 from nodes.recording.reader import Recording
 
-QUANTILES = {"p50": 0.5, "p99": 0.99, "p999": 0.999, "max": 1.0}  # which quantiles of the response time are given
+# which quantiles of the response time are given
+QUANTILES = {"p50": 0.5, "p99": 0.99, "p999": 0.999, "max": 1.0}
 
 
 class Summary(msgspec.Struct):
     """Figures of one run, as its driver recorded them."""
 
-    # Ticks whose outcome is recorded: each state tells how the tick before it went, the last one ends the run.
+    # Ticks whose outcome is recorded: each state tells how the tick before it went, the last one
+    # ends the run.
     ticks: int
     duration_s: float  # from the earliest state's stamp to the latest one's [s]
     rate_hz: float  # mean rate while a driver ticked [1/s]; 0 for fewer than two ticks
-    # Ticks of the recording not answered in time, and ticks left out because the driver was late; None without states.
+    # Ticks of the recording not answered in time, and ticks left out because the driver was late;
+    # None without states.
     missed: int | None
     overruns: int | None
-    # p50, p99, p999 and max of the response time of the ticks answered in time [µs]; empty when there are none.
+    # p50, p99, p999 and max of the response time of the ticks answered in time [µs]; empty when
+    # there are none.
     response_us: dict[str, float]
     age_ticks_max: int | None  # oldest force that was used [ticks]; None without states
     # Position and force at the end [m, N]; empty when no state was recorded, shape (3,).
@@ -70,7 +74,9 @@ def summarise(recording: Recording) -> Summary:
         rate_hz=seqs / span if span > 0.0 else 0.0,
         missed=missed,
         overruns=overruns,
-        response_us={name: quantile(responses, f) for name, f in QUANTILES.items()} if responses else {},
+        response_us=(
+            {name: quantile(responses, f) for name, f in QUANTILES.items()} if responses else {}
+        ),
         age_ticks_max=oldest,
         position_m=list(last.position),
         force_n=list(last.force),

@@ -23,32 +23,80 @@ Row = tuple[DeviceState, DeviceState | None, Proxy | None, Force | None]
 COLUMNS: dict[str, tuple[str, str, Callable[[Row], Any]]] = {
     "time": ("s", "time after the first tick", lambda r: r[0].stamp),
     "seq": ("", "number of the tick", lambda r: r[0].seq),
-    "stamp": ("s", "time on the clock of the run: the host's monotonic clock, or seq·T in lockstep", lambda r: r[0].stamp),
+    "stamp": (
+        "s",
+        "time on the clock of the run: the host's monotonic clock, or seq·T in lockstep",
+        lambda r: r[0].stamp,
+    ),
     "position": ("m", "position of the device", lambda r: r[0].position),
-    "force": ("N", "force handed to the device at this tick, after all limits", lambda r: r[1].force if r[1] else _GONE),
-    "mean_force": ("N", "mean of the forces on the device during this tick", lambda r: r[1].mean_force if r[1] else _GONE),
+    "force": (
+        "N",
+        "force handed to the device at this tick, after all limits",
+        lambda r: r[1].force if r[1] else _GONE,
+    ),
+    "mean_force": (
+        "N",
+        "mean of the forces on the device during this tick",
+        lambda r: r[1].mean_force if r[1] else _GONE,
+    ),
     "changed_at": (
         "ticks",
         "part of this tick after which its first new force was handed over; 1 where none was",
         lambda r: r[1].changed_at if r[1] else math.nan,
     ),
     "force_seq": ("", "tick that the force answers", lambda r: r[1].force_seq if r[1] else -1),
-    "force_asked": ("N", "force that the law asked for at this tick", lambda r: r[3].force if r[3] else _GONE),
-    "proxy": ("m", "proxy: on the surface in contact, else at the device", lambda r: r[2].proxy if r[2] else _GONE),
-    "normal": ("", "outward normal of the surface; zero without one", lambda r: r[2].normal if r[2] else _GONE),
-    "distance": ("m", "signed distance to the surface, negative inside", lambda r: r[2].distance if r[2] else math.nan),
-    "contact": ("", "whether the surface is touched, as far as that was recorded", lambda r: bool(r[2] and r[2].contact)),
+    "force_asked": (
+        "N",
+        "force that the law asked for at this tick",
+        lambda r: r[3].force if r[3] else _GONE,
+    ),
+    "proxy": (
+        "m",
+        "proxy: on the surface in contact, else at the device",
+        lambda r: r[2].proxy if r[2] else _GONE,
+    ),
+    "normal": (
+        "",
+        "outward normal of the surface; zero without one",
+        lambda r: r[2].normal if r[2] else _GONE,
+    ),
+    "distance": (
+        "m",
+        "signed distance to the surface, negative inside",
+        lambda r: r[2].distance if r[2] else math.nan,
+    ),
+    "contact": (
+        "",
+        "whether the surface is touched, as far as that was recorded",
+        lambda r: bool(r[2] and r[2].contact),
+    ),
     "law": ("", "law that computed the force", lambda r: r[3].law if r[3] else ""),
-    "revision": ("", "changes of law or parameters so far", lambda r: r[3].revision if r[3] else -1),
-    "response": ("s", "time until the force was there; 0 when it came too late", lambda r: r[1].response if r[1] else math.nan),
+    "revision": (
+        "",
+        "changes of law or parameters so far",
+        lambda r: r[3].revision if r[3] else -1,
+    ),
+    "response": (
+        "s",
+        "time until the force was there; 0 when it came too late",
+        lambda r: r[1].response if r[1] else math.nan,
+    ),
     "age": ("ticks", "age of the force that was used", lambda r: r[1].age if r[1] else -1),
-    "delay": ("ticks", "measured delay from sample to force", lambda r: r[1].delay if r[1] else math.nan),
+    "delay": (
+        "ticks",
+        "measured delay from sample to force",
+        lambda r: r[1].delay if r[1] else math.nan,
+    ),
     "lateness": ("s", "how long after its deadline the tick was sampled", lambda r: r[0].lateness),
     "missed": ("", "ticks so far that were not answered in time", lambda r: r[0].missed),
     "overruns": ("", "ticks so far that the driver left out", lambda r: r[0].overruns),
     "energy": ("J", "energy given out by the virtual side so far", lambda r: r[0].energy),
     "guard": ("J", "account of the passivity guard: owed (+), in store (−)", lambda r: r[0].guard),
-    "target": ("m", "where a simulated hand pulls the device to; zero without one", lambda r: r[0].target),
+    "target": (
+        "m",
+        "where a simulated hand pulls the device to; zero without one",
+        lambda r: r[0].target,
+    ),
     "safety": ("", "what the driver does with forces", lambda r: r[0].safety),
 }
 """Columns of the table: unit, meaning, and how a row has it.
@@ -73,8 +121,8 @@ def rows(recording: Recording) -> Iterator[Row]:
     Yields
     ------
     tuple
-        State of the tick; the next tick's state, which tells how this one went (None when that is not the next tick);
-        proxy and force that answer the tick (None when not recorded).
+        State of the tick; the next tick's state, which tells how this one went (None when that is
+        not the next tick); proxy and force that answer the tick (None when not recorded).
 
     Raises
     ------
@@ -90,7 +138,9 @@ def rows(recording: Recording) -> Iterator[Row]:
         after = following if following is not None and following.seq == state.seq + 1 else None
         return state, after, proxies.pop(state.seq, None), forces.pop(state.seq, None)
 
-    for entry in recording.entries(topic for topic in (DEVICE_STATE, PROXY, FORCE) if topic in recording.topics):
+    for entry in recording.entries(
+        topic for topic in (DEVICE_STATE, PROXY, FORCE) if topic in recording.topics
+    ):
         message = entry.message
         if isinstance(message, DeviceState):
             if waiting and message.seq <= waiting[-1].seq:
@@ -117,7 +167,8 @@ def rows(recording: Recording) -> Iterator[Row]:
 def read(path: str | Path) -> dict[str, np.ndarray[Any, Any]]:
     """Read a recording as arrays, one row per tick.
 
-    ``run = read("recordings/floor_drop-….mcap")``, then for instance ``plt.plot(run["time"], run["position"][:, 2])``.
+    ``run = read("recordings/floor_drop-….mcap")``, then for instance ``plt.plot(run["time"],
+    run["position"][:, 2])``.
 
     Parameters
     ----------
@@ -127,11 +178,12 @@ def read(path: str | Path) -> dict[str, np.ndarray[Any, Any]]:
     Returns
     -------
     dict of str to numpy.ndarray
-        N rows by column, SI units, see `COLUMNS`. Of shape (N, 3): ``position`` [m], ``force``, ``mean_force`` and
-        ``force_asked`` [N], ``proxy`` [m], ``normal``, ``target`` [m]. Of shape (N,): ``time`` [s] from 0 on, ``seq``,
-        ``stamp`` [s], ``changed_at`` [ticks], ``force_seq``, ``distance`` [m], ``contact``, ``law``, ``revision``,
-        ``response`` [s], ``age`` and ``delay`` [ticks], ``lateness`` [s], ``missed``, ``overruns``, ``energy`` and ``guard``
-        [J], ``safety``.
+        N rows by column, SI units, see `COLUMNS`. Of shape (N, 3): ``position`` [m], ``force``,
+        ``mean_force`` and ``force_asked`` [N], ``proxy`` [m], ``normal``, ``target`` [m]. Of shape
+        (N,): ``time`` [s] from 0 on, ``seq``, ``stamp`` [s], ``changed_at`` [ticks], ``force_seq``,
+        ``distance`` [m], ``contact``, ``law``, ``revision``, ``response`` [s], ``age`` and
+        ``delay`` [ticks], ``lateness`` [s], ``missed``, ``overruns``, ``energy`` and ``guard`` [J],
+        ``safety``.
 
     Raises
     ------

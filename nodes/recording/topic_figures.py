@@ -15,9 +15,11 @@ class TopicFigures(msgspec.Struct):
     messages : int
         How many.
     gaps : int
-        How many ``seq`` are missing between the first and the last; 0 for topics that do not carry one message a tick.
+        How many ``seq`` are missing between the first and the last; 0 for topics that do not carry
+        one message a tick.
     back : int
-        How often ``seq`` did not rise on a topic with one message a tick: repeated messages, or a restarted driver.
+        How often ``seq`` did not rise on a topic with one message a tick: repeated messages, or a
+        restarted driver.
     first_seq, last_seq : int
         First and last ``seq``.
     first_stamp, last_stamp : float

@@ -1,7 +1,8 @@
 """Wall-clock time in a recording: MCAP's times are dated for viewers, and taken back to the time of the run when read.
 
-The run's own time is the host's monotonic clock, or simulated time; it has no date. The metadata record ``clock`` holds how
-many whole nanoseconds were added, so that what is read is to the bit what was recorded. Earlier recordings have none.
+The run's own time is the host's monotonic clock, or simulated time; it has no date. The metadata
+record ``clock`` holds how many whole nanoseconds were added, so that what is read is to the bit
+what was recorded. Earlier recordings have none.
 """
 
 from __future__ import annotations

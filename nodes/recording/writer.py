@@ -1,7 +1,8 @@
 """Write a recording: MCAP with one JSON channel per topic, readable up to the last flush whatever ends the writer.
 
-Every finished chunk goes straight to the operating system in one piece, so a killed writer leaves whole chunks and at
-most one cut record at the end, and a full disk leaves whole chunks only. No numpy here: a logger has to stay small.
+Every finished chunk goes straight to the operating system in one piece, so a killed writer leaves
+whole chunks and at most one cut record at the end, and a full disk leaves whole chunks only. No
+numpy here: a logger has to stay small.
 """
 
 from __future__ import annotations
@@ -39,7 +40,10 @@ class RecordError(HapticError):
 
 def versions() -> dict[str, str]:
     """Tell what wrote a recording."""
-    found = {"python": platform.python_version(), "system": f"{platform.system()} {platform.release()}"}
+    found = {
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.release()}",
+    }
     for package in _PACKAGES:
         found[package] = version(package) or "not installed as a package"
     return found
@@ -56,7 +60,9 @@ class Output:
             self.descriptor = os.open(path, flags, 0o644)  # file descriptor; -1 once closed
             self._claim()
         except FileExistsError as error:
-            raise RecordError(f"{path}: exists already; give another name or ask for it to be overwritten") from error
+            raise RecordError(
+                f"{path}: exists already; give another name or ask for it to be overwritten"
+            ) from error
         except OSError as error:
             raise RecordError(f"{path}: cannot be created: {error.strerror}") from error
 
@@ -69,7 +75,8 @@ class Output:
         except BlockingIOError as error:
             self.close()
             raise RecordError(
-                f"{self.path}: another process is writing it, and both would be lost; give another name, or end that one first"
+                f"{self.path}: another process is writing it, and both would be lost; give another"
+                " name, or end that one first"
             ) from error
         except OSError:
             pass  # a file system without locks
@@ -87,7 +94,8 @@ class Output:
             with contextlib.suppress(OSError):
                 os.ftruncate(self.descriptor, self.size)
             raise RecordError(
-                f"{self.path}: {error.strerror} after {self.size} bytes ({left} of the next {len(data)} not written)"
+                f"{self.path}: {error.strerror} after {self.size} bytes ({left} of the next"
+                f" {len(data)} not written)"
             ) from error
         self.size += len(data)
         return len(data)
@@ -106,7 +114,9 @@ class Output:
             try:
                 os.close(descriptor)
             except OSError as error:
-                raise RecordError(f"{self.path}: {error.strerror} on closing, after {self.size} bytes") from error
+                raise RecordError(
+                    f"{self.path}: {error.strerror} on closing, after {self.size} bytes"
+                ) from error
 
 
 def discard(path: Path) -> None:
@@ -140,9 +150,14 @@ def mcap_writer(output: Output, library: str = "") -> Any:
     from mcap.writer import CompressionType, Writer
 
     writer: Any = Writer(
-        cast("IO[Any]", output), chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD, enable_data_crcs=True
+        cast("IO[Any]", output),
+        chunk_size=CHUNK_SIZE,
+        compression=CompressionType.ZSTD,
+        enable_data_crcs=True,
     )
-    writer.start(profile="haptic-nodes", library=library or f"haptic-nodes {versions()['haptic-nodes']}")
+    writer.start(
+        profile="haptic-nodes", library=library or f"haptic-nodes {versions()['haptic-nodes']}"
+    )
     return writer
 
 
@@ -195,7 +210,9 @@ class RecordWriter:
         try:
             self._writer = mcap_writer(self._output)
             self.add_metadata(MANIFEST, manifest)
-            self.add_metadata(wall_clock.CLOCK, wall_clock.record(self._log_offset, self._publish_offset))
+            self.add_metadata(
+                wall_clock.CLOCK, wall_clock.record(self._log_offset, self._publish_offset)
+            )
             if launch_file is not None:
                 self.add_metadata(LAUNCH_FILE, {"yaml": launch_file})
             if parameters is not None:
@@ -218,11 +235,16 @@ class RecordWriter:
 
     def _failure(self, error: RecordError) -> RecordError:
         self._failed = True
-        return RecordError(f"{error}; what was recorded before is kept, and completed by: haptic bag recover {self.path}")
+        return RecordError(
+            f"{error}; what was recorded before is kept, and completed by: haptic bag recover"
+            f" {self.path}"
+        )
 
     def _usable(self) -> None:
         if self._failed:
-            raise RecordError(f"{self.path}: writing failed before; nothing more can be recorded in this file")
+            raise RecordError(
+                f"{self.path}: writing failed before; nothing more can be recorded in this file"
+            )
         if self._output.descriptor < 0:
             raise RecordError(f"{self.path}: closed already")
 
@@ -232,7 +254,9 @@ class RecordWriter:
         message_type = type(message)
         channel, expected = self._channels.get(topic) or self._open(topic, message_type)
         if message_type is not expected:
-            raise RecordError(f"{self.path}: {topic} carries {expected.__name__}, not {message_type.__name__}")
+            raise RecordError(
+                f"{self.path}: {topic} carries {expected.__name__}, not {message_type.__name__}"
+            )
         try:
             self._writer.add_message(
                 channel,
@@ -276,5 +300,10 @@ class RecordWriter:
     def __enter__(self) -> RecordWriter:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.close()

@@ -1,6 +1,7 @@
 """A ROS 2 graph without ROS: Cyclone DDS, with types made from rosbags' definitions.
 
-To DDS a topic ``/haptic/force`` is ``rt/haptic/force``, and a type ``std_msgs/msg/Bool`` is ``std_msgs::msg::dds_::Bool_``.
+To DDS a topic ``/haptic/force`` is ``rt/haptic/force``, and a type ``std_msgs/msg/Bool`` is
+``std_msgs::msg::dds_::Bool_``.
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ _LENIENT = (  # types with sequences match other vendors' by their names only, n
     "</CycloneDDS>"
 )
 
-_ON_THIS_MACHINE = (  # as the vendors do it for ROS: no multicast, which a loopback may lack, but every port asked
-    "<CycloneDDS><Domain>"
-    '<General><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces></General>'
-    "<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
-    '<Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
-    "</Domain></CycloneDDS>"
+# as the vendors do it for ROS: no multicast, which a loopback may lack, but every port asked
+_ON_THIS_MACHINE = (
+    '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"'
+    ' multicast="false"/></Interfaces></General><Discovery>'
+    "<ParticipantIndex>auto</ParticipantIndex>"
+    "<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
+    '<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>'
 )
 
 
@@ -30,14 +32,21 @@ class DdsGraph:
     """A participant of the domain ROS_DOMAIN_ID."""
 
     def __init__(self) -> None:
-        local = os.environ.get("ROS_LOCALHOST_ONLY") == "1" or os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST"
+        local = (
+            os.environ.get("ROS_LOCALHOST_ONLY") == "1"
+            or os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST"
+        )
         own = os.environ.get("CYCLONEDDS_URI", "")
         # What the user says comes last, and counts.
-        os.environ["CYCLONEDDS_URI"] = ",".join(filter(None, [_LENIENT, _ON_THIS_MACHINE if local else "", own]))
+        os.environ["CYCLONEDDS_URI"] = ",".join(
+            filter(None, [_LENIENT, _ON_THIS_MACHINE if local else "", own])
+        )
         typesys = import_module("rosbags.typesys")
         self._store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
         self._core = import_module("cyclonedds.core")
-        self._participant = import_module("cyclonedds.domain").DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0")))
+        self._participant = import_module("cyclonedds.domain").DomainParticipant(
+            int(os.environ.get("ROS_DOMAIN_ID", "0"))
+        )
         self._classes: dict[str, Any] = {}
         self._readers: list[tuple[Any, Callable[[Any], None]]] = []
 
@@ -51,14 +60,20 @@ class DdsGraph:
             name = {"octet": "uint8", "byte": "uint8", "char": "uint8"}.get(inner[0], inner[0])
             return {"string": str, "bool": bool}.get(name) or getattr(types, name)
         of, length = inner
-        return types.array[self._field(of), length] if kind.name == "ARRAY" else types.sequence[self._field(of)]
+        return (
+            types.array[self._field(of), length]
+            if kind.name == "ARRAY"
+            else types.sequence[self._field(of)]
+        )
 
     def _class(self, name: str) -> Any:
         if name not in self._classes:
             _, fields = self._store.fielddefs[name]
             in_dds = f"{name.replace('/msg/', '::msg::dds_::')}_"
             described = {field: self._field(description) for field, description in fields}
-            self._classes[name] = import_module("cyclonedds.idl").make_idl_struct(name.replace("/", "_"), in_dds, described)
+            self._classes[name] = import_module("cyclonedds.idl").make_idl_struct(
+                name.replace("/", "_"), in_dds, described
+            )
         return self._classes[name]
 
     def _empty(self, description: Any) -> Any:
@@ -69,19 +84,28 @@ class DdsGraph:
             return []
         if kind.name == "ARRAY":
             return [self._empty(inner[0]) for _ in range(inner[1])]
-        return {"string": "", "bool": False}.get(inner[0], 0.0 if inner[0].startswith("float") else 0)
+        return {"string": "", "bool": False}.get(
+            inner[0], 0.0 if inner[0].startswith("float") else 0
+        )
 
     def look_up(self, name: str) -> Any:
         """Give what builds a message; what is not given is zero or empty, as in ROS."""
         made, (_, fields) = self._class(name), self._store.fielddefs[name]
 
         def build(**given: Any) -> Any:
-            return made(**{field: given[field] if field in given else self._empty(kind) for field, kind in fields})
+            return made(
+                **{
+                    field: given[field] if field in given else self._empty(kind)
+                    for field, kind in fields
+                }
+            )
 
         return build
 
     def _topic(self, topic: str, name: str) -> Any:
-        return import_module("cyclonedds.topic").Topic(self._participant, f"rt{topic}", self._class(name))
+        return import_module("cyclonedds.topic").Topic(
+            self._participant, f"rt{topic}", self._class(name)
+        )
 
     def publisher(self, topic: str, name: str) -> Callable[[Any], None]:
         """Offer a topic; with the type's hash, by which newer versions of ROS know it."""
@@ -92,7 +116,9 @@ class DdsGraph:
             policy.Userdata(f"typehash={self._store.hash_rihs01(name)};".encode()),
         )
         publishing = import_module("cyclonedds.pub")
-        writer = publishing.DataWriter(publishing.Publisher(self._participant), self._topic(topic, name), qos)
+        writer = publishing.DataWriter(
+            publishing.Publisher(self._participant), self._topic(topic, name), qos
+        )
         write: Callable[[Any], None] = writer.write
         return write
 
@@ -101,7 +127,9 @@ class DdsGraph:
         policy = self._core.Policy
         qos = self._core.Qos(policy.Reliability.BestEffort, policy.History.KeepLast(QUEUE))
         subscribing = import_module("cyclonedds.sub")
-        reader = subscribing.DataReader(subscribing.Subscriber(self._participant), self._topic(topic, name), qos)
+        reader = subscribing.DataReader(
+            subscribing.Subscriber(self._participant), self._topic(topic, name), qos
+        )
         self._readers.append((reader, take))
 
     def serve(self, values: Mapping[str, Any], change: Callable[[str, Any], str]) -> bool:

@@ -10,7 +10,8 @@ from nodes.parameters.store import ParameterError
 
 Backend = Literal["auto", "rclpy", "cyclonedds"]
 
-SetParameter = Callable[[str, Any], str]  # sets a parameter by its full name; answers why it was refused, or nothing
+# sets a parameter by its full name; answers why it was refused, or nothing
+SetParameter = Callable[[str, Any], str]
 
 
 class Graph(Protocol):
@@ -38,7 +39,10 @@ class Graph(Protocol):
 def choose(backend: Backend, where: str) -> str:
     """Choose the library: rclpy where it imports, else cyclonedds."""
     # Both by what they need besides: rclpy without a message package says so itself.
-    there = {"rclpy": find_spec("rclpy") is not None, "cyclonedds": find_spec("cyclonedds") and find_spec("rosbags")}
+    there = {
+        "rclpy": find_spec("rclpy") is not None,
+        "cyclonedds": find_spec("cyclonedds") and find_spec("rosbags"),
+    }
     for name, found in there.items():
         if found and backend in ("auto", name):
             return name
@@ -48,8 +52,9 @@ def choose(backend: Backend, where: str) -> str:
             "(source /opt/ros/DISTRO/setup.bash), with the Python that it was built for"
         )
     raise ParameterError(
-        f"{where}: neither rclpy nor cyclonedds is there: pip install 'haptic-nodes[ros2]' brings Cyclone DDS; rclpy comes "
-        "with a sourced ROS 2 (source /opt/ros/DISTRO/setup.bash), for tests pip install 'haptic-nodes[rclpy]'"
+        f"{where}: neither rclpy nor cyclonedds is there: pip install 'haptic-nodes[ros2]' brings"
+        " Cyclone DDS; rclpy comes with a sourced ROS 2 (source /opt/ros/DISTRO/setup.bash), for"
+        " tests pip install 'haptic-nodes[rclpy]'"
     )
 
 

@@ -1,9 +1,10 @@
 """The node kind ``ros2``: a chain on a ROS 2 graph, at a decimated rate, and a force and a target from there.
 
-It only listens: the loop does not wait for it, and a graph that is slow or gone leaves the loop unmoved. What comes from the
-graph goes to the driver as anybody's request: the force through `nodes.driver.external` and all limits behind it, the target
-through the hand of a virtual device, at its limited speed. Both count as gone when they are not renewed within the age that the
-driver states.
+It only listens: the loop does not wait for it, and a graph that is slow or gone leaves the loop
+unmoved. What comes from the graph goes to the driver as anybody's request: the force through
+`nodes.driver.external` and all limits behind it, the target through the hand of a virtual device,
+at its limited speed. Both count as gone when they are not renewed within the age that the driver
+states.
 """
 
 from __future__ import annotations
@@ -42,18 +43,23 @@ class Ros2Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     """Parameters of a ros2 node.
 
     rate: How often the newest of each is published [Hz].
-    prefix: What stands before the topics, behind the namespace of the chain: ``/left/haptic/device/pose``.
-    frame: Frame of positions and forces; of what comes from the graph too, where it names one: others are refused.
+    prefix: What stands before the topics, behind the namespace of the chain:
+        ``/left/haptic/device/pose``.
+    frame: Frame of positions and forces; of what comes from the graph too, where it names one:
+        others are refused.
     backend: ``rclpy``, ``cyclonedds``, or ``auto``: rclpy where it imports.
-    wrench: Topic of a WrenchStamped, behind the namespace of the chain, whose force is handed to the driver on top of the
-        law's; empty for none. The driver must allow it (``external``).
-    target: Topic of a PoseStamped, behind that namespace too, where the hand of a virtual device is pulled to; empty for none.
-        It needs a ``pointer``.
-    age_limit: What is stamped so much before its arrival, or after it, is refused [s]. A stamp of 0 is not looked at.
+    wrench: Topic of a WrenchStamped, behind the namespace of the chain, whose force is handed to
+        the driver on top of the law's; empty for none. The driver must allow it (``external``).
+    target: Topic of a PoseStamped, behind that namespace too, where the hand of a virtual device is
+        pulled to; empty for none. It needs a ``pointer``.
+    age_limit: What is stamped so much before its arrival, or after it, is refused [s]. A stamp of 0
+        is not looked at.
     """
 
     rate: Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)] = 100.0
-    prefix: Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*$")] = "haptic"
+    prefix: Annotated[
+        str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*$")
+    ] = "haptic"
     frame: str = FRAME
     backend: Backend = "auto"
     wrench: Annotated[str, msgspec.Meta(pattern=r"^(/[A-Za-z_][A-Za-z0-9_/]*)?$")] = ""
@@ -76,21 +82,26 @@ class Ros2(Node):
         for name in ("wrench", "target"):
             if getattr(parameters, name) and setup.pace == "lockstep":
                 raise ParameterError(
-                    f"{setup.name}.{name}: lockstep is deterministic, so nothing from outside is taken; use pace realtime, or "
-                    f"leave {name} out"
+                    f"{setup.name}.{name}: lockstep is deterministic, so nothing from outside is"
+                    f" taken; use pace realtime, or leave {name} out"
                 )
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
         self._simulated = setup.pace == "lockstep"
-        self._offset = 0.0 if self._simulated else float(setup.manifest.get("wall_minus_monotonic_s", "0"))
+        self._offset = (
+            0.0 if self._simulated else float(setup.manifest.get("wall_minus_monotonic_s", "0"))
+        )
         self._law, self._seldom = "", 0.0
         self._wall: tuple[int, Any, Any] | None = None
-        self._decoders: dict[str, Decoder[Any]] = {topic: Decoder(kind) for topic, kind in topics.LOOP.items()}
+        self._decoders: dict[str, Decoder[Any]] = {
+            topic: Decoder(kind) for topic, kind in topics.LOOP.items()
+        }
         self._lines: dict[str, Connection] = {}
         self._roles: dict[str, str] = {}
         self._hand: PointerWriter | None = None
-        self._foreign: set[tuple[str, str]] = set()  # what was refused for its frame, and told: what it is, and the frame
+        # what was refused for its frame, and told: what it is, and the frame
+        self._foreign: set[tuple[str, str]] = set()
         self._wrench: Any = None  # the newest force from the graph that was not handed on yet
 
     def configure(self) -> None:
@@ -102,7 +113,10 @@ class Ros2(Node):
         self._make = RosMessages(self._graph.look_up, parameters.frame)
         self._prefix = f"{namespace}/{parameters.prefix}"
         self._publishers: dict[str, Callable[[Any], None] | None] = {}
-        self.events.log(f"on the ROS 2 graph through {backend}: {self._prefix}/device/pose, {parameters.rate:g} Hz")
+        self.events.log(
+            f"on the ROS 2 graph through {backend}: {self._prefix}/device/pose,"
+            f" {parameters.rate:g} Hz"
+        )
 
     def _publish(self, topic: str, kind: str, build: Callable[..., Any], *content: Any) -> None:
         """Build a message and publish it; a type whose package is not installed is left out, said once."""
@@ -134,7 +148,13 @@ class Ros2(Node):
                 if self._simulated:
                     self._publish("/clock", "rosgraph_msgs/msg/Clock", make.clock, at)
                 if seldom and self._wall is not None:
-                    self._publish(f"{prefix}/wall", "visualization_msgs/msg/Marker", make.marker, at, *self._wall)
+                    self._publish(
+                        f"{prefix}/wall",
+                        "visualization_msgs/msg/Marker",
+                        make.marker,
+                        at,
+                        *self._wall,
+                    )
             elif isinstance(message, Proxy):
                 self._publish(f"{prefix}/proxy/pose", POSE, make.pose, at, message.proxy)
                 self._publish(f"{prefix}/contact", "std_msgs/msg/Bool", make.truth, message.contact)
@@ -163,31 +183,42 @@ class Ros2(Node):
             place[across] = surface.get("position", 0.0) - surface.get("normal", 1) * THICK / 2.0
             return CUBE, tuple(place), tuple(size)
         if kind == "sphere":
-            return SPHERE, tuple(surface.get("position", (0.0, 0.0, 0.0))), (2.0 * surface["radius"],) * 3
+            return (
+                SPHERE,
+                tuple(surface.get("position", (0.0, 0.0, 0.0))),
+                (2.0 * surface["radius"],) * 3,
+            )
         if kind == "box" and not any(surface.get("rotation", ())):
             return CUBE, tuple(surface.get("position", (0.0, 0.0, 0.0))), tuple(surface["size"])
         return None
 
     def _ask(self, role: str, op: str, **args: object) -> Any:
         if role not in self._lines:
-            self._lines[role] = Connection(self._context, self._run.nodes[self._roles.get(role, role)].control)
+            self._lines[role] = Connection(
+                self._context, self._run.nodes[self._roles.get(role, role)].control
+            )
         return self._lines[role].call(op, ASKING, **args)
 
     def _fresh(self, name: str, stamp: Any) -> bool:
         """Whether a message is young enough; the driver judges how long it lasts."""
-        age = time.time() - (stamp.sec + stamp.nanosec * 1e-9) if stamp.sec or stamp.nanosec else 0.0
+        age = (
+            time.time() - (stamp.sec + stamp.nanosec * 1e-9) if stamp.sec or stamp.nanosec else 0.0
+        )
         if abs(age) <= self.store.current.age_limit:
             return True
         limit = self.store.current.age_limit
         self.events.emit(
-            "stale", f"{name}: stamped {age:.3f} s before it came, limit {limit:g} s; refused", {"age_s": age, "limit_s": limit}
+            "stale",
+            f"{name}: stamped {age:.3f} s before it came, limit {limit:g} s; refused",
+            {"age_s": age, "limit_s": limit},
         )
         return False
 
     def _is_ours(self, name: str, frame: str) -> bool:
         """Whether a message is in our frame, or names none; another one is refused, and told once.
 
-        A force in a tool's frame would push in some other direction. tf is not asked: what it knows may be old.
+        A force in a tool's frame would push in some other direction. tf is not asked: what it knows
+        may be old.
         """
         # tf 1 had a slash before it.
         ours = frame.removeprefix("/") in ("", self.store.current.frame.removeprefix("/"))
@@ -195,8 +226,8 @@ class Ros2(Node):
             self._foreign.add((name, frame))
             self.events.emit_each(
                 "frame",
-                f"{name}: in frame {frame[:100]!r}, expected {self.store.current.frame!r} or none; refused. Transform it into "
-                "our frame before it is published",
+                f"{name}: in frame {frame[:100]!r}, expected {self.store.current.frame!r} or none;"
+                " refused. Transform it into our frame before it is published",
             )
         return ours
 
@@ -210,9 +241,12 @@ class Ros2(Node):
         message, self._wrench = self._wrench, None
         if message is not None and self._fresh("wrench", message.header.stamp):
             force = message.wrench.force
-            # A sensor's has parts along every axis; along one that the scene does not compute nobody would feel them.
+            # A sensor's has parts along every axis; along one that the scene does not compute
+            # nobody would feel them.
             computed = [AXIS_INDEX[axis] for axis in self._run.nodes[self._roles["driver"]].axes]
-            parts = [part if i in computed else 0.0 for i, part in enumerate((force.x, force.y, force.z))]
+            parts = [
+                part if i in computed else 0.0 for i, part in enumerate((force.x, force.y, force.z))
+            ]
             try:
                 self._ask("driver", "external", force=parts)
             except HapticError as error:
@@ -233,7 +267,11 @@ class Ros2(Node):
         """Set a parameter of a node for the graph; why it was refused, or nothing."""
         node, _, path = name.partition(".")
         try:
-            self._ask(node, "param.set", values={path: list(value) if isinstance(value, (list, tuple)) else value})
+            self._ask(
+                node,
+                "param.set",
+                values={path: list(value) if isinstance(value, (list, tuple)) else value},
+            )
         except HapticError as error:
             return str(error)
         return ""
@@ -244,16 +282,21 @@ class Ros2(Node):
         if parameters.wrench:
             if not driver or not self._run.nodes[driver].parameters.get("external"):
                 raise ParameterError(
-                    f"{self.setup.name}.wrench: the driver takes no force from outside; allow it with "
-                    "external: {peak: 1.0, age: 0.1}"
+                    f"{self.setup.name}.wrench: the driver takes no force from outside; allow it"
+                    " with external: {peak: 1.0, age: 0.1}"
                 )
             self._graph.listen(self._namespace + parameters.wrench, WRENCH, self._take_wrench)
         if parameters.target:
-            none = f"{self.setup.name}.target: no hand can be dragged; a sim_driver has one with device.hand and pointer: {{}}"
+            none = (
+                f"{self.setup.name}.target: no hand can be dragged; a sim_driver has one with"
+                " device.hand and pointer: {}"
+            )
             if not driver:
                 raise ParameterError(none)
             try:
-                self._hand = PointerWriter(awaited_pointer(self._run.nodes[driver], lambda: self.stopping))
+                self._hand = PointerWriter(
+                    awaited_pointer(self._run.nodes[driver], lambda: self.stopping)
+                )
             except FileNotFoundError as error:
                 raise ParameterError(none) from error
             self._graph.listen(self._namespace + parameters.target, POSE, self._take_target)
@@ -265,7 +308,11 @@ class Ros2(Node):
         for node in self._roles.values():
             with suppress(HapticError):
                 found |= flattened(self._ask(node, "param.dump"), node)
-        return {name: value for name, value in found.items() if isinstance(value, (bool, int, float, str))}
+        return {
+            name: value
+            for name, value in found.items()
+            if isinstance(value, (bool, int, float, str))
+        }
 
     def loop(self) -> None:
         """Publish until stopped."""

@@ -19,7 +19,9 @@ class RclpyGraph:
         signals = import_module("rclpy.signals")
         self._context = context.Context()
         # What ends this process is its launcher's business.
-        rclpy.init(args=[], context=self._context, signal_handler_options=signals.SignalHandlerOptions.NO)
+        rclpy.init(
+            args=[], context=self._context, signal_handler_options=signals.SignalHandlerOptions.NO
+        )
         self._node = rclpy.create_node(name, namespace=namespace, context=self._context)
         self._executor = executors.SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
@@ -31,7 +33,9 @@ class RclpyGraph:
 
     def publisher(self, topic: str, name: str) -> Callable[[Any], None]:
         """Offer a topic."""
-        publish: Callable[[Any], None] = self._node.create_publisher(self.look_up(name), topic, QUEUE).publish
+        publish: Callable[[Any], None] = self._node.create_publisher(
+            self.look_up(name), topic, QUEUE
+        ).publish
         return publish
 
     def listen(self, topic: str, name: str, take: Callable[[Any], None]) -> None:
@@ -46,7 +50,9 @@ class RclpyGraph:
 
         def on_set(parameters: list[Any]) -> Any:
             for parameter in parameters:
-                if parameter.name in values and (refused := change(parameter.name, parameter.value)):
+                if parameter.name in values and (
+                    refused := change(parameter.name, parameter.value)
+                ):
                     return result(successful=False, reason=refused)
             return result(successful=True)
 

@@ -1,8 +1,8 @@
 """What a law really renders, and whether the loop with a known device is stable: exact, whatever the law or the delay.
 
-Between two ticks the force is held, so device, delay and taps close to a polynomial in z without any approximation
-(THEORY.md §3): stable iff its largest root lies inside the unit circle. Nothing here is on the hot path: a law is
-judged when it is parsed, shown, switched or designed.
+Between two ticks the force is held, so device, delay and taps close to a polynomial in z without
+any approximation (THEORY.md §3): stable iff its largest root lies inside the unit circle. Nothing
+here is on the hot path: a law is judged when it is parsed, shown, switched or designed.
 """
 
 from __future__ import annotations
@@ -28,15 +28,19 @@ class Rendered:
 
     h1_n_per_m: float  # H(1): the stiffness felt at rest [N/m]
     h_nyquist_n_per_m: float  # H(−1): what encoder noise is multiplied with [N/m]
-    # Least f(ω) over 0 < ω ≤ ω_N, of the law without delay [N s/m]; the lower, the more damping (paper, eq. 9).
+    # Least f(ω) over 0 < ω ≤ ω_N, of the law without delay [N s/m]; the lower, the more damping
+    # (paper, eq. 9).
     f_min_n_s_per_m: float
     f_min_rad_per_s: float  # where that is [rad/s]
-    # f(ω_N), H(1) as the spring unless `nominal` is given; with K, as in the paper, it is larger by the leak D(1)·T/2 [N s/m].
+    # f(ω_N), H(1) as the spring unless `nominal` is given; with K, as in the paper, it is larger by
+    # the leak D(1)·T/2 [N s/m].
     f_nyquist_n_s_per_m: float
-    f_mean_n_s_per_m: float  # mean of f over (0, ω_N): T·D(1)/2, the waterbed (THEORY.md §2) [N s/m]
+    # mean of f over (0, ω_N): T·D(1)/2, the waterbed (THEORY.md §2) [N s/m]
+    f_mean_n_s_per_m: float
     # Least damping of the device with which the law is passive at this delay (Colgate) [N s/m].
     damping_needed_n_s_per_m: float
-    # Largest factor on the whole law that keeps it passive on this device; None when no damping was declared.
+    # Largest factor on the whole law that keeps it passive on this device; None when no damping was
+    # declared.
     passive_scale: float | None
     pole_radius: float | None  # largest pole of the closed loop; None when no mass was declared
 
@@ -47,10 +51,13 @@ def closed_loop(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
     if plant.partner is not None:
         raise ValueError("plant: a pair has no well-conditioned polynomial; use pole_radius")
     if law.sections:
-        raise ValueError("law: recursive sections have no well-conditioned polynomial; use pole_radius")
+        raise ValueError(
+            "law: recursive sections have no well-conditioned polynomial; use pole_radius"
+        )
     held = held_plant(plant)
     numerator = np.array(held.numerator)
-    numerator = np.trim_zeros(numerator, "b") if numerator.any() else numerator  # a damping of 1e300 N s/m holds it still
+    # a damping of 1e300 N s/m holds it still
+    numerator = np.trim_zeros(numerator, "b") if numerator.any() else numerator
     # With z² N + z N' the loop has one common factor z when the delay is whole.
     padding = held.whole + len(numerator) - 2 + len(law.taps) - 1
     total = np.concatenate([held.denominator, np.zeros(padding)])
@@ -67,14 +74,16 @@ def pole_radius(law: CompiledLaw, plant: Plant) -> float:
             return largest_root(closed_loop(law, plant))
         return float(np.abs(np.linalg.eigvals(state_matrix(law, plant))).max())
     except (ArithmeticError, np.linalg.LinAlgError):
-        return math.inf  # of a mass of 1e-300 kg, say, nothing can be computed: such a loop is taken for unstable
+        # of a mass of 1e-300 kg, say, nothing can be computed: such a loop is taken for unstable
+        return math.inf
 
 
 def state_matrix(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
     """One tick of the closed loop as a matrix: device, deflection history, sections and forces on their way.
 
-    Of the state [x, v·T, x₋₁ … x₋ₙ, (y₋₁, y₋₂) per section, u₋₁ … u₋ᵢ₋₁]; forces are scaled by T²/m to lengths: balanced.
-    A pair has the states of both bodies (`nodes.stability.pair.held_pair`) in place of x and v·T.
+    Of the state [x, v·T, x₋₁ … x₋ₙ, (y₋₁, y₋₂) per section, u₋₁ … u₋ᵢ₋₁]; forces are scaled by T²/m
+    to lengths: balanced. A pair has the states of both bodies (`nodes.stability.pair.held_pair`) in
+    place of x and v·T.
     """
     plant = as_one(plant)
     if plant.partner is not None:
@@ -82,17 +91,23 @@ def state_matrix(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
     whole, (a11, a12, a21, a22), new, old = held_step(plant)
     period = plant.period
     device = np.array([[a11, a12 / period], [a21 * period, a22]])
-    pushes = [(lag, np.array([of[0], of[1] * period])) for lag, of in ((whole, new), (whole + 1, old))]
+    pushes = [
+        (lag, np.array([of[0], of[1] * period])) for lag, of in ((whole, new), (whole + 1, old))
+    ]
     return tick_matrix(law, period * period / plant.mass, device, pushes)
 
 
 def tick_matrix(
-    law: CompiledLaw, unit: float, device: NDArray[np.float64], pushes: Sequence[tuple[int, NDArray[np.float64]]]
+    law: CompiledLaw,
+    unit: float,
+    device: NDArray[np.float64],
+    pushes: Sequence[tuple[int, NDArray[np.float64]]],
 ) -> NDArray[np.float64]:
     """One tick of the closed loop of a law and any linear device whose first state is the position.
 
-    `unit`: T²/m, which scales forces to lengths [m/N]. `device`, shape (s, s): its own matrix. `pushes`: ticks ago, and what
-    the force of that tick adds, shape (s,). Of [its state, x₋₁ … x₋ₙ, (y₋₁, y₋₂) per section, u₋₁ … of the longest lag].
+    `unit`: T²/m, which scales forces to lengths [m/N]. `device`, shape (s, s): its own matrix.
+    `pushes`: ticks ago, and what the force of that tick adds, shape (s,). Of [its state, x₋₁ … x₋ₙ,
+    (y₋₁, y₋₂) per section, u₋₁ … of the longest lag].
     """
     states = len(device)
     history = max(len(law.taps) - 1, 1 if law.sections else 0)
@@ -104,7 +119,12 @@ def tick_matrix(
     step = np.zeros((size, size))
     for s, (b0, b1, a1, a2) in enumerate(law.sections):
         row = first_section + 2 * s
-        step[row, 0], step[row, states], step[row, row], step[row, row + 1] = b0 * unit, b1 * unit, -a1, -a2
+        step[row, 0], step[row, states], step[row, row], step[row, row + 1] = (
+            b0 * unit,
+            b1 * unit,
+            -a1,
+            -a2,
+        )
         step[row + 1, row] = 1.0
         force -= step[row]
     step[:states, :states] = device
@@ -125,8 +145,8 @@ def tick_matrix(
 def rendered(law: CompiledLaw, loop: Plant | float, nominal: float | None = None) -> Rendered:
     """Tell what a law really renders, in a loop with a device or, by its sampling period [s], without one.
 
-    `nominal`: K that f(ω) takes as the spring [N/m]: H(1), the one that is really there, when left out; with the law's nominal
-    K, f is the paper's and its mean tells the leak.
+    `nominal`: K that f(ω) takes as the spring [N/m]: H(1), the one that is really there, when left
+    out; with the law's nominal K, f is the paper's and its mean tells the leak.
     """
     plant = loop if isinstance(loop, Plant) else None
     period, delay = (loop.period, loop.delay) if isinstance(loop, Plant) else (loop, 0.0)
@@ -142,7 +162,9 @@ def rendered(law: CompiledLaw, loop: Plant | float, nominal: float | None = None
         f_nyquist_n_s_per_m=0.5 * period * (law.h_nyquist - spring),
         f_mean_n_s_per_m=offset,
         damping_needed_n_s_per_m=needed,
-        passive_scale=None if plant is None or needed <= 0.0 else plant.damping_of_any_hand / needed,
+        passive_scale=(
+            None if plant is None or needed <= 0.0 else plant.damping_of_any_hand / needed
+        ),
         pole_radius=None if plant is None else pole_radius(law, plant),
     )
 
@@ -150,7 +172,11 @@ def rendered(law: CompiledLaw, loop: Plant | float, nominal: float | None = None
 def law_figures(law: CompiledLaw, loop: Plant | float) -> dict[str, Any]:
     """Tell what `rendered` does as JSON has it, with taps and delay; of a law with code of its own only H(1) is known."""
     delay = loop.delay if isinstance(loop, Plant) else 0.0
-    figures: dict[str, Any] = {"taps_n_per_m": list(law.taps), "sections": len(law.sections), "delay_ticks": delay}
+    figures: dict[str, Any] = {
+        "taps_n_per_m": list(law.taps),
+        "sections": len(law.sections),
+        "delay_ticks": delay,
+    }
     linear = asdict(rendered(law, loop))
     if law.evaluate is not None:
         linear = {key: value if key == "h1_n_per_m" else None for key, value in linear.items()}

@@ -1,7 +1,9 @@
 """Cosine sums Σ c_j cos jθ, and whether one is positive at *every* θ: what turns a check on a grid into a proof.
 
-A frequency condition on a sampled loop is Re{N(w)} > 0 or Re{N(w)/(1 − w)} > 0 on the unit circle, w = e^{−jθ}, N with real
-coefficients: both are cosine sums (THEORY.md §19). Between two neighbouring points a sum is above its chord less h²/8 times
+A frequency condition on a sampled loop is Re{N(w)} > 0 or Re{N(w)/(1 − w)} > 0 on the unit circle,
+w = e^{−jθ}, N with real
+coefficients: both are cosine sums (THEORY.md §19). Between two neighbouring points a sum is above
+    its chord less h²/8 times
 the bound Σ j² |c_j| of its curvature; where that does not decide, the cell is divided.
 """
 
@@ -54,7 +56,9 @@ class Laurent:
     def at(self, theta: Cosines) -> NDArray[np.complex128]:
         """Values at w = e^{−jθ}."""
         powers = self.low + np.arange(len(self.coefficients))
-        return np.asarray(np.exp(-1j * np.multiply.outer(theta, powers)) @ self.coefficients, dtype=np.complex128)
+        return np.asarray(
+            np.exp(-1j * np.multiply.outer(theta, powers)) @ self.coefficients, dtype=np.complex128
+        )
 
     def real(self) -> Cosines:
         """Coefficients of the cosine sum Re{N(w)}."""
@@ -86,7 +90,9 @@ def one_less_cosine(multiple: int) -> Cosines:
 
 def values(cosines: Cosines, theta: Cosines) -> Cosines:
     """Σ c_j cos jθ at some angles [rad]."""
-    return np.asarray(np.cos(np.multiply.outer(theta, np.arange(len(cosines)))) @ cosines, dtype=np.float64)
+    return np.asarray(
+        np.cos(np.multiply.outer(theta, np.arange(len(cosines)))) @ cosines, dtype=np.float64
+    )
 
 
 def positive(cosines: Cosines, rounding: float = 1e-13) -> bool | None:
@@ -102,7 +108,8 @@ def positive(cosines: Cosines, rounding: float = 1e-13) -> bool | None:
     Returns
     -------
     bool or None
-        True is a proof; False where a value is not above what rounding may do; None when too many cells stay undecided.
+        True is a proof; False where a value is not above what rounding may do; None when too many
+        cells stay undecided.
     """
     order = np.arange(len(cosines))
     floor = rounding * float(np.abs(cosines).sum())

@@ -20,7 +20,8 @@ def dips(function: Callable[[Reals], Reals], theta: Reals, value: Reals) -> tupl
     Parameters
     ----------
     function : callable
-        Of frequencies ωT, shape (n,) to (n,); where it is infinite or not a number it is not searched.
+        Of frequencies ωT, shape (n,) to (n,); where it is infinite or not a number it is not
+        searched.
     theta, value : ndarray, shape (n,)
         The grid, which separates the minima, and the function there.
     """
@@ -37,5 +38,8 @@ def dips(function: Callable[[Reals], Reals], theta: Reals, value: Reals) -> tupl
         values = function(cells.ravel()).reshape(cells.shape)
         values = np.where(np.isnan(values), np.inf, values)
         best = np.argmin(values, axis=0)
-        left, right = cells[np.maximum(best - 1, 0), column], cells[np.minimum(best + 1, _CELLS - 1), column]
+        left, right = (
+            cells[np.maximum(best - 1, 0), column],
+            cells[np.minimum(best + 1, _CELLS - 1), column],
+        )
     return np.asarray(cells[best, column]), np.asarray(values[best, column])

@@ -1,8 +1,9 @@
 """f(ω), what a law takes from or adds to the damping of the device, and the damping with which it is passive (Colgate).
 
-H(z) − H(1) is divisible by 1 − z; what is left of f(ω) = T·Re{D(z)/(1−z)} (paper, eq. 9) is then a cosine sum without a
-singularity at ω = 0, T·Σ t_j cos((j+1)ωT) with t_j = Σ_{m>j} h_m, whose mean is zero by construction: the waterbed (THEORY.md
-§2) cannot get lost in rounding. Delay is whole zeros in front of the taps; a fraction of a tick is exact too.
+H(z) − H(1) is divisible by 1 − z; what is left of f(ω) = T·Re{D(z)/(1−z)} (paper, eq. 9) is then a
+cosine sum without a singularity at ω = 0, T·Σ t_j cos((j+1)ωT) with t_j = Σ_{m>j} h_m, whose mean
+is zero by construction: the waterbed (THEORY.md §2) cannot get lost in rounding. Delay is whole
+zeros in front of the taps; a fraction of a tick is exact too.
 """
 
 from __future__ import annotations
@@ -21,11 +22,13 @@ PowerSum = Callable[[NDArray[np.float64], NDArray[np.complex128]], NDArray[np.co
 _ZOOMS = 6
 
 
-def effective_damping(law: CompiledLaw, period: float, omega: NDArray[np.float64], delay: int = 0) -> NDArray[np.float64]:
+def effective_damping(
+    law: CompiledLaw, period: float, omega: NDArray[np.float64], delay: int = 0
+) -> NDArray[np.float64]:
     """f(ω) = T·Re{(z^{−d} H(z) − H(1))/(1 − z)}: negative where the law damps.
 
-    Strictly passive iff b > H(1)·T/2 + f(ω) for all 0 < ω ≤ ω_N (THEORY.md §2). `omega`: 0 ≤ ω ≤ π/T [rad/s], at 0 the limit.
-    `delay`: whole [ticks]. f in N s/m.
+    Strictly passive iff b > H(1)·T/2 + f(ω) for all 0 < ω ≤ ω_N (THEORY.md §2). `omega`: 0 ≤ ω ≤
+    π/T [rad/s], at 0 the limit. `delay`: whole [ticks]. f in N s/m.
     """
     return _effective(law, period, np.asarray(omega, dtype=np.float64) * period, delay, _power_sum)
 
@@ -34,7 +37,8 @@ def _effective(
     law: CompiledLaw, period: float, theta: NDArray[np.float64], delay: int, power_sum: PowerSum
 ) -> NDArray[np.float64]:
     w = np.exp(-1j * theta)
-    tails = np.cumsum(np.array(law.taps[::-1]))[::-1][1:]  # t_j = Σ_{m>j} h_m, the quotient of the taps by w − 1
+    # t_j = Σ_{m>j} h_m, the quotient of the taps by w − 1
+    tails = np.cumsum(np.array(law.taps[::-1]))[::-1][1:]
     total = (power_sum(tails, w) + _section_tails(law, w)) * w ** (delay + 1)
     # (w^d − 1)/(1 − z) = w + … + w^d is what the delay does to the spring.
     for j in range(1, delay + 1):
@@ -45,16 +49,21 @@ def _effective(
 def damping_needed(law: CompiledLaw, period: float, delay: float = 0.0) -> float:
     """Least device damping with which the sampled law is passive, whatever mass or hand is attached.
 
-    For a whole delay this is Colgate's limit, max over ω of T·Re{z^{−d}H/(1−z)}. With a fraction φ of a tick, held
-    force and sampled position no longer see the same aliases; with s the interpolation (1−φ)s_d + φ s_{d+1} of the two
-    whole delays it becomes ½(Re s + √((Re s)² + φ(1−φ)T²|H|²)), from the eigenvalue of the lifted loop at each ω.
+    For a whole delay this is Colgate's limit, max over ω of T·Re{z^{−d}H/(1−z)}. With a fraction φ
+    of a tick, held force and sampled position no longer see the same aliases; with s the
+    interpolation (1−φ)s_d + φ s_{d+1} of the two whole delays it becomes ½(Re s + √((Re s)² +
+    φ(1−φ)T²|H|²)), from the eigenvalue of the lifted loop at each ω.
     """
-    return -_lowest(law, lambda theta, power_sum: -_needed_at(law, period, delay, theta, power_sum))[1]
+    return -_lowest(
+        law, lambda theta, power_sum: -_needed_at(law, period, delay, theta, power_sum)
+    )[1]
 
 
 def least(law: CompiledLaw, period: float) -> tuple[float, float]:
     """Where f(ω) is least [rad/s], and how much it is there, with the spring taken as H(1) [N s/m]."""
-    theta, value = _lowest(law, lambda theta, power_sum: _effective(law, period, theta, 0, power_sum))
+    theta, value = _lowest(
+        law, lambda theta, power_sum: _effective(law, period, theta, 0, power_sum)
+    )
     return theta / period, value
 
 
@@ -67,7 +76,9 @@ def _needed_at(
     s = half_spring + _effective(law, period, theta, whole, power_sum)
     if fraction == 0.0:
         return s
-    s = (1.0 - fraction) * s + fraction * (half_spring + _effective(law, period, theta, whole + 1, power_sum))
+    s = (1.0 - fraction) * s + fraction * (
+        half_spring + _effective(law, period, theta, whole + 1, power_sum)
+    )
     w = np.exp(-1j * theta)
     h = power_sum(np.array(law.taps), w)
     for b0, b1, a1, a2 in law.sections:
@@ -103,14 +114,20 @@ def _power_sum(c: NDArray[np.float64], w: NDArray[np.complex128]) -> NDArray[np.
     return np.asarray(total.reshape(w.shape), dtype=np.complex128)
 
 
-def _lowest(law: CompiledLaw, function: Callable[[NDArray[np.float64], PowerSum], NDArray[np.float64]]) -> tuple[float, float]:
+def _lowest(
+    law: CompiledLaw, function: Callable[[NDArray[np.float64], PowerSum], NDArray[np.float64]]
+) -> tuple[float, float]:
     """Least value over 0 ≤ θ ≤ π: a grid finer than the fastest cosine, then zooms into the lowest cells."""
     theta = np.linspace(0.0, np.pi, max(256, 8 * len(law.taps)) + 1)
     if law.sections:
         # Slow sections live in the lowest decades.
-        theta = np.unique(np.concatenate([theta, np.geomspace(1e-6, np.pi, 2001)[:-1], resonances(law)]))
+        theta = np.unique(
+            np.concatenate([theta, np.geomspace(1e-6, np.pi, 2001)[:-1], resonances(law)])
+        )
     # Where w goes from 1 to −1 in equal angles, a sum of powers is a Fourier transform.
-    value = function(theta, _power_sum if law.sections else lambda c, w: np.fft.rfft(c, 2 * (w.size - 1)))
+    value = function(
+        theta, _power_sum if law.sections else lambda c, w: np.fft.rfft(c, 2 * (w.size - 1))
+    )
     padded = np.concatenate([[np.inf], value, [np.inf]])
     dips = np.flatnonzero((value <= padded[:-2]) & (value <= padded[2:]))
     dips = dips[np.argsort(value[dips])][:8]
@@ -120,7 +137,10 @@ def _lowest(law: CompiledLaw, function: Callable[[NDArray[np.float64], PowerSum]
         values = function(cells, _power_sum)
         best = np.argmin(values, axis=0)
         column = np.arange(len(best))
-        left, right = cells[np.maximum(best - 1, 0), column], cells[np.minimum(best + 1, 32), column]
+        left, right = (
+            cells[np.maximum(best - 1, 0), column],
+            cells[np.minimum(best + 1, 32), column],
+        )
     values = values[best, column]
     winner = int(np.argmin(values))
     return float(cells[best, column][winner]), float(values[winner])

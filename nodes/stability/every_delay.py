@@ -1,12 +1,14 @@
 """Stable for every sequence of delays within a range: a certificate, not a replay.
 
-A delay that jitters can be worse than each of its values, and no pole radius tells. Each tick the loop is multiplied by one of
-a family of matrices; it is stable for every sequence iff the joint spectral radius of the family is below 1 (THEORY.md §10).
-The family is enclosed by a few matrices: within a tick the force's share of the motion moves along a curve, which lies in the
-triangles of a few parabolas but for a remainder that is added to every norm. A norm is sought in which each of them shrinks
-(an ellipsoid, by gradients); where one tick does not shrink, all products that begin with it are followed until they do. When
-all are closed, every sequence is a chain of words that shrink: stable, with a rate. A product that grows by itself is a
-sequence of delays that the loop does not survive.
+A delay that jitters can be worse than each of its values, and no pole radius tells. Each tick the
+loop is multiplied by one of a family of matrices; it is stable for every sequence iff the joint
+spectral radius of the family is below 1 (THEORY.md §10). The family is enclosed by a few matrices:
+within a tick the force's share of the motion moves along a curve, which lies in the triangles of a
+few parabolas but for a remainder that is added to every norm. A norm is sought in which each of
+them shrinks (an ellipsoid, by gradients); where one tick does not shrink, all products that begin
+with it are followed until they do. When all are closed, every sequence is a chain of words that
+shrink: stable, with a rate. A product that grows by itself is a sequence of delays that the loop
+does not survive.
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ from nodes.laws import CompiledLaw
 from nodes.stability.flexible import FlexiblePlant, Matrix, loop_matrix
 from nodes.stability.plant import Plant
 
-MAX_STATES = 40  # longest state that a norm is sought for; a law of n + 1 taps has n + 3 and the delay's ticks
+# longest state that a norm is sought for; a law of n + 1 taps has n + 3 and the delay's ticks
+MAX_STATES = 40
 
 _SEGMENTS = 2
 _WORDS = 60_000
@@ -33,31 +36,43 @@ _ENOUGH = 1e-6
 class EveryDelay:
     """Whether a loop is stable for every sequence of delays."""
 
-    stable: bool | None  # True with a certificate, False with a sequence that grows; None when neither was found
-    # Factor per tick by which every motion shrinks at least, in the norm of the certificate; None without one.
+    # True with a certificate, False with a sequence that grows; None when neither was found
+    stable: bool | None
+    # Factor per tick by which every motion shrinks at least, in the norm of the certificate; None
+    # without one.
     rate: float | None
     words: int  # words of the certificate: each is a run of delays over which the norm shrinks
     longest: int  # longest of them [ticks]
-    growing: tuple[float, ...]  # delays of a sequence that, repeated, grows [ticks]; empty without one
+    # delays of a sequence that, repeated, grows [ticks]; empty without one
+    growing: tuple[float, ...]
     growth: float  # its factor per tick; the largest found, growing or not
 
 
 def every_delay(
-    law: CompiledLaw, plant: Plant | FlexiblePlant, delay: tuple[float, float], rate: float = 1.0, period: float | None = None
+    law: CompiledLaw,
+    plant: Plant | FlexiblePlant,
+    delay: tuple[float, float],
+    rate: float = 1.0,
+    period: float | None = None,
 ) -> EveryDelay:
     """Certify a loop for every sequence of delays of a range, or find one that it does not survive.
 
-    `delay`: shortest and longest, in place of the plant's, at most one tick apart: then no force overtakes another [ticks].
-    `rate`: factor per tick that every motion must shrink by; 1 asks for stability alone. `period`: sampling period of a
-    flexible device [s]; a `Plant` has its own. Raises ValueError for another range, for a law too long for a norm to be sought,
-    and for a flexible device without a period.
+    `delay`: shortest and longest, in place of the plant's, at most one tick apart: then no force
+    overtakes another [ticks]. `rate`: factor per tick that every motion must shrink by; 1 asks for
+    stability alone. `period`: sampling period of a flexible device [s]; a `Plant` has its own.
+    Raises ValueError for another range, for a law too long for a norm to be sought, and for a
+    flexible device without a period.
     """
     low, high = delay
     if not 0.0 <= low <= high <= low + 1.0:
-        raise ValueError(f"delay {low:g}..{high:g} ticks: expected low to high, at most one tick apart")
+        raise ValueError(
+            f"delay {low:g}..{high:g} ticks: expected low to high, at most one tick apart"
+        )
     ticks = _Ticks(law, *_device(plant, period), delay)
     if ticks.size > MAX_STATES:
-        raise ValueError(f"law: {ticks.size} states, at most {MAX_STATES} are certified; shorten the law")
+        raise ValueError(
+            f"law: {ticks.size} states, at most {MAX_STATES} are certified; shorten the law"
+        )
     growth, growing = _worst_word(ticks, delay)
     if growth >= rate:
         return EveryDelay(False, None, 0, 0, growing, growth)
@@ -75,7 +90,8 @@ def _device(plant: Plant | FlexiblePlant, period: float | None) -> tuple[Flexibl
     if isinstance(plant, Plant):
         if plant.partner is not None:
             raise ValueError(
-                "plant: a pair of bodies on one law is not certified for a delay that varies; leave the partner out"
+                "plant: a pair of bodies on one law is not certified for a delay that varies; leave"
+                " the partner out"
             )
         return FlexiblePlant(plant.mass, plant.damping, stiffness=plant.stiffness), plant.period
     if period is None:
@@ -86,14 +102,17 @@ def _device(plant: Plant | FlexiblePlant, period: float | None) -> tuple[Flexibl
 class _Ticks:
     """Matrices of one tick: by the delays of two forces that follow each other, and a hull of those of all delays."""
 
-    def __init__(self, law: CompiledLaw, plant: FlexiblePlant, period: float, delay: tuple[float, float]) -> None:
+    def __init__(
+        self, law: CompiledLaw, plant: FlexiblePlant, period: float, delay: tuple[float, float]
+    ) -> None:
         self._low, self._high = delay
         self._first = math.floor(delay[0])
-        # Of the forces on their way, that of age `depth` arrives in each tick, or may; where the range crosses a whole tick
-        # the one after it may arrive late in the same tick.
+        # Of the forces on their way, that of age `depth` arrives in each tick, or may; where the
+        # range crosses a whole tick the one after it may arrive late in the same tick.
         self._depth = self._first + 1 if delay[1] > self._first + 1 else self._first
         self._crosses = self._depth > self._first
-        # Lengths, lengths per tick, and forces by what they move within one: so that the matrix is balanced.
+        # Lengths, lengths per tick, and forces by what they move within one: so that the matrix is
+        # balanced.
         self._matrix_of_motion, self._push = plant.continuous()
         self.states = len(self._push)
         units = np.array([1.0, period, 1.0, period][: self.states - (plant.lag > 0.0)])
@@ -141,7 +160,8 @@ class _Ticks:
 
         if high <= low:
             return np.zeros(self.states)
-        # The third derivative against s is −A² e^{A(1−s)} b: sampled, and between samples by what it may change.
+        # The third derivative against s is −A² e^{A(1−s)} b: sampled, and between samples by what
+        # it may change.
         motion, push = self._matrix_of_motion, self._push
         times = np.linspace(1.0 - high, 1.0 - low, 65).tolist()
         moved = np.array([self._held(t)[0] for t in times])
@@ -191,9 +211,16 @@ class _Ticks:
         return self._matrix(self._share(max(older - self._depth, 0.0)), late)
 
 
-def _worst_word(ticks: _Ticks, delay: tuple[float, float], longest: int = 8) -> tuple[float, tuple[float, ...]]:
+def _worst_word(
+    ticks: _Ticks, delay: tuple[float, float], longest: int = 8
+) -> tuple[float, tuple[float, ...]]:
     """Largest growth per tick of a repeated sequence of delays: of each length only the most promising words go on."""
-    values = sorted({*np.linspace(*delay, 3).tolist(), *([v] if delay[0] < (v := math.ceil(delay[0])) < delay[1] else [])})
+    values = sorted(
+        {
+            *np.linspace(*delay, 3).tolist(),
+            *([v] if delay[0] < (v := math.ceil(delay[0])) < delay[1] else []),
+        }
+    )
     pairs = np.array([[ticks.matrix(a, b) for b in values] for a in values])
     best, sequence = 0.0, (0,)
     words = [((i,), np.eye(ticks.size)) for i in range(len(values))]
@@ -204,7 +231,11 @@ def _worst_word(ticks: _Ticks, delay: tuple[float, float], longest: int = 8) -> 
         if radii[top] > best * (1.0 + 1e-12):
             best, sequence = float(radii[top]), words[top][0]
         ranked = np.argsort(-radii)[:60]
-        words = [((*words[i][0], j), pairs[words[i][0][-1], j] @ words[i][1]) for i in ranked for j in range(len(values))]
+        words = [
+            ((*words[i][0], j), pairs[words[i][0][-1], j] @ words[i][1])
+            for i in ranked
+            for j in range(len(values))
+        ]
     return best, tuple(values[i] for i in sequence)
 
 
@@ -214,7 +245,8 @@ def _norm(hull: Matrix) -> Matrix:
     from scipy.optimize import minimize
 
     size = hull.shape[1]
-    # States differ by orders of magnitude (sections, old forces): balanced first, then where the mean matrix shrinks evenly.
+    # States differ by orders of magnitude (sections, old forces): balanced first, then where the
+    # mean matrix shrinks evenly.
     _, (scales, _) = matrix_balance(np.abs(hull).max(axis=0), permute=False, separate=True)
     mean = hull.mean(axis=0)
     radius = float(np.abs(np.linalg.eigvals(mean)).max())
@@ -234,7 +266,9 @@ def _norm(hull: Matrix) -> Matrix:
         value = float(s.max() + np.log(total) / sharp)
         inner = np.einsum("nik,nk,nkj->nij", u, weights / total, vt)
         # d‖·‖ = tr(W' d(L M L⁻¹)), W the weighted sum of u v'.
-        gradient = np.einsum("nij,njk->ik", inner, np.transpose(images, (0, 2, 1))) - np.einsum("nji,njk->ik", images, inner)
+        gradient = np.einsum("nij,njk->ik", inner, np.transpose(images, (0, 2, 1))) - np.einsum(
+            "nji,njk->ik", images, inner
+        )
         return value, np.asarray((gradient @ inverse.T)[lower], dtype=np.float64)
 
     for sharp in (30.0, 100.0, 300.0, 1000.0, 1000.0, 3000.0, 3000.0):
@@ -242,7 +276,14 @@ def _norm(hull: Matrix) -> Matrix:
         white = norm @ hull @ np.linalg.inv(norm)
         if np.linalg.norm(white, ord=2, axis=(1, 2)).max() < 1.0 - _ENOUGH:
             break
-        found = minimize(soft, np.eye(size)[lower], args=(sharp, white), jac=True, method="L-BFGS-B", options={"maxiter": 100})
+        found = minimize(
+            soft,
+            np.eye(size)[lower],
+            args=(sharp, white),
+            jac=True,
+            method="L-BFGS-B",
+            options={"maxiter": 100},
+        )
         change = np.zeros((size, size))
         change[lower] = found.x
         norm = change @ norm

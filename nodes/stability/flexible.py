@@ -1,7 +1,8 @@
 """A device that is more than one mass: a second mass on a joint, and an actuator with a lag. Poles of its loop, exact.
 
-Motor, encoder, damping and friction are on one side of the joint, the rest of the mass on the other. The force is held between
-ticks, so the device is one matrix per tick (a matrix exponential, no integration), whatever the delay.
+Motor, encoder, damping and friction are on one side of the joint, the rest of the mass on the
+other. The force is held between ticks, so the device is one matrix per tick (a matrix exponential,
+no integration), whatever the delay.
 """
 
 from __future__ import annotations
@@ -26,8 +27,10 @@ class FlexiblePlant:
     damping: float  # viscous damping against the ground, on the motor's side [N s/m]
     delay: float = 0.0  # from the sample to the force that answers it, the lag not included [ticks]
     stiffness: float = 0.0  # stiffness of a hand, on the motor's side [N/m]
-    lag: float = 0.0  # time constant of the actuator, first order [s]; 0 for a force that is there at once
-    share: float = 0.0  # part of the mass that lies beyond the joint, in [0, 1); 0 for a rigid device
+    # time constant of the actuator, first order [s]; 0 for a force that is there at once
+    lag: float = 0.0
+    # part of the mass that lies beyond the joint, in [0, 1); 0 for a rigid device
+    share: float = 0.0
     frequency: float = math.inf  # of the two masses against each other, undamped [Hz]
     loss: float = 0.0  # damping ratio of that mode
 
@@ -35,9 +38,15 @@ class FlexiblePlant:
         for name in ("mass", "damping", "delay", "stiffness", "lag", "share", "loss"):
             value = getattr(self, name)
             if not math.isfinite(value) or value < 0.0 or (name == "mass" and value == 0.0):
-                raise ValueError(f"{name} = {value!r}: must be finite and {'positive' if name == 'mass' else 'at least 0'}")
+                raise ValueError(
+                    f"{name} = {value!r}: must be finite and"
+                    f" {'positive' if name == 'mass' else 'at least 0'}"
+                )
         if self.share >= 1.0 or not self.frequency > 0.0:
-            raise ValueError(f"share = {self.share!r}, frequency = {self.frequency!r}: expected share < 1, frequency > 0")
+            raise ValueError(
+                f"share = {self.share!r}, frequency = {self.frequency!r}: expected share < 1,"
+                " frequency > 0"
+            )
 
     @property
     def rigid(self) -> bool:
@@ -105,7 +114,8 @@ class FlexiblePlant:
         """Position over force: whole ticks of delay, numerator [m/N] over z^(whole + 1) denominator, highest power first."""
         whole, step, new, old = self.held(period)
         size = len(new)
-        # det(zI − A + b c) − det(zI − A) is the numerator; in units in which the force's effect is about 1.
+        # det(zI − A + b c) − det(zI − A) is the numerator; in units in which the force's effect is
+        # about 1.
         unit = period * period / self.mass
         denominator = np.real(np.poly(step))
         parts = np.zeros(size + 2)
@@ -113,7 +123,8 @@ class FlexiblePlant:
             closed = step.copy()
             closed[:, 0] -= vector / unit
             parts[shift : shift + size + 1] += (np.real(np.poly(closed)) - denominator) * unit
-        return whole, parts[1:], denominator  # the first is 1 − 1: position follows force one tick later
+        # the first is 1 − 1: position follows force one tick later
+        return whole, parts[1:], denominator
 
 
 def flexible_radius(law: CompiledLaw, period: float, plant: FlexiblePlant) -> float:

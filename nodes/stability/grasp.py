@@ -34,20 +34,32 @@ class Grasp:
         for name in ("mass", "stiffness", "damping"):
             value = getattr(self, name)
             if not math.isfinite(value) or value < 0.0 or (value == 0.0 and name != "damping"):
-                raise ValueError(f"{name} = {value!r}: must be finite and {'at least 0' if name == 'damping' else 'positive'}")
+                raise ValueError(
+                    f"{name} = {value!r}: must be finite and"
+                    f" {'at least 0' if name == 'damping' else 'positive'}"
+                )
 
-    def holds(self, mass: float, damping: float, delay: float, stiffness: float = 0.0) -> FlexiblePlant:
+    def holds(
+        self, mass: float, damping: float, delay: float, stiffness: float = 0.0
+    ) -> FlexiblePlant:
         """Return a device held by this grasp: two masses on a joint.
 
         Parameters
         ----------
         mass, damping, delay, stiffness : float
-            Mass [kg] and damping [N s/m] of the device, delay [ticks], stiffness of what else holds it [N/m].
+            Mass [kg] and damping [N s/m] of the device, delay [ticks], stiffness of what else holds
+            it [N/m].
         """
         whole = mass + self.mass
         reduced = mass * self.mass / whole
         pulse = math.sqrt(self.stiffness / reduced)
         loss = self.damping / (2.0 * reduced * pulse)
         return FlexiblePlant(
-            whole, damping, delay, stiffness, share=self.mass / whole, frequency=pulse / (2.0 * math.pi), loss=loss
+            whole,
+            damping,
+            delay,
+            stiffness,
+            share=self.mass / whole,
+            frequency=pulse / (2.0 * math.pi),
+            loss=loss,
         )

@@ -1,6 +1,7 @@
 """Whether a law may render on a known device, and how far a change may go: the figures behind a refusal, or behind a map.
 
-Pure functions of taps, device and period. One point costs one pole radius, 0.1 to 1 ms for a law of a few taps.
+Pure functions of taps, device and period. One point costs one pole radius, 0.1 to 1 ms for a law of
+a few taps.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.plant import Plant
 
-MARGINAL = 1e-6  # how far outside the unit circle rounding may put the pole that a loop without any spring has at z = 1
+# how far outside the unit circle rounding may put the pole that a loop without any spring has at z
+# = 1
+MARGINAL = 1e-6
 
 _POINTS = 64
 _POINTS_OF_LONG = 12
@@ -26,7 +29,8 @@ _BISECTIONS = 24
 class Verdict:
     """What the stability figures say of a law on a device."""
 
-    pole_radius: float  # largest pole of the closed loop: it decays, or grows, by this factor per tick
+    # largest pole of the closed loop: it decays, or grows, by this factor per tick
+    pole_radius: float
     plant: Plant  # what it was computed for, the delay included
     stable: bool  # whether the loop is stable; without any spring, whether its motion decays
 
@@ -43,7 +47,9 @@ def judge(law: CompiledLaw, plant: Plant) -> Verdict | None:
     return Verdict(radius, plant, radius < 1.0 or (free and radius < 1.0 + MARGINAL))
 
 
-def last_inside(holds: Callable[[float], bool], inside: float, outside: float, halvings: int) -> float:
+def last_inside(
+    holds: Callable[[float], bool], inside: float, outside: float, halvings: int
+) -> float:
     """Narrow down by bisection where something ceases to hold; the last value found at which it does."""
     for _ in range(halvings):
         middle = 0.5 * (inside + outside)
@@ -72,7 +78,9 @@ def furthest_stable(way: Callable[[float], CompiledLaw], plant: Plant) -> float 
         beyond = i / points
     else:
         return None
-    return last_inside(stable, inside, beyond, _BISECTIONS if points == _POINTS else _BISECTIONS // 3)
+    return last_inside(
+        stable, inside, beyond, _BISECTIONS if points == _POINTS else _BISECTIONS // 3
+    )
 
 
 def between(start: float, end: float, share: float) -> float:
@@ -81,5 +89,7 @@ def between(start: float, end: float, share: float) -> float:
         return end if share else start
     if start * end > 0.0:
         # In logarithms, so that from 1e3 to 1e300 all decades are looked at and none overflows.
-        return math.copysign(math.exp((1.0 - share) * math.log(abs(start)) + share * math.log(abs(end))), end)
+        return math.copysign(
+            math.exp((1.0 - share) * math.log(abs(start)) + share * math.log(abs(end))), end
+        )
     return start + (end - start) * share

@@ -1,9 +1,10 @@
 """How stiff a law may get before the loop with a known device becomes unstable, without simulating it.
 
-The stiffness enters the closed loop in one tap, so on the stability boundary K = −1/P(z) − D(z) for a z on the unit circle
-(P the device with its delay, D the derivative part). All boundaries are therefore the real values of one curve; between
-two of them the loop is stable throughout or not at all, and one pole radius decides which. For PD without delay the Jury
-conditions are linear in K and give the same in closed form.
+The stiffness enters the closed loop in one tap, so on the stability boundary K = −1/P(z) − D(z) for
+a z on the unit circle (P the device with its delay, D the derivative part). All boundaries are
+therefore the real values of one curve; between two of them the loop is stable throughout or not at
+all, and one pole radius decides which. For PD without delay the Jury conditions are linear in K and
+give the same in closed form.
 """
 
 from __future__ import annotations
@@ -28,11 +29,13 @@ from nodes.stability.resonances import resonances
 class KMax:
     """Where raising the nominal stiffness makes the loop unstable."""
 
-    # Upper end of the lowest stable interval of nominal K [N/m]; None when no K is stable, infinite when every one is.
+    # Upper end of the lowest stable interval of nominal K [N/m]; None when no K is stable, infinite
+    # when every one is.
     k_max_n_per_m: float | None
     h1_max_n_per_m: float | None  # the stiffness H(1) that is really rendered there [N/m]
     method: str  # ``closed_form`` or ``pole_radius``
-    # Stable intervals of nominal K that were found, lowest first [N/m]; the closed form has at most one.
+    # Stable intervals of nominal K that were found, lowest first [N/m]; the closed form has at most
+    # one.
     stable: tuple[tuple[float, float], ...]
 
 
@@ -51,17 +54,26 @@ def with_spring(derivative: CompiledLaw, stiffness: float) -> CompiledLaw:
 def k_max(derivative: CompiledLaw, plant: Plant, method: str | None = None) -> KMax:
     """Find the largest stable nominal stiffness of a derivative part (`without_spring`), where K > 0 and H(1) > 0.
 
-    `method`: None takes the closed form where there is one. Raises ValueError when it is asked for and there is none: more than
-    two taps, sections, or a delay; and for a law with code of its own, which has no poles.
+    `method`: None takes the closed form where there is one. Raises ValueError when it is asked for
+    and there is none: more than two taps, sections, or a delay; and for a law with code of its own,
+    which has no poles.
     """
     if derivative.evaluate is not None:
-        raise ValueError("law: has code of its own and no poles; use --method simulation or lockstep")
+        raise ValueError(
+            "law: has code of its own and no poles; use --method simulation or lockstep"
+        )
     plant = as_one(plant)
-    closed = len(derivative.taps) <= 2 and not derivative.sections and plant.delay == 0.0 and plant.partner is None
+    closed = (
+        len(derivative.taps) <= 2
+        and not derivative.sections
+        and plant.delay == 0.0
+        and plant.partner is None
+    )
     if method == "closed_form" and not closed:
         raise ValueError(
-            f"method: closed_form needs a spring or PD without delay; this law has {len(derivative.taps)} taps and "
-            f"{len(derivative.sections)} sections at a delay of {plant.delay:g} ticks; use pole_radius"
+            "method: closed_form needs a spring or PD without delay; this law has"
+            f" {len(derivative.taps)} taps and {len(derivative.sections)} sections at a delay of"
+            f" {plant.delay:g} ticks; use pole_radius"
         )
     leak = derivative.h1
     floor = max(0.0, -leak)
@@ -102,7 +114,9 @@ def _jury(derivative: CompiledLaw, plant: Plant, floor: float) -> list[tuple[flo
     return [(low, high)] if abs(a0) < 1.0 and low < high else []
 
 
-def _between_boundaries(derivative: CompiledLaw, plant: Plant, floor: float) -> list[tuple[float, float]]:
+def _between_boundaries(
+    derivative: CompiledLaw, plant: Plant, floor: float
+) -> list[tuple[float, float]]:
     """Cut the K axis at all boundaries, keep the cells whose middle is stable; above the last one K is taken as open."""
     cuts = [floor, *(k for k in boundaries(derivative, plant) if k > floor * (1.0 + 1e-12) + 1e-12)]
     stable = []
@@ -153,7 +167,8 @@ def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]
     def imaginary(theta: float) -> float:
         return float(curve(theta).imag)
 
-    # Sixteen points per fastest turn of the curve; the slow end, where a heavy device lives, in logarithmic steps.
+    # Sixteen points per fastest turn of the curve; the slow end, where a heavy device lives, in
+    # logarithmic steps.
     turns = held.whole if other is None else max(held.whole, math.ceil(other.delay)) + 8
     count = 16 * (len(derivative.taps) + turns + 8)
     grid = np.union1d(np.linspace(0.0, np.pi, count + 1)[1:-1], np.geomspace(1e-7, np.pi, 801)[:-1])
@@ -163,7 +178,8 @@ def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]
     for i in np.flatnonzero(signs[:-1] * signs[1:] < 0.0):
         theta = brentq(imaginary, grid[i], grid[i + 1], xtol=1e-15, rtol=8.9e-16)
         found.append((float(curve(theta).real), float(theta)))
-    # z = 1 and z = −1 are always on the curve; without friction the device does not answer at z = −1 at all.
+    # z = 1 and z = −1 are always on the curve; without friction the device does not answer at z =
+    # −1 at all.
     found.append((-_stiffness_of(plant) - derivative.h1, 0.0))
     if _answers_at_nyquist(plant) or (other is not None and _answers_at_nyquist(other)):
         found.append((float(curve(math.pi).real), math.pi))
@@ -188,9 +204,11 @@ def _answers_at_nyquist(plant: Plant) -> bool:
 class Tolerance:
     """How far one property of the loop may change, the others fixed, until it is unstable. None: no limit was found."""
 
-    mass_min_kg: float | None  # limits of the moving mass; searched from 1e-4 to 1e4 of the declared one
+    # limits of the moving mass; searched from 1e-4 to 1e4 of the declared one
+    mass_min_kg: float | None
     mass_max_kg: float | None
-    damping_min_n_s_per_m: float | None  # least damping of the device; None when it is stable without any
+    # least damping of the device; None when it is stable without any
+    damping_min_n_s_per_m: float | None
     hand_stiffness_max_n_per_m: float | None  # largest stiffness of a hand; searched up to 1e6 N/m
     delay_max_ticks: float | None  # largest delay, fractions included; searched up to 100 ticks
 

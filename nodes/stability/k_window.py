@@ -30,12 +30,16 @@ class Window:
     """Nominal stiffnesses for which a certificate is valid."""
 
     low_n_per_m: float  # lower end [N/m]
-    high_n_per_m: float  # upper end, K_max [N/m]; infinite where every stiffness above `low_n_per_m` is certified
+    # upper end, K_max [N/m]; infinite where every stiffness above `low_n_per_m` is certified
+    high_n_per_m: float
     theta: float  # ωT at which the upper end is reached [rad]; π where there is no upper end
 
 
 def k_window(
-    derivative: CompiledLaw, region: Region, stable: Callable[[float], bool], swings: Sequence[tuple[float, float]] = ()
+    derivative: CompiledLaw,
+    region: Region,
+    stable: Callable[[float], bool],
+    swings: Sequence[tuple[float, float]] = (),
 ) -> Window | None:
     """Return the lowest window of K above max(0, −D(1)); None when no K is certified.
 
@@ -46,17 +50,26 @@ def k_window(
     region : Region
         Where device and world may lie.
     stable : callable
-        Whether the loop of one member of the region is stable with a stiffness K [N/m]: the others follow, because none of
-        them can cross the unit circle within the window.
+        Whether the loop of one member of the region is stable with a stiffness K [N/m]: the others
+        follow, because none of them can cross the unit circle within the window.
     swings : sequence of (float, float)
-        K [N/m] and ωT at which that member itself swings. They end a gap even where the region is so small that the interval
-        excluded there is lost between the frequencies.
+        K [N/m] and ωT at which that member itself swings. They end a gap even where the region is
+        so small that the interval excluded there is lost between the frequencies.
     """
     floor = max(0.0, -derivative.h1)
-    narrow = _EMPTY * (sum(map(abs, derivative.taps)) + sum(abs(b) for s in derivative.sections for b in s[:2]) + floor + 1.0)
+    narrow = _EMPTY * (
+        sum(map(abs, derivative.taps))
+        + sum(abs(b) for s in derivative.sections for b in s[:2])
+        + floor
+        + 1.0
+    )
     # A small region excludes something near these frequencies only.
-    swinging = np.outer([at for _, at in swings], np.concatenate([1.0 - _NEAR, [1.0], 1.0 + _NEAR])).ravel()
-    theta = np.union1d(region.frequencies(derivative), swinging[(swinging > 0.0) & (swinging <= math.pi)])
+    swinging = np.outer(
+        [at for _, at in swings], np.concatenate([1.0 - _NEAR, [1.0], 1.0 + _NEAR])
+    ).ravel()
+    theta = np.union1d(
+        region.frequencies(derivative), swinging[(swinging > 0.0) & (swinging <= math.pi)]
+    )
     a, b, c = region.quadratic(derivative, theta)
     for _ in range(_HALVINGS):
         between = _unresolved(theta, a, b, c)
@@ -65,14 +78,24 @@ def k_window(
         theta, a, b, c = _joined(derivative, region, theta, (a, b, c), between)
     refused: list[float] = []  # middles of gaps in which the loop itself is unstable
     for _ in range(_EXCHANGES):
-        gaps = [gap for gap in _divided(_gaps(theta, a, b, c, floor), swings) if gap[1] - gap[0] > narrow]
-        gap = next((gap for gap in gaps if not any(gap[0] < middle < gap[1] for middle in refused)), None)
+        gaps = [
+            gap
+            for gap in _divided(_gaps(theta, a, b, c, floor), swings)
+            if gap[1] - gap[0] > narrow
+        ]
+        gap = next(
+            (gap for gap in gaps if not any(gap[0] < middle < gap[1] for middle in refused)), None
+        )
         if gap is None:
             return None
         low, high, at = gap
         middle = 0.5 * (low + high) if math.isfinite(high) else 2.0 * low + 1e3
         found = np.concatenate(
-            [_violated(derivative, region, k, theta, (a, b, c)) for k in (low, middle, high) if k > floor and math.isfinite(k)]
+            [
+                _violated(derivative, region, k, theta, (a, b, c))
+                for k in (low, middle, high)
+                if k > floor and math.isfinite(k)
+            ]
         )
         found = np.setdiff1d(found, theta)
         if found.size:
@@ -92,14 +115,20 @@ def outside(law: CompiledLaw, region: Region) -> bool:
 
 
 def _violated(
-    derivative: CompiledLaw, region: Region, stiffness: float, theta: Reals, terms: tuple[Reals, Reals, Reals]
+    derivative: CompiledLaw,
+    region: Region,
+    stiffness: float,
+    theta: Reals,
+    terms: tuple[Reals, Reals, Reals],
 ) -> Reals:
     """Return the frequencies at the bottom of the deepest dips at which the inequality fails by more than rounding."""
 
     def margin(at: Reals) -> Reals:
         # Divided by 1 − cos ωT, which is what all terms shrink with: smooth down to 0.
         a, b, c = region.quadratic(derivative, at)
-        return np.asarray(((a * stiffness + b) * stiffness + c) / np.sin(0.5 * at) ** 2, dtype=np.float64)
+        return np.asarray(
+            ((a * stiffness + b) * stiffness + c) / np.sin(0.5 * at) ** 2, dtype=np.float64
+        )
 
     a, b, c = terms
     at, _ = dips(margin, theta, ((a * stiffness + b) * stiffness + c) / np.sin(0.5 * theta) ** 2)
@@ -109,7 +138,11 @@ def _violated(
 
 
 def _joined(
-    derivative: CompiledLaw, region: Region, theta: Reals, terms: tuple[Reals, Reals, Reals], more: Reals
+    derivative: CompiledLaw,
+    region: Region,
+    theta: Reals,
+    terms: tuple[Reals, Reals, Reals],
+    more: Reals,
 ) -> tuple[Reals, Reals, Reals, Reals]:
     extra = region.quadratic(derivative, more)
     whole = np.concatenate([theta, more])
@@ -147,12 +180,21 @@ def _divided(
     parts = []
     for low, high, at in gaps:
         inner = sorted({one for one in swings if low < one[0] < high})
-        parts += [*zip([low, *(k for k, _ in inner)], [k for k, _ in inner], [where for _, where in inner], strict=False)]
+        parts += [
+            *zip(
+                [low, *(k for k, _ in inner)],
+                [k for k, _ in inner],
+                [where for _, where in inner],
+                strict=False,
+            )
+        ]
         parts.append((inner[-1][0] if inner else low, high, at))
     return parts
 
 
-def _gaps(theta: Reals, a: Reals, b: Reals, c: Reals, floor: float) -> list[tuple[float, float, float]]:
+def _gaps(
+    theta: Reals, a: Reals, b: Reals, c: Reals, floor: float
+) -> list[tuple[float, float, float]]:
     """Return the gaps of K above `floor` that no frequency excludes: low, high, and the frequency of the upper end."""
     square, below, above = _roots(a, b, c)
     if not np.isfinite(np.concatenate([a, b, c])).all():

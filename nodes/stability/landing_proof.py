@@ -1,10 +1,12 @@
 """A proof that every drop settles: Zames–Falb multipliers for a wall that only pushes.
 
-Contact comes and goes, so no pole radius tells whether a drop on a wall settles. Where penetration feeds the law and its
-force is not clamped, the wall is one static nonlinearity max(p, 0) of slope 0 to 1 around the loop G = z^{−d} H P. If a
-multiplier M = 1 − Σ m_i w^i with m_i ≥ 0, Σ m_i ≤ 1 has Re{M (1 + G)} > 0 on the unit circle and the loop in contact is
-stable, every motion under a constant pull comes to rest, from any height and at any speed (THEORY.md §19). The multiplier
-is found by a linear programme on a grid; what it proves is then checked at every frequency (`nodes.stability.cosine_sums`).
+Contact comes and goes, so no pole radius tells whether a drop on a wall settles. Where penetration
+feeds the law and its force is not clamped, the wall is one static nonlinearity max(p, 0) of slope 0
+to 1 around the loop G = z^{−d} H P. If a multiplier M = 1 − Σ m_i w^i with m_i ≥ 0, Σ m_i ≤ 1 has
+Re{M (1 + G)} > 0 on the unit circle and the loop in contact is stable, every motion under a
+constant pull comes to rest, from any height and at any speed (THEORY.md §19). The multiplier is
+found by a linear programme on a grid; what it proves is then checked at every frequency
+(`nodes.stability.cosine_sums`).
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ from nodes.stability.cosine_sums import Cosines, Laurent, positive
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.plant import Plant, held_plant
 
-CONVENTION = "penetration history, force not clamped"  # the one convention of contact that is one nonlinearity
+# the one convention of contact that is one nonlinearity
+CONVENTION = "penetration history, force not clamped"
 TAPS = 8  # multiplier taps on each side
 
 _ROUNDS = 12
@@ -132,7 +135,8 @@ def _loop(law: CompiledLaw, plant: Plant | FlexiblePlant, period: float | None) 
         whole, above, below = held.whole, np.array(held.numerator), np.array(held.denominator)
     else:
         whole, above, below = plant.rational(period or math.nan)
-    # In z: above / (z^(whole + 1) below), degrees equal; in w the same with w^(whole + 1) before it.
+    # In z: above / (z^(whole + 1) below), degrees equal; in w the same with w^(whole + 1) before
+    # it.
     path = Laurent(np.asarray(above, dtype=np.float64), whole + 1)
     free = plant.stiffness == 0.0
     if free:
@@ -173,7 +177,12 @@ def _search(loop: _Loop, taps: int) -> LandingProof:
         matrix = np.column_stack([rows[1:].T, np.ones(len(theta))])
         matrix = np.vstack([matrix, np.append(np.ones(2 * taps), 0.0)])
         objective = np.append(np.zeros(2 * taps), -1.0)
-        found = linprog(objective, A_ub=matrix, b_ub=np.append(rows[0], 1.0), bounds=[(0.0, 1.0)] * (2 * taps) + [(None, 1.0)])
+        found = linprog(
+            objective,
+            A_ub=matrix,
+            b_ub=np.append(rows[0], 1.0),
+            bounds=[(0.0, 1.0)] * (2 * taps) + [(None, 1.0)],
+        )
         if not found.success or found.x is None:
             return _none(f"the linear programme ended with: {found.message}")
         bound = float(found.x[-1])
@@ -186,7 +195,8 @@ def _search(loop: _Loop, taps: int) -> LandingProof:
         if margin > 0.5 * bound:
             break
         dips = np.flatnonzero(
-            (everywhere <= np.append(everywhere[1:], np.inf)) & (everywhere <= np.append(np.inf, everywhere[:-1]))
+            (everywhere <= np.append(everywhere[1:], np.inf))
+            & (everywhere <= np.append(np.inf, everywhere[:-1]))
         )
         theta = np.union1d(theta, fine[dips[everywhere[dips] < bound]])
     if margin <= 0.0:
@@ -199,4 +209,6 @@ def _search(loop: _Loop, taps: int) -> LandingProof:
 
 def values_of(table: Cosines, theta: Cosines) -> Cosines:
     """Values of several cosine sums (s, n + 1) at some angles: (s, t)."""
-    return np.asarray(table @ np.cos(np.multiply.outer(np.arange(table.shape[1]), theta)), dtype=np.float64)
+    return np.asarray(
+        table @ np.cos(np.multiply.outer(np.arange(table.shape[1]), theta)), dtype=np.float64
+    )

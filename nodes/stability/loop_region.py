@@ -1,16 +1,17 @@
 """The region in which device and world lie at each frequency, and the stiffness that it allows.
 
 Deflection x = p − y, force F = H x. The device answers p = −P F, the world D' y = V F, with
-D' = 1 − w and w = exp(−jωT). The loop swings at ω iff D'/H + D' P + V = 0. What is not known about P
-and V is a region of the complex plane:
+D' = 1 − w and w = exp(−jωT). The loop swings at ω iff D'/H + D' P + V = 0. What is not known about
+P and V is a region of the complex plane:
 
-- a device of damping b in any hand, its force held and late by d = i + φ ticks: a disc of radius T/2b
-  about ψ T/2b with ψ = (1 − φ) w^(1+i) + φ w^(2+i), aliases included. A stepped tool with anything
-  passive hung on it is another disc;
+- a device of damping b in any hand, its force held and late by d = i + φ ticks: a disc of radius
+  T/2b about ψ T/2b with ψ = (1 − φ) w^(1+i) + φ w^(2+i), aliases included. A stepped tool with
+  anything passive hung on it is another disc;
 - any passive world that answers the force in the same tick: the half plane Re V ≥ 0.
 
-Discs add up. With H = K + h, the loop is outside the region iff a quadratic inequality in K holds at
-each frequency (THEORY.md §18), so one search serves all certificates (`nodes.stability.k_window`).
+Discs add up. With H = K + h, the loop is outside the region iff a quadratic inequality in K holds
+at each frequency (THEORY.md §18), so one search serves all certificates
+(`nodes.stability.k_window`).
 """
 
 from __future__ import annotations
@@ -61,7 +62,8 @@ class Region:
     def quadratic(self, derivative: CompiledLaw, theta: Reals) -> tuple[Reals, Reals, Reals]:
         """Return a, b, c of a K² + b K + c > 0, which holds iff K + h is outside the region at these frequencies.
 
-        Each is accurate relative to its own size down to small frequencies: differences of numbers near 1 are written as sines.
+        Each is accurate relative to its own size down to small frequencies: differences of numbers
+        near 1 are written as sines.
         """
         w = np.exp(-1j * theta)
         step = 2.0 * np.sin(0.5 * theta) ** 2 + 1j * np.sin(theta)  # D' = 1 − w
@@ -74,9 +76,14 @@ class Region:
         if self.any_world:
             # Re{D'/H} + Re centre − radius > 0, times |H|².
             room = known.real - sum(
-                (disc.radii(theta) * _short_of_one(disc, theta) for disc in self.discs), np.zeros_like(theta)
+                (disc.radii(theta) * _short_of_one(disc, theta) for disc in self.discs),
+                np.zeros_like(theta),
             )
-            return room, 2.0 * room * h.real + step.real, room * np.abs(h) ** 2 + (np.conj(step) * h).real
+            return (
+                room,
+                2.0 * room * h.real + step.real,
+                room * np.abs(h) ** 2 + (np.conj(step) * h).real,
+            )
         # |D'/H + centre|² − radius² > 0, times |H|².
         room = (
             np.abs(known) ** 2
@@ -91,7 +98,11 @@ class Region:
             )
         )
         linear = 2.0 * turned.real
-        return room, 2.0 * room * h.real + linear, room * np.abs(h) ** 2 + 2.0 * (turned * h).real + np.abs(step) ** 2
+        return (
+            room,
+            2.0 * room * h.real + linear,
+            room * np.abs(h) ** 2 + 2.0 * (turned * h).real + np.abs(step) ** 2,
+        )
 
     def grown(self, law: CompiledLaw, disc: Disc, theta: Reals) -> tuple[Reals, Reals, Reals]:
         """Return a, b, c of a r² + 2 b r + c > 0, which holds iff a law is outside the discs and one more of radius r.
@@ -110,7 +121,9 @@ class Region:
 
     def frequencies(self, law: CompiledLaw) -> Reals:
         """Return frequencies ωT in (0, π] that show every turn of the region and of the law [rad]."""
-        longest = max([0.0 if self.known is None else self.known.delay, *(disc.delay for disc in self.discs)])
+        longest = max(
+            [0.0 if self.known is None else self.known.delay, *(disc.delay for disc in self.discs)]
+        )
         turns = 16 * (len(law.taps) + math.ceil(longest) + 8)
         parts = [np.linspace(0.0, math.pi, turns + 1)[1:]]
         lowest = 1e-6
@@ -142,7 +155,10 @@ def known_answer(plant: Plant, theta: Reals) -> Complexes:
 
 def _short_of_one(disc: Disc, theta: Reals) -> Reals:
     """Return 1 − Re ψ, as sines."""
-    return np.asarray(sum(2.0 * weight * np.sin(0.5 * lag * theta) ** 2 for lag, weight in disc.lags), dtype=np.float64)
+    return np.asarray(
+        sum(2.0 * weight * np.sin(0.5 * lag * theta) ** 2 for lag, weight in disc.lags),
+        dtype=np.float64,
+    )
 
 
 def _apart(one: Disc, other: Disc, theta: Reals) -> Reals:

@@ -14,14 +14,25 @@ from nodes.stability.judge import last_inside
 from nodes.stability.k_window import outside
 from nodes.stability.loop_region import Disc, Region
 from nodes.stability.plant import Plant
-from nodes.stability.worlds import AnyWorld, Wall, WorldKind, certified, euler_disc, held_disc, is_stable, region_of
+from nodes.stability.worlds import (
+    AnyWorld,
+    Wall,
+    WorldKind,
+    certified,
+    euler_disc,
+    held_disc,
+    is_stable,
+    region_of,
+)
 
 _DECADES = range(-4, 5)
 _MOST = 1e6
 _HALVINGS = 34  # of a decade: to 1e-10 of the value
 
 
-def needed_device_damping(law: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool = False) -> float | None:
+def needed_device_damping(
+    law: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool = False
+) -> float | None:
     """Return the least damping of the device with which a law is certified [N s/m]; None when none is enough.
 
     Parameters
@@ -33,8 +44,9 @@ def needed_device_damping(law: CompiledLaw, plant: Plant, world: WorldKind, any_
     world : WorldKind
         The kind of world.
     any_hand : bool
-        Whether every passive hand may hold the device. For a wall and for any world this is a closed form; else a bisection
-        from the lowest decade that is certified, over eight decades about |H| T/2.
+        Whether every passive hand may hold the device. For a wall and for any world this is a
+        closed form; else a bisection from the lowest decade that is certified, over eight decades
+        about |H| T/2.
     """
     if any_hand and isinstance(world, Wall):
         return max(0.0, damping_needed(law, plant.period, plant.delay))
@@ -48,7 +60,9 @@ def needed_device_damping(law: CompiledLaw, plant: Plant, world: WorldKind, any_
     inside = next((unit * 10.0**power for power in _DECADES if holds(unit * 10.0**power)), None)
     if inside is None:
         return None
-    return last_inside(holds, inside, 0.1 * inside if inside > unit * 10.0 ** _DECADES[0] else 0.0, _HALVINGS)
+    return last_inside(
+        holds, inside, 0.1 * inside if inside > unit * 10.0 ** _DECADES[0] else 0.0, _HALVINGS
+    )
 
 
 def _for_any_hand_any_world(law: CompiledLaw, plant: Plant) -> float | None:
@@ -70,12 +84,15 @@ def _for_any_hand_any_world(law: CompiledLaw, plant: Plant) -> float | None:
     _, lowest = dips(below, theta, values)
     if np.isneginf(lowest).any():
         return None
-    # The loop of a damped device is a member of the family; with this damping it has to be stable itself.
+    # The loop of a damped device is a member of the family; with this damping it has to be stable
+    # itself.
     damping = 0.5 * plant.period * max(0.0, -float(lowest.min()))
     return damping if is_stable(law, replace(plant, damping=damping * (1.0 + 1e-9))) else None
 
 
-def needed_tool_damping(law: CompiledLaw, plant: Plant, any_hand: bool = False, delay: float | None = None) -> float | None:
+def needed_tool_damping(
+    law: CompiledLaw, plant: Plant, any_hand: bool = False, delay: float | None = None
+) -> float | None:
     """Return the least damping to the ground of a stepped tool with anything passive on it [N s/m]; None: none is enough.
 
     Parameters
@@ -98,13 +115,17 @@ def needed_tool_mass(law: CompiledLaw, plant: Plant, any_hand: bool = False) -> 
     return _least_tool(law, plant, any_hand, euler_disc(plant, 1.0), plant.mass)
 
 
-def _least_tool(law: CompiledLaw, plant: Plant, any_hand: bool, unit: Disc, most: float) -> float | None:
+def _least_tool(
+    law: CompiledLaw, plant: Plant, any_hand: bool, unit: Disc, most: float
+) -> float | None:
     """Return the least number by which the disc of a unit tool must be divided until the law is outside it.
 
     None from a million times `most` on: where the limit is reached at ω → 0, it is infinite.
     """
     region = region_of(plant, Wall(), any_hand)
-    if plant.damping == 0.0 or not (law.h1 > 0.0 and is_stable(law, plant) and outside(law, region)):
+    if plant.damping == 0.0 or not (
+        law.h1 > 0.0 and is_stable(law, plant) and outside(law, region)
+    ):
         return None
     theta = region.frequencies(law)
 

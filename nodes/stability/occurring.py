@@ -1,11 +1,13 @@
 """The frequency that occurs: at the edge of stability a known device rings at one ω_c, and passivity there is all it takes.
 
-On the edge z = exp(jω_c T) is a pole, so law and held device balance: H(z) z^{−d} = −1/P(z). The real part of that over 1 − z
-is Colgate's condition at this one frequency, with the device's damping as the held device shows it there (THEORY.md §9):
+On the edge z = exp(jω_c T) is a pole, so law and held device balance: H(z) z^{−d} = −1/P(z). The
+real part of that over 1 − z is Colgate's condition at this one frequency, with the device's damping
+as the held device shows it there (THEORY.md §9):
 
     K_max = 2 (b R(ω_c) − f(ω_c))/T,    R = 1 + tan²(ω_c T/2)/3 for light damping,
 
-exactly. Leaving R out, K ≈ 2 (b − f(ω_c))/T is always low, and needs no mass: only the swing that one can see.
+exactly. Leaving R out, K ≈ 2 (b − f(ω_c))/T is always low, and needs no mass: only the swing that
+one can see.
 """
 
 from __future__ import annotations
@@ -23,8 +25,10 @@ from nodes.stability.plant import Plant, held_plant
 class Edge:
     """What a loop does at its edge of stability."""
 
-    omega_rad_per_s: float  # ω_c, the frequency that occurs [rad/s]; 0 where the loop drifts rather than rings
-    f_n_s_per_m: float  # f(ω_c) of the law with the loop's delay, nominal K taken as the spring [N s/m]
+    # ω_c, the frequency that occurs [rad/s]; 0 where the loop drifts rather than rings
+    omega_rad_per_s: float
+    # f(ω_c) of the law with the loop's delay, nominal K taken as the spring [N s/m]
+    f_n_s_per_m: float
     damping_factor: float  # R(ω_c): by how much the held device damps more than b
     k_simple_n_per_m: float  # 2 (b − f(ω_c))/T, Colgate's condition at ω_c alone [N/m]
     k_exact_n_per_m: float  # 2 (b R − f(ω_c))/T: K_max itself [N/m]
@@ -42,17 +46,22 @@ def edge_at(derivative: CompiledLaw, plant: Plant, omega: float, light: bool = F
     period, damping = plant.period, plant.damping
     theta = omega * period
     if not 0.0 < theta < math.pi:
-        raise ValueError(f"omega = {omega:g} rad/s: must be between 0 and {math.pi / period:g} rad/s, the Nyquist frequency")
+        raise ValueError(
+            f"omega = {omega:g} rad/s: must be between 0 and {math.pi / period:g} rad/s, the"
+            " Nyquist frequency"
+        )
     z = cmath.exp(1j * theta)
     whole = math.floor(plant.delay)
     late = z**-whole
     if plant.delay > whole:
-        # A fraction of a tick splits the hold; of a free, light device that is the delay's own share of the response.
+        # A fraction of a tick splits the hold; of a free, light device that is the delay's own
+        # share of the response.
         body = replace(plant, mass=1.0, damping=0.0) if light else plant
-        late *= position_over_force(z, replace(body, delay=plant.delay - whole)) / position_over_force(
-            z, replace(body, delay=0.0)
-        )
-    # D late + K (late − 1): what law and delay do beside the spring K/2. It is linear in K, which is solved for.
+        late *= position_over_force(
+            z, replace(body, delay=plant.delay - whole)
+        ) / position_over_force(z, replace(body, delay=0.0))
+    # D late + K (late − 1): what law and delay do beside the spring K/2. It is linear in K, which
+    # is solved for.
     by_law = period * (derivative.response(z) * late / (1.0 - z)).real
     by_spring = period * (late / (1.0 - z)).real
     if light:
@@ -66,7 +75,9 @@ def edge_at(derivative: CompiledLaw, plant: Plant, omega: float, light: bool = F
 def position_over_force(z: Any, plant: Plant) -> Any:
     """Return P(z), what the held device answers to a force, its delay included; of a pair the way between both [m/N]."""
     if plant.other is not None:
-        return position_over_force(z, replace(plant, partner=None)) + position_over_force(z, plant.other)
+        return position_over_force(z, replace(plant, partner=None)) + position_over_force(
+            z, plant.other
+        )
     held = held_plant(plant)
     n2, n1, n0 = held.numerator
     _, d1, d0 = held.denominator

@@ -1,7 +1,8 @@
 """The device between two ticks, as the stability theory sees it: exact, the force held and late by any delay.
 
-The virtual device of a simulation (sim/device/model.py) has its own closed forms of the same map; this one is computed another
-way, by the series of the matrix exponential, so that each can be tested against the other.
+The virtual device of a simulation (sim/device/model.py) has its own closed forms of the same map;
+this one is computed another way, by the series of the matrix exponential, so that each can be
+tested against the other.
 """
 
 from __future__ import annotations
@@ -76,11 +77,25 @@ class Plant:
     def __post_init__(self) -> None:
         """Refuse what no device is."""
         if self.partner is not None:
-            Plant(self.period, self.partner.mass, self.partner.damping, self._delay_of_partner, self.partner.stiffness)
+            Plant(
+                self.period,
+                self.partner.mass,
+                self.partner.damping,
+                self._delay_of_partner,
+                self.partner.stiffness,
+            )
         for name in ("mass", "period", "damping", "delay", "stiffness"):
             value, positive = getattr(self, name), name in ("mass", "period")
-            if isinstance(value, str) or not math.isfinite(value) or value < 0.0 or (positive and value == 0.0):
-                raise ValueError(f"{name} = {value!r}: must be finite and {'positive' if positive else 'at least 0'}")
+            if (
+                isinstance(value, str)
+                or not math.isfinite(value)
+                or value < 0.0
+                or (positive and value == 0.0)
+            ):
+                raise ValueError(
+                    f"{name} = {value!r}: must be finite and"
+                    f" {'positive' if positive else 'at least 0'}"
+                )
         if self.delay > MAX_DELAY:
             raise ValueError(f"delay = {self.delay!r}: must be at most {MAX_DELAY:g} ticks")
 
@@ -116,7 +131,12 @@ class Plant:
         Plant
             With the other one as its `partner`.
         """
-        return replace(self, partner=Counterpart(other.mass, other.damping, other.stiffness, other.delay - self.delay))
+        return replace(
+            self,
+            partner=Counterpart(
+                other.mass, other.damping, other.stiffness, other.delay - self.delay
+            ),
+        )
 
     @property
     def other(self) -> Plant | None:
@@ -150,8 +170,9 @@ class Plant:
 class HeldPlant:
     """The device between ticks, force held and late by a whole or fractional delay, as a rational function of z.
 
-    x/u = (numerator[0] z² + numerator[1] z + numerator[2]) / (z^{whole+1} (z² + denominator[1] z + denominator[2])),
-    u the force on the device. A device with stiffness (a hand's) is the same with other numbers.
+    x/u = (numerator[0] z² + numerator[1] z + numerator[2]) / (z^{whole+1} (z² + denominator[1] z +
+    denominator[2])), u the force on the device. A device with stiffness (a hand's) is the same with
+    other numbers.
     """
 
     whole: int  # whole ticks of the delay, i of d = i + φ
@@ -167,17 +188,21 @@ def held_plant(plant: Plant) -> HeldPlant:
     new_1, new_0 = new[0], a12 * new[1] - a22 * new[0]
     old_1, old_0 = old[0], a12 * old[1] - a22 * old[0]
     determinant = math.exp(-plant.damping * plant.period / plant.mass)
-    # tr A = 1 + det A − k·(...): written so that the pole of a free device at z = 1 stays at 1 to the last bit.
+    # tr A = 1 + det A − k·(...): written so that the pole of a free device at z = 1 stays at 1 to
+    # the last bit.
     trace = 1.0 + determinant if plant.stiffness == 0.0 else a11 + a22
     return HeldPlant(whole, (new_1, new_0 + old_1, old_0), (1.0, -trace, determinant))
 
 
 @functools.lru_cache(maxsize=1024)  # a search asks for the same few devices thousands of times
-def held_step(plant: Plant) -> tuple[int, tuple[float, float, float, float], tuple[float, float], tuple[float, float]]:
+def held_step(
+    plant: Plant,
+) -> tuple[int, tuple[float, float, float, float], tuple[float, float], tuple[float, float]]:
     """Give one tick of m x'' + b x' + k x = u in position and velocity.
 
-    Whole ticks of the delay; a11, a12, a21, a22 of the free motion [1], [s], [1/s], [1]; position and velocity per force
-    [m/N], [m/(N s)], of the force that arrives within this tick, and of the one before it.
+    Whole ticks of the delay; a11, a12, a21, a22 of the free motion [1], [s], [1/s], [1]; position
+    and velocity per force [m/N], [m/(N s)], of the force that arrives within this tick, and of the
+    one before it.
     """
     mass, damping, stiffness, period = plant.mass, plant.damping, plant.stiffness, plant.period
     whole = math.floor(plant.delay)
@@ -197,13 +222,23 @@ def _transition(
     mass: float, damping: float, stiffness: float, duration: float
 ) -> tuple[float, float, float, float, float, float]:
     """Exact map of position and velocity under a held force: matrix exponential by its series, halved and squared."""
-    halvings = max(0, math.ceil(math.log2(max(damping / mass * duration, math.sqrt(stiffness / mass) * duration, 0.25))) + 2)
+    halvings = max(
+        0,
+        math.ceil(
+            math.log2(max(damping / mass * duration, math.sqrt(stiffness / mass) * duration, 0.25))
+        )
+        + 2,
+    )
     h = duration / 2.0**halvings
-    # Series of φ(t) = response of the velocity-free device to a unit force: x = Σ c_j t^j/j!, from the equation itself.
+    # Series of φ(t) = response of the velocity-free device to a unit force: x = Σ c_j t^j/j!, from
+    # the equation itself.
     older, newer = 0.0, h * h / (2.0 * mass)
     g1, g2 = newer, h / mass
     for j in range(1, 40):
-        term = -(damping / mass * h / (j + 2)) * newer - (stiffness / mass * h * h / ((j + 1) * (j + 2))) * older
+        term = (
+            -(damping / mass * h / (j + 2)) * newer
+            - (stiffness / mass * h * h / ((j + 1) * (j + 2))) * older
+        )
         g1 += term
         g2 += term * (j + 2) / h
         older, newer = newer, term
@@ -214,5 +249,10 @@ def _transition(
     a22 = a11 - damping * g2
     for _ in range(halvings):
         g1, g2 = a11 * g1 + a12 * g2 + g1, a21 * g1 + a22 * g2 + g2
-        a11, a12, a21, a22 = (a11 * a11 + a12 * a21, a11 * a12 + a12 * a22, a21 * a11 + a22 * a21, a21 * a12 + a22 * a22)
+        a11, a12, a21, a22 = (
+            a11 * a11 + a12 * a21,
+            a11 * a12 + a12 * a22,
+            a21 * a11 + a22 * a21,
+            a21 * a12 + a22 * a22,
+        )
     return a11, a12, a21, a22, g1, g2

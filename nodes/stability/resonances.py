@@ -16,7 +16,8 @@ _NARROWEST = 1e-12  # distance of a pole from the unit circle that is looked at
 def resonances(law: CompiledLaw) -> NDArray[np.float64]:
     """Return frequencies ωT in (0, π] about each pole of a law's sections [rad].
 
-    The steps away from a pole grow in a constant ratio from a twentieth of its distance from the unit circle.
+    The steps away from a pole grow in a constant ratio from a twentieth of its distance from the
+    unit circle.
     """
     found = [np.empty(0)]
     for _, _, a1, a2 in law.sections:

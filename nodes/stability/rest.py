@@ -1,12 +1,15 @@
 """Whether a device comes to rest on a wall seen through an encoder: what friction a law asks for, and what stiffness it allows.
 
-The encoder's error, at most half a step Δ, goes through the law and comes out as a force that may drive the device for ever
-(a limit cycle, felt as buzz). Friction f_c takes more than that out when it exceeds the force (THEORY.md §5). Two bounds and an
-estimate, which is no bound: small swings below one step of the encoder live on at 1.5 times its friction.
+The encoder's error, at most half a step Δ, goes through the law and comes out as a force that may
+drive the device for ever (a limit cycle, felt as buzz). Friction f_c takes more than that out when
+it exceeds the force (THEORY.md §5). Two bounds and an estimate, which is no bound: small swings
+below one step of the encoder live on at 1.5 times its friction.
 
 - any motion: f_c ≥ (Δ/2) Σ|h_m|. A proof where the law itself is passive on the device's damping;
-- alternation: f_c ≥ Δ |H(−1)|/2, the motion across one encoder edge and back every tick (Abbott & Okamura 2005 for a spring);
-- describing function: the swing across one edge at the frequency that the known device allows (Diolaiti et al. 2006).
+- alternation: f_c ≥ Δ |H(−1)|/2, the motion across one encoder edge and back every tick (Abbott &
+  Okamura 2005 for a spring);
+- describing function: the swing across one edge at the frequency that the known device allows
+  (Diolaiti et al. 2006).
 """
 
 from __future__ import annotations
@@ -29,11 +32,14 @@ _POINTS = 2000
 class Rest:
     """Friction with which a device comes to rest on a law, in three ways."""
 
-    friction_bound_n: float  # the error's force is never larger: with at least so much friction no motion goes on [N]
-    certain: bool  # whether that is a proof: the law, without the encoder, is passive on the damping of the device
-    friction_alternating_n: float  # no chatter across one encoder edge, tick by tick, with at least so much [N]
-    # No swing of a known device across one edge, by describing function [N]: an estimate, from either side. None without a
-    # mass.
+    # the error's force is never larger: with at least so much friction no motion goes on [N]
+    friction_bound_n: float
+    # whether that is a proof: the law, without the encoder, is passive on the damping of the device
+    certain: bool
+    # no chatter across one encoder edge, tick by tick, with at least so much [N]
+    friction_alternating_n: float
+    # No swing of a known device across one edge, by describing function [N]: an estimate, from
+    # either side. None without a mass.
     friction_estimated_n: float | None
     buzz_hz: float | None  # frequency of that swing [Hz]; None where there is none
 
@@ -41,19 +47,33 @@ class Rest:
         """Tell whether Coulomb friction [N] keeps it at rest: True by proof, ``"estimated"`` from the estimate on."""
         if friction >= self.friction_bound_n:
             return True if self.certain else "estimated"
-        return "estimated" if self.friction_estimated_n is not None and friction >= self.friction_estimated_n else False
+        return (
+            "estimated"
+            if self.friction_estimated_n is not None and friction >= self.friction_estimated_n
+            else False
+        )
 
     def text(self) -> str:
         """Say the frictions in words."""
         kind = "proof" if self.certain else "no proof: the law is not passive on this damping"
-        guess = "" if self.friction_estimated_n is None else f"; estimate, no bound: {self.friction_estimated_n:.4g} N"
-        return f"every motion stops with friction from {self.friction_bound_n:.4g} N ({kind}){guess} (THEORY.md §5)"
+        guess = (
+            ""
+            if self.friction_estimated_n is None
+            else f"; estimate, no bound: {self.friction_estimated_n:.4g} N"
+        )
+        return (
+            f"every motion stops with friction from {self.friction_bound_n:.4g} N ({kind}){guess}"
+            " (THEORY.md §5)"
+        )
 
 
 def rest(law: CompiledLaw, loop: Plant | float, resolution: float) -> Rest:
     """Tell the friction that a law asks for to come to rest; a sampling period alone [s] leaves out the estimate."""
-    plant = loop if isinstance(loop, Plant) and loop.partner is None else None  # a pair answers otherwise than m, b and k
-    period, damping, delay = (loop.period, loop.damping, loop.delay) if isinstance(loop, Plant) else (loop, 0.0, 0.0)
+    # a pair answers otherwise than m, b and k
+    plant = loop if isinstance(loop, Plant) and loop.partner is None else None
+    period, damping, delay = (
+        (loop.period, loop.damping, loop.delay) if isinstance(loop, Plant) else (loop, 0.0, 0.0)
+    )
     estimated, buzz = (None, None) if plant is None else _describing(law, plant, resolution)
     return Rest(
         friction_bound_n=0.5 * resolution * absolute_sum(law),
@@ -92,8 +112,8 @@ def absolute_sum(law: CompiledLaw) -> float:
 def _describing(law: CompiledLaw, plant: Plant, resolution: float) -> tuple[float, float | None]:
     """Largest f_c at which a swing across one edge balances: relay of Δ/2 in the encoder, relay of f_c against the velocity.
 
-    With amplitude A at ω: (k − m ω²) A + (2Δ/π) Re G = 0 and ω b A + 4 f_c/π + (2Δ/π) Im G = 0, G the law with its hold and
-    delay, k the hand's stiffness.
+    With amplitude A at ω: (k − m ω²) A + (2Δ/π) Re G = 0 and ω b A + 4 f_c/π + (2Δ/π) Im G = 0, G
+    the law with its hold and delay, k the hand's stiffness.
     """
     best, at = 0.0, None
     for i in range(1, _POINTS + 1):

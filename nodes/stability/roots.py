@@ -1,9 +1,10 @@
 """The largest root of a real polynomial, for two taps or for thousands.
 
-Up to a hundred coefficients the companion matrix is fast and accurate. Beyond, its cubic cost would make a law of 2000
-taps wait for minutes, so the roots outside a circle are counted instead (argument principle) and the radius of the
-circle is narrowed down. The count is certified: between two neighbouring points of the circle the polynomial is bounded
-away from zero by its slope and a bound on its curvature, or the arc is divided further.
+Up to a hundred coefficients the companion matrix is fast and accurate. Beyond, its cubic cost would
+make a law of 2000 taps wait for minutes, so the roots outside a circle are counted instead
+(argument principle) and the radius of the circle is narrowed down. The count is certified: between
+two neighbouring points of the circle the polynomial is bounded away from zero by its slope and a
+bound on its curvature, or the arc is divided further.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ def largest_roots(coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def roots_outside(coefficients: NDArray[np.float64], radius: float) -> int | None:
     """Count the roots outside a circle, by a certified winding number."""
-    # In w = radius/z the roots outside become zeros inside the unit circle. In logarithms: radius**-2000 overflows.
+    # In w = radius/z the roots outside become zeros inside the unit circle. In logarithms:
+    # radius**-2000 overflows.
     j = np.arange(len(coefficients), dtype=np.float64)
     size = np.abs(coefficients)
     with np.errstate(divide="ignore"):
@@ -59,7 +61,9 @@ def roots_outside(coefficients: NDArray[np.float64], radius: float) -> int | Non
     turned = 0.0
     for _ in range(_DEPTH):
         reach = curvature * width * width / 8.0 + rounding
-        sure = (np.abs(a) > slope_a * (width / 2.0) + reach) & (np.abs(b) > slope_b * (width / 2.0) + reach)
+        sure = (np.abs(a) > slope_a * (width / 2.0) + reach) & (
+            np.abs(b) > slope_b * (width / 2.0) + reach
+        )
         turned += float(np.sum(np.angle(b[sure] * np.conj(a[sure]))))
         if sure.all():
             return round(-turned / np.pi)
@@ -77,7 +81,9 @@ def roots_outside(coefficients: NDArray[np.float64], radius: float) -> int | Non
     return None
 
 
-def _evaluate(c: NDArray[np.float64], w: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+def _evaluate(
+    c: NDArray[np.float64], w: NDArray[np.complex128]
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Σ c_j w^j and Σ j c_j w^j at a few points, in blocks of powers so that it is two small matrix products."""
     blocks = -(-len(c) // _BLOCK)
     padded = np.zeros(blocks * _BLOCK)

@@ -1,8 +1,9 @@
 """A law against a spring that answers in the same tick, for every stiffness of a range.
 
-The spring adds a compliance s to the device's answer: 1/H + P + s = 0 at a swing. At a fixed frequency its imaginary part is a
-quadratic equation in K that does not depend on s, and its real part then gives s. All swings with springs of the range are
-therefore points on two curves over the frequency; the window ends where such a point begins (THEORY.md §18).
+The spring adds a compliance s to the device's answer: 1/H + P + s = 0 at a swing. At a fixed
+frequency its imaginary part is a quadratic equation in K that does not depend on s, and its real
+part then gives s. All swings with springs of the range are therefore points on two curves over the
+frequency; the window ends where such a point begins (THEORY.md §18).
 """
 
 from __future__ import annotations
@@ -26,14 +27,21 @@ from nodes.stability.world_loop import Body, world_radius
 _ZOOMS = 12
 
 
-def spring_window(derivative: CompiledLaw, plant: Plant, softest: float, stiffest: float) -> Window | None:
+def spring_window(
+    derivative: CompiledLaw, plant: Plant, softest: float, stiffest: float
+) -> Window | None:
     """Return the lowest window of K above max(0, −D(1)) that is stable with every spring of a range; None without one.
 
     `softest`, `stiffest`: ends of the range [N/m]; an infinite `stiffest` includes the wall.
     """
     floor = max(0.0, -derivative.h1)
     swings = _Swings(derivative, plant, 1.0 / stiffest, 1.0 / softest)
-    cuts = sorted({(floor, 0.0), *((k, theta) for k, theta in swings.cuts() if k > floor * (1.0 + 1e-9) + 1e-9)})
+    cuts = sorted(
+        {
+            (floor, 0.0),
+            *((k, theta) for k, theta in swings.cuts() if k > floor * (1.0 + 1e-9) + 1e-9),
+        }
+    )
     inside: tuple[float, float] | None = None
     for i, (low, _) in enumerate(cuts):
         high = cuts[i + 1][0] if i + 1 < len(cuts) else math.inf
@@ -59,7 +67,11 @@ def stable_with_springs(law: CompiledLaw, plant: Plant, softest: float, stiffest
     if not (law.h1 > 0.0 and 1.0 + newest / softest > 0.0):
         return False
     try:
-        radius = world_radius(law, plant, Body(stiffness=stiffest)) if math.isfinite(stiffest) else pole_radius(law, plant)
+        radius = (
+            world_radius(law, plant, Body(stiffness=stiffest))
+            if math.isfinite(stiffest)
+            else pole_radius(law, plant)
+        )
     except ValueError:
         return False
     if radius >= 1.0:
@@ -67,11 +79,15 @@ def stable_with_springs(law: CompiledLaw, plant: Plant, softest: float, stiffest
     theta = Region(plant.period, plant).frequencies(law)
 
     def balance(at: Reals) -> Complexes:
-        return np.asarray(1.0 / law.response(np.exp(1j * at)) + _answer(plant, at), dtype=np.complex128)
+        return np.asarray(
+            1.0 / law.response(np.exp(1j * at)) + _answer(plant, at), dtype=np.complex128
+        )
 
     value = balance(theta)
     found = [float(value[-1].real)]  # z = −1 is always real
-    found += [float(balance(np.array([at]))[0].real) for at in _real_at(balance, theta[:-1], value[:-1])]
+    found += [
+        float(balance(np.array([at]))[0].real) for at in _real_at(balance, theta[:-1], value[:-1])
+    ]
     return not any(1.0 / stiffest <= -real <= 1.0 / softest for real in found)
 
 
@@ -90,7 +106,10 @@ def _real_at(curve: Callable[[Reals], Complexes], theta: Reals, value: Complexes
 
 def _answer(plant: Plant, theta: Reals) -> Complexes:
     """Return P, position over force of the held device [m/N]."""
-    return np.asarray(known_answer(plant, theta) / (2.0 * np.sin(0.5 * theta) ** 2 + 1j * np.sin(theta)), dtype=np.complex128)
+    return np.asarray(
+        known_answer(plant, theta) / (2.0 * np.sin(0.5 * theta) ** 2 + 1j * np.sin(theta)),
+        dtype=np.complex128,
+    )
 
 
 @dataclass(frozen=True)
@@ -114,12 +133,21 @@ class _Swings:
     def cuts(self) -> list[tuple[float, float]]:
         """Return the K at which swings within the range begin or end, and the ωT there."""
         theta = Region(self.plant.period, self.plant).frequencies(self.derivative)[:-1]
-        found = [cut for end in (self.least, self.most) if math.isfinite(end) for cut in self._ends(theta, end)]
+        found = [
+            cut
+            for end in (self.least, self.most)
+            if math.isfinite(end)
+            for cut in self._ends(theta, end)
+        ]
         h = self.derivative.response(np.exp(1j * theta))
-        if np.abs(h.imag).max() > 0.0:  # a bare spring has one frequency for all compliances, and no turns
+        # a bare spring has one frequency for all compliances, and no turns
+        if np.abs(h.imag).max() > 0.0:
             k, _ = self.points(theta)
             found += [turn for branch in (0, 1) for turn in self._turns(branch, theta, k[branch])]
-        alternating = float(self.derivative.h_nyquist), float(_answer(self.plant, np.array([math.pi]))[0].real)
+        alternating = (
+            float(self.derivative.h_nyquist),
+            float(_answer(self.plant, np.array([math.pi]))[0].real),
+        )
         for end in (self.least, self.most):
             if alternating[1] + end != 0.0:
                 found.append((-1.0 / (alternating[1] + end) - alternating[0], math.pi))
@@ -151,6 +179,11 @@ class _Swings:
 
         def curve(at: Reals) -> Complexes:
             answer = _answer(self.plant, at) + end
-            return np.asarray(-1.0 / answer - self.derivative.response(np.exp(1j * at)), dtype=np.complex128)
+            return np.asarray(
+                -1.0 / answer - self.derivative.response(np.exp(1j * at)), dtype=np.complex128
+            )
 
-        return [(float(curve(np.array([at]))[0].real), at) for at in _real_at(curve, theta, curve(theta))]
+        return [
+            (float(curve(np.array([at]))[0].real), at)
+            for at in _real_at(curve, theta, curve(theta))
+        ]

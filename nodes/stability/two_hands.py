@@ -1,17 +1,21 @@
 """Two devices coupled to each other, a law each or one in the middle, and any two hands: Colgate's condition for a two-port.
 
-The forces on both devices are F = M(z)·x of both sampled positions, row by row a law at its own delays,
+The forces on both devices are F = M(z)·x of both sampled positions, row by row a law at its own
+delays,
 
-    M = [[ψ₁₁ H₁, −ψ₁₂ H₁], [−ψ₂₁ H₂, ψ₂₂ H₂]],   ψ = (1 − φ) w^i + φ w^(i+1) for d = i + φ ticks,   w = e^{−jθ}, θ = ωT.
+    M = [[ψ₁₁ H₁, −ψ₁₂ H₁], [−ψ₂₁ H₂, ψ₂₂ H₂]],   ψ = (1 − φ) w^i + φ w^(i+1) for d = i + φ ticks,
+    w = e^{−jθ}, θ = ωT.
 
-With the forces held, whatever passive hands hold the devices, the loop is passive if for all 0 < θ ≤ π the matrix
+With the forces held, whatever passive hands hold the devices, the loop is passive if for all 0 < θ
+≤ π the matrix
 
     diag(b₁, b₂) − T/(2 (1 − cos θ)) · ½[(1 − w) M + ((1 − w) M)*] − T²/(8 (1 − cos θ)) Σ_i E_i/b_i
 
-is positive definite. E_i, 0 where the delays of a row are whole, is the variance over the aliases of the force that changes
-within a tick on device i, as a form in both positions (THEORY.md §17). For one device this is Colgate's
-condition, and for one law in the middle the discs of `nodes.stability.loop_region`. At θ → 0 it needs H₁(1) = H₂(1): two
-different springs on one way make energy at any speed.
+is positive definite. E_i, 0 where the delays of a row are whole, is the variance over the aliases
+of the force that changes within a tick on device i, as a form in both positions (THEORY.md §17).
+For one device this is Colgate's condition, and for one law in the middle the discs of
+`nodes.stability.loop_region`. At θ → 0 it needs H₁(1) = H₂(1): two different springs on one way
+make energy at any speed.
 """
 
 from __future__ import annotations
@@ -39,7 +43,8 @@ class TwoHands:
     laws : tuple of CompiledLaw
         That of the first device, and of the second.
     delays : tuple of tuple of float
-        By law, then by position: from the sample of that position to the force taking effect, whole or fractional [ticks].
+        By law, then by position: from the sample of that position to the force taking effect, whole
+        or fractional [ticks].
     """
 
     laws: tuple[CompiledLaw, CompiledLaw]
@@ -52,7 +57,11 @@ class TwoHands:
 
     @classmethod
     def law_each(
-        cls, laws: tuple[CompiledLaw, CompiledLaw], there: float, back: float, own: tuple[float, float] = (0.0, 0.0)
+        cls,
+        laws: tuple[CompiledLaw, CompiledLaw],
+        there: float,
+        back: float,
+        own: tuple[float, float] = (0.0, 0.0),
     ) -> TwoHands:
         """Return a law at each device, on its own position and the other's.
 
@@ -61,7 +70,8 @@ class TwoHands:
         laws : tuple of CompiledLaw
             Of the first device and of the second.
         there, back : float
-            Delay of the first position on its way to the second device, and of the second's to the first [ticks].
+            Delay of the first position on its way to the second device, and of the second's to the
+            first [ticks].
         own : tuple of float
             Delay of either loop itself [ticks].
         """
@@ -83,13 +93,15 @@ def damping_share(coupling: TwoHands, period: float, damping: tuple[float, float
     Returns
     -------
     float
-        Largest eigenvalue over all frequencies [1]; infinite where both sides render different stiffnesses, or a device
-        without damping is asked for some.
+        Largest eigenvalue over all frequencies [1]; infinite where both sides render different
+        stiffnesses, or a device without damping is asked for some.
     """
     first, second = (law.h1 for law in coupling.laws)
     if abs(first - second) > _SOFTEST * max(abs(first), abs(second)):
         return math.inf
-    length = max(len(law.taps) for law in coupling.laws) + math.ceil(max(max(row) for row in coupling.delays))
+    length = max(len(law.taps) for law in coupling.laws) + math.ceil(
+        max(max(row) for row in coupling.delays)
+    )
     grid = [np.linspace(0.0, np.pi, 16 * length + 257)[1:], np.geomspace(1e-4, np.pi, 801)]
     grid += [sharp[sharp >= 1e-4] for sharp in map(resonances, coupling.laws)]
 
@@ -99,7 +111,9 @@ def damping_share(coupling: TwoHands, period: float, damping: tuple[float, float
     return float(_highest(share, np.unique(np.concatenate(grid))))
 
 
-def _share(coupling: TwoHands, period: float, damping: tuple[float, float], theta: NDArray[np.float64]) -> NDArray[np.float64]:
+def _share(
+    coupling: TwoHands, period: float, damping: tuple[float, float], theta: NDArray[np.float64]
+) -> NDArray[np.float64]:
     w = np.exp(-1j * theta)
     # (1 − w)/(2 (1 − cos θ)) = 1/(1 − w̄): written so, nothing cancels.
     sampled = period / (1.0 - np.conj(w))
@@ -109,7 +123,8 @@ def _share(coupling: TwoHands, period: float, damping: tuple[float, float], thet
     across = -0.5 * (rows[0] * lag(w, d12) + np.conj(rows[1] * lag(w, d21)))
     with np.errstate(divide="ignore", invalid="ignore"):
         for i, (row, (first, second)) in enumerate(zip(rows, coupling.delays, strict=True)):
-            # What a force that changes within a tick takes beside its mean, of the positions x₁ and −x₂.
+            # What a force that changes within a tick takes beside its mean, of the positions x₁ and
+            # −x₂.
             size = np.abs(row) ** 2 / (4.0 * damping[i])
             own[0] = own[0] + size * _spread(w, first, first).real
             own[1] = own[1] + size * _spread(w, second, second).real
@@ -132,7 +147,9 @@ def _spread(w: NDArray[np.complex128], first: float, second: float) -> NDArray[n
     return lag(w, second - first) - np.conj(lag(w, first)) * lag(w, second)
 
 
-def _highest(function: Callable[[NDArray[np.float64]], NDArray[np.float64]], grid: NDArray[np.float64]) -> float:
+def _highest(
+    function: Callable[[NDArray[np.float64]], NDArray[np.float64]], grid: NDArray[np.float64]
+) -> float:
     """Largest value: the highest cells of a grid, each zoomed into."""
     value = function(grid)
     padded = np.concatenate([[-np.inf], value, [-np.inf]])
@@ -150,7 +167,10 @@ def _highest(function: Callable[[NDArray[np.float64]], NDArray[np.float64]], gri
 
 
 def k_max_two_hands(
-    coupling_at: Callable[[float], TwoHands], period: float, damping: tuple[float, float], highest: float = 1e9
+    coupling_at: Callable[[float], TwoHands],
+    period: float,
+    damping: tuple[float, float],
+    highest: float = 1e9,
 ) -> float | None:
     """Return the largest nominal stiffness at which a coupling is passive for any two hands.
 
@@ -168,14 +188,16 @@ def k_max_two_hands(
     Returns
     -------
     float or None
-        K [N/m]; None where no stiffness is passive. The condition is convex in K, so one interval is all there is.
+        K [N/m]; None where no stiffness is passive. The condition is convex in K, so one interval
+        is all there is.
     """
 
     def excess(stiffness: float) -> float:
         return damping_share(coupling_at(stiffness), period, damping) - 1.0
 
     softest = 1e-6
-    # The share is convex in K: where the derivative part alone asks for too much, a stiffer spring may still ask for less.
+    # The share is convex in K: where the derivative part alone asks for too much, a stiffer spring
+    # may still ask for less.
     tried: list[float] = [softest, *np.geomspace(1e-2, highest, 121).tolist()]
     start = next((k for k in tried if excess(k) < 0.0), None)
     if start is None:

@@ -1,11 +1,13 @@
 """A device whose own servo is faster than the loop: a damper between the loop's ticks, and how stiff the wall may be then.
 
-The servo samples the device every T/N and answers with a damper on the backward difference; the coupling's force comes every T,
-some servo ticks late. Over one period of the loop this is one linear map (N exact steps, lifted), so the loop is stable iff the
-pole radius of that map is below 1: no approximation is involved.
+The servo samples the device every T/N and answers with a damper on the backward difference; the
+coupling's force comes every T, some servo ticks late. Over one period of the loop this is one
+linear map (N exact steps, lifted), so the loop is stable iff the pole radius of that map is below
+1: no approximation is involved.
 
-A heavy device leaves a closed form, for any delay and damping: at the edge the motion is slow against both rates, the
-servo's damper counts in full, and H(1) ≤ (b + B_s)/(T (½ + d)). THEORY.md §13.
+A heavy device leaves a closed form, for any delay and damping: at the edge the motion is slow
+against both rates, the servo's damper counts in full, and H(1) ≤ (b + B_s)/(T (½ + d)). THEORY.md
+§13.
 """
 
 from __future__ import annotations
@@ -32,9 +34,15 @@ class TwoRate:
 
     def __post_init__(self) -> None:
         if not (self.mass > 0.0 and self.damping >= 0.0 and self.servo_damping >= 0.0):
-            raise ValueError(f"mass {self.mass} kg, damping {self.damping}, servo {self.servo_damping} N s/m: no device")
+            raise ValueError(
+                f"mass {self.mass} kg, damping {self.damping}, servo {self.servo_damping} N s/m: no"
+                " device"
+            )
         if self.ratio < 1 or self.delay < 0:
-            raise ValueError(f"ratio {self.ratio}, expected at least 1; delay {self.delay} servo ticks, expected 0 or more")
+            raise ValueError(
+                f"ratio {self.ratio}, expected at least 1; delay {self.delay} servo ticks, expected"
+                " 0 or more"
+            )
 
 
 def heavy_limit(device: TwoRate, period: float) -> float:
@@ -45,8 +53,9 @@ def heavy_limit(device: TwoRate, period: float) -> float:
 def lifted(law: CompiledLaw, period: float, device: TwoRate) -> NDArray[np.float64]:
     """Write one period of the loop as one matrix.
 
-    The state at a tick of the loop is position, velocity, position one servo tick ago, the n older samples of the loop, and the
-    forces that have not taken effect, oldest first. Raises ValueError when the law has sections.
+    The state at a tick of the loop is position, velocity, position one servo tick ago, the n older
+    samples of the loop, and the forces that have not taken effect, oldest first. Raises ValueError
+    when the law has sections.
     """
     if law.sections:
         raise ValueError("law: only taps can be lifted over the servo's ticks")
@@ -59,10 +68,13 @@ def lifted(law: CompiledLaw, period: float, device: TwoRate) -> NDArray[np.float
     samples = [x, *(rows[3 + m] for m in range(n))]
     forces = [rows[3 + n + i] for i in range(waiting)]
     # The force of this tick pulls back: the deflection is −x.
-    newest = -sum((tap * sample for tap, sample in zip(law.taps, samples, strict=True)), np.zeros(size))
+    newest = -sum(
+        (tap * sample for tap, sample in zip(law.taps, samples, strict=True)), np.zeros(size)
+    )
     queue = [*forces, newest]
     for j in range(device.ratio):
-        # queue[-1] is this tick's force; it acts from servo tick `delay` on, those before it each N servo ticks earlier.
+        # queue[-1] is this tick's force; it acts from servo tick `delay` on, those before it each N
+        # servo ticks earlier.
         age = (device.delay - j + device.ratio - 1) // device.ratio if j < device.delay else 0
         acting = queue[-1 - age]
         servo = -device.servo_damping / short * (x - before)
@@ -76,14 +88,23 @@ def two_rate_radius(law: CompiledLaw, period: float, device: TwoRate) -> float:
     return float(np.max(np.abs(np.linalg.eigvals(lifted(law, period, device)))))
 
 
-def two_rate_k_max(derivative: CompiledLaw, period: float, device: TwoRate, steps: int = 400) -> float | None:
+def two_rate_k_max(
+    derivative: CompiledLaw, period: float, device: TwoRate, steps: int = 400
+) -> float | None:
     """Find the upper end of the lowest stable interval of K [N/m], in steps over six decades about `heavy_limit`.
 
     None when none of them is stable, infinite when the stiffest still is.
     """
 
     def stable(k: float) -> bool:
-        return two_rate_radius(replace(derivative, taps=(derivative.taps[0] + k, *derivative.taps[1:])), period, device) < 1.0
+        return (
+            two_rate_radius(
+                replace(derivative, taps=(derivative.taps[0] + k, *derivative.taps[1:])),
+                period,
+                device,
+            )
+            < 1.0
+        )
 
     base: float = heavy_limit(device, period) or 1.0
     inside: float | None = None

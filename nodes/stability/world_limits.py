@@ -22,7 +22,8 @@ from nodes.stability.worlds import (
 )
 from nodes.stability.worst_world import WorstWorld, worst_world
 
-_WALL = Springs(math.inf, math.inf)  # a rigid spring: the wall's edge without scipy, which takes half a second to import
+# a rigid spring: the wall's edge without scipy, which takes half a second to import
+_WALL = Springs(math.inf, math.inf)
 
 
 @dataclass(frozen=True)
@@ -63,11 +64,19 @@ class WorldLimits:
 
     def as_json(self) -> dict[str, object]:
         """Return the figures with their units in the keys; null: none, and for a stiffness without limit too."""
-        found: dict[str, object] = {f"k_max_{name}_n_per_m": finite(k) for name, k in self.k_max_n_per_m.items()}
+        found: dict[str, object] = {
+            f"k_max_{name}_n_per_m": finite(k) for name, k in self.k_max_n_per_m.items()
+        }
         worst = self.worst_world
         found["worst_world"] = None
         if worst is not None:
-            keys = ("mass_kg", "stiffness_n_per_m", "damping_n_s_per_m", "frequency_hz", "integrator")
+            keys = (
+                "mass_kg",
+                "stiffness_n_per_m",
+                "damping_n_s_per_m",
+                "frequency_hz",
+                "integrator",
+            )
             found["worst_world"] = {key: getattr(worst, key) for key in keys}
         return found | {"about": dict(self.about), "unlimited": self.unlimited}
 
@@ -82,7 +91,9 @@ def finite(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
 
 
-def world_limits(derivative: CompiledLaw, plant: Plant, moving: Moving | None = None, worst: bool = False) -> WorldLimits:
+def world_limits(
+    derivative: CompiledLaw, plant: Plant, moving: Moving | None = None, worst: bool = False
+) -> WorldLimits:
     """Return the largest stiffness of a law for each kind of world.
 
     Parameters
@@ -105,19 +116,23 @@ def world_limits(derivative: CompiledLaw, plant: Plant, moving: Moving | None = 
     for name, (world, any_hand) in (moving or Moving()).asked().items():
         one = world_k_max(derivative, plant, world, any_hand)
         found[name] = one.k_max_n_per_m
-        about[name] = one.about if world is not _WALL else f"{Wall().about}; {hand_text(plant, any_hand)}"
+        about[name] = (
+            one.about if world is not _WALL else f"{Wall().about}; {hand_text(plant, any_hand)}"
+        )
     return WorldLimits(found, about, worst_world(derivative, plant) if worst else None)
 
 
 def world_needs(law: CompiledLaw, plant: Plant) -> dict[str, float | None]:
     """Return what a law as it is needs for each kind of moving world; None: nothing is enough.
 
-    ``device_damping_…`` of the device [N s/m], ``tool_damping_…`` of a stepped tool to the ground [N s/m], ``tool_mass_…`` of a
-    tool that semi-implicit Euler moves [kg].
+    ``device_damping_…`` of the device [N s/m], ``tool_damping_…`` of a stepped tool to the ground
+    [N s/m], ``tool_mass_…`` of a tool that semi-implicit Euler moves [kg].
     """
     return {
         "device_damping_any_world_n_s_per_m": needed_device_damping(law, plant, AnyWorld()),
-        "device_damping_any_hand_any_world_n_s_per_m": needed_device_damping(law, plant, AnyWorld(), any_hand=True),
+        "device_damping_any_hand_any_world_n_s_per_m": needed_device_damping(
+            law, plant, AnyWorld(), any_hand=True
+        ),
         "tool_damping_any_world_n_s_per_m": needed_tool_damping(law, plant),
         "tool_damping_any_hand_any_world_n_s_per_m": needed_tool_damping(law, plant, any_hand=True),
         "tool_mass_euler_kg": needed_tool_mass(law, plant),

@@ -1,7 +1,7 @@
 """The loop of a law, a known device and one body as its world, as a matrix of one tick: exact, whatever the body's integrator.
 
-The deflection is x = p − y. An implicit body answers the force of the same tick, so force and motion are solved together; a
-stepped body moves after the force (THEORY.md §18).
+The deflection is x = p − y. An implicit body answers the force of the same tick, so force and
+motion are solved together; a stepped body moves after the force (THEORY.md §18).
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from nodes.stability.plant import Plant, held_step
 
 Integrator: TypeAlias = Literal["implicit", "lossless", "semi_implicit", "exact"]
 STEPPED = ("semi_implicit", "exact")  # they answer a force after the tick in which it acts
-HeldStep: TypeAlias = tuple[int, tuple[float, float, float, float], tuple[float, float], tuple[float, float]]
+HeldStep: TypeAlias = tuple[
+    int, tuple[float, float, float, float], tuple[float, float], tuple[float, float]
+]
 
 
 @dataclass(frozen=True)
@@ -33,8 +35,8 @@ class Body:
     integrator : str
         ``implicit``: backward Euler, solved with the force of the same tick and damped by the rule
         itself. ``lossless``: solved so as well; the velocity (y_k − y_k₋₁)/T obeys the trapezoidal
-        rule. ``semi_implicit``: moved after the force, which is held and as late as on the device, by
-        `steps` steps a tick with implicit damping, as MuJoCo does. ``exact``: the differential
+        rule. ``semi_implicit``: moved after the force, which is held and as late as on the device,
+        by `steps` steps a tick with implicit damping, as MuJoCo does. ``exact``: the differential
         equation under that held force. The last two need a mass.
     steps : int
         Steps a tick of ``semi_implicit``.
@@ -55,25 +57,39 @@ class Body:
         """Refuse what no passive body is."""
         values = (self.mass, self.damping, self.stiffness)
         if not all(math.isfinite(value) and value >= 0.0 for value in values) or not any(values):
-            raise ValueError(f"mass, damping, stiffness = {values!r}: expected at least 0, finite, and not all 0")
+            raise ValueError(
+                f"mass, damping, stiffness = {values!r}: expected at least 0, finite, and not all 0"
+            )
         if self.steps < 1 or (self.integrator in STEPPED and self.mass == 0.0):
-            raise ValueError(f"steps = {self.steps!r}, mass = {self.mass!r}: a stepped body needs both above 0")
+            raise ValueError(
+                f"steps = {self.steps!r}, mass = {self.mass!r}: a stepped body needs both above 0"
+            )
 
-    def rational(self, period: float, free: bool = False, delay: float = 0.0) -> tuple[list[float], list[float]]:
+    def rational(
+        self, period: float, free: bool = False, delay: float = 0.0
+    ) -> tuple[list[float], list[float]]:
         """Return y/F of the coupling's point, or with `free` its way in a tick over F, by rising powers of w [m/N].
 
-        `free` needs a body without a spring. `delay`: of the force, which matters to stepped bodies only [ticks]. Numerator and
-        denominator have no common factor.
+        `free` needs a body without a spring. `delay`: of the force, which matters to stepped bodies
+        only [ticks]. Numerator and denominator have no common factor.
         """
         inertia, loss, k = self.mass / period**2, self.damping / period, self.stiffness
         if self.integrator in STEPPED:
             return self._stepped(period, free, delay)
         if self.integrator == "lossless":
             if free:
-                return ([1.0, 1.0], [2.0 * inertia + loss, loss - 2.0 * inertia]) if self.mass else ([1.0], [loss])
+                return (
+                    ([1.0, 1.0], [2.0 * inertia + loss, loss - 2.0 * inertia])
+                    if self.mass
+                    else ([1.0], [loss])
+                )
             if not self.mass:
                 return [1.0], [loss + 0.5 * k, 0.5 * k - loss]
-            return [1.0, 1.0], [2.0 * inertia + loss + 0.5 * k, k - 4.0 * inertia, 2.0 * inertia - loss + 0.5 * k]
+            return [1.0, 1.0], [
+                2.0 * inertia + loss + 0.5 * k,
+                k - 4.0 * inertia,
+                2.0 * inertia - loss + 0.5 * k,
+            ]
         if free:
             return [1.0], [inertia + loss, -inertia] if self.mass else [loss]
         below = [inertia + loss + k, -2.0 * inertia - loss, inertia]
@@ -81,11 +97,17 @@ class Body:
 
     def _stepped(self, period: float, free: bool, delay: float) -> tuple[list[float], list[float]]:
         if self.integrator == "exact":
-            whole, (a11, a12, a21, a22), new, old = held_step(Plant(period, self.mass, self.damping, delay, self.stiffness))
+            whole, (a11, a12, a21, a22), new, old = held_step(
+                Plant(period, self.mass, self.damping, delay, self.stiffness)
+            )
         else:
             whole, (a11, a12, a21, a22), new, old = self._euler(period, delay)
         # y = [1 0](zI − A)⁻¹ (new + w old) wⁱ F.
-        above = [0.0] * (whole + 1) + [new[0], a12 * new[1] - a22 * new[0] + old[0], a12 * old[1] - a22 * old[0]]
+        above = [0.0] * (whole + 1) + [
+            new[0],
+            a12 * new[1] - a22 * new[0] + old[0],
+            a12 * old[1] - a22 * old[0],
+        ]
         if free:
             return above, [1.0, -a22]
         return above, [1.0, -a11 - a22, a11 * a22 - a12 * a21]
@@ -107,7 +129,12 @@ class Body:
             else:
                 new = new + kick
         (a11, a12), (a21, a22) = moved.tolist()
-        return whole, (a11, a12, a21, a22), (float(new[0]), float(new[1])), (float(old[0]), float(old[1]))
+        return (
+            whole,
+            (a11, a12, a21, a22),
+            (float(new[0]), float(new[1])),
+            (float(old[0]), float(old[1])),
+        )
 
 
 def world_radius(law: CompiledLaw, plant: Plant, body: Body) -> float:
@@ -118,9 +145,10 @@ def world_radius(law: CompiledLaw, plant: Plant, body: Body) -> float:
 def world_matrix(law: CompiledLaw, plant: Plant, body: Body) -> NDArray[np.float64]:
     """Return one tick of the loop of a law, a device and a body.
 
-    Of [p, v T, x₋₁ … x₋ₙ, (s₋₁, s₋₂) per section, u₋₁ … u₋ᵢ₋₁, the body's own], forces in lengths, by T²/m. Where neither hand
-    nor spring ties device and body to the ground, p counts from the body: both may drift together, which is no instability.
-    Raises ValueError where force and body have no common solution in a tick.
+    Of [p, v T, x₋₁ … x₋ₙ, (s₋₁, s₋₂) per section, u₋₁ … u₋ᵢ₋₁, the body's own], forces in lengths,
+    by T²/m. Where neither hand nor spring ties device and body to the ground, p counts from the
+    body: both may drift together, which is no instability. Raises ValueError where force and body
+    have no common solution in a tick.
     """
     unit = plant.period**2 / plant.mass
     whole, (a11, a12, a21, a22), new, old = held_step(plant)
@@ -135,7 +163,9 @@ def world_matrix(law: CompiledLaw, plant: Plant, body: Body) -> NDArray[np.float
     ends = np.cumsum([1, 1, history, 2 * count, whole + 1, order])
     (p,), (v,), past, sections, forces, own = np.split(np.eye(ends[-1]), ends[:-1])
     # F = free + gain x, with x = p − y and y = rest + give F.
-    free = sum((tap * unit * before for tap, before in zip(law.taps[1:], past, strict=False)), 0.0 * p)
+    free = sum(
+        (tap * unit * before for tap, before in zip(law.taps[1:], past, strict=False)), 0.0 * p
+    )
     gain = law.taps[0] * unit
     answers: list[Reals] = []
     for s, (b0, b1, a1, a2) in enumerate(law.sections):
@@ -143,11 +173,16 @@ def world_matrix(law: CompiledLaw, plant: Plant, body: Body) -> NDArray[np.float
         free, gain = free + answers[-1], gain + b0 * unit
     rest, give = own[0] if order else 0.0 * p, ahead[0]
     if not 1.0 + gain * give > 0.0:
-        raise ValueError("law: force and body have no common solution in one tick: its newest tap is too negative")
+        raise ValueError(
+            "law: force and body have no common solution in one tick: its newest tap is too"
+            " negative"
+        )
     force = (free + gain * (p - rest)) / (1.0 + gain * give)
     y = rest + give * force
     x = p - y
-    settled = [b0 * unit * x + answer for (b0, *_), answer in zip(law.sections, answers, strict=True)]
+    settled = [
+        b0 * unit * x + answer for (b0, *_), answer in zip(law.sections, answers, strict=True)
+    ]
 
     acting = (-force, *(-f for f in forces))
     push, before = acting[whole] / unit, acting[whole + 1] / unit
@@ -155,5 +190,16 @@ def world_matrix(law: CompiledLaw, plant: Plant, body: Body) -> NDArray[np.float
     moved = a11 * p + a12 / period * v + new[0] * push + old[0] * before - (y if drifts else 0.0)
     faster = a21 * period * p + a22 * v + period * (new[1] * push + old[1] * before)
     shifted = [row for s, one in enumerate(settled) for row in (one, sections[2 * s])]
-    following = [ahead[j] * force - back[j] * y + (own[j] if j < order else 0.0) for j in range(1, order + 1)]
-    return np.array([moved, faster, *([x, *past][:history]), *shifted, *([force, *forces][: whole + 1]), *following])
+    following = [
+        ahead[j] * force - back[j] * y + (own[j] if j < order else 0.0) for j in range(1, order + 1)
+    ]
+    return np.array(
+        [
+            moved,
+            faster,
+            *([x, *past][:history]),
+            *shifted,
+            *([force, *forces][: whole + 1]),
+            *following,
+        ]
+    )

@@ -9,7 +9,15 @@ from nodes.laws import CompiledLaw
 from nodes.stability.k_max import with_spring
 from nodes.stability.needed import needed_device_damping, needed_tool_damping, needed_tool_mass
 from nodes.stability.plant import Plant
-from nodes.stability.worlds import EulerTool, OtherDevice, SteppedTool, Wall, WorldKind, hand_text, world_k_max
+from nodes.stability.worlds import (
+    EulerTool,
+    OtherDevice,
+    SteppedTool,
+    Wall,
+    WorldKind,
+    hand_text,
+    world_k_max,
+)
 
 
 @dataclass(frozen=True)
@@ -19,15 +27,23 @@ class WorldVerdict:
     certified: bool
     about: str  # which worlds and hands
     h1_n_per_m: float  # stiffness of the law, H(1) [N/m]
-    h1_max_n_per_m: float | None  # largest certified H(1) of its kind, the rest as it is [N/m]; None: none
-    device_damping_n_s_per_m: float | None  # least damping of the device with which the law is certified; None: none
-    tool_damping_n_s_per_m: float | None  # least damping of a stepped tool; None for other worlds, or when none is enough
-    tool_mass_kg: float | None  # least mass of a tool of semi-implicit Euler; None for other worlds, or when none is enough
+    # largest certified H(1) of its kind, the rest as it is [N/m]; None: none
+    h1_max_n_per_m: float | None
+    # least damping of the device with which the law is certified; None: none
+    device_damping_n_s_per_m: float | None
+    # least damping of a stepped tool; None for other worlds, or when none is enough
+    tool_damping_n_s_per_m: float | None
+    # least mass of a tool of semi-implicit Euler; None for other worlds, or when none is enough
+    tool_mass_kg: float | None
 
     @property
     def text(self) -> str:
         """The verdict in one sentence, with what would make it so."""
-        limit = "no stiffness" if self.h1_max_n_per_m is None else f"H(1) up to {self.h1_max_n_per_m:.4g} N/m"
+        limit = (
+            "no stiffness"
+            if self.h1_max_n_per_m is None
+            else f"H(1) up to {self.h1_max_n_per_m:.4g} N/m"
+        )
         if self.h1_max_n_per_m == math.inf:
             limit = "every stiffness"
         if self.certified:
@@ -42,10 +58,15 @@ class WorldVerdict:
             if value is not None
         ]
         remedy = f"; it takes {' or '.join(ways)}" if ways else ""
-        return f"not certified with {self.about}: {limit}, and it has {self.h1_n_per_m:.4g} N/m{remedy}"
+        return (
+            f"not certified with {self.about}: {limit}, and it has {self.h1_n_per_m:.4g}"
+            f" N/m{remedy}"
+        )
 
 
-def judge_world(law: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool = False) -> WorldVerdict | None:
+def judge_world(
+    law: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool = False
+) -> WorldVerdict | None:
     """Judge a law on a device for every world of a kind; None for a law with code of its own, which has no poles.
 
     Parameters
@@ -55,8 +76,8 @@ def judge_world(law: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool
     plant : Plant
         The device itself and its loop (no tool reduced into its mass).
     world : WorldKind
-        `SteppedTool` for a body that is stepped with the force held (kind ``mujoco``), its damping as measured or declared;
-        `EulerTool`, `OtherDevice`, `AnyWorld`, `Springs` or `Wall`.
+        `SteppedTool` for a body that is stepped with the force held (kind ``mujoco``), its damping
+        as measured or declared; `EulerTool`, `OtherDevice`, `AnyWorld`, `Springs` or `Wall`.
     any_hand : bool
         Whether every passive hand may hold the device; else the hand is that of the plant.
     """

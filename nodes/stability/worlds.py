@@ -1,7 +1,7 @@
 """Worlds that a coupling may be asked to render, and the stiffness and damping that are certified for all of one kind.
 
-A wall is not the worst world. Which worlds a certificate is about decides everything, so each kind names them: how they are
-integrated, how late they answer, what damping they have (THEORY.md §18).
+A wall is not the worst world. Which worlds a certificate is about decides everything, so each kind
+names them: how they are integrated, how late they answer, what damping they have (THEORY.md §18).
 """
 
 from __future__ import annotations
@@ -42,12 +42,17 @@ class Springs:
     def __post_init__(self) -> None:
         """Refuse an empty range."""
         if not 0.0 < self.softest <= self.stiffest:
-            raise ValueError(f"softest = {self.softest!r}, stiffest = {self.stiffest!r} N/m: expected 0 < softest <= stiffest")
+            raise ValueError(
+                f"softest = {self.softest!r}, stiffest = {self.stiffest!r} N/m: expected 0 <"
+                " softest <= stiffest"
+            )
 
     @property
     def about(self) -> str:
         """Which worlds these are."""
-        return f"a spring of {self.softest:g} to {self.stiffest:g} N/m that answers in the same tick"
+        return (
+            f"a spring of {self.softest:g} to {self.stiffest:g} N/m that answers in the same tick"
+        )
 
 
 @dataclass(frozen=True)
@@ -57,18 +62,23 @@ class AnyWorld:
     @property
     def about(self) -> str:
         """Which worlds these are."""
-        return "any passive world that answers in the same tick (implicit or lossless, a static spring, a proxy)"
+        return (
+            "any passive world that answers in the same tick (implicit or lossless, a static"
+            " spring, a proxy)"
+        )
 
 
 @dataclass(frozen=True)
 class SteppedTool:
     """A tool with viscous damping to the ground and anything passive hung on it, stepped with the force held.
 
-    Sub-steps do not matter: a hold of the force over any number of implicit or exact sub-steps is covered.
+    Sub-steps do not matter: a hold of the force over any number of implicit or exact sub-steps is
+    covered.
     """
 
     damping: float  # of the tool to the ground [N s/m]
-    delay: float | None = None  # from the sample to the force that moves the tool; None: as late as on the device [ticks]
+    # from the sample to the force that moves the tool; None: as late as on the device [ticks]
+    delay: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse a tool that promises nothing."""
@@ -81,8 +91,8 @@ class SteppedTool:
             return "a stepped tool without damping to the ground, of which nothing is provable"
         late = "as late as on the device" if self.delay is None else f"{self.delay:g} ticks late"
         return (
-            f"a stepped tool of at least {self.damping:g} N s/m to the ground with anything passive hung on it "
-            f"(force held, {late}, any sub-steps)"
+            f"a stepped tool of at least {self.damping:g} N s/m to the ground with anything passive"
+            f" hung on it (force held, {late}, any sub-steps)"
         )
 
 
@@ -138,7 +148,8 @@ WorldKind: TypeAlias = Wall | Springs | AnyWorld | SteppedTool | EulerTool | Oth
 class WorldKMax:
     """Largest certified stiffness for one kind of world."""
 
-    k_max_n_per_m: float | None  # nominal stiffness [N/m]; None: no stiffness is certified; infinite: every one is
+    # nominal stiffness [N/m]; None: no stiffness is certified; infinite: every one is
+    k_max_n_per_m: float | None
     low_n_per_m: float | None  # lower end of the window [N/m]
     frequency_hz: float | None  # where the upper end is reached [Hz]
     about: str  # which worlds and hands it is about
@@ -157,7 +168,9 @@ def region_of(plant: Plant, world: WorldKind, any_hand: bool) -> Region:
         Whether every passive hand may hold the device; else the hand is that of the plant.
     """
     refuse_partner(plant)
-    known, hands = (None, (held_disc(plant, plant.damping, plant.delay),)) if any_hand else (plant, ())
+    known, hands = (
+        (None, (held_disc(plant, plant.damping, plant.delay),)) if any_hand else (plant, ())
+    )
     if isinstance(world, AnyWorld):
         return Region(plant.period, known, hands, any_world=True)
     if isinstance(world, Wall):
@@ -175,7 +188,10 @@ def region_of(plant: Plant, world: WorldKind, any_hand: bool) -> Region:
 def refuse_partner(plant: Plant) -> None:
     """Refuse a plant with a partner: for a certificate that is a kind of world."""
     if plant.partner is not None:
-        raise ValueError("plant.partner: judge the device alone, and name the partner as its world: OtherDevice or SteppedTool")
+        raise ValueError(
+            "plant.partner: judge the device alone, and name the partner as its world: OtherDevice"
+            " or SteppedTool"
+        )
 
 
 def held_disc(plant: Plant, damping: float, delay: float) -> Disc:
@@ -187,12 +203,16 @@ def euler_disc(plant: Plant, mass: float) -> Disc:
     """Return the disc of a mass that semi-implicit Euler moves once a tick, with anything implicit on it."""
 
     def radius(theta: Reals) -> Reals:
-        return np.asarray(plant.period**2 / (4.0 * mass * np.sin(0.5 * theta) ** 2), dtype=np.float64)
+        return np.asarray(
+            plant.period**2 / (4.0 * mass * np.sin(0.5 * theta) ** 2), dtype=np.float64
+        )
 
     return Disc(radius, 0.0)
 
 
-def world_k_max(derivative: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool = False) -> WorldKMax:
+def world_k_max(
+    derivative: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool = False
+) -> WorldKMax:
     """Return the largest nominal stiffness that is certified for every world of a kind.
 
     Parameters
@@ -200,8 +220,8 @@ def world_k_max(derivative: CompiledLaw, plant: Plant, world: WorldKind, any_han
     derivative : CompiledLaw
         The law without its spring (`nodes.stability.k_max.without_spring`).
     plant : Plant
-        The device and its loop; its partner does not matter, the world takes its place. Without damping nothing but a wall or
-        a spring is certified.
+        The device and its loop; its partner does not matter, the world takes its place. Without
+        damping nothing but a wall or a spring is certified.
     world : WorldKind
         The kind of world.
     any_hand : bool
@@ -219,12 +239,18 @@ def world_k_max(derivative: CompiledLaw, plant: Plant, world: WorldKind, any_han
     """
     plant = replace(plant, partner=None)
     if derivative.evaluate is not None:
-        raise ValueError("law: has code of its own and no transfer function; use --method simulation or lockstep")
+        raise ValueError(
+            "law: has code of its own and no transfer function; use --method simulation or lockstep"
+        )
     about = f"{world.about}; {hand_text(plant, any_hand)}"
     none = WorldKMax(None, None, None, about)
     if isinstance(world, Wall) and not any_hand:
         wall = k_max(derivative, plant)
-        return none if not wall.stable else WorldKMax(wall.k_max_n_per_m, wall.stable[0][0], None, about)
+        return (
+            none
+            if not wall.stable
+            else WorldKMax(wall.k_max_n_per_m, wall.stable[0][0], None, about)
+        )
     if isinstance(world, Springs) and any_hand:
         raise ValueError("world: springs are certified for a known device only; any hand: AnyWorld")
     if undamped(plant, world) and not isinstance(world, Springs):
@@ -241,14 +267,18 @@ def world_k_max(derivative: CompiledLaw, plant: Plant, world: WorldKind, any_han
     return WorldKMax(window.high_n_per_m, window.low_n_per_m, where, about)
 
 
-def _window(derivative: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool) -> Window | None:
+def _window(
+    derivative: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool
+) -> Window | None:
     if isinstance(world, Springs):
         return spring_window(derivative, plant, world.softest, world.stiffest)
 
     def stable(stiffness: float) -> bool:
         return is_stable(with_spring(derivative, stiffness), plant)
 
-    return k_window(derivative, region_of(plant, world, any_hand), stable, wall_swings(derivative, plant))
+    return k_window(
+        derivative, region_of(plant, world, any_hand), stable, wall_swings(derivative, plant)
+    )
 
 
 def is_stable(law: CompiledLaw, plant: Plant) -> bool:
@@ -258,13 +288,18 @@ def is_stable(law: CompiledLaw, plant: Plant) -> bool:
 
 def undamped(plant: Plant, world: WorldKind) -> bool:
     """Return whether device or tool lack the damping without which nothing is provable."""
-    return plant.damping == 0.0 or (isinstance(world, SteppedTool | OtherDevice) and world.damping == 0.0)
+    return plant.damping == 0.0 or (
+        isinstance(world, SteppedTool | OtherDevice) and world.damping == 0.0
+    )
 
 
 def hand_text(plant: Plant, any_hand: bool) -> str:
     """Return which hands a certificate is about."""
     if any_hand:
-        return f"a device of at least {plant.damping:g} N s/m, its hand's share included, in any passive hand"
+        return (
+            f"a device of at least {plant.damping:g} N s/m, its hand's share included, in any"
+            " passive hand"
+        )
     hand = f" and a hand of {plant.stiffness:g} N/m" if plant.stiffness else ""
     return f"the known device of {plant.mass:g} kg, {plant.damping:g} N s/m{hand}"
 

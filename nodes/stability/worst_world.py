@@ -1,8 +1,8 @@
 """The worst world for a law on a known device: one body of first order with which the loop swings just above the limit.
 
 At the edge of "any world that answers in the same tick" the answer of law and device is purely
-imaginary at one frequency. A lossless mass or spring has the opposite there, so it puts a pole on the
-unit circle: the certificate is necessary, not only sufficient (THEORY.md §18).
+imaginary at one frequency. A lossless mass or spring has the opposite there, so it puts a pole on
+the unit circle: the certificate is necessary, not only sufficient (THEORY.md §18).
 """
 
 from __future__ import annotations
@@ -34,13 +34,25 @@ class WorstWorld:
     @property
     def text(self) -> str:
         """What it is, and what it does."""
-        what = f"a mass of {self.mass_kg:.4g} kg" if self.mass_kg else f"a spring of {self.stiffness_n_per_m:.5g} N/m"
-        return f"{what} ({self.integrator}), swings at {self.frequency_hz:.4g} Hz above {self.k_max_n_per_m:.6g} N/m"
+        what = (
+            f"a mass of {self.mass_kg:.4g} kg"
+            if self.mass_kg
+            else f"a spring of {self.stiffness_n_per_m:.5g} N/m"
+        )
+        return (
+            f"{what} ({self.integrator}), swings at {self.frequency_hz:.4g} Hz above"
+            f" {self.k_max_n_per_m:.6g} N/m"
+        )
 
     @property
     def body(self) -> Body:
         """Return the body."""
-        return Body(self.mass_kg or 0.0, self.damping_n_s_per_m or 0.0, self.stiffness_n_per_m or 0.0, "lossless")
+        return Body(
+            self.mass_kg or 0.0,
+            self.damping_n_s_per_m or 0.0,
+            self.stiffness_n_per_m or 0.0,
+            "lossless",
+        )
 
 
 def worst_world(derivative: CompiledLaw, plant: Plant) -> WorstWorld | None:
@@ -64,7 +76,9 @@ def worst_world(derivative: CompiledLaw, plant: Plant) -> WorstWorld | None:
     theta = 2.0 * math.pi * plant.period * edge.frequency_hz
     half = math.tan(0.5 * theta)
     step = complex(2.0 * math.sin(0.5 * theta) ** 2, math.sin(theta))
-    law = with_spring(derivative, edge.k_max_n_per_m).response(complex(math.cos(theta), math.sin(theta)))
+    law = with_spring(derivative, edge.k_max_n_per_m).response(
+        complex(math.cos(theta), math.sin(theta))
+    )
     left = (step / law + complex(known_answer(plant, np.array([theta]))[0])).imag
     if left == 0.0 or theta > math.pi * (1.0 - 1e-9):
         return None

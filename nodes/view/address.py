@@ -5,7 +5,8 @@ from __future__ import annotations
 from nodes.parameters.store import ParameterError
 
 ADDRESS = "127.0.0.1"  # the one address that is bound
-LOCAL = ("127.0.0.1", "localhost")  # names under which a browser of this machine, or behind an ssh tunnel, asks for it
+# names under which a browser of this machine, or behind an ssh tunnel, asks for it
+LOCAL = ("127.0.0.1", "localhost")
 
 
 def check_address(address: str, port: int) -> None:
@@ -17,7 +18,8 @@ def check_address(address: str, port: int) -> None:
 
     shown = port or 8080
     raise ParameterError(
-        f"view.address: {address} is refused: anyone who reaches the page can command the loop, so it is served on {ADDRESS} "
-        f"only. From another machine, set view.port to {shown}, run ssh -L {shown}:{ADDRESS}:{shown} "
-        f"{getpass.getuser()}@{socket.gethostname()} there, and open the printed URL"
+        f"view.address: {address} is refused: anyone who reaches the page can command the loop, so"
+        f" it is served on {ADDRESS} only. From another machine, set view.port to {shown}, run ssh"
+        f" -L {shown}:{ADDRESS}:{shown} {getpass.getuser()}@{socket.gethostname()} there, and open"
+        " the printed URL"
     )

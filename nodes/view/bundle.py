@@ -1,7 +1,8 @@
 """The page's modules as one file: each answer costs a connection, and thirty of them cost a browser on one processor a second.
 
-The sources stay modules of their own, which a browser can load one by one as well. What is served as the first of them is that
-one and all that it imports, each in a function of its own, in the order in which they need each other.
+The sources stay modules of their own, which a browser can load one by one as well. What is served
+as the first of them is that one and all that it imports, each in a function of its own, in the
+order in which they need each other.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ def bundle(sources: Mapping[str, str], first: str) -> str:
 
     def add(name: str, above: tuple[str, ...]) -> None:
         if name in above:
-            raise ValueError(f"modules of the page import each other in a circle: {' > '.join([*above, name])}")
+            raise ValueError(
+                f"modules of the page import each other in a circle: {' > '.join([*above, name])}"
+            )
         if name in done:
             return
         done.add(name)
@@ -31,7 +34,9 @@ def bundle(sources: Mapping[str, str], first: str) -> str:
         exports = ", ".join(_EXPORT.findall(source))
         body = _EXPORT.sub("", _IMPORT.sub(r"const { \1 } = $\2;", source))
         if left := _OTHER.search(body):
-            raise ValueError(f"{name}.js: only named imports and exports are put together, not {left[0]}")
+            raise ValueError(
+                f"{name}.js: only named imports and exports are put together, not {left[0]}"
+            )
         parts.append(f"const ${name} = (() => {{\n{body}\nreturn {{ {exports} }};\n}})();\n")
 
     add(first, ())

@@ -1,11 +1,13 @@
 """What a page may ask for: what ``haptic param`` and ``haptic law`` can, the end of the run, a recording, and undo.
 
-A virtual device can be given another delay; the coupling judges its law with that first. Where the launch file allows it
-(``pointer: {beyond: true}``) a page may also go past the edge of stability on such a device, and start the driver again when it
-has stopped the loop. The permission is read here from what the launch consists of.
+A virtual device can be given another delay; the coupling judges its law with that first. Where the
+launch file allows it (``pointer: {beyond: true}``) a page may also go past the edge of stability on
+such a device, and start the driver again when it has stopped the loop. The permission is read here
+from what the launch consists of.
 
-Each request becomes one control request to a node, which validates it as it does everybody's; its receipt or its refusal goes
-back to the page as it came. The page cannot name an operation, a file or a program.
+Each request becomes one control request to a node, which validates it as it does everybody's; its
+receipt or its refusal goes back to the page as it came. The page cannot name an operation, a file
+or a program.
 """
 
 from __future__ import annotations
@@ -31,8 +33,11 @@ from nodes.launcher.runs import RunInfo
 from nodes.parameters.store import convert
 
 TIMEOUT = 10.0  # longest wait for an answer [s]: judging a law of thousands of taps takes seconds
-READ_TIMEOUT = 2.0  # and for what is only read [s]: a node that is started again never answers what its predecessor was asked
-TOGETHER = 1.0  # changes of the same parameters in so short a time are one step of undo: a slider that is drawn [s]
+# and for what is only read [s]: a node that is started again never answers what its predecessor was
+# asked
+READ_TIMEOUT = 2.0
+# changes of the same parameters in so short a time are one step of undo: a slider that is drawn [s]
+TOGETHER = 1.0
 STEPS = 100  # steps of undo that are kept
 
 
@@ -55,8 +60,10 @@ class Commander:
         self._recordings = 0
         self._path = self._failure = ""
         known = roles(run)
-        self.driver, self.coupling = known.get("driver", ""), known.get("coupling", "")  # empty for a run without
-        # Whether pages may go past the edge of stability, turn the device's delay, have the driver started again.
+        # empty for a run without
+        self.driver, self.coupling = known.get("driver", ""), known.get("coupling", "")
+        # Whether pages may go past the edge of stability, turn the device's delay, have the driver
+        # started again.
         self.beyond = self.delays = self._tells_inertia = False
         if self.driver:
             driver = run.nodes[self.driver]
@@ -64,13 +71,20 @@ class Commander:
             self._tells_inertia = hasattr(kind, "hardware")
             if getattr(kind, "virtual", False):
                 self.beyond = bool((driver.parameters.get("pointer") or {}).get("beyond"))
-                device = getattr(convert(driver.parameters, kind.Parameters, driver.name), "device", None)
-                self.delays = bool(self.coupling) and driver.pace == "realtime" and hasattr(device, "delay")
+                device = getattr(
+                    convert(driver.parameters, kind.Parameters, driver.name), "device", None
+                )
+                self.delays = (
+                    bool(self.coupling) and driver.pace == "realtime" and hasattr(device, "delay")
+                )
         self.again = again and self.beyond
 
     def _endpoint(self, node: str) -> str:
         if node not in self._run.nodes:
-            raise CommandError(f"{self._run.run}: no node is named {node!r}; there is: {', '.join(self._run.nodes)}")
+            raise CommandError(
+                f"{self._run.run}: no node is named {node!r}; there is:"
+                f" {', '.join(self._run.nodes)}"
+            )
         return self._run.nodes[node].control
 
     def ask(self, node: str, op: str, timeout: float = TIMEOUT, /, **args: object) -> Any:
@@ -81,7 +95,8 @@ class Commander:
         try:
             return self._lines[node].call(op, timeout, **args)
         except (HapticError, ValueError, OverflowError, TypeError, zmq.ZMQError) as error:
-            # Beside refusals: an endpoint or key that cannot be used, a value that no message can carry, the end.
+            # Beside refusals: an endpoint or key that cannot be used, a value that no message can
+            # carry, the end.
             raise CommandError(str(error)) from error
 
     def do(self, request: Mapping[str, Any]) -> Any:
@@ -98,7 +113,9 @@ class Commander:
         }
         op = request.get("op")
         if not isinstance(op, str) or op not in known:
-            raise CommandError(f"view: unknown request {str(op)[:100]!r}; a page can ask: {', '.join(known)}")
+            raise CommandError(
+                f"view: unknown request {str(op)[:100]!r}; a page can ask: {', '.join(known)}"
+            )
         arguments = {key: value for key, value in request.items() if key not in ("op", "id")}
         types = get_type_hints(known[op])
         try:
@@ -117,7 +134,8 @@ class Commander:
         for name in values:
             if name.partition(".")[0] in JUDGES:
                 raise CommandError(
-                    f"{node}.{name}: judges what is set here, so it is not set from a page; use: haptic param set {node} {name}"
+                    f"{node}.{name}: judges what is set here, so it is not set from a page; use:"
+                    f" haptic param set {node} {name}"
                 )
             try:
                 before[name] = self.ask(node, "param.get", name=name)
@@ -129,15 +147,20 @@ class Commander:
         self._remember(node, before, values)
         return {"node": node, "values": values, "receipt": receipt}
 
-    def _set_law(self, field: str, value: Any, beyond: bool = False, law: str = "") -> dict[str, Any]:
+    def _set_law(
+        self, field: str, value: Any, beyond: bool = False, law: str = ""
+    ) -> dict[str, Any]:
         """Change one parameter of the active law; a preset that is used as it stands becomes a law of that name.
 
-        `law`: the one that the page has its control for; where another renders by now, nothing is changed.
+        `law`: the one that the page has its control for; where another renders by now, nothing is
+        changed.
         """
         force = self._forced(beyond)
         name = self.ask(self.coupling, "law.list")["active"]
         if law not in ("", name):
-            raise CommandError(f"view: law: {name} renders by now, not {law}; {law}.{field} stays as it is")
+            raise CommandError(
+                f"view: law: {name} renders by now, not {law}; {law}.{field} stays as it is"
+            )
         laws = self.ask(self.coupling, "param.get", name="laws")
         if isinstance(laws.get(name), dict):
             return self._change(self.coupling, {f"laws.{name}.{field}": value}, **force)
@@ -147,8 +170,9 @@ class Commander:
         """Add what a change past the edge of stability is asked with."""
         if beyond and not self.beyond:
             raise CommandError(
-                f"view: beyond: {self.driver} may not be driven past the edge of stability; only a virtual device may, and "
-                "only where its launch file says pointer: {beyond: true}"
+                f"view: beyond: {self.driver} may not be driven past the edge of stability; only a"
+                " virtual device may, and only where its launch file says pointer: {beyond:"
+                " true}"
             )
         return {"force": True} if beyond else {}
 
@@ -172,7 +196,10 @@ class Commander:
     def _set_delay(self, ticks: float, beyond: bool = False) -> dict[str, Any]:
         before = self.device_delay()
         if before is None:
-            raise CommandError(f"view: delay: {self.driver} is no virtual device in real time, so its delay is what it is")
+            raise CommandError(
+                f"view: delay: {self.driver} is no virtual device in real time, so its delay is"
+                " what it is"
+            )
         receipt = self._answer_later(ticks, before, self._forced(beyond))
         self._remember(self.driver, {"delay": before}, {"delay": ticks})
         return {"node": self.driver, "values": {"delay": ticks}, "receipt": receipt}
@@ -195,17 +222,22 @@ class Commander:
     def _start_again(self, stiffness: float) -> dict[str, Any]:
         """Have a virtual driver that has stopped the loop started again, with a wall that is stable."""
         if not self.again:
-            raise CommandError("view: again: this run's launcher does not start the driver again; launch again")
+            raise CommandError(
+                "view: again: this run's launcher does not start the driver again; launch again"
+            )
         if self.ask(self.driver, "progress")["safety"] != "stopped":
             raise CommandError(f"view: again: {self.driver} has not stopped the loop")
         changed = self._set_law("stiffness", stiffness)
-        # A stopped driver hands over no force, and the device is made up: nothing is lost with the process.
+        # A stopped driver hands over no force, and the device is made up: nothing is lost with the
+        # process.
         os.kill(int(self.ask(self.driver, "status")["pid"]), signal.SIGKILL)
         return changed
 
     def _switch(self, law: str, ramp: int | None = None) -> dict[str, Any]:
         before = self.ask(self.coupling, "law.list")["active"]
-        receipt = self.ask(self.coupling, "law.switch", law=law, **({} if ramp is None else {"ramp": ramp}))
+        receipt = self.ask(
+            self.coupling, "law.switch", law=law, **({} if ramp is None else {"ramp": ramp})
+        )
         self._remember(self.coupling, {"law": before}, {"law": law})
         return {"node": self.coupling, "values": {"law": law}, "receipt": receipt}
 
@@ -243,7 +275,9 @@ class Commander:
         before = self.recording()
         if on and not before["recording"]:
             self._recordings, self._failure = self._recordings + 1, ""
-            self._path = f"recordings/{self._run.run}-{time.strftime('%H%M%S')}-{self._recordings}.mcap"
+            self._path = (
+                f"recordings/{self._run.run}-{time.strftime('%H%M%S')}-{self._recordings}.mcap"
+            )
             options = ("--run", self._run.chosen, "--out", self._path, "--json")
             self._recorder = subprocess.Popen(
                 [*PYTHON, "-m", "nodes.cli.command", "bag", "record", *options],
@@ -274,7 +308,9 @@ class Commander:
         try:
             answered, said = recorder.communicate(timeout=TIMEOUT)
         except subprocess.TimeoutExpired:
-            self._failure = f"recording: {self._path} is not complete {TIMEOUT:g} s after it was asked to end"
+            self._failure = (
+                f"recording: {self._path} is not complete {TIMEOUT:g} s after it was asked to end"
+            )
             return
         self._recorder, self._failure = None, ""
         if recorder.returncode == -signal.SIGINT:
@@ -282,7 +318,9 @@ class Commander:
             self._failure = "recording: it was ended before it had begun"
         elif recorder.returncode not in (0, 130):
             why = _error_of(answered) or " ".join(said.decode(errors="replace").split())[-500:]
-            self._failure = f"recording failed: {why or f'it ended with exit code {recorder.returncode}'}"
+            self._failure = (
+                f"recording failed: {why or f'it ended with exit code {recorder.returncode}'}"
+            )
 
     def end(self) -> None:
         """Give up what is waited for; returns after `close`, on another thread."""

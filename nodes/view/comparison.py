@@ -1,8 +1,9 @@
 """A | B: the hand of a running launch on another law too, played beside it.
 
-What plays it is registered for the launch's kind of driver (entry points ``haptic.beside``). It runs in a process of its own
-off the loop's processors, so the loop does not notice. The hand's targets are those that the driver told; the delay is the one
-measured. Whenever neither of the two is in contact, B starts again from where A is: differences do not pile up.
+What plays it is registered for the launch's kind of driver (entry points ``haptic.beside``). It
+runs in a process of its own off the loop's processors, so the loop does not notice. The hand's
+targets are those that the driver told; the delay is the one measured. Whenever neither of the two
+is in contact, B starts again from where A is: differences do not pile up.
 """
 
 from __future__ import annotations
@@ -19,7 +20,11 @@ from nodes.base.workers import Workers
 from nodes.launcher.runs import RunInfo
 from nodes.parameters.registry import Registry
 
-PLAYERS = Registry("haptic.beside", "player", lambda _, found: "" if callable(found) else f"{found!r} cannot be called")
+PLAYERS = Registry(
+    "haptic.beside",
+    "player",
+    lambda _, found: "" if callable(found) else f"{found!r} cannot be called",
+)
 """By kind of driver: position and force from the nodes, a law, the targets of the hand, its beginning and a delay."""
 
 PERIOD = 0.05  # how often B is played on [s]
@@ -31,15 +36,20 @@ SHOWN = 1.0  # how much of B each message holds: a page that is slow loses none 
 class Comparison:
     """Plays B. The pages' thread uses it."""
 
-    def __init__(self, run: RunInfo, driver: str, put: Callable[[str, dict[str, Any]], None]) -> None:
+    def __init__(
+        self, run: RunInfo, driver: str, put: Callable[[str, dict[str, Any]], None]
+    ) -> None:
         self._setups, self._driver = run.nodes, driver
         self._put = put
         setup = run.nodes.get(driver)
         self._period = setup.period if setup else 1.0
         self._axis = AXIS_INDEX[setup.axes[0]] if setup else 0
         self._kind = setup.kind if setup and len(setup.axes) == 1 else ""
-        # Whether this launch can be compared: a virtual device on one axis, at a surface and not at a body.
-        self.there = self._kind in PLAYERS.names() and all(one.kind != "world" for one in run.nodes.values())
+        # Whether this launch can be compared: a virtual device on one axis, at a surface and not at
+        # a body.
+        self.there = self._kind in PLAYERS.names() and all(
+            one.kind != "world" for one in run.nodes.values()
+        )
         self._late = 1.0 if setup and setup.apply == "next_tick" else 0.0
         self._pool: Workers | None = None
         self._described: Mapping[str, Any] = {}
@@ -48,7 +58,8 @@ class Comparison:
         self._job: asyncio.Task[None] | None = None
         self._played_at = 0.0
         self.law = ""  # name of B; empty for none
-        self.later = 0.0  # how much later the device answers by now than the launch file says [ticks]
+        # how much later the device answers by now than the launch file says [ticks]
+        self.later = 0.0
 
     def choose(self, law: str, described: Mapping[str, Any]) -> None:
         """Play another law beside the launch, or none."""
@@ -110,7 +121,9 @@ class Comparison:
 
     async def _play_on(self, late: float) -> None:
         law, begun = self.law, self._from
-        work = partial(_play, self._kind, self._setups, self._described, list(self._targets), self._begin, late)
+        work = partial(
+            _play, self._kind, self._setups, self._described, list(self._targets), self._begin, late
+        )
         self._pool = self._pool or Workers(1)
         try:
             position, force = await asyncio.get_running_loop().run_in_executor(self._pool, work)

@@ -27,7 +27,9 @@ class RunningBodies:
         parameters: MujocoParameters = convert(setup.parameters, MujocoParameters, setup.name)
         world = load_world(parameters, setup.period, setup.name)
         count = world.model.ngeom
-        self._poses = Poses(awaited(poses_file(setup.run_dir, setup.name), file_size(count), setup, given_up), count)
+        self._poses = Poses(
+            awaited(poses_file(setup.run_dir, setup.name), file_size(count), setup, given_up), count
+        )
         self.shape = bodies_of(world)  # what they look like
 
     def news(self) -> dict[str, Any] | None:
@@ -38,15 +40,28 @@ class RunningBodies:
 
 def met_ticks(recording: Recording, topic: str = PROXY) -> Container[int] | None:
     """Tell the ticks whose position reached the environment, by what it answered; None where no answer was recorded."""
-    return {message.seq for message in recording.messages(topic)} if topic in recording.topics else None
+    return (
+        {message.seq for message in recording.messages(topic)}
+        if topic in recording.topics
+        else None
+    )
 
 
 class RecordedBodies:
     """The bodies of a recording: its scene stepped again as the node stepped it, by the ticks that it `met` (`met_ticks`)."""
 
-    def __init__(self, parameters: dict[str, Any], period: float, name: str, met: Container[int] | None = None) -> None:
+    def __init__(
+        self,
+        parameters: dict[str, Any],
+        period: float,
+        name: str,
+        met: Container[int] | None = None,
+    ) -> None:
         self._met = met
-        self.world: MovingScene = load_world(convert(parameters, MujocoParameters, name), period, name)  # the scene
+        # the scene
+        self.world: MovingScene = load_world(
+            convert(parameters, MujocoParameters, name), period, name
+        )
         # Whether it has been given a tick, and followed one.
         self.asked = self._begun = False
 
@@ -55,7 +70,14 @@ class RecordedBodies:
         self.asked = True
         if state.safety == "fault" or (self._met is not None and state.seq not in self._met):
             return
-        self.world.follow(state.seq, state.position, state.force, state.seq - 1 - state.age, state.delay, not self._begun)
+        self.world.follow(
+            state.seq,
+            state.position,
+            state.force,
+            state.seq - 1 - state.age,
+            state.delay,
+            not self._begun,
+        )
         self._begun = True
 
     def poses(self) -> NDArray[np.float64]:

@@ -1,7 +1,8 @@
 """What a page draws: the loop's messages in bins of one or a few ticks, each with its least and largest value.
 
-A spike of one tick is never lost, however many ticks a bin holds. The bins of the last minute are kept, so a page that opens
-late sees what was, and one that is slow takes more at a time; older ones are gone, so memory is bounded whatever a page does.
+A spike of one tick is never lost, however many ticks a bin holds. The bins of the last minute are
+kept, so a page that opens late sees what was, and one that is slow takes more at a time; older ones
+are gone, so memory is bounded whatever a page does.
 """
 
 from __future__ import annotations
@@ -18,9 +19,11 @@ from messages import topics
 from messages.types import DeviceState, Force, Message, Proxy, Vector
 from nodes.base.setup import AXIS_INDEX
 
-BINS_PER_SECOND = 500.0  # most bins in a second of the run: more than a screen has columns in the shortest useful span
+# most bins in a second of the run: more than a screen has columns in the shortest useful span
+BINS_PER_SECOND = 500.0
 GRACE = 0.06  # how long a bin waits for messages that are still on their way [s]
-HEAD = struct.Struct("<4I22d")  # kind 1, bins, series, 1 when earlier bins are void; the scene now: `Feed.now`
+# kind 1, bins, series, 1 when earlier bins are void; the scene now: `Feed.now`
+HEAD = struct.Struct("<4I22d")
 _FIELDS = ("position", "proxy", "target", "law_force", "force")
 _SCALARS = ("energy", "response")
 _EMPTY = float("inf")
@@ -30,9 +33,14 @@ class Feed:
     """Bins of the last minute, and the latest message of each topic."""
 
     def __init__(
-        self, axes: Sequence[str], period: float, seconds: float = 60.0, bins_per_second: float = BINS_PER_SECOND
+        self,
+        axes: Sequence[str],
+        period: float,
+        seconds: float = 60.0,
+        bins_per_second: float = BINS_PER_SECOND,
     ) -> None:
-        self.names = [*(f"{field}.{axis}" for field in _FIELDS for axis in axes), *_SCALARS]  # what is plotted
+        # what is plotted
+        self.names = [*(f"{field}.{axis}" for field in _FIELDS for axis in axes), *_SCALARS]
         self.per_bin = max(1, math.ceil(1.0 / (period * bins_per_second) - 1e-9))  # ticks in a bin
         self._period = period
         self._axes = [AXIS_INDEX[axis] for axis in axes]
@@ -40,7 +48,9 @@ class Feed:
         self._size = max(64, math.ceil(seconds / (self.per_bin * period)))
         count = len(self.names)
         self._times = np.full(self._size, np.nan)
-        self._values: NDArray[np.float32] = np.full((2 * count, self._size), np.nan, dtype=np.float32)
+        self._values: NDArray[np.float32] = np.full(
+            (2 * count, self._size), np.nan, dtype=np.float32
+        )
         self._open: dict[int, list[float]] = {}
         self._fresh = [_EMPTY] * count + [-_EMPTY] * count
         self._filed = -1
@@ -128,13 +138,19 @@ class Feed:
     def until(self, time: float) -> int:
         """Find the number of the first bin after a time."""
         kept = range(self.oldest(), self.head)
-        return kept.start + bisect_right(kept, time, key=lambda number: self._times[number % self._size])
+        return kept.start + bisect_right(
+            kept, time, key=lambda number: self._times[number % self._size]
+        )
 
-    def frame(self, first: int, end: int, void: bool = False, now: Sequence[float] | None = None) -> bytes:
+    def frame(
+        self, first: int, end: int, void: bool = False, now: Sequence[float] | None = None
+    ) -> bytes:
         """Encode bins for the page: little endian, times as float64, then each series' least and largest values as float32."""
         first = max(first, self.oldest())
         slots = np.arange(first, max(end, first)) % self._size
-        head = HEAD.pack(1, len(slots), len(self.names), int(void), *(self.now() if now is None else now))
+        head = HEAD.pack(
+            1, len(slots), len(self.names), int(void), *(self.now() if now is None else now)
+        )
         return b"".join((head, self._times[slots].tobytes(), self._values[:, slots].tobytes()))
 
     def now(self) -> tuple[float, ...]:

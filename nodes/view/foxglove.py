@@ -1,10 +1,11 @@
 """Foxglove and Lichtblick, live: topics with their schemas (at most 60 messages a second each), the scene, and parameters.
 
-The scene in three dimensions is topic ``/scene``, of Foxglove's own type: its shape once for each who subscribes, then poses.
+The scene in three dimensions is topic ``/scene``, of Foxglove's own type: its shape once for each
+who subscribes, then poses.
 
-An optional extra: ``pip install 'haptic-nodes[foxglove]'``. It is off unless asked for, because Foxglove's protocol knows no
-token, and its library does not tell the Origin: any page in a browser of this machine could connect to the port. So nothing can
-be set there.
+An optional extra: ``pip install 'haptic-nodes[foxglove]'``. It is off unless asked for, because
+Foxglove's protocol knows no token, and its library does not tell the Origin: any page in a browser
+of this machine could connect to the port. So nothing can be set there.
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ def load() -> Any:
     try:
         import foxglove
     except ImportError as error:
-        raise ParameterError(f"view.foxglove: {error}; install it with: pip install 'haptic-nodes[foxglove]'") from error
+        raise ParameterError(
+            f"view.foxglove: {error}; install it with: pip install 'haptic-nodes[foxglove]'"
+        ) from error
     return foxglove
 
 
@@ -45,10 +48,16 @@ class Bridge:
         self._next: dict[str, float] = {}
         self.sent = 0  # messages passed on
         period = next(setup.period for setup in run.nodes.values())
-        self._scene = DrawnScene({name: setup.parameters for name, setup in run.nodes.items()}, period)
-        schema = library.Schema(name=SCHEMA["title"], encoding="jsonschema", data=msgspec.json.encode(SCHEMA))
+        self._scene = DrawnScene(
+            {name: setup.parameters for name, setup in run.nodes.items()}, period
+        )
+        schema = library.Schema(
+            name=SCHEMA["title"], encoding="jsonschema", data=msgspec.json.encode(SCHEMA)
+        )
         # Advertised from the beginning: who subscribes is told the shape, which is not sent again.
-        self._drawn = library.Channel(SCENE, schema=schema, message_encoding="json", context=self._context)
+        self._drawn = library.Channel(
+            SCENE, schema=schema, message_encoding="json", context=self._context
+        )
         self._asked = True
         bridge = self
 
@@ -59,11 +68,15 @@ class Bridge:
                 del client
                 bridge.subscribed(channel.topic)
 
-            def on_get_parameters(self, client: Any, param_names: list[str], request_id: str | None = None) -> list[Any]:
+            def on_get_parameters(
+                self, client: Any, param_names: list[str], request_id: str | None = None
+            ) -> list[Any]:
                 del client, request_id
                 return bridge.parameters(param_names)
 
-            def on_set_parameters(self, client: Any, parameters: list[Any], request_id: str | None = None) -> list[Any]:
+            def on_set_parameters(
+                self, client: Any, parameters: list[Any], request_id: str | None = None
+            ) -> list[Any]:
                 del client, request_id
                 return bridge.refuse([one.name for one in parameters])
 
@@ -95,7 +108,9 @@ class Bridge:
             self._asked = False
             entities += self._scene.still(at)
         if entities:
-            self._drawn.log(msgspec.json.encode({"deletions": [], "entities": entities}), log_time=at)
+            self._drawn.log(
+                msgspec.json.encode({"deletions": [], "entities": entities}), log_time=at
+            )
 
     def _wall(self, message: Message) -> int:
         return max(0, round((message.stamp + self._run.wall_minus_monotonic) * 1e9))
@@ -112,7 +127,9 @@ class Bridge:
         channel = self._channels.get(topic)
         if channel is None:
             kind = type(message)
-            schema = self._library.Schema(name=f"haptic.{kind.__name__}", encoding="jsonschema", data=schema_json(kind))
+            schema = self._library.Schema(
+                name=f"haptic.{kind.__name__}", encoding="jsonschema", data=schema_json(kind)
+            )
             channel = self._channels[topic] = self._library.Channel(
                 topic, schema=schema, message_encoding="json", context=self._context
             )
@@ -130,13 +147,20 @@ class Bridge:
                 continue
             for path, value in values.items():
                 if value is not None and (not wanted or f"{node}.{path}" in wanted):
-                    kind = self._library.websocket.ParameterType.Float64 if isinstance(value, float) else None
+                    kind = (
+                        self._library.websocket.ParameterType.Float64
+                        if isinstance(value, float)
+                        else None
+                    )
                     found.append(self._library.Parameter(f"{node}.{path}", value=value, type=kind))
         return found
 
     def refuse(self, names: list[str]) -> list[Any]:
         """Tell the clients that nothing is set here, and how it is; the parameters as they are."""
-        reason = f"{', '.join(names)[:1000]}: anybody may open this port, so nothing is set here; use haptic param set"
+        reason = (
+            f"{', '.join(names)[:1000]}: anybody may open this port, so nothing is set here; use"
+            " haptic param set"
+        )
         self._server.publish_status(reason, self._library.websocket.StatusLevel.Error)
         return self.parameters(names)
 

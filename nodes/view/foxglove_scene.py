@@ -1,8 +1,9 @@
 """The scene in three dimensions for Foxglove and Lichtblick, live (nodes/view/foxglove.py) and as a recording with ``/scene``.
 
-The scene is of Foxglove's own type, ``foxglove.SceneUpdate`` as JSON: what is touched once, as triangles, then device, proxy
-and force as they move, at most 60 times a second. Bodies that move are no part of a recording: their scene is stepped again by
-what was recorded, as the node stepped it, where MuJoCo and the file are there.
+The scene is of Foxglove's own type, ``foxglove.SceneUpdate`` as JSON: what is touched once, as
+triangles, then device, proxy and force as they move, at most 60 times a second. Bodies that move
+are no part of a recording: their scene is stepped again by what was recorded, as the node stepped
+it, where MuJoCo and the file are there.
 """
 
 from __future__ import annotations
@@ -27,12 +28,24 @@ from nodes.view.shape import shape_of
 SCENE, FRAME = "/scene", "haptic"
 
 MOST = 60.0  # updates of the scene per second of the run
-LATE = 50  # ticks that bodies which move may have been at before they are first seen: a hand has not reached them
+# ticks that bodies which move may have been at before they are first seen: a hand has not reached
+# them
+LATE = 50
 USUAL = 0.002  # sampling period where the manifest tells none [s]
 PER_NEWTON = 0.01  # length at which a force of 1 N is drawn [m]
 _SMALLEST = 0.001
 _NO_TURN = (0.0, 0.0, 0.0, 1.0)
-_LISTS = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models", "metadata")
+_LISTS = (
+    "arrows",
+    "cubes",
+    "spheres",
+    "cylinders",
+    "lines",
+    "triangles",
+    "texts",
+    "models",
+    "metadata",
+)
 
 _TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 _ENTITY = {
@@ -60,7 +73,8 @@ SCHEMA: dict[str, Any] = {  # the part of Foxglove's schema that is used here
 _STATE: msgspec.json.Decoder[DeviceState | Proxy] = msgspec.json.Decoder(DeviceState)
 _PROXY: msgspec.json.Decoder[DeviceState | Proxy] = msgspec.json.Decoder(Proxy)
 
-# Okabe and Ito's blue, orange, green and grey: they are told apart by all eyes, as in the project's figures.
+# Okabe and Ito's blue, orange, green and grey: they are told apart by all eyes, as in the project's
+# figures.
 _SURFACE = {"r": 0.34, "g": 0.71, "b": 0.91, "a": 0.6}
 _DEVICE = {"r": 0.3, "g": 0.3, "b": 0.3, "a": 1.0}
 _TOOL = {"r": 0.9, "g": 0.62, "b": 0.0, "a": 1.0}
@@ -73,24 +87,43 @@ def _point(place: Any) -> dict[str, float]:
 
 
 def _pose(place: Any, turn: Any = _NO_TURN) -> dict[str, Any]:
-    return {"position": _point(place), "orientation": dict(zip("xyzw", map(float, turn), strict=True))}
+    return {
+        "position": _point(place),
+        "orientation": dict(zip("xyzw", map(float, turn), strict=True)),
+    }
 
 
 def _entity(at: int, name: str, **primitives: list[dict[str, Any]]) -> dict[str, Any]:
     stamp = {"sec": at // 10**9, "nsec": at % 10**9}
     none: dict[str, list[dict[str, Any]]] = {kind: [] for kind in _LISTS}
     # A lifetime of nothing: until another entity of this name comes.
-    whole = {"timestamp": stamp, "frame_id": FRAME, "id": name, "lifetime": {"sec": 0, "nsec": 0}, "frame_locked": False}
+    whole = {
+        "timestamp": stamp,
+        "frame_id": FRAME,
+        "id": name,
+        "lifetime": {"sec": 0, "nsec": 0},
+        "frame_locked": False,
+    }
     return {**whole, **none, **primitives}
 
 
 def _ball(place: Any, radius: float, colour: dict[str, float]) -> dict[str, Any]:
-    return {"pose": _pose(place), "size": _point([2.0 * max(radius, _SMALLEST)] * 3), "color": colour}
+    return {
+        "pose": _pose(place),
+        "size": _point([2.0 * max(radius, _SMALLEST)] * 3),
+        "color": colour,
+    }
 
 
 def _surface(at: int, name: str, triangles: list[float]) -> dict[str, Any]:
     points = [_point(triangles[i : i + 3]) for i in range(0, len(triangles), 3)]
-    drawn = {"pose": _pose((0.0, 0.0, 0.0)), "points": points, "color": _SURFACE, "colors": [], "indices": []}
+    drawn = {
+        "pose": _pose((0.0, 0.0, 0.0)),
+        "points": points,
+        "color": _SURFACE,
+        "colors": [],
+        "indices": [],
+    }
     return _entity(at, name, triangles=[drawn])
 
 
@@ -111,19 +144,31 @@ class _Bodies(RecordedBodies):
             if kind == kinds.mjGEOM_BOX:
                 found["cubes"].append({**drawn, "size": _point([2.0 * side for side in size])})
             elif kind == kinds.mjGEOM_PLANE:
-                found["cubes"].append({**drawn, "size": _point([2.0 * (size[0] or 1.0), 2.0 * (size[1] or 1.0), 1e-4])})
+                found["cubes"].append(
+                    {
+                        **drawn,
+                        "size": _point([2.0 * (size[0] or 1.0), 2.0 * (size[1] or 1.0), 1e-4]),
+                    }
+                )
             elif kind == kinds.mjGEOM_SPHERE:
                 found["spheres"].append({**drawn, "size": _point([2.0 * size[0]] * 3)})
             elif kind in (kinds.mjGEOM_CYLINDER, kinds.mjGEOM_CAPSULE):
                 whole = [2.0 * size[0], 2.0 * size[0], 2.0 * size[1]]
-                found["cylinders"].append({**drawn, "size": _point(whole), "bottom_scale": 1.0, "top_scale": 1.0})
+                found["cylinders"].append(
+                    {**drawn, "size": _point(whole), "bottom_scale": 1.0, "top_scale": 1.0}
+                )
         return _entity(at, name, **found)
 
 
 class DrawnScene:
     """What is drawn of the chains of a run, recorded or live; of a recording it is known which positions moved its bodies."""
 
-    def __init__(self, nodes: Mapping[str, Mapping[str, Any]], period: float, recording: Recording | None = None) -> None:
+    def __init__(
+        self,
+        nodes: Mapping[str, Mapping[str, Any]],
+        period: float,
+        recording: Recording | None = None,
+    ) -> None:
         self.left_out: list[str] = []  # what cannot be drawn, and why
         self._surfaces: dict[str, list[float]] = {}
         self._radius: dict[str, float] = {}
@@ -151,7 +196,11 @@ class DrawnScene:
         return [*drawn, *self._words(at)]
 
     def _words(self, at: int) -> list[dict[str, Any]]:
-        return [_entity(at, "left out", texts=[_text("; ".join(self.left_out))])] if self.left_out else []
+        return (
+            [_entity(at, "left out", texts=[_text("; ".join(self.left_out))])]
+            if self.left_out
+            else []
+        )
 
     def moving(self, topic: str, message: DeviceState | Proxy, at: int) -> Iterator[dict[str, Any]]:
         """Turn a message at a time [ns] into what moves in the scene, as often as it is due; each state must come by."""
@@ -159,7 +208,11 @@ class DrawnScene:
         before = f"{chain}/" if chain else ""
         if isinstance(message, Proxy):
             if self._is_due(topic, message.stamp):
-                yield _entity(at, f"{before}proxy", spheres=[_ball(message.proxy, self._radius.get(chain, 0.0), _TOOL)])
+                yield _entity(
+                    at,
+                    f"{before}proxy",
+                    spheres=[_ball(message.proxy, self._radius.get(chain, 0.0), _TOOL)],
+                )
             return
         left_out = len(self.left_out)
         bodies = self._follow(chain, message)
@@ -179,7 +232,8 @@ class DrawnScene:
         if not bodies.asked and state.seq > LATE:
             del self._bodies[chain]
             self.left_out.append(
-                f"{chain or 'bodies'}: only a page that was launched with the run knows where they are: launch it with --view"
+                f"{chain or 'bodies'}: only a page that was launched with the run knows where they"
+                " are: launch it with --view"
             )
             return None
         bodies.follow(state)
@@ -212,7 +266,9 @@ def _line(begin: Vector, force: Vector) -> dict[str, Any]:
     }
 
 
-def export_foxglove(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
+def export_foxglove(
+    recording: Recording, out: str | Path, *, overwrite: bool = False
+) -> list[Path]:
     """Write the recording once more, with its scene; one without a surface or bodies has device, proxy and force in it."""
     out = Path(out)
     if out.exists() and out.samefile(recording.path):
@@ -227,15 +283,25 @@ def export_foxglove(recording: Recording, out: str | Path, *, overwrite: bool = 
             writer.add_metadata(name, values)
         if scene.left_out:
             writer.add_metadata("scene", {"left_out": "; ".join(scene.left_out)})
-        schema = writer.register_schema("foxglove.SceneUpdate", "jsonschema", msgspec.json.encode(SCHEMA))
+        schema = writer.register_schema(
+            "foxglove.SceneUpdate", "jsonschema", msgspec.json.encode(SCHEMA)
+        )
         channel = writer.register_channel(SCENE, "json", schema)
         for topic, raw, offset in recording.raw():
             copy.message(raw)
             entities = [] if begun else scene.still(raw.publish_time)
             begun = True
-            decoder = _STATE if topic.endswith(DEVICE_STATE) else _PROXY if topic.endswith(PROXY) else None
+            decoder = (
+                _STATE
+                if topic.endswith(DEVICE_STATE)
+                else _PROXY
+                if topic.endswith(PROXY)
+                else None
+            )
             if decoder is not None:
-                entities += scene.moving(topic, recording.decode(decoder, raw, offset), raw.publish_time)
+                entities += scene.moving(
+                    topic, recording.decode(decoder, raw, offset), raw.publish_time
+                )
             if entities:
                 update = msgspec.json.encode({"deletions": [], "entities": entities})
                 writer.add_message(channel, raw.log_time, update, raw.publish_time)

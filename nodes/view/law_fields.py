@@ -42,7 +42,11 @@ def _typed(info: inspect.Type, meaning: str) -> dict[str, Any] | None:
         if isinstance(item, inspect.StructType):
             return {"type": "list", "fields": _fields(item)}
         inner = _typed(item, meaning)
-        return {"type": "numbers"} if inner is not None and inner["type"] in ("number", "integer") else None
+        return (
+            {"type": "numbers"}
+            if inner is not None and inner["type"] in ("number", "integer")
+            else None
+        )
     return None
 
 
@@ -55,7 +59,12 @@ def _fields(info: inspect.StructType) -> list[dict[str, Any]]:
         if described is None:
             continue
         unit = _UNIT.search(text)
-        entry = {"name": field.encode_name, "unit": unit[1] if unit else "", "told": text, **described}
+        entry = {
+            "name": field.encode_name,
+            "unit": unit[1] if unit else "",
+            "told": text,
+            **described,
+        }
         if isinstance(field.default, int | float | str):
             entry["default"] = field.default
         found.append(entry)

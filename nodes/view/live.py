@@ -21,7 +21,9 @@ from nodes.view.ringing import Ring, Ringing
 
 STATUS_PERIOD = 0.2  # how often pages get the status [s]
 RECENT = 5.0  # how far back percentiles go [s]
-SILENT_NODE = 1.5  # a node that has said nothing for so long is shown as silent: it sends its status twice a second [s]
+# a node that has said nothing for so long is shown as silent: it sends its status twice a second
+# [s]
+SILENT_NODE = 1.5
 LATELY = 10.0  # ticks missed within so long are a present trouble; older ones are history [s]
 HISTORY = 30.0  # how much a page that opens sees of what was before [s]
 KEPT = 60.0  # how much is kept for pages that are slow [s]
@@ -62,7 +64,10 @@ def quantiles_us(responses: deque[float]) -> dict[str, float]:
     ordered = sorted(responses)
     if not ordered:
         return {}
-    return {name: quantile(ordered, part) * 1e6 for name, part in (("p50", 0.5), ("p99", 0.99), ("max", 1.0))}
+    return {
+        name: quantile(ordered, part) * 1e6
+        for name, part in (("p50", 0.5), ("p99", 0.99), ("max", 1.0))
+    }
 
 
 class Facts(NamedTuple):
@@ -79,7 +84,8 @@ class Facts(NamedTuple):
     axes: list[str]  # axes that the scene computes
     driver: str  # name of the driver node
     run_dir: str = ""  # where the launcher says why it ends; empty for a recording
-    peak: float | None = None  # largest force that the driver hands over, where the launch says it [N]
+    # largest force that the driver hands over, where the launch says it [N]
+    peak: float | None = None
 
     def hello(self) -> dict[str, Any]:
         """Tell a page what run this is."""
@@ -102,23 +108,40 @@ def facts_of(run: RunInfo, driver: str) -> Facts:
     axes: list[str] = list(setup.axes)
     peak = None
     if driver:
-        parameters = convert(run.nodes[driver].parameters, load(run.nodes[driver].factory).Parameters, driver)
+        parameters = convert(
+            run.nodes[driver].parameters, load(run.nodes[driver].factory).Parameters, driver
+        )
         peak = parameters.safety.peak_force
-    return Facts(run.run, run.scenario, summary, setup.period, setup.pace, setup.apply, axes, driver, setup.run_dir, peak)
+    return Facts(
+        run.run,
+        run.scenario,
+        summary,
+        setup.period,
+        setup.pace,
+        setup.apply,
+        axes,
+        driver,
+        setup.run_dir,
+        peak,
+    )
 
 
 class LiveRun:
     """Takes a run's messages and keeps what pages are told. One thread uses it."""
 
-    def __init__(self, facts: Facts, kept: float = KEPT, bins_per_second: float = BINS_PER_SECOND) -> None:
+    def __init__(
+        self, facts: Facts, kept: float = KEPT, bins_per_second: float = BINS_PER_SECOND
+    ) -> None:
         self._period = facts.period
         self._run_dir = facts.run_dir
         self._driver, self._driver_status = facts.driver, f"/{facts.driver}/status"
-        self.feed = Feed(facts.axes, facts.period, kept, min(bins_per_second, BINS_PER_SECOND))  # the bins
+        # the bins
+        self.feed = Feed(facts.axes, facts.period, kept, min(bins_per_second, BINS_PER_SECOND))
         self.board = Board()  # everything else
         # Measured delay of the loop, a mean over some 64 ticks [ticks].
         self.delay = 1.0 if facts.apply == "next_tick" else 0.0
-        self.changed = True  # whether a receipt asks for the laws to be read again; who does that sets it back
+        # whether a receipt asks for the laws to be read again; who does that sets it back
+        self.changed = True
         self._end = RunEnd()
         self.ended = ""  # why the run is over; empty while it goes on
         self.refused = 0  # messages that were not of the protocol
@@ -171,14 +194,19 @@ class LiveRun:
         elif isinstance(message, NodeStatus):
             self._heard[message.node] = (message, now)
             if topic == self._driver_status:
-                # One that failed may be started again: whether the run is over then, its launcher knows.
-                self._failed = (message.reason or message.state) if message.state == "failed" else ""
+                # One that failed may be started again: whether the run is over then, its launcher
+                # knows.
+                self._failed = (
+                    (message.reason or message.state) if message.state == "failed" else ""
+                )
                 if message.state == "finished":
                     self.end(message.reason or message.state)
             return
         elif isinstance(message, Receipt):
             self.changed = True
-            self.board.log({"kind": "receipt", "t": message.seq * self._period, **_receipt_facts(message)})
+            self.board.log(
+                {"kind": "receipt", "t": message.seq * self._period, **_receipt_facts(message)}
+            )
             return
         elif isinstance(message, Event):
             if message.kind in ("device_force", "device_force_back"):
@@ -187,8 +215,16 @@ class LiveRun:
             self.changed |= message.kind == "delay"
             if message.kind in ("safety", "stopped"):
                 self._why = cause_of(message)
-                self._stop = {"t": message.seq * self._period, "span_s": message.data.get("span_s", 0.0)}
-            told = {"node": message.node, "event": message.kind, "text": message.reason, "data": message.data}
+                self._stop = {
+                    "t": message.seq * self._period,
+                    "span_s": message.data.get("span_s", 0.0),
+                }
+            told = {
+                "node": message.node,
+                "event": message.kind,
+                "text": message.reason,
+                "data": message.data,
+            }
             self.board.log({"kind": "event", "t": message.seq * self._period, **told})
             return
         self.feed.take(topic, message)
@@ -197,7 +233,11 @@ class LiveRun:
         """Note that the run is over, and why: the launcher knows better than a driver that was told to end."""
         told = end_of(self._run_dir)
         # Beside a launch whose directory has gone, only a driver's own status says what failed.
-        self._end = told if told.reason else RunEnd(self._failed or reason, self._driver if self._failed else "")
+        self._end = (
+            told
+            if told.reason
+            else RunEnd(self._failed or reason, self._driver if self._failed else "")
+        )
         self.ended = self._end.reason
 
     def _missed_lately(self, now: float, missed: int) -> int:
@@ -229,14 +269,19 @@ class LiveRun:
             force = before
         silent = now - self._state_at
         nodes = {
-            name: {"state": status.state, "silent_s": round(now - at, 1) if now - at > SILENT_NODE else 0.0}
+            name: {
+                "state": status.state,
+                "silent_s": round(now - at, 1) if now - at > SILENT_NODE else 0.0,
+            }
             for name, (status, at) in self._heard.items()
         }
         why = self._why if state is not None and state.safety not in ("active", "ramp") else ""
         gone = [name for name, found in nodes.items() if found["silent_s"]]
         if gone:
             why = f"{' and '.join(gone)} silent"
-        level, text = explain(state, self.feed.proxy, force, silent, why, str(self.rings() or ""), self._device)
+        level, text = explain(
+            state, self.feed.proxy, force, silent, why, str(self.rings() or ""), self._device
+        )
         if self.ended:
             level, text = "rest", f"The run has ended: {self.ended.rstrip('.')}."
             for name, found in nodes.items():
@@ -252,7 +297,9 @@ class LiveRun:
             "level": level,
             "words": text,
             "safety": state.safety if state else "",
-            "stop": (self._stop or None) if state is not None and state.safety == "stopped" else None,
+            "stop": (
+                (self._stop or None) if state is not None and state.safety == "stopped" else None
+            ),
             "tick": ticks,
             "t": ticks * self._period,
             "rate_hz": 0.0 if self.ended else round(self._rate_hz, 1),
@@ -278,10 +325,22 @@ def _receipt_facts(receipt: Receipt) -> dict[str, Any]:
         if name not in ("law", "kind") and before.get(name) != value
     ]
     text = f"{law}: {', '.join(changed) or 'as it was; another parameter was set'}"
-    told = {"action": receipt.action, "ramp": receipt.ramp, "reason": receipt.reason, "revision": receipt.revision}
+    told = {
+        "action": receipt.action,
+        "ramp": receipt.ramp,
+        "reason": receipt.reason,
+        "revision": receipt.revision,
+    }
     if switched:
         text = f"{before.get('law', '?')} → {after.get('law', '?')}"
-    return {**told, "law": law, "after": after, "switched": switched, "text": text, "force_step_n": receipt.force_step}
+    return {
+        **told,
+        "law": law,
+        "after": after,
+        "switched": switched,
+        "text": text,
+        "force_step_n": receipt.force_step,
+    }
 
 
 def _law(text: str) -> dict[str, Any]:

@@ -24,9 +24,10 @@ class ViewParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
     address: Where the page is served: 127.0.0.1, and nothing else.
     port: Port; 0 takes a free one.
-    foxglove: Port on which Foxglove and Lichtblick find the run live (nodes/view/foxglove.py); None for no such port.
-    again: Whether a page may have a virtual driver that has stopped the loop started again, because the launcher respawns it;
-        ``launch --view`` says so.
+    foxglove: Port on which Foxglove and Lichtblick find the run live (nodes/view/foxglove.py); None
+        for no such port.
+    again: Whether a page may have a virtual driver that has stopped the loop started again, because
+        the launcher respawns it; ``launch --view`` says so.
     """
 
     address: str = ADDRESS
@@ -40,7 +41,8 @@ class Place(msgspec.Struct, frozen=True, kw_only=True):
 
     url: str  # what to open, token included
     port: int  # port
-    token: str  # what the URL must hold: kept when the node is started again, so that an open page finds it
+    # what the URL must hold: kept when the node is started again, so that an open page finds it
+    token: str
 
 
 def place_file(run_dir: str | Path, name: str) -> Path:
@@ -88,7 +90,9 @@ class View(Node):
         before = read_place(self.setup.run_dir, self.setup.name)
         token = before.token if before else ""
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
-        self._pages = self._make_pages(run, self.inbox, token, self.store.current.again, lambda: self.stopping)
+        self._pages = self._make_pages(
+            run, self.inbox, token, self.store.current.again, lambda: self.stopping
+        )
         asyncio.run(self._serve(self._pages, before.port if before else 0))
 
     async def _serve(self, pages: RunPages, port: int) -> None:
@@ -96,7 +100,10 @@ class View(Node):
         await pages.server.start(parameters.port or port)
         server = pages.server
         if parameters.foxglove is not None:
-            self.events.log(f"Foxglove and Lichtblick find the run at ws://{ADDRESS}:{pages.bridge(parameters.foxglove)}")
+            self.events.log(
+                "Foxglove and Lichtblick find the run at"
+                f" ws://{ADDRESS}:{pages.bridge(parameters.foxglove)}"
+            )
         place = Place(url=server.url, port=server.port, token=server.token)
         write_whole(place_file(self.setup.run_dir, self.setup.name), place)
         await pages.run(lambda: self.stopping, self._between)

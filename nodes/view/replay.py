@@ -1,7 +1,7 @@
 """Pages over a recording: the same page as over a running launch, with a time slider.
 
-The recording is played once through the very code that watches a running launch, and what a page would have been told is
-kept with its time. Each page then has its own place in it.
+The recording is played once through the very code that watches a running launch, and what a page
+would have been told is kept with its time. Each page then has its own place in it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,14 @@ from nodes.base.setup import AXIS_INDEX
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
 from nodes.parameters.store import ParameterError, convert
-from nodes.recording.facts import axes_of, group, parameters_of, period_of, publishers_of, refuse_foreign_files
+from nodes.recording.facts import (
+    axes_of,
+    group,
+    parameters_of,
+    period_of,
+    publishers_of,
+    refuse_foreign_files,
+)
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
 from nodes.view.commands import CommandError
@@ -37,10 +44,12 @@ from nodes.view.stability_map import drawn_map
 if TYPE_CHECKING:
     from nodes.view.drawn_bodies import RecordedBodies
 
-AHEAD = 30.0  # how far past its place a page's plots go, so that a moment still to come can be picked [s]
+# how far past its place a page's plots go, so that a moment still to come can be picked [s]
+AHEAD = 30.0
 OVER = 20_000  # most points of another recording that is drawn over this one
 SCENES = 60.0  # pictures of the scene that are kept per second of the run
-MOST_BINS, MOST_SCENES = 400_000.0, 40_000.0  # of a recording; of a longer one each holds more ticks
+# of a recording; of a longer one each holds more ticks
+MOST_BINS, MOST_SCENES = 400_000.0, 40_000.0
 FOREVER = 1e9  # no recording is so long [s]
 IDLE = 0.05  # how often the server looks whether to end [s]
 
@@ -68,7 +77,16 @@ def _facts(recording: Recording) -> Facts:
     # Of an older recording nobody knows it but by its usual name.
     driver = next((name for name, topics in published.items() if DEVICE_STATE in topics), "driver")
     summary, run = manifest.get("summary", ""), manifest.get("run", recording.path.stem)
-    return Facts(run, manifest.get("scenario", ""), summary, period, manifest.get("pace", ""), "", axes, driver)
+    return Facts(
+        run,
+        manifest.get("scenario", ""),
+        summary,
+        period,
+        manifest.get("pace", ""),
+        "",
+        axes,
+        driver,
+    )
 
 
 class ReplayPages:
@@ -77,7 +95,12 @@ class ReplayPages:
     `progress` hears what share of it is read: an hour of it takes minutes.
     """
 
-    def __init__(self, path: Path, over: Path | None = None, progress: Callable[[float], None] = lambda _: None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        over: Path | None = None,
+        progress: Callable[[float], None] = lambda _: None,
+    ) -> None:
         recording = Recording(path)
         recording.require_ticks()
         self._facts = _facts(recording)
@@ -88,7 +111,12 @@ class ReplayPages:
         self.duration = (ticks - 1) * self._facts.period
         self._scene_period = max(1.0 / SCENES, self.duration / MOST_SCENES)
         self.live = LiveRun(self._facts, self.duration + 10.0, MOST_BINS / max(self.duration, 1.0))
-        self.scenes, self.statuses, self.log, self.laws = Timeline(), Timeline(), Timeline(), Timeline()
+        self.scenes, self.statuses, self.log, self.laws = (
+            Timeline(),
+            Timeline(),
+            Timeline(),
+            Timeline(),
+        )
         self._bodies: RecordedBodies | None = None
         self._driver: dict[str, Any] = {}
         self._plant: Any = None
@@ -110,7 +138,9 @@ class ReplayPages:
             "shape": self._shape,
             "fields": all_law_fields(),
         }
-        self.hello = msgspec.json.encode({"type": "hello", **self._facts.hello(), **document}).decode()
+        self.hello = msgspec.json.encode(
+            {"type": "hello", **self._facts.hello(), **document}
+        ).decode()
         self.over = "" if over is None else self._read_over(over)
         self.server = PageServer(lambda: ReplayPage(self))  # serves the pages
         self._mapping = ThreadPoolExecutor(1, "map")
@@ -120,7 +150,11 @@ class ReplayPages:
         """Play it once; return what a page is to say about it."""
         notices = self._read_parameters(recording)
         live, period = self.live, self._facts.period
-        known = [topic for topic in recording.topics if topic in (DEVICE_STATE, PROXY, FORCE, RECEIPT) or topic.count("/") == 2]
+        known = [
+            topic
+            for topic in recording.topics
+            if topic in (DEVICE_STATE, PROXY, FORCE, RECEIPT) or topic.count("/") == 2
+        ]
         delays = states = 0.0
         unknown_delay = False
         next_scene = next_status = self.begin
@@ -155,8 +189,8 @@ class ReplayPages:
         self._delay = delays / states if states else 0.0
         if unknown_delay:
             notices.append(
-                "The device's delay was changed, by how much this older recording holds as text only: the map shows the "
-                "delay of the start."
+                "The device's delay was changed, by how much this older recording holds as text"
+                " only: the map shows the delay of the start."
             )
         return notices
 
@@ -184,7 +218,9 @@ class ReplayPages:
                 self._driver = parameters
             elif ("surface" in parameters or "scene" in parameters) and len(self._facts.axes) > 1:
                 notices += self._read_shape(name, parameters, recording)
-        if self.laws.items and isinstance(delay := group(self._driver, "device").get("delay"), int | float):
+        if self.laws.items and isinstance(
+            delay := group(self._driver, "device").get("delay"), int | float
+        ):
             self.laws.items[0]["device_delay"] = delay
         return notices
 
@@ -192,11 +228,14 @@ class ReplayPages:
         from nodes.view.drawn_bodies import RecordedBodies, met_ticks
         from nodes.view.shape import bodies_of, shape_of
 
-        # A shape that is not installed here, or a file that has gone or is not opened: the flat views remain.
+        # A shape that is not installed here, or a file that has gone or is not opened: the flat
+        # views remain.
         try:
             refuse_foreign_files(recording, parameters, name)
             if "scene" in parameters:
-                self._bodies = RecordedBodies(parameters, self._facts.period, name, met_ticks(recording))
+                self._bodies = RecordedBodies(
+                    parameters, self._facts.period, name, met_ticks(recording)
+                )
                 self._shape = bodies_of(self._bodies.world)
             else:
                 self._shape = shape_of(parameters)
@@ -213,7 +252,13 @@ class ReplayPages:
             # Recorded with a law that is not installed here: it is shown by what its receipts tell.
             return
         self._plant = parameters.get("plant")
-        document = {"node": name, "active": coupling.law, "laws": laws, "named": list(coupling.laws), "ramp": coupling.ramp}
+        document = {
+            "node": name,
+            "active": coupling.law,
+            "laws": laws,
+            "named": list(coupling.laws),
+            "ramp": coupling.ramp,
+        }
         self.laws.add(self.begin, document)
 
     def _read_receipt(self, receipt: Receipt) -> None:
@@ -224,14 +269,18 @@ class ReplayPages:
             return
         if not isinstance(law, str):
             return
-        before: dict[str, Any] = self.laws.items[-1] if self.laws.items else {"node": "", "laws": {}, "ramp": 0}
+        before: dict[str, Any] = (
+            self.laws.items[-1] if self.laws.items else {"node": "", "laws": {}, "ramp": 0}
+        )
         laws = {**before["laws"], law: after} if "kind" in after else before["laws"]
         self.laws.add(receipt.seq * self._facts.period, {**before, "active": law, "laws": laws})
 
     def _read_delay(self, event: Event) -> None:
         """Apply the delay of the virtual device from an event on: the map of stability is another one."""
         if (ticks := event.data.get("delay_ticks")) is not None and self.laws.items:
-            self.laws.add(event.seq * self._facts.period, {**self.laws.items[-1], "device_delay": ticks})
+            self.laws.add(
+                event.seq * self._facts.period, {**self.laws.items[-1], "device_delay": ticks}
+            )
 
     async def run(self, stopping: Callable[[], bool]) -> None:
         """Serve until told to stop; the server is started by the caller."""
@@ -255,8 +304,14 @@ class ReplayPages:
             if key not in self._maps:
                 plant, driver = self._with(later)
                 work = partial(drawn_map, described, self._facts.period, plant, driver, self._delay)
-                self._maps[key] = await asyncio.get_running_loop().run_in_executor(self._mapping, work)
-            tell(msgspec.json.encode({"type": "map", "law": active, "device_delay": later, **self._maps[key]}).decode())
+                self._maps[key] = await asyncio.get_running_loop().run_in_executor(
+                    self._mapping, work
+                )
+            tell(
+                msgspec.json.encode(
+                    {"type": "map", "law": active, "device_delay": later, **self._maps[key]}
+                ).decode()
+            )
 
         self._job = asyncio.get_running_loop().create_task(draw())
 
@@ -268,7 +323,10 @@ class ReplayPages:
             return plant, driver
         before = float(device.get("delay", 0.0))
         if plant is not None:
-            plant = {**plant, "device_delay": max(0.0, float(plant.get("device_delay", 0.0)) + later - before)}
+            plant = {
+                **plant,
+                "device_delay": max(0.0, float(plant.get("device_delay", 0.0)) + later - before),
+            }
         return plant, {**driver, "device": {**device, "delay": later}}
 
 
@@ -350,12 +408,23 @@ class ReplayPage:
                 self._go(self._pages.begin)
         elif op == "pause":
             self._playing = False
-        elif op == "seek" and isinstance(request.get("t"), int | float) and abs(request["t"]) < FOREVER:
+        elif (
+            op == "seek"
+            and isinstance(request.get("t"), int | float)
+            and abs(request["t"]) < FOREVER
+        ):
             self._go(float(request["t"]))
-        elif op == "speed" and isinstance(request.get("factor"), int | float) and 0.0 < request["factor"] <= 100.0:
+        elif (
+            op == "speed"
+            and isinstance(request.get("factor"), int | float)
+            and 0.0 < request["factor"] <= 100.0
+        ):
             self._speed = float(request["factor"])
         else:
-            raise CommandError(f"view: {op!r} is refused: this is a recording; it can play, pause, seek and change speed")
+            raise CommandError(
+                f"view: {op!r} is refused: this is a recording; it can play, pause, seek and change"
+                " speed"
+            )
         return {"t": self._at, "playing": self._playing}
 
     def close(self) -> None:

@@ -6,8 +6,10 @@ from collections import deque
 from typing import NamedTuple
 
 WINDOW = 0.3  # of a force that may ring so much is looked at [s]
-TURNS = 10  # a hand, and a contact that settles, turn the force back less often than so in the window
-LEAST, SHARE = 0.1, 0.25  # what counts as turning back: by so much [N], and by such a part of the strongest force of late
+# a hand, and a contact that settles, turn the force back less often than so in the window
+TURNS = 10
+# what counts as turning back: by so much [N], and by such a part of the strongest force of late
+LEAST, SHARE = 0.1, 0.25
 
 
 class Ring(NamedTuple):
@@ -57,4 +59,6 @@ class Ringing:
         if len(self._turns) < TURNS:
             return None
         span = self._turns[-1] - self._turns[0]
-        return Ring((len(self._turns) - 1) / (2.0 * span), self._peaks[0][1]) if span > 0.0 else None
+        return (
+            Ring((len(self._turns) - 1) / (2.0 * span), self._peaks[0][1]) if span > 0.0 else None
+        )

@@ -29,10 +29,12 @@ if TYPE_CHECKING:
     from nodes.view.drawn_bodies import RunningBodies
     from nodes.view.foxglove import Bridge
 
-DRAIN_PERIOD = 1.0 / 60.0  # a screen's: being woken for each message would cost the machine more [s]
+# a screen's: being woken for each message would cost the machine more [s]
+DRAIN_PERIOD = 1.0 / 60.0
 AT_ONCE = 5000  # most messages that are taken in before pages have their turn
 MAP_PERIOD = 0.25  # shortest time between two maps of stability [s]
-PICTURE_FIRST = 0.5  # the first page draws so long before the slow first map: they may share a processor [s]
+# the first page draws so long before the slow first map: they may share a processor [s]
+PICTURE_FIRST = 0.5
 ASK_AGAIN = 0.2  # how soon nodes that did not answer are asked for their laws again [s]
 FINAL = 0.5  # how long pages may take to receive the end of a run [s]
 
@@ -51,7 +53,9 @@ class RunPage:
 
     def news(self) -> list[str | bytes]:
         """List what it has not been sent yet."""
-        texts, self._version, self._logged = self._pages.live.board.since(self._version, self._logged)
+        texts, self._version, self._logged = self._pages.live.board.since(
+            self._version, self._logged
+        )
         found: list[str | bytes] = list(texts)
         state = self._feed.state
         if state is not None and (state.seq != self._seq or self._feed.head > self._cursor):
@@ -92,7 +96,8 @@ class RunPages:
         self._period = facts.period
         self._axis = AXIS_INDEX[facts.axes[0]]
         self.live = LiveRun(facts)  # what the run tells
-        self.hand = SharedHand(awaited_pointer(run.nodes[self._commander.driver], stopping))  # the hand's target
+        # the hand's target
+        self.hand = SharedHand(awaited_pointer(run.nodes[self._commander.driver], stopping))
         self.server = PageServer(self._open_page, token)  # serves the pages
         self._comparison = Comparison(run, self._commander.driver, self.live.board.put)
         # Each is called with topic and message of all that comes in.
@@ -151,7 +156,9 @@ class RunPages:
             return self._compare(request.get("law"))
         # Who stops the run does not stand in line behind a node that does not answer.
         thread = None if request.get("op") == "stop" else self._asking
-        result = await asyncio.get_running_loop().run_in_executor(thread, self._commander.do, request)
+        result = await asyncio.get_running_loop().run_in_executor(
+            thread, self._commander.do, request
+        )
         if request.get("op") == "record":
             self.live.board.put("record", result)
         self.live.changed = True
@@ -161,9 +168,14 @@ class RunPages:
         """Choose the law that is played beside the launch; an empty name for none."""
         laws = self._laws.get("laws", {})
         if not self._comparison.there:
-            raise CommandError("view: compare: only a launch of a virtual device on one axis can be played beside itself")
+            raise CommandError(
+                "view: compare: only a launch of a virtual device on one axis can be played beside"
+                " itself"
+            )
         if law != "" and (not isinstance(law, str) or law not in laws):
-            raise CommandError(f"view: compare: no law is named {str(law)[:100]!r}; there is: {', '.join(laws)}")
+            raise CommandError(
+                f"view: compare: no law is named {str(law)[:100]!r}; there is: {', '.join(laws)}"
+            )
         self._comparison.choose(law, laws.get(law, {}))
         return {"law": law}
 
@@ -173,7 +185,9 @@ class RunPages:
 
         def do(method: str, *words: Any) -> Any:
             # On the library's thread; the sockets belong to the one that asks.
-            return self._asking.submit(getattr(self._commander, method), *words).result(timeout=30.0)
+            return self._asking.submit(getattr(self._commander, method), *words).result(
+                timeout=30.0
+            )
 
         self._bridge = Bridge(self._run, do, port)
         self.listeners.append(self._bridge.take)
@@ -216,7 +230,9 @@ class RunPages:
         if self.server.pages:
             self._show_bodies()
             side = proxy.normal[axis] if proxy is not None else 0.0
-            surface = proxy.position[axis] - side * proxy.distance if proxy is not None and side else None
+            surface = (
+                proxy.position[axis] - side * proxy.distance if proxy is not None and side else None
+            )
             self.hand.tap(axis, surface, side)
 
     def _show_bodies(self) -> None:
@@ -261,7 +277,11 @@ class RunPages:
         wanted = self._laws.get("active", "")
         described = self._laws.get("laws", {}).get(wanted)
         now = time.monotonic()
-        rested = now - self._mapped_at > MAP_PERIOD if self._mapped_at else now - self._opened_at > PICTURE_FIRST
+        rested = (
+            now - self._mapped_at > MAP_PERIOD
+            if self._mapped_at
+            else now - self._opened_at > PICTURE_FIRST
+        )
         if self.server.pages and described is not None and rested:
             judged = (wanted, described, self._laws.get("plant"), self._laws.get("device_delay"))
             key, delay = repr(judged), self._mapped[1]
@@ -293,12 +313,19 @@ class RunPages:
     async def _read_laws(self) -> None:
         def ask() -> dict[str, Any]:
             node = self._commander.coupling
-            # First: the plant is set before it, so that a new delay never stands beside the plant of an old one.
+            # First: the plant is set before it, so that a new delay never stands beside the plant
+            # of an old one.
             delay = self._commander.device_delay()
             parameters = self._commander.ask(node, "param.dump")
             chosen = {name: parameters.get(name) for name in ("ramp", "plant", "stability")}
             named = list(parameters.get("laws", {}))
-            return {"node": node, **self._commander.ask(node, "law.list"), "named": named, **chosen, "device_delay": delay}
+            return {
+                "node": node,
+                **self._commander.ask(node, "law.list"),
+                "named": named,
+                **chosen,
+                "device_delay": delay,
+            }
 
         try:
             self._laws = await asyncio.get_running_loop().run_in_executor(self._asking, ask)
@@ -315,7 +342,12 @@ class RunPages:
 
     async def _look_at_recorder(self) -> None:
         """Tell the pages when a recording ends by itself."""
-        self.live.board.put("record", await asyncio.get_running_loop().run_in_executor(self._asking, self._commander.recording))
+        self.live.board.put(
+            "record",
+            await asyncio.get_running_loop().run_in_executor(
+                self._asking, self._commander.recording
+            ),
+        )
         await asyncio.sleep(ASK_AGAIN)
 
     async def _draw_map(self) -> None:
@@ -324,7 +356,11 @@ class RunPages:
         driver = dict(self._run.nodes[self._commander.driver].parameters)
         if own is not None:
             driver["device"] = {**driver["device"], "delay": own}
-        inertia = await asyncio.get_running_loop().run_in_executor(self._asking, self._commander.inertia)
-        draw = partial(drawn_map, described, self._period, laws.get("plant"), driver, delay, inertia)
+        inertia = await asyncio.get_running_loop().run_in_executor(
+            self._asking, self._commander.inertia
+        )
+        draw = partial(
+            drawn_map, described, self._period, laws.get("plant"), driver, delay, inertia
+        )
         found = await asyncio.get_running_loop().run_in_executor(self._mapping, draw)
         self.live.board.put("map", {"law": laws["active"], "device_delay": own, **found})

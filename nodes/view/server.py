@@ -1,7 +1,8 @@
 """Serves the page and its stream on one port of this machine: plain files, one WebSocket, a token in the URL, same origin only.
 
-The URL is ``http://127.0.0.1:PORT/TOKEN/``; everything the page loads lies below it, so nothing is found without the token. A
-browser that is slow holds up nobody: what it is sent next is made when it has taken what came before.
+The URL is ``http://127.0.0.1:PORT/TOKEN/``; everything the page loads lies below it, so nothing is
+found without the token. A browser that is slow holds up nobody: what it is sent next is made when
+it has taken what came before.
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ MAX_PAGES = 16  # most pages that are served at once
 MAX_WAITING = 8  # most requests of one page that wait for their answers
 _HEADERS = {
     "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'self'; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'",
+    "Content-Security-Policy": (
+        "default-src 'self'; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'"
+    ),
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
@@ -88,7 +91,9 @@ def _text(status: HTTPStatus, text: str) -> Response:
 
 
 def _response(status: HTTPStatus, kind: str, body: bytes) -> Response:
-    headers = Headers({**_HEADERS, "Content-Type": kind, "Content-Length": str(len(body)), "Connection": "close"})
+    headers = Headers(
+        {**_HEADERS, "Content-Type": kind, "Content-Length": str(len(body)), "Connection": "close"}
+    )
     return Response(status.value, status.phrase, headers, body)
 
 
@@ -158,7 +163,10 @@ class PageServer:
             return moved
         if name == "live":
             if self.pages >= MAX_PAGES:
-                return _text(HTTPStatus.SERVICE_UNAVAILABLE, f"{MAX_PAGES} pages are open already; close one.\n")
+                return _text(
+                    HTTPStatus.SERVICE_UNAVAILABLE,
+                    f"{MAX_PAGES} pages are open already; close one.\n",
+                )
             return None
         found = self._files.get(name or "index.html")
         if found is None:
@@ -180,7 +188,11 @@ class PageServer:
                     if refused:
                         await _answer(connection, request, error=refused)
                 elif len(waiting) >= MAX_WAITING:
-                    await _answer(connection, request, error=f"view: {MAX_WAITING} requests wait already; try again")
+                    await _answer(
+                        connection,
+                        request,
+                        error=f"view: {MAX_WAITING} requests wait already; try again",
+                    )
                 else:
                     task = asyncio.create_task(_do(connection, page, request))
                     waiting.add(task)
@@ -215,7 +227,9 @@ def _decoded(text: str | bytes) -> dict[str, Any] | None:
 
 def _moved(page: Page, target: Any) -> str:
     fits = isinstance(target, list) and len(target) == 3
-    if target is not None and not (fits and all(isinstance(part, int | float) and abs(part) < FAR for part in target)):
+    if target is not None and not (
+        fits and all(isinstance(part, int | float) and abs(part) < FAR for part in target)
+    ):
         return f"hand: the target is three numbers [m] below {FAR:g}, or null to let go"
     return page.hand(target)
 
@@ -229,7 +243,9 @@ async def _do(connection: ServerConnection, page: Page, request: dict[str, Any])
         await _answer(connection, request, result=result)
 
 
-async def _answer(connection: ServerConnection, request: dict[str, Any], result: Any = None, error: str = "") -> None:
+async def _answer(
+    connection: ServerConnection, request: dict[str, Any], result: Any = None, error: str = ""
+) -> None:
     known = {"id": request.get("id"), "op": request.get("op")}
     answer = {"type": "answer", **known, "ok": not error, "result": result, "error": error}
     with contextlib.suppress(ConnectionClosed):

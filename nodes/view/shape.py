@@ -65,9 +65,14 @@ def _cylinder(half: float, radius: float) -> Points:
 
 
 def _box(centre: Points, axes: Points, half: Points) -> Points:
-    corners = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]) * half @ axes + centre
+    corners = (
+        np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]) * half @ axes
+        + centre
+    )
     faces = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
-    return np.array([corners[[a, b, c]] for f in faces for a, b, c in ((f[0], f[1], f[2]), (f[0], f[2], f[3]))])
+    return np.array(
+        [corners[[a, b, c]] for f in faces for a, b, c in ((f[0], f[1], f[2]), (f[0], f[2], f[3]))]
+    )
 
 
 def _triangles(solid: Solid) -> Points:
@@ -101,8 +106,15 @@ def shape_of(parameters: Mapping[str, Any]) -> dict[str, Any]:
     if axis is None or position is None:
         return {}
     point, normal = np.zeros(3), np.zeros(3)
-    point[AXIS_INDEX[axis]], normal[AXIS_INDEX[axis]] = float(position), float(getattr(surface, "normal", 1.0))
-    return {"triangles": np.round(_plane(point, normal), 6).ravel().tolist(), "tool_radius": 0.0, "friction": 0.0}
+    point[AXIS_INDEX[axis]], normal[AXIS_INDEX[axis]] = (
+        float(position),
+        float(getattr(surface, "normal", 1.0)),
+    )
+    return {
+        "triangles": np.round(_plane(point, normal), 6).ravel().tolist(),
+        "tool_radius": 0.0,
+        "friction": 0.0,
+    }
 
 
 def bodies_of(world: MovingScene) -> dict[str, Any]:
@@ -116,7 +128,13 @@ def bodies_of(world: MovingScene) -> dict[str, Any]:
         body = int(model.geom_bodyid[i])
         of_tool = int(model.body_rootid[body]) == world.tool
         flat = np.round(triangles.reshape(-1, 9), 6).ravel().tolist()
-        found.append({"name": model.geom(i).name or model.body(body).name, "tool": of_tool, "triangles": flat})
+        found.append(
+            {
+                "name": model.geom(i).name or model.body(body).name,
+                "tool": of_tool,
+                "triangles": flat,
+            }
+        )
     return {"triangles": [], "bodies": found, "tool_radius": 0.0, "friction": 0.0}
 
 

@@ -1,8 +1,9 @@
 """The hand's target among several pages: one of all views has it at a time, it never jumps, and until it is taken it taps.
 
-A page that falls silent with its socket open is a browser that is busy, with somebody's finger still on the mouse: the target
-stays for a while, then goes home slowly; when the page is heard again, it comes back as slowly. A page that is closed, or
-lets go, gives the hand back to its path at once.
+A page that falls silent with its socket open is a browser that is busy, with somebody's finger
+still on the mouse: the target stays for a while, then goes home slowly; when the page is heard
+again, it comes back as slowly. A page that is closed, or lets go, gives the hand back to its path
+at once.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The map of stability beside the sliders: which K and B of the present kind of law the loop bears, and how far the edge is.
 
-Computed with the project's own exact methods (sim/THEORY.md §3), for the device as declared and the delay as measured. It
-runs in the view's process, off the chain's core: a map takes some 0.1 s, and the first one, which imports scipy, 0.5 s.
+Computed with the project's own exact methods (sim/THEORY.md §3), for the device as declared and the
+delay as measured. It runs in the view's process, off the chain's core: a map takes some 0.1 s, and
+the first one, which imports scipy, 0.5 s.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ NEAR, FAR = 33, 24  # points of the edge: evenly spaced around the gain, then in
 FARTHEST = 4096.0  # how far beyond the near part the far end is looked for, as a ratio
 MOST_DELAY = 20.0  # longest delay that the margin is looked for [ticks]
 DELAYS = 25  # points of the edge over the delay
-ANY_NEAR, ANY_DELAYS = 13, 9  # points of the edge for any world, over the gain and over the delay: 8 ms each
+# points of the edge for any world, over the gain and over the delay: 8 ms each
+ANY_NEAR, ANY_DELAYS = 13, 9
 
 
 def plant_of(declared: Any, driver: Mapping[str, Any]) -> PlantParameters | None:
@@ -40,11 +42,17 @@ def plant_of(declared: Any, driver: Mapping[str, Any]) -> PlantParameters | None
         return None
     hand = device.get("hand") or {}
     damping = float(device.get("damping", 0.0)) + float(hand.get("damping", 0.0))
-    masses = [float(mass) for _, mass in device.get("mass_by_position", ())] or [float(device["mass"])]
+    masses = [float(mass) for _, mass in device.get("mass_by_position", ())] or [
+        float(device["mass"])
+    ]
     least, most = (end + float(hand.get("mass", 0.0)) for end in (min(masses), max(masses)))
     stiffness, delay = float(hand.get("stiffness", 0.0)), float(device.get("delay", 0.0))
     return PlantParameters(
-        mass=least, heaviest=most if most > least else None, damping=damping, stiffness=stiffness, device_delay=delay
+        mass=least,
+        heaviest=most if most > least else None,
+        damping=damping,
+        stiffness=stiffness,
+        device_delay=delay,
     )
 
 
@@ -96,7 +104,9 @@ def _end(law: Law, devices: Sequence[Plant], near: float) -> float:
     while inside < near * FARTHEST:
         outside = 2.0 * inside
         if _edges(_at(law, outside), devices) is None:
-            return last_inside(lambda damping: _edges(_at(law, damping), devices) is not None, inside, outside, 10)
+            return last_inside(
+                lambda damping: _edges(_at(law, damping), devices) is not None, inside, outside, 10
+            )
         inside = outside
     return inside
 
@@ -118,7 +128,9 @@ def delay_margin(law: Law, devices: Sequence[Plant]) -> float | None:
     return None
 
 
-def _over_delay(law: Law, devices: Sequence[Plant], margin: float | None) -> list[list[float | None]]:
+def _over_delay(
+    law: Law, devices: Sequence[Plant], margin: float | None
+) -> list[list[float | None]]:
     """Give the edge over the delay, to beyond where the present stiffness meets it: rows of delay, least and largest K."""
     meets = devices[0].delay + (MOST_DELAY if margin is None else margin)
     # In powers of two, as with B.
@@ -131,10 +143,13 @@ def _over_delay(law: Law, devices: Sequence[Plant], margin: float | None) -> lis
     return found
 
 
-def with_inertia(declared: PlantParameters | None, seen: Mapping[str, Any] | None) -> PlantParameters | None:
+def with_inertia(
+    declared: PlantParameters | None, seen: Mapping[str, Any] | None
+) -> PlantParameters | None:
     """Return the plant with the masses that a device itself tells, over the poses it was in; a hand's is not among them.
 
-    The device tells what the scene moves; the plant has its own masses, those times the square of the scale.
+    The device tells what the scene moves; the plant has its own masses, those times the square of
+    the scale.
     """
     if seen is None:
         return declared
@@ -143,7 +158,9 @@ def with_inertia(declared: PlantParameters | None, seen: Mapping[str, Any] | Non
         return PlantParameters(mass=least, heaviest=greatest)
     least, greatest = least * declared.scale**2, greatest * declared.scale**2
     return msgspec.structs.replace(
-        declared, mass=min(declared.mass, least), heaviest=max(declared.heaviest or declared.mass, greatest)
+        declared,
+        mass=min(declared.mass, least),
+        heaviest=max(declared.heaviest or declared.mass, greatest),
     )
 
 
@@ -156,7 +173,10 @@ def stability_map(law: Law, period: float, plant: PlantParameters, delay: float)
     radii = [pole_radius(compiled, device) for device in devices]
     ends = [_edges(law, [device]) for device in devices]
     # The worst mass: unstable before stable, then by its edge.
-    worst = max(range(len(devices)), key=lambda i: (radii[i] >= 1.0, -(0.0 if (end := ends[i]) is None else end[1])))
+    worst = max(
+        range(len(devices)),
+        key=lambda i: (radii[i] >= 1.0, -(0.0 if (end := ends[i]) is None else end[1])),
+    )
     radius, edge = max(radii), _edges(law, devices)
     k = float(getattr(law, "stiffness", compiled.h1))
     found: dict[str, Any] = {
@@ -183,16 +203,19 @@ def stability_map(law: Law, period: float, plant: PlantParameters, delay: float)
     world = _moving(plant)
     if world is None:
         return drawn
-    # The device itself, without the tool that the coupling holds it to: the tool is part of the world.
+    # The device itself, without the tool that the coupling holds it to: the tool is part of the
+    # world.
     some = [replace(devices[i], partner=None) for i in sorted({0, worst, len(devices) - 1})]
     gains = np.linspace(0.0, near, ANY_NEAR).tolist()
-    delays = ((over[-1][0] or 0.0) * np.linspace(0.0, 1.0, ANY_DELAYS) ** 2).tolist()  # it falls fastest at first
+    # it falls fastest at first
+    delays = ((over[-1][0] or 0.0) * np.linspace(0.0, 1.0, ANY_DELAYS) ** 2).tolist()
     return drawn | {
         "world": world.about,
         "k_max_any_world_n_per_m": _certified(law, some, world),
         "any_world": [[gain, _certified(_at(law, gain), some, world)] for gain in gains],
         "any_world_over_delay": [
-            [delay, _certified(law, [replace(device, delay=delay) for device in some], world)] for delay in delays
+            [delay, _certified(law, [replace(device, delay=delay) for device in some], world)]
+            for delay in delays
         ],
     }
 
@@ -210,8 +233,10 @@ def drawn_map(
         plant = with_inertia(plant_of(declared, driver), inertia)
         if plant is None:
             return {
-                "why": "No map: the device is not declared. Give the coupling its plant in the launch file, for example "
-                "plant: {mass: 0.1, damping: 1.0}."
+                "why": (
+                    "No map: the device is not declared. Give the coupling its plant in the launch"
+                    " file, for example plant: {mass: 0.1, damping: 1.0}."
+                )
             }
         return stability_map(parse_law(described, "law"), period, plant, delay)
     except (HapticError, ValueError, ArithmeticError, msgspec.ValidationError) as error:

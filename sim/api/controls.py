@@ -5,7 +5,8 @@ from typing import Any
 
 from sim.api.laws import plain
 
-AskNode = Callable[..., Any]  # from a node, an operation and its arguments to the answer: `sim.api.python_runs.Run.ask`
+# from a node, an operation and its arguments to the answer: `sim.api.python_runs.Run.ask`
+AskNode = Callable[..., Any]
 
 
 class Parameters:
@@ -30,10 +31,12 @@ class Parameters:
     def set(self, node: str, values: dict[str, Any], force: bool = False) -> dict[str, Any]:
         """Change several parameters of a node between two ticks, all or nothing; gives the receipt.
 
-        The receipt has the tick, old and new values by their path, and the force step. `force` takes a change with which the
-        loop becomes unstable.
+        The receipt has the tick, old and new values by their path, and the force step. `force`
+        takes a change with which the loop becomes unstable.
         """
-        receipt: dict[str, Any] = self._ask(node, "param.set", values=plain(values), **({"force": True} if force else {}))
+        receipt: dict[str, Any] = self._ask(
+            node, "param.set", values=plain(values), **({"force": True} if force else {})
+        )
         return receipt
 
     def list(self, node: str) -> dict[str, Any]:
@@ -51,8 +54,8 @@ class Laws:
     def switch(self, law: str, ramp: int | None = None, force: bool = False) -> dict[str, Any]:
         """Switch the law between two ticks; gives the receipt: tick, force step, what was and what is rendered.
 
-        `law`: one of `list`. `ramp`: cross-fade [ticks]; the coupling's own when left out. `force` takes a law with which the
-        loop becomes unstable.
+        `law`: one of `list`. `ramp`: cross-fade [ticks]; the coupling's own when left out. `force`
+        takes a law with which the loop becomes unstable.
         """
         wanted: dict[str, Any] = {"force": True} if force else {}
         if ramp is not None:

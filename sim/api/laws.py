@@ -11,7 +11,8 @@ from nodes.laws import CompiledLaw, Law, law_names
 from nodes.laws.parse import compile_law, law_to_dict, parse_law
 from nodes.laws.presets import preset_names
 
-# What is taken for a law: `law`'s result, a mapping ``{"kind": ...}``, the name of a preset, or taps [N/m].
+# What is taken for a law: `law`'s result, a mapping ``{"kind": ...}``, the name of a preset, or
+# taps [N/m].
 LawLike: TypeAlias = "Law | CompiledLaw | Mapping[str, Any] | str | Sequence[float] | NDArray[Any]"
 
 
@@ -42,7 +43,10 @@ def scenarios() -> dict[str, dict[str, Any]]:
     found = {}
     for name, path in launch_file.scenarios().items():
         summary, arguments = launch_file.read_arguments(path)
-        found[name] = {"summary": summary, "arguments": {key: value.default for key, value in arguments.items()}}
+        found[name] = {
+            "summary": summary,
+            "arguments": {key: value.default for key, value in arguments.items()},
+        }
     return found
 
 
@@ -68,7 +72,8 @@ def law(kind: LawLike, **parameters: Any) -> Law:
     Parameters
     ----------
     kind : str, mapping, sequence of float or Law
-        A registered kind (``haptic.laws()`` lists them), a preset, a mapping as in YAML, or taps h_0 … h_n [N/m].
+        A registered kind (``haptic.laws()`` lists them), a preset, a mapping as in YAML, or taps
+        h_0 … h_n [N/m].
     **parameters : object
         The law's parameters.
 
@@ -89,7 +94,9 @@ def law(kind: LawLike, **parameters: Any) -> Law:
     """
     parameters = plain(parameters)
     if isinstance(kind, CompiledLaw):
-        raise TypeError("a compiled law has no parameters any more; pass the law that it was compiled from")
+        raise TypeError(
+            "a compiled law has no parameters any more; pass the law that it was compiled from"
+        )
     if isinstance(kind, Law):
         return parse_law({**law_to_dict(kind), **parameters}) if parameters else kind
     if isinstance(kind, str):
@@ -97,7 +104,10 @@ def law(kind: LawLike, **parameters: Any) -> Law:
     if isinstance(kind, Mapping):
         return parse_law({**kind, **parameters})
     if not isinstance(kind, Sequence | np.ndarray):
-        raise TypeError(f"{kind!r} is no law: expected a kind, a preset, a mapping as in YAML, taps [N/m] or a law")
+        raise TypeError(
+            f"{kind!r} is no law: expected a kind, a preset, a mapping as in YAML, taps [N/m] or"
+            " a law"
+        )
     return parse_law({"kind": "fir", "taps": [float(tap) for tap in kind], **parameters})
 
 

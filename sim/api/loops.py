@@ -45,11 +45,20 @@ class KMaxResult(Result):
         if not np.isfinite(top):
             top = 1e5
         stiffness = np.linspace(top / _SHOWN, top, _SHOWN)
-        radius = [pole_radius(stability.with_spring(self._derivative, value), self.plant) for value in stiffness.tolist()]
+        radius = [
+            pole_radius(stability.with_spring(self._derivative, value), self.plant)
+            for value in stiffness.tolist()
+        ]
         axes.plot(stiffness, radius, label="pole radius")
         axes.axhline(1.0, color="0.5", lw=0.8, label="edge of stability")
         if self.k_max_n_per_m is not None and np.isfinite(self.k_max_n_per_m):
-            axes.axvline(self.k_max_n_per_m, color="0.5", ls="--", lw=0.8, label=f"K_max {self.k_max_n_per_m:.4g} N/m")
+            axes.axvline(
+                self.k_max_n_per_m,
+                color="0.5",
+                ls="--",
+                lw=0.8,
+                label=f"K_max {self.k_max_n_per_m:.4g} N/m",
+            )
         axes.set(xlabel="nominal stiffness K [N/m]", ylabel="pole radius")
         axes.legend(frameon=False)
         return figure
@@ -70,7 +79,9 @@ class Poles(Result):
         angle = np.linspace(0.0, 2.0 * np.pi, 361)
         axes.plot(np.cos(angle), np.sin(angle), color="0.6", lw=0.8)
         axes.plot(self.real, self.imaginary, "x")
-        axes.set(xlabel="Re z", ylabel="Im z", aspect="equal", title=f"pole radius {self.radius:.5g}")
+        axes.set(
+            xlabel="Re z", ylabel="Im z", aspect="equal", title=f"pole radius {self.radius:.5g}"
+        )
         return figure
 
 
@@ -80,7 +91,8 @@ class Played(Result):
 
     name: str  # what was played
     rate_hz: float  # of the loop [Hz]
-    # Whether a drop came to rest in the wall (sim.experiments.drop.Criterion); None where nothing falls, or not for long.
+    # Whether a drop came to rest in the wall (sim.experiments.drop.Criterion); None where nothing
+    # falls, or not for long.
     settled: bool | None
     peak_force_n: float  # largest force [N]
     final_position_m: float  # where the device ended [m]
@@ -111,23 +123,26 @@ def k_max(law: LawLike, plant: Plant, world: str = "wall", **options: Any) -> KM
     plant : Plant
         Period [s], mass [kg], damping [N s/m], delay [ticks] and a hand's stiffness [N/m].
     world : str
-        What the device is coupled to (THEORY.md §18). ``wall``; ``spring``, of any stiffness of a range; ``any``, every passive
-        world that answers in the same tick; ``any_hand``, the same in every passive hand; ``any_hand_wall``; ``tool`` and
-        ``any_hand_tool``, a stepped tool with anything passive hung on it; ``euler_tool``, one of known mass that semi-implicit
-        Euler moves, implicit bodies behind it; ``two_hands``, a second device in any hand.
+        What the device is coupled to (THEORY.md §18). ``wall``; ``spring``, of any stiffness of a
+        range; ``any``, every passive world that answers in the same tick; ``any_hand``, the same in
+        every passive hand; ``any_hand_wall``; ``tool`` and ``any_hand_tool``, a stepped tool with
+        anything passive hung on it; ``euler_tool``, one of known mass that semi-implicit Euler
+        moves, implicit bodies behind it; ``two_hands``, a second device in any hand.
     **options : object
-        What a world needs: ``springs`` (softest, stiffest) [N/m], ``tool_damping`` [N s/m], ``tool_mass`` [kg], ``other``, the
-        second device (Plant).
+        What a world needs: ``springs`` (softest, stiffest) [N/m], ``tool_damping`` [N s/m],
+        ``tool_mass`` [kg], ``other``, the second device (Plant).
 
     Returns
     -------
     KMaxResult
-        The edge; ``.plot()`` draws the way to it. For other worlds than a wall the edge of what is certified.
+        The edge; ``.plot()`` draws the way to it. For other worlds than a wall the edge of what is
+        certified.
 
     Raises
     ------
     ValueError
-        For a law with code of its own, which has no poles; for an unknown world or options that it does not have.
+        For a law with code of its own, which has no poles; for an unknown world or options that it
+        does not have.
 
     Examples
     --------
@@ -146,12 +161,22 @@ def k_max(law: LawLike, plant: Plant, world: str = "wall", **options: Any) -> KM
     if world == "wall":
         found = stability.k_max(derivative, plant)
         about = f"{kind.about}; {hand_text(plant, any_hand)}"
-        return KMaxResult(found.k_max_n_per_m, found.h1_max_n_per_m, found.method, found.stable, plant, about, derivative)
+        return KMaxResult(
+            found.k_max_n_per_m,
+            found.h1_max_n_per_m,
+            found.method,
+            found.stable,
+            plant,
+            about,
+            derivative,
+        )
     edge = world_k_max(derivative, plant, kind, any_hand)
     top, low = edge.k_max_n_per_m, edge.low_n_per_m
     if top is None or low is None:
         return KMaxResult(None, None, "certificate", (), plant, edge.about, derivative)
-    return KMaxResult(top, top + derivative.h1, "certificate", ((low, top),), plant, edge.about, derivative)
+    return KMaxResult(
+        top, top + derivative.h1, "certificate", ((low, top),), plant, edge.about, derivative
+    )
 
 
 def poles(law: LawLike, plant: Plant) -> Poles:
@@ -210,10 +235,11 @@ def drop(
     ticks : int
         How long [ticks].
     history : str
-        What feeds the law outside contact: ``penetration`` (zero) or ``position`` (the raw distance).
+        What feeds the law outside contact: ``penetration`` (zero) or ``position`` (the raw
+        distance).
     clamp : bool
-        Whether a force into the wall is set to zero, as the coupling does. A wall that may pull settles at up to 25 %
-        more stiffness (PD, B = 40 N s/m: 18 000 N/m, against 14 400).
+        Whether a force into the wall is set to zero, as the coupling does. A wall that may pull
+        settles at up to 25 % more stiffness (PD, B = 40 N s/m: 18 000 N/m, against 14 400).
 
     Returns
     -------
@@ -223,8 +249,8 @@ def drop(
     Raises
     ------
     ValueError
-        When the plant has a hand: nobody holds what is dropped; when the height is below 0; when the
-        history is neither of the two.
+        When the plant has a hand: nobody holds what is dropped; when the height is below 0; when
+        the history is neither of the two.
 
     Examples
     --------
@@ -236,18 +262,28 @@ def drop(
     if history not in ("penetration", "position"):
         raise ValueError(f"history is {history!r}, expected 'penetration' or 'position'")
     if plant.stiffness:
-        raise ValueError(f"plant.stiffness is {plant.stiffness:g} N/m, expected 0: no hand holds a dropped mass")
+        raise ValueError(
+            f"plant.stiffness is {plant.stiffness:g} N/m, expected 0: no hand holds a dropped mass"
+        )
     if plant.partner is not None:
-        raise ValueError("plant.partner: a mass is dropped on a floor, which does not move; leave the partner out")
+        raise ValueError(
+            "plant.partner: a mass is dropped on a floor, which does not move; leave the"
+            " partner out"
+        )
     if not 0.0 <= height < np.inf:
         raise ValueError(f"height is {height:g} m, expected at least 0: the floor is at 0")
     convention = Convention(history == "position", clamp)
-    trace, rested = dropped(held(plant), compiled(law, plant.period), plant.period, ticks, convention, height)
+    trace, rested = dropped(
+        held(plant), compiled(law, plant.period), plant.period, ticks, convention, height
+    )
     return _played(f"drop from {height * 1e3:g} mm", 1.0 / plant.period, trace, rested)
 
 
 def _played(name: str, rate: float, trace: Trace, rested: bool | None) -> Played:
-    peak, columns = float(np.max(np.abs(trace.force))), (trace.time, trace.position, trace.velocity, trace.measured)
+    peak, columns = (
+        float(np.max(np.abs(trace.force))),
+        (trace.time, trace.position, trace.velocity, trace.measured),
+    )
     return Played(name, rate, rested, peak, trace.final[0], *columns, trace.deflection, trace.force)
 
 
@@ -283,8 +319,12 @@ def play(scenario: str, **arguments: Any) -> Played:
     launch = launch_file.read(scenario, plain(arguments))
     launched = from_launch(launch)
     scene, trace = launched.scene, launched.play()
-    falls = bool(scene.device.gravity) and scene.device.hand is None and scene.surface.kind == "plane"
+    falls = (
+        bool(scene.device.gravity) and scene.device.hand is None and scene.surface.kind == "plane"
+    )
     rested = None
     if falls and launched.ticks >= SHORTEST:
-        rested = settled(scene, launched.last_law, trace.position, trace.force, Criterion(launched.ticks))
+        rested = settled(
+            scene, launched.last_law, trace.position, trace.force, Criterion(launched.ticks)
+        )
     return _played(launch.scenario, launch.run.rate, trace, rested)

@@ -5,7 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 from nodes.stability.plant import Plant
-from nodes.stability.worlds import AnyWorld, EulerTool, OtherDevice, Springs, SteppedTool, Wall, WorldKind
+from nodes.stability.worlds import (
+    AnyWorld,
+    EulerTool,
+    OtherDevice,
+    Springs,
+    SteppedTool,
+    Wall,
+    WorldKind,
+)
 
 # Name to the options that it needs and whether any hand may hold the device.
 NAMES: dict[str, tuple[tuple[str, ...], bool]] = {
@@ -28,7 +36,9 @@ def read_world(name: str, options: dict[str, Any]) -> tuple[WorldKind, bool]:
     needed, any_hand = NAMES[name]
     if set(options) != set(needed):
         wanted = ", ".join(needed) or "no option"
-        raise ValueError(f"world = {name!r}: expected {wanted}, found {', '.join(sorted(options)) or 'none'}")
+        raise ValueError(
+            f"world = {name!r}: expected {wanted}, found {', '.join(sorted(options)) or 'none'}"
+        )
     if name == "spring":
         low, high = _numbers("springs", options["springs"], 2)
         return Springs(low, high), any_hand
@@ -47,6 +57,10 @@ def read_world(name: str, options: dict[str, Any]) -> tuple[WorldKind, bool]:
 def _numbers(name: str, value: Any, count: int = 1) -> list[float]:
     """Return the numbers of an option, of which it has `count`."""
     given = list(value) if isinstance(value, list | tuple) and count > 1 else [value]
-    if len(given) != count or not all(isinstance(one, int | float) or hasattr(one, "__float__") for one in given):
-        raise ValueError(f"{name} = {value!r}: expected {'a number' if count == 1 else f'{count} numbers'}")
+    if len(given) != count or not all(
+        isinstance(one, int | float) or hasattr(one, "__float__") for one in given
+    ):
+        raise ValueError(
+            f"{name} = {value!r}: expected {'a number' if count == 1 else f'{count} numbers'}"
+        )
     return [float(one) for one in given]

@@ -24,16 +24,26 @@ class Result:
 
     def figures(self) -> dict[str, Any]:
         """List what is no column: figure by name, with the unit at its end."""
-        return {name: value for name, value in self._fields().items() if not isinstance(value, np.ndarray)}
+        return {
+            name: value
+            for name, value in self._fields().items()
+            if not isinstance(value, np.ndarray)
+        }
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """List what has one value per tick or per point, by name; nothing where a result has only figures."""
-        return {name: value for name, value in self._fields().items() if isinstance(value, np.ndarray)}
+        return {
+            name: value for name, value in self._fields().items() if isinstance(value, np.ndarray)
+        }
 
     def _fields(self) -> dict[str, Any]:
         # A field that begins with an underscore is kept for plot().
         fields = dataclasses.fields(self)  # type: ignore[arg-type]
-        return {field.name: getattr(self, field.name) for field in fields if not field.name.startswith("_")}
+        return {
+            field.name: getattr(self, field.name)
+            for field in fields
+            if not field.name.startswith("_")
+        }
 
     def plot(self) -> Figure:
         """Draw it: the figures beside each other, where a result has no picture of its own."""
@@ -43,7 +53,11 @@ class Result:
         """Turn it into a table: one row per tick or point; for a result of figures alone, one row. Needs pandas."""
         flat: dict[str, NDArray[Any]] = {}
         for name, values in self.columns().items():
-            flat |= {name: values} if values.ndim == 1 else {f"{name}_{'xyz'[i]}": column for i, column in enumerate(values.T)}
+            flat |= (
+                {name: values}
+                if values.ndim == 1
+                else {f"{name}_{'xyz'[i]}": column for i, column in enumerate(values.T)}
+            )
         return pandas().DataFrame(flat or [self.figures()])
 
     def __str__(self) -> str:
@@ -90,12 +104,18 @@ def bars(values: Mapping[str, Any], label: str, title: str) -> Figure:
     known = {
         name: float(value)
         for name, value in values.items()
-        if isinstance(value, int | float | np.number) and not isinstance(value, bool) and np.isfinite(value)
+        if isinstance(value, int | float | np.number)
+        and not isinstance(value, bool)
+        and np.isfinite(value)
     }
     figure, (axes,) = new_figure(height=max(2.4, 0.3 * len(known)))
     axes.barh(list(known), list(known.values()))
     axes.invert_yaxis()
-    if len(known) > 1 and min(known.values()) > 0.0 and max(known.values()) > 100.0 * min(known.values()):
+    if (
+        len(known) > 1
+        and min(known.values()) > 0.0
+        and max(known.values()) > 100.0 * min(known.values())
+    ):
         axes.set_xscale("log")
     axes.set(xlabel=label, title=title)
     return figure

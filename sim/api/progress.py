@@ -36,9 +36,13 @@ def _notebook_handle(title: str) -> Any:
     shell = importlib.import_module("IPython").get_ipython()
     if shell is None or type(shell).__name__ != "ZMQInteractiveShell":
         return None
-    return importlib.import_module("IPython.display").display(_html(title, 0, None), display_id=True)
+    return importlib.import_module("IPython.display").display(
+        _html(title, 0, None), display_id=True
+    )
 
 
 def _html(title: str, done: int, total: int | None) -> Any:
     share = f"value='{done}' max='{total}'" if total else ""
-    return importlib.import_module("IPython.display").HTML(f"{title} <progress {share}></progress> {done}")
+    return importlib.import_module("IPython.display").HTML(
+        f"{title} <progress {share}></progress> {done}"
+    )

@@ -1,7 +1,7 @@
 """Launches from Python: start one, or connect to one that runs; change it, record it, wait for it, read what came out.
 
-A launch is started as ``haptic launch`` starts it, in processes of its own. However the program or the notebook's cell ends,
-nothing is left behind.
+A launch is started as ``haptic launch`` starts it, in processes of its own. However the program or
+the notebook's cell ends, nothing is left behind.
 """
 
 import contextlib
@@ -63,7 +63,12 @@ class Run:
     'pd'
     """
 
-    def __init__(self, info: RunInfo, process: subprocess.Popen[bytes] | None = None, folder: Path | None = None) -> None:
+    def __init__(
+        self,
+        info: RunInfo,
+        process: subprocess.Popen[bytes] | None = None,
+        folder: Path | None = None,
+    ) -> None:
         self.info = info
         self.param = Parameters(self.ask, self.nodes)
         self.law = Laws(lambda op, **args: self.ask(self.role("coupling"), op, **args))
@@ -77,14 +82,21 @@ class Run:
         """Go on with it."""
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         """End a launch that this program started; leave any other alone."""
         if self._process is not None:
             self.stop()
 
     def __repr__(self) -> str:
         state = "running" if self.running else "ended"
-        return f"<{self.info.run}: {self.info.scenario}, {state}, nodes {', '.join(self.info.nodes)}>"
+        return (
+            f"<{self.info.run}: {self.info.scenario}, {state}, nodes {', '.join(self.info.nodes)}>"
+        )
 
     @property
     def nodes(self) -> list[str]:
@@ -113,7 +125,9 @@ class Run:
         """
         found = launches.roles(self.info)
         if part not in found:
-            raise LaunchError(f"{self.info.run}: no node is its {part}; it has {', '.join(self.info.nodes)}")
+            raise LaunchError(
+                f"{self.info.run}: no node is its {part}; it has {', '.join(self.info.nodes)}"
+            )
         return found[part]
 
     def ask(self, node: str, op: str, **args: Any) -> Any:
@@ -164,8 +178,22 @@ class Run:
         Recorded
             What it recorded.
         """
-        path = Path(out) if out is not None else Path(f"recording-{time.strftime('%Y%m%dT%H%M%S')}.mcap")
-        words = ["bag", "record", "--run", self.info.chosen, "--duration", str(duration), "--out", str(path), "--json"]
+        path = (
+            Path(out)
+            if out is not None
+            else Path(f"recording-{time.strftime('%Y%m%dT%H%M%S')}.mcap")
+        )
+        words = [
+            "bag",
+            "record",
+            "--run",
+            self.info.chosen,
+            "--duration",
+            str(duration),
+            "--out",
+            str(path),
+            "--json",
+        ]
         process = beside(*words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         try:
             printed = process.communicate()[1]
@@ -174,7 +202,9 @@ class Run:
             end(process)
             raise
         if process.returncode:
-            raise LaunchError(f"bag record ended with exit code {process.returncode}: {printed.strip()}")
+            raise LaunchError(
+                f"bag record ended with exit code {process.returncode}: {printed.strip()}"
+            )
         return read(path)
 
     def wait(self, timeout: float | None = None) -> RunSummary:
@@ -220,13 +250,17 @@ class Run:
         if self._process is not None:
             end(self._process)
             return
-        done = subprocess.run([*HAPTIC, "stop", self.info.run], capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            [*HAPTIC, "stop", self.info.run], capture_output=True, text=True, check=False
+        )
         if done.returncode:
             raise LaunchError(done.stderr.strip())
 
     def _started_here(self, what: str) -> subprocess.Popen[bytes]:
         if self._process is None:
-            raise LaunchError(f"{self.info.run}: started elsewhere; only its own launcher can {what} its end")
+            raise LaunchError(
+                f"{self.info.run}: started elsewhere; only its own launcher can {what} its end"
+            )
         return self._process
 
     @property
@@ -247,8 +281,19 @@ class Run:
             printed = json.loads(lines[-1]) if lines else {}
             # Of one that was killed the URL of its page may be all that it printed.
             if process.returncode == 1 or "exit_reason" not in printed:
-                raise LaunchError(f"{self.info.run}: exit code {process.returncode}: {_errors(self._folder)}")
-            keys = ("scenario", "exit_reason", "ticks", "missed", "rate_hz", "response_us", "final", "recording")
+                raise LaunchError(
+                    f"{self.info.run}: exit code {process.returncode}: {_errors(self._folder)}"
+                )
+            keys = (
+                "scenario",
+                "exit_reason",
+                "ticks",
+                "missed",
+                "rate_hz",
+                "response_us",
+                "final",
+                "recording",
+            )
             self._summary = RunSummary(**{key: printed[key] for key in keys}, all=printed)
         return self._summary
 
@@ -271,8 +316,8 @@ class Run:
 def whole() -> Iterator[Sequence[object]]:
     """Do this block to its end; an interrupt that comes meanwhile is one at its end, and stands in the sequence until then.
 
-    A ``KeyboardInterrupt`` that is raised inside a finaliser, as sockets and Python's locks of imports have one, is printed and
-    forgotten, and the cell would go on.
+    A ``KeyboardInterrupt`` that is raised inside a finaliser, as sockets and Python's locks of
+    imports have one, is printed and forgotten, and the cell would go on.
     """
     before = signal.getsignal(signal.SIGINT)
     # Only the main thread is interrupted; SIG_IGN and SIG_DFL run no Python.
@@ -325,7 +370,9 @@ def connect(name: str | None = None) -> Run:
     return Run(launches.find(name))
 
 
-def launch(scenario: str, *, view: bool = False, out_dir: str | Path | None = None, **arguments: Any) -> Run:
+def launch(
+    scenario: str, *, view: bool = False, out_dir: str | Path | None = None, **arguments: Any
+) -> Run:
     """Start a scenario in processes of its own, and return at its first tick.
 
     Parameters
@@ -355,14 +402,19 @@ def launch(scenario: str, *, view: bool = False, out_dir: str | Path | None = No
     ...     run.wait().ticks
     1500
     """
-    words = [f"{name}:={value if isinstance(value, str) else json.dumps(value)}" for name, value in plain(arguments).items()]
+    words = [
+        f"{name}:={value if isinstance(value, str) else json.dumps(value)}"
+        for name, value in plain(arguments).items()
+    ]
     if view:
         words.append("--view")
     if out_dir is not None:
         words += ["--out-dir", str(out_dir)]
     folder = Path(tempfile.mkdtemp(prefix="haptic-"))
     with open(folder / "stdout.txt", "wb") as out, open(folder / "stderr.txt", "wb") as errors:
-        process = beside("launch", scenario, *words, "--json", "--no-plot", stdout=out, stderr=errors)
+        process = beside(
+            "launch", scenario, *words, "--json", "--no-plot", stdout=out, stderr=errors
+        )
     try:
         with whole() as came:
             info = _appeared(process, folder, came)
@@ -373,7 +425,9 @@ def launch(scenario: str, *, view: bool = False, out_dir: str | Path | None = No
         raise
 
 
-def _appeared(process: subprocess.Popen[bytes], folder: Path, interrupts: Sequence[object]) -> RunInfo:
+def _appeared(
+    process: subprocess.Popen[bytes], folder: Path, interrupts: Sequence[object]
+) -> RunInfo:
     until = time.monotonic() + STARTS_WITHIN
     while time.monotonic() < until:
         if interrupts:
@@ -385,16 +439,25 @@ def _appeared(process: subprocess.Popen[bytes], folder: Path, interrupts: Sequen
         if ended and process.returncode == 0:
             # In lockstep a short one is over before anybody looks.
             printed = json.loads(_lines(folder)[-1])
-            return RunInfo(run=printed["run"], scenario=printed["scenario"], launcher=process.pid, nodes={})
+            return RunInfo(
+                run=printed["run"], scenario=printed["scenario"], launcher=process.pid, nodes={}
+            )
         if ended:
             refused = process.returncode == 2
             said = _errors(folder)
-            raise LaunchError(said.removeprefix("haptic: ") if refused else f"exit code {process.returncode}: {said}")
+            raise LaunchError(
+                said.removeprefix("haptic: ")
+                if refused
+                else f"exit code {process.returncode}: {said}"
+            )
         time.sleep(0.01)
     raise LaunchError(f"haptic launch: no tick within {STARTS_WITHIN:g} s: {_errors(folder)}")
 
 
 def _ticks(info: RunInfo) -> bool:
     with contextlib.suppress(HapticError):
-        return all(launches.ask(info, driver, "status", timeout=1.0)["ticks"] > 0 for driver in info.drivers())
+        return all(
+            launches.ask(info, driver, "status", timeout=1.0)["ticks"] > 0
+            for driver in info.drivers()
+        )
     return False

@@ -40,7 +40,9 @@ class Recorded(Result):
 
     def plot(self) -> Figure:
         """Draw position, proxy and force of the axis that moves most; ``haptic bag plot`` draws more."""
-        time, position, proxy, force = (self._table[name] for name in ("time", "position", "proxy", "force"))
+        time, position, proxy, force = (
+            self._table[name] for name in ("time", "position", "proxy", "force")
+        )
         axis = int((position.max(axis=0) - position.min(axis=0)).argmax()) if len(position) else 0
         figure, (top, below) = new_figure(2, height=2.2)
         top.plot(time, position[:, axis] * 1e3, label="device")

@@ -41,9 +41,18 @@ class Response(Result):
     def plot(self, ax: Sequence[Axes] | None = None) -> Figure:
         """Draw stiffness and damping against frequency; `ax`: two axes to draw in."""
         top, below = _axes(ax)
-        for axes, key, unit in ((top, "stiffness_n_per_m", "N/m"), (below, "damping_n_s_per_m", "N s/m")):
+        for axes, key, unit in (
+            (top, "stiffness_n_per_m", "N/m"),
+            (below, "damping_n_s_per_m", "N s/m"),
+        ):
             line = axes.semilogx(self.frequency_hz, getattr(self, key), label=f"{self.name}, felt")
-            axes.semilogx(self.frequency_hz, getattr(self, f"law_{key}"), ls="--", color=line[0].get_color(), label="law alone")
+            axes.semilogx(
+                self.frequency_hz,
+                getattr(self, f"law_{key}"),
+                ls="--",
+                color=line[0].get_color(),
+                label="law alone",
+            )
             axes.set_ylabel(f"{key.partition('_')[0]} [{unit}]")
         top.legend(frameon=False)
         below.set_xlabel("frequency [Hz]")
@@ -61,7 +70,9 @@ class ZWidthResult(Result):
     def columns(self) -> dict[str, Array]:
         """List gains and stiffnesses, those of each law after the other's."""
         names = [field.name for field in fields(ZWidth) if field.name != "kind"]
-        return {name: np.concatenate([getattr(one, name) for one in self._planes]) for name in names}
+        return {
+            name: np.concatenate([getattr(one, name) for one in self._planes]) for name in names
+        }
 
     def of(self, name: str) -> ZWidth:
         """Return the plane of one law; KeyError names those there are."""
@@ -74,7 +85,13 @@ class ZWidthResult(Result):
         axes = new_figure(height=4.0)[1][0] if ax is None else ax
         for name, one in zip(self.names, self._planes, strict=True):
             line = axes.plot(one.gain, one.h1_max_n_per_m, label=f"{name}, stable")
-            axes.plot(one.gain, one.passive_n_per_m, ls="--", color=line[0].get_color(), label=f"{name}, passive")
+            axes.plot(
+                one.gain,
+                one.passive_n_per_m,
+                ls="--",
+                color=line[0].get_color(),
+                label=f"{name}, passive",
+            )
         axes.set(xlabel="gain B of the damper", ylabel="stiffness [N/m]", title="Z-width")
         axes.legend(frameon=False)
         return _figure(axes)
@@ -97,7 +114,10 @@ def _figure(axes: Axes) -> Figure:
 
 
 def response(
-    law: LawLike, plant: Plant | None = None, frequency_hz: Array | Sequence[float] | None = None, lowest: float = LOWEST
+    law: LawLike,
+    plant: Plant | None = None,
+    frequency_hz: Array | Sequence[float] | None = None,
+    lowest: float = LOWEST,
 ) -> Response:
     """Work out the stiffness and damping that a law renders against frequency, with the hold and the delay of the loop.
 
@@ -129,13 +149,19 @@ def response(
     (1000.08, 2.0)
     """
     device = plant or USUAL
-    at = frequencies(device.period, lowest, POINTS) if frequency_hz is None else np.asarray(frequency_hz, dtype=np.float64)
+    at = (
+        frequencies(device.period, lowest, POINTS)
+        if frequency_hz is None
+        else np.asarray(frequency_hz, dtype=np.float64)
+    )
     found = rendered(compiled(law, device.period), device.period, device.delay, at)
     columns = [getattr(found, field.name) for field in fields(found)]
     return Response(_name(law), 1.0 / device.period, device.delay, *columns)
 
 
-def bode(law: LawLike, plant: Plant | None = None, ax: Sequence[Axes] | None = None, **options: Any) -> Figure:
+def bode(
+    law: LawLike, plant: Plant | None = None, ax: Sequence[Axes] | None = None, **options: Any
+) -> Figure:
     """Draw magnitude and phase of what a law renders, with the hold and the delay of the loop.
 
     Parameters
@@ -175,7 +201,9 @@ def bode(law: LawLike, plant: Plant | None = None, ax: Sequence[Axes] | None = N
 
 
 def z_width(
-    laws: LawLike | Sequence[LawLike], plant: Plant | None = None, gains: Sequence[float] | Array | None = None
+    laws: LawLike | Sequence[LawLike],
+    plant: Plant | None = None,
+    gains: Sequence[float] | Array | None = None,
 ) -> ZWidthResult:
     """Work out the K–B plane of one law or several: how stiff each may be at each gain of its damper.
 

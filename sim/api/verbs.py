@@ -1,6 +1,7 @@
 """From a device to its law, from Python: the command line's own verbs, run beside the notebook, with their figures back.
 
-A verb runs as a process of its own, so that an interrupted cell ends it as Ctrl-C does: the device safe, what is known written.
+A verb runs as a process of its own, so that an interrupted cell ends it as Ctrl-C does: the device
+safe, what is known written.
 """
 
 from __future__ import annotations
@@ -27,8 +28,10 @@ if TYPE_CHECKING:
 # Names under which studies tell their rows.
 _TABLES = ("rows", "points", "drops", "edges", "curves", "cases", "terms", "parameters")
 _ON_OR_OFF = ("land",)  # options that are on unless they are switched off
-_USAGE = re.compile(r"^usage: .*\n(?: .*\n)*", re.MULTILINE)  # how argparse begins what it says of an option that there is not
-_SHARE = re.compile(r"^(\d+) % ")  # how a verb says how far it is, where nobody looks at a terminal (sim/measure/stopwatch.py)
+# how argparse begins what it says of an option that there is not
+_USAGE = re.compile(r"^usage: .*\n(?: .*\n)*", re.MULTILINE)
+# how a verb says how far it is, where nobody looks at a terminal (sim/measure/stopwatch.py)
+_SHARE = re.compile(r"^(\d+) % ")
 
 
 @dataclass(frozen=True, repr=False)
@@ -45,7 +48,9 @@ class Answer(Result):
 
     def to_pandas(self) -> Any:
         """Turn it into a table: the rows of a study that has some, else its figures in one row."""
-        rows = next((value for name, value in self.answer.items() if name in _TABLES and value), None)
+        rows = next(
+            (value for name, value in self.answer.items() if name in _TABLES and value), None
+        )
         return pandas().DataFrame([self.answer] if rows is None else rows)
 
     def plot(self) -> Figure:
@@ -64,7 +69,9 @@ class Answer(Result):
     def __getitem__(self, name: str) -> Any:
         """Read one figure."""
         if name not in self.answer:
-            raise KeyError(f"{name!r} is no figure of {self.command}; there are {', '.join(self.answer)}")
+            raise KeyError(
+                f"{name!r} is no figure of {self.command}; there are {', '.join(self.answer)}"
+            )
         return self.answer[name]
 
     def _ipython_key_completions_(self) -> list[str]:
@@ -75,7 +82,11 @@ def _flat(said: Mapping[str, Any], before: str = "") -> dict[str, Any]:
     """Name every number of an answer by its path."""
     found: dict[str, Any] = {}
     for name, value in said.items():
-        found |= _flat(value, f"{before}{name}.") if isinstance(value, Mapping) else {f"{before}{name}": value}
+        found |= (
+            _flat(value, f"{before}{name}.")
+            if isinstance(value, Mapping)
+            else {f"{before}{name}": value}
+        )
     return found
 
 
@@ -170,12 +181,21 @@ def _cluster(client: Any) -> dict[str, Any]:
         return {}
     address, security = client.scheduler.address, client.security
     if not address.startswith(("tcp://", "tls://")):
-        raise LaunchError(f"client: {address} is inside this process; make it of processes: LocalCluster(processes=True)")
+        raise LaunchError(
+            f"client: {address} is inside this process; make it of processes:"
+            " LocalCluster(processes=True)"
+        )
     if address.startswith("tcp://"):
         return {"cluster": address}
-    files = {"tls_ca_file": security.tls_ca_file, "tls_cert": security.tls_client_cert, "tls_key": security.tls_client_key}
+    files = {
+        "tls_ca_file": security.tls_ca_file,
+        "tls_cert": security.tls_client_cert,
+        "tls_key": security.tls_client_key,
+    }
     if any(not isinstance(file, str) or "\n" in file for file in files.values()):
-        raise LaunchError("client: its certificates are in memory; give distributed.Security their files")
+        raise LaunchError(
+            "client: its certificates are in memory; give distributed.Security their files"
+        )
     return {"cluster": address, **files}
 
 
@@ -185,7 +205,8 @@ def design(**options: Any) -> Answer:
     Parameters
     ----------
     **options : object
-        The verb's options: ``mass="0.05..0.2"``, ``delay=1``, ``taps=4``, ``rate=500``; ``haptic study design --help``.
+        The verb's options: ``mass="0.05..0.2"``, ``delay=1``, ``taps=4``, ``rate=500``; ``haptic
+        study design --help``.
 
     Returns
     -------
@@ -232,7 +253,13 @@ def identify(recording: str | Path, **options: Any) -> Answer:
     return _run("study", "identify", str(recording), *_words(options))
 
 
-def tune(scenario: str, out: str | Path = "tuning", *, arguments: dict[str, Any] | None = None, **options: Any) -> Answer:
+def tune(
+    scenario: str,
+    out: str | Path = "tuning",
+    *,
+    arguments: dict[str, Any] | None = None,
+    **options: Any,
+) -> Answer:
     """From a device to its law: identify, design, predict, verify, apply: ``haptic tune``.
 
     Parameters

@@ -1,8 +1,8 @@
 """Realisations of D^α on the chart: time and multiplies per tick against error, and against the stiffness they leave.
 
-Time is that of the coupling's own rendering, tick by tick, and of the compiled kernels; error is against (jω)^α with
-the best pure delay removed; stiffness is the H(1) at which the loop with a known device, at one tick of delay,
-becomes unstable, with the same normalised gain for all.
+Time is that of the coupling's own rendering, tick by tick, and of the compiled kernels; error is
+against (jω)^α with the best pure delay removed; stiffness is the H(1) at which the loop with a
+known device, at one tick of delay, becomes unstable, with the same normalised gain for all.
 """
 
 from collections.abc import Callable, Iterator, MutableSequence, Sequence
@@ -34,7 +34,10 @@ _ROUNDS, _QUICK_ROUNDS, _QUICK_TAPS = 15, 3, 64
 _FINITE = (4, 16, 64, 256, 1000)
 _RECURSIVE = (4, 6, 9, 13)
 _LENGTHS: dict[str, tuple[int, ...]] = {
-    **dict.fromkeys(("al_alaoui_cfe", "tustin_cfe", "least_squares", "oustaloup_matched", "oustaloup_tustin"), _RECURSIVE),
+    **dict.fromkeys(
+        ("al_alaoui_cfe", "tustin_cfe", "least_squares", "oustaloup_matched", "oustaloup_tustin"),
+        _RECURSIVE,
+    ),
     "exponentials": (32, 256, 2000, 20000),
     "log_binned": (64, 256, 1000),
 }
@@ -72,13 +75,17 @@ def candidates(order: float, quick: bool = False) -> Iterator[tuple[str, int, Co
                 continue
 
 
-def with_stiffness(unit: CompiledLaw, stiffness: float, gain: float, order: float, period: float) -> CompiledLaw:
+def with_stiffness(
+    unit: CompiledLaw, stiffness: float, gain: float, order: float, period: float
+) -> CompiledLaw:
     """Make a law that renders a stiffness and a derivative, whatever the derivative leaks."""
     physical = gain * (0.5 * period) ** (order - 1.0)
     return combine(stiffness - physical * unit.h1, [(physical, unit)])
 
 
-def largest_stable(radius: Callable[[float], float], low: float, high: float, precision: float = 0.005) -> float:
+def largest_stable(
+    radius: Callable[[float], float], low: float, high: float, precision: float = 0.005
+) -> float:
     """Find where a loop becomes unstable as one of its parameters grows."""
     before = 0.0
     for value in np.geomspace(low, high, 20).tolist():
@@ -108,12 +115,18 @@ def derivative_groups(step: Callable[[str], None], quick: bool, spread: Runner) 
             jobs[f"{kind} {taps}|compiled"] = (_when_compiled(law), 20 * _TICKS)
         timings = interleaved(jobs, rounds, step)
         details: dict[str, tuple[str, dict[str, Extra]]] = {}
-        jobs_beside: list[Callable[[], Any]] = [partial(_figures, kind, taps, order) for kind, taps, _ in found]
+        jobs_beside: list[Callable[[], Any]] = [
+            partial(_figures, kind, taps, order) for kind, taps, _ in found
+        ]
         figures = spread(jobs_beside, lambda done, _, order=order: step(f"D^{order:g} {done}"))  # type: ignore[misc]
         for (kind, taps, _), measured in zip(found, figures, strict=True):
             name = f"{kind} {taps}"
             node, fast = timings[f"{name}|node"], timings[f"{name}|compiled"]
-            times = {"node_us": 1e6 * node.median, "node_us_low": 1e6 * node.low, "node_us_high": 1e6 * node.high}
+            times = {
+                "node_us": 1e6 * node.median,
+                "node_us_low": 1e6 * node.low,
+                "node_us_high": 1e6 * node.high,
+            }
             details[name] = kind, measured | times | {"compiled_ns": 1e9 * fast.median}
         groups += _groups(order, details, rounds)
     return groups
@@ -122,10 +135,16 @@ def derivative_groups(step: Callable[[str], None], quick: bool, spread: Runner) 
 def _figures(kind: str, taps: int, order: float) -> dict[str, Extra]:
     """Tell everything about one realisation but its times."""
     stiffness, gain = _limits(realise(kind, order, taps, PERIOD), order)
-    return {**analyse(kind, order, taps, PERIOD), "h1_max_n_per_m": stiffness, "gain_max_n_s_per_m": gain}
+    return {
+        **analyse(kind, order, taps, PERIOD),
+        "h1_max_n_per_m": stiffness,
+        "gain_max_n_s_per_m": gain,
+    }
 
 
-def _groups(order: float, details: dict[str, tuple[str, dict[str, Extra]]], rounds: int) -> list[Group]:
+def _groups(
+    order: float, details: dict[str, tuple[str, dict[str, Extra]]], rounds: int
+) -> list[Group]:
     """Put the realisations of one order side by side: time, multiplies, stiffness."""
 
     def points(cost: str, error: Callable[[dict[str, Any]], float]) -> tuple[Point, ...]:
@@ -141,22 +160,40 @@ def _groups(order: float, details: dict[str, tuple[str, dict[str, Extra]]], roun
         return 1.0 - float(measured["h1_max_n_per_m"]) / best
 
     best = max(float(measured["h1_max_n_per_m"] or 0.0) for _, measured in details.values())
-    error, time, each = "relative error, best delay removed (rms) [1]", "time per tick in the node [µs]", "multiplies per tick"
+    error, time, each = (
+        "relative error, best delay removed (rms) [1]",
+        "time per tick in the node [µs]",
+        "multiplies per tick",
+    )
     note = (
         f"Error against (jω)^α, 0.001 to 0.5 of Nyquist. T = {1e3 * PERIOD:g} ms; times by the "
         f"coupling's own rendering, median of {rounds} interleaved rounds."
     )
     return [
-        Group(f"derivative_time_{order:g}", f"D^{order:g}: time", time, error, points("node_us", aligned), note),
-        Group(f"derivative_multiplies_{order:g}", f"D^{order:g}: multiplies", each, error, points("multiplies", aligned), note),
+        Group(
+            f"derivative_time_{order:g}",
+            f"D^{order:g}: time",
+            time,
+            error,
+            points("node_us", aligned),
+            note,
+        ),
+        Group(
+            f"derivative_multiplies_{order:g}",
+            f"D^{order:g}: multiplies",
+            each,
+            error,
+            points("multiplies", aligned),
+            note,
+        ),
         Group(
             f"derivative_stiffness_{order:g}",
             f"D^{order:g}: stiffness left",
             time,
             f"stiffness lost against the best, {best:.0f} N/m [1]",
             points("node_us", lost),
-            f"H(1) at which the pole radius reaches 1: m = {MASS} kg, b = {DAMPING} N s/m, {DELAY:g} tick of delay, "
-            f"normalised gain {GAIN:g} N s/m for all.",
+            f"H(1) at which the pole radius reaches 1: m = {MASS} kg, b = {DAMPING} N s/m,"
+            f" {DELAY:g} tick of delay, normalised gain {GAIN:g} N s/m for all.",
             linear=True,
         ),
     ]

@@ -1,9 +1,10 @@
 """Accuracy against stiffness at equal demand: whether the better derivative makes the stiffer wall.
 
-Each realisation has its own best gain: so the gain of every law is tuned, and all keep the same demand: pole radius over a
-range of mass at one tick of delay, and a bound on |H(−1)|. At a radius of 0.99 a derivative that remembers for longer is out by
-its own memory, so mere stability is asked for too. D^1 has the baselines PD and PD with a filtered velocity; a windowed one has
-no poles (`sim.paper.fig4`).
+Each realisation has its own best gain: so the gain of every law is tuned, and all keep the same
+demand: pole radius over a range of mass at one tick of delay, and a bound on |H(−1)|. At a radius
+of 0.99 a derivative that remembers for longer is out by its own memory, so mere stability is asked
+for too. D^1 has the baselines PD and PD with a filtered velocity; a windowed one has no poles
+(`sim.paper.fig4`).
 """
 
 import functools
@@ -29,9 +30,11 @@ RADII = {"calm": 0.99, "stable": 1.0 - 1e-9}
 CUTOFFS = (50.0, 100.0, 200.0)  # of the filtered velocity [Hz]
 _LONGEST, _QUICK_LONGEST = 64, 8
 _GAINS, _STIFFNESSES = np.geomspace(0.5, 40.0, 14), np.geomspace(6000.0, 200.0, 26)
-# Factors about the best gain so far that are searched next, nine gains each; and how well the stiffness is told.
+# Factors about the best gain so far that are searched next, nine gains each; and how well the
+# stiffness is told.
 _NEARER, _PRECISION = (1.4, 1.1, 1.03, 1.008), 1e-4
-_FIRST = {("gl", 4), ("bdf2", 4), ("bdf3", 4)}  # realisations of D^1 that differ; all others are PD's difference
+# realisations of D^1 that differ; all others are PD's difference
+_FIRST = {("gl", 4), ("bdf2", 4), ("bdf3", 4)}
 MakeLaw = Callable[[float, float], CompiledLaw]
 
 
@@ -45,11 +48,16 @@ def keeps(law: CompiledLaw, radius: float) -> bool:
 def tuned(way: MakeLaw, radius: float) -> tuple[float, float]:
     """Find the largest stiffness that keeps the demand at any gain, and that gain; both 0 when none does."""
     best, at, gains = 0.0, 0.0, _GAINS
-    # The edge of the demand has kinks: the best gain is where two masses bind, so a coarse grid of gains loses stiffness.
+    # The edge of the demand has kinks: the best gain is where two masses bind, so a coarse grid of
+    # gains loses stiffness.
     for spread in (*_NEARER, 1.0):
         for gain in gains.tolist():
-            kept = next((k for k in _STIFFNESSES.tolist() if k > best and keeps(way(k, gain), radius)), None)
-            if kept is None and not (best > 0.0 and keeps(way(best * (1.0 + _PRECISION), gain), radius)):
+            kept = next(
+                (k for k in _STIFFNESSES.tolist() if k > best and keeps(way(k, gain), radius)), None
+            )
+            if kept is None and not (
+                best > 0.0 and keeps(way(best * (1.0 + _PRECISION), gain), radius)
+            ):
                 continue
             low, high = kept or best, (kept or best) * float(_STIFFNESSES[0] / _STIFFNESSES[1])
             while high > (1.0 + _PRECISION) * low:
@@ -63,7 +71,9 @@ def tuned(way: MakeLaw, radius: float) -> tuple[float, float]:
 def laws(order: float, quick: bool) -> Iterator[tuple[str, str, MakeLaw, float]]:
     """Go through what is compared: name, family, the law at a stiffness and a gain, and the error of its derivative."""
     for kind, taps, unit in candidates(order, quick):
-        if len(unit.taps) <= (_QUICK_LONGEST if quick else _LONGEST) and (order != 1.0 or (kind, taps) in _FIRST):
+        if len(unit.taps) <= (_QUICK_LONGEST if quick else _LONGEST) and (
+            order != 1.0 or (kind, taps) in _FIRST
+        ):
             yield (
                 "pd" if (order, kind) == (1.0, "gl") else f"{kind} {taps}",
                 kind,
@@ -86,7 +96,9 @@ def _listed(order: float, quick: bool) -> list[tuple[str, str, MakeLaw, float]]:
     return list(laws(order, quick))
 
 
-def _row(order: float, quick: bool, number: int, radius: float) -> tuple[str, str, float, float, float]:
+def _row(
+    order: float, quick: bool, number: int, radius: float
+) -> tuple[str, str, float, float, float]:
     """Tune one realisation: name, family, error of its derivative, stiffness and gain."""
     name, family, way, error = _listed(order, quick)[number]
     return name, family, error, *tuned(way, radius)
@@ -101,14 +113,23 @@ def demand_groups(step: Callable[[str], None], quick: bool, spread: Runner) -> l
         for number in range(len(_listed(order, quick)))
     ]
     rows = iter(spread(jobs, lambda done, _: step(f"equal demand: {done}")))
-    return [_group(order, demand, RADII[demand], [next(rows) for _ in _listed(order, quick)]) for order, demand in groups]
+    return [
+        _group(order, demand, RADII[demand], [next(rows) for _ in _listed(order, quick)])
+        for order, demand in groups
+    ]
 
 
-def _group(order: float, demand: str, radius: float, rows: list[tuple[str, str, float, float, float]]) -> Group:
+def _group(
+    order: float, demand: str, radius: float, rows: list[tuple[str, str, float, float, float]]
+) -> Group:
     best = max(stiffness for *_, stiffness, _ in rows)
     points = []
     for name, family, error, stiffness, gain in rows:
-        detail: dict[str, Extra] = {"order": order, "h1_tuned_n_per_m": stiffness, "gain_tuned_n_s_per_m": gain}
+        detail: dict[str, Extra] = {
+            "order": order,
+            "h1_tuned_n_per_m": stiffness,
+            "gain_tuned_n_s_per_m": gain,
+        }
         points.append(Point(name, error, 1.0 - stiffness / best, family, detail))
     return Group(
         f"equal_demand_{order:g}_{demand}",
@@ -116,9 +137,10 @@ def _group(order: float, demand: str, radius: float, rows: list[tuple[str, str, 
         "relative error of the derivative, best delay removed (rms) [1]",
         f"stiffness lost against the best, {best:.0f} N/m [1]",
         tuple(points),
-        f"Gain and K tuned for each: pole radius ≤ {radius:.3g} for {', '.join(f'{m:g}' for m in MASSES)} kg, b = {DAMPING:g} "
-        f"N s/m, {DELAY:g} tick of delay, |H(−1)| ≤ {NYQUIST:g} N/m, T = {1e3 * PERIOD:g} ms. "
-        "At 1: keeps the demand with no gain. pd_windowed has no poles: `haptic study design --compare` tunes it by drops.",
+        f"Gain and K tuned for each: pole radius ≤ {radius:.3g} for"
+        f" {', '.join(f'{m:g}' for m in MASSES)} kg, b = {DAMPING:g} N s/m, {DELAY:g} tick of"
+        f" delay, |H(−1)| ≤ {NYQUIST:g} N/m, T = {1e3 * PERIOD:g} ms. At 1: keeps the demand with"
+        " no gain. pd_windowed has no poles: `haptic study design --compare` tunes it by drops.",
         linear=True,
     )
 

@@ -1,8 +1,9 @@
 """Integrators on the chart: time per tick against the error of a drop's trajectory, and against that of K_max.
 
-The force is held between ticks, so the device has an exact map, and its price is that of one Euler step. Every other
-integrator approximates it; what it gets wrong it passes off as stability of the coupling. The reference is scipy's
-matrix exponential, which shares nothing with the closed forms of `sim.device.model`.
+The force is held between ticks, so the device has an exact map, and its price is that of one Euler
+step. Every other integrator approximates it; what it gets wrong it passes off as stability of the
+coupling. The reference is scipy's matrix exponential, which shares nothing with the closed forms of
+`sim.device.model`.
 """
 
 import itertools
@@ -32,13 +33,18 @@ def integrators() -> dict[str, Step]:
     """Collect the integrators of one tick."""
     exact = coefficients(MASS, DAMPING, 0.0, PERIOD)
     found: dict[str, Step] = {"exact map": lambda x, v, u: advance(x, v, u, exact)}
-    found |= {f"semi-implicit Euler {count}": euler(count, implicit=True) for count in (1, 2, 4, 10, 40, 100)}
+    found |= {
+        f"semi-implicit Euler {count}": euler(count, implicit=True)
+        for count in (1, 2, 4, 10, 40, 100)
+    }
     found |= {f"explicit Euler {count}": euler(count, implicit=False) for count in (1, 10)}
     found |= {f"RK4 {count}": _rk4(count) for count in (1, 2, 4)}
     found |= {f"solve_ivp {tolerance:g}": _solve_ivp(tolerance) for tolerance in (1e-3, 1e-6, 1e-9)}
     if find_spec("mujoco") is not None:
         ways = itertools.product((1, 2, 10), ("Euler", "implicitfast", "RK4"))
-        found |= {f"MuJoCo {integrator} {count}": _mujoco(integrator, count) for count, integrator in ways}
+        found |= {
+            f"MuJoCo {integrator} {count}": _mujoco(integrator, count) for count, integrator in ways
+        }
     return found
 
 
@@ -50,7 +56,9 @@ def reference() -> Step:
     a = np.asarray(expm(generator * PERIOD), dtype=np.float64)
 
     def step(x: float, v: float, u: float) -> tuple[float, float]:
-        return float(a[0, 0] * x + a[0, 1] * v + a[0, 2] * u), float(a[1, 0] * x + a[1, 1] * v + a[1, 2] * u)
+        return float(a[0, 0] * x + a[0, 1] * v + a[0, 2] * u), float(
+            a[1, 0] * x + a[1, 1] * v + a[1, 2] * u
+        )
 
     return step
 
@@ -70,7 +78,9 @@ def drop(step: Step, ticks: int = _TICKS) -> NDArray[np.float64]:
 
 def spring_limit(step: Step) -> float:
     """Find the stiffest spring that a linear integrator lets be stable."""
-    columns = [np.array(step(*unit)) for unit in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
+    columns = [
+        np.array(step(*unit)) for unit in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    ]
     state, force = np.stack(columns[:2], axis=1), columns[2]
 
     def radius(stiffness: float) -> float:
@@ -78,7 +88,8 @@ def spring_limit(step: Step) -> float:
         closed[:, 0] -= stiffness * force
         return float(np.abs(np.linalg.eigvals(closed)).max())
 
-    # Relative precision 1e-9, with room above for integrators that never become unstable where they should.
+    # Relative precision 1e-9, with room above for integrators that never become unstable where they
+    # should.
     return largest_stable(radius, 1.0, 2e5, precision=1e-9)
 
 
@@ -99,8 +110,16 @@ def integrator_groups(step: Callable[[str], None], quick: bool = False) -> list[
         family = name.rsplit(" ", 1)[0] if name != "exact map" else name
         off = float(np.abs(drop(f) - path).max()) / depth
         found_limit = spring_limit(f)
-        detail: dict[str, Extra] = {"trajectory_error": off, "k_max_n_per_m": found_limit, "k_max_exact_n_per_m": limit}
-        detail |= {"tick_us": cost, "tick_us_low": 1e6 * timings[name].low, "tick_us_high": 1e6 * timings[name].high}
+        detail: dict[str, Extra] = {
+            "trajectory_error": off,
+            "k_max_n_per_m": found_limit,
+            "k_max_exact_n_per_m": limit,
+        }
+        detail |= {
+            "tick_us": cost,
+            "tick_us_low": 1e6 * timings[name].low,
+            "tick_us_high": 1e6 * timings[name].high,
+        }
         moved.append(Point(name, cost, off, family, detail))
         stiff.append(Point(name, cost, abs(found_limit / limit - 1.0), family, detail))
         step(f"integrator {name}")
@@ -112,8 +131,9 @@ def integrator_groups(step: Callable[[str], None], quick: bool = False) -> list[
             label,
             "largest error of the height over the depth of the impact",
             tuple(moved),
-            f"{1e3 * MASS:g} g dropped {1e3 * _HEIGHT:g} mm on K = {_LAW.stiffness:g} N/m, B = {_LAW.damping:g} N s/m, "
-            f"T = {1e3 * PERIOD:g} ms, {_TICKS} ticks; against scipy.linalg.expm.",
+            f"{1e3 * MASS:g} g dropped {1e3 * _HEIGHT:g} mm on K = {_LAW.stiffness:g} N/m, B ="
+            f" {_LAW.damping:g} N s/m, T = {1e3 * PERIOD:g} ms, {_TICKS} ticks; against"
+            " scipy.linalg.expm.",
         ),
         Group(
             "integrator_k_max",
@@ -172,7 +192,11 @@ def _solve_ivp(tolerance: float) -> Step:
 
     def step(x: float, v: float, u: float) -> tuple[float, float]:
         result = solve_ivp(
-            lambda _, y: (y[1], (u - DAMPING * y[1]) / MASS), (0.0, PERIOD), (x, v), rtol=tolerance, atol=1e-3 * tolerance
+            lambda _, y: (y[1], (u - DAMPING * y[1]) / MASS),
+            (0.0, PERIOD),
+            (x, v),
+            rtol=tolerance,
+            atol=1e-3 * tolerance,
         )
         return float(result.y[0, -1]), float(result.y[1, -1])
 

@@ -1,7 +1,8 @@
 """Ways to find K_max on the chart: formulas, the pole radius, and simulations of various horizons.
 
-The reference solves for the pole on the unit circle to twelve digits. A formula is instant and right where it applies; a
-simulation must run for as long as a loop near its limit takes to show what it does, and so reads low or high by its horizon.
+The reference solves for the pole on the unit circle to twelve digits. A formula is instant and
+right where it applies; a simulation must run for as long as a loop near its limit takes to show
+what it does, and so reads low or high by its horizon.
 """
 
 import math
@@ -32,7 +33,9 @@ FindKMax = Callable[[], float]
 def poles(delay: float, precision: float) -> float:
     """Find K_max from the pole radius."""
     return largest_stable(
-        lambda k: pole_radius(PD(stiffness=k, damping=GAIN).compile(PERIOD), Plant(PERIOD, MASS, DAMPING, delay)),
+        lambda k: pole_radius(
+            PD(stiffness=k, damping=GAIN).compile(PERIOD), Plant(PERIOD, MASS, DAMPING, delay)
+        ),
         10.0,
         1e5,
         precision,
@@ -61,7 +64,9 @@ def passive(delay: float) -> float:
     low, high = 0.0, 1e4
 
     def needed(k: float) -> float:
-        return damping_needed(PD(stiffness=max(k, 1e-9), damping=GAIN).compile(PERIOD), PERIOD, delay)
+        return damping_needed(
+            PD(stiffness=max(k, 1e-9), damping=GAIN).compile(PERIOD), PERIOD, delay
+        )
 
     for _ in range(30):
         middle = 0.5 * (low + high)
@@ -72,13 +77,21 @@ def passive(delay: float) -> float:
 def simulated(delay: float, horizon: float, dropped: bool) -> float:
     """Search K_max by simulation: at each K, whether the last fifth swings by less than a tenth of the start."""
     ticks = math.ceil(horizon / PERIOD)
-    device = DeviceModel(mass=MASS, damping=DAMPING, position=_HEIGHT, delay=delay, gravity=_GRAVITY if dropped else None)
+    device = DeviceModel(
+        mass=MASS,
+        damping=DAMPING,
+        position=_HEIGHT,
+        delay=delay,
+        gravity=_GRAVITY if dropped else None,
+    )
     surface = SceneSurface("plane") if dropped else SceneSurface("anchor")
     scene = Scene(device=device, surface=surface, period=PERIOD, raw=False, clamp=dropped)
     tail = max(2, ticks // 5)
 
     def radius(stiffness: float) -> float:
-        end = run(scene, PD(stiffness=stiffness, damping=GAIN).compile(PERIOD), ticks).position[-tail:]
+        end = run(scene, PD(stiffness=stiffness, damping=GAIN).compile(PERIOD), ticks).position[
+            -tail:
+        ]
         swing = float(np.max(end) - np.min(end))
         return 0.0 if math.isfinite(swing) and swing < 0.1 * _HEIGHT else 2.0
 
@@ -87,7 +100,10 @@ def simulated(delay: float, horizon: float, dropped: bool) -> float:
 
 def ways(delay: float) -> dict[str, FindKMax]:
     """Collect the ways that make sense at a delay."""
-    found: dict[str, FindKMax] = {"closed form, heavy device": lambda: heavy(delay), "passivity": lambda: passive(delay)}
+    found: dict[str, FindKMax] = {
+        "closed form, heavy device": lambda: heavy(delay),
+        "passivity": lambda: passive(delay),
+    }
     if delay == 0.0:
         found["closed form, undamped device"] = lambda: light(delay)
         found["Jury conditions"] = lambda: solved(0.0, "closed_form")
@@ -97,7 +113,9 @@ def ways(delay: float) -> dict[str, FindKMax]:
     for horizon in (0.1, 0.3, 1.0, 3.0, 10.0, 30.0):
         for dropped in (False, True):
             name = f"{'drop' if dropped else 'release'} {horizon:g} s"
-            found[name] = lambda horizon=horizon, dropped=dropped: simulated(delay, horizon, dropped)  # type: ignore[misc]
+            found[name] = lambda horizon=horizon, dropped=dropped: simulated(
+                delay, horizon, dropped
+            )  # type: ignore[misc]
     return found
 
 
@@ -113,9 +131,15 @@ def kmax_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
         for name, way in found.items():
             value, timing = way(), timings[name]
             detail: dict[str, Extra] = {"k_max_n_per_m": value, "k_max_exact_n_per_m": exact}
-            detail |= {"time_s": timing.median, "time_s_low": timing.low, "time_s_high": timing.high}
+            detail |= {
+                "time_s": timing.median,
+                "time_s_low": timing.low,
+                "time_s_high": timing.high,
+            }
             family = name.split(" ")[0] if name[-1] == "s" else name.rstrip("0123456789.e- ")
-            points.append(Point(name, 1e3 * timing.median, abs(value / exact - 1.0), family, detail))
+            points.append(
+                Point(name, 1e3 * timing.median, abs(value / exact - 1.0), family, detail)
+            )
             step(f"K_max by {name}")
         groups.append(
             Group(
@@ -124,8 +148,9 @@ def kmax_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
                 "time for one K_max [ms]",
                 "relative error of K_max [1]",
                 tuple(points),
-                f"PD with B = {GAIN:g} N s/m on m = {MASS} kg, b = {DAMPING} N s/m, T = {1e3 * PERIOD:g} ms: "
-                f"K_max = {exact:.2f} N/m. Simulations search to {_PRECISION:g}.",
+                f"PD with B = {GAIN:g} N s/m on m = {MASS} kg, b = {DAMPING} N s/m, T ="
+                f" {1e3 * PERIOD:g} ms: K_max = {exact:.2f} N/m. Simulations search to"
+                f" {_PRECISION:g}.",
             )
         )
     return groups

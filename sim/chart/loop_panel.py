@@ -1,8 +1,9 @@
 """The loop on the chart: microseconds of a tick against the error of the impedance that is rendered.
 
-A loop renders K + B s^α late and in steps, and the law approximates s^α: both are errors of the impedance at the port. More
-rate makes the first smaller and leaves each tick less time; a longer law makes the second smaller and takes more of it. Time is
-that of a tick through surface, coupling and device, played by the interpreter; error is over the band in which hands move.
+A loop renders K + B s^α late and in steps, and the law approximates s^α: both are errors of the
+impedance at the port. More rate makes the first smaller and leaves each tick less time; a longer
+law makes the second smaller and takes more of it. Time is that of a tick through surface, coupling
+and device, played by the interpreter; error is over the band in which hands move.
 """
 
 from __future__ import annotations
@@ -38,13 +39,30 @@ def realisations(order: float) -> dict[str, LawAt]:
     """Return laws that render K + B s^α, as functions of the period."""
     if order == 1.0:
         filtered = PDFiltered(stiffness=STIFFNESS, damping=DAMPING, cutoff=100.0)
-        return {"PD": PD(stiffness=STIFFNESS, damping=DAMPING).compile, "PD, velocity behind 100 Hz": filtered.compile}
+        return {
+            "PD": PD(stiffness=STIFFNESS, damping=DAMPING).compile,
+            "PD, velocity behind 100 Hz": filtered.compile,
+        }
 
     def alpha(derivative: str, taps: int) -> LawAt:
-        law = PDAlpha(stiffness=STIFFNESS, damping=DAMPING, order=order, taps=taps, gains="physical", derivative=derivative)
+        law = PDAlpha(
+            stiffness=STIFFNESS,
+            damping=DAMPING,
+            order=order,
+            taps=taps,
+            gains="physical",
+            derivative=derivative,
+        )
         return law.compile
 
-    kinds = [("gl", 4), ("gl", 16), ("gl", 64), ("gl", 256), ("oustaloup_matched", 9), ("exponentials", 256)]
+    kinds = [
+        ("gl", 4),
+        ("gl", 16),
+        ("gl", 64),
+        ("gl", 256),
+        ("oustaloup_matched", 9),
+        ("exponentials", 256),
+    ]
     return {f"{kind} {taps}": alpha(kind, taps) for kind, taps in kinds}
 
 
@@ -62,7 +80,10 @@ def loop_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
 def _group(order: float, band: Array, step: Callable[[str], None], quick: bool) -> Group:
     laws = realisations(order)
     rates = RATES[::2] if quick else RATES
-    scenes = {rate: drop_scene(DeviceModel(mass=0.1, damping=1.0, delay=DELAY), 1.0 / rate) for rate in rates}
+    scenes = {
+        rate: drop_scene(DeviceModel(mass=0.1, damping=1.0, delay=DELAY), 1.0 / rate)
+        for rate in rates
+    }
 
     def tick(law: CompiledLaw, rate: float) -> Callable[[], object]:
         return lambda: run(scenes[rate], law, _TICKS, interpreted=True)
@@ -77,7 +98,12 @@ def _group(order: float, band: Array, step: Callable[[str], None], quick: bool) 
         for rate in rates:
             compiled, cost = law(1.0 / rate), 1e6 * timings[name].median
             off = error_of(compiled, 1.0 / rate, DELAY, wanted(order, band), band)
-            detail: dict[str, Extra] = {"rate_hz": rate, "tick_us": cost, "impedance_error": off, "h1_n_per_m": compiled.h1}
+            detail: dict[str, Extra] = {
+                "rate_hz": rate,
+                "tick_us": cost,
+                "impedance_error": off,
+                "h1_n_per_m": compiled.h1,
+            }
             # A loop of twice the rate takes its ticks twice as often.
             detail["load"] = 1e-6 * cost * rate
             points.append(Point(f"{name}, {rate:g} Hz", cost * rate / rates[0], off, name, detail))
@@ -88,8 +114,8 @@ def _group(order: float, band: Array, step: Callable[[str], None], quick: bool) 
         f"time of ticks, a tick at {rates[0]:g} Hz, in Python [µs]",
         "error of the impedance at the port, of itself",
         tuple(points),
-        f"K = {STIFFNESS:g} N/m, B = {DAMPING:g}, {DELAY:g} tick of delay and the hold; root mean square over "
-        f"{BAND[0]:g} to {BAND[1]:g} Hz.",
+        f"K = {STIFFNESS:g} N/m, B = {DAMPING:g}, {DELAY:g} tick of delay and the hold; root mean"
+        f" square over {BAND[0]:g} to {BAND[1]:g} Hz.",
     )
 
 

@@ -1,7 +1,7 @@
 """Speed against accuracy: points, their Pareto front, and the files they are kept in.
 
-Every choice of the project is a point: what it costs and how wrong it is. A point is on the front when nothing in its
-group is both cheaper and better; all others are choices one need not make.
+Every choice of the project is a point: what it costs and how wrong it is. A point is on the front
+when nothing in its group is both cheaper and better; all others are choices one need not make.
 """
 
 import csv
@@ -29,7 +29,8 @@ class Point:
     # What it is a member of, e.g. ``gl``: members are drawn as one line.
     family: str = ""
     detail: dict[str, Extra] = field(default_factory=dict)  # other figures, units in the keys
-    on_front: bool = False  # whether nothing in its group is both cheaper and better; set by `with_front`
+    # whether nothing in its group is both cheaper and better; set by `with_front`
+    on_front: bool = False
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,8 @@ class Group:
     points: tuple[Point, ...]  # the choices
     note: str = ""  # how the figures were obtained, for the page
     linear: bool = False  # whether the errors are drawn on a linear scale
-    # Whether each family is drawn as a line of its own: they are no choices between which one is free.
+    # Whether each family is drawn as a line of its own: they are no choices between which one is
+    # free.
     families: bool = False
 
 
@@ -62,7 +64,9 @@ def on_front(costs: Sequence[float], errors: Sequence[float]) -> list[bool]:
 def with_front(group: Group) -> Group:
     """Mark the front of a group."""
     marks = on_front([p.cost for p in group.points], [p.error for p in group.points])
-    marked = [replace(point, on_front=mark) for point, mark in zip(group.points, marks, strict=True)]
+    marked = [
+        replace(point, on_front=mark) for point, mark in zip(group.points, marks, strict=True)
+    ]
     return replace(group, points=tuple(sorted(marked, key=lambda p: (p.cost, p.error))))
 
 
@@ -71,7 +75,10 @@ def kept(path: Path, part: str) -> list[Group] | None:
     stored = _stored(path).get(part)
     if stored is None:
         return None
-    return [Group(**{**group, "points": tuple(Point(**point) for point in group["points"])}) for group in stored]
+    return [
+        Group(**{**group, "points": tuple(Point(**point) for point in group["points"])})
+        for group in stored
+    ]
 
 
 def keep(path: Path, part: str, groups: Sequence[Group]) -> None:
@@ -95,9 +102,16 @@ def _stored(path: Path) -> dict[str, Any]:
 def as_json(groups: Sequence[Group], machine: dict[str, Any], seconds: float) -> dict[str, Any]:
     """Put all groups into one JSON object."""
     return {
-        "points": [{"group": group.name, **asdict(point)} for group in groups for point in group.points],
+        "points": [
+            {"group": group.name, **asdict(point)} for group in groups for point in group.points
+        ],
         "groups": {
-            group.name: {"title": group.title, "cost": group.cost_label, "error": group.error_label, "note": group.note}
+            group.name: {
+                "title": group.title,
+                "cost": group.cost_label,
+                "error": group.error_label,
+                "note": group.note,
+            }
             for group in groups
         },
         "machine": machine,
@@ -105,7 +119,9 @@ def as_json(groups: Sequence[Group], machine: dict[str, Any], seconds: float) ->
     }
 
 
-def save(groups: Sequence[Group], machine: dict[str, Any], seconds: float, folder: Path) -> list[Path]:
+def save(
+    groups: Sequence[Group], machine: dict[str, Any], seconds: float, folder: Path
+) -> list[Path]:
     """Write the data of a chart: one JSON file, and one CSV file with a column for every figure of any point."""
     data = as_json(groups, machine, seconds)
     whole, table = fresh(folder / "chart.json"), fresh(folder / "chart.csv")

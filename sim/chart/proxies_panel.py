@@ -28,7 +28,9 @@ def proxy_groups(step: Callable[[str], None], quick: bool = False) -> list[Group
     note = ""
     for size, stiff in _ways(quick):
         try:
-            row = body_error(size, _QUICK_TICKS if quick else _TICKS, _STIFFNESS, _DEPTH, _SPEED, _PERIOD, stiff)
+            row = body_error(
+                size, _QUICK_TICKS if quick else _TICKS, _STIFFNESS, _DEPTH, _SPEED, _PERIOD, stiff
+            )
         except ParameterError as error:
             note = f" Bodies are left out: {error}."
             break
@@ -41,17 +43,21 @@ def proxy_groups(step: Callable[[str], None], quick: bool = False) -> list[Group
             "time of a call, median, compiled [µs]",
             "largest error of the proxy [µm]",
             tuple(points),
-            f"Led {1e3 * _DEPTH:g} mm below the surface at {_SPEED:g} m/s and {1.0 / _PERIOD:g} Hz; a sphere of "
-            f"{1e3 * RADIUS:g} mm, in closed form, of triangles, and as a body that is held and touched by a tool of 50 g. A "
-            "closed form is off by the skin that keeps the proxy outside; a mesh by its chords; a tool by the depth of its "
-            f"contact and by its mass. `haptic study proxies` has the forces, and the drag on closed ways.{note}",
+            f"Led {1e3 * _DEPTH:g} mm below the surface at {_SPEED:g} m/s and {1.0 / _PERIOD:g} Hz;"
+            f" a sphere of {1e3 * RADIUS:g} mm, in closed form, of triangles, and as a body that is"
+            " held and touched by a tool of 50 g. A closed form is off by the skin that keeps the"
+            " proxy outside; a mesh by its chords; a tool by the depth of its contact and by its"
+            f" mass. `haptic study proxies` has the forces, and the drag on closed ways.{note}",
             families=True,
         )
     ]
 
 
 def _point(row: ProxyError, is_body: bool = False) -> Point:
-    detail = {key: getattr(row, key) for key in ("triangles", "rms_n", "noise_n", "drag", "call_p99_us", "rounds")}
+    detail = {
+        key: getattr(row, key)
+        for key in ("triangles", "rms_n", "noise_n", "drag", "call_p99_us", "rounds")
+    }
     name = f"mesh {row.triangles}" if row.triangles else row.name
     family = "body" if is_body else "mesh" if row.triangles else "closed form"
     return Point(name, row.call_us, row.proxy_um, family, detail)

@@ -1,8 +1,9 @@
 """Loop rate and delay on the chart, through the real processes: error of the force, and the stiffest floor that is calm.
 
-Each point is a launch of its own: four processes, real time, the force measured from the recording. The reference is the same
-drop on a continuous spring and damper (200 kHz, one process, no delay). The stiffest that calms down is looked for downwards
-from what the pole radius at the *measured* delay says.
+Each point is a launch of its own: four processes, real time, the force measured from the recording.
+The reference is the same drop on a continuous spring and damper (200 kHz, one process, no delay).
+The stiffest that calms down is looked for downwards from what the pole radius at the *measured*
+delay says.
 """
 
 import math
@@ -50,11 +51,14 @@ class Launched:
     onset: NDArray[np.float64]  # when each force took effect, from tick 0 on [s], shape (n,)
     force: NDArray[np.float64]  # the forces [N], shape (n,)
     height: NDArray[np.float64]  # measured height at the ticks [m], shape (n,)
-    # Median delay between a sample and the effect of its force [ticks]; infinite when no force came in time.
+    # Median delay between a sample and the effect of its force [ticks]; infinite when no force came
+    # in time.
     delay: float
 
 
-def launch(rate: float, apply: str, stiffness: float, pace: str = "realtime", tick: str = "auto") -> Launched:
+def launch(
+    rate: float, apply: str, stiffness: float, pace: str = "realtime", tick: str = "auto"
+) -> Launched:
     """Drop the device through the real processes."""
     values = {"rate": rate, "apply": apply, "pace": pace, "duration": _SECONDS, "tick": tick}
     values |= {"stiffness": stiffness, "damping": GAIN, "mass": MASS, "height": HEIGHT}
@@ -62,16 +66,24 @@ def launch(rate: float, apply: str, stiffness: float, pace: str = "realtime", ti
         scenario = Path(folder) / "floor_drop.yaml"
         scenario.write_text(yaml.safe_dump(_with_one_law(), sort_keys=False))
         figures = measured_launch.launch(
-            str(scenario), *(f"{name}:={value}" for name, value in values.items()), folder=Path(folder)
+            str(scenario),
+            *(f"{name}:={value}" for name, value in values.items()),
+            folder=Path(folder),
         )
         states = Recording(Path(folder) / figures["recording"]).arrays("/device/state")
     period = 1.0 / rate
     seq, answered = states["seq"], states["force_seq"]
     fresh = np.flatnonzero((answered >= 0) & np.append(True, np.diff(answered) > 0))
     late = states["delay"][fresh]
-    rows = (answered[fresh] + late) * period, states["force"][fresh, 2], states["position"][np.argsort(seq), 2]
+    rows = (
+        (answered[fresh] + late) * period,
+        states["force"][fresh, 2],
+        states["position"][np.argsort(seq), 2],
+    )
     onset, force, height = (np.asarray(row, dtype=np.float64) for row in rows)
-    return Launched(figures, onset, force, height, float(np.median(late)) if len(late) else math.inf)
+    return Launched(
+        figures, onset, force, height, float(np.median(late)) if len(late) else math.inf
+    )
 
 
 def _with_one_law() -> dict[str, Any]:
@@ -86,13 +98,20 @@ def _with_one_law() -> dict[str, Any]:
 def continuous(stiffness: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Drop the device on a floor without sampling, near enough."""
     device = DeviceModel(mass=MASS, damping=DAMPING, gravity=GRAVITY, position=HEIGHT)
-    scene = Scene(device=device, surface=SceneSurface("plane"), period=1.0 / _FINE, raw=False, clamp=True)
-    trace = run(scene, PD(stiffness=stiffness, damping=GAIN).compile(scene.period), round(_SECONDS * _FINE))
+    scene = Scene(
+        device=device, surface=SceneSurface("plane"), period=1.0 / _FINE, raw=False, clamp=True
+    )
+    trace = run(
+        scene, PD(stiffness=stiffness, damping=GAIN).compile(scene.period), round(_SECONDS * _FINE)
+    )
     return trace.time, trace.force
 
 
 def force_error(
-    onset: NDArray[np.float64], force: NDArray[np.float64], time: NDArray[np.float64], wanted: NDArray[np.float64]
+    onset: NDArray[np.float64],
+    force: NDArray[np.float64],
+    time: NDArray[np.float64],
+    wanted: NDArray[np.float64],
 ) -> float:
     """Compare a force held between its onsets with a continuous one."""
     if len(onset) == 0:
@@ -128,13 +147,15 @@ def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
     for (tick, apply, rate), runs in launched.items():
         family = f"{tick} {apply}"
         name = f"{rate:g} Hz {family}"
-        stable, detail = _at_rate(tick, apply, rate, runs, [force_error(r.onset, r.force, time, wanted) for r in runs])
+        stable, detail = _at_rate(
+            tick, apply, rate, runs, [force_error(r.onset, r.force, time, wanted) for r in runs]
+        )
         points.append((name, rate, stable, family, detail))
         step(f"stiffness at {name}")
     best = max(stable for _, _, stable, _, _ in points) or 1.0
     note = (
-        f"{1e3 * MASS:g} g dropped {1e3 * HEIGHT:g} mm on K = {STIFFNESS:g} N/m, B = {GAIN:g} N s/m, four processes in "
-        f"real time; median of {done} interleaved launches per point."
+        f"{1e3 * MASS:g} g dropped {1e3 * HEIGHT:g} mm on K = {STIFFNESS:g} N/m, B = {GAIN:g} N"
+        f" s/m, four processes in real time; median of {done} interleaved launches per point."
     )
     return [
         Group(
@@ -142,7 +163,10 @@ def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
             "Loop rate: force",
             "rate of the loop [Hz]",
             "error of the rendered force against a continuous floor (rms) [1]",
-            tuple(Point(name, rate, float(d["force_error"] or 0.0), family, d) for name, rate, _, family, d in points),
+            tuple(
+                Point(name, rate, float(d["force_error"] or 0.0), family, d)
+                for name, rate, _, family, d in points
+            ),
             note,
         ),
         Group(
@@ -150,15 +174,20 @@ def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
             "Loop rate: stiffest floor that calms down",
             "rate of the loop [Hz]",
             f"stiffness lost against the best, {best:.0f} N/m [1]",
-            tuple(Point(name, rate, 1.0 - stable / best, family, d) for name, rate, stable, family, d in points),
-            f"{note} One launch each at 95, 80, 65 and 50 % of what the pole radius at the measured delay allows, until "
-            "one calms down.",
+            tuple(
+                Point(name, rate, 1.0 - stable / best, family, d)
+                for name, rate, stable, family, d in points
+            ),
+            f"{note} One launch each at 95, 80, 65 and 50 % of what the pole radius at the measured"
+            " delay allows, until one calms down.",
             linear=True,
         ),
     ]
 
 
-def _at_rate(tick: str, apply: str, rate: float, runs: list[Launched], errors: list[float]) -> tuple[float, dict[str, Extra]]:
+def _at_rate(
+    tick: str, apply: str, rate: float, runs: list[Launched], errors: list[float]
+) -> tuple[float, dict[str, Extra]]:
     """Find the stiffest floor that calms down in launches at one rate, and tell everything about them."""
     errors = sorted(errors)
     delay = statistics.median(one.delay for one in runs)
@@ -173,11 +202,19 @@ def _at_rate(tick: str, apply: str, rate: float, runs: list[Launched], errors: l
         "rate_hz": rate,
         "delay_ticks": delay if math.isfinite(delay) else None,
         "delay_us": 1e6 * delay * period if math.isfinite(delay) else None,
-        "missed": statistics.median(one.figures["missed"] + one.figures["overruns"] for one in runs),
+        "missed": statistics.median(
+            one.figures["missed"] + one.figures["overruns"] for one in runs
+        ),
         "ticks": statistics.median(one.figures["ticks"] + one.figures["overruns"] for one in runs),
-        "response_us_p99": statistics.median(float(one.figures["response_us"]["p99"]) for one in runs),
+        "response_us_p99": statistics.median(
+            float(one.figures["response_us"]["p99"]) for one in runs
+        ),
         "cpu_s": statistics.median(
-            sum(float(one.figures["nodes"][node]["cpu"]) for node in ("driver", "environment", "coupling")) for one in runs
+            sum(
+                float(one.figures["nodes"][node]["cpu"])
+                for node in ("driver", "environment", "coupling")
+            )
+            for one in runs
         ),
         "force_error": statistics.median(errors),
         "force_error_low": errors[0],
@@ -189,7 +226,9 @@ def _at_rate(tick: str, apply: str, rate: float, runs: list[Launched], errors: l
 
 def _choices(quick: bool) -> list[tuple[str, str, float]]:
     ways = [way for way in CHOICES if not quick or way[0] == "compiled"]
-    return [(tick, apply, rate) for tick, apply in ways for rate in (_QUICK_RATES if quick else RATES)]
+    return [
+        (tick, apply, rate) for tick, apply in ways for rate in (_QUICK_RATES if quick else RATES)
+    ]
 
 
 def rate_steps(quick: bool = False) -> int:

@@ -19,7 +19,12 @@ _SHOWN, _TOLD = 121, 13
 
 
 def rest_map(
-    law: CompiledLaw, stiffness: float, device: Plant, resolution: float, friction: float, path: Path
+    law: CompiledLaw,
+    stiffness: float,
+    device: Plant,
+    resolution: float,
+    friction: float,
+    path: Path,
 ) -> dict[str, Any]:
     """Draw the largest K without a limit cycle, the lesser of K_rest and K_max, over friction and encoder step; its figures."""
     derivative = with_spring(law, -stiffness)
@@ -30,12 +35,23 @@ def rest_map(
     def over(count: int) -> tuple[Any, Any, Any]:
         factors = np.logspace(-DECADES, DECADES, count)
         frictions, steps = friction * factors, resolution * factors
-        k = np.array([[stiffest_at_rest(derivative, step, force) for force in frictions] for step in steps.tolist()])
+        k = np.array(
+            [
+                [stiffest_at_rest(derivative, step, force) for force in frictions]
+                for step in steps.tolist()
+            ]
+        )
         return frictions, steps, np.minimum(k, top)
 
     frictions, steps, k = over(_TOLD)
     found = rest(law, device, resolution)
-    _draw(path, over(_SHOWN), (resolution, friction), (found.friction_bound_n, found.friction_estimated_n), stiffness)
+    _draw(
+        path,
+        over(_SHOWN),
+        (resolution, friction),
+        (found.friction_bound_n, found.friction_estimated_n),
+        stiffness,
+    )
     return {
         "friction_n": frictions.tolist(),
         "resolution_m": steps.tolist(),
@@ -47,26 +63,50 @@ def rest_map(
 
 @styled
 def _draw(
-    path: Path, grid: tuple[Any, Any, Any], here: tuple[float, float], needed: tuple[float, float | None], stiffness: float
+    path: Path,
+    grid: tuple[Any, Any, Any],
+    here: tuple[float, float],
+    needed: tuple[float, float | None],
+    stiffness: float,
 ) -> None:
     from matplotlib.colors import LogNorm
 
     frictions, steps, k = grid
     resolution, friction = here
     figure = new_figure(6.6, 4.6)
-    axes = figure.add_subplot(xlabel="dry friction [N]", ylabel="encoder step [µm]", xscale="log", yscale="log")
+    axes = figure.add_subplot(
+        xlabel="dry friction [N]", ylabel="encoder step [µm]", xscale="log", yscale="log"
+    )
     axes.set_title("largest K whose every motion stops")
     axes.grid(visible=False)
     shown = np.ma.masked_less_equal(k, 0.0)
     if shown.count():
-        norm = LogNorm(max(float(shown.min()), 1e-2 * float(shown.max())), float(shown.max()) * (1.0 + 1e-9))
+        norm = LogNorm(
+            max(float(shown.min()), 1e-2 * float(shown.max())), float(shown.max()) * (1.0 + 1e-9)
+        )
         # As pixels: thousands of cells would show their seams in SVG.
-        image = axes.pcolormesh(frictions, 1e6 * steps, shown, norm=norm, cmap="cividis", shading="nearest", rasterized=True)
+        image = axes.pcolormesh(
+            frictions,
+            1e6 * steps,
+            shown,
+            norm=norm,
+            cmap="cividis",
+            shading="nearest",
+            rasterized=True,
+        )
         figure.colorbar(image, ax=axes, label="K [N/m]; blank: none")
     for force, style, label in zip(needed, ("-", "--"), ("bound", "estimate"), strict=True):
         if force:
-            axes.plot(force / resolution * steps, 1e6 * steps, "k" + style, lw=1.2, label=f"K = {stiffness:.4g} N/m, {label}")
-    axes.plot(friction, 1e6 * resolution, "o", color=COLOURS[1], mec="white", ms=7, label="this device")
+            axes.plot(
+                force / resolution * steps,
+                1e6 * steps,
+                "k" + style,
+                lw=1.2,
+                label=f"K = {stiffness:.4g} N/m, {label}",
+            )
+    axes.plot(
+        friction, 1e6 * resolution, "o", color=COLOURS[1], mec="white", ms=7, label="this device"
+    )
     axes.set(xlim=(frictions[0], frictions[-1]), ylim=(1e6 * steps[0], 1e6 * steps[-1]))
     plain_log(axes.xaxis, float(frictions[0]), float(frictions[-1]))
     plain_log(axes.yaxis, 1e6 * float(steps[0]), 1e6 * float(steps[-1]))

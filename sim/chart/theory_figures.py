@@ -50,10 +50,19 @@ def _curve(axes: Any) -> None:
         plant = Plant(PERIOD, MASS, DAMPING, delay)
         stiffness = -(1.0 - 1.0 / z) / known_answer(plant, theta) - law.response(z)
         near = np.abs(stiffness) < 6000.0
-        axes.plot(stiffness.real[near], stiffness.imag[near], dashes, color="black", lw=1.2, label=f"d = {delay:.0f}")
+        axes.plot(
+            stiffness.real[near],
+            stiffness.imag[near],
+            dashes,
+            color="black",
+            lw=1.2,
+            label=f"d = {delay:.0f}",
+        )
         edge = k_max(law, plant).k_max_n_per_m
         axes.plot(edge, 0.0, "o", color="black", ms=4)
-        axes.annotate(f"K_max {edge:.0f}", (edge, 0.0), offset, textcoords="offset points", fontsize=8)
+        axes.annotate(
+            f"K_max {edge:.0f}", (edge, 0.0), offset, textcoords="offset points", fontsize=8
+        )
     axes.axhline(0.0, color="0.6", lw=0.7)
     axes.set(xlabel="Re K [N/m]", ylabel="Im K [N/m]", ylim=(-800.0, 3000.0))
     axes.set_title("Boundary curve (3.4), PD, B = 3", fontsize=10)
@@ -65,7 +74,9 @@ def _regions(axes: Any) -> None:
     law = without_spring(parse_law({"kind": "pd", "stiffness": 1.0, "damping": 0.2}), PERIOD)
     edge = world_k_max(law, Plant(PERIOD, MASS, DAMPING, 1.0), AnyWorld(), True).k_max_n_per_m
     if edge is None:
-        raise ValueError("no stiffness of this law is certified for any hand and any world (THEORY.md §18)")
+        raise ValueError(
+            "no stiffness of this law is certified for any hand and any world (THEORY.md §18)"
+        )
     theta = np.linspace(0.02, np.pi, 4000)
     w = np.exp(-1j * theta)
     line = -((1.0 - w) / PERIOD / with_spring(law, edge).response(1.0 / w)).real
@@ -79,7 +90,13 @@ def _regions(axes: Any) -> None:
     axes.plot(middle.real, middle.imag, "+", color="black")
     axes.axvline(line[at], color="black", ls="--", lw=1.2)
     axes.axvspan(-2.0, line[at], facecolor="none", edgecolor="0.5", hatch="//", lw=0.0)
-    axes.annotate("V P_d of\nany hand", (middle.real, middle.imag), (-18, 6), textcoords="offset points", fontsize=8)
+    axes.annotate(
+        "V P_d of\nany hand",
+        (middle.real, middle.imag),
+        (-18, 6),
+        textcoords="offset points",
+        fontsize=8,
+    )
     axes.annotate("−V/H − Y of\nany world", (-1.75, -1.1), fontsize=8, backgroundcolor="white")
     axes.set(xlabel="Re [m/(N s)]", ylabel="Im [m/(N s)]", xlim=(-2.0, 1.0), ylim=(-1.5, 1.5))
     axes.set_aspect("equal")

@@ -9,12 +9,16 @@ from messages.errors import UsageError
 from nodes.cli.main import add_json, answer
 
 
-def add_answer(parser: argparse.ArgumentParser, run: Callable[[argparse.Namespace], int], files: bool = True) -> None:
+def add_answer(
+    parser: argparse.ArgumentParser, run: Callable[[argparse.Namespace], int], files: bool = True
+) -> None:
     """Declare --json, --out for a verb that writes files, and what runs."""
     add_json(parser)
     if files:
         text = "directory of files (default: %(default)s)"
-        parser.add_argument("--out-dir", "--out", type=Path, default=Path("studies"), dest="out", help=text)
+        parser.add_argument(
+            "--out-dir", "--out", type=Path, default=Path("studies"), dest="out", help=text
+        )
     parser.set_defaults(run=run, default_of=parser.get_default)
 
 
@@ -28,7 +32,9 @@ def report(
     held: bool = True,
 ) -> int:
     """Answer with figures and lines, last the files that there are; the exit code, 1 where the verdict is no."""
-    files = {name: str(path) for name, path in (("ledger", ledger), ("plot", plot)) if path is not None}
+    files = {
+        name: str(path) for name, path in (("ledger", ledger), ("plot", plot)) if path is not None
+    }
     text = [lines] if isinstance(lines, str) else lines
     answer(arguments.json, {**figures, **files}, "\n".join([*text, *files.values()]))
     return 0 if held else 1
@@ -37,7 +43,11 @@ def report(
 def idle(arguments: argparse.Namespace, why: str, *names: str) -> None:
     """Refuse options that would change nothing here: who gives one expects another answer."""
     dests = {name: name.replace("-", "_") for name in names}
-    found = [f"--{name}" for name, dest in dests.items() if getattr(arguments, dest) != arguments.default_of(dest)]
+    found = [
+        f"--{name}"
+        for name, dest in dests.items()
+        if getattr(arguments, dest) != arguments.default_of(dest)
+    ]
     if found:
         raise UsageError(f"{', '.join(found)}: no effect here: {why}")
 

@@ -10,7 +10,13 @@ from messages.errors import UsageError
 from nodes.recording.figure_style import new_figure, save_figure, styled
 from sim.cli.answers import report
 from sim.design.any_world import Surroundings
-from sim.design.any_world_families import Member, fractional_gain, margin_figures, stiffest_members, stiffness
+from sim.design.any_world_families import (
+    Member,
+    fractional_gain,
+    margin_figures,
+    stiffest_members,
+    stiffness,
+)
 from sim.results import fresh
 
 WORDS = {
@@ -30,7 +36,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Design at one delay, or compare the families over several."""
     if arguments.compare:
         found = [(delay, _members(arguments, (delay, delay))) for delay in arguments.delays]
-        rows = [row for delay, members in found for row in [_figures(arguments, (delay, delay), members)]]
+        rows = [
+            row
+            for delay, members in found
+            for row in [_figures(arguments, (delay, delay), members)]
+        ]
         lines = [line for row in rows for line in _lines(arguments, row)]
         plot = draw_delays(arguments.out / f"design_{arguments.world}.png", rows, arguments)
         return report(arguments, {"for": arguments.world, "cases": rows}, lines, plot=plot)
@@ -45,7 +55,9 @@ def run(arguments: argparse.Namespace) -> int:
     from sim.design.families import to_yaml
 
     path = fresh(arguments.out / f"{arguments.world}.yaml")
-    path.write_text(to_yaml(best.law, arguments.world, comment="\n".join(lines[:1])), encoding="utf-8")
+    path.write_text(
+        to_yaml(best.law, arguments.world, comment="\n".join(lines[:1])), encoding="utf-8"
+    )
     lines.append(f"haptic param load coupling {path}")
     return report(arguments, {"for": arguments.world, **row, "yaml": str(path)}, lines)
 
@@ -53,7 +65,9 @@ def run(arguments: argparse.Namespace) -> int:
 def _members(arguments: argparse.Namespace, delay: tuple[float, float]) -> list[Member]:
     mass = arguments.mass if arguments.world == "any_world" else None
     try:
-        surroundings = Surroundings(1.0 / (arguments.rate or 500.0), arguments.damping[0], delay, arguments.nyquist, mass)
+        surroundings = Surroundings(
+            1.0 / (arguments.rate or 500.0), arguments.damping[0], delay, arguments.nyquist, mass
+        )
     except ValueError as error:
         raise UsageError(f"--{error}") from error
     members = []
@@ -63,7 +77,9 @@ def _members(arguments: argparse.Namespace, delay: tuple[float, float]) -> list[
     return members
 
 
-def _figures(arguments: argparse.Namespace, delay: tuple[float, float], members: Sequence[Member]) -> dict[str, Any]:
+def _figures(
+    arguments: argparse.Namespace, delay: tuple[float, float], members: Sequence[Member]
+) -> dict[str, Any]:
     rate = arguments.rate or 500.0
     laws = [
         {"family": member.family, "law": member.law}
@@ -84,28 +100,41 @@ def _figures(arguments: argparse.Namespace, delay: tuple[float, float], members:
 
 def _lines(arguments: argparse.Namespace, row: Mapping[str, Any]) -> list[str]:
     low, high = row["delay_ticks"]
-    device = "" if row["mass_kg"] is None else f"m {row['mass_kg'][0]:g}..{row['mass_kg'][1]:g} kg, "
+    device = (
+        "" if row["mass_kg"] is None else f"m {row['mass_kg'][0]:g}..{row['mass_kg'][1]:g} kg, "
+    )
     lines = [
-        f"stable for {WORDS[arguments.world]}: {device}b {row['damping_n_s_per_m']:g} N s/m, delay {low:g}..{high:g} ticks at "
-        f"{row['rate_hz']:g} Hz, |H(-1)| <= {row['h_nyquist_limit_n_per_m']:g} N/m"
+        f"stable for {WORDS[arguments.world]}: {device}b {row['damping_n_s_per_m']:g} N s/m, delay"
+        f" {low:g}..{high:g} ticks at {row['rate_hz']:g} Hz, |H(-1)| <="
+        f" {row['h_nyquist_limit_n_per_m']:g} N/m"
     ]
     for law in row["laws"]:
         if law["h1_n_per_m"] is None:
             lines.append(f"  {FAMILIES[law['family']]:21} none")
             continue
-        proof = "proven at every frequency" if law["proven"] else "NOT proven between the frequencies"
+        proof = (
+            "proven at every frequency" if law["proven"] else "NOT proven between the frequencies"
+        )
         taps = ", ".join(f"{tap:.6g}" for tap in law["taps_n_per_m"])
-        sections = f"; section {', '.join(f'{c:.6g}' for c in law['sections'][0])}" if law["sections"] else ""
+        sections = (
+            f"; section {', '.join(f'{c:.6g}' for c in law['sections'][0])}"
+            if law["sections"]
+            else ""
+        )
         lines.append(
-            f"  {FAMILIES[law['family']]:21} H(1) {law['h1_n_per_m']:8.1f} N/m  H(-1) {law['h_nyquist_n_per_m']:8.1f} N/m  "
-            f"{proof}  taps {taps}{sections}"
+            f"  {FAMILIES[law['family']]:21} H(1) {law['h1_n_per_m']:8.1f} N/m  H(-1)"
+            f" {law['h_nyquist_n_per_m']:8.1f} N/m  {proof}  taps {taps}{sections}"
         )
     if arguments.world == "any_hand":
         lines.append(
-            f"  no causal linear law has more than 2b/(T(1 + d)) = {row['closed_limit_n_per_m']:.1f} N/m (THEORY.md §20)"
+            "  no causal linear law has more than 2b/(T(1 + d)) ="
+            f" {row['closed_limit_n_per_m']:.1f} N/m (THEORY.md §20)"
         )
     else:
-        lines.append("  H(1) has no bound for a known device: it is |H(-1)| and the number of taps that limit these")
+        lines.append(
+            "  H(1) has no bound for a known device: it is |H(-1)| and the number of taps that"
+            " limit these"
+        )
     gain = row["fractional_gain"]
     if gain is not None:
         bought = f"{100.0 * (gain - 1.0):+.1f} % over PD" if gain > 1.001 else "nothing over PD"
@@ -114,17 +143,32 @@ def _lines(arguments: argparse.Namespace, row: Mapping[str, Any]) -> list[str]:
 
 
 @styled
-def draw_delays(path: Path, rows: Sequence[Mapping[str, Any]], arguments: argparse.Namespace) -> Path:
+def draw_delays(
+    path: Path, rows: Sequence[Mapping[str, Any]], arguments: argparse.Namespace
+) -> Path:
     """Draw H(1) of each family against the delay, beside the closed limit for any hand."""
     figure = new_figure(6.4, 4.2)
     axes = figure.add_subplot(xlabel="delay of the loop  [ticks]", ylabel="H(1)  [N/m]")
     delays = [row["delay_ticks"][1] for row in rows]
     for family, name in FAMILIES.items():
         felt = [law["h1_n_per_m"] for row in rows for law in row["laws"] if law["family"] == family]
-        axes.plot(delays, [float("nan") if one is None else one for one in felt], marker="o", label=name)
+        axes.plot(
+            delays, [float("nan") if one is None else one for one in felt], marker="o", label=name
+        )
     if arguments.world == "any_hand":
-        axes.plot(delays, [row["closed_limit_n_per_m"] for row in rows], ls="--", color="0.4", label="2b/(T(1 + d))")
-    axes.set(title=f"Stable for {arguments.world.replace('_', ' ')}, |H(−1)| ≤ {arguments.nyquist:g} N/m", ylim=(0.0, None))
+        axes.plot(
+            delays,
+            [row["closed_limit_n_per_m"] for row in rows],
+            ls="--",
+            color="0.4",
+            label="2b/(T(1 + d))",
+        )
+    axes.set(
+        title=(
+            f"Stable for {arguments.world.replace('_', ' ')}, |H(−1)| ≤ {arguments.nyquist:g} N/m"
+        ),
+        ylim=(0.0, None),
+    )
     axes.grid(alpha=0.3)
     axes.legend()
     return save_figure(figure, path, fresh)

@@ -28,7 +28,9 @@ def hand(text: str) -> tuple[float, float]:
     try:
         return interval(text)
     except argparse.ArgumentTypeError as error:
-        raise argparse.ArgumentTypeError(f"{error}; hands with a name are {', '.join(HANDS)}") from error
+        raise argparse.ArgumentTypeError(
+            f"{error}; hands with a name are {', '.join(HANDS)}"
+        ) from error
 
 
 def grasp(text: str) -> HandBox:
@@ -39,7 +41,9 @@ def grasp(text: str) -> HandBox:
         return STYLUS
     parts = text.split(",")
     if len(parts) != 3:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected stylus, or MASS,STIFFNESS,DAMPING, each a value or LOW..HIGH")
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: expected stylus, or MASS,STIFFNESS,DAMPING, each a value or LOW..HIGH"
+        )
     try:
         return HandBox(*(interval(part) for part in parts))
     except ValueError as error:
@@ -48,7 +52,10 @@ def grasp(text: str) -> HandBox:
 
 def add_grasp(parser: argparse.ArgumentParser, what: str) -> None:
     """Declare a box of grasps."""
-    text = f"{what}: MASS,STIFFNESS,DAMPING of a fingertip, each a value or LOW..HIGH [kg, N/m, N s/m], or stylus"
+    text = (
+        f"{what}: MASS,STIFFNESS,DAMPING of a fingertip, each a value or LOW..HIGH [kg, N/m, N"
+        " s/m], or stylus"
+    )
     parser.add_argument("--grasp", type=grasp, help=text)
 
 
@@ -70,7 +77,9 @@ def recorded(path: Path) -> Measured:
 
 def device(arguments: argparse.Namespace) -> Plant:
     """Collect the device from parsed arguments."""
-    return Plant(1.0 / arguments.rate, arguments.mass, arguments.damping, arguments.delay, arguments.hand)
+    return Plant(
+        1.0 / arguments.rate, arguments.mass, arguments.damping, arguments.delay, arguments.hand
+    )
 
 
 def head(law: Law, plant: Plant, gain: str = "") -> str:
@@ -81,14 +90,21 @@ def head(law: Law, plant: Plant, gain: str = "") -> str:
     parts = [gain] if gain else []
     parts += [forms[key].format(described[key]) for key in keys if key in described]
     device = f"m {plant.mass:g} kg, b {plant.damping:g} N s/m, hand {plant.stiffness:g} N/m"
-    return f"{' '.join([law.kind, ', '.join(parts)])}; {device}, delay {plant.delay:g} ticks, {1.0 / plant.period:g} Hz"
+    return (
+        f"{' '.join([law.kind, ', '.join(parts)])}; {device}, delay {plant.delay:g} ticks,"
+        f" {1.0 / plant.period:g} Hz"
+    )
 
 
-def law(arguments: argparse.Namespace, name: str, gain: float | None = None, nominal: bool = False) -> Law:
+def law(
+    arguments: argparse.Namespace, name: str, gain: float | None = None, nominal: bool = False
+) -> Law:
     """Build the law that was asked for; what decides the answer is asked for, not assumed."""
     written = name.lstrip().startswith("{")
     data: Any = parse_yaml(name, "law") if written else {"kind": name}
-    asked = given(arguments, "stiffness", "order", "taps", "gains", "derivative") | {"damping": gain}
+    asked = given(arguments, "stiffness", "order", "taps", "gains", "derivative") | {
+        "damping": gain
+    }
     if isinstance(data, dict):
         data |= {key: value for key, value in asked.items() if value is not None}
     try:

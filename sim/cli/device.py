@@ -25,34 +25,68 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
-    sub = parser.add_subparsers(dest="chosen", metavar="list|info|check|free|recentre|presets|identify", required=True)
+    sub = parser.add_subparsers(
+        dest="chosen", metavar="list|info|check|free|recentre|presets|identify", required=True
+    )
     listed = sub.add_parser("list", help="which devices can be driven from here")
     add_answer(listed, _list, files=False)
     for name, run, text in (
-        ("info", _info, "Connect to a device with forces off; print what it is and which force it can give."),
+        (
+            "info",
+            _info,
+            "Connect to a device with forces off; print what it is and which force it can give.",
+        ),
         (
             "check",
             _check,
-            "Check a device by hand: noise, rate, axes without a force, then a first force in steps, each asked for.",
+            (
+                "Check a device by hand: noise, rate, axes without a force, then a first force in"
+                " steps, each asked for."
+            ),
         ),
-        ("free", _free, "Name the process that holds a device; where there is none, switch its forces off and release it."),
+        (
+            "free",
+            _free,
+            (
+                "Name the process that holds a device; where there is none, switch its forces off"
+                " and release it."
+            ),
+        ),
     ):
         one = sub.add_parser(name, help=text, description=text)
         one.add_argument("kind", help="kind of node that drives it: haptic device list")
-        one.add_argument("parameters", nargs="*", metavar="name:=value", help="of its driver: touch.library:=/opt/libHD.so")
+        one.add_argument(
+            "parameters",
+            nargs="*",
+            metavar="name:=value",
+            help="of its driver: touch.library:=/opt/libHD.so",
+        )
         add_answer(one, run, files=False)
         if name == "info":
             declare(one, rate=500.0, delay=1.0, gain=3.0)
     centred = sub_verb(
-        sub, "recentre", _recentre, "Put the device of a running launch into the middle of its scene, wherever its handle is."
+        sub,
+        "recentre",
+        _recentre,
+        "Put the device of a running launch into the middle of its scene, wherever its handle is.",
     )
-    centred.add_argument("driver", nargs="?", default="driver", help="node that drives it (default: %(default)s)")
-    known = sub.add_parser("presets", help="known values of real devices, with their sources: device:=touch_x")
+    centred.add_argument(
+        "driver", nargs="?", default="driver", help="node that drives it (default: %(default)s)"
+    )
+    known = sub.add_parser(
+        "presets", help="known values of real devices, with their sources: device:=touch_x"
+    )
     add_answer(known, _presets, files=False)
     text = "Push the device of a running launch (or of a scenario, started for it) and identify it."
     own = sub.add_parser("identify", help=text, description=text)
-    own.add_argument("scenario", nargs="?", help="start this launch file; left out: the running launch, or identify")
-    own.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
+    own.add_argument(
+        "scenario",
+        nargs="?",
+        help="start this launch file; left out: the running launch, or identify",
+    )
+    own.add_argument(
+        "assignments", nargs="*", metavar="name:=value", help="arguments of the launch file"
+    )
     add_push(own)
     add_run(own)
     own.set_defaults(run=_identify)
@@ -60,20 +94,41 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def add_push(parser: argparse.ArgumentParser) -> None:
     """Declare how the device is pushed."""
-    parser.add_argument("--duration", type=SECONDS, default=8.0, help="of one push [s] (default: %(default)s)")
-    parser.add_argument("--amplitude", type=positive, default=0.7, help="largest push [N] (default: %(default)s)")
-    parser.add_argument("--reach", type=positive, default=0.03, help="how far it is pushed [m] (default: %(default)s)")
-    text = "push at each of these distances from here, along every axis [m] (default: -0.02 0 0.02 of three axes, else 0)"
+    parser.add_argument(
+        "--duration", type=SECONDS, default=8.0, help="of one push [s] (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--amplitude", type=positive, default=0.7, help="largest push [N] (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--reach",
+        type=positive,
+        default=0.03,
+        help="how far it is pushed [m] (default: %(default)s)",
+    )
+    text = (
+        "push at each of these distances from here, along every axis [m] (default: -0.02 0 0.02 of"
+        " three axes, else 0)"
+    )
     parser.add_argument("--places", type=number, nargs="+", metavar="OFFSET", help=text)
     text = (
-        "the force that carries the device's weight [N] (default: what acts on it at rest, refused above --amplitude: it may "
-        "be a hand's)"
+        "the force that carries the device's weight [N] (default: what acts on it at rest, refused"
+        " above --amplitude: it may be a hand's)"
     )
     parser.add_argument("--load", type=number, metavar="FORCE", help=text)
     hand = parser.add_mutually_exclusive_group()
-    hand.add_argument("--held", dest="held", action="store_true", default=None, help="a hand holds the device")
-    hand.add_argument("--free", dest="held", action="store_false", help="no hand does (default: finds out)")
-    parser.add_argument("--out", type=Path, default=Path("recordings"), help="directory of files (default: %(default)s)")
+    hand.add_argument(
+        "--held", dest="held", action="store_true", default=None, help="a hand holds the device"
+    )
+    hand.add_argument(
+        "--free", dest="held", action="store_false", help="no hand does (default: finds out)"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("recordings"),
+        help="directory of files (default: %(default)s)",
+    )
 
 
 def _list(arguments: argparse.Namespace) -> int:
@@ -104,7 +159,9 @@ def _free(arguments: argparse.Namespace) -> int:
     from sim.hands_on.free import free
 
     device = device_of(arguments.kind, arguments.parameters)
-    return report(arguments, free(device), f"{arguments.kind}: forces are off, and no process holds it")
+    return report(
+        arguments, free(device), f"{arguments.kind}: forces are off, and no process holds it"
+    )
 
 
 def _recentre(arguments: argparse.Namespace) -> int:
@@ -113,7 +170,9 @@ def _recentre(arguments: argparse.Namespace) -> int:
     run = chosen_run(arguments)
     found = ask(run, node_name(run, arguments.driver), "recentre")
     x, y, z = (f"{1e3 * value:+.1f}" for value in found["moved_m"])
-    return report(arguments, found, f"the device is in the middle of the scene: moved by {x}, {y}, {z} mm")
+    return report(
+        arguments, found, f"the device is in the middle of the scene: moved by {x}, {y}, {z} mm"
+    )
 
 
 def _presets(arguments: argparse.Namespace) -> int:
@@ -136,16 +195,24 @@ def _identify(arguments: argparse.Namespace) -> int:
             if arguments.scenario is None and (arguments.run_name or runs()):
                 found = identify_running(arguments, say)
             else:
-                found = identify_scenario(arguments, arguments.scenario or "identify", arguments.assignments)
+                found = identify_scenario(
+                    arguments, arguments.scenario or "identify", arguments.assignments
+                )
         except KeyboardInterrupt:
             say("nothing was recorded: interrupted before the push began; law and surface are back")
             return 128 + (signalled() or 2)
     places = [
-        {"recording": str(pushed.recording), "place_m": list(pushed.place), "stopped": pushed.reason, **figures(one)}
+        {
+            "recording": str(pushed.recording),
+            "place_m": list(pushed.place),
+            "stopped": pushed.reason,
+            **figures(one),
+        }
         for pushed, one in found
     ]
     lines = [
-        f"at {', '.join(f'{x:.3g}' for x in pushed.place)} m, {pushed.recording} ({pushed.reason})\n{text(one)}"
+        f"at {', '.join(f'{x:.3g}' for x in pushed.place)} m, {pushed.recording}"
+        f" ({pushed.reason})\n{text(one)}"
         for pushed, one in found
     ]
     held = all(one.mass.value is not None and not one.refuted for _, one in found)
@@ -181,7 +248,12 @@ def identify_running(arguments: argparse.Namespace, tell: Any) -> list[tuple[Pus
 
 
 def _pushed(
-    loop: PushedLaunch, law: dict[str, Any], out: Path, centre: list[float], tell: Any, arguments: argparse.Namespace
+    loop: PushedLaunch,
+    law: dict[str, Any],
+    out: Path,
+    centre: list[float],
+    tell: Any,
+    arguments: argparse.Namespace,
 ) -> tuple[Pushed, list[Identified]]:
     """Push and identify; again and longer when too many ticks were lost: on a busy machine, or by the recorder in lockstep."""
     from sim.identify.push import LONGEST, push
@@ -209,10 +281,14 @@ def _axes(loop: PushedLaunch, pushed: Pushed, held: bool | None) -> list[Identif
     try:
         return [identify(read(pushed.recording, "xyz"[i], pushed.ticks), held) for i in loop.axes]
     except ValueError as error:
-        raise RefusedError(f"{pushed.recording}: {error} (the push ended: {pushed.reason})") from error
+        raise RefusedError(
+            f"{pushed.recording}: {error} (the push ended: {pushed.reason})"
+        ) from error
 
 
-def identify_scenario(arguments: argparse.Namespace, scenario: str, assignments: list[str]) -> list[tuple[Pushed, Identified]]:
+def identify_scenario(
+    arguments: argparse.Namespace, scenario: str, assignments: list[str]
+) -> list[tuple[Pushed, Identified]]:
     """Start a scenario that pushes by itself, and identify its recording."""
     from nodes.launcher import launch_file
     from sim.identify.experiment import read
@@ -226,7 +302,9 @@ def identify_scenario(arguments: argparse.Namespace, scenario: str, assignments:
         named = {word.partition(":=")[0] for word in assignments}
         law = given(arguments, "duration", "amplitude", "reach")
         words += [f"{name}:={value}" for name, value in law.items() if name not in named]
-    process = beside("launch", scenario, *words, "--json", "--no-plot", stdout=subprocess.PIPE, text=True)
+    process = beside(
+        "launch", scenario, *words, "--json", "--no-plot", stdout=subprocess.PIPE, text=True
+    )
     try:
         out, _ = process.communicate()
     except KeyboardInterrupt:
@@ -237,9 +315,13 @@ def identify_scenario(arguments: argparse.Namespace, scenario: str, assignments:
         figures = json.loads(out.splitlines()[-1])
         recording = Path(figures["recording"])
     except (IndexError, KeyError, TypeError, json.JSONDecodeError) as error:
-        raise RefusedError(f"haptic launch {scenario}: exit code {process.returncode}, no recording") from error
+        raise RefusedError(
+            f"haptic launch {scenario}: exit code {process.returncode}, no recording"
+        ) from error
     pushed = Pushed(recording, (0.0, 0.0, 0.0), figures["exit_reason"])
     try:
-        return [(pushed, identify(read(recording, axis), arguments.held)) for axis in launch.run.axes]
+        return [
+            (pushed, identify(read(recording, axis), arguments.held)) for axis in launch.run.axes
+        ]
     except ValueError as error:
         raise RefusedError(f"{recording}: {error}") from error

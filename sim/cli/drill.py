@@ -23,17 +23,37 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "faults",
         nargs="*",
-        help='faults by name, e.g. "kill coupling"; all when left out; soak: a long run under use; random: launches under '
-        "random stalls, kills, swaps, moves, re-centres and faults, each force judged from the device's own log",
+        help=(
+            'faults by name, e.g. "kill coupling"; all when left out; soak: a long run under use;'
+            " random: launches under random stalls, kills, swaps, moves, re-centres and faults,"
+            " each force judged from the device's own log"
+        ),
     )
-    parser.add_argument("--launches", type=whole(1, 100_000), default=20, help="how many of random (default: %(default)s)")
-    parser.add_argument("--seed", default="", help="what random draws from (default: the time, which is printed)")
-    parser.add_argument("--minutes", type=positive, default=10.0, help="length of a soak [min] (default: %(default)s)")
     parser.add_argument(
-        "--miss-limit", type=not_negative, default=MISS_LIMIT, help="share of ticks that a soak may miss (default: %(default)s)"
+        "--launches",
+        type=whole(1, 100_000),
+        default=20,
+        help="how many of random (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--seed", default="", help="what random draws from (default: the time, which is printed)"
+    )
+    parser.add_argument(
+        "--minutes",
+        type=positive,
+        default=10.0,
+        help="length of a soak [min] (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--miss-limit",
+        type=not_negative,
+        default=MISS_LIMIT,
+        help="share of ticks that a soak may miss (default: %(default)s)",
     )
     parser.add_argument("--list", action="store_true", help="list the faults")
-    parser.add_argument("--markdown", action="store_true", help="write the table as Markdown, for a page")
+    parser.add_argument(
+        "--markdown", action="store_true", help="write the table as Markdown, for a page"
+    )
     add_answer(parser, run, files=False)
 
 
@@ -48,7 +68,9 @@ def run(arguments: argparse.Namespace) -> int:
     known = {fault.name: fault for fault in faults()}
     if arguments.list:
         figures = {name: fault.what for name, fault in known.items()}
-        return report(arguments, {"faults": figures}, [f"{name:18} {what}" for name, what in figures.items()])
+        return report(
+            arguments, {"faults": figures}, [f"{name:18} {what}" for name, what in figures.items()]
+        )
     unknown = [name for name in arguments.faults if name not in known]
     if unknown:
         raise UsageError(f"no fault is named {unknown[0]!r}; there is: {', '.join(known)}")
@@ -57,14 +79,21 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"[drill] {name}", file=sys.stderr, flush=True)
         outcomes.append(drill(known[name]))
     passed = all(outcome.passed or outcome.skipped for outcome in outcomes)
-    figures_all = {"limit_ticks": LIMIT, "rate_hz": RATE, "passed": passed, "drills": msgspec.to_builtins(outcomes)}
+    figures_all = {
+        "limit_ticks": LIMIT,
+        "rate_hz": RATE,
+        "passed": passed,
+        "drills": msgspec.to_builtins(outcomes),
+    }
     return report(arguments, figures_all, table(outcomes, arguments.markdown), held=passed)
 
 
 def _soak(arguments: argparse.Namespace) -> int:
     seconds = arguments.minutes * 60.0
     if not seconds >= 10.0:
-        raise UsageError(f"--minutes {arguments.minutes:g}: a soak takes at least 10 s, --minutes 0.17")
+        raise UsageError(
+            f"--minutes {arguments.minutes:g}: a soak takes at least 10 s, --minutes 0.17"
+        )
     found = soak(seconds, min(60.0, seconds / 3.0), arguments.miss_limit)
     return report(arguments, msgspec.to_builtins(found), text(found), held=found.passed)
 
@@ -74,14 +103,26 @@ def _random(arguments: argparse.Namespace) -> int:
 
     def show(one: LaunchOutcome) -> None:
         result = "FAILED" if one.reasons else "passed"
-        print(f"[drill] {seed}:{one.number} {one.what}: {one.forces} forces, {result}", file=sys.stderr, flush=True)
+        print(
+            f"[drill] {seed}:{one.number} {one.what}: {one.forces} forces, {result}",
+            file=sys.stderr,
+            flush=True,
+        )
 
     found = launch_many(arguments.launches, seed, shown=show)
     return report(arguments, msgspec.to_builtins(found), text_of_launches(found), held=found.passed)
 
 
 # Columns of the table; the third to the fifth hold numbers.
-HEADS = ("fault", "what was done", "safe after [ticks]", "ticks lost", "given out [mJ]", "recovered", "result")
+HEADS = (
+    "fault",
+    "what was done",
+    "safe after [ticks]",
+    "ticks lost",
+    "given out [mJ]",
+    "recovered",
+    "result",
+)
 
 
 def table(outcomes: list[DrillOutcome], markdown: bool = False) -> str:
@@ -94,12 +135,16 @@ def table(outcomes: list[DrillOutcome], markdown: bool = False) -> str:
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = [_laid_out(row, widths) for row in rows]
     lines.append(
-        f"safe after: longest time for which an old force or damping acted, limit {LIMIT} ticks of {1e3 / RATE:g} ms "
-        f"(the device itself lets go after {HOLD * 1e3:g} ms)"
+        f"safe after: longest time for which an old force or damping acted, limit {LIMIT} ticks of"
+        f" {1e3 / RATE:g} ms (the device itself lets go after {HOLD * 1e3:g} ms)"
     )
     for one in outcomes:
         lines += [f"{one.fault}: skipped: {one.skipped}"] if one.skipped else []
-        lines += [f"{one.fault}: {reason}" for reason in one.reasons] if not (one.passed or one.skipped) else []
+        lines += (
+            [f"{one.fault}: {reason}" for reason in one.reasons]
+            if not (one.passed or one.skipped)
+            else []
+        )
     return "\n".join(lines)
 
 

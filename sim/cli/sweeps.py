@@ -18,7 +18,8 @@ from sim.measure.jobs import RETRIES, Job, SweepRow, call, done_by, sweep
 from sim.measure.stopwatch import Progress
 from sim.results import fresh
 
-TLS = ("tls-ca-file", "tls-cert", "tls-key")  # options that hold the certificates of a cluster off this machine
+# options that hold the certificates of a cluster off this machine
+TLS = ("tls-ca-file", "tls-cert", "tls-key")
 SPREAD = ("workers", "cluster", *TLS)  # options of where jobs run
 PATIENCE = 2.0  # what is done so soon shows no progress [s]
 R = TypeVar("R")
@@ -27,15 +28,28 @@ R = TypeVar("R")
 def add_sweep(parser: argparse.ArgumentParser) -> None:
     """Declare where a sweep runs, and whether it goes on."""
     parser.add_argument(
-        "--fresh", action="store_true", help="start again instead of going on where it stopped; what there is is set aside"
+        "--fresh",
+        action="store_true",
+        help="start again instead of going on where it stopped; what there is is set aside",
     )
     add_spread(parser, "one per core")
 
 
-def add_spread(parser: argparse.ArgumentParser, alone: str = "none: one job after another, here") -> None:
+def add_spread(
+    parser: argparse.ArgumentParser, alone: str = "none: one job after another, here"
+) -> None:
     """Declare where the jobs of a study run."""
-    parser.add_argument("--workers", type=whole(0, 10_000), default=0, help=f"processes on this machine (default: {alone})")
-    parser.add_argument("--cluster", metavar="ADDRESS", help="Dask scheduler instead, tcp://127.0.0.1:8786 or tls://HOST:8786")
+    parser.add_argument(
+        "--workers",
+        type=whole(0, 10_000),
+        default=0,
+        help=f"processes on this machine (default: {alone})",
+    )
+    parser.add_argument(
+        "--cluster",
+        metavar="ADDRESS",
+        help="Dask scheduler instead, tcp://127.0.0.1:8786 or tls://HOST:8786",
+    )
     for option in TLS:
         parser.add_argument(f"--{option}", type=Path, help="of a scheduler on another machine")
 
@@ -50,8 +64,8 @@ def executor(arguments: argparse.Namespace) -> Iterator[Executor]:
     security = check_cluster(arguments)
     if not security:
         _say(
-            f"{arguments.cluster}: any user of this machine may hold that port, get the jobs and answer them; "
-            f"on a machine with several users, use tls:// with --{', --'.join(TLS)}"
+            f"{arguments.cluster}: any user of this machine may hold that port, get the jobs and"
+            f" answer them; on a machine with several users, use tls:// with --{', --'.join(TLS)}"
         )
     try:
         import distributed
@@ -59,9 +73,15 @@ def executor(arguments: argparse.Namespace) -> Iterator[Executor]:
         raise UsageError("--cluster needs Dask: pip install 'haptic-nodes[cluster]'") from error
     dask: Any = distributed
     try:
-        client = dask.Client(arguments.cluster, security=dask.Security(**security) if security else None, timeout="5s")
+        client = dask.Client(
+            arguments.cluster,
+            security=dask.Security(**security) if security else None,
+            timeout="5s",
+        )
     except (OSError, TimeoutError) as error:
-        raise RefusedError(f"--cluster {arguments.cluster}: no scheduler answers ({error})") from error
+        raise RefusedError(
+            f"--cluster {arguments.cluster}: no scheduler answers ({error})"
+        ) from error
     try:
         if not client.scheduler_info()["workers"]:
             _say(f"{arguments.cluster}: no worker there yet; the jobs wait for the first")
@@ -78,13 +98,16 @@ def check_cluster(arguments: argparse.Namespace) -> dict[str, Any]:
     """Refuse a cluster that is reached over a network without TLS: its workers run whatever they are sent."""
     address = urlsplit(arguments.cluster)
     if address.scheme not in ("tcp", "tls") or not address.hostname or not address.port:
-        raise UsageError(f"--cluster {arguments.cluster}: expected tcp://127.0.0.1:PORT or tls://HOST:PORT")
+        raise UsageError(
+            f"--cluster {arguments.cluster}: expected tcp://127.0.0.1:PORT or tls://HOST:PORT"
+        )
     given = {name: getattr(arguments, name.replace("-", "_")) for name in TLS}
     if address.scheme == "tcp":
         if is_remote(f"tcp://{address.hostname}:{address.port}"):
             raise UsageError(
-                f"--cluster {arguments.cluster}: workers run what they are sent, so off this machine TLS is required: "
-                f"tls://{address.hostname}:{address.port} with --{', --'.join(TLS)}"
+                f"--cluster {arguments.cluster}: workers run what they are sent, so off this"
+                f" machine TLS is required: tls://{address.hostname}:{address.port} with"
+                f" --{', --'.join(TLS)}"
             )
         return {}
     missing = [name for name, path in given.items() if path is None or not path.is_file()]
@@ -99,7 +122,11 @@ def check_cluster(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def swept(
-    arguments: argparse.Namespace, job: Job, jobs: Sequence[Mapping[str, Any]], name: str, chunk: int = 1
+    arguments: argparse.Namespace,
+    job: Job,
+    jobs: Sequence[Mapping[str, Any]],
+    name: str,
+    chunk: int = 1,
 ) -> tuple[list[SweepRow], Path]:
     """Do the jobs of a study, with progress on stderr: rows in their order, and the ledger that holds what was done before."""
     ledger = begun(arguments, name)
@@ -107,7 +134,9 @@ def swept(
         with executor(arguments) as pool:
             return sweep(job, jobs, pool, ledger, chunk, Progress(len(jobs)).step), ledger
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"what is done is in {ledger}, and the same command goes on there") from None
+        raise KeyboardInterrupt(
+            f"what is done is in {ledger}, and the same command goes on there"
+        ) from None
 
 
 def begun(arguments: argparse.Namespace, name: str) -> Path:
@@ -137,7 +166,10 @@ def spread(
         for i, job in enumerate(jobs):
             note(range(i, i + 1), [job()])
     else:
-        with executor(arguments) as pool, contextlib.closing(done_by(pool, call, jobs, chunk)) as done:
+        with (
+            executor(arguments) as pool,
+            contextlib.closing(done_by(pool, call, jobs, chunk)) as done,
+        ):
             for part, rows in done:
                 note(part, rows)
     return [results[i] for i in range(len(jobs))]

@@ -1,9 +1,10 @@
 """The stiffest law that is stable whatever world is behind the coupling, for any hand or for a known device.
 
-A wall is not the worst world (THEORY.md §18, §20). With D = (1 − w)/T the loop is stable for every passive world that answers
-within the tick iff Re{D/H} > r(θ): r is the device's, known, or the largest over all hands. That is Re{D* H} > r |H|²,
-convex in the taps where r ≥ 0, which it is for any hand: cutting planes find the stiffest taps of a family, and the bound
-that no others exceed. For a known device r < 0 where the device itself dissipates; there each *shape* of a law has its
+A wall is not the worst world (THEORY.md §18, §20). With D = (1 − w)/T the loop is stable for every
+passive world that answers within the tick iff Re{D/H} > r(θ): r is the device's, known, or the
+largest over all hands. That is Re{D* H} > r |H|², convex in the taps where r ≥ 0, which it is for
+any hand: cutting planes find the stiffest taps of a family, and the bound that no others exceed.
+For a known device r < 0 where the device itself dissipates; there each *shape* of a law has its
 largest scale in closed form, and the shapes are searched.
 """
 
@@ -23,7 +24,8 @@ from sim.arrays import Array
 from sim.design.demand import alternating
 
 _CUTS = 80
-_INSIDE = 1e-7  # how far a design stays inside the condition, as a share of its taps: room for the proof's rounding
+# how far a design stays inside the condition, as a share of its taps: room for the proof's rounding
+_INSIDE = 1e-7
 _LARGEST = 1e6  # of a tap, in units of b/T
 
 
@@ -35,11 +37,14 @@ class Surroundings:
     damping: float  # viscous damping b of the device, the least of it [N s/m]
     delay: tuple[float, float]  # shortest and longest delay of the loop [ticks]
     nyquist: float  # largest |H(−1)| allowed [N/m]
-    mass: tuple[float, float] | None = None  # lightest and heaviest device [kg]; None for any hand, of any mass
+    # lightest and heaviest device [kg]; None for any hand, of any mass
+    mass: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if not self.damping > 0.0:
-            raise ValueError(f"damping = {self.damping!r} N s/m: without damping nothing is stable for any world")
+            raise ValueError(
+                f"damping = {self.damping!r} N s/m: without damping nothing is stable for any world"
+            )
 
     @property
     def limit(self) -> float:
@@ -51,10 +56,15 @@ class Surroundings:
         low, high = self.delay
         whole = np.arange(math.ceil(low), math.floor(high) + 1).tolist()
         if self.mass is None:
-            # r is straight in the fraction of a tick: between two whole delays the ends are the worst.
+            # r is straight in the fraction of a tick: between two whole delays the ends are the
+            # worst.
             return [_any_hand(self, delay) for delay in sorted({low, high, *whole})]
         delays = sorted({*np.linspace(low, high, 5).tolist(), *whole})
-        return [_known(self, mass, delay) for mass in np.unique(np.geomspace(*self.mass, masses)).tolist() for delay in delays]
+        return [
+            _known(self, mass, delay)
+            for mass in np.unique(np.geomspace(*self.mass, masses)).tolist()
+            for delay in delays
+        ]
 
 
 @dataclass(frozen=True)
@@ -69,7 +79,9 @@ class Requirement:
         """Cosine sum that is above 0 wherever the condition is kept."""
         top, bottom = law_polynomials(law)
         linear = 2.0 / self.period * (top * bottom.conjugate).real_over_one_less_w()
-        return _sum(_product(self.weight, linear), _product(self.rest, (top * top.conjugate).real()))
+        return _sum(
+            _product(self.weight, linear), _product(self.rest, (top * top.conjugate).real())
+        )
 
 
 @dataclass(frozen=True)
@@ -83,7 +95,8 @@ class WorldDesign:
     h_nyquist_n_per_m: float  # H(−1) [N/m]
     limit_n_per_m: float  # the closed limit for any hand, 2b/(T(1 + d)) [N/m]
     bound_n_per_m: float | None  # no member of the family is stiffer; None for a known device [N/m]
-    proven: bool  # whether the condition is kept at every frequency, and H has no zero outside the unit circle
+    # whether the condition is kept at every frequency, and H has no zero outside the unit circle
+    proven: bool
 
     @property
     def law(self) -> CompiledLaw:
@@ -110,8 +123,9 @@ def stiffest_for_any_world(
 ) -> WorldDesign | None:
     """Find the member of a family with the largest H(1) that is stable for any world; None where none is.
 
-    `basis`: rows whose sum, weighted by the parameters, is the numerator, shape (p, n + 1) [N/m per parameter]. `free`: whether
-    parameters may be negative. `pole`: of a section behind them. `masses`: of a range that are kept.
+    `basis`: rows whose sum, weighted by the parameters, is the numerator, shape (p, n + 1) [N/m per
+    parameter]. `free`: whether parameters may be negative. `pole`: of a section behind them.
+    `masses`: of a range that are kept.
     """
     conditions = surroundings.conditions(masses)
     if surroundings.mass is None:
@@ -122,17 +136,23 @@ def stiffest_for_any_world(
 class _Table:
     """The parts of all conditions over a grid of angles, linear in the parameters of a family."""
 
-    def __init__(self, conditions: Sequence[Requirement], basis: Array, pole: float, fineness: int = 64) -> None:
+    def __init__(
+        self, conditions: Sequence[Requirement], basis: Array, pole: float, fineness: int = 64
+    ) -> None:
         size = fineness * (basis.shape[1] + 4)
         theta = np.union1d(np.linspace(0.0, np.pi, size + 1), np.geomspace(1e-3, np.pi, size))
         bottom = Laurent(np.array([1.0, -pole])) if pole else Laurent(np.array([1.0]))
         rows = [Laurent(row) for row in basis]
-        linear = np.array([values((row * bottom.conjugate).real_over_one_less_w(), theta) for row in rows]).T
+        linear = np.array(
+            [values((row * bottom.conjugate).real_over_one_less_w(), theta) for row in rows]
+        ).T
         self.response = np.array([row.at(theta) for row in rows]).T  # of the numerator, (t, p)
         period = conditions[0].period
         weights = [values(one.weight, theta) for one in conditions]
         rests = [values(one.rest, theta) for one in conditions]
-        self.linear = np.concatenate([2.0 / period * weight[:, None] * linear for weight in weights])
+        self.linear = np.concatenate(
+            [2.0 / period * weight[:, None] * linear for weight in weights]
+        )
         self.rest = np.concatenate(rests)
         self.response = np.tile(self.response, (len(conditions), 1))
 
@@ -145,19 +165,31 @@ class _Table:
 
 
 def _convex(
-    surroundings: Surroundings, conditions: Sequence[Requirement], basis: Array, free: bool, pole: float
+    surroundings: Surroundings,
+    conditions: Sequence[Requirement],
+    basis: Array,
+    free: bool,
+    pole: float,
 ) -> WorldDesign | None:
     """Cutting planes for any hand, where the condition is convex: the rest is ≤ 0."""
     from scipy.optimize import linprog
 
     table = _Table(conditions, basis, pole)
     unit = surroundings.damping / surroundings.period
-    gain, noise = basis.sum(axis=1) / (1.0 - pole), basis @ alternating(basis.shape[1]) / (1.0 + pole)
-    scale = unit / np.maximum(np.abs(basis).max(axis=1), 1e-300)  # of a parameter, so that its taps are about b/T
-    rows, limits = [noise * scale, -noise * scale, gain * scale], [surroundings.nyquist] * 2 + [surroundings.limit * 1.5]
+    gain, noise = (
+        basis.sum(axis=1) / (1.0 - pole),
+        basis @ alternating(basis.shape[1]) / (1.0 + pole),
+    )
+    # of a parameter, so that its taps are about b/T
+    scale = unit / np.maximum(np.abs(basis).max(axis=1), 1e-300)
+    rows, limits = (
+        [noise * scale, -noise * scale, gain * scale],
+        [surroundings.nyquist] * 2 + [surroundings.limit * 1.5],
+    )
     bounds = [(-_LARGEST if free else 0.0, _LARGEST)] * len(basis)
     best, most, bound = None, 0.0, math.inf
-    # Re{H/(1 − w)} ≥ 0 holds all the more: at a few frequencies it keeps the first programmes bounded.
+    # Re{H/(1 − w)} ≥ 0 holds all the more: at a few frequencies it keeps the first programmes
+    # bounded.
     few = table.linear[::16]
     rows, limits = [*rows, *(-few * scale)], [*limits, *np.zeros(len(few))]
     for _ in range(_CUTS):
@@ -167,7 +199,8 @@ def _convex(
         here = np.asarray(found.x, dtype=np.float64) * scale
         bound = min(bound, float(gain @ here))
         linear, square, slopes = table.parts(here)
-        # Scaled by s the linear part grows with s, the rest with s²: the largest s that keeps every angle.
+        # Scaled by s the linear part grows with s, the rest with s²: the largest s that keeps every
+        # angle.
         with np.errstate(divide="ignore", invalid="ignore"):
             shrink = np.where(square < 0.0, linear / -square, np.inf)
         factor = min(1.0, float(shrink.min()))
@@ -185,13 +218,20 @@ def _convex(
 
 
 def _for_device(
-    surroundings: Surroundings, conditions: Sequence[Requirement], basis: Array, free: bool, pole: float
+    surroundings: Surroundings,
+    conditions: Sequence[Requirement],
+    basis: Array,
+    free: bool,
+    pole: float,
 ) -> WorldDesign | None:
     """Search the shapes of a family of which each has a stiffest scale in closed form; H(1) = 1 for a shape."""
     from scipy.optimize import differential_evolution, minimize
 
     coarse, table = _Table(conditions, basis, pole, 8), _Table(conditions, basis, pole)
-    gain, noise = basis.sum(axis=1) / (1.0 - pole), basis @ alternating(basis.shape[1]) / (1.0 + pole)
+    gain, noise = (
+        basis.sum(axis=1) / (1.0 - pole),
+        basis @ alternating(basis.shape[1]) / (1.0 + pole),
+    )
     size = np.maximum(np.abs(basis).max(axis=1), 1e-300)
 
     def shape(free_ones: Array) -> Array | None:
@@ -215,10 +255,19 @@ def _for_device(
     else:
         box: Any = [(-6.0 if free else 0.0, 12.0)] * (len(basis) - 1)
         found = differential_evolution(
-            less_stiffness, box, args=(coarse,), rng=0, popsize=8, maxiter=25 * len(basis), tol=1e-5, polish=False
+            less_stiffness,
+            box,
+            args=(coarse,),
+            rng=0,
+            popsize=8,
+            maxiter=25 * len(basis),
+            tol=1e-5,
+            polish=False,
         )
         options: Any = {"maxiter": 150 * len(basis), "xatol": 1e-8, "fatol": 1e-9}
-        polished = minimize(less_stiffness, found.x, args=(table,), method="Nelder-Mead", options=options)
+        polished = minimize(
+            less_stiffness, found.x, args=(table,), method="Nelder-Mead", options=options
+        )
         best = np.asarray(polished.x, dtype=np.float64)
     value, parameters = less_stiffness(best, table), shape(best)
     if value >= 0.0 or parameters is None:
@@ -264,23 +313,33 @@ def _finished(
 def keeps(surroundings: Surroundings, law: CompiledLaw, masses: int = 15) -> bool:
     """Whether a law is stable for any world in these surroundings: proven at every frequency, at all delays for any hand.
 
-    For a known device it is proven at `masses` of the range and five delays, and the loop at the wall is checked there too.
+    For a known device it is proven at `masses` of the range and five delays, and the loop at the
+    wall is checked there too.
     """
     if not (law.h1 > 0.0 and law.stable_sections() and zeros_inside(law)):
         return False
     if surroundings.mass is not None:
         for mass in np.unique(np.geomspace(*surroundings.mass, masses)).tolist():
             for delay in sorted(set(surroundings.delay)):
-                if not pole_radius(law, Plant(surroundings.period, mass, surroundings.damping, delay)) < 1.0:
+                if (
+                    not pole_radius(
+                        law, Plant(surroundings.period, mass, surroundings.damping, delay)
+                    )
+                    < 1.0
+                ):
                     return False
-    return all(positive(condition.margin(law)) is True for condition in surroundings.conditions(masses))
+    return all(
+        positive(condition.margin(law)) is True for condition in surroundings.conditions(masses)
+    )
 
 
 def _any_hand(surroundings: Surroundings, delay: float) -> Requirement:
     """Set r = [1 − (1−φ) cos((1+i)θ) − φ cos((2+i)θ)]/(2b), over 1 − cos θ."""
     whole = math.floor(delay)
     fraction = delay - whole
-    rest = (1.0 - fraction) * np.append(one_less_cosine(1 + whole), 0.0) + fraction * one_less_cosine(2 + whole)
+    rest = (1.0 - fraction) * np.append(
+        one_less_cosine(1 + whole), 0.0
+    ) + fraction * one_less_cosine(2 + whole)
     return Requirement(surroundings.period, np.array([1.0]), -rest / (2.0 * surroundings.damping))
 
 
@@ -291,7 +350,9 @@ def _known(surroundings: Surroundings, mass: float, delay: float) -> Requirement
     path = Laurent(np.array(held.numerator), held.whole + 1)
     size = (own * own.conjugate).real()
     weight = _product(np.array([1.0, -1.0]), size)
-    return Requirement(surroundings.period, weight, (path * own.conjugate).real() / surroundings.period)
+    return Requirement(
+        surroundings.period, weight, (path * own.conjugate).real() / surroundings.period
+    )
 
 
 def _product(a: Array, b: Array) -> Array:

@@ -11,7 +11,8 @@ from nodes.laws.parse import parse_law
 from nodes.laws.presets import PRESETS
 from sim.design.any_world import Surroundings, WorldDesign, stiffest_for_any_world
 
-ORDERS = tuple(round(0.2 * i, 1) for i in range(1, 13))  # at which PDα is tuned before the best is refined
+# at which PDα is tuned before the best is refined
+ORDERS = tuple(round(0.2 * i, 1) for i in range(1, 13))
 POLES = (-0.95, -0.9, -0.8, -0.6, -0.3, 0.3, 0.6)  # of the section, before the best is refined
 
 
@@ -20,7 +21,8 @@ class Member:
     """The stiffest member of a family."""
 
     family: str  # ``pd``, ``pd_alpha``, ``paper_optimum``, ``taps`` or ``one_pole``
-    # Its description, as `nodes.laws.parse.parse_law` reads it; None when none is stable for every world.
+    # Its description, as `nodes.laws.parse.parse_law` reads it; None when none is stable for every
+    # world.
     law: dict[str, Any] | None
     design: WorldDesign | None  # its figures
 
@@ -29,7 +31,9 @@ def stiffest_members(surroundings: Surroundings, taps: int) -> Iterator[Member]:
     """Yield the stiffest member of each family, PD first; of `taps` taps where a family has a choice."""
     yield stiffest_pd(surroundings)
     yield stiffest_pd_alpha(surroundings, taps)
-    yield stiffest_linear("paper_optimum", {**PRESETS["paper_optimum"], "kind": "paper_optimum"}, surroundings)
+    yield stiffest_linear(
+        "paper_optimum", {**PRESETS["paper_optimum"], "kind": "paper_optimum"}, surroundings
+    )
     yield stiffest_taps(surroundings, taps)
     yield stiffest_one_pole(surroundings)
 
@@ -43,7 +47,11 @@ def stiffest_pd_alpha(surroundings: Surroundings, taps: int) -> Member:
     """Tune stiffness, damping and order of PDα of so many taps."""
 
     def at(order: float) -> Member:
-        return stiffest_linear("pd_alpha", {"kind": "pd_alpha", "order": order, "taps": taps, "gains": "paper"}, surroundings)
+        return stiffest_linear(
+            "pd_alpha",
+            {"kind": "pd_alpha", "order": order, "taps": taps, "gains": "paper"},
+            surroundings,
+        )
 
     return _refined(at, ORDERS, 0.1, (0.05, 3.9))
 
@@ -53,7 +61,9 @@ def stiffest_taps(surroundings: Surroundings, taps: int) -> Member:
     best: Member | None = None
     for length in range(1 if surroundings.mass is None else min(2, taps), taps + 1):
         design = stiffest_for_any_world(surroundings, np.eye(length))
-        member = Member("taps", None if design is None else _fir(design, surroundings.period), design)
+        member = Member(
+            "taps", None if design is None else _fir(design, surroundings.period), design
+        )
         # Where more taps buy less than a thousandth, the shorter law is the better one.
         if best is None or stiffness(member) > 1.001 * stiffness(best):
             best = member
@@ -67,7 +77,9 @@ def stiffest_one_pole(surroundings: Surroundings) -> Member:
 
     def at(pole: float) -> Member:
         design = stiffest_for_any_world(surroundings, np.eye(2), pole=pole)
-        return Member("one_pole", None if design is None else _fir(design, surroundings.period), design)
+        return Member(
+            "one_pole", None if design is None else _fir(design, surroundings.period), design
+        )
 
     return _refined(at, POLES, 0.05, (-0.995, 0.995))
 
@@ -75,7 +87,11 @@ def stiffest_one_pole(surroundings: Surroundings) -> Member:
 def stiffest_linear(family: str, shape: dict[str, Any], surroundings: Surroundings) -> Member:
     """Tune stiffness and damping of a law of taps that is linear in both."""
     spring, both = (
-        np.array(parse_law({**shape, "stiffness": 1.0, "damping": gain}).compile(surroundings.period).taps)
+        np.array(
+            parse_law({**shape, "stiffness": 1.0, "damping": gain})
+            .compile(surroundings.period)
+            .taps
+        )
         for gain in (0.0, 1.0)
     )
     spring = np.pad(spring, (0, len(both) - len(spring)))
@@ -91,7 +107,9 @@ def stiffness(member: Member) -> float:
     return 0.0 if member.design is None else member.design.h1_n_per_m
 
 
-def _refined(at: Callable[[float], Member], values: tuple[float, ...], step: float, ends: tuple[float, float]) -> Member:
+def _refined(
+    at: Callable[[float], Member], values: tuple[float, ...], step: float, ends: tuple[float, float]
+) -> Member:
     """Return the best of some values, then of values closer and closer about it."""
     tried = {value: at(value) for value in values}
     best = max(tried, key=lambda value: stiffness(tried[value]))
@@ -108,7 +126,13 @@ def _fir(design: WorldDesign, period: float) -> dict[str, Any]:
     law = design.law
     described: dict[str, Any] = {"kind": "fir", "taps": list(law.taps), "period": period}
     return described | (
-        {"recursive": [dict(zip(("b0", "b1", "a1", "a2"), part, strict=True)) for part in law.sections]} if law.sections else {}
+        {
+            "recursive": [
+                dict(zip(("b0", "b1", "a1", "a2"), part, strict=True)) for part in law.sections
+            ]
+        }
+        if law.sections
+        else {}
     )
 
 

@@ -19,7 +19,8 @@ from sim.arrays import Array
 
 # Of contact: (raw, clamp), which history, and whether forces into the floor are set to zero.
 CONVENTIONS = ((False, True), (False, False), (True, True), (True, False))
-# What a device has beyond one rigid mass when it has nothing: lag, share, frequency and damping ratio of a joint.
+# What a device has beyond one rigid mass when it has nothing: lag, share, frequency and damping
+# ratio of a joint.
 RIGID = (0.0, 0.0, math.inf, 0.0)
 
 
@@ -27,20 +28,24 @@ RIGID = (0.0, 0.0, math.inf, 0.0)
 class Demand:
     """What a law must keep, whatever its stiffness."""
 
-    mass: tuple[float, float]  # lightest and heaviest device, a hand's share included [kg], shape (2,)
+    # lightest and heaviest device, a hand's share included [kg], shape (2,)
+    mass: tuple[float, float]
     damping: float  # viscous damping b of the device, the least of it where it is a range [N s/m]
-    delay: tuple[float, float]  # shortest and longest delay of the loop, fractions allowed [ticks], shape (2,)
+    # shortest and longest delay of the loop, fractions allowed [ticks], shape (2,)
+    delay: tuple[float, float]
     period: float  # sampling period T [s]
     radius: float  # largest pole radius R allowed at any mass, delay and hand of the ranges
     nyquist: float  # largest |H(−1)| allowed [N/m]
     stiffness: tuple[float, float] = (0.0, 0.0)  # softest and stiffest hand [N/m], shape (2,)
     damping_max: float | None = None  # most damping of the device; None where it is known [N s/m]
-    # Contact conventions (raw history, clamped force) under which every drop must settle too, with a margin
-    # (`sim.design.landing`); empty when landing is not asked for.
+    # Contact conventions (raw history, clamped force) under which every drop must settle too, with
+    # a margin (`sim.design.landing`); empty when landing is not asked for.
     lands: tuple[tuple[bool, bool], ...] = ()
-    above: float = 0.0  # H(1) that is known already: laws below it are not dropped, and need not be found [N/m]
-    # What the device may have beyond one rigid mass, all of which are kept: lag of the actuator [s], part of the mass behind a
-    # joint, its frequency [Hz] and damping ratio. Empty for a rigid device.
+    # H(1) that is known already: laws below it are not dropped, and need not be found [N/m]
+    above: float = 0.0
+    # What the device may have beyond one rigid mass, all of which are kept: lag of the actuator
+    # [s], part of the mass behind a joint, its frequency [Hz] and damping ratio. Empty for a rigid
+    # device.
     beyond: tuple[tuple[float, float, float, float], ...] = ()
 
     @property
@@ -59,7 +64,8 @@ class Robust:
     h1_n_per_m: float  # H(1) [N/m]
     h_nyquist_n_per_m: float  # H(−1) [N/m]
     radius: float  # largest pole radius over all verified cases
-    # The case where that is: mass [kg], delay [ticks], stiffness of the hand [N/m], damping of the device [N s/m], shape (4,).
+    # The case where that is: mass [kg], delay [ticks], stiffness of the hand [N/m], damping of the
+    # device [N s/m], shape (4,).
     worst: tuple[float, ...]
     pole: float = 0.0  # of a filter behind two taps (`pd_filtered`); 0 without one
 
@@ -85,8 +91,13 @@ class LoopCase:
     """Closed-loop polynomials at given cases (mass, delay, hand), linear in the taps."""
 
     def __init__(self, demand: Demand, cases: Array, taps: int, pole: float = 0.0) -> None:
-        plants = [_rational(demand.period, case, beyond) for case in cases.tolist() for beyond in demand.beyond or (None,)]
-        # A shorter delay is the same polynomial times a power of z: roots at zero that nobody minds.
+        plants = [
+            _rational(demand.period, case, beyond)
+            for case in cases.tolist()
+            for beyond in demand.beyond or (None,)
+        ]
+        # A shorter delay is the same polynomial times a power of z: roots at zero that nobody
+        # minds.
         size = max(whole + len(below) for whole, _, below in plants) + taps + (pole != 0.0)
         self.taps, self.pole = taps, pole
         self._cases = len(cases)
@@ -101,12 +112,16 @@ class LoopCase:
 
     def polynomials(self, taps: Array) -> Array:
         """Coefficients of (..., taps) for every case: (..., cases, size)."""
-        return np.asarray(self.fixed + np.einsum("...j,ijk->...ik", taps, self.by_tap), dtype=np.float64)
+        return np.asarray(
+            self.fixed + np.einsum("...j,ijk->...ik", taps, self.by_tap), dtype=np.float64
+        )
 
     def radii(self, taps: Array) -> Array:
         """Largest pole radius of each case, over all that the device may have beyond a rigid mass."""
         found = largest_roots(self.polynomials(taps))
-        return np.asarray(found.reshape(*found.shape[:-1], self._cases, -1).max(axis=-1), dtype=np.float64)
+        return np.asarray(
+            found.reshape(*found.shape[:-1], self._cases, -1).max(axis=-1), dtype=np.float64
+        )
 
     def poles(self, taps: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
         """All poles (cases, k) and their slopes along the taps (cases, k, taps)."""
@@ -117,7 +132,9 @@ class LoopCase:
         companion[:, np.arange(1, degree), np.arange(degree - 1)] = 1.0
         poles = np.asarray(np.linalg.eigvals(companion), dtype=np.complex128)
         powers = poles[:, :, None] ** np.arange(degree, -1, -1)
-        steep = np.einsum("ik,ipk->ip", polynomials[:, :-1] * np.arange(degree, 0, -1), powers[:, :, 1:])
+        steep = np.einsum(
+            "ik,ipk->ip", polynomials[:, :-1] * np.arange(degree, 0, -1), powers[:, :, 1:]
+        )
         steep = np.where(np.abs(steep) < 1e-9, 1e-9, steep)
         return poles, -np.einsum("ijk,ipk->ipj", self.by_tap, powers) / steep[:, :, None]
 
@@ -131,7 +148,9 @@ def _rational(
         plant = held_plant(Plant(period, mass, damping, delay, hand))
         return plant.whole, plant.numerator, plant.denominator
     lag, share, frequency, loss = beyond
-    whole, above, below = FlexiblePlant(mass, damping, delay, hand, lag, share, frequency, loss).rational(period)
+    whole, above, below = FlexiblePlant(
+        mass, damping, delay, hand, lag, share, frequency, loss
+    ).rational(period)
     return whole, above.tolist(), below.tolist()
 
 
@@ -147,10 +166,26 @@ def verified_cases(demand: Demand) -> Array:
 def cases_of(demand: Demand, masses: int, others: int) -> Array:
     """Grid of cases over the ranges of a demand, shape (c, 4) as in `verified_cases`."""
     axes = [
-        np.geomspace(*demand.mass, masses) if demand.mass[0] < demand.mass[1] else np.array(demand.mass[:1]),
-        np.linspace(*demand.delay, others) if demand.delay[0] < demand.delay[1] else np.array(demand.delay[:1]),
-        np.linspace(*demand.stiffness, others) if demand.stiffness[0] < demand.stiffness[1] else np.array(demand.stiffness[:1]),
-        np.linspace(*demand.dampings, min(others, 5)) if demand.damping_max is not None else np.array([demand.damping]),
+        (
+            np.geomspace(*demand.mass, masses)
+            if demand.mass[0] < demand.mass[1]
+            else np.array(demand.mass[:1])
+        ),
+        (
+            np.linspace(*demand.delay, others)
+            if demand.delay[0] < demand.delay[1]
+            else np.array(demand.delay[:1])
+        ),
+        (
+            np.linspace(*demand.stiffness, others)
+            if demand.stiffness[0] < demand.stiffness[1]
+            else np.array(demand.stiffness[:1])
+        ),
+        (
+            np.linspace(*demand.dampings, min(others, 5))
+            if demand.damping_max is not None
+            else np.array([demand.damping])
+        ),
     ]
     return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
 
@@ -161,7 +196,12 @@ def corners(demand: Demand) -> Iterator[FlexiblePlant]:
     These are the devices for which a law is certified.
     """
     masses = np.unique(np.geomspace(*demand.mass, 5)).tolist()
-    ends = (masses, sorted(set(demand.dampings)), sorted(set(demand.stiffness)), demand.beyond or (RIGID,))
+    ends = (
+        masses,
+        sorted(set(demand.dampings)),
+        sorted(set(demand.stiffness)),
+        demand.beyond or (RIGID,),
+    )
     for mass, damping, hand, beyond in itertools.product(*ends):
         yield FlexiblePlant(mass, damping, 0.0, hand, *beyond)
 

@@ -1,11 +1,12 @@
 """Differential evolution over taps in compiled code: a start that the climb by linear programmes then finishes.
 
-Whether all poles of a case keep a radius is asked by Schur and Cohn's recursion, some 0.1 µs for a law of eight taps; how far
-outside they are is bisected, and only where a candidate might still win.
+Whether all poles of a case keep a radius is asked by Schur and Cohn's recursion, some 0.1 µs for a
+law of eight taps; how far outside they are is bisected, and only where a candidate might still win.
 
-Why not scipy's: `differential_evolution` calls Python for each candidate. On the same demand (50 to 200 g, one tick), with as
-many members and generations and the same compiled test of the poles, it takes at least 14 times the processor time (4 taps: the
-same 3356 N/m; seven: 6500 N/m, here 6700 N/m).
+Why not scipy's: `differential_evolution` calls Python for each candidate. On the same demand (50 to
+200 g, one tick), with as many members and generations and the same compiled test of the poles, it
+takes at least 14 times the processor time (4 taps: the same 3356 N/m; seven: 6500 N/m, here 6700
+N/m).
 """
 
 import math
@@ -48,7 +49,9 @@ def _within(fixed: Any, by_tap: Any, taps: Any, radius: float, work: Any) -> boo
 
 
 @kernel
-def _excess(fixed: Any, by_tap: Any, taps: Any, radius: float, enough: float, work: Any) -> tuple[float, int]:
+def _excess(
+    fixed: Any, by_tap: Any, taps: Any, radius: float, enough: float, work: Any
+) -> tuple[float, int]:
     """By how much the largest pole radius of all cases exceeds one, no further than enough; the case it is of, −1 for none."""
     reached, worst = radius, -1
     for i in range(len(fixed)):
@@ -71,14 +74,19 @@ def _excess(fixed: Any, by_tap: Any, taps: Any, radius: float, enough: float, wo
 
 
 @kernel
-def _lands(drops: Any, taps: Any, pole: float, ticks: int, tolerance: float, first: int) -> tuple[float, int]:
+def _lands(
+    drops: Any, taps: Any, pole: float, ticks: int, tolerance: float, first: int
+) -> tuple[float, int]:
     """Share of the drops, `first` first, before the one that does not settle, and that one; 1 for a law that lands."""
     if len(drops.whole) == 0:
         return 1.0, 0
     spring, recursive = taps, np.empty(0)
     if pole != 0.0:
         stiffness = (taps[0] + taps[1]) / (1.0 - pole)
-        spring, recursive = np.array([stiffness]), np.array([taps[0] - stiffness, stiffness - taps[0], -pole, 0.0])
+        spring, recursive = (
+            np.array([stiffness]),
+            np.array([taps[0] - stiffness, stiffness - taps[0], -pole, 0.0]),
+        )
     if not settles_one(first, drops, spring, recursive, ticks, tolerance, True):
         return 0.0, first
     for i in range(len(drops.whole)):
@@ -87,7 +95,8 @@ def _lands(drops: Any, taps: Any, pole: float, ticks: int, tolerance: float, fir
     return 1.0, first
 
 
-def _evolve(
+# Long: one compiled function: a call across it would cost what it saves.
+def _evolve(  # noqa: C901
     fixed: Any,
     by_tap: Any,
     basis: Any,
@@ -132,7 +141,8 @@ def _evolve(
             for j in range(p):
                 felt += gain[j] * tried[j]
                 loud += noise[j] * tried[j]
-            # Feasible ones compete by H(1), the others by how far they are from feasible; none of them can win.
+            # Feasible ones compete by H(1), the others by how far they are from feasible; none of
+            # them can win.
             outside = max(abs(loud) - quiet, 0.0)
             if -felt > scores[i] or (outside > 0.0 and 1.0 + 10.0 * outside > scores[i]):
                 continue
@@ -141,16 +151,21 @@ def _evolve(
                 for j in range(p):
                     taps[m] += tried[j] * basis[j, m]
             if scores[i] <= 1.0 and not _within(fixed[broken], by_tap[broken], taps, radius, work):
-                # Against a member that is feasible, whatever is broken rejects it: what was broken last, first.
+                # Against a member that is feasible, whatever is broken rejects it: what was broken
+                # last, first.
                 continue
-            excess, case = _excess(fixed, by_tap, taps, radius, max(0.1 * (scores[i] - 1.0), 0.0), work)
+            excess, case = _excess(
+                fixed, by_tap, taps, radius, max(0.1 * (scores[i] - 1.0), 0.0), work
+            )
             outside += excess
             broken = case if case >= 0 else broken
             score = 1.0 + 10.0 * outside if outside > 0.0 else -felt
             if outside == 0.0 and felt > least:
                 # Laws that land compete by H(1), the others by how many drops settle.
                 # Against a member that lands, the drop that failed last fails first.
-                share, failed = _lands(drops, taps, pole, ticks, tolerance, failed if scores[i] < 0.0 else 0)
+                share, failed = _lands(
+                    drops, taps, pole, ticks, tolerance, failed if scores[i] < 0.0 else 0
+                )
                 score = 1.0 - share if share < 1.0 else score
             elif outside == 0.0:
                 # It would not beat what is known, even if it landed.
@@ -167,26 +182,40 @@ def _evolve(
     return members[best], scores[best]
 
 
-evolve: Any = compiled()(_evolve)  # evolve, compiled: the best member, and its score; below 0 it keeps the demand
+# evolve, compiled: the best member, and its score; below 0 it keeps the demand
+evolve: Any = compiled()(_evolve)
 
 
 def evolved(
-    demand: Demand, basis: Array, loops: Sequence[LoopCase], free: bool, seed: int, effort: int, span: float, radius: float
+    demand: Demand,
+    basis: Array,
+    loops: Sequence[LoopCase],
+    free: bool,
+    seed: int,
+    effort: int,
+    span: float,
+    radius: float,
 ) -> Array | None:
     """Evolve in a wide box at the first cases; many parameters then in boxes that shrink about the best, at more and at all."""
     unit, p = demand.mass[0] / demand.period**2, len(basis)
     gain, noise = basis.sum(axis=1) / unit, basis @ alternating(basis.shape[1]) / unit
     here = np.zeros(p)
     # As many as none, not None, which is a type: compiled anew, all this takes six seconds.
-    no_drops = Falls(*(column[:0] for column in falls(demand, demand.mass[:1], CONVENTIONS[:1], (0.0,))))
+    no_drops = Falls(
+        *(column[:0] for column in falls(demand, demand.mass[:1], CONVENTIONS[:1], (0.0,)))
+    )
     # Of two parameters or three the linear programmes find the rest.
     for i, width in enumerate((span, *_BOXES) if p > 3 else (span,)):
         # The last box keeps the bound at all cases.
         loop = loops[(0, 1, 1, 1, 1, 2)[i]]
         box = np.array([here - width if free else np.maximum(here - width, 0.0), here + width])
-        members, generations = (30 * p, (20 + 20 * p) * effort) if i else (60 * p, (100 + 100 * p) * effort)
+        members, generations = (
+            (30 * p, (20 + 20 * p) * effort) if i else (60 * p, (100 + 100 * p) * effort)
+        )
         given = (loop.fixed, loop.by_tap, basis, gain, noise, demand.nyquist / unit, radius)
-        here, score = evolve(*given, box, here, members, generations, seed, -math.inf, no_drops, 0.0, 0, 0.0)
+        here, score = evolve(
+            *given, box, here, members, generations, seed, -math.inf, no_drops, 0.0, 0, 0.0
+        )
         if not score < 0.0:
             return None
     return here

@@ -1,8 +1,9 @@
 """Drops of linear devices on a floor, rigid or with a joint and a lag, in compiled code that a search can call.
 
-The device is one matrix per tick (`nodes.stability.flexible`), exact for a held force. Contact, history and clamping are the
-kernels of the nodes, and the verdict is `sim.experiments.drop`'s. A search may ask for the quick one: a drop that has stayed
-close to its rest counts as settled there, and what a search finds is played to the end.
+The device is one matrix per tick (`nodes.stability.flexible`), exact for a held force. Contact,
+history and clamping are the kernels of the nodes, and the verdict is `sim.experiments.drop`'s. A
+search may ask for the quick one: a drop that has stayed close to its rest counts as settled there,
+and what a search finds is played to the end.
 """
 
 import itertools
@@ -36,7 +37,12 @@ class Falls(NamedTuple):
     clamp: Any
 
 
-def falls(demand: Demand, masses: Sequence[float], conventions: Sequence[tuple[bool, bool]], heights: Sequence[float]) -> Falls:
+def falls(
+    demand: Demand,
+    masses: Sequence[float],
+    conventions: Sequence[tuple[bool, bool]],
+    heights: Sequence[float],
+) -> Falls:
     """Prepare drops of all masses, joints and lags, conventions, heights, in this order; damping least, delay longest."""
     rows: list[tuple[Any, ...]] = []
     most = 2
@@ -51,11 +57,15 @@ def falls(demand: Demand, masses: Sequence[float], conventions: Sequence[tuple[b
     def padded(i: int) -> Any:
         return np.array([np.pad(row[i], (0, most - len(row[i]))) for row in rows])
 
-    return Falls(*(padded(i) for i in range(4)), *(np.array([row[i] for row in rows]) for i in range(4, 9)))
+    return Falls(
+        *(padded(i) for i in range(4)), *(np.array([row[i] for row in rows]) for i in range(4, 9))
+    )
 
 
 @kernel
-def settles_one(i: int, drops: Any, taps: Any, recursive: Any, ticks: int, tolerance: float, quick: bool) -> bool:
+def settles_one(
+    i: int, drops: Any, taps: Any, recursive: Any, ticks: int, tolerance: float, quick: bool
+) -> bool:
     """Drop once: whether it settles, by the rules of `sim.experiments.drop`."""
     size = drops.step.shape[1]
     length = max(len(taps), 2)
@@ -72,7 +82,9 @@ def settles_one(i: int, drops: Any, taps: Any, recursive: Any, ticks: int, toler
     for m in range(len(taps)):
         stiffness += taps[m]
     for j in range(len(recursive) // 4):
-        stiffness += (recursive[4 * j] + recursive[4 * j + 1]) / (1.0 + recursive[4 * j + 2] + recursive[4 * j + 3])
+        stiffness += (recursive[4 * j] + recursive[4 * j + 1]) / (
+            1.0 + recursive[4 * j + 2] + recursive[4 * j + 3]
+        )
     if not stiffness > 0.0:
         return False
     rest = -drops.weight[i] / stiffness
@@ -82,7 +94,9 @@ def settles_one(i: int, drops: Any, taps: Any, recursive: Any, ticks: int, toler
     low, high, total = np.inf, -np.inf, 0.0
     for k in range(ticks):
         x = state[0]
-        head, force, touches = floor_force(x, taps, recursive, memory, history, head, length, drops.raw[i], drops.clamp[i])
+        head, force, touches = floor_force(
+            x, taps, recursive, memory, history, head, length, drops.raw[i], drops.clamp[i]
+        )
         fallen_in = fallen_in or touches
         if fallen_in and rises(x, start, tolerance):
             return False
@@ -99,7 +113,11 @@ def settles_one(i: int, drops: Any, taps: Any, recursive: Any, ticks: int, toler
             forces[j] = forces[j - 1]
         forces[0] = force
         for a in range(size):
-            moved[a] = drops.pull[i, a] + drops.new[i, a] * forces[whole] + drops.old[i, a] * forces[whole + 1]
+            moved[a] = (
+                drops.pull[i, a]
+                + drops.new[i, a] * forces[whole]
+                + drops.old[i, a] * forces[whole + 1]
+            )
             for b in range(size):
                 moved[a] += drops.step[i, a, b] * state[b]
         state, moved = moved, state
@@ -107,14 +125,24 @@ def settles_one(i: int, drops: Any, taps: Any, recursive: Any, ticks: int, toler
 
 
 def fallen(
-    plant: FlexiblePlant, period: float, law: CompiledLaw, height: float, ticks: int, convention: Convention = USUAL
+    plant: FlexiblePlant,
+    period: float,
+    law: CompiledLaw,
+    height: float,
+    ticks: int,
+    convention: Convention = USUAL,
 ) -> tuple[Any, Any]:
     """Return position [m] and force [N] at each tick of a device, joint and lag included, that falls on a law's wall."""
     whole, step, new, old = plant.held(period)
     pull = plant.pulled(period, GRAVITY)
     length = max(len(law.taps), 2)
     recursive = [number for section in law.sections for number in section]
-    history, memory, head, forces = [0.0] * (2 * length), [0.0] * (2 * len(law.sections)), 0, [0.0] * (whole + 2)
+    history, memory, head, forces = (
+        [0.0] * (2 * length),
+        [0.0] * (2 * len(law.sections)),
+        0,
+        [0.0] * (whole + 2),
+    )
     state = np.zeros(len(new))
     state[0] = height
     if len(new) >= 4:
@@ -122,14 +150,18 @@ def fallen(
     seen = np.empty((2, ticks))
     for k in range(ticks):
         x = float(state[0])
-        head, force, _ = floor_force(x, law.taps, recursive, memory, history, head, length, *convention)
+        head, force, _ = floor_force(
+            x, law.taps, recursive, memory, history, head, length, *convention
+        )
         forces = [force, *forces[:-1]]
         seen[:, k] = x, forces[0]
         state = step @ state + pull + new * forces[whole] + old * forces[whole + 1]
     return seen[0], seen[1]
 
 
-def _settled(drops: Any, taps: Any, recursive: Any, ticks: int, tolerance: float, verdicts: Any) -> None:
+def _settled(
+    drops: Any, taps: Any, recursive: Any, ticks: int, tolerance: float, verdicts: Any
+) -> None:
     for i in range(len(verdicts)):
         verdicts[i] = settles_one(i, drops, taps, recursive, ticks, tolerance, False)
 
@@ -141,5 +173,7 @@ def settled(law: CompiledLaw, drops: Falls, criterion: Criterion | None = None) 
     """Drop with a law, to the end."""
     criterion, verdicts = criterion or Criterion(), np.zeros(len(drops.whole), dtype=np.bool_)
     recursive = np.array([number for section in law.sections for number in section])
-    _settled_compiled(drops, np.array(law.taps), recursive, criterion.ticks, criterion.tolerance, verdicts)
+    _settled_compiled(
+        drops, np.array(law.taps), recursive, criterion.ticks, criterion.tolerance, verdicts
+    )
     return [bool(one) for one in verdicts]

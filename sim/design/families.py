@@ -1,7 +1,8 @@
 """Laws designed for the device and the loop one really has, and what they gain over the best-tuned known ones.
 
-The comparison is at equal demand: same range of mass, same delay, same pole radius, same bound on H(−1), same search. PD,
-every PDα and the paper's optimum are then just narrower families than free taps of the same length.
+The comparison is at equal demand: same range of mass, same delay, same pole radius, same bound on
+H(−1), same search. PD, every PDα and the paper's optimum are then just narrower families than free
+taps of the same length.
 """
 
 import itertools
@@ -23,11 +24,13 @@ from sim.arrays import Array
 from sim.design.demand import Demand, Robust, corners
 from sim.design.robust import stiffest
 
-ORDERS = tuple(round(0.1 * i, 1) for i in range(1, 40, 2))  # orders at which PDα is tuned before the best is refined
+# orders at which PDα is tuned before the best is refined
+ORDERS = tuple(round(0.1 * i, 1) for i in range(1, 40, 2))
 REFINED = 0.0125  # spacing of the orders at which refining stops
 
 
-# Cutoffs of the filtered velocity that are tried first, as shares of the loop's rate: above 0.8 it is plain PD.
+# Cutoffs of the filtered velocity that are tried first, as shares of the loop's rate: above 0.8 it
+# is plain PD.
 CUTOFFS = (0.05, 0.1, 0.2, 0.4, 0.8)
 
 
@@ -36,7 +39,8 @@ class Tuned:
     """The stiffest member of a family at one demand."""
 
     family: str  # ``pd``, ``pd_filtered``, ``pd_alpha``, ``paper_optimum`` or ``designed``
-    # Its description, as `nodes.laws.parse.parse_law` reads it; None when no member keeps the demand.
+    # Its description, as `nodes.laws.parse.parse_law` reads it; None when no member keeps the
+    # demand.
     law: dict[str, Any] | None
     found: Robust | None  # its figures
 
@@ -79,20 +83,26 @@ def best_pd_alpha(demand: Demand, taps: int, orders: tuple[float, ...] | None = 
     """Tune stiffness and damping of PDα of so many taps at every order, by default `ORDERS`; refine the best."""
 
     def at(order: float, wanted: Demand) -> Tuned:
-        return best_linear("pd_alpha", {"kind": "pd_alpha", "order": order, "taps": taps, "gains": "paper"}, wanted)
+        return best_linear(
+            "pd_alpha", {"kind": "pd_alpha", "order": order, "taps": taps, "gains": "paper"}, wanted
+        )
 
     best = _stiffest_of(at, ORDERS if orders is None else orders, demand)
     step = 0.1
     while step >= REFINED and best.law is not None:
         order = float(best.law["order"])
-        best = _stiffest_of(at, [x for x in (order - step, order + step) if 0.0 < x < 4.0], demand, best)
+        best = _stiffest_of(
+            at, [x for x in (order - step, order + step) if 0.0 < x < 4.0], demand, best
+        )
         step *= 0.5
     return best
 
 
 def best_paper_optimum(demand: Demand) -> Tuned:
     """Tune stiffness and damping of the paper's optimum; its gains and orders stay."""
-    return best_linear("paper_optimum", {**PRESETS["paper_optimum"], "kind": "paper_optimum"}, demand)
+    return best_linear(
+        "paper_optimum", {**PRESETS["paper_optimum"], "kind": "paper_optimum"}, demand
+    )
 
 
 def compare(demand: Demand, taps: int, say: Callable[[str], None]) -> Iterator[Tuned]:
@@ -115,8 +125,12 @@ def _stiffness(tuned: Tuned) -> float:
 
 def best_linear(family: str, shape: dict[str, Any], demand: Demand) -> Tuned:
     """Tune K and B of a law that is linear in both: its taps at (K, B) = (1, 0) and what one B adds."""
-    spring, pole = _numerator(parse_law({**shape, "stiffness": 1.0, "damping": 0.0}).compile(demand.period))
-    both, _ = _numerator(parse_law({**shape, "stiffness": 1.0, "damping": 1.0}).compile(demand.period))
+    spring, pole = _numerator(
+        parse_law({**shape, "stiffness": 1.0, "damping": 0.0}).compile(demand.period)
+    )
+    both, _ = _numerator(
+        parse_law({**shape, "stiffness": 1.0, "damping": 1.0}).compile(demand.period)
+    )
     found = stiffest(demand, np.array([spring, both - spring]), free=False, pole=pole)
     if found is None or not found.parameters[0] > 0.0:
         return Tuned(family, None, None)
@@ -125,7 +139,10 @@ def best_linear(family: str, shape: dict[str, Any], demand: Demand) -> Tuned:
 
 
 def _stiffest_of(
-    at: Callable[[float, Demand], Tuned], values: Sequence[float], demand: Demand, best: Tuned | None = None
+    at: Callable[[float, Demand], Tuned],
+    values: Sequence[float],
+    demand: Demand,
+    best: Tuned | None = None,
 ) -> Tuned:
     """Tune at each value; where laws must land, only while what the linear demand allows is above the best so far."""
     if not demand.lands:
@@ -158,16 +175,22 @@ def latest_delay(law: CompiledLaw, demand: Demand) -> float | None:
     """
     masses = np.unique(np.geomspace(*demand.mass, 5)).tolist()
     edges: list[float | None] = []
-    for mass, damping, hand in itertools.product(masses, sorted(set(demand.dampings)), sorted(set(demand.stiffness))):
+    for mass, damping, hand in itertools.product(
+        masses, sorted(set(demand.dampings)), sorted(set(demand.stiffness))
+    ):
         if demand.beyond:
-            edges += [_latest(law, demand, (mass, damping), (hand, *beyond)) for beyond in demand.beyond]
+            edges += [
+                _latest(law, demand, (mass, damping), (hand, *beyond)) for beyond in demand.beyond
+            ]
         else:
             limit = tolerance(law, Plant(demand.period, mass, damping, demand.delay[1], hand))
             edges.append(0.0 if limit is None else limit.delay_max_ticks)
     return min((edge for edge in edges if edge is not None), default=None)
 
 
-def _latest(law: CompiledLaw, demand: Demand, body: tuple[float, float], beyond: tuple[float, ...]) -> float | None:
+def _latest(
+    law: CompiledLaw, demand: Demand, body: tuple[float, float], beyond: tuple[float, ...]
+) -> float | None:
     """Go on by quarters of a tick until a pole leaves the unit circle, at most 20 ticks, and find where it does."""
 
     def stable(delay: float) -> bool:
@@ -204,7 +227,10 @@ def certified(tune: Callable[[Demand], Tuned], demand: Demand) -> Tuned:
     """Tune to smaller pole radii, 10 % further from 1 each, until every sequence of delays is certified; ten times at most."""
     margin = 1.0 - demand.radius
     if demand.delay[1] > demand.delay[0] + 1.0:
-        raise ValueError(f"delay {demand.delay[0]:g}..{demand.delay[1]:g} ticks: a certificate takes at most one tick")
+        raise ValueError(
+            f"delay {demand.delay[0]:g}..{demand.delay[1]:g} ticks: a certificate takes at most one"
+            " tick"
+        )
     for _ in range(10):
         tuned = tune(replace(demand, radius=1.0 - margin))
         if tuned.found is None or certificate(tuned.found.law, demand) is True:
@@ -213,7 +239,9 @@ def certified(tune: Callable[[Demand], Tuned], demand: Demand) -> Tuned:
     return Tuned(tuned.family, None, None)
 
 
-def to_yaml(law: dict[str, Any], name: str = "designed", node: str = "coupling", comment: str = "") -> str:
+def to_yaml(
+    law: dict[str, Any], name: str = "designed", node: str = "coupling", comment: str = ""
+) -> str:
     """Write a law so that ``haptic param load`` takes it at once: defined under its name, and switched to."""
     head = "".join(f"# {line}\n" for line in comment.splitlines())
     return head + write_yaml({node: {"law": name, "laws": {name: law}}})

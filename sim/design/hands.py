@@ -1,10 +1,12 @@
 """Bounded hands: the worst pole radius over a box of grasps, and a certificate for every grasp of it.
 
-Passivity is for any hand, and a spring of 0..k for none that has mass. Between them is the fingertip: mass, spring and damper,
-each within limits. The worst of them is searched on a grid that closes in; that is no proof. The certificate cuts the box into
-cells: within one, the matrix of a tick is that of its middle, plus what is linear in the grasp's numbers and so lies in the
-hull of the corners, plus a remainder that is bounded. A norm in which all of these shrink is a proof for the cell
-(THEORY.md §21).
+Passivity is for any hand, and a spring of 0..k for none that has mass. Between them is the
+fingertip: mass, spring and damper, each within limits. The worst of them is searched on a grid that
+closes in; that is no proof. The certificate cuts the box into
+cells: within one, the matrix of a tick is that of its middle, plus what is linear in the grasp's
+    numbers and so lies in the
+hull of the corners, plus a remainder that is bounded. A norm in which all of these shrink is a
+proof for the cell (THEORY.md §21).
 """
 
 import itertools
@@ -39,7 +41,9 @@ class HandBox:
     def __post_init__(self) -> None:
         for name in ("mass", "stiffness", "damping"):
             low, high = getattr(self, name)
-            if not (0.0 <= low <= high and math.isfinite(high)) or (low == 0.0 and name != "damping"):
+            if not (0.0 <= low <= high and math.isfinite(high)) or (
+                low == 0.0 and name != "damping"
+            ):
                 expected = "0 <= low <= high" if name == "damping" else "0 < low <= high"
                 raise ValueError(f"{name} = {low:g}..{high:g}: expected {expected}, finite")
 
@@ -50,15 +54,21 @@ class HandBox:
 
     def corners(self) -> tuple[Grasp, ...]:
         """Return the grasps at the limits."""
-        return tuple(Grasp(*values) for values in itertools.product(*(sorted(set(side)) for side in self.sides)))
+        return tuple(
+            Grasp(*values)
+            for values in itertools.product(*(sorted(set(side)) for side in self.sides))
+        )
 
     def text(self) -> str:
         """Return the box in units."""
-        mass, stiffness, damping = (f"{low:g}..{high:g}" if low < high else f"{low:g}" for low, high in self.sides)
+        mass, stiffness, damping = (
+            f"{low:g}..{high:g}" if low < high else f"{low:g}" for low, high in self.sides
+        )
         return f"grasp of {mass} kg behind {stiffness} N/m and {damping} N s/m"
 
 
-# The hand behind a stylus: Fu and Çavuşoğlu 2012 (sim/device/real_devices.py), without the arm's own spring and damper.
+# The hand behind a stylus: Fu and Çavuşoğlu 2012 (sim/device/real_devices.py), without the arm's
+# own spring and damper.
 STYLUS = HandBox((0.2, 0.22), (380.0, 770.0), (0.8, 1.8))
 
 
@@ -68,19 +78,25 @@ class WorstGrasp:
 
     radius: float  # largest pole radius found over the box
     grasp: Grasp  # where that is
-    certified: bool | None  # True: every grasp of the box is stable, proven; False: one is not; None: not decided or not asked
+    # True: every grasp of the box is stable, proven; False: one is not; None: not decided or not
+    # asked
+    certified: bool | None
     cells: int  # of the certificate
 
 
 def worst_grasp(law: CompiledLaw, plant: Plant, box: HandBox, certify: bool = False) -> WorstGrasp:
     """Search a box of grasps for the largest pole radius, and certify it if asked.
 
-    `plant`: device, delay and sampling period. The grid is geometric (of the damping linear), and closes in three times.
+    `plant`: device, delay and sampling period. The grid is geometric (of the damping linear), and
+    closes in three times.
     """
     limits: list[Sequence[float]] = list(box.sides)
     best, at, ticks = -math.inf, Grasp(*(side[0] for side in limits)), _Ticks(law, plant)
     for _ in range(1 + _ZOOMS):
-        axes = [_axis(low, high, linear) for (low, high), linear in zip(limits, (False, False, True), strict=True)]
+        axes = [
+            _axis(low, high, linear)
+            for (low, high), linear in zip(limits, (False, False, True), strict=True)
+        ]
         grasps = np.array(list(itertools.product(*axes)))
         radii = ticks.radii(grasps)
         worst = grasps[int(np.argmax(radii))].tolist()
@@ -111,8 +127,9 @@ class JudgedGrasps:
         }
         at = self.worst.grasp
         return (
-            f"{self.box.text()}: {told[self.worst.certified]} at the ends of mass and delay; largest pole radius "
-            f"{self.worst.radius:.6f}, of {at.mass:.3g} kg, {at.stiffness:.3g} N/m, {at.damping:.3g} N s/m (THEORY.md §21)"
+            f"{self.box.text()}: {told[self.worst.certified]} at the ends of mass and delay;"
+            f" largest pole radius {self.worst.radius:.6f}, of {at.mass:.3g} kg, {at.stiffness:.3g}"
+            f" N/m, {at.damping:.3g} N s/m (THEORY.md §21)"
         )
 
 
@@ -134,14 +151,19 @@ def judge_grasps(law: CompiledLaw, demand: Demand, box: HandBox, most: int = CEL
             if not proven:
                 certified = None
                 break
-    return JudgedGrasps(box, replace(worst, certified=certified, cells=cells), where.mass, where.delay)
+    return JudgedGrasps(
+        box, replace(worst, certified=certified, cells=cells), where.mass, where.delay
+    )
 
 
-def k_max_over(make: Callable[[float], CompiledLaw], plant: Plant, box: HandBox, highest: float) -> float | None:
+def k_max_over(
+    make: Callable[[float], CompiledLaw], plant: Plant, box: HandBox, highest: float
+) -> float | None:
     """Bisect the largest nominal stiffness up to `highest` [N/m] at which no grasp of a box makes the loop unstable.
 
-    `make`: a law of a nominal stiffness [N/m]. None where not even a hundredth of it is stable. Searched from below in steps of
-    10 %, so that what is found is the end of the lowest stable interval wider than that.
+    `make`: a law of a nominal stiffness [N/m]. None where not even a hundredth of it is stable.
+    Searched from below in steps of 10 %, so that what is found is the end of the lowest stable
+    interval wider than that.
     """
 
     def stable(stiffness: float) -> bool:
@@ -174,13 +196,20 @@ def _closer(axis: list[float], value: float) -> list[float]:
     return [axis[max(i - 1, 0)], axis[min(i + 1, len(axis) - 1)]]
 
 
-def certify_box(law: CompiledLaw, plant: Plant, box: HandBox, most: int = CELLS) -> tuple[bool | None, int]:
+def certify_box(
+    law: CompiledLaw, plant: Plant, box: HandBox, most: int = CELLS
+) -> tuple[bool | None, int]:
     """Prove every grasp of a box stable, cell by cell: True, or None when `most` cells do not do; and the cells."""
     ticks = _Ticks(law, plant)
-    # In 1/mass a tick's generator is linear in each of the three numbers, so that the hull of a cell's corners holds it.
-    waiting, cells = np.array([((1.0 / box.mass[1], 1.0 / box.mass[0]), box.stiffness, box.damping)]), 0
+    # In 1/mass a tick's generator is linear in each of the three numbers, so that the hull of a
+    # cell's corners holds it.
+    waiting, cells = (
+        np.array([((1.0 / box.mass[1], 1.0 / box.mass[0]), box.stiffness, box.damping)]),
+        0,
+    )
     while len(waiting):
-        # The last first: what is proven leaves room, and a box that cannot be is given up early on one of its corners.
+        # The last first: what is proven leaves room, and a box that cannot be is given up early on
+        # one of its corners.
         batch, waiting = waiting[-_BATCH:], waiting[:-_BATCH]
         cells += len(batch)
         if cells > most:
@@ -199,12 +228,18 @@ class _Ticks:
         self._plant = plant
         fraction = plant.delay - math.floor(plant.delay)
         self._durations = (fraction, 1.0 - fraction)
-        unit, none, flat, whole = plant.period**2 / plant.mass, np.zeros(4), np.zeros((4, 4)), math.floor(plant.delay)
+        unit, none, flat, whole = (
+            plant.period**2 / plant.mass,
+            np.zeros(4),
+            np.zeros((4, 4)),
+            math.floor(plant.delay),
+        )
 
         def loop(new: Array, old: Array) -> Array:
             return tick_matrix(law, unit, flat, [(whole, new), (whole + 1, old)])
 
-        # The loop's matrix is what shifts, plus the motion, plus what the two forces that act push, each times its own row.
+        # The loop's matrix is what shifts, plus the motion, plus what the two forces that act push,
+        # each times its own row.
         first = np.array([unit, 0.0, 0.0, 0.0])
         self._shift = loop(none, none)
         self._newer = (loop(first, none) - self._shift)[0]
@@ -225,8 +260,8 @@ class _Ticks:
     def _motion(self, generator: Array, change: Array | None = None) -> tuple[Array, Array, Array]:
         """Matrices of the motion over a tick, (c, 4, 4), (c, 4), (c, 4): free, of the newer force and of the older one.
 
-        With a `change` of the generator, what that adds to first order: it is read off the exponential of a matrix of blocks,
-        in which it stands beside the exponential itself.
+        With a `change` of the generator, what that adds to first order: it is read off the
+        exponential of a matrix of blocks, in which it stands beside the exponential itself.
         """
         if change is None:
             early, late = (_exponential(generator * share) for share in self._durations)
@@ -240,7 +275,11 @@ class _Ticks:
     def _loop(self, motion: tuple[Array, Array, Array], moving: bool) -> Array:
         """Put motions into the loop's matrix; `moving`: without what shifts, for what a change adds."""
         step, new, old = motion
-        matrix = np.zeros((len(step), *self._shift.shape)) if moving else np.repeat(self._shift[None], len(step), axis=0)
+        matrix = (
+            np.zeros((len(step), *self._shift.shape))
+            if moving
+            else np.repeat(self._shift[None], len(step), axis=0)
+        )
         matrix[:, :4, :4] += step
         matrix[:, :4] += new[:, :, None] * self._newer + old[:, :, None] * self._older
         return matrix
@@ -250,7 +289,9 @@ class _Ticks:
         step, new, old = motion
         matrix = np.zeros((len(step), *self._shift.shape))
         matrix[:, :4, :4] += step
-        matrix[:, :4] += new[:, :, None] * np.abs(self._newer) + old[:, :, None] * np.abs(self._older)
+        matrix[:, :4] += new[:, :, None] * np.abs(self._newer) + old[:, :, None] * np.abs(
+            self._older
+        )
         return matrix
 
     def radii(self, grasps: Array) -> Array:
@@ -270,21 +311,38 @@ class _Ticks:
         scale = np.where(sure, 0.5 * (1.0 + radius), 2.0 * radius)
         norm = _norms(matrix / scale[:, None, None])
         inverse = np.linalg.inv(norm)
-        slopes = [self._loop(self._motion(generator, np.broadcast_to(part, generator.shape)), moving=True) for part in _PARTS]
+        slopes = [
+            self._loop(self._motion(generator, np.broadcast_to(part, generator.shape)), moving=True)
+            for part in _PARTS
+        ]
         which = np.array(list(itertools.product((0, 1), repeat=3)))
         corners = self._numbers(cells[:, np.arange(3), which]) - middles[:, None]
         moved = matrix[:, None] + np.einsum("cnk,kcij->cnij", corners, np.array(slopes))
-        largest = np.linalg.norm(norm[:, None] @ moved @ inverse[:, None], ord=2, axis=(2, 3)).max(axis=1)
+        largest = np.linalg.norm(norm[:, None] @ moved @ inverse[:, None], ord=2, axis=(2, 3)).max(
+            axis=1
+        )
         # Beyond first order: series with all signs positive bound it, entry by entry.
-        size, change = np.abs(generator), np.einsum("ck,kij->cij", np.abs(corners).max(axis=1), np.abs(_PARTS))
+        size, change = (
+            np.abs(generator),
+            np.einsum("ck,kij->cij", np.abs(corners).max(axis=1), np.abs(_PARTS)),
+        )
         with np.errstate(over="ignore", invalid="ignore"):
-            both, own, linear = self._motion(size + change), self._motion(size), self._motion(size, change)
-            beyond = [np.maximum(a - b - c, 0.0) + _SERIES * (1.0 + a) for a, b, c in zip(both, own, linear, strict=True)]
+            both, own, linear = (
+                self._motion(size + change),
+                self._motion(size),
+                self._motion(size, change),
+            )
+            beyond = [
+                np.maximum(a - b - c, 0.0) + _SERIES * (1.0 + a)
+                for a, b, c in zip(both, own, linear, strict=True)
+            ]
             rest = np.abs(norm) @ self._bound((beyond[0], beyond[1], beyond[2])) @ np.abs(inverse)
         # Of a stiff and light grasp the bound is beyond what a double holds: no proof.
         known = np.isfinite(rest).all(axis=(1, 2))
         rest[~known] = 0.0
-        return np.asarray(sure & known & (largest + np.linalg.norm(rest, ord=2, axis=(1, 2)) < 1.0 - 1e-9))
+        return np.asarray(
+            sure & known & (largest + np.linalg.norm(rest, ord=2, axis=(1, 2)) < 1.0 - 1e-9)
+        )
 
     def halved(self, cells: Array) -> Array:
         """Cut each cell in two across the side that changes a tick most."""

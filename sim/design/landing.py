@@ -1,9 +1,10 @@
 """Landing as a constraint of the search: laws that keep a demand and settle when dropped, with a margin.
 
-The loop in contact is linear. Landing is not: contact comes and goes, and history and clamping are conventions (THEORY.md §4)
-that no pole radius covers. Where drops settle has a ragged edge, so a law must settle a little beyond the demand too: from half
-to twice the height, with masses 3 % outside the range. The search is differential evolution in boxes that shrink about the best
-so far, every candidate dropped.
+The loop in contact is linear. Landing is not: contact comes and goes, and history and clamping are
+conventions (THEORY.md §4) that no pole radius covers. Where drops settle has a ragged edge, so a
+law must settle a little beyond the demand too: from half to twice the height, with masses 3 %
+outside the range. The search is differential evolution in boxes that shrink about the best so far,
+every candidate dropped.
 """
 
 import itertools
@@ -19,7 +20,16 @@ from nodes.stability.flexible import FlexiblePlant
 from nodes.stability.landing_proof import CONVENTION, prove_landing
 from nodes.stability.plant import Plant
 from sim.arrays import Array
-from sim.design.demand import CONVENTIONS, Demand, LoopCase, alternating, cases_of, corners, filtered, keeps
+from sim.design.demand import (
+    CONVENTIONS,
+    Demand,
+    LoopCase,
+    alternating,
+    cases_of,
+    corners,
+    filtered,
+    keeps,
+)
 from sim.design.evolution import evolve
 from sim.design.fall import Falls, falls, settled
 from sim.device.model import DeviceModel
@@ -28,7 +38,9 @@ from sim.scene.loop import Scene
 
 MARGIN = 0.03  # how far the masses that must land lie outside the demanded range
 HEIGHTS = (0.01, 0.005, 0.02)  # from which they must land [m]; the first is the drop's own
-_BOXES = (1.5, 0.3, 0.03)  # half widths of the boxes, in forces that move the lightest device by the deflection within one tick
+# half widths of the boxes, in forces that move the lightest device by the deflection within one
+# tick
+_BOXES = (1.5, 0.3, 0.03)
 
 
 def dropped(demand: Demand, mass: float, raw: bool, clamp: bool, height: float) -> Scene:
@@ -42,11 +54,16 @@ def drops(law: CompiledLaw, demand: Demand) -> dict[str, bool]:
     given = {}
     for mass in np.unique(np.geomspace(*demand.mass, 3)).tolist():
         for raw, clamp in CONVENTIONS:
-            name = f"{'position' if raw else 'penetration'} {'clamped' if clamp else 'free'} {mass:.3g} kg"
+            name = (
+                f"{'position' if raw else 'penetration'} {'clamped' if clamp else 'free'}"
+                f" {mass:.3g} kg"
+            )
             if demand.beyond:
                 given[name] = all(settled(law, falls(demand, [mass], [(raw, clamp)], HEIGHTS[:1])))
             else:
-                given[name] = settles(dropped(demand, mass, raw, clamp, HEIGHTS[0]), [law], Criterion())[0]
+                given[name] = settles(
+                    dropped(demand, mass, raw, clamp, HEIGHTS[0]), [law], Criterion()
+                )[0]
     return given
 
 
@@ -55,7 +72,8 @@ class ProvenLanding:
     """Whether every drop settles at all corners of a demand, proven (THEORY.md §19)."""
 
     proven: bool
-    cases: int  # devices and delays that were looked at: all of them, or up to the first without a proof
+    # devices and delays that were looked at: all of them, or up to the first without a proof
+    cases: int
     margin: float  # least Re{M (1 + G)} over them
     convention: str  # of contact, that the proof is about
     why: str  # where and why there is no proof; empty with one
@@ -63,7 +81,10 @@ class ProvenLanding:
     def text(self) -> str:
         """Return the verdict in a sentence."""
         if self.proven:
-            return f"every drop settles: proven for {self.cases} devices and delays of these ranges ({self.convention})"
+            return (
+                f"every drop settles: proven for {self.cases} devices and delays of these ranges"
+                f" ({self.convention})"
+            )
         return f"every drop settles: no proof ({self.convention}): {self.why}"
 
 
@@ -101,7 +122,10 @@ def best_pd_windowed(demand: Demand, resolution: float) -> dict[str, Any] | None
     ]
     best: dict[str, Any] | None = None
     unit = demand.mass[0] / demand.period**2
-    stiffnesses, gains = np.geomspace(2e-3, 0.8, 20) * unit, np.geomspace(0.01, 0.8, 8) * unit * demand.period
+    stiffnesses, gains = (
+        np.geomspace(2e-3, 0.8, 20) * unit,
+        np.geomspace(0.01, 0.8, 8) * unit * demand.period,
+    )
     for spread in (1.2, 1.05, 1.0):
         tried = [
             {"kind": "pd_windowed", "stiffness": k, "damping": b, "resolution": resolution}
@@ -109,7 +133,11 @@ def best_pd_windowed(demand: Demand, resolution: float) -> dict[str, Any] | None
             if k + 2.0 * b / demand.period <= demand.nyquist
         ]
         lands = _settled([parse_law(law).compile(demand.period) for law in tried], scenes) == 1.0
-        best = max((law for law, good in zip(tried, lands, strict=True) if good), key=_stiffness, default=best)
+        best = max(
+            (law for law, good in zip(tried, lands, strict=True) if good),
+            key=_stiffness,
+            default=best,
+        )
         if best is None:
             break
         stiffnesses = best["stiffness"] * np.geomspace(1.0, spread, 8)
@@ -136,7 +164,13 @@ def _settled(laws: list[CompiledLaw], scenes: list[Scene]) -> Array:
 
 
 def landed(
-    demand: Demand, basis: Array, fine: LoopCase, starts: list[Array], free: bool, seed: int, effort: int
+    demand: Demand,
+    basis: Array,
+    fine: LoopCase,
+    starts: list[Array],
+    free: bool,
+    seed: int,
+    effort: int,
 ) -> Array | None:
     """Search a family, climbing from `starts` too, for the stiffest law that keeps a demand and lands; None where none does."""
     drops = falls(demand, _margin(demand), demand.lands, HEIGHTS)
@@ -144,7 +178,11 @@ def landed(
     for start in [*starts, None]:
         found = _shrunk(demand, basis, fine, drops, start, free, seed, effort)
         for one in [start, found]:
-            if one is None or one.sum() == 0.0 or (stiffness := float(one @ basis.sum(axis=1))) <= most:
+            if (
+                one is None
+                or one.sum() == 0.0
+                or (stiffness := float(one @ basis.sum(axis=1))) <= most
+            ):
                 continue
             taps = one @ basis
             if keeps(demand, taps, fine) and all(settled(filtered(taps, fine.pole), drops)):
@@ -153,7 +191,14 @@ def landed(
 
 
 def _shrunk(
-    demand: Demand, basis: Array, fine: LoopCase, drops: Falls, start: Array | None, free: bool, seed: int, effort: int
+    demand: Demand,
+    basis: Array,
+    fine: LoopCase,
+    drops: Falls,
+    start: Array | None,
+    free: bool,
+    seed: int,
+    effort: int,
 ) -> Array | None:
     """Search in boxes that shrink about the best so far; without a start the first is wide."""
     parameters = len(basis)
@@ -162,7 +207,15 @@ def _shrunk(
     least = demand.above * (1.0 - fine.pole) / unit
     loop = LoopCase(demand, cases_of(demand, 15, 3), basis.shape[1], fine.pole)
     gain, noise = basis.sum(axis=1) / unit, basis @ alternating(basis.shape[1]) / unit
-    given = (loop.fixed, loop.by_tap, basis, gain, noise, demand.nyquist / unit, demand.radius - 1e-7)
+    given = (
+        loop.fixed,
+        loop.by_tap,
+        basis,
+        gain,
+        noise,
+        demand.nyquist / unit,
+        demand.radius - 1e-7,
+    )
     here, score = start, 0.0
     size, generations = 12 * parameters, (10 + 15 * parameters) * effort
     for span in _BOXES if start is None else _BOXES[1:]:

@@ -1,9 +1,12 @@
 """The stiffest passive law for the delay one really has: passive whatever mass, hand or grip, and by a verified margin.
 
-Colgate's condition is linear in the taps at each frequency, at a fractional delay the eigenvalue of a matrix that is linear in
-them: convex and homogeneous. So the stiffest law is found by cutting planes: a linear programme over the cuts so far, new cuts
-where its solution needs most damping. What comes out is scaled by the damping that it really needs, bounded between the sampled
-frequencies too: passive for certain. For d = 1 it must find 2/(1 + 1/cos(π/(n+3))) (THEORY.md §2).
+Colgate's condition is linear in the taps at each frequency, at a fractional delay the eigenvalue of
+a matrix that is linear in
+them: convex and homogeneous. So the stiffest law is found by cutting planes: a linear programme
+    over the cuts so far, new cuts
+where its solution needs most damping. What comes out is scaled by the damping that it really needs,
+bounded between the sampled frequencies too: passive for certain. For d = 1 it must find 2/(1 +
+1/cos(π/(n+3))) (THEORY.md §2).
 """
 
 import math
@@ -26,35 +29,47 @@ class Passive:
     taps: Array
     h1_n_per_m: float  # H(1) [N/m]
     h_nyquist_n_per_m: float  # H(−1) [N/m]
-    damping_needed_n_s_per_m: float  # certain upper bound of the damping it needs, not above the device's [N s/m]
+    # certain upper bound of the damping it needs, not above the device's [N s/m]
+    damping_needed_n_s_per_m: float
     ratio: float  # H(1)·T/b: 2/(1+2d) for the spring, 2/(1+d) at best (THEORY.md §2)
-    # What the last programme, which knows fewer frequencies, would have allowed: no passive law of this length and bound on
-    # H(−1) is stiffer [N/m].
+    # What the last programme, which knows fewer frequencies, would have allowed: no passive law of
+    # this length and bound on H(−1) is stiffer [N/m].
     bound_n_per_m: float
 
 
 def stiffest_passive(
-    taps: int, period: float, damping: float, delay: tuple[float, float], nyquist: float = math.inf, tolerance: float = 1e-7
+    taps: int,
+    period: float,
+    damping: float,
+    delay: tuple[float, float],
+    nyquist: float = math.inf,
+    tolerance: float = 1e-7,
 ) -> Passive:
     """Find the taps with the largest H(1) that are passive at any delay of a range, |H(−1)| at most `nyquist` [N/m]."""
     from scipy.optimize import linprog
 
     if not damping > 0.0:
-        raise ValueError(f"damping = {damping!r} N s/m: a device without damping is passive with no stiffness at all")
+        raise ValueError(
+            f"damping = {damping!r} N s/m: a device without damping is passive with no stiffness"
+            " at all"
+        )
     theta = np.linspace(0.0, np.pi, _GRID * max(1, taps // 8) + 1)
     # At whole ticks, too: there the damping needed has a kink.
     whole = np.arange(math.ceil(delay[0]), math.floor(delay[1]) + 1)
     delays = np.union1d(np.linspace(*delay, 5), whole).tolist()
     bases = [_bases(theta, taps, at) for at in delays]
     signs = np.where(np.arange(taps) % 2, -1.0, 1.0)
-    # In units of b/T. A spring's own limit bounds the search from the start: |h_m| of a passive law stays below some b/T.
+    # In units of b/T. A spring's own limit bounds the search from the start: |h_m| of a passive law
+    # stays below some b/T.
     top = nyquist * period / damping
     rows, limits = [np.ones(taps)], [2.0 / (1.0 + delay[0]) + 1.0]
     if math.isfinite(top):
         rows, limits = [*rows, signs, -signs], [*limits, top, top]
     best, bound = np.zeros(taps), math.inf
     for _ in range(_CUTS):
-        solution = linprog(-np.ones(taps), A_ub=np.array(rows), b_ub=np.array(limits), bounds=[(-1e3, 1e3)] * taps)
+        solution = linprog(
+            -np.ones(taps), A_ub=np.array(rows), b_ub=np.array(limits), bounds=[(-1e3, 1e3)] * taps
+        )
         if not solution.success or solution.x is None:
             raise ValueError(f"taps = {taps}: the linear programme ended with: {solution.message}")
         h = np.asarray(solution.x, dtype=np.float64)
@@ -67,24 +82,30 @@ def stiffest_passive(
             break
         for needed, slopes in every:
             padded = np.concatenate([[-math.inf], needed, [-math.inf]])
-            peaks = np.flatnonzero((needed >= padded[:-2]) & (needed >= padded[2:]) & (needed > 1.0 + 1e-12))
+            peaks = np.flatnonzero(
+                (needed >= padded[:-2]) & (needed >= padded[2:]) & (needed > 1.0 + 1e-12)
+            )
             rows += list(slopes[peaks])
             limits += [1.0] * peaks.size
     certain = certain_damping(best * damping / period, period, *delay)
     final = best * damping / period * min(1.0, damping / certain)
     law = CompiledLaw(tuple(final.tolist()))
     ratio = law.h1 * period / damping
-    return Passive(final, law.h1, law.h_nyquist, min(certain, damping), ratio, bound * damping / period)
+    return Passive(
+        final, law.h1, law.h_nyquist, min(certain, damping), ratio, bound * damping / period
+    )
 
 
 def certain_damping(h: Array, period: float, delay: float, latest: float | None = None) -> float:
     """Bound the damping a law needs at a delay, or at any up to the `latest` [ticks], from above, for certain [N s/m].
 
-    That is the largest of many samples over the frequencies plus what may hide between; over the delays it is exact.
+    That is the largest of many samples over the frequencies plus what may hide between; over the
+    delays it is exact.
 
-    A trigonometric polynomial of degree N with M > 2N equidistant samples exceeds its largest sample in modulus by at most
-    1/cos(πN/M) (Ehlich and Zeller 1964). The damping needed at a fractional delay is a maximum of such polynomials, so the
-    bound is too high by at most 3e-7 of the largest |Re T z^−d H/(1−z)|.
+    A trigonometric polynomial of degree N with M > 2N equidistant samples exceeds its largest
+    sample in modulus by at most 1/cos(πN/M) (Ehlich and Zeller 1964). The damping needed at a
+    fractional delay is a maximum of such polynomials, so the bound is too high by at most 3e-7 of
+    the largest |Re T z^−d H/(1−z)|.
     """
     latest = delay if latest is None else latest
     degree = len(h) + math.ceil(latest) + 1
@@ -98,24 +119,34 @@ def certain_damping(h: Array, period: float, delay: float, latest: float | None 
             largest = max(largest, float(_most(soon @ h, late @ h, size, ends).max()))
             middle = min(max(0.5, ends[0]), ends[1])
             s = np.maximum(*(np.abs((1.0 - phi) * (soon @ h) + phi * (late @ h)) for phi in ends))
-            modulus = max(modulus, float(0.5 * (s + np.sqrt(s * s + middle * (1.0 - middle) * size * size)).max()))
+            modulus = max(
+                modulus,
+                float(0.5 * (s + np.sqrt(s * s + middle * (1.0 - middle) * size * size)).max()),
+            )
     return period * (largest + modulus * (1.0 / math.cos(math.pi / 4096.0) - 1.0))
 
 
 def _most(soon: Array, late: Array, size: Array, ends: tuple[float, float]) -> Array:
     """Largest damping needed at each frequency over the fractions φ of a tick between two ends, Re s and |H| given.
 
-    g = ½(s + √(s² + φ(1−φ)|H|²)), s between Re s of the two whole delays, is concave in φ: its peak, or the better end.
+    g = ½(s + √(s² + φ(1−φ)|H|²)), s between Re s of the two whole delays, is concave in φ: its
+    peak, or the better end.
     """
     low, high = (
-        0.5 * (s + np.sqrt(s * s + phi * (1.0 - phi) * size * size)) for phi in ends for s in [soon + phi * (late - soon)]
+        0.5 * (s + np.sqrt(s * s + phi * (1.0 - phi) * size * size))
+        for phi in ends
+        for s in [soon + phi * (late - soon)]
     )
     slope, middle = late - soon, 0.5 * (soon + late)
     with np.errstate(divide="ignore", invalid="ignore"):
         room = size * size - slope * slope
         root = np.sqrt(middle * middle + 0.25 * room)
         # Two ways to write the same, each free of cancellation on its side.
-        peak = size * size * np.where(middle < 0.0, 0.125 / (root - middle), 0.5 * (middle + root) / room)
+        peak = (
+            size
+            * size
+            * np.where(middle < 0.0, 0.125 / (root - middle), 0.5 * (middle + root) / room)
+        )
         at = 0.5 + 2.0 * peak * slope / (size * size)
         inside = (room > 0.0) & (ends[0] < at) & (at < ends[1])
     return np.asarray(np.where(inside, peak, np.maximum(low, high)))
@@ -128,14 +159,19 @@ def _bases(theta: Array, taps: int, delay: float) -> tuple[Array, Array, Array, 
     m = np.arange(taps)
     # Re{z^−k/(1−z)} = ½ + cos θ + … + cos kθ.
     sums = 0.5 + np.concatenate(
-        [np.zeros((1, theta.size)), np.cumsum(np.cos(np.outer(np.arange(1, taps + whole + 1), theta)), axis=0)]
+        [
+            np.zeros((1, theta.size)),
+            np.cumsum(np.cos(np.outer(np.arange(1, taps + whole + 1), theta)), axis=0),
+        ]
     )
     real = (1.0 - fraction) * sums[m + whole] + fraction * sums[m + whole + 1]
     angles = np.outer(m, theta)
     return real.T, np.cos(angles).T, -np.sin(angles).T, fraction * (1.0 - fraction)
 
 
-def _needed(h: Array, real: Array, cosine: Array, sine: Array, spread: float) -> tuple[Array, Array]:
+def _needed(
+    h: Array, real: Array, cosine: Array, sine: Array, spread: float
+) -> tuple[Array, Array]:
     """Damping needed at each frequency, and its slope along the taps."""
     s = real @ h
     if spread == 0.0:
@@ -143,5 +179,7 @@ def _needed(h: Array, real: Array, cosine: Array, sine: Array, spread: float) ->
     c, d = cosine @ h, sine @ h
     root = np.sqrt(s * s + spread * (c * c + d * d))
     safe = np.maximum(root, 1e-300)[:, None]
-    slope = 0.5 * (real + (s[:, None] * real + spread * (c[:, None] * cosine + d[:, None] * sine)) / safe)
+    slope = 0.5 * (
+        real + (s[:, None] * real + spread * (c[:, None] * cosine + d[:, None] * sine)) / safe
+    )
     return 0.5 * (s + root), slope

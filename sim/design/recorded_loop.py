@@ -1,7 +1,8 @@
 """What a recorded run tells about its loop: period, delay and jitter, tick by tick, for a design made for that loop.
 
-Poles are those of a constant delay. A delay that changes from tick to tick can be worse than each of its values; so a design
-for a recorded loop is replayed on that loop's own delays, with the exact device in between.
+Poles are those of a constant delay. A delay that changes from tick to tick can be worse than each
+of its values; so a design for a recorded loop is replayed on that loop's own delays, with the exact
+device in between.
 """
 
 import math
@@ -28,11 +29,13 @@ class Measured:
     """What a recorded run tells about its loop."""
 
     period: float  # sampling period T [s]
-    # Delay that all but one answered tick in a thousand stayed within, at either end [ticks], shape (2,).
+    # Delay that all but one answered tick in a thousand stayed within, at either end [ticks], shape
+    # (2,).
     delay: tuple[float, float]
     median: float  # median delay [ticks]
     jitter: float  # its spread, 99.9 % quantile minus 0.1 % quantile [ticks]
-    delays: tuple[float, ...]  # delay of each tick, in order [ticks]; infinite for a tick that was not answered in time
+    # delay of each tick, in order [ticks]; infinite for a tick that was not answered in time
+    delays: tuple[float, ...]
     unanswered: int  # how many were not
     # What the virtual device was given, None for another device [kg], [N s/m].
     mass: float | None
@@ -44,19 +47,31 @@ def measure(path: Path) -> Measured:
     recording = Recording(path)
     states = recording.messages(DEVICE_STATE)
     if len(states) < 100:
-        raise ValueError(f"{path}: {len(states)} ticks recorded, at least 100 are needed to tell delay and jitter")
+        raise ValueError(
+            f"{path}: {len(states)} ticks recorded, at least 100 are needed to tell delay and"
+            " jitter"
+        )
     period = period_of(recording)
     device = node_with(recording, "device").get("device", {})
     own = float(device.get("delay", 0.0))
-    # Each state tells of the tick before it; the first one, and a loop without forces yet, have none. A tick that was not
-    # answered in time has an older force instead, whose age it tells; its own force never acts.
+    # Each state tells of the tick before it; the first one, and a loop without forces yet, have
+    # none. A tick that was not answered in time has an older force instead, whose age it tells; its
+    # own force never acts.
     with_answer = [state for state in states[1:] if state.force_seq >= 0]
     delays = tuple(state.delay + own if state.age == 0 else math.inf for state in with_answer)
     answered = sorted(filter(math.isfinite, delays))
     if len(answered) < 100:
-        raise ValueError(f"{path}: {len(answered)} ticks were answered by a force in time, at least 100 are needed")
-    if recording.manifest.get("pace") == "realtime" and not any(state.delay for state in with_answer):
-        raise ValueError(f"{path}: a real-time run without any delay: it was recorded before delays were; record it again")
+        raise ValueError(
+            f"{path}: {len(answered)} ticks were answered by a force in time, at least 100 are"
+            " needed"
+        )
+    if recording.manifest.get("pace") == "realtime" and not any(
+        state.delay for state in with_answer
+    ):
+        raise ValueError(
+            f"{path}: a real-time run without any delay: it was recorded before delays were; record"
+            " it again"
+        )
     low, middle, high = (quantile(answered, fraction) for fraction in (0.001, 0.5, 0.999))
     told = (low, high), middle, high - low, delays, len(delays) - len(answered)
     return Measured(period, *told, device.get("mass"), device.get("damping"))
@@ -64,8 +79,12 @@ def measure(path: Path) -> Measured:
 
 def node_with(recording: Recording, name: str) -> dict[str, Any]:
     """Find the recorded parameters of the node that has such a group of them; empty without one."""
-    nodes = (parse_yaml(text, "parameters") for text in recording.metadata.get("parameters", {}).values())
-    return next((node for node in nodes if isinstance(node, dict) and isinstance(node.get(name), dict)), {})
+    nodes = (
+        parse_yaml(text, "parameters") for text in recording.metadata.get("parameters", {}).values()
+    )
+    return next(
+        (node for node in nodes if isinstance(node, dict) and isinstance(node.get(name), dict)), {}
+    )
 
 
 GIVEN_UP = 1e200  # deflection from which on a loop is called unstable whatever comes [m]
@@ -76,21 +95,36 @@ def replayed_radius(law: CompiledLaw, plant: Plant, delays: Sequence[float]) -> 
     if law.sections:
         raise ValueError("law: only taps can be replayed")
     if len(delays) < 40:
-        raise ValueError(f"delays: {len(delays)} ticks, at least 40 are needed for a first and a last quarter")
+        raise ValueError(
+            f"delays: {len(delays)} ticks, at least 40 are needed for a first and a last quarter"
+        )
     hand = Hand(stiffness=plant.stiffness, path=[(0.0, 0.0)]) if plant.stiffness else None
     device = DeviceModel(mass=plant.mass, damping=plant.damping, position=1.0, hand=hand)
-    scene = Scene(device=device, surface=SceneSurface("anchor"), period=plant.period, raw=False, clamp=False)
+    scene = Scene(
+        device=device, surface=SceneSurface("anchor"), period=plant.period, raw=False, clamp=False
+    )
     arrivals: list[tuple[float, int]] = []
     for at, seq in sorted((k + delay, k) for k, delay in enumerate(delays)):
         # A force that a younger one has overtaken never acts.
         if not arrivals or seq > arrivals[-1][1]:
             arrivals.append((at, seq))
-    when, answers = np.array([at for at, _ in arrivals]), np.array([seq for _, seq in arrivals], dtype=np.int64)
+    when, answers = (
+        np.array([at for at, _ in arrivals]),
+        np.array([seq for _, seq in arrivals], dtype=np.int64),
+    )
     with np.errstate(all="ignore"):
-        trace = run(scene, law, len(delays), interpreted=True, given=Given(arrivals=(when, answers, np.zeros(len(when)))))
+        trace = run(
+            scene,
+            law,
+            len(delays),
+            interpreted=True,
+            given=Given(arrivals=(when, answers, np.zeros(len(when)))),
+        )
         size = np.abs(trace.position) + np.abs(trace.velocity) * plant.period
     if not np.all(size < GIVEN_UP):
         return math.inf
     quarter = len(size) // 4
     first, last = float(np.max(size[:quarter])), float(np.max(size[-quarter:]))
-    return math.exp((math.log(last) - math.log(first)) / (len(size) - quarter)) if last > 0.0 else 0.0
+    return (
+        math.exp((math.log(last) - math.log(first)) / (len(size) - quarter)) if last > 0.0 else 0.0
+    )

@@ -1,9 +1,12 @@
 """The stiffest law of a family whose pole radius stays below a bound over ranges of mass, delay and hand.
 
-A family is linear in its parameters: all taps free, or spring and one derivative part (PD, one PDα, the paper's optimum). So
-all of them go through the same search: differential evolution with fixed seeds (`sim.design.evolution`), then linear
-programmes: every pole near the bound is linearised in the taps, H(1) is raised within a trust region, and what came out is
-accepted only if its true poles keep the bound. The worst case between those of the search joins it until none is worse.
+A family is linear in its parameters: all taps free, or spring and one derivative part (PD, one PDα,
+the paper's optimum). So all of them go through the same search: differential evolution with fixed
+seeds (`sim.design.evolution`), then linear
+programmes: every pole near the bound is linearised in the taps, H(1) is raised within a trust
+    region, and what came out is
+accepted only if its true poles keep the bound. The worst case between those of the search joins it
+until none is worse.
 """
 
 from collections.abc import Sequence
@@ -12,12 +15,23 @@ from dataclasses import replace
 import numpy as np
 
 from sim.arrays import Array
-from sim.design.demand import Demand, LoopCase, Robust, alternating, cases_of, filtered, keeps, quiet, verified_cases
+from sim.design.demand import (
+    Demand,
+    LoopCase,
+    Robust,
+    alternating,
+    cases_of,
+    filtered,
+    keeps,
+    quiet,
+    verified_cases,
+)
 from sim.design.evolution import evolved
 from sim.design.landing import landed
 
 _MASSES = 5
-# Half widths of the boxes that are searched from nothing: too narrow a one shuts the stiffest long laws out.
+# Half widths of the boxes that are searched from nothing: too narrow a one shuts the stiffest long
+# laws out.
 _SPANS = (0.3, 10.0)
 
 
@@ -32,14 +46,17 @@ def stiffest(
 ) -> Robust | None:
     """Find the law of a family with the largest H(1) that keeps the demand; None when no member does.
 
-    `basis`, shape (p, n + 1): taps per unit of each parameter [N/m], which may be negative where it is `free`; `effort`
-    multiplies the generations of the global search; `known`, shape (p,): members to climb from too, e.g. a shorter law.
+    `basis`, shape (p, n + 1): taps per unit of each parameter [N/m], which may be negative where it
+    is `free`; `effort` multiplies the generations of the global search; `known`, shape (p,):
+    members to climb from too, e.g. a shorter law.
     """
     basis = np.asarray(basis, dtype=np.float64)
-    # One unit of each parameter: a force that moves the lightest device by the deflection within one tick.
+    # One unit of each parameter: a force that moves the lightest device by the deflection within
+    # one tick.
     scale = demand.mass[0] / demand.period**2 / np.abs(basis).max(axis=1)
     basis = basis * scale[:, None]
-    # Behind a filter, taps have (1 + pole) times the gain at ω_N that is allowed, and 1/(1 − pole) times the stiffness.
+    # Behind a filter, taps have (1 + pole) times the gain at ω_N that is allowed, and 1/(1 − pole)
+    # times the stiffness.
     asked = replace(demand, nyquist=demand.nyquist * (1.0 + pole))
     everywhere = verified_cases(demand)
     fine = LoopCase(demand, everywhere, basis.shape[1], pole)
@@ -57,7 +74,13 @@ def stiffest(
 
 
 def _climbed(
-    demand: Demand, basis: Array, fine: LoopCase, starts: list[Array], free: bool, seed: int, effort: int
+    demand: Demand,
+    basis: Array,
+    fine: LoopCase,
+    starts: list[Array],
+    free: bool,
+    seed: int,
+    effort: int,
 ) -> Array | None:
     """Climb from all starts, by linear programmes."""
     cases = cases_of(demand, _MASSES, 3)
@@ -71,39 +94,63 @@ def _climbed(
     )
     for start in tried:
         found = _settle(demand, basis, fine, cases, start, target, free)
-        if found is not None and (best is None or found @ basis.sum(axis=1) > best @ basis.sum(axis=1)):
+        if found is not None and (
+            best is None or found @ basis.sum(axis=1) > best @ basis.sum(axis=1)
+        ):
             best = found
     return best
 
 
 def _settle(
-    demand: Demand, basis: Array, fine: LoopCase, cases: Array, start: Array, target: float, free: bool
+    demand: Demand,
+    basis: Array,
+    fine: LoopCase,
+    cases: Array,
+    start: Array,
+    target: float,
+    free: bool,
 ) -> Array | None:
     """Climb, verify everywhere, take the worst case in and come back inside, until there is none."""
     here, everywhere = start, verified_cases(demand)
     for _ in range(12):
-        here = _climb(demand, basis, LoopCase(demand, cases, fine.taps, fine.pole), here, target, free)
+        here = _climb(
+            demand, basis, LoopCase(demand, cases, fine.taps, fine.pole), here, target, free
+        )
         radii = fine.radii(here @ basis)
         worst = int(np.argmax(radii))
         if radii[worst] <= demand.radius:
             return here if quiet(demand, here @ basis) else None
         cases = np.vstack([cases, everywhere[worst]])
-        here = _retreat(demand, basis, LoopCase(demand, cases, fine.taps, fine.pole), here, target, free)
+        here = _retreat(
+            demand, basis, LoopCase(demand, cases, fine.taps, fine.pole), here, target, free
+        )
     return None
 
 
-def _global(demand: Demand, basis: Array, fine: LoopCase, free: bool, seed: int, effort: int, target: float) -> list[Array]:
+def _global(
+    demand: Demand, basis: Array, fine: LoopCase, free: bool, seed: int, effort: int, target: float
+) -> list[Array]:
     """Feasible starts, the stiffest first, each with its own seed."""
     p = len(basis)
-    few, many = (LoopCase(demand, cases_of(demand, masses, 3), fine.taps, fine.pole) for masses in (15, 101))
-    # Over ranges of delay and hand there are thousands of cases; the climb then brings the start inside all of them.
+    few, many = (
+        LoopCase(demand, cases_of(demand, masses, 3), fine.taps, fine.pole) for masses in (15, 101)
+    )
+    # Over ranges of delay and hand there are thousands of cases; the climb then brings the start
+    # inside all of them.
     loops = (few, many, fine) if len(fine.fixed) <= 1000 else (few, few, many)
     spans = _SPANS if p <= 4 else _SPANS[1:] * 2
-    tried = [evolved(demand, basis, loops, free, seed + i, effort, span, target) for i, span in enumerate(spans)]
-    return sorted((one for one in tried if one is not None), key=lambda one: -float(one @ basis.sum(axis=1)))
+    tried = [
+        evolved(demand, basis, loops, free, seed + i, effort, span, target)
+        for i, span in enumerate(spans)
+    ]
+    return sorted(
+        (one for one in tried if one is not None), key=lambda one: -float(one @ basis.sum(axis=1))
+    )
 
 
-def _climb(demand: Demand, basis: Array, loop: LoopCase, start: Array, target: float, free: bool) -> Array:
+def _climb(
+    demand: Demand, basis: Array, loop: LoopCase, start: Array, target: float, free: bool
+) -> Array:
     """Raise H(1) by linear programmes over the linearised poles, never leaving the bound."""
     from scipy.optimize import linprog
 
@@ -120,7 +167,9 @@ def _climb(demand: Demand, basis: Array, loop: LoopCase, start: Array, target: f
         rows = along[near] @ basis.T
         limits = target - size[near]
         rows = np.vstack([rows, noise, -noise])
-        limits = np.concatenate([limits, [demand.nyquist - noise @ here, demand.nyquist + noise @ here]])
+        limits = np.concatenate(
+            [limits, [demand.nyquist - noise @ here, demand.nyquist + noise @ here]]
+        )
         # A start on the bound may be beyond it by a rounding.
         bounds = [(-trust if free else max(-trust, -at), trust) for at in here.tolist()]
         solution = linprog(-gain, A_ub=rows, b_ub=np.maximum(limits, 0.0), bounds=bounds)
@@ -129,7 +178,11 @@ def _climb(demand: Demand, basis: Array, loop: LoopCase, start: Array, target: f
             continue
         there = here + solution.x
         gained = float(gain @ solution.x)
-        if gained > 0.0 and quiet(demand, there @ basis) and float(loop.radii(there @ basis).max()) <= target:
+        if (
+            gained > 0.0
+            and quiet(demand, there @ basis)
+            and float(loop.radii(there @ basis).max()) <= target
+        ):
             if gained < 1e-10 * float(gain @ here):
                 break
             here, trust = there, min(2.0 * trust, 0.5)
@@ -145,7 +198,9 @@ def _climb(demand: Demand, basis: Array, loop: LoopCase, start: Array, target: f
     return here
 
 
-def _retreat(demand: Demand, basis: Array, loop: LoopCase, start: Array, target: float, free: bool) -> Array:
+def _retreat(
+    demand: Demand, basis: Array, loop: LoopCase, start: Array, target: float, free: bool
+) -> Array:
     """Bring a law back inside after a case has joined: to where the excess is least, then back as far as allowed."""
     from scipy.optimize import minimize
 
@@ -159,12 +214,19 @@ def _retreat(demand: Demand, basis: Array, loop: LoopCase, start: Array, target:
 
     if excess(start) <= 0.0:
         return start
-    found = minimize(excess, start, method="Nelder-Mead", options={"maxfev": 1500, "xatol": 1e-10, "fatol": 1e-12})
+    found = minimize(
+        excess,
+        start,
+        method="Nelder-Mead",
+        options={"maxfev": 1500, "xatol": 1e-10, "fatol": 1e-12},
+    )
     inner = np.asarray(found.x, dtype=np.float64)
     if excess(inner) > 0.0:
         return inner
     low, high = 0.0, 1.0
     for _ in range(40):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if excess(inner + middle * (start - inner)) <= 0.0 else (low, middle)
+        low, high = (
+            (middle, high) if excess(inner + middle * (start - inner)) <= 0.0 else (low, middle)
+        )
     return inner + low * (start - inner)

@@ -21,7 +21,8 @@ from sim.device.model import DeviceModel
 from sim.device.real_devices import preset, provenance
 from sim.device.state import PENDING, VirtualDevice, read_axis, write_axis
 
-# The usual limits of a virtual device, as in the scenarios: largest force [N], fastest change of it [N/s], workspace [m].
+# The usual limits of a virtual device, as in the scenarios: largest force [N], fastest change of it
+# [N/s], workspace [m].
 PEAK, SLEW, REACH = 40.0, 20_000.0, 0.2
 NO_END: Final = DeviceLimits().workspace  # the workspace of a device that declares none [m]
 
@@ -30,14 +31,15 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
     """Parameters of the sim driver.
 
     device: The virtual device; see sim/device/model.py.
-    hold: The device's own deadline, as a servo thread has one: without a new force for so long it lets go [s]. Real time
-        only; None holds for ever.
-    pointer: Lets a page drag the target of the device's hand (nodes/driver/pointer.py). Real time only: in lockstep the hand
-        keeps to its path. None for a hand that nobody drags.
-    safety: As of every driver. Where neither limits nor ``without`` say otherwise, a virtual device has a largest force of
-        40 N, a slew of 20 000 N/s, and a workspace of 0.2 m around the places that its `device` names.
-    preset: A real device whose published values go before those of `device`, e.g. ``touch_x``; empty or ``none`` for none.
-        Its largest force is a limit of the driver too.
+    hold: The device's own deadline, as a servo thread has one: without a new force for so long it
+        lets go [s]. Real time only; None holds for ever.
+    pointer: Lets a page drag the target of the device's hand (nodes/driver/pointer.py). Real time
+        only: in lockstep the hand keeps to its path. None for a hand that nobody drags.
+    safety: As of every driver. Where neither limits nor ``without`` say otherwise, a virtual device
+        has a largest force of 40 N, a slew of 20 000 N/s, and a workspace of 0.2 m around the
+        places that its `device` names.
+    preset: A real device whose published values go before those of `device`, e.g. ``touch_x``;
+        empty or ``none`` for none. Its largest force is a limit of the driver too.
     """
 
     device: DeviceModel
@@ -53,21 +55,35 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
     def __post_init__(self) -> None:
         self._limit()
         if self.preset not in ("", "none"):
-            device = msgspec.convert(msgspec.to_builtins(self.device) | preset(self.preset), DeviceModel)
+            device = msgspec.convert(
+                msgspec.to_builtins(self.device) | preset(self.preset), DeviceModel
+            )
             # Frozen for everybody else: this is a part of its making.
             msgspec.structs.force_setattr(self, "device", device)
             if device.peak_force is not None:
                 peak = min(self.safety.peak_force or math.inf, device.peak_force)
-                msgspec.structs.force_setattr(self, "safety", msgspec.structs.replace(self.safety, peak_force=peak))
+                msgspec.structs.force_setattr(
+                    self, "safety", msgspec.structs.replace(self.safety, peak_force=peak)
+                )
 
     def _limit(self) -> None:
         """Fill in the limits that the launch file leaves out: a made-up device bears everything, its user does not."""
         safety = self.safety
-        usual: dict[str, Any] = {"peak_force": PEAK, "slew": SLEW, "workspace": _workspace(self.device)}
-        missing = {name: value for name, value in usual.items() if getattr(safety, name) is None and name not in safety.without}
+        usual: dict[str, Any] = {
+            "peak_force": PEAK,
+            "slew": SLEW,
+            "workspace": _workspace(self.device),
+        }
+        missing = {
+            name: value
+            for name, value in usual.items()
+            if getattr(safety, name) is None and name not in safety.without
+        }
         if missing:
             # Frozen for everybody else: this is a part of its making.
-            msgspec.structs.force_setattr(self, "safety", msgspec.structs.replace(safety, **missing))
+            msgspec.structs.force_setattr(
+                self, "safety", msgspec.structs.replace(safety, **missing)
+            )
 
 
 def _workspace(model: DeviceModel) -> Workspace:
@@ -125,11 +141,20 @@ class SimDevice:
     ) -> None:
         lockstep = setup.pace == "lockstep"
         self._compiled = setup.tick == "compiled"
-        self._limits = DeviceLimits(hold=math.inf if hold is None else hold, latency=model.delay * setup.period)
+        self._limits = DeviceLimits(
+            hold=math.inf if hold is None else hold, latency=model.delay * setup.period
+        )
         next_tick = lockstep and setup.apply == "next_tick"
         # The devices of all axes.
         self.parts = parts_of(
-            model, setup.axes, setup.period, next_tick, workspace, lockstep, self._limits.hold, self._compiled
+            model,
+            setup.axes,
+            setup.period,
+            next_tick,
+            workspace,
+            lockstep,
+            self._limits.hold,
+            self._compiled,
         )
         self._states = [part.state for part in self.parts]
         self._reader: PointerReader | None = None
@@ -163,7 +188,9 @@ class SimDevice:
             return None
         for d in self._states:
             d.clock_gettime, d.time = functions()["clock_gettime"], self._clock.buffer_info()[0]
-        self._context = array("q", [len(self.parts), *(part.address for part in self.parts), 0, 0][:4])
+        self._context = array(
+            "q", [len(self.parts), *(part.address for part in self.parts), 0, 0][:4]
+        )
         return Calls(read, write, self._context.buffer_info()[0])
 
     @property
@@ -188,7 +215,9 @@ class SimDevice:
         """Hand over a force: each axis takes its own part."""
         for d in self._states:
             if not write_axis(d, force[d.axis], seq, offset):
-                raise OverflowError(f"more than {PENDING} forces on their way to the virtual device")
+                raise OverflowError(
+                    f"more than {PENDING} forces on their way to the virtual device"
+                )
 
     def close(self) -> None:
         """Nothing to disconnect."""
@@ -218,11 +247,16 @@ class SimDriver(Driver):
         }
 
     @classmethod
-    def plant(cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]) -> dict[str, float]:
+    def plant(
+        cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]
+    ) -> dict[str, float]:
         """Return the plant that the device is, its hand included; where its axes differ, the worst of each value."""
         model: DeviceModel = convert(parameters, cls.Parameters, name).device
         parts = along(model, axes)
-        least, greatest = min(part.moving_masses[0] for part in parts), max(part.moving_masses[1] for part in parts)
+        least, greatest = (
+            min(part.moving_masses[0] for part in parts),
+            max(part.moving_masses[1] for part in parts),
+        )
         return {
             "mass": least,
             **({"heaviest": greatest} if greatest > least else {}),
@@ -247,35 +281,42 @@ class SimDriver(Driver):
             if not low <= device.position <= high:
                 field = "position" if axis == setup.axes[0] else f"axes.{axis}.position"
                 raise ParameterError(
-                    f"{setup.name}.device.{field}: {device.position:g} m, expected {low:g} to {high:g} m, as safety.workspace "
-                    "says"
+                    f"{setup.name}.device.{field}: {device.position:g} m, expected {low:g} to"
+                    f" {high:g} m, as safety.workspace says"
                 )
         if missing := sorted(set(parameters.device.axes) - set(setup.axes)):
             raise ParameterError(
-                f"{setup.name}.device.axes.{missing[0]}: the scene computes {', '.join(setup.axes)} only; name it in "
-                "run.axes, or leave it out here"
+                f"{setup.name}.device.axes.{missing[0]}: the scene computes {', '.join(setup.axes)}"
+                " only; name it in run.axes, or leave it out here"
             )
         if parameters.pointer is not None and parameters.device.hand is None:
             raise ParameterError(
-                f"{setup.name}.pointer: needs {setup.name}.device.hand, whose target a page can drag; declare its stiffness "
-                "and path, or leave the pointer out"
+                f"{setup.name}.pointer: needs {setup.name}.device.hand, whose target a page can"
+                " drag; declare its stiffness and path, or leave the pointer out"
             )
 
     def make_device(self) -> Device:
         """Make the virtual device."""
         parameters: SimDriverParameters = self.store.current
-        self._sim = SimDevice(parameters.device, self.setup, parameters.hold, parameters.pointer, parameters.ends)
+        self._sim = SimDevice(
+            parameters.device, self.setup, parameters.hold, parameters.pointer, parameters.ends
+        )
         return self._sim
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
         """Prepare another delay of the virtual device; all else is as with every driver."""
         now: SimDriverParameters = self.store.current
         delay = parameters.device.delay
-        later = msgspec.structs.replace(now, device=msgspec.structs.replace(now.device, delay=delay))
+        later = msgspec.structs.replace(
+            now, device=msgspec.structs.replace(now.device, delay=delay)
+        )
         if parameters.device == now.device or parameters != later:
             return super().prepare(parameters)
         if self.setup.pace == "lockstep":
-            raise ParameterError(f"{self.setup.name}.device.delay: is fixed in lockstep; launch again, or use pace: realtime")
+            raise ParameterError(
+                f"{self.setup.name}.device.delay: is fixed in lockstep; launch again, or use pace:"
+                " realtime"
+            )
 
         def apply(seq: int) -> dict[str, Any]:
             self._sim.delay_by(delay)

@@ -1,7 +1,8 @@
 """Coulomb friction, exactly: the velocity's next zero is known in closed form, so a step is split there and nowhere else.
 
-Between two zeros of the velocity friction is one more constant force, and the map of `sim.device.model` holds; at a zero
-the device sticks or turns. Kernels as those of `sim.device.model`: plain functions that are called as they stand, and compiled.
+Between two zeros of the velocity friction is one more constant force, and the map of
+`sim.device.model` holds; at a zero the device sticks or turns. Kernels as those of
+`sim.device.model`: plain functions that are called as they stand, and compiled.
 """
 
 import math
@@ -11,11 +12,13 @@ from sim.device.model import Coefficients, advance, coefficients
 
 
 @rule
-def halt_time(x: float, v: float, u: float, direction: float, mass: float, damping: float, stiffness: float) -> float:
+def halt_time(
+    x: float, v: float, u: float, direction: float, mass: float, damping: float, stiffness: float
+) -> float:
     """When the velocity first returns to zero, with the force held: closed form.
 
-    With a the acceleration now, s = b/2m and w = a + s v, the velocity is e^{−st}(v cos ωt + w sin(ωt)/ω) (hyperbolic when
-    overdamped): its first zero is one arctangent away.
+    With a the acceleration now, s = b/2m and w = a + s v, the velocity is e^{−st}(v cos ωt + w
+    sin(ωt)/ω) (hyperbolic when overdamped): its first zero is one arctangent away.
     """
     s = damping / (2.0 * mass)
     speed = v * direction

@@ -37,4 +37,7 @@ def write(context: int, force: int, seq: int, offset: float) -> int:
 
 
 # What other code calls by its address, with C's way of calling.
-ENTRIES: Final = {"read": (read, "int64(int64,int64,int64)"), "write": (write, "int64(int64,int64,int64,float64)")}
+ENTRIES: Final = {
+    "read": (read, "int64(int64,int64,int64)"),
+    "write": (write, "int64(int64,int64,int64,float64)"),
+}

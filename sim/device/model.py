@@ -1,12 +1,14 @@
 """The virtual device: one axis of mass, viscous damping and what a scene asks for beyond that.
 
-Between two instants at which the force changes, the device obeys m x'' + b x' + k x = u with u held (k is the
-stiffness of a hand, 0 without one), and that map is known exactly. So nothing is integrated here: a step is a few
-multiplications, whatever its length, and carries no discretisation error that could be mistaken for (in)stability
-of the coupling: semi-implicit Euler would overstate K_max by 1/(1 − 1/n_sub).
+Between two instants at which the force changes, the device obeys m x'' + b x' + k x = u with u held
+(k is the stiffness of a hand, 0 without one), and that map is known exactly. So nothing is
+integrated here: a step is a few multiplications, whatever its length, and carries no discretisation
+error that could be mistaken for (in)stability of the coupling: semi-implicit Euler would overstate
+K_max by 1/(1 − 1/n_sub).
 
-The kernels are plain functions on floats, as those of `nodes.arithmetic`: the driver node calls them as they stand, the
-one-process simulator compiles the same functions. They use only `math`, and what a scene lacks is passed as None.
+The kernels are plain functions on floats, as those of `nodes.arithmetic`: the driver node calls
+them as they stand, the one-process simulator compiles the same functions. They use only `math`, and
+what a scene lacks is passed as None.
 """
 
 from __future__ import annotations
@@ -25,8 +27,8 @@ LEAST = 1e-12  # smallest mass [kg] and encoder step [m]
 
 Coefficients = tuple[float, float, float, float, float, float]
 
-# Adding and subtracting 1.5 * 2**52 leaves the nearest whole number (halves to even) for any |count| < 2**51, and it
-# neither overflows nor raises beyond: a diverging run stays a run.
+# Adding and subtracting 1.5 * 2**52 leaves the nearest whole number (halves to even) for any
+# |count| < 2**51, and it neither overflows nor raises beyond: a diverging run stays a run.
 _WHOLE = 6755399441055744.0
 
 
@@ -42,15 +44,16 @@ def decay_mean(y: float) -> float:
 def coefficients(mass: float, damping: float, stiffness: float, duration: float) -> Coefficients:
     """Exact map of m x'' + b x' + k x = u over a time [s] in which u is held, for m > 0 [kg], b ≥ 0 [N s/m], k ≥ 0 [N/m].
 
-    Of x⁺ = a11 x + a12 v + b1 u, v⁺ = a21 x + a22 v + b2 u: a11, a12 [s], a21 [1/s], a22, b1 [m/N], b2 [m/(s N)], accurate to
-    rounding for any damping, and for b → 0 and k → 0. With k = 0 it is the plant of the stability theory, q = (1 − e^{−bT/m})
-    m/b.
+    Of x⁺ = a11 x + a12 v + b1 u, v⁺ = a21 x + a22 v + b2 u: a11, a12 [s], a21 [1/s], a22, b1 [m/N],
+    b2 [m/(s N)], accurate to rounding for any damping, and for b → 0 and k → 0. With k = 0 it is
+    the plant of the stability theory, q = (1 − e^{−bT/m}) m/b.
     """
     alpha = damping * duration / mass
     kappa = stiffness * duration * duration / mass
     if alpha < 1.0 and kappa < 1.0:
-        # Taylor series of the response to a unit step, y'' + (b/m) y' + (k/m) y = 1, in units of the duration. Its
-        # terms satisfy y[j+2] = −(α (j+1) y[j+1] + κ y[j]) / ((j+2)(j+1)), from y[0] = y[1] = 0, y[2] = 1/2.
+        # Taylor series of the response to a unit step, y'' + (b/m) y' + (k/m) y = 1, in units of
+        # the duration. Its terms satisfy y[j+2] = −(α (j+1) y[j+1] + κ y[j]) / ((j+2)(j+1)), from
+        # y[0] = y[1] = 0, y[2] = 1/2.
         older = 0.0
         newer = 0.5
         response = 0.5
@@ -150,9 +153,10 @@ class Hand(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     mass: Positive that moves with the device [kg].
     damping: Viscous damping against the ground [N s/m].
     stiffness: Spring between the device and the path [N/m].
-    path: Time [s] and position [m] of the corners of a piecewise linear path, times increasing; held before the first and
-        after the last. It is sampled at ticks and held between them.
-    repeat: After so long the path begins anew [s], at least the time of its last corner; None for once.
+    path: Time [s] and position [m] of the corners of a piecewise linear path, times increasing;
+        held before the first and after the last. It is sampled at ticks and held between them.
+    repeat: After so long the path begins anew [s], at least the time of its last corner; None for
+        once.
     """
 
     stiffness: Positive
@@ -165,9 +169,15 @@ class Hand(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         check_fields(self, "hand")
         for i, (time, _) in enumerate(self.path):
             if i and time <= self.path[i - 1][0]:
-                raise ValueError(f"path[{i}] has time {time} s after {self.path[i - 1][0]} s: times must increase")
+                raise ValueError(
+                    f"path[{i}] has time {time} s after {self.path[i - 1][0]} s: times must"
+                    " increase"
+                )
         if self.repeat is not None and self.repeat < self.path[-1][0]:
-            raise ValueError(f"repeat is {self.repeat} s, but the path ends at {self.path[-1][0]} s: repeat later")
+            raise ValueError(
+                f"repeat is {self.repeat} s, but the path ends at {self.path[-1][0]} s: repeat"
+                " later"
+            )
 
     def point(self, time: float) -> float:
         """Tell where the hand pulls to at a time [s]: a point of the path [m]."""
@@ -179,17 +189,19 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     mass: m [kg].
     damping: Viscous damping b [N s/m].
-    gravity: Acceleration g towards negative positions [m/s²], acting on ``mass`` (the hand carries its own).
+    gravity: Acceleration g towards negative positions [m/s²], acting on ``mass`` (the hand carries
+        its own).
     position, velocity: State before the first tick [m], [m/s].
     resolution: Position resolution of the encoder [m].
     friction: Coulomb friction [N].
     peak_force: Largest force of the motor [N].
     delay: Delay from sample to applied force [ticks], beside the one of ``apply: next_tick``.
     hand: A hand that holds the device.
-    mass_by_position: Position [m] and mass [kg] of the corners of a piecewise linear mass, positions increasing; held before
-        the first and after the last. In place of ``mass``, which then only weighs: an arm is heavier the further it reaches.
-        Empty for none.
-    axes: What is different along an axis of the scene: the other fields, by name of the axis; of a hand, only what differs.
+    mass_by_position: Position [m] and mass [kg] of the corners of a piecewise linear mass,
+        positions increasing; held before the first and after the last. In place of ``mass``, which
+        then only weighs: an arm is heavier the further it reaches. Empty for none.
+    axes: What is different along an axis of the scene: the other fields, by name of the axis; of a
+        hand, only what differs.
     """
 
     mass: Positive
@@ -210,20 +222,26 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         for name, value in (("mass", self.mass), ("resolution", self.resolution), *self._masses()):
             if value is not None and value < LEAST:
                 raise ValueError(
-                    f"{name} is {value!r}, expected at least {LEAST:g}: with less a step of the device is no number"
+                    f"{name} is {value!r}, expected at least {LEAST:g}: with less a step of the"
+                    " device is no number"
                 )
         for i, (place, _) in enumerate(self.mass_by_position):
             if i and place <= self.mass_by_position[i - 1][0]:
                 raise ValueError(
-                    f"mass_by_position[{i}] is at {place} m after {self.mass_by_position[i - 1][0]} m: positions must increase"
+                    f"mass_by_position[{i}] is at {place} m after {self.mass_by_position[i - 1][0]}"
+                    " m: positions must increase"
                 )
         for axis, changes in self.axes.items():
             if not changes or "axes" in changes:
-                raise ValueError(f"axes.{axis} is {changes!r}: expected fields of a device, but axes")
+                raise ValueError(
+                    f"axes.{axis} is {changes!r}: expected fields of a device, but axes"
+                )
             self.along(axis)
 
     def _masses(self) -> list[tuple[str, float]]:
-        return [(f"mass_by_position[{i}]", mass) for i, (_, mass) in enumerate(self.mass_by_position)]
+        return [
+            (f"mass_by_position[{i}]", mass) for i, (_, mass) in enumerate(self.mass_by_position)
+        ]
 
     def along(self, axis: str) -> DeviceModel:
         """Give the device as it is along one axis: this one, with what is different there."""
@@ -235,7 +253,11 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         hand = changes.get("hand")
         merged = {**(fields["hand"] or {}), **hand} if isinstance(hand, Mapping) else fields["hand"]
         made: DeviceModel = convert(
-            {**fields, **changes, **({} if hand is None and "hand" in changes else {"hand": merged})},
+            {
+                **fields,
+                **changes,
+                **({} if hand is None and "hand" in changes else {"hand": merged}),
+            },
             DeviceModel,
             f"device.axes.{axis}",
         )

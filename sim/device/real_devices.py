@@ -1,7 +1,8 @@
 """Virtual stand-ins for real devices: what is known of each, from where, and what is only remembered.
 
-``device:=touch_x`` takes the known values in place of the scenario's own; what nobody published (the delay, the damping) stays
-the scenario's. A value that is only remembered is a starting point: `haptic device identify` measures it.
+``device:=touch_x`` takes the known values in place of the scenario's own; what nobody published
+(the delay, the damping) stays the scenario's. A value that is only remembered is a starting point:
+`haptic device identify` measures it.
 """
 
 from collections.abc import Mapping
@@ -11,8 +12,13 @@ from typing import Any
 CHAI3D = "CHAI3D 3.2, device specifications in its sources"
 SHEET = "3D Systems, data sheet of the Touch X (formerly PHANTOM Desktop)"
 H3D = "H3DAPI wiki, Novint Falcon: 400 counts per inch, 8.9 N"
-STYLUS = "Fu & Çavuşoğlu 2012, IEEE Trans. SMC-B, tables II and III, 15 people; ends of the range as another reader quotes them"
-YOKOKOHJI = "remembered, not checked: Yokokohji & Yoshikawa 1994, IEEE Trans. Robotics and Automation"
+STYLUS = (
+    "Fu & Çavuşoğlu 2012, IEEE Trans. SMC-B, tables II and III, 15 people; ends of the range as"
+    " another reader quotes them"
+)
+YOKOKOHJI = (
+    "remembered, not checked: Yokokohji & Yoshikawa 1994, IEEE Trans. Robotics and Automation"
+)
 MEMORY = "remembered, not checked"
 
 
@@ -34,9 +40,11 @@ class Preset:
     """What is known of a device."""
 
     title: str  # maker and name
-    # Fields of `sim.device.model.DeviceModel`: mass [kg], friction [N], resolution [m], peak_force [N].
+    # Fields of `sim.device.model.DeviceModel`: mass [kg], friction [N], resolution [m], peak_force
+    # [N].
     model: Mapping[str, Fact]
-    # What its maker or CHAI3D advises: ``stiffness`` [N/m], ``damping`` [N s/m], ``continuous_force`` [N]; told, not applied.
+    # What its maker or CHAI3D advises: ``stiffness`` [N/m], ``damping`` [N s/m],
+    # ``continuous_force`` [N]; told, not applied.
     limits: Mapping[str, Fact]
 
 
@@ -54,7 +62,11 @@ PRESETS: dict[str, Preset] = {
     ),
     "touch": Preset(
         "3D Systems Touch",
-        {"mass": _remembered(0.045), "friction": _remembered(0.26), "peak_force": Fact(3.3, CHAI3D)},
+        {
+            "mass": _remembered(0.045),
+            "friction": _remembered(0.26),
+            "peak_force": Fact(3.3, CHAI3D),
+        },
         {"stiffness": Fact(400.0, CHAI3D), "damping": Fact(4.0, CHAI3D)},
     ),
     "omni": Preset(
@@ -72,15 +84,25 @@ PRESETS: dict[str, Preset] = {
         {"resolution": _remembered(1e-5), "peak_force": Fact(12.0, CHAI3D)},
         {"stiffness": Fact(5000.0, CHAI3D), "damping": Fact(30.0, CHAI3D)},
     ),
-    "falcon": Preset("Novint Falcon", {"resolution": Fact(6.35e-5, H3D), "peak_force": Fact(8.9, H3D)}, {}),
+    "falcon": Preset(
+        "Novint Falcon", {"resolution": Fact(6.35e-5, H3D), "peak_force": Fact(8.9, H3D)}, {}
+    ),
     "delta_3": Preset("Force Dimension delta.3", {"peak_force": Fact(20.0, CHAI3D)}, {}),
 }
 _ARM = (("mass", 2.0), ("damping", 2.0), ("stiffness", 10.0))
-# Published hands and arms: fields of `sim.device.model.Hand`. Arm and grasp are in series: above some 10 Hz, where loops ring,
-# the arm's mass hardly moves and the grasp is felt.
+# Published hands and arms: fields of `sim.device.model.Hand`. Arm and grasp are in series: above
+# some 10 Hz, where loops ring, the arm's mass hardly moves and the grasp is felt.
 HANDS: dict[str, Preset] = {
-    "stylus_soft": Preset("grasp of a stylus, low end", {"damping": Fact(0.8, STYLUS), "stiffness": Fact(380.0, STYLUS)}, {}),
-    "stylus_firm": Preset("grasp of a stylus, high end", {"damping": Fact(1.8, STYLUS), "stiffness": Fact(770.0, STYLUS)}, {}),
+    "stylus_soft": Preset(
+        "grasp of a stylus, low end",
+        {"damping": Fact(0.8, STYLUS), "stiffness": Fact(380.0, STYLUS)},
+        {},
+    ),
+    "stylus_firm": Preset(
+        "grasp of a stylus, high end",
+        {"damping": Fact(1.8, STYLUS), "stiffness": Fact(770.0, STYLUS)},
+        {},
+    ),
     "arm_soft": Preset(
         "hand and arm behind that grasp, low end",
         {"mass": Fact(0.2, STYLUS), "damping": Fact(4.6, STYLUS), "stiffness": Fact(79.0, STYLUS)},
@@ -88,17 +110,28 @@ HANDS: dict[str, Preset] = {
     ),
     "arm_firm": Preset(
         "hand and arm behind that grasp, high end",
-        {"mass": Fact(0.22, STYLUS), "damping": Fact(18.0, STYLUS), "stiffness": Fact(272.0, STYLUS)},
+        {
+            "mass": Fact(0.22, STYLUS),
+            "damping": Fact(18.0, STYLUS),
+            "stiffness": Fact(272.0, STYLUS),
+        },
         {},
     ),
-    "operator": Preset("arm of an operator", {field: Fact(value, YOKOKOHJI, remembered=True) for field, value in _ARM}, {}),
+    "operator": Preset(
+        "arm of an operator",
+        {field: Fact(value, YOKOKOHJI, remembered=True) for field, value in _ARM},
+        {},
+    ),
 }
 
 
 def preset(name: str) -> dict[str, float]:
     """Give the known values of a device."""
     if name not in PRESETS:
-        raise ValueError(f"preset is {name!r}, expected none or one of {', '.join(PRESETS)} (haptic device presets)")
+        raise ValueError(
+            f"preset is {name!r}, expected none or one of {', '.join(PRESETS)} (haptic device"
+            " presets)"
+        )
     return {field: fact.value for field, fact in PRESETS[name].model.items()}
 
 
@@ -107,7 +140,9 @@ def provenance(name: str) -> str:
     one = PRESETS[name]
     known = [f"{field} {fact.value:g} ({fact.source})" for field, fact in one.model.items()]
     advised = [f"{field} {fact.value:g} ({fact.source})" for field, fact in one.limits.items()]
-    return f"{one.title}: {', '.join(known)}" + (f"; advised, not applied: {', '.join(advised)}" if advised else "")
+    return f"{one.title}: {', '.join(known)}" + (
+        f"; advised, not applied: {', '.join(advised)}" if advised else ""
+    )
 
 
 def figures() -> list[dict[str, Any]]:

@@ -1,8 +1,9 @@
 """The virtual device from tick to tick: the state of one axis in one struct, and the rules that move it.
 
-They add no arithmetic of their own to the functions of `sim.device.model`, so the scene in one process, which calls those in
-the same order, gives the same bits. The rules are plain functions: the interpreter calls them as they stand, and
-sim/device/kernel.py compiles them into the two calls that a compiled driver makes of a device.
+They add no arithmetic of their own to the functions of `sim.device.model`, so the scene in one
+process, which calls those in the same order, gives the same bits. The rules are plain functions:
+the interpreter calls them as they stand, and sim/device/kernel.py compiles them into the two calls
+that a compiled driver makes of a device.
 """
 
 import math
@@ -27,7 +28,8 @@ from sim.device.model import (
 )
 
 PENDING: Final = 2048  # room for forces on their way to the device; a delay is at most 1000 ticks
-_LONGEST: Final = 1004  # room for the forces under way in lockstep: a delay of 1000 ticks, one of ``next_tick``, and two
+# room for the forces under way in lockstep: a delay of 1000 ticks, one of ``next_tick``, and two
+_LONGEST: Final = 1004
 
 
 Map: TypeAlias = Annotated[list[float], 6]
@@ -90,7 +92,8 @@ class AxisState:
     hold: float  # time without a force after which it lets go [s]
     acting: float  # force that acts [N]
     commanded: float  # since when [ticks]
-    pending: Annotated[list[float], 2 * PENDING]  # ring of forces on their way: when [ticks], and how large [N]
+    # ring of forces on their way: when [ticks], and how large [N]
+    pending: Annotated[list[float], 2 * PENDING]
     pending_first: int
     pending_count: int
 
@@ -122,7 +125,8 @@ def target(d: AxisState, seq: int) -> float:
     rest = point(d, seq)
     if d.pointer == 0:
         return rest
-    # As nodes/driver/pointer.py writes it; while it is being written, the value before is at most a frame of the page old.
+    # As nodes/driver/pointer.py writes it; while it is being written, the value before is at most a
+    # frame of the page old.
     after = shared_whole(d.pointer)
     value, when = shared_real(d.pointer + 8 + 8 * d.axis), shared_real(d.pointer + 32)
     if shared_whole(d.pointer + 40) == after:
@@ -130,7 +134,9 @@ def target(d: AxisState, seq: int) -> float:
     is_held = monotonic(d) - d.wanted_at < d.silence
     d.pull = rest
     if is_held or d.is_away != 0:
-        d.pull = move_towards(d.wanted if is_held else rest, d.away if d.is_away != 0 else rest, d.farthest)
+        d.pull = move_towards(
+            d.wanted if is_held else rest, d.away if d.is_away != 0 else rest, d.farthest
+        )
         # Back on its path the hand is its own again.
         d.is_away = 1 if is_held or d.pull != rest else 0
         d.away = d.pull
@@ -214,7 +220,8 @@ def read_axis(d: AxisState, seq: int) -> float:
     """Let the time up to a tick pass, then read the encoder [m]; the hand's target is that of the tick that begins."""
     if d.lockstep == 0:
         if d.tick < 0:
-            # Respawned, or started late: the device is put there now, it was not falling all the time.
+            # Respawned, or started late: the device is put there now, it was not falling all the
+            # time.
             d.tick = d.ticks = seq
         while d.tick < seq:
             pass_tick(d)
@@ -261,14 +268,20 @@ class VirtualDevice:
         d.mass, d.damping, d.grip = model.moving_mass, model.moving_damping, model.grip
         d.friction, d.resolution = model.friction or 0.0, model.resolution or 0.0
         d.motor = math.inf if model.peak_force is None else model.peak_force
-        self._masses = array("d", [number for corner in model.mass_by_position for number in corner])
+        self._masses = array(
+            "d", [number for corner in model.mass_by_position for number in corner]
+        )
         d.masses, d.masses_count = self._masses.buffer_info()[0], len(model.mass_by_position)
         d.carried = 0.0 if model.hand is None else model.hand.mass
         d.low, d.high = ends_of(workspace, model.resolution)
         d.weight = 0.0 if model.gravity is None else 0.0 - model.mass * model.gravity
         d.period, d.lockstep, d.hold, d.delay, d.axis = period, lockstep, hold, model.delay, axis
         d.x, d.v, d.tick = model.position, model.velocity, -1
-        corners = [] if model.hand is None else [number for corner in model.hand.path for number in corner]
+        corners = (
+            []
+            if model.hand is None
+            else [number for corner in model.hand.path for number in corner]
+        )
         self._path = array("d", corners)
         d.path, d.corners = self._path.buffer_info()[0], len(corners) // 2
         if model.hand is not None and model.hand.repeat is not None:

@@ -12,7 +12,17 @@ from messages.types import DeviceState
 from nodes.base.processor_wait import state_of
 from nodes.driver.limits import SafetyParameters
 from sim.drill.device_log import read_log
-from sim.drill.drill import HOLD, PEAK, RATE, SLEW, Fault, await_another, await_strike, fault_of, kill
+from sim.drill.drill import (
+    HOLD,
+    PEAK,
+    RATE,
+    SLEW,
+    Fault,
+    await_another,
+    await_strike,
+    fault_of,
+    kill,
+)
 from sim.drill.faulty_device import FAILS
 from sim.drill.random_launches import pushed
 from sim.drill.writes import Promise, broken
@@ -23,7 +33,8 @@ APART: Final = 0.03  # how far the two devices of a pair stand apart at the star
 HELD_UP: Final = (0.2, 0.4, 0.9)  # for how long a driver is stopped while it takes a force down [s]
 TAKEN_DOWN: Final = 20.0  # slew of that force [N/s]: it takes long enough to be met on its way
 INSIDE: Final = -0.005  # where a device is that begins inside of the wall [m]
-PLACES: Final = (0.0015, -0.0015, 0.001, 0.0)  # where a wall is moved to while a hand presses into it [m]
+# where a wall is moved to while a hand presses into it [m]
+PLACES: Final = (0.0015, -0.0015, 0.001, 0.0)
 ORDER = "order"
 LOG = "writes.log"
 
@@ -34,7 +45,8 @@ class LoggedDevice:
     def __init__(self, slew: float = SLEW) -> None:
         self._slew = slew
         self._path = Path()
-        # A driver that is started again writes on: a launch of its own, whose first force has a ramp.
+        # A driver that is started again writes on: a launch of its own, whose first force has a
+        # ramp.
         self._bounds = Promise(1.0 / RATE, PEAK, slew / RATE, HOLD, SafetyParameters().recovery)
 
     def change(self, content: dict[str, Any]) -> None:
@@ -60,7 +72,9 @@ class LoggedDevice:
         """Judge the log of what has been written so far."""
         log = [sample.write for sample in read_log(self._path, 1.0 / RATE)]
         # In a launch that goes on there is a force on the device.
-        self.wrong = [text for text in broken(log, self._bounds) if "is left on the device" not in text]
+        self.wrong = [
+            text for text in broken(log, self._bounds) if "is left on the device" not in text
+        ]
 
 
 class HeldUp(LoggedDevice):
@@ -73,7 +87,10 @@ class HeldUp(LoggedDevice):
             coupling = rig.kill("coupling", signal.SIGSTOP)
             _await_way_down(rig)
             driver = rig.kill("driver", signal.SIGSTOP)
-            await_strike(lambda driver=driver: state_of(Path(f"/proc/{driver}")) == "T", "the driver stopped")  # type: ignore[misc]
+            await_strike(
+                lambda driver=driver: state_of(Path(f"/proc/{driver}")) == "T",  # type: ignore[misc]
+                "the driver stopped",
+            )
             rig.let_pass(seconds)
             os.kill(driver, signal.SIGCONT)
             rig.let_pass(0.1)
@@ -105,7 +122,11 @@ class Inside(LoggedDevice):
         """Kill the driver: another one finds the device inside."""
         self.struck(rig)
         kill("driver")(rig)
-        wait_for(lambda: rig.states[-1].safety == "active" and any(rig.states[-1].force), "forces to come back", 15.0)
+        wait_for(
+            lambda: rig.states[-1].safety == "active" and any(rig.states[-1].force),
+            "forces to come back",
+            15.0,
+        )
         if not any(read_log(self._path, 1.0 / RATE)[0].write.force):
             raise MeasurementError("not struck: the first force is zero, so that no ramp was due")
         self.ended()
@@ -122,7 +143,10 @@ class Moved(LoggedDevice):
             receipt = rig.call("environment", "param.set", values={"surface.position": place})
             moved_at.append(int(receipt["seq"]))
             rig.let_pass(3.0 * SafetyParameters().recovery)
-        await_strike(lambda: rig.errors.count("a force step of") >= len(PLACES), "the force step of each move")
+        await_strike(
+            lambda: rig.errors.count("a force step of") >= len(PLACES),
+            "the force step of each move",
+        )
         self.ended()
         self.wrong = [*self.wrong, *pushed(read_log(self._path, 1.0 / RATE), moved_at)[0]]
 
@@ -135,14 +159,21 @@ class Vague(LoggedDevice):
         self.struck(rig)
         before, order = rig.pid("driver"), rig.folder / ORDER
         order.write_text(f"{FAILS}condition", encoding="ascii")
-        await_strike(lambda: "condition() of the device failed" in rig.errors, "what the driver says")
-        await_strike(lambda: "driver: ended with exit code 1" in rig.errors, "the end of the driver")
+        await_strike(
+            lambda: "condition() of the device failed" in rig.errors, "what the driver says"
+        )
+        await_strike(
+            lambda: "driver: ended with exit code 1" in rig.errors, "the end of the driver"
+        )
         order.unlink()
         last = read_log(self._path, 1.0 / RATE)[-1]
         await_another(rig, "driver", before)
         self.ended()
         if any(last.write.force):
-            self.wrong = [*self.wrong, f"{last.write.force} N were left on it by a driver that ended"]
+            self.wrong = [
+                *self.wrong,
+                f"{last.write.force} N were left on it by a driver that ended",
+            ]
 
 
 class Apart:
@@ -161,21 +192,31 @@ class Apart:
                         "mass": 0.05,
                         "damping": 0.1,
                         "position": place,
-                        "hand": {"mass": 0.1, "damping": 5.0, "stiffness": 500.0, "path": [[0.0, place]]},
+                        "hand": {
+                            "mass": 0.1,
+                            "damping": 5.0,
+                            "stiffness": 500.0,
+                            "path": [[0.0, place]],
+                        },
                     },
                 },
             }
             for name, place in (("first", APART), ("second", 0.0))
         }
         driver["kind"] = "paired_driver"
-        driver["parameters"] = {"safety": {**safety, "workspace": [[-0.2, 0.2]] * 3, "ramp": None}, **member}
+        driver["parameters"] = {
+            "safety": {**safety, "workspace": [[-0.2, 0.2]] * 3, "ramp": None},
+            **member,
+        }
         content["nodes"]["environment"]["parameters"]["surface"] = {"kind": "anchor"}
         content["run"]["axes"] = ["x"]
 
     def strike(self, rig: Rig) -> None:
         """Kill the driver: another one finds the devices apart."""
         kill("driver")(rig)
-        wait_for(lambda: rig.errors.count("apart without a motion") >= 2, "both drivers align", 15.0)
+        wait_for(
+            lambda: rig.errors.count("apart without a motion") >= 2, "both drivers align", 15.0
+        )
         rig.let_pass(1.0)
 
     def judge(self, states: Sequence[DeviceState]) -> list[str]:
@@ -184,11 +225,13 @@ class Apart:
         for before, after in pairwise(states):
             ticks = after.seq - before.seq
             step = abs(after.force[0] - before.force[0])
-            # The law is K = 1000 N/m, B = 3 N s/m, the offset fades at 0.05 m/s; the hands move no faster than it.
+            # The law is K = 1000 N/m, B = 3 N s/m, the offset fades at 0.05 m/s; the hands move no
+            # faster than it.
             allowed = 2.0 * (1000.0 * 0.05 / RATE * ticks + 3.0 * 0.05)
             if ticks > 0 and after.force[0] != 0.0 and step > allowed:
                 wrong.append(
-                    f"the force changed by {step:.3g} N in {ticks} ticks, which the fading offset makes {allowed:.3g} N"
+                    f"the force changed by {step:.3g} N in {ticks} ticks, which the fading offset"
+                    f" makes {allowed:.3g} N"
                 )
         return wrong[:3]
 
@@ -196,10 +239,29 @@ class Apart:
 def faults() -> list[Fault]:
     """List them. What belongs to beginnings, moves and returns of other nodes is added here, one row each."""
     rows: list[tuple[Any, str, str]] = [
-        (Inside(), "start inside", f"a device {-1e3 * INSIDE:g} mm inside of the wall, its driver killed: another finds it so"),
-        (Moved(), "moved surface", f"the wall moved {len(PLACES)} times by up to 3 mm while a hand presses"),
-        (Apart(), "start apart", f"a pair {1e3 * APART:g} mm apart, its driver killed: another finds it so"),
-        (HeldUp(TAKEN_DOWN), "held up on the way down", "driver stopped 0.2 to 0.9 s while it takes a force down"),
+        (
+            Inside(),
+            "start inside",
+            (
+                f"a device {-1e3 * INSIDE:g} mm inside of the wall, its driver killed: another"
+                " finds it so"
+            ),
+        ),
+        (
+            Moved(),
+            "moved surface",
+            f"the wall moved {len(PLACES)} times by up to 3 mm while a hand presses",
+        ),
+        (
+            Apart(),
+            "start apart",
+            f"a pair {1e3 * APART:g} mm apart, its driver killed: another finds it so",
+        ),
+        (
+            HeldUp(TAKEN_DOWN),
+            "held up on the way down",
+            "driver stopped 0.2 to 0.9 s while it takes a force down",
+        ),
         (Vague(), "vague device", "condition() of the device raises"),
     ]
     return [fault_of(made, name, what) for made, name, what in rows]

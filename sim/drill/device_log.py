@@ -38,5 +38,7 @@ def read_log(path: Path, period: float) -> list[Sample]:
     size = struct.calcsize(LOGGED)
     return [
         Sample(Write(at, (fx, fy, fz), seq * period), seq, jumps, (x, y, z))
-        for at, seq, jumps, fx, fy, fz, x, y, z in struct.iter_unpack(LOGGED, whole[: len(whole) // size * size])
+        for at, seq, jumps, fx, fy, fz, x, y, z in struct.iter_unpack(
+            LOGGED, whole[: len(whole) // size * size]
+        )
     ]

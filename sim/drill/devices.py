@@ -1,7 +1,8 @@
 """Faults of real devices, on the stand-in of each kind: what is judged is the arm itself, beside what the driver tells.
 
-A hand holds the arm in a wall; at the fault its force must be gone within the drill's limit, whatever ends it: driver, servo
-loop, device or service. Then the fault is mended, as by who plugs a cable in again, and the loop must go on by itself.
+A hand holds the arm in a wall; at the fault its force must be gone within the drill's limit,
+whatever ends it: driver, servo loop, device or service. Then the fault is mended, as by who plugs a
+cable in again, and the loop must go on by itself.
 """
 
 import shutil
@@ -12,7 +13,15 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from messages.types import DeviceState
-from sim.drill.drill import LIMIT, RATE, Fault, FaultSkippedError, await_another, await_strike, fault_of
+from sim.drill.drill import (
+    LIMIT,
+    RATE,
+    Fault,
+    FaultSkippedError,
+    await_another,
+    await_strike,
+    fault_of,
+)
 from sim.measure.measured_launch import MeasurementError, wait_for
 from sim.measure.rig import Rig
 from sim.stand_ins import inverse_service
@@ -80,7 +89,11 @@ class StandIn:
     def _serve(self, *options: str) -> None:
         service = self._service = inverse_service.start(self.folder, *options)
         self.world = service.world
-        self._parameters = {**self.kind.parameters, "port": service.port, "events_port": service.events_port}
+        self._parameters = {
+            **self.kind.parameters,
+            "port": service.port,
+            "events_port": service.events_port,
+        }
 
     def change(self, content: dict[str, Any]) -> None:
         """Put it in the place of the virtual device."""
@@ -98,7 +111,11 @@ class StandIn:
     def judge(self, states: Sequence[DeviceState]) -> list[str]:
         """Tell what the arm was given that it must not."""
         del states
-        rules = [f"{self.arm.state.broken} rules of the vendor's were broken"] if self.arm.state.broken else []
+        rules = (
+            [f"{self.arm.state.broken} rules of the vendor's were broken"]
+            if self.arm.state.broken
+            else []
+        )
         return self._wrong + rules
 
     def held(self) -> None:
@@ -111,7 +128,9 @@ class StandIn:
         while any(self.arm.force()) and time.monotonic() < begun + PATIENCE:
             time.sleep(0.001)
         if (took := time.monotonic() - begun) > LIMIT / RATE:
-            self._wrong.append(f"the arm had a force for {1e3 * took:.0f} ms, limit {1e3 * LIMIT / RATE:.0f} ms")
+            self._wrong.append(
+                f"the arm had a force for {1e3 * took:.0f} ms, limit {1e3 * LIMIT / RATE:.0f} ms"
+            )
 
     def _ends(self, rig: Rig) -> None:
         self.force_ends()
@@ -202,10 +221,14 @@ def faults() -> list[Fault]:
             ("read fails", f"for {BAD:g} s, out-parameters untouched", stand.fail),
         ]
         if kind.stand_in:
-            rows.append(("swapped", "another serial number plugged in, then the right one", stand.swap))
+            rows.append(
+                ("swapped", "another serial number plugged in, then the right one", stand.swap)
+            )
         else:
             rows.append(("service dies", "SIGKILL, started again", stand.kill_service))
             rows.append(("service slow", f"each answer 80 ms late for {BAD:g} s", stand.slow))
             rows.append(("answers twice", "each state sent twice, then once again", stand.twice))
-        found += [fault_of(stand, f"{kind.title} {name}", what, strike) for name, what, strike in rows]
+        found += [
+            fault_of(stand, f"{kind.title} {name}", what, strike) for name, what, strike in rows
+        ]
     return found

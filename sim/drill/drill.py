@@ -1,8 +1,8 @@
 """The drill: one fault at a time on a real launch with a hand pressing into a wall, and what came of it.
 
-What counts as safe is told by the driver's own messages: a force may act only while forces are fresh. The time to safe is the
-longest time for which an old force, or the damping that follows it, acted on the device: from the last fresh force to zero
-force or to the next fresh one.
+What counts as safe is told by the driver's own messages: a force may act only while forces are
+fresh. The time to safe is the longest time for which an old force, or the damping that follows it,
+acted on the device: from the last fresh force to zero force or to the next fresh one.
 """
 
 import contextlib
@@ -24,9 +24,10 @@ WATCHDOG, DAMPING_TICKS = 10, 10
 PEAK, SLEW = 5.0, 1000.0
 DAMPING = 0.5
 HOLD = 0.05  # the virtual device's own deadline, as a servo thread has one [s]
-# Longest time to safe [ticks]: watchdog, damping and the way down, or the device's own deadline; two for the tick in which the
-# fault strikes and for the message that tells it. A driver that has no processor after it has handed over another force without
-# an answer (damping, a ramp) leaves that one to the device's deadline: such ticks come on top (`driven_to_safe`).
+# Longest time to safe [ticks]: watchdog, damping and the way down, or the device's own deadline;
+# two for the tick in which the fault strikes and for the message that tells it. A driver that has
+# no processor after it has handed over another force without an answer (damping, a ramp) leaves
+# that one to the device's deadline: such ticks come on top (`driven_to_safe`).
 LIMIT = max(WATCHDOG + DAMPING_TICKS + math.ceil(PEAK * RATE / SLEW), math.ceil(HOLD * RATE)) + 2
 CALM = 25  # so many ticks in order, one after the other, are a recovery
 
@@ -60,9 +61,11 @@ class Fault:
     # Its name and what is done.
     name: str
     what: str
-    strike: Callable[[Rig], None]  # does it to a running rig, and takes it back where that is part of it
+    # does it to a running rig, and takes it back where that is part of it
+    strike: Callable[[Rig], None]
     change: Callable[[dict[str, Any]], object] = dict  # changes the launch file beforehand
-    # Makes ready what it needs, before the launch; gives variables for it. Raises FaultSkippedError where it cannot be had.
+    # Makes ready what it needs, before the launch; gives variables for it. Raises FaultSkippedError
+    # where it cannot be had.
     prepare: Callable[[], Mapping[str, str]] = dict
     tidy: Callable[[], None] = lambda: None  # removes what `prepare` made
     unread: bool = False  # whether nobody reads what the launch prints
@@ -71,21 +74,38 @@ class Fault:
     judge: Callable[[Sequence[DeviceState]], list[str]] = lambda _: []
 
 
-def fault_of(made: Any, name: str, what: str, strike: Callable[[Rig], None] | None = None, **more: Any) -> Fault:
+def fault_of(
+    made: Any, name: str, what: str, strike: Callable[[Rig], None] | None = None, **more: Any
+) -> Fault:
     """Make a fault whose parts are methods of an object."""
-    parts = {part: getattr(made, part) for part in ("change", "prepare", "tidy", "judge") if hasattr(made, part)}
+    parts = {
+        part: getattr(made, part)
+        for part in ("change", "prepare", "tidy", "judge")
+        if hasattr(made, part)
+    }
     return Fault(name, what, strike or made.strike, **parts, **more)
 
 
 def scene() -> dict[str, Any]:
     """Write the launch file of the drill."""
     hand = {"stiffness": 500.0, "damping": 5.0, "path": [[0.0, -0.005]]}
-    safety: dict[str, Any] = {"watchdog": WATCHDOG, "damping_ticks": DAMPING_TICKS, "damping": DAMPING}
+    safety: dict[str, Any] = {
+        "watchdog": WATCHDOG,
+        "damping_ticks": DAMPING_TICKS,
+        "damping": DAMPING,
+    }
     safety |= {"peak_force": PEAK, "slew": SLEW, "ramp": 0.02, "workspace": [[-0.05, 0.05]] * 3}
     parameters = {
-        "driver": {"device": {"mass": 0.1, "damping": 1.0, "hand": hand}, "hold": HOLD, "safety": safety},
+        "driver": {
+            "device": {"mass": 0.1, "damping": 1.0, "hand": hand},
+            "hold": HOLD,
+            "safety": safety,
+        },
         "environment": {"surface": {"kind": "plane", "axis": "z"}},
-        "coupling": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}}},
+        "coupling": {
+            "law": "pd",
+            "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}},
+        },
         "logger": {"overwrite": True, "path": "run.mcap"},
     }
     again = {"respawn": True, "respawn_delay": 0.1, "respawn_max": -1}
@@ -110,7 +130,8 @@ def _acting(states: Sequence[DeviceState], hold_ticks: float) -> Iterator[tuple[
     for before, state in pairwise(states):
         gap = state.seq - before.seq
         if before.force != ZERO and gap > 1:
-            # While the driver was away nobody renewed the force; the device lets go so long after the last one written.
+            # While the driver was away nobody renewed the force; the device lets go so long after
+            # the last one written.
             ended = math.ceil(min(state.seq, max(written + hold_ticks, before.seq)))
             away += ended - before.seq - 1 if written > since else 0
             yield ended - since, away
@@ -148,7 +169,12 @@ def overdamped(states: Sequence[DeviceState]) -> float:
     for first, second, third in zip(states, states[1:], states[2:], strict=False):
         ticks = second.seq - first.seq
         # A respawned driver begins anew.
-        if third.safety != "damping" or second.safety == "fault" or third.force_seq < first.force_seq or ticks <= 0:
+        if (
+            third.safety != "damping"
+            or second.safety == "fault"
+            or third.force_seq < first.force_seq
+            or ticks <= 0
+        ):
             continue
         for i in range(3):
             velocity = (second.position[i] - first.position[i]) * RATE / ticks
@@ -211,7 +237,9 @@ def drill(fault: Fault, patience: float = 15.0) -> DrillOutcome:
             struck = len(rig.states) - 1
             fault.strike(rig)
             after = len(rig.states)
-            outcome.recovered = within(lambda: len(rig.states) > after + CALM and in_order(rig.states), patience)
+            outcome.recovered = within(
+                lambda: len(rig.states) > after + CALM and in_order(rig.states), patience
+            )
             window = rig.states[struck:]
             errors = rig.errors
     except FaultSkippedError as reason:

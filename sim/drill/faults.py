@@ -73,7 +73,9 @@ class _SmallDisk:
         self.folder = tempfile.mkdtemp(prefix="haptic-disk-")
         command = ["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", self.folder]
         allowed = shutil.which("mount") is not None
-        self.mounted = allowed and subprocess.run(command, capture_output=True, check=False).returncode == 0
+        self.mounted = (
+            allowed and subprocess.run(command, capture_output=True, check=False).returncode == 0
+        )
         return {}
 
     def change(self, content: dict[str, Any]) -> None:
@@ -170,13 +172,21 @@ class SteppedClock:
         """Compile it; the variables of the processes that it is stepped for."""
         compiler = shutil.which("cc") or shutil.which("gcc")
         if compiler is None or ctypes.util.find_library("c") is None:
-            raise FaultSkippedError("no C compiler (cc): the clock is stepped by a small library that must be compiled")
-        self.folder = os.path.realpath(tempfile.mkdtemp(prefix="haptic-clock-"))  # as the kernel names it
-        source, library, self._offset = (Path(self.folder) / name for name in ("clock.c", "clock.so", "offset"))
+            raise FaultSkippedError(
+                "no C compiler (cc): the clock is stepped by a small library that must be compiled"
+            )
+        # as the kernel names it
+        self.folder = os.path.realpath(tempfile.mkdtemp(prefix="haptic-clock-"))
+        source, library, self._offset = (
+            Path(self.folder) / name for name in ("clock.c", "clock.so", "offset")
+        )
         source.write_text(CLOCK, encoding="ascii")
         self._offset.write_bytes(bytes(mmap.PAGESIZE))
         done = subprocess.run(
-            [compiler, "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], capture_output=True, text=True, check=False
+            [compiler, "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"],
+            capture_output=True,
+            text=True,
+            check=False,
         )
         if done.returncode:
             raise FaultSkippedError(f"{compiler} cannot compile the clock: {done.stderr[-300:]}")
@@ -186,7 +196,8 @@ class SteppedClock:
         """Set it back, on, and right again."""
         maps = Path(f"/proc/{rig.pid('driver')}/maps")
         await_strike(
-            lambda: f"{self.folder}/clock.so" in maps.read_text(errors="replace"), "the driver under the stepped clock"
+            lambda: f"{self.folder}/clock.so" in maps.read_text(errors="replace"),
+            "the driver under the stepped clock",
         )
         for seconds in (-3600.0, 7200.0, 0.0):
             self.step(seconds)
@@ -208,7 +219,9 @@ def faults() -> list[Fault]:
     chain = ("driver", "environment", "coupling", "logger")
     disk, clock = _SmallDisk(), SteppedClock()
 
-    def link(name: str, what: str, count: Callable[[Rig], int], shows: str, **values: float) -> Fault:
+    def link(
+        name: str, what: str, count: Callable[[Rig], int], shows: str, **values: float
+    ) -> Fault:
         return Fault(name, what, _bad_link(count, shows, **values), change=with_link)
 
     lost, refused = _counted("link", "skipped"), _counted("driver", "refused")
@@ -216,15 +229,31 @@ def faults() -> list[Fault]:
     return [
         *(Fault(f"kill {node}", "SIGKILL, respawned", kill(node)) for node in chain),
         *(Fault(f"stop {node}", f"SIGSTOP for {STOPPED:g} s", _stop(node)) for node in chain),
-        link("flood", "300 old forces after each force", _surplus, "old forces at the driver", flood=300),
+        link(
+            "flood",
+            "300 old forces after each force",
+            _surplus,
+            "old forces at the driver",
+            flood=300,
+        ),
         link("dead link", "every force lost", lost, "forces lost", drop=1.0),
         link("lossy link", "every third force lost", lost, "forces lost", drop=0.33),
         link("slow link", "20 ms late, limit 10 ms", _missed, "late forces", delay=0.02),
-        link("reordering link", "up to 12 ms late, overtaking", _missed, "late forces", jitter=0.012),
-        link("garbage", "every second force with a bit flipped", refused, "forces refused as malformed", corrupt=0.5),
+        link(
+            "reordering link", "up to 12 ms late, overtaking", _missed, "late forces", jitter=0.012
+        ),
+        link(
+            "garbage",
+            "every second force with a bit flipped",
+            refused,
+            "forces refused as malformed",
+            corrupt=0.5,
+        ),
         fault_of(disk, "full disk", "no room under the logger", exit_code=1),
         fault_of(clock, "clock step", "wall clock −1 h, +2 h"),
-        Fault("starvation", "4 busy processes per core, no FIFO", _starve, change=last_line.no_fifo),
+        Fault(
+            "starvation", "4 busy processes per core, no FIFO", _starve, change=last_line.no_fifo
+        ),
         *overload.faults(),
         *last_line.faults(),
         *intruders.faults(),

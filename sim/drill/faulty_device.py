@@ -12,21 +12,26 @@ from messages.types import ZERO, Vector
 from nodes.driver.device import Device, DeviceLimits
 from sim.device.driver import SimDriver, SimDriverParameters
 
-# What the order says for a force that is never taken, and for a vendor's library that ends the process as if all were well.
+# What the order says for a force that is never taken, and for a vendor's library that ends the
+# process as if all were well.
 HANG, EXIT = "hang", "exit"
-# What it begins with for an encoder that lies: its positions times a factor, or those of so many samples before. Else a number
-# is the position [m].
+# What it begins with for an encoder that lies: its positions times a factor, or those of so many
+# samples before. Else a number is the position [m].
 SCALE, LATE = "scale ", "late "
-# What it begins with for a device that is re-centred: its positions are so much further on [m], which no motion made.
+# What it begins with for a device that is re-centred: its positions are so much further on [m],
+# which no motion made.
 MOVED = "moved "
 # What it begins with for a call that raises, which is named, and for a read that takes so long [s].
 FAILS, BLOCKS = "fails in ", "blocks "
-# A force in its log: when it was written [s], its tick, the jumps until then, the force [N] and the position read last [m].
+# A force in its log: when it was written [s], its tick, the jumps until then, the force [N] and the
+# position read last [m].
 LOGGED = "<dqq3d3d"
 _LATEST = 100
 
 
-class FaultyDriverParameters(SimDriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class FaultyDriverParameters(
+    SimDriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of the driver."""
 
     order: str  # a file: as long as it exists, the device does what it says

@@ -12,7 +12,10 @@ from sim.measure.measured_launch import MeasurementError, wait_for
 from sim.measure.rig import Rig
 from sim.tune.live_trial import TRIAL
 
-VERBS: dict[str, tuple[str, ...]] = {SOFT_LAW: ("device", "identify", "--load", "0"), TRIAL: ("tune", "--steps", "verify")}
+VERBS: dict[str, tuple[str, ...]] = {
+    SOFT_LAW: ("device", "identify", "--load", "0"),
+    TRIAL: ("tune", "--steps", "verify"),
+}
 """What is suspended, by the law that it has put in the coupling by then."""
 
 
@@ -25,13 +28,17 @@ def _suspend(rig: Rig) -> None:
             try:
                 _await_law(rig, verb, law)
                 os.kill(verb.pid, signal.SIGSTOP)
-                wait_for(lambda: borrowed_now(rig) == before, "own law and surface after SIGSTOP", BACK)
+                wait_for(
+                    lambda: borrowed_now(rig) == before, "own law and surface after SIGSTOP", BACK
+                )
                 os.kill(verb.pid, signal.SIGCONT)
                 _await_refusal(rig, verb, words)
             finally:
                 verb.kill()
         if borrowed_now(rig) != before:
-            raise MeasurementError(f"haptic {' '.join(words)}: changed law or surface after SIGCONT")
+            raise MeasurementError(
+                f"haptic {' '.join(words)}: changed law or surface after SIGCONT"
+            )
 
 
 def _await_law(rig: Rig, verb: subprocess.Popen[bytes], law: str) -> None:

@@ -1,8 +1,8 @@
 """Faults that come from somebody else: on a node's port, with a key that was taken away, with too many connections.
 
-An unruly listener speaks ZMTP 3.0 (RFC 23) on a bare socket, so that it can leave in the middle of anything: thousands of
-subscriptions, heartbeats behind them, frames far too long, and gone. What libzmq makes of it depends on where it is cut; a few
-hundred connections meet every case.
+An unruly listener speaks ZMTP 3.0 (RFC 23) on a bare socket, so that it can leave in the middle of
+anything: thousands of subscriptions, heartbeats behind them, frames far too long, and gone. What
+libzmq makes of it depends on where it is cut; a few hundred connections meet every case.
 """
 
 import contextlib
@@ -31,7 +31,8 @@ from sim.measure.rig import Rig
 
 HELD = 1.0  # how long an intruder stays [s]
 FEW = 256  # descriptors with which a launch that is flooded starts
-# How often an unruly listener comes to the open ports, and to the private sockets, and its pause at these [s].
+# How often an unruly listener comes to the open ports, and to the private sockets, and its pause at
+# these [s].
 VISITS, PAUSE = 200, 0.02
 
 
@@ -64,8 +65,21 @@ class _Elsewhere:
     def start(self) -> None:
         (self.folder / "r").mkdir(mode=0o700, exist_ok=True)
         self._node = subprocess.Popen(
-            [sys.executable, "-m", "nodes.cli.command", "node", "start", "coupling", "--bind", f"127.0.0.1:{self.port}"],
-            env={**os.environ, "HAPTIC_KEYS": str(self.folder / "far"), "HAPTIC_RUNTIME_DIR": str(self.folder / "r")},
+            [
+                sys.executable,
+                "-m",
+                "nodes.cli.command",
+                "node",
+                "start",
+                "coupling",
+                "--bind",
+                f"127.0.0.1:{self.port}",
+            ],
+            env={
+                **os.environ,
+                "HAPTIC_KEYS": str(self.folder / "far"),
+                "HAPTIC_RUNTIME_DIR": str(self.folder / "r"),
+            },
             cwd=self.folder,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
@@ -73,7 +87,12 @@ class _Elsewhere:
         )
 
     def change(self, content: dict[str, Any]) -> None:
-        content["nodes"]["coupling"] |= {"host": "127.0.0.1", "port": self.port, "key": "robot", "respawn_delay": 0.0}
+        content["nodes"]["coupling"] |= {
+            "host": "127.0.0.1",
+            "port": self.port,
+            "key": "robot",
+            "respawn_delay": 0.0,
+        }
         content["run"]["port"] = free_ports(len(content["nodes"]) * 2)
 
     def replace(self, rig: Rig) -> None:
@@ -107,9 +126,13 @@ class _Elsewhere:
             robot = keys.key_of("robot")
             keys.revoke("robot")
             if not within(lambda: rig.states[-1].safety == "zero", 5.0):
-                raise MeasurementError("a coupling whose key was revoked still commands force after 5 s")
+                raise MeasurementError(
+                    "a coupling whose key was revoked still commands force after 5 s"
+                )
             wait_for(
-                lambda: self._node is not None and self._node.poll() is not None, "the end of the coupling by its lease", 20.0
+                lambda: self._node is not None and self._node.poll() is not None,
+                "the end of the coupling by its lease",
+                20.0,
             )
             keys.allow("robot", robot)
         self.start()
@@ -146,7 +169,8 @@ class _FewDescriptors:
         until = time.monotonic() + HELD
         while time.monotonic() < until and len(clients) < 4 * FEW:
             for place in (setup.control, setup.publish, setup.listen):
-                # Where the queue is full the kernel refuses, and where the process is gone the drill sees it.
+                # Where the queue is full the kernel refuses, and where the process is gone the
+                # drill sees it.
                 with contextlib.suppress(OSError):
                     clients.append(connect(place))
         for client in clients:
@@ -180,7 +204,8 @@ def _visit_all(rig: Rig) -> None:
         node = list(before)[number % len(before)]
         setup = rig.run.nodes[node]
         let_in += visit(f"tcp://127.0.0.1:{ports[node]}", chance)
-        # Only the same user gets there, and every subscription costs the loop a microsecond: one at a time.
+        # Only the same user gets there, and every subscription costs the loop a microsecond: one at
+        # a time.
         place = (setup.publish, setup.listen, setup.control)[number // len(before) % 3]
         let_in += visit(place, chance, requests=place == setup.control)
         rig.let_pass(PAUSE)
@@ -194,11 +219,28 @@ def faults() -> list[Fault]:
     size, visits = MAX_MESSAGE >> 20, 2 * VISITS
 
     return [
-        Fault("oversize message", f"one force of more than {size} MiB", _send_oversize, change=with_link),
-        fault_of(impostor, "impostor", "coupling over tcp killed, a web server on its port", impostor.replace),
-        fault_of(revoked, "revoked key", "of a coupling over tcp, allowed again later", revoked.revoke),
+        Fault(
+            "oversize message",
+            f"one force of more than {size} MiB",
+            _send_oversize,
+            change=with_link,
+        ),
+        fault_of(
+            impostor,
+            "impostor",
+            "coupling over tcp killed, a web server on its port",
+            impostor.replace,
+        ),
+        fault_of(
+            revoked, "revoked key", "of a coupling over tcp, allowed again later", revoked.revoke
+        ),
         fault_of(few, "fd exhaustion", f"{4 * FEW} connections, {FEW} descriptors"),
-        Fault("unruly listeners", f"{visits} that subscribe 3000 times and leave", _visit_all, change=_let_listen),
+        Fault(
+            "unruly listeners",
+            f"{visits} that subscribe 3000 times and leave",
+            _visit_all,
+            change=_let_listen,
+        ),
     ]
 
 
@@ -211,7 +253,8 @@ def _command(name: bytes, body: bytes) -> bytes:
 
 
 PING = _command(b"PING", b"\0\x01abc")
-# As many in a row as fill a queue of a few dozen, then a heartbeat: what is read at once, 8 KiB, holds both.
+# As many in a row as fill a queue of a few dozen, then a heartbeat: what is read at once, 8 KiB,
+# holds both.
 SUBSCRIPTIONS = b"".join(b"\0\x05\x01%04d" % i + PING * (i % 50 == 49) for i in range(3000))
 REQUESTS = ((b"\x01\0" + b"\0\x05hello") * 20 + PING) * 50
 LONG_FRAME = b"\x02" + struct.pack(">Q", 100_000) + bytes(100_000)
@@ -244,8 +287,12 @@ def visit(place: str, chance: random.Random, requests: bool = False) -> bool:
     found.settimeout(0.5)
     # Whoever disconnects it does not wait until it has said all.
     with contextlib.suppress(OSError), found:
-        found.sendall(GREETING + _command(b"READY", b"\x0bSocket-Type" + struct.pack(">I", len(kind)) + kind))
-        found.sendall(content[: chance.randrange(1, len(content))] + LONG_FRAME * chance.randrange(2))
+        found.sendall(
+            GREETING + _command(b"READY", b"\x0bSocket-Type" + struct.pack(">I", len(kind)) + kind)
+        )
+        found.sendall(
+            content[: chance.randrange(1, len(content))] + LONG_FRAME * chance.randrange(2)
+        )
         # Until what it sent was read, or not.
         time.sleep(0.01 * chance.randrange(2))
         if chance.randrange(2):

@@ -18,11 +18,17 @@ ORDER = "order"
 HANG_LIMIT = 0.5  # after so long within one tick the drill's device is taken to hang [s]
 BEHIND = 2.0  # how long the logger's disk is slow before the end [s]; it is during the end too
 LOOPED = 3  # messages of the loop that a logger records for each tick
-ON, OFF, ROUNDS = 0.008, 0.092, 8  # a quota of 8 % in periods of 0.1 s [s]: less than what a plain 500 Hz loop needs
+# a quota of 8 % in periods of 0.1 s [s]: less than what a plain 500 Hz loop needs
+ON, OFF, ROUNDS = 0.008, 0.092, 8
 GROUPS = Path("/sys/fs/cgroup")
-# Where the kernel keeps processor quotas [µs], what sets one and what ends it: of control groups version 1 and 2.
+# Where the kernel keeps processor quotas [µs], what sets one and what ends it: of control groups
+# version 1 and 2.
 LIMITS = (
-    (GROUPS / "cpu", {"cpu.cfs_period_us": "{period}", "cpu.cfs_quota_us": "{quota}"}, {"cpu.cfs_quota_us": "-1"}),
+    (
+        GROUPS / "cpu",
+        {"cpu.cfs_period_us": "{period}", "cpu.cfs_quota_us": "{quota}"},
+        {"cpu.cfs_quota_us": "-1"},
+    ),
     (GROUPS, {"cpu.max": "{quota} {period}"}, {"cpu.max": "max"}),
 )
 ATTEMPTS = 5  # launches killed while they start, each a little later
@@ -54,7 +60,10 @@ def _fall_behind(rig: Rig) -> None:
     """Let the logger fall so far behind that its end takes longer than any node has."""
 
     def behind() -> int:
-        return int(rig.call("driver", "status")["ticks"]) - int(rig.call("logger", "status")["ticks"]) // LOOPED
+        return (
+            int(rig.call("driver", "status")["ticks"])
+            - int(rig.call("logger", "status")["ticks"]) // LOOPED
+        )
 
     before = behind()
     (rig.folder / ORDER).touch()
@@ -63,10 +72,15 @@ def _fall_behind(rig: Rig) -> None:
 
 
 def _stop_reaper(rig: Rig) -> None:
-    reapers = [number for number, line in processes_of(rig.runtime_dir).items() if "reaper.py" in line]
+    reapers = [
+        number for number, line in processes_of(rig.runtime_dir).items() if "reaper.py" in line
+    ]
     for number in reapers:
         os.kill(number, signal.SIGSTOP)
-    await_strike(lambda: {state_of(Path(f"/proc/{number}")) for number in reapers} == {"T"}, "the reaper stopped")
+    await_strike(
+        lambda: {state_of(Path(f"/proc/{number}")) for number in reapers} == {"T"},
+        "the reaper stopped",
+    )
 
 
 def _misplace(position: str) -> Callable[[Rig], None]:
@@ -124,7 +138,11 @@ class _Quota:
     def _throttled(self) -> bool:
         assert self._group is not None  # noqa: S101
         stat = (self._group / "cpu.stat").read_text(encoding="ascii")
-        return any(int(line.split()[1]) > 0 for line in stat.splitlines() if line.startswith("nr_throttled"))
+        return any(
+            int(line.split()[1]) > 0
+            for line in stat.splitlines()
+            if line.startswith("nr_throttled")
+        )
 
     def _set(self, values: Mapping[str, str]) -> None:
         assert self._group is not None  # noqa: S101
@@ -156,12 +174,20 @@ def _kill_at_start(rig: Rig) -> None:
     ours = processes_of(rig.runtime_dir)
 
     def others() -> dict[int, str]:
-        return {number: line for number, line in processes_of(rig.runtime_dir).items() if number not in ours}
+        return {
+            number: line
+            for number, line in processes_of(rig.runtime_dir).items()
+            if number not in ours
+        }
 
     for attempt in range(ATTEMPTS):
         launcher = rig.beside("launch", str(rig.folder / "drill.yaml"), "--no-plot")
         try:
-            await_strike(lambda attempt=attempt: len(others()) > attempt, "nodes of a launch that starts", 15.0)  # type: ignore[misc]
+            await_strike(
+                lambda attempt=attempt: len(others()) > attempt,  # type: ignore[misc]
+                "nodes of a launch that starts",
+                15.0,
+            )
             for number, line in others().items():
                 if "reaper.py" in line:
                     with contextlib.suppress(ProcessLookupError):
@@ -171,7 +197,8 @@ def _kill_at_start(rig: Rig) -> None:
             launcher.wait()
     within(lambda: not others(), 10.0)
     if not others():
-        # The directories that a killed launcher leaves are the next launch's to sweep, after a minute.
+        # The directories that a killed launcher leaves are the next launch's to sweep, after a
+        # minute.
         for path in {path.parent for path in rig.runtime_dir.rglob("*.json")} - own:
             shutil.rmtree(path, ignore_errors=True)
 
@@ -181,9 +208,24 @@ def faults() -> list[Fault]:
     quota = _Quota()
     return [
         Fault("blocked stderr", "coupling killed, output unread", kill("coupling"), unread=True),
-        Fault("hung device", "a force that is never taken", _break_down(HANG, "[driver] hung: "), change=_faulty),
-        Fault("driver exits", "exit(0) within a device's call", _break_down(EXIT, "in mid-run"), change=_faulty),
-        Fault("slow logger", f"{BEHIND:g} s of a slow disk, then the end", _fall_behind, change=_slow_disk),
+        Fault(
+            "hung device",
+            "a force that is never taken",
+            _break_down(HANG, "[driver] hung: "),
+            change=_faulty,
+        ),
+        Fault(
+            "driver exits",
+            "exit(0) within a device's call",
+            _break_down(EXIT, "in mid-run"),
+            change=_faulty,
+        ),
+        Fault(
+            "slow logger",
+            f"{BEHIND:g} s of a slow disk, then the end",
+            _fall_behind,
+            change=_slow_disk,
+        ),
         Fault("stopped reaper", "SIGSTOP, then the end", _stop_reaper),
         Fault("huge position", "the device gives 1.7e308 m", _misplace("1.7e308"), change=_faulty),
         fault_of(quota, "ticks lost by quota", quota.what, change=_plain),

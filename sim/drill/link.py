@@ -1,7 +1,8 @@
 """A bad link between the coupling and the driver: it drops, delays, reorders, corrupts and floods.
 
-A node of its own that stands between the two (the driver listens to it instead of the coupling), so that everything a
-network does to forces happens to real messages on real sockets. Its parameters may be changed while it runs.
+A node of its own that stands between the two (the driver listens to it instead of the coupling), so
+that everything a network does to forces happens to real messages on real sockets. Its parameters
+may be changed while it runs.
 """
 
 import heapq
@@ -27,7 +28,8 @@ class LinkParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     jitter: Up to how much more, evenly distributed; later messages overtake earlier ones [s].
     corrupt: Share of the messages of which one byte is changed.
     flood: Copies of old messages sent after each message.
-    oversize: Length of one more message that is sent after the next one, once for each change [bytes]; 0 for none.
+    oversize: Length of one more message that is sent after the next one, once for each change
+        [bytes]; 0 for none.
     seed: Of the random numbers.
     """
 
@@ -83,14 +85,16 @@ class Link(Node):
         topic = self._to
         while self._waiting and self._waiting[0][0] <= time.monotonic():
             payload = heapq.heappop(self._waiting)[2]
-            # Not `send`, which lets others run before it goes on to the listeners: without FIFO, beside a busy process, a link
-            # would never catch up with a flood of its own.
+            # Not `send`, which lets others run before it goes on to the listeners: without FIFO,
+            # beside a busy process, a link would never catch up with a flood of its own.
             self.publisher.send_hop(topic, payload)
             if self.publisher.apart:
                 self.publisher.send_aside(topic, payload)
             for n in range(self._now.flood):
                 # To the driver only: it is what is flooded, not the listeners.
-                self.publisher.send_hop(topic, self._old[n % len(self._old)] if self._old else payload)
+                self.publisher.send_hop(
+                    topic, self._old[n % len(self._old)] if self._old else payload
+                )
             self.sent += 1
             self._old = [*self._old[-63:], payload]
             if self._oversize:
@@ -103,7 +107,11 @@ class Link(Node):
         inbox = self.inbox
         assert inbox is not None  # noqa: S101  # every kind that listens has one
         while not self.stopping:
-            frames = inbox.receive_until(self._waiting[0][0]) if self._waiting else inbox.receive(IDLE_MS)
+            frames = (
+                inbox.receive_until(self._waiting[0][0])
+                if self._waiting
+                else inbox.receive(IDLE_MS)
+            )
             if frames is not None:
                 self.received += 1
                 self.counters.ticks += 1

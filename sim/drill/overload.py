@@ -15,7 +15,8 @@ from sim.measure.rig import Rig
 
 CHAINS = 12  # of a tick that the interpreter takes: two processors carry about eight at 500 Hz
 SECONDS = 2.0
-MOST_LOST = 0.5  # a collapse loses all ticks; the chain that was there first loses what it must share
+# a collapse loses all ticks; the chain that was there first loses what it must share
+MOST_LOST = 0.5
 
 
 class Overload:
@@ -23,14 +24,30 @@ class Overload:
 
     def strike(self, rig: Rig) -> None:
         """Run the other launch to its end."""
-        included = [{"launch": "floor_drop", "namespace": f"c{i}", "without": ["logger"]} for i in range(CHAINS)]
+        included = [
+            {"launch": "floor_drop", "namespace": f"c{i}", "without": ["logger"]}
+            for i in range(CHAINS)
+        ]
         with contextlib.ExitStack() as held:
-            folder = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="haptic-overload-")))
+            folder = Path(
+                held.enter_context(tempfile.TemporaryDirectory(prefix="haptic-overload-"))
+            )
             path = folder / "many.yaml"
-            path.write_text(json.dumps({"summary": f"{CHAINS} chains", "include": included}), encoding="utf-8")
-            words = (str(path), f"run.duration:={SECONDS}", "--tick", "plain", "--json", "--no-plot")
+            path.write_text(
+                json.dumps({"summary": f"{CHAINS} chains", "include": included}), encoding="utf-8"
+            )
+            words = (
+                str(path),
+                f"run.duration:={SECONDS}",
+                "--tick",
+                "plain",
+                "--json",
+                "--no-plot",
+            )
             output = held.enter_context(open(folder / "output.txt", "wb"))
-            beside("launch", *words, cwd=folder, env=rig.environment, stdout=output, stderr=output).wait(PATIENCE)
+            beside(
+                "launch", *words, cwd=folder, env=rig.environment, stdout=output, stderr=output
+            ).wait(PATIENCE)
 
     def judge(self, states: Sequence[DeviceState]) -> list[str]:
         """Refuse a collapse."""

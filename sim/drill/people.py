@@ -17,12 +17,16 @@ from sim.measure.rig import Rig
 from sim.tune.live_trial import TRIAL
 
 PEAK = 40.0  # largest force that a hand which has sunk in may meet [N]
-STIFFNESS, PATH = 150.0, -0.06  # of a hand that goes on pushing [N/m], and where it pulls to [m]: 9 N at the surface
-MASS, DAMPING = 0.1, 2.0  # the same of its own mass [kg], as much as the device's, and of its damping [N s/m]
+# of a hand that goes on pushing [N/m], and where it pulls to [m]: 9 N at the surface
+STIFFNESS, PATH = 150.0, -0.06
+# the same of its own mass [kg], as much as the device's, and of its damping [N s/m]
+MASS, DAMPING = 0.1, 2.0
 SUNK = 0.01  # so deep a hand sinks at least while nobody answers [m]
 # What ends a tuning: a polite kill, a closed terminal, and one that asks nobody.
 SIGNALS = (signal.SIGTERM, signal.SIGHUP, signal.SIGKILL)
-TAPS = [500.0, -400.0]  # a law on trial [N/m], and the steps of 2 % above it that are tried: it comes to rest at all of them
+# a law on trial [N/m], and the steps of 2 % above it that are tried: it comes to rest at all of
+# them
+TAPS = [500.0, -400.0]
 FIRST, LAST = 3, 40
 
 SETTLED = 150  # so long after a gap the hand stands where it stood [ticks]
@@ -32,8 +36,17 @@ BACK = 20.0  # a launch has taken back what was borrowed after so long [s]: four
 def _pushed(content: dict[str, Any]) -> None:
     """Let a hand push as strongly as before, however deep it is in."""
     parameters = content["nodes"]["driver"]["parameters"]
-    parameters["device"]["hand"] = {"mass": MASS, "damping": DAMPING, "stiffness": STIFFNESS, "path": [[0.0, PATH]]}
-    parameters["safety"] |= {"peak_force": PEAK, "slew": PEAK * RATE, "workspace": [[-0.2, 0.2]] * 3}
+    parameters["device"]["hand"] = {
+        "mass": MASS,
+        "damping": DAMPING,
+        "stiffness": STIFFNESS,
+        "path": [[0.0, PATH]],
+    }
+    parameters["safety"] |= {
+        "peak_force": PEAK,
+        "slew": PEAK * RATE,
+        "workspace": [[-0.2, 0.2]] * 3,
+    }
     for node in ("environment", "coupling"):
         content["nodes"][node]["respawn_delay"] = 0.2
 
@@ -48,7 +61,9 @@ def _let_sink(rig: Rig) -> None:
 def thrown(states: Sequence[DeviceState]) -> list[str]:
     """Tell where a force came back faster than by its ramp, or gave out more energy than the way out takes."""
     recovery = round(SafetyParameters().recovery * RATE)
-    silent = [n for n, (a, b) in enumerate(pairwise(states)) if (a.safety, b.safety) == ("zero", "ramp")]
+    silent = [
+        n for n, (a, b) in enumerate(pairwise(states)) if (a.safety, b.safety) == ("zero", "ramp")
+    ]
     wrong = [] if len(silent) >= 2 else [f"the force came back {len(silent)} times, not twice"]
     for n in silent:
         last = states[n].seq
@@ -60,15 +75,22 @@ def thrown(states: Sequence[DeviceState]) -> list[str]:
             allowed = PEAK * min(state.seq - last, recovery) / recovery
             # Two roundings.
             if (force := abs(state.force[2])) > allowed * (1.0 + 1e-15):
-                wrong.append(f"{force:.3g} N, {state.seq - last} ticks after none; the ramp allows {allowed:.3g} N")
+                wrong.append(
+                    f"{force:.3g} N, {state.seq - last} ticks after none; the ramp allows"
+                    f" {allowed:.3g} N"
+                )
                 break
-        # The way out takes what the hand pushes with, and the speed of that way: half as fast again, for ticks of acceleration.
+        # The way out takes what the hand pushes with, and the speed of that way: half as fast
+        # again, for ticks of acceleration.
         speed = 1.5 * RETURN_SPEED
-        allowed = (STIFFNESS * -PATH + (1.0 + DAMPING) * speed) * depth + 0.5 * (0.1 + MASS) * speed**2
+        allowed = (STIFFNESS * -PATH + (1.0 + DAMPING) * speed) * depth + 0.5 * (
+            0.1 + MASS
+        ) * speed**2
         given = max(state.energy for state in after) - after[0].energy
         if given > allowed:
             wrong.append(
-                f"{1e3 * given:.0f} mJ given out from {1e3 * depth:.0f} mm deep; the way out takes {1e3 * allowed:.0f} mJ"
+                f"{1e3 * given:.0f} mJ given out from {1e3 * depth:.0f} mm deep; the way out takes"
+                f" {1e3 * allowed:.0f} mJ"
             )
     return wrong
 
@@ -76,21 +98,52 @@ def thrown(states: Sequence[DeviceState]) -> list[str]:
 def held_at_a_point(content: dict[str, Any]) -> None:
     """Hold the device at a point, as a launch does that a law is tuned on; nobody touches it."""
     del content["nodes"]["driver"]["parameters"]["device"]["hand"]
-    content["nodes"]["environment"]["parameters"]["surface"] = {"kind": "anchor", "position": [0.0, 0.0, 0.0]}
+    content["nodes"]["environment"]["parameters"]["surface"] = {
+        "kind": "anchor",
+        "position": [0.0, 0.0, 0.0],
+    }
 
 
 def leave_a_design(rig: Rig) -> None:
     """Leave what a design and a prediction leave: a law to be tried from above itself."""
     h1 = sum(TAPS)
-    edges = {"edge_linear_h1_n_per_m": 10.0 * h1, "edge_linear_factor": 10.0, "drops_settled": 0, "drops": 0}
-    unknown = ("edge_h1_n_per_m", "edge_factor", "stable_up_to_delay_ticks", "every_delay_stable", "limit_cycle_free")
+    edges = {
+        "edge_linear_h1_n_per_m": 10.0 * h1,
+        "edge_linear_factor": 10.0,
+        "drops_settled": 0,
+        "drops": 0,
+    }
+    unknown = (
+        "edge_h1_n_per_m",
+        "edge_factor",
+        "stable_up_to_delay_ticks",
+        "every_delay_stable",
+        "limit_cycle_free",
+    )
     asked = {"mass": [MASS, MASS], "delay": [0.0, 1.0], "radius": 1.0, "period": 1.0 / RATE}
     law = {"kind": "fir", "taps": TAPS, "period": 1.0 / RATE}
-    known = {"taps_n_per_m": TAPS, "law": law, "h1_n_per_m": h1, "gain_over_pd": None, "lands": False, "demand": asked}
+    known = {
+        "taps_n_per_m": TAPS,
+        "law": law,
+        "h1_n_per_m": h1,
+        "gain_over_pd": None,
+        "lands": False,
+        "demand": asked,
+    }
     said = {
         "designed": known,
-        "predicted": {**dict.fromkeys(unknown), **edges, "h1_n_per_m": h1, "knock_m": 1e-3, "pole_radius": 1.0},
-        "predicted_steps": {"steps": [], "ended": "", "plan": {"first": FIRST, "near": FIRST, "last": LAST}},
+        "predicted": {
+            **dict.fromkeys(unknown),
+            **edges,
+            "h1_n_per_m": h1,
+            "knock_m": 1e-3,
+            "pole_radius": 1.0,
+        },
+        "predicted_steps": {
+            "steps": [],
+            "ended": "",
+            "plan": {"first": FIRST, "near": FIRST, "last": LAST},
+        },
     }
     folder = rig.folder / "tuning"
     folder.mkdir(exist_ok=True)
@@ -100,7 +153,9 @@ def leave_a_design(rig: Rig) -> None:
 def borrowed_now(rig: Rig) -> tuple[Any, Any]:
     """Ask for what a verb borrows: the active law, and the surface."""
     try:
-        return rig.call("coupling", "law.list")["active"], rig.call("environment", "param.get", name="surface")
+        return rig.call("coupling", "law.list")["active"], rig.call(
+            "environment", "param.get", name="surface"
+        )
     except ControlError as error:
         raise MeasurementError(str(error)) from error
 
@@ -117,11 +172,17 @@ def _end_tuning(rig: Rig) -> None:
                 tuning.kill()
         # What was killed gives nothing back: the leases of the nodes do.
         patience = BACK if number == signal.SIGKILL else 1.0
-        wait_for(lambda: borrowed_now(rig) == before, f"the launch's own law and surface after {number.name}", patience)
+        wait_for(
+            lambda: borrowed_now(rig) == before,
+            f"the launch's own law and surface after {number.name}",
+            patience,
+        )
 
 
 def _end_on_trial(rig: Rig, tuning: subprocess.Popen[bytes], number: signal.Signals) -> None:
-    wait_for(lambda: tuning.poll() is not None or borrowed_now(rig)[0] == TRIAL, "a law on trial", 30.0)
+    wait_for(
+        lambda: tuning.poll() is not None or borrowed_now(rig)[0] == TRIAL, "a law on trial", 30.0
+    )
     tuning.send_signal(number)
     try:
         code = tuning.wait(BACK)
@@ -129,7 +190,9 @@ def _end_on_trial(rig: Rig, tuning: subprocess.Popen[bytes], number: signal.Sign
         raise MeasurementError(f"haptic tune does not end on {number.name}") from error
     if code != (-number if number == signal.SIGKILL else 128 + number):
         said = (rig.folder / "beside.txt").read_text(encoding="utf-8")
-        raise MeasurementError(f"haptic tune ended with exit code {code}, not by {number.name}: {said[-500:]}")
+        raise MeasurementError(
+            f"haptic tune ended with exit code {code}, not by {number.name}: {said[-500:]}"
+        )
 
 
 def _press(rig: Rig) -> None:
@@ -140,7 +203,9 @@ def _press(rig: Rig) -> None:
         done = rig.haptic(*words, code=None)
         said, verb = done.stdout + done.stderr, f"haptic {' '.join(words)}"
         if done.returncode != 1 or "let go first" not in said:
-            raise MeasurementError(f"{verb}: exit code {done.returncode} while a hand presses: {said[-500:]}")
+            raise MeasurementError(
+                f"{verb}: exit code {done.returncode} while a hand presses: {said[-500:]}"
+            )
         if borrowed_now(rig) != before:
             raise MeasurementError(f"{verb}: refused, and has changed law or surface all the same")
 
@@ -151,8 +216,13 @@ def unasked(states: Sequence[DeviceState]) -> list[str]:
     for state in states:
         calm = calm + 1 if state.safety == "active" else 0
         # After a gap the hand comes out of the wall first. A push begins with tenths of a newton.
-        if (calm == state.seq - states[0].seq + 1 or calm > SETTLED) and abs(state.force[2] - pressed) > 0.1 * abs(pressed):
-            return [f"{state.force[2]:.3g} N at tick {state.seq}, where a hand presses with {pressed:.3g} N"]
+        if (calm == state.seq - states[0].seq + 1 or calm > SETTLED) and abs(
+            state.force[2] - pressed
+        ) > 0.1 * abs(pressed):
+            return [
+                f"{state.force[2]:.3g} N at tick {state.seq}, where a hand presses with"
+                f" {pressed:.3g} N"
+            ]
     return []
 
 

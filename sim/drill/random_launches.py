@@ -1,7 +1,8 @@
 """Random launches: any sequence of starts, stalls, kills, swaps, moves, re-centres and faults, judged by the device's log.
 
-Each launch is drawn from a seed and a number, so that one that fails is run again by both. What was done, and when, comes
-from the receipts and from the device's own log; of the driver's messages only its way out of zero force is used.
+Each launch is drawn from a seed and a number, so that one that fails is run again by both. What was
+done, and when, comes from the receipts and from the device's own log; of the driver's messages only
+its way out of zero force is used.
 """
 
 from __future__ import annotations
@@ -34,9 +35,12 @@ LAWS: Final[Mapping[str, dict[str, Any]]] = {
     "soft": {"kind": "pd", "stiffness": 500.0, "damping": 2.0},
     "light": {"kind": "pd", "stiffness": 500.0, "damping": 1.0},
 }
-AWAY: Final = 17  # a force that was away for so long comes back by the whole ramp: a fifth of it, and two ticks [ticks]
+# a force that was away for so long comes back by the whole ramp: a fifth of it, and two ticks
+# [ticks]
+AWAY: Final = 17
 FADE: Final = 80  # longest fade of a swap, and some ticks [ticks]
-REACH: Final = 0.0015  # farthest that a surface is moved from where it was, so that no law asks for more than the peak [m]
+# farthest that a surface is moved from where it was, so that no law asks for more than the peak [m]
+REACH: Final = 0.0015
 OUTSIDE: Final = "1.0"  # an order: a position far outside of the workspace [m]
 ORDER, LOG = "order", "writes.log"
 PATIENCE: Final = 20.0  # how long a launch has to be in order again after what was done to it [s]
@@ -106,10 +110,20 @@ def _sphere(random: Random, content: dict[str, Any]) -> str:
     """Write a hand that is led over a sphere, in three axes."""
     content["run"]["axes"] = ["x", "y", "z"]
     device = content["nodes"]["driver"]["parameters"]["device"]
-    device["hand"] = {"mass": 0.05, "damping": 3.0, "stiffness": 150.0, "path": [[0.0, -0.02], [1.0, 0.02], [2.0, -0.02]]}
+    device["hand"] = {
+        "mass": 0.05,
+        "damping": 3.0,
+        "stiffness": 150.0,
+        "path": [[0.0, -0.02], [1.0, 0.02], [2.0, -0.02]],
+    }
     device["hand"]["repeat"] = 2.0
     depth = random.uniform(-0.002, 0.002)
-    surface = {"kind": "sphere", "position": [0.0, 0.0, -0.03], "radius": 0.03 + depth, "tool_radius": 0.001}
+    surface = {
+        "kind": "sphere",
+        "position": [0.0, 0.0, -0.03],
+        "radius": 0.03 + depth,
+        "tool_radius": 0.001,
+    }
     content["nodes"]["environment"]["parameters"]["surface"] = surface
     return f"sphere, begins {1e3 * depth:.2g} mm inside"
 
@@ -117,14 +131,20 @@ def _sphere(random: Random, content: dict[str, Any]) -> str:
 SCENES: Final[tuple[Callable[[Random, dict[str, Any]], str], ...]] = (_floor, _drop, _sphere)
 
 
-def drawn(random: Random, ticks: Sequence[str] = ("plain", "compiled")) -> tuple[dict[str, Any], str]:
+def drawn(
+    random: Random, ticks: Sequence[str] = ("plain", "compiled")
+) -> tuple[dict[str, Any], str]:
     """Return a launch file that is drawn at random, and what is in it."""
     content = scene()
     driver = content["nodes"]["driver"]
     driver["kind"] = "faulty_driver"
     driver["parameters"] |= {"order": ORDER, "log": LOG}
     driver["parameters"]["safety"] |= {"ramp": None, "recovery": RAMP}
-    content["nodes"]["coupling"]["parameters"] |= {"laws": dict(LAWS), "law": random.choice(list(LAWS)), "ease": RAMP}
+    content["nodes"]["coupling"]["parameters"] |= {
+        "laws": dict(LAWS),
+        "law": random.choice(list(LAWS)),
+        "ease": RAMP,
+    }
     del content["nodes"]["logger"]
     what = random.choice(SCENES)(random, content)
     tick, apply = random.choice(list(ticks)), random.choice(("on_arrival", "next_tick"))
@@ -145,7 +165,17 @@ class _Course:
 
     def do(self) -> None:
         """Do one thing, at any moment of a tick."""
-        kinds = (self.stop, self.stop, self.kill, self.swap, self.move, self.move, self.change, self.recentre, self.fault)
+        kinds = (
+            self.stop,
+            self.stop,
+            self.kill,
+            self.swap,
+            self.move,
+            self.move,
+            self.change,
+            self.recentre,
+            self.fault,
+        )
         kind = self._random.choice(kinds)
         self._rig.let_pass(self._random.uniform(0.0, 0.3))
         self.kinds[kind.__name__] += 1
@@ -161,7 +191,9 @@ class _Course:
     def stop(self) -> str:
         """Stop a node for a while."""
         node = self._random.choice(("driver", "coupling", "environment"))
-        seconds = self._random.choice((0.005, 0.03, 0.055, 0.1, 0.3, 0.9)) * self._random.uniform(0.8, 1.2)
+        seconds = self._random.choice((0.005, 0.03, 0.055, 0.1, 0.3, 0.9)) * self._random.uniform(
+            0.8, 1.2
+        )
         pid = self._rig.kill(node, signal.SIGSTOP)
         try:
             self._rig.let_pass(seconds)
@@ -195,7 +227,9 @@ class _Course:
     def change(self) -> str:
         """Change a law's stiffness."""
         stiffness = self._random.uniform(600.0, STIFFNESS)
-        receipt = self._rig.call("coupling", "param.set", values={"laws.pd.stiffness": stiffness, "ramp": 20})
+        receipt = self._rig.call(
+            "coupling", "param.set", values={"laws.pd.stiffness": stiffness, "ramp": 20}
+        )
         self.swapped_at.append(int(receipt["seq"]))
         return f"K of pd to {stiffness:.4g} N/m"
 
@@ -207,7 +241,9 @@ class _Course:
 
     def fault(self) -> str:
         """Let the device break down for a while."""
-        what = self._random.choice((OUTSIDE, f"{BLOCKS}0.06", f"{FAILS}read_position", f"{FAILS}condition"))
+        what = self._random.choice(
+            (OUTSIDE, f"{BLOCKS}0.06", f"{FAILS}read_position", f"{FAILS}condition")
+        )
         before = self._rig.pid("driver")
         self._order(what, self._random.uniform(0.01, 0.2))
         # An end that was only beginning is met by whoever asks next.
@@ -251,19 +287,24 @@ def begins_in(log: Sequence[Sample], states: Sequence[DeviceState]) -> list[floa
             since = -1
             continue
         since = state.seq if since < 0 else since
-        # What the device let go of by itself is judged by the length of that gap, and costs a part of the ramp only.
+        # What the device let go of by itself is judged by the length of that gap, and costs a part
+        # of the ramp only.
         if following.safety == "zero" or not (was_fault or state.seq - since >= AWAY):
             continue
-        # What is published at a tick is what came of the one before: the first force is that of the last tick without one.
+        # What is published at a tick is what came of the one before: the first force is that of the
+        # last tick without one.
         begins += [sample.write.at for sample in log if sample.seq >= state.seq][:1]
     return begins
 
 
-def pushed(log: Sequence[Sample], moved_at: Sequence[int], swapped_at: Sequence[int] = ()) -> tuple[list[str], float]:
+def pushed(
+    log: Sequence[Sample], moved_at: Sequence[int], swapped_at: Sequence[int] = ()
+) -> tuple[list[str], float]:
     """Return each force that rose faster than by its ramp after a surface was moved, and the largest share of it.
 
-    A move near one of `swapped_at` is left out, because the force follows the fade of that swap too.
-    A hand that moves meanwhile adds the stiffness times its way and the damping times its speed, at most.
+    A move near one of `swapped_at` is left out, because the force follows the fade of that swap
+    too. A hand that moves meanwhile adds the stiffness times its way and the damping times its
+    speed, at most.
     """
     wrong: list[str] = []
     steepest = 0.0
@@ -271,11 +312,19 @@ def pushed(log: Sequence[Sample], moved_at: Sequence[int], swapped_at: Sequence[
         if any(abs(seq - swap) <= FADE for swap in swapped_at):
             continue
         first = next((n for n, sample in enumerate(log) if sample.seq >= seq), len(log))
-        if first in (0, len(log)) or log[first].seq > seq + 1 or log[first].write.at - log[first - 1].write.at >= HOLD:
+        if (
+            first in (0, len(log))
+            or log[first].seq > seq + 1
+            or log[first].write.at - log[first - 1].write.at >= HOLD
+        ):
             continue  # no force at that time: the driver's own ramp holds
         began = log[first]
-        # Forces that were taken down just then come back to where they were, by the driver's own ramp.
-        felt = [max(abs(s.write.force[i]) for s in log[first - min(first, 50) : first]) for i in range(3)]
+        # Forces that were taken down just then come back to where they were, by the driver's own
+        # ramp.
+        felt = [
+            max(abs(s.write.force[i]) for s in log[first - min(first, 50) : first])
+            for i in range(3)
+        ]
         way, speed = [0.0] * 3, [0.0] * 3
         for before, sample in zip(log[first - 1 :], log[first:], strict=False):
             since = max(sample.write.at - began.write.at, sample.write.due - began.write.due)
@@ -291,11 +340,16 @@ def pushed(log: Sequence[Sample], moved_at: Sequence[int], swapped_at: Sequence[
                 steepest = max(steepest, (abs(sample.write.force[i]) - moved) / allowed)
                 if abs(sample.write.force[i]) > allowed + moved + EPSILON:
                     force = f"{sample.write.force[i]:.3g} N along {'xyz'[i]} at tick {sample.seq}"
-                    wrong.append(f"{force}, moved at tick {seq}: {allowed:.3g} N by its ramp, {moved:.3g} N by motion")
+                    wrong.append(
+                        f"{force}, moved at tick {seq}: {allowed:.3g} N by its ramp, {moved:.3g} N"
+                        " by motion"
+                    )
     return wrong[:3], steepest
 
 
-def launch_once(seed: str, number: int, ticks: Sequence[str] = ("plain", "compiled")) -> tuple[LaunchOutcome, Counter[str]]:
+def launch_once(
+    seed: str, number: int, ticks: Sequence[str] = ("plain", "compiled")
+) -> tuple[LaunchOutcome, Counter[str]]:
     """Do one random launch, and judge it."""
     random = Random(f"{seed}:{number}")  # noqa: S311  # no secret: drawn again from the same seed
     content, what = drawn(random, ticks)
@@ -312,7 +366,9 @@ def launch_once(seed: str, number: int, ticks: Sequence[str] = ("plain", "compil
             for _ in range(random.randint(*DONE)):
                 course.do()
             if not within(lambda: in_order(rig.states), PATIENCE):
-                outcome.reasons.append(f"not in order again within {PATIENCE:g} s: {rig.errors[-500:]}")
+                outcome.reasons.append(
+                    f"not in order again within {PATIENCE:g} s: {rig.errors[-500:]}"
+                )
             rig.end()
             log = read_log(rig.folder / LOG, 1.0 / RATE)
             states = rig.states
@@ -327,7 +383,9 @@ def launch_once(seed: str, number: int, ticks: Sequence[str] = ("plain", "compil
     outcome.reasons += [f"the device: {text}" for text in (*judged.broken[:3], *wrong)]
     outcome.reasons += [] if log else ["the device was given nothing"]
     if rig.exit_code != 0:
-        outcome.reasons.append(f"the launch ended with exit code {rig.exit_code}: {rig.said[-500:]}")
+        outcome.reasons.append(
+            f"the launch ended with exit code {rig.exit_code}: {rig.said[-500:]}"
+        )
     outcome.reasons += [f"left behind: {left}" for left in rig.left]
     return outcome, kinds
 
@@ -373,7 +431,10 @@ def text(found: RandomLaunches) -> str:
     done = ", ".join(f"{count} {name}" for name, count in found.done.items())
     lines = [
         f"{found.launches} launches of seed {found.seed}: {done}",
-        f"{found.forces} forces checked, {found.above} above a limit; the steepest rise took {found.steepest:.3f} of its ramp",
+        (
+            f"{found.forces} forces checked, {found.above} above a limit; the steepest rise took"
+            f" {found.steepest:.3f} of its ramp"
+        ),
     ]
     for one in found.failed:
         lines.append(f"launch {one.number} FAILED ({one.what}): {'; '.join(one.done)}")

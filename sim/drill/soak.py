@@ -1,12 +1,13 @@
 """A long run under use: loggers come and go (some by SIGKILL), parameters and laws change, nodes are killed and respawned.
 
-What it looks for is what short runs do not show: memory that grows, messages that nobody accounts for, ticks missed without
-a reason. Each round attaches loggers, changes parameters, and kills one node of the chain at its end; ticks are only excused
-from that kill until forces flow again.
+What it looks for is what short runs do not show: memory that grows, messages that nobody accounts
+for, ticks missed without a reason. Each round attaches loggers, changes parameters, and kills one
+node of the chain at its end; ticks are only excused from that kill until forces flow again.
 
-What a missed tick came from is measured. The kernel counts for each thread how long it ran and how long it was ready to run but
-did not (``schedstat``), and what the machine below took from the processors (``steal``). A witness beside the launch reads both
-a hundred times a second; a stall is compared with what was counted while it lasted.
+What a missed tick came from is measured. The kernel counts for each thread how long it ran and how
+long it was ready to run but did not (``schedstat``), and what the machine below took from the
+processors (``steal``). A witness beside the launch reads both a hundred times a second; a stall is
+compared with what was counted while it lasted.
 """
 
 from __future__ import annotations
@@ -32,11 +33,14 @@ from sim.drill.drill import RATE, in_order, scene
 from sim.measure.measured_launch import within
 from sim.measure.rig import Rig
 
-# Growth of a node's memory after its first tenth that is still called flat [bytes]: allocators round by the megabyte.
+# Growth of a node's memory after its first tenth that is still called flat [bytes]: allocators
+# round by the megabyte.
 GROWTH = 4e6
-# From when on a process is held to its memory [s]: after a tenth of the run, but not before its first chunks are written.
+# From when on a process is held to its memory [s]: after a tenth of the run, but not before its
+# first chunks are written.
 SETTLED = (4.0, 20.0)
-# What a logger may grow by beside that, per message [bytes]: MCAP's index of chunks is kept until the file is closed.
+# What a logger may grow by beside that, per message [bytes]: MCAP's index of chunks is kept until
+# the file is closed.
 INDEX = 5.0
 MISS_LIMIT = 1e-3  # largest share of missed ticks outside respawns
 
@@ -56,23 +60,32 @@ class Soak(msgspec.Struct, kw_only=True):
     changes: int = 0
     loggers: int = 0
     respawns: int = 0
-    # Ticks; those without a timely answer outside respawns; those of the respawns, which are left out.
+    # Ticks; those without a timely answer outside respawns; those of the respawns, which are left
+    # out.
     ticks: int = 0
     missed: int = 0
     excused: int = 0
-    # The missed ones with which even the driver, the most urgent of all, was woken late or not at all: the machine stood.
+    # The missed ones with which even the driver, the most urgent of all, was woken late or not at
+    # all: the machine stood.
     held_up: int = 0
-    # The missed ones, by what was last done to the launch within `BLAME` before; ``nothing`` for those left to the machine.
+    # The missed ones, by what was last done to the launch within `BLAME` before; ``nothing`` for
+    # those left to the machine.
     missed_after: dict[str, int] = {}
-    # The missed ones, by the cause that was measured (sim/drill/soak.py): the driver itself woken late, a node that waited
-    # for its processor or computed, stolen time; ``unexplained`` for the rest.
+    # The missed ones, by the cause that was measured (sim/drill/soak.py): the driver itself woken
+    # late, a node that waited for its processor or computed, stolen time; ``unexplained`` for the
+    # rest.
     causes: dict[str, int] = {}
-    growth_bytes: dict[str, float] = {}  # growth of each node's memory within one process of it, the largest [bytes]
-    # By node: ``sent`` by its own count, ``recorded`` by the launch's logger, and ``lost``, the difference.
+    # growth of each node's memory within one process of it, the largest [bytes]
+    growth_bytes: dict[str, float] = {}
+    # By node: ``sent`` by its own count, ``recorded`` by the launch's logger, and ``lost``, the
+    # difference.
     accounts: dict[str, dict[str, int]] = {}
-    # Messages of the other loggers that ended orderly; what they have is compared with what the launch's logger has.
+    # Messages of the other loggers that ended orderly; what they have is compared with what the
+    # launch's logger has.
     shared: int = 0
-    passed: bool = False  # memory flat, every message accounted for, recovered after each respawn, nothing left, few misses
+    # memory flat, every message accounted for, recovered after each respawn, nothing left, few
+    # misses
+    passed: bool = False
     reasons: list[str] = []  # why not
 
 
@@ -109,11 +122,16 @@ def _pass_time(rig: Rig, seconds: float, memory: _Memory) -> None:
         rig.let_pass(min(0.5, max(until - time.monotonic(), 0.0)))
 
 
-def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_LIMIT) -> Soak:
+# Long: one story in time, from the launch to its verdict.
+def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_LIMIT) -> Soak:  # noqa: PLR0915
     """Run for a long time under use."""
     content = scene()
     content["nodes"]["logger"]["respawn"] = False
-    content["nodes"]["coupling"]["parameters"]["laws"]["soft"] = {"kind": "pd", "stiffness": 500.0, "damping": 2.0}
+    content["nodes"]["coupling"]["parameters"]["laws"]["soft"] = {
+        "kind": "pd",
+        "stiffness": 500.0,
+        "damping": 2.0,
+    }
     found = Soak()
     witness = Witness(1.0 / RATE)
     memory = _Memory(min(max(seconds / 10.0, SETTLED[0]), SETTLED[1]), witness)
@@ -133,7 +151,8 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
             staying = rig.beside("bag", "record", "--out", f"round{number}.mcap")
             killed = rig.beside("bag", "record", "--out", f"killed{number}.mcap")
             found.loggers += 2
-            # Here before anything changes: on a busy machine their start takes as long as their visit.
+            # Here before anything changes: on a busy machine their start takes as long as their
+            # visit.
             for name in ("round", "killed"):
                 within((rig.folder / f"{name}{number}.mcap").exists, 20.0)
             for _ in range(4):
@@ -153,8 +172,14 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
             struck = rig.states[-1].seq
             seen = len(rig.states)
             rig.kill(victim)
-            if not within(lambda seen=seen: len(rig.states) > seen + 50 and in_order(rig.states), 20.0):  # type: ignore[misc]
-                found.reasons.append(f"round {number}: not recovered within 20 s after {victim} was killed: {rig.errors}")
+            if not within(
+                lambda seen=seen: len(rig.states) > seen + 50 and in_order(rig.states),  # type: ignore[misc]
+                20.0,
+            ):
+                found.reasons.append(
+                    f"round {number}: not recovered within 20 s after {victim} was killed:"
+                    f" {rig.errors}"
+                )
                 break
             excused.append((struck, rig.states[-1].seq))
             done.append((rig.states[-1].seq, f"{victim} respawned"))
@@ -173,9 +198,14 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
         if growth > limits[node]
     ]
     if found.missed > miss_limit * found.ticks:
-        found.reasons.append(f"missed {found.missed} of {found.ticks} ticks outside respawns, limit {miss_limit:g} of them")
+        found.reasons.append(
+            f"missed {found.missed} of {found.ticks} ticks outside respawns, limit {miss_limit:g}"
+            " of them"
+        )
     if miss_limit < 1.0 and found.causes.get(UNEXPLAINED):
-        found.reasons.append(f"{found.causes[UNEXPLAINED]} missed ticks have no cause that was measured")
+        found.reasons.append(
+            f"{found.causes[UNEXPLAINED]} missed ticks have no cause that was measured"
+        )
     if rig.exit_code != 0:
         found.reasons.append(f"the launch ended with exit code {rig.exit_code}: {rig.said}")
     found.reasons += [f"left behind: {what}" for what in rig.left]
@@ -191,9 +221,14 @@ def _account(folder: Path, found: Soak, names: list[str]) -> None:
     except RecordError as error:
         found.reasons.append(str(error))
         return
-    found.accounts = {node: {"sent": one.sent, "recorded": one.recorded, "lost": one.lost} for node, one in verdict.items()}
+    found.accounts = {
+        node: {"sent": one.sent, "recorded": one.recorded, "lost": one.lost}
+        for node, one in verdict.items()
+    }
     found.reasons += [
-        f"{one.lost} of {node}'s messages are neither recorded nor declared lost" for node, one in verdict.items() if one.lost
+        f"{one.lost} of {node}'s messages are neither recorded nor declared lost"
+        for node, one in verdict.items()
+        if one.lost
     ]
     for name in names:
         try:
@@ -208,7 +243,9 @@ def _account(folder: Path, found: Soak, names: list[str]) -> None:
                 missing = {seq for seq in everything[topic] if low <= seq <= high} - own
                 found.shared += len(own)
                 if missing:
-                    found.reasons.append(f"{name}: {len(missing)} messages of {topic} that the launch's logger has")
+                    found.reasons.append(
+                        f"{name}: {len(missing)} messages of {topic} that the launch's logger has"
+                    )
         except (RecordError, ValueError) as error:
             found.reasons.append(f"{name}: {error}")
     if not whole.complete:
@@ -219,7 +256,9 @@ def _ticks(recording: Recording, topic: str) -> set[int]:
     return {message.seq for message in recording.messages(topic)}
 
 
-def _count(rig: Rig, found: Soak, excused: list[tuple[int, int]], done: list[tuple[int, str]]) -> list[int]:
+def _count(
+    rig: Rig, found: Soak, excused: list[tuple[int, int]], done: list[tuple[int, str]]
+) -> list[int]:
     """Count the ticks without a timely answer; which of them nothing excuses."""
     states, missed = rig.states, []
     found.ticks = states[-1].seq - states[0].seq
@@ -262,22 +301,34 @@ def text(found: Soak) -> str:
     sent = sum(one["sent"] for one in found.accounts.values())
     growth = ", ".join(f"{node} {value / 1e6:+.1f}" for node, value in found.growth_bytes.items())
     lines = [
-        f"soak {'passed' if found.passed else 'FAILED'}: {found.duration_s:.0f} s at {RATE:g} Hz, {found.ticks} ticks",
-        f"  {found.loggers} loggers attached, {found.changes} changes, {found.respawns} nodes killed and respawned",
-        f"  missed {found.missed} ticks outside the respawns ({found.held_up} while even the driver was held up), "
-        f"{found.excused} within them"
-        + "".join(f"; {count} within {BLAME:g} s of: {what}" for what, count in found.missed_after.items()),
-        "  causes measured: " + (", ".join(f"{count} {cause}" for cause, count in found.causes.items()) or "none needed"),
+        (
+            f"soak {'passed' if found.passed else 'FAILED'}: {found.duration_s:.0f} s at {RATE:g}"
+            f" Hz, {found.ticks} ticks"
+        ),
+        (
+            f"  {found.loggers} loggers attached, {found.changes} changes, {found.respawns} nodes"
+            " killed and respawned"
+        ),
+        f"  missed {found.missed} ticks outside the respawns ({found.held_up} while even the driver"
+        f" was held up), {found.excused} within them"
+        + "".join(
+            f"; {count} within {BLAME:g} s of: {what}" for what, count in found.missed_after.items()
+        ),
+        "  causes measured: "
+        + (", ".join(f"{count} {cause}" for cause, count in found.causes.items()) or "none needed"),
         f"  memory growth [MB]: {growth}",
-        f"  {sent} messages sent by the nodes' own count, "
-        f"{sum(one['lost'] for one in found.accounts.values())} of them not in the launch's recording; "
-        f"{found.shared} in those of loggers that came and went",
+        (
+            f"  {sent} messages sent by the nodes' own count,"
+            f" {sum(one['lost'] for one in found.accounts.values())} of them not in the launch's"
+            f" recording; {found.shared} in those of loggers that came and went"
+        ),
     ]
     return "\n".join([*lines, *(f"  {reason}" for reason in found.reasons)])
 
 
 PERIOD = 0.01  # time between two looks [s]
-SHARE = 0.25  # from this share of a tick's period on, waiting or stolen time explains why an answer came late
+# from this share of a tick's period on, waiting or stolen time explains why an answer came late
+SHARE = 0.25
 UNEXPLAINED = "unexplained"
 
 
@@ -301,7 +352,11 @@ class Witness:
             for name, pid in list(self.pids.items()):
                 for thread, whose in self._threads(pid).items():
                     try:
-                        ran, waited = Path(f"/proc/{pid}/task/{thread}/schedstat").read_text(encoding="ascii").split()[:2]
+                        ran, waited = (
+                            Path(f"/proc/{pid}/task/{thread}/schedstat")
+                            .read_text(encoding="ascii")
+                            .split()[:2]
+                        )
                     except OSError:
                         continue
                     look[name, thread, f"{whose}waited for its processor"] = int(waited) * 1e-9
@@ -335,11 +390,19 @@ class Witness:
         last = min(bisect_right(self._times, ended), len(self._times) - 1)
         if not 0 <= first < last:
             return UNEXPLAINED
-        return largest(self._looks[first], self._looks[last], self._times[last] - self._times[first], self._period)
+        return largest(
+            self._looks[first],
+            self._looks[last],
+            self._times[last] - self._times[first],
+            self._period,
+        )
 
 
 def largest(
-    before: Mapping[tuple[str, int, str], float], after: Mapping[tuple[str, int, str], float], seconds: float, period: float
+    before: Mapping[tuple[str, int, str], float],
+    after: Mapping[tuple[str, int, str], float],
+    seconds: float,
+    period: float,
 ) -> str:
     """Find what explains a stall best."""
     found: list[tuple[float, str]] = []

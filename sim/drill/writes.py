@@ -49,8 +49,8 @@ class Write(NamedTuple):
     force : Vector
         What [N].
     due : float
-        When its tick began [s], from any zero; NaN where that is not known. A ramp is counted in ticks, and a driver that was
-        held up writes the force of a tick late.
+        When its tick began [s], from any zero; NaN where that is not known. A ramp is counted in
+        ticks, and a driver that was held up writes the force of a tick late.
     """
 
     at: float
@@ -68,7 +68,8 @@ class LogFindings(NamedTuple):
     above : int
         How many forces were above a limit.
     steepest : float
-        Largest share of what its ramp allowed that a force used, while a ramp was due; 1 is the ramp itself.
+        Largest share of what its ramp allowed that a force used, while a ramp was due; 1 is the
+        ramp itself.
     """
 
     broken: list[str]
@@ -84,8 +85,8 @@ def broken(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) 
 def judge(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) -> LogFindings:
     """Judge a log: peak, slew, the ramp after every gap and beginning, and zero at the end.
 
-    A ramp is due from the first write on, unless it is zero; from the first one after the device let go; and from the first
-    one after each of `begins`.
+    A ramp is due from the first write on, unless it is zero; from the first one after the device
+    let go; and from the first one after each of `begins`.
 
     Parameters
     ----------
@@ -94,7 +95,8 @@ def judge(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) -
     bounds : Promise
         What was to be kept.
     begins : sequence of float
-        When the position was elsewhere without a motion, or a force was due again after it had been away [s].
+        When the position was elsewhere without a motion, or a force was due again after it had been
+        away [s].
 
     Returns
     -------
@@ -129,23 +131,38 @@ def judge(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) -
         if max(map(abs, force)) > bounds.peak + EPSILON:
             above += 1
             found.append(f"{where}: {force} N, largest {bounds.peak:g} N")
-        # Within half a tick there is at most one boundary between two ticks, each of which has its slew; a driver that was held
-        # up begins several ticks late, one right after the other, so that what is known to belong to one tick is counted.
+        # Within half a tick there is at most one boundary between two ticks, each of which has its
+        # slew; a driver that was held up begins several ticks late, one right after the other, so
+        # that what is known to belong to one tick is counted.
         known = not math.isnan(due)
-        changes = [one for one in changes if (one[0] == due if known else at - one[0] < 0.5 * bounds.period)]
-        changes.append((due if known else at, [abs(new - old) for new, old in zip(force, felt, strict=True)]))
+        changes = [
+            one
+            for one in changes
+            if (one[0] == due if known else at - one[0] < 0.5 * bounds.period)
+        ]
+        changes.append(
+            (due if known else at, [abs(new - old) for new, old in zip(force, felt, strict=True)])
+        )
         moved = max(sum(change[i] for _, change in changes) for i in range(3))
         if moved > 2.0 * bounds.slew + EPSILON:
             within = "one tick" if known else "half a tick"
-            found.append(f"{where}: changed by {moved:g} N within {within}, slew {bounds.slew:g} N a tick")
-        # The first force of a ramp is one step of it, and may come a tick after the write that the ramp is taken to begin at.
-        since = at - ramp_from if math.isnan(due - due_from) else max(at - ramp_from, due - due_from)
+            found.append(
+                f"{where}: changed by {moved:g} N within {within}, slew {bounds.slew:g} N a tick"
+            )
+        # The first force of a ramp is one step of it, and may come a tick after the write that the
+        # ramp is taken to begin at.
+        since = (
+            at - ramp_from if math.isnan(due - due_from) else max(at - ramp_from, due - due_from)
+        )
         share = min((since + 2.0 * bounds.period) / bounds.ramp, 1.0) if bounds.ramp > 0.0 else 1.0
         for i in range(3):
             allowed = share * bounds.peak + (1.0 - share) * abs(before[i])
             steepest = max(steepest, abs(force[i]) / allowed) if share < 1.0 else steepest
             if abs(force[i]) > allowed + EPSILON:
-                found.append(f"{where}: {force[i]:g} N along {'xyz'[i]}, {since:.4f} s after a force that no motion made")
+                found.append(
+                    f"{where}: {force[i]:g} N along {'xyz'[i]}, {since:.4f} s after a force that no"
+                    " motion made"
+                )
         felt, last = force, at
     if log and any(log[-1].force):
         found.append(f"{log[-1].at:.4f} s: {log[-1].force} N is left on the device")

@@ -1,7 +1,8 @@
 """A law on a curved surface: what it renders along a way that turns, in the world's axes and in axes that turn with it.
 
-Led below a surface, a spring alone gives back on a closed way what it took. What a law does beyond that is its history's: in
-the world's axes a deflection that only turns looks as if it changed (THEORY.md §15).
+Led below a surface, a spring alone gives back on a closed way what it took. What a law does beyond
+that is its history's: in the world's axes a deflection that only turns looks as if it changed
+(THEORY.md §15).
 """
 
 import math
@@ -39,7 +40,8 @@ SEARCHED = (0.5, 1.5)  # where K_max of a sliding contact is searched, as parts 
 _RADIUS, _THIN = 0.035, 0.006
 # Device and hand together [kg], [N s/m], [N/m], and the damper of the law [N s/m].
 _MASS, _DAMPING, _GRIP, _GAIN = 0.15, 3.0, 150.0, 2.0
-_PRESS, _SLIDES = 0.01, 0.5  # how deep below the top the hand pulls [m], and how long a slide takes [s]
+# how deep below the top the hand pulls [m], and how long a slide takes [s]
+_PRESS, _SLIDES = 0.01, 0.5
 _ENTER = 40  # ticks in which the depth is reached
 
 
@@ -51,14 +53,18 @@ class AlongTheWay:
     surface: str
     law: str
     frame: str
-    # Energy that the device got on the way there and back, over force times way: negative for friction.
+    # Energy that the device got on the way there and back, over force times way: negative for
+    # friction.
     given_out: float
-    # Root mean square of the force's change from tick to tick, of what a spring alone renders taken off [N].
+    # Root mean square of the force's change from tick to tick, of what a spring alone renders taken
+    # off [N].
     kicks_n: float
     largest_n: float  # largest distance of the force from that of a spring alone [N]
 
 
-def ways(ticks: int, speed: float, period: float, depth: float) -> list[tuple[str, list[Solid], Array]]:
+def ways(
+    ticks: int, speed: float, period: float, depth: float
+) -> list[tuple[str, list[Solid], Array]]:
     """List surfaces, each with a way below it that begins outside, and comes back on itself [m]."""
     s = np.arange(ticks) * speed * period
     there = np.concatenate([np.full(_ENTER, s[0]), s])
@@ -76,7 +82,9 @@ def ways(ticks: int, speed: float, period: float, depth: float) -> list[tuple[st
     steep = math.radians(30.0)
     groove = [plane(origin, (side * math.sin(steep), 0.0, math.cos(steep))) for side in (1.0, -1.0)]
     x = there - 0.5 * s[-1]
-    across = np.stack([x, np.zeros_like(x), np.abs(x) * math.tan(steep) - down / math.cos(steep)], axis=1)
+    across = np.stack(
+        [x, np.zeros_like(x), np.abs(x) * math.tan(steep) - down / math.cos(steep)], axis=1
+    )
     flat = np.stack([x, np.zeros_like(x), -down], axis=1)
     found = [
         ("plane", [plane(origin, (0.0, 0.0, 1.0))], flat),
@@ -90,23 +98,44 @@ def ways(ticks: int, speed: float, period: float, depth: float) -> list[tuple[st
     return [(name, solids, back(path)) for name, solids, path in found]
 
 
-def forces(law: CompiledLaw, frame: str, positions: Array, proxies: Array, normals: Array, contact: NDArray[np.bool_]) -> Array:
+def forces(
+    law: CompiledLaw,
+    frame: str,
+    positions: Array,
+    proxies: Array,
+    normals: Array,
+    contact: NDArray[np.bool_],
+) -> Array:
     """Render a law over a way that is given [N]."""
     renderer = Renderer([0, 1, 2], max(2, len(law.taps)))
     begin_turning(renderer.state, frame)
     renderer.law = ActiveLaw("law", "", law, renderer.histories)
     found = np.zeros_like(positions)
-    rows = zip(positions.tolist(), proxies.tolist(), normals.tolist(), contact.tolist(), strict=True)
+    rows = zip(
+        positions.tolist(), proxies.tolist(), normals.tolist(), contact.tolist(), strict=True
+    )
     for k, (position, proxy, normal, touched) in enumerate(rows):
         place, away = (proxy, -1.0) if touched else (position, 1.0)
         at, proxied, turned = tuple(position), tuple(place), tuple(normal)
-        met = Proxy(seq=k, stamp=0.0, position=at, proxy=proxied, normal=turned, distance=away, contact=touched)
+        met = Proxy(
+            seq=k,
+            stamp=0.0,
+            position=at,
+            proxy=proxied,
+            normal=turned,
+            distance=away,
+            contact=touched,
+        )
         found[k] = renderer.render(met)
     return found
 
 
 def along_ways(
-    laws: Sequence[tuple[str, CompiledLaw]], period: float = 0.002, speed: float = 0.2, depth: float = 2e-3, ticks: int = 400
+    laws: Sequence[tuple[str, CompiledLaw]],
+    period: float = 0.002,
+    speed: float = 0.2,
+    depth: float = 2e-3,
+    ticks: int = 400,
 ) -> list[AlongTheWay]:
     """Lead a device along each surface and back, with each law in both frames."""
     found = []
@@ -123,13 +152,17 @@ def along_ways(
                 mean, way = 0.5 * (force[1:] + force[:-1])[steady], moved[steady]
                 work = float(np.einsum("ij,ij->", mean, way))
                 scale = float(np.linalg.norm(mean, axis=1) @ np.linalg.norm(way, axis=1))
-                kicks = float(np.sqrt(np.mean(np.sum(np.diff(beyond[steady], axis=0) ** 2, axis=1))))
+                kicks = float(
+                    np.sqrt(np.mean(np.sum(np.diff(beyond[steady], axis=0) ** 2, axis=1)))
+                )
                 most = float(np.linalg.norm(beyond[steady], axis=1).max())
                 found.append(AlongTheWay(surface, name, frame, work / scale, kicks, most))
     return found
 
 
-def sliding(launch: Launch, stiffness: float, speed: float, frame: str, radius: float = _RADIUS) -> Launch:
+def sliding(
+    launch: Launch, stiffness: float, speed: float, frame: str, radius: float = _RADIUS
+) -> Launch:
     """Make a launch in which a hand draws the device over a sphere, with the chain's law at H(1) = `stiffness` [N/m]."""
     deep = _GRIP * _PRESS / (_GRIP + stiffness)
     hand = {"mass": _MASS / 3.0, "damping": 2.0 * _DAMPING / 3.0, "stiffness": _GRIP}
@@ -145,13 +178,21 @@ def sliding(launch: Launch, stiffness: float, speed: float, frame: str, radius: 
     given: dict[str, dict[str, object]] = {
         "sim_driver": {"device": device, "pointer": None},
         "environment": {"surface": surface},
-        "coupling": {"frame": frame, "stability": "off", "law": "law", "schedule": [], "laws": {"law": law}},
+        "coupling": {
+            "frame": frame,
+            "stability": "off",
+            "law": "law",
+            "schedule": [],
+            "laws": {"law": law},
+        },
     }
     driver = next(spec for spec in launch.nodes.values() if spec.kind == "sim_driver")
     # It begins in the contact that is looked at, which a ramp would make another one.
     given["sim_driver"]["safety"] = {**driver.parameters.get("safety", {}), "ramp": 0.0}
     nodes = {
-        name: msgspec.structs.replace(spec, parameters={**spec.parameters, **given.get(spec.kind, {})})
+        name: msgspec.structs.replace(
+            spec, parameters={**spec.parameters, **given.get(spec.kind, {})}
+        )
         for name, spec in launch.nodes.items()
     }
     run = msgspec.structs.replace(launch.run, duration=_SLIDES, axes=["x", "y", "z"])
@@ -166,7 +207,9 @@ def growth(position: Array, proxy: Array, contact: NDArray[np.bool_]) -> float:
     return float(np.sqrt(np.mean(late**2) / max(np.mean(early**2), 1e-300)))
 
 
-def sliding_k_max(launch: Launch, speed: float, frame: str, radius: float = _RADIUS, precision: float = 2e-3) -> float:
+def sliding_k_max(
+    launch: Launch, speed: float, frame: str, radius: float = _RADIUS, precision: float = 2e-3
+) -> float:
     """Search the stiffness from which the ripple of a sliding contact grows [N/m], from `SEARCHED[0]` to [1] of one axis's.
 
     0 where it grows from the softest on, infinite where it does not grow at the stiffest.
@@ -191,14 +234,27 @@ def sliding_k_max(launch: Launch, speed: float, frame: str, radius: float = _RAD
 def growth_launched(launch: Launch, stiffness: float, speed: float, frame: str) -> float:
     """Tell the growth of the ripple in a launch in lockstep, through all processes."""
     made = sliding(launch, stiffness, speed, frame)
-    nodes = {name: {"kind": spec.kind, "parameters": spec.parameters} for name, spec in made.nodes.items()}
-    run = {"rate": made.run.rate, "duration": made.run.duration, "axes": list(made.run.axes), "pace": "lockstep"}
+    nodes = {
+        name: {"kind": spec.kind, "parameters": spec.parameters}
+        for name, spec in made.nodes.items()
+    }
+    run = {
+        "rate": made.run.rate,
+        "duration": made.run.duration,
+        "axes": list(made.run.axes),
+        "pace": "lockstep",
+    }
     with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
         file = Path(folder) / "sliding.yaml"
-        file.write_text(yaml.safe_dump({"summary": "A contact that slides.", "run": run, "nodes": nodes}), encoding="utf-8")
+        file.write_text(
+            yaml.safe_dump({"summary": "A contact that slides.", "run": run, "nodes": nodes}),
+            encoding="utf-8",
+        )
         figures = run_launch(str(file), folder=Path(folder))
         found = Recording(Path(folder) / figures["recording"]).messages(PROXY)
-    position, proxy = (np.array([getattr(message, name) for message in found]) for name in ("position", "proxy"))
+    position, proxy = (
+        np.array([getattr(message, name) for message in found]) for name in ("position", "proxy")
+    )
     return growth(position, proxy, np.array([message.contact for message in found]))
 
 

@@ -1,7 +1,8 @@
 """Level of detail that proves itself: the same path through finer and coarser descriptions of a shape, forces compared.
 
-Each level meets the device on the path of a real run; what it renders is compared with the finest. The coarsest whose force
-differs by no more than the device can tell, or than a stated part of the largest force, is enough.
+Each level meets the device on the path of a real run; what it renders is compared with the finest.
+The coarsest whose force differs by no more than the device can tell, or than a stated part of the
+largest force, is enough.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ from sim.scene.from_launch import parameters_of
 from sim.scene.spatial import SpatialTrace, play
 from sim.scene.touch import call_times, touch
 
-_GRIDS = (24, 16, 12, 8)  # cells along the longest side to which a mesh's corners are drawn together
+# cells along the longest side to which a mesh's corners are drawn together
+_GRIDS = (24, 16, 12, 8)
 _PIECES = (8, 4, 2, 1)
 _FEWEST = 8  # points that a primitive is fitted to, at least
 _PLACE = 10  # ticks in a row without a difference that end a place
@@ -53,12 +55,34 @@ class Level:
 
     @classmethod
     def measured(
-        cls, name: str, solids: int, triangles: int, difference: Array, counted: Array, away: Array, times: Array, limit: float
+        cls,
+        name: str,
+        solids: int,
+        triangles: int,
+        difference: Array,
+        counted: Array,
+        away: Array,
+        times: Array,
+        limit: float,
     ) -> Level:
         """Sum a path up: forces that differ [N], over all ticks and those that count, proxies [m], times of calls [µs]."""
-        largest, rms, proxy = float(difference.max()), float(np.sqrt(np.mean(counted**2))), float(1e6 * away.max())
+        largest, rms, proxy = (
+            float(difference.max()),
+            float(np.sqrt(np.mean(counted**2))),
+            float(1e6 * away.max()),
+        )
         calls = float(np.median(times)), float(np.percentile(times, 99))
-        return cls(name, solids, triangles, largest, rms, proxy, places(difference > limit), *calls, largest <= limit)
+        return cls(
+            name,
+            solids,
+            triangles,
+            largest,
+            rms,
+            proxy,
+            places(difference > limit),
+            *calls,
+            largest <= limit,
+        )
 
 
 @dataclass(frozen=True)
@@ -104,12 +128,18 @@ def detail(
         found = touch(made, path, tool_radius, period)
         either = finest.contact | found.contact
         away = np.linalg.norm(
-            np.where(found.contact[:, None], found.proxy, path) - np.where(finest.contact[:, None], finest.proxy, path), axis=1
+            np.where(found.contact[:, None], found.proxy, path)
+            - np.where(finest.contact[:, None], finest.proxy, path),
+            axis=1,
         )
         difference = stiffness * away
         times = 1e6 * call_times(made, path, tool_radius, period, _TIMED)
         triangles = sum(len(solid.mesh.corners) for solid in made if solid.mesh is not None)
-        levels.append(Level.measured(name, len(made), triangles, difference, difference[either], away, times, limit))
+        levels.append(
+            Level.measured(
+                name, len(made), triangles, difference, difference[either], away, times, limit
+            )
+        )
     return Detail(tuple(levels), limit, stiffness * resolution, largest, tuple(left_out))
 
 
@@ -119,7 +149,9 @@ def places(over: NDArray[np.bool_]) -> int:
     return 0 if not len(at) else 1 + int((np.diff(at) > _PLACE).sum())
 
 
-def _levels(solids: Sequence[Solid], touched: Array, normals: Array) -> Iterator[tuple[str, list[Solid] | str]]:
+def _levels(
+    solids: Sequence[Solid], touched: Array, normals: Array
+) -> Iterator[tuple[str, list[Solid] | str]]:
     """Give the levels from the finest on: each its name, and its shapes or why there is none."""
     rough = any(solid.friction != SLIPPERY for solid in solids)
     yield "as it is", list(solids)
@@ -132,8 +164,14 @@ def _levels(solids: Sequence[Solid], touched: Array, normals: Array) -> Iterator
         for cells in _GRIDS:
             yield from decimated(meshes[0], cells)
         for pieces in _PIECES:
-            yield f"{pieces} convex piece{'s' if pieces > 1 else ''}", _pieces(found, pieces, meshes[0])
-    points = np.concatenate([solid.mesh.corners.reshape(-1, 3) for solid in meshes if solid.mesh is not None] or [touched])
+            yield (
+                f"{pieces} convex piece{'s' if pieces > 1 else ''}",
+                _pieces(found, pieces, meshes[0]),
+            )
+    points = np.concatenate(
+        [solid.mesh.corners.reshape(-1, 3) for solid in meshes if solid.mesh is not None]
+        or [touched]
+    )
     friction = solids[0].friction
     # Each once: how many triangles meet in a corner says nothing about where the shape is.
     points = np.unique(points, axis=0)
@@ -145,7 +183,10 @@ def _levels(solids: Sequence[Solid], touched: Array, normals: Array) -> Iterator
             yield "sphere", [_sphere(points)._replace(friction=friction)]
     if len(solids) > 1 or solids[0].kind != PLANE:
         normal = normals.mean(axis=0)
-        yield "plane", [plane(tuple(touched.mean(axis=0).tolist()), tuple(normal.tolist()), friction)]
+        yield (
+            "plane",
+            [plane(tuple(touched.mean(axis=0).tolist()), tuple(normal.tolist()), friction)],
+        )
 
 
 def decimated(whole: Solid, cells: int) -> Iterator[tuple[str, list[Solid] | str]]:
@@ -159,9 +200,14 @@ def decimated(whole: Solid, cells: int) -> Iterator[tuple[str, list[Solid] | str
     cell = np.floor((corners.reshape(-1, 3) - low) / size).astype(np.int64)
     _, ids, counts = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
     ids = ids.ravel()
-    means = np.stack([np.bincount(ids, corners.reshape(-1, 3)[:, k]) for k in range(3)], axis=1) / counts[:, None]
+    means = (
+        np.stack([np.bincount(ids, corners.reshape(-1, 3)[:, k]) for k in range(3)], axis=1)
+        / counts[:, None]
+    )
     faces = ids.reshape(-1, 3)
-    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+    faces = faces[
+        (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    ]
     # What is folded flat has each triangle twice, back to back: both go.
     key = np.sort(faces, axis=1)
     _, at, times = np.unique(key, axis=0, return_inverse=True, return_counts=True)
@@ -201,7 +247,12 @@ def _pieces(found: PreparedMesh, count: int, whole: Solid) -> list[Solid] | str:
     made = []
     for part in parts:
         try:
-            made.append(mesh(prepare_mesh(hull(np.unique(part.reshape(-1, 3), axis=0)), False, "detail"), whole.friction))
+            made.append(
+                mesh(
+                    prepare_mesh(hull(np.unique(part.reshape(-1, 3), axis=0)), False, "detail"),
+                    whole.friction,
+                )
+            )
         except (ParameterError, ValueError, RuntimeError) as error:
             return f"a piece is flat: {' '.join(str(error).split())[:120]}"
     return made
@@ -209,7 +260,9 @@ def _pieces(found: PreparedMesh, count: int, whole: Solid) -> list[Solid] | str:
 
 def _sphere(points: Array) -> Solid:
     """Fit by linear least squares to |x|² = 2 x·c + (r² − c²)."""
-    solution = np.linalg.lstsq(np.column_stack([2.0 * points, np.ones(len(points))]), np.sum(points**2, axis=1), rcond=None)[0]
+    solution = np.linalg.lstsq(
+        np.column_stack([2.0 * points, np.ones(len(points))]), np.sum(points**2, axis=1), rcond=None
+    )[0]
     centre = solution[:3]
     return sphere(tuple(centre.tolist()), float(np.sqrt(max(solution[3] + centre @ centre, 1e-12))))
 
@@ -247,7 +300,14 @@ class _Watched(MovingScene):
         self.went: list[tuple[Array, Array]] = []
 
     def follow(
-        self, tick: int, position: Vector, force: Vector, since: int, delay: float, first: bool, jumped: bool = False
+        self,
+        tick: int,
+        position: Vector,
+        force: Vector,
+        since: int,
+        delay: float,
+        first: bool,
+        jumped: bool = False,
     ) -> str:
         """Take the scene to a tick."""
         begin = time.perf_counter_ns()
@@ -275,20 +335,31 @@ class _Led(_Watched):
         places: Any = np.ones(self.model.nq, dtype=bool)
         speeds: Any = np.ones(self.model.nv, dtype=bool)
         places[self._slides] = False
-        speeds[[int(self.model.jnt_dofadr[j]) for j in range(self.model.njnt) if self.model.jnt_qposadr[j] in self._slides]] = (
-            False
-        )
+        speeds[
+            [
+                int(self.model.jnt_dofadr[j])
+                for j in range(self.model.njnt)
+                if self.model.jnt_qposadr[j] in self._slides
+            ]
+        ] = False
         self._places, self._speeds = places, speeds
 
     def step(self) -> None:
         """Go one step further."""
         places, speeds = next(self._led)
-        self.data.qpos[self._places], self.data.qvel[self._speeds] = places[self._places], speeds[self._speeds]
+        self.data.qpos[self._places], self.data.qvel[self._speeds] = (
+            places[self._places],
+            speeds[self._speeds],
+        )
         super().step()
 
 
 def body_detail(
-    launch: Launch, stiffness: float, resolution: float, fraction: float, step: Callable[[str], None] = lambda _: None
+    launch: Launch,
+    stiffness: float,
+    resolution: float,
+    fraction: float,
+    step: Callable[[str], None] = lambda _: None,
 ) -> Detail:
     """Play the path of a run through all levels of detail of a scene in which things move, from dynamic bodies to none."""
     finest = _Watched(launch)
@@ -324,8 +395,12 @@ def _untouched(world: _Watched) -> _Watched:
     return world
 
 
-def _level(name: str, world: _Watched, found: SpatialTrace, ideal: SpatialTrace, limit: float) -> Level:
+def _level(
+    name: str, world: _Watched, found: SpatialTrace, ideal: SpatialTrace, limit: float
+) -> Level:
     difference = np.linalg.norm(found.force - ideal.force, axis=1)
     away = np.linalg.norm(found.proxy - ideal.proxy, axis=1)
     times = np.array(world.times, dtype=np.float64) / 1e3
-    return Level.measured(name, int(world.model.ngeom), 0, difference, difference, away, times, limit)
+    return Level.measured(
+        name, int(world.model.ngeom), 0, difference, difference, away, times, limit
+    )

@@ -1,10 +1,11 @@
 """The drop test, the paper's experiment, and two others: what is played, and when it counts as settled.
 
-*Drop*: a mass falls on a virtual floor, the paper's; *press*: a hand pushes the device into a wall; *free*: it swings about a
-two-sided anchor, the linear loop itself. A run settles when, over the last quarter of a stated horizon, it moves less than a
-tolerance about the point where the forces balance, without leaving the wall or touching a limit of the force, and has never
-risen above where it started. Near the limit the decay is slow: one horizon for every law, or the figures do not compare (drop
-and press read 70–99 % of the linear limit).
+*Drop*: a mass falls on a virtual floor, the paper's; *press*: a hand pushes the device into a wall;
+*free*: it swings about a two-sided anchor, the linear loop itself. A run settles when, over the
+last quarter of a stated horizon, it moves less than a tolerance about the point where the forces
+balance, without leaving the wall or touching a limit of the force, and has never risen above where
+it started. Near the limit the decay is slow: one horizon for every law, or the figures do not
+compare (drop and press read 70–99 % of the linear limit).
 """
 
 import functools
@@ -35,7 +36,8 @@ from sim.scene.tick_loop import Contact, LawTables, Motion, Records, play_compil
 SHORTEST = 8  # horizon of which a quarter is two ticks [ticks]
 GRAVITY = 9.81  # of a device without gravity of its own [m/s²]
 HEIGHT = 0.01  # of a drop where none is given [m]
-BALANCE = 0.01  # how far the mean force of a law with its own code may be from the load at rest, as a part of it
+# how far the mean force of a law with its own code may be from the load at rest, as a part of it
+BALANCE = 0.01
 
 
 class Convention(NamedTuple):
@@ -59,11 +61,15 @@ class Criterion:
     """When a run counts as settled."""
 
     ticks: int = 2500  # horizon [ticks]
-    tolerance: float = 1e-4  # largest motion, peak to peak, over the last quarter of the horizon [m]
+    # largest motion, peak to peak, over the last quarter of the horizon [m]
+    tolerance: float = 1e-4
 
     def __post_init__(self) -> None:
         if self.ticks < SHORTEST:
-            raise ValueError(f"criterion.ticks is {self.ticks}, expected at least {SHORTEST}: a quarter must be two ticks")
+            raise ValueError(
+                f"criterion.ticks is {self.ticks}, expected at least {SHORTEST}: a quarter must be"
+                " two ticks"
+            )
         if not self.tolerance > 0.0:
             raise ValueError(f"criterion.tolerance is {self.tolerance} m, expected more than 0")
 
@@ -75,7 +81,11 @@ def held(plant: Plant) -> DeviceModel:
 
 
 def drop_scene(
-    device: DeviceModel, period: float, raw: bool = CONVENTION.raw, clamp: bool = CONVENTION.clamp, height: float = HEIGHT
+    device: DeviceModel,
+    period: float,
+    raw: bool = CONVENTION.raw,
+    clamp: bool = CONVENTION.clamp,
+    height: float = HEIGHT,
 ) -> Scene:
     """Return the drop of a device on a floor at 0 from a height [m]; `GRAVITY` acts where it has none of its own."""
     gravity = GRAVITY if device.gravity is None else device.gravity
@@ -84,7 +94,12 @@ def drop_scene(
 
 
 def press_scene(
-    device: DeviceModel, period: float, raw: bool, clamp: bool, hand: Hand | None = None, depth: float = 0.01
+    device: DeviceModel,
+    period: float,
+    raw: bool,
+    clamp: bool,
+    hand: Hand | None = None,
+    depth: float = 0.01,
 ) -> Scene:
     """Let a hand, by default of 100 N/m, press the device from so far before a wall at 0 to as far behind it [m]."""
     hand = Hand(stiffness=100.0, path=[(0.0, -depth)]) if hand is None else hand
@@ -100,11 +115,20 @@ def free_scene(device: DeviceModel, period: float, amplitude: float = 0.01) -> S
 
 @kernel
 def floor_force(
-    x: float, taps: Any, recursive: Any, memory: Any, history: Any, head: int, length: int, raw: bool, clamp: bool
+    x: float,
+    taps: Any,
+    recursive: Any,
+    memory: Any,
+    history: Any,
+    head: int,
+    length: int,
+    raw: bool,
+    clamp: bool,
 ) -> tuple[int, float, bool]:
     """Return the new head of the history, the force [N] of a law on a floor at 0, and whether it is touched.
 
-    Every drop that is not played by `sim.scene.tick_loop` calls this: that loop's own kernels, in its order.
+    Every drop that is not played by `sim.scene.tick_loop` calls this: that loop's own kernels, in
+    its order.
     """
     head, _, touches = respond(x, PLANE, 0.0, 1.0, raw, history, head, length)
     force = evaluate(taps, recursive, memory, history, head)
@@ -138,7 +162,9 @@ def _judge(positions: Any, forces: Any, surface: float, normal: float) -> Any:
     highest = -math.inf
     touched = normal == 0.0
     for k in range(ticks):
-        distance = abs(positions[k] - surface) if normal == 0.0 else (positions[k] - surface) * normal
+        distance = (
+            abs(positions[k] - surface) if normal == 0.0 else (positions[k] - surface) * normal
+        )
         touched = touched or distance < 0.0
         if touched and not distance <= highest:
             highest = distance
@@ -160,7 +186,15 @@ def _judge(positions: Any, forces: Any, surface: float, normal: float) -> Any:
 
 
 def _trials(
-    first: int, last: int, ticks: int, motion: Motion, contact: Contact, taps: Any, recursive: Any, windows: Any, results: Any
+    first: int,
+    last: int,
+    ticks: int,
+    motion: Motion,
+    contact: Contact,
+    taps: Any,
+    recursive: Any,
+    windows: Any,
+    results: Any,
 ) -> None:
     length = taps.shape[1]
     width = 0 if recursive is None else recursive.shape[1]
@@ -170,9 +204,15 @@ def _trials(
         forces = np.empty(ticks)
         none = np.empty(0, dtype=np.int64)
         laws = LawTables(taps[p], np.array([0, length]), own, np.array([0, width // 2]), none, none)
-        states, history, commands = np.zeros(width // 2), np.zeros(2 * max(length, 2)), np.zeros(motion.waiting)
+        states, history, commands = (
+            np.zeros(width // 2),
+            np.zeros(2 * max(length, 2)),
+            np.zeros(motion.waiting),
+        )
         records = Records(positions, None, None, None, forces, None)
-        play_compiled(ticks, motion, contact, laws, states, history, commands, records, None, _row(windows, p))
+        play_compiled(
+            ticks, motion, contact, laws, states, history, commands, records, None, _row(windows, p)
+        )
         verdict = _judge(positions, forces, contact.surface, contact.normal)
         for i in range(6):
             results[p, i] = verdict[i]
@@ -193,7 +233,10 @@ def rest_position(scene: Scene, law: CompiledLaw, ticks: int) -> float | None:
         return None
     if scene.surface.kind != "free":
         rest = (load + law.h1 * scene.surface.position) / (grip + law.h1)
-        if scene.surface.kind == "anchor" or (rest - scene.surface.position) * scene.surface.normal <= 0.0:
+        if (
+            scene.surface.kind == "anchor"
+            or (rest - scene.surface.position) * scene.surface.normal <= 0.0
+        ):
             return rest
     return load / grip if grip > 0.0 else None
 
@@ -208,17 +251,22 @@ def _threads(process: int) -> ThreadPoolExecutor:
 def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> list[bool]:
     """Play one experiment with each of several laws, spread over the cores; refused with a guard, which `run` plays."""
     if scene.passivity is not None and scene.passivity.guard == "on":
-        raise ValueError("scene.passivity.guard is on: K_max is searched for the law alone; leave the guard out")
+        raise ValueError(
+            "scene.passivity.guard is on: K_max is searched for the law alone; leave the guard out"
+        )
     if not laws:
         return []
     own = [law.evaluate for law in laws]
     dampers = [one for one in own if isinstance(one, WindowedDamper)]
     if any(one is not None for one in own) and len(dampers) < len(laws):
-        # Other code of its own is not compiled: such a law is played by the interpreter, one run after the other.
+        # Other code of its own is not compiled: such a law is played by the interpreter, one run
+        # after the other.
         return [
-            _played(scene, law, criterion)
-            if law.evaluate is not None and not isinstance(law.evaluate, WindowedDamper)
-            else settles(scene, [law], criterion)[0]
+            (
+                _played(scene, law, criterion)
+                if law.evaluate is not None and not isinstance(law.evaluate, WindowedDamper)
+                else settles(scene, [law], criterion)[0]
+            )
             for law in laws
         ]
     windows = np.array([(one.gain, one.error, one.window) for one in dampers]) if dampers else None
@@ -240,14 +288,19 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
 
     def play(part: int) -> None:
         sections = recursive if most else None
-        _trials_compiled(bounds[part], bounds[part + 1], ticks, motion, contact, taps, sections, windows, results)
+        _trials_compiled(
+            bounds[part], bounds[part + 1], ticks, motion, contact, taps, sections, windows, results
+        )
 
     if cores == 1:
         play(0)
     else:
         # Compiled code holds no interpreter lock: threads are cores.
         list(_threads(os.getpid()).map(play, range(cores)))
-    return [_verdict(scene, law, end, criterion) for law, end in zip(laws, results.tolist(), strict=True)]
+    return [
+        _verdict(scene, law, end, criterion)
+        for law, end in zip(laws, results.tolist(), strict=True)
+    ]
 
 
 def _played(scene: Scene, law: CompiledLaw, criterion: Criterion) -> bool:
@@ -256,10 +309,15 @@ def _played(scene: Scene, law: CompiledLaw, criterion: Criterion) -> bool:
     return settled(scene, law, trace.position, trace.force, criterion)
 
 
-def settled(scene: Scene, law: CompiledLaw, position: Array, force: Array, criterion: Criterion) -> bool:
+def settled(
+    scene: Scene, law: CompiledLaw, position: Array, force: Array, criterion: Criterion
+) -> bool:
     """Judge a run that was played elsewhere, positions [m] and forces [N] of each tick, by the very rules of `settles`."""
     if not len(position) == len(force) == criterion.ticks:
-        raise ValueError(f"{len(position)} positions and {len(force)} forces, the horizon is {criterion.ticks} ticks")
+        raise ValueError(
+            f"{len(position)} positions and {len(force)} forces, the horizon is {criterion.ticks}"
+            " ticks"
+        )
     normal = scene.surface.normal if scene.surface.kind == "plane" else 0.0
     return _verdict(scene, law, _judge(position, force, scene.surface.position, normal), criterion)
 
@@ -276,14 +334,16 @@ def _verdict(scene: Scene, law: CompiledLaw, end: Sequence[float], criterion: Cr
         band = criterion.tolerance + friction / (law.h1 + device.grip) + (device.resolution or 0.0)
         still = rests(motion, mean, rest, criterion.tolerance, band)
     else:
-        # Such a law has no H(1) that tells where it rests: there the forces that were played balance.
+        # Such a law has no H(1) that tells where it rests: there the forces that were played
+        # balance.
         load = device.load(criterion.ticks - 1, scene.period) - device.grip * mean
         still = rests(motion, push, -load, criterion.tolerance, friction + BALANCE * abs(load))
     start = device.position - surface.position
     if surface.kind == "plane":
         high = rises(highest, start * surface.normal, criterion.tolerance)
     else:
-        # About an anchor the damper sees the start as a jump, and may kick the device a few times as far: that is linear.
+        # About an anchor the damper sees the start as a jump, and may kick the device a few times
+        # as far: that is linear.
         high = rises(highest, 10.0 * abs(start), 0.0)
     limit = min(value for value in (device.peak_force, scene.peak, math.inf) if value is not None)
     bounces = surface.kind == "plane" and last > (device.resolution or 0.0)

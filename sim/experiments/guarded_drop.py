@@ -1,7 +1,8 @@
 """What the passivity guard makes safe, and what that costs in rendered stiffness: the drop, with and without it.
 
-Without the guard, a wall beyond K_max gives out energy at every bounce; with it, the mass comes to lie. The price is stiffness:
-forces are lowered on the way out, so the wall felt at rest (mean force over mean penetration) is softer than nominal.
+Without the guard, a wall beyond K_max gives out energy at every bounce; with it, the mass comes to
+lie. The price is stiffness: forces are lowered on the way out, so the wall felt at rest (mean force
+over mean penetration) is softer than nominal.
 """
 
 from dataclasses import dataclass, replace
@@ -23,9 +24,11 @@ class Drop:
 
     stiffness: float  # nominal stiffness K [N/m]
     guarded: bool  # whether the guard was on
-    energy_max_j: float  # most that the wall had given out at any time, beyond what it was given [J]
+    # most that the wall had given out at any time, beyond what it was given [J]
+    energy_max_j: float
     unrest_m: float  # peak to peak of the position at the end [m]
-    # Mean force over mean penetration at the end; None when the mass does not lie in the wall all that time.
+    # Mean force over mean penetration at the end; None when the mass does not lie in the wall all
+    # that time.
     felt_n_per_m: float | None
     impact_n_per_m: float  # largest force over largest penetration
 
@@ -52,7 +55,13 @@ def measure(trace: Trace, stiffness: float, guarded: bool, delay: float) -> Drop
 
 
 def compare(
-    device: DeviceModel, wall: float, damping: float, period: float, guard_damping: float, next_tick: bool, ticks: int
+    device: DeviceModel,
+    wall: float,
+    damping: float,
+    period: float,
+    guard_damping: float,
+    next_tick: bool,
+    ticks: int,
 ) -> list[Drop]:
     """Drop a mass on a wall of PD, without the guard and with it."""
     found = []

@@ -1,9 +1,10 @@
 """Two hands and a network in one process: what is stable for any hands, what is felt, and what a guard at both ends buys.
 
-Each side has a device, a law on its own position and on the other's as late as the network makes it, and, if asked for, a
-passivity guard (nodes/driver/passivity.py) whose credit travels: what one side took in beyond what its law can store is sent
-to the other, which may give it out (energy tanks: Franken et al. 2011; observers at both ends: Ryu, Artigas & Preusche 2010).
-Sums travel, so delay and loss only delay energy and never make any.
+Each side has a device, a law on its own position and on the other's as late as the network makes
+it, and, if asked for, a passivity guard (nodes/driver/passivity.py) whose credit travels: what one
+side took in beyond what its law can store is sent to the other, which may give it out (energy
+tanks: Franken et al. 2011; observers at both ends: Ryu, Artigas & Preusche 2010). Sums travel, so
+delay and loss only delay energy and never make any.
 """
 
 from __future__ import annotations
@@ -70,7 +71,8 @@ class HandsRun:
     position, force : ndarray, shape (ticks, 2)
         Of both devices [m]; on them, by the laws [N].
     given_out_j : ndarray, shape (ticks,)
-        Energy that laws and network together have given out to both hands [J]: positive is energy made.
+        Energy that laws and network together have given out to both hands [J]: positive is energy
+        made.
     """
 
     position: NDArray[np.float64]
@@ -84,7 +86,10 @@ class _Side:
     def __init__(self, plant: Plant, law: CompiledLaw, guard: EndGuard | None) -> None:
         whole, self._motion, self._push, late = held_step(plant)
         if whole or any(late):
-            raise ValueError(f"delay = {plant.delay:g}: a side's own delay must be 0 here; the network's is in `Network`")
+            raise ValueError(
+                f"delay = {plant.delay:g}: a side's own delay must be 0 here; the network's is in"
+                " `Network`"
+            )
         self._taps, self._guard = law.taps, guard
         self._rate = guard.damping / plant.period if guard else 0.0
         self.x = self.v = self.force = 0.0
@@ -115,7 +120,10 @@ class _Side:
         """Move for a tick under the law's force and a hand's [N]."""
         (a11, a12, a21, a22), (g1, g2) = self._motion, self._push
         push, before = self.force + outside, self.x
-        self.x, self.v = (a11 * self.x + a12 * self.v + g1 * push, a21 * self.x + a22 * self.v + g2 * push)
+        self.x, self.v = (
+            a11 * self.x + a12 * self.v + g1 * push,
+            a21 * self.x + a22 * self.v + g2 * push,
+        )
         self._step = self.x - before
         self.energy = observe(self.energy, self.force, self._step)
 
@@ -165,7 +173,9 @@ def play(
     for k in range(ticks):
         for listener in (0, 1):
             speaker = sides[1 - listener]
-            late = delays[listener] + (int(random.integers(network.jitter + 1)) if network.jitter else 0)
+            late = delays[listener] + (
+                int(random.integers(network.jitter + 1)) if network.jitter else 0
+            )
             if network.loss <= 0.0 or random.random() >= network.loss:
                 under_way[listener].append((k + late, k, speaker.x, speaker.sent))
             arrived = [one for one in under_way[listener] if one[0] <= k]
@@ -193,7 +203,8 @@ class FeltPartner:
     stiffness_n_per_m : float
         Of a partner that is held fast: in phase with the first hand's motion [N/m].
     drag_n_s_per_m : float
-        Of a partner whose device nobody holds: in phase with its speed, what that device needs itself left out [N s/m].
+        Of a partner whose device nobody holds: in phase with its speed, what that device needs
+        itself left out [N s/m].
     made_j : float
         Most energy that laws and network gave out beyond what they were given [J].
     """
@@ -203,7 +214,13 @@ class FeltPartner:
     made_j: float
 
 
-def felt(plant: Plant, law: CompiledLaw, network: Network, guard: EndGuard | None = None, seconds: float = 4.0) -> FeltPartner:
+def felt(
+    plant: Plant,
+    law: CompiledLaw,
+    network: Network,
+    guard: EndGuard | None = None,
+    seconds: float = 4.0,
+) -> FeltPartner:
     """Measure what is felt: the first hand moves its device to and fro by 10 mm, the partner is held fast, or let go.
 
     Parameters
@@ -226,7 +243,8 @@ def felt(plant: Plant, law: CompiledLaw, network: Network, guard: EndGuard | Non
     """
     period, omega = plant.period, 2.0 * math.pi * FELT_AT
     ticks = round(seconds / period)
-    # A hand of 2 kN/m and 40 N s/m leads the device nearly as a motion source would; a fist of the same holds it fast.
+    # A hand of 2 kN/m and 40 N s/m leads the device nearly as a motion source would; a fist of the
+    # same holds it fast.
     firm = Plant(period, plant.mass + 0.3, plant.damping + 40.0, 0.0, 2000.0)
 
     def lead(k: int) -> float:
@@ -243,7 +261,8 @@ def felt(plant: Plant, law: CompiledLaw, network: Network, guard: EndGuard | Non
         made = max(made, float(run.given_out_j.max()))
         half = slice(ticks // 2, None)
         turn = np.exp(-1j * omega * period * np.arange(ticks))[half]
-        # Of a fist what is felt over what it leaves of the way, so that its own give is no part of the answer.
+        # Of a fist what is felt over what it leaves of the way, so that its own give is no part of
+        # the answer.
         moved = run.position[half, 0] - (run.position[half, 1] if partner is firm else 0.0)
         found.append(-np.dot(run.force[half, 0], turn) / np.dot(moved, turn))
     held, free = found
@@ -260,7 +279,8 @@ class HandsAtDelay:
     delay_ticks : int
         One-way delay of the network [ticks].
     one_law_n_per_m, law_each_n_per_m : float or None
-        Stiffest spring that is passive for any two hands: one law, beside the first device; a law at each [N/m].
+        Stiffest spring that is passive for any two hands: one law, beside the first device; a law
+        at each [N/m].
     damped_n_per_m, damper_n_s_per_m : float or None
         The same of PD at each device, with the damper with which it bears most [N/m, N s/m].
     linear : FeltPartner or None
@@ -278,7 +298,9 @@ class HandsAtDelay:
     guarded: FeltPartner
 
 
-def over_delay(plant: Plant, asked: float, gain: float, delays: list[int], dampers: int = 17) -> list[HandsAtDelay]:
+def over_delay(
+    plant: Plant, asked: float, gain: float, delays: list[int], dampers: int = 17
+) -> list[HandsAtDelay]:
     """Compare ways to couple two equal devices over a network, delay by delay.
 
     Parameters

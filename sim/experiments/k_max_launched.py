@@ -1,7 +1,8 @@
 """K_max found by the distributed loop itself: every drop is a ``haptic launch`` in lockstep, judged from its recording.
 
-The study in one process is only worth something if the loop renders the same. So each stiffness is dropped through all
-processes too, and judged by the very criterion of the study. Both must end at the same stiffness of a common grid.
+The study in one process is only worth something if the loop renders the same. So each stiffness is
+dropped through all processes too, and judged by the very criterion of the study. Both must end at
+the same stiffness of a common grid.
 """
 
 import json
@@ -42,8 +43,8 @@ NO_LIMITS: dict[str, Any] = {
 class SameKMax:
     """Where each of the two stops settling, on one grid of stiffnesses."""
 
-    # Largest K of the grid below the first that the processes do not settle with [N/m]; None when the first does not, infinite
-    # when the last still does.
+    # Largest K of the grid below the first that the processes do not settle with [N/m]; None when
+    # the first does not, infinite when the last still does.
     launched_n_per_m: float | None
     one_process_n_per_m: float | None  # the same, played in one process [N/m]
     h1_n_per_m: float | None  # H(1) of the law at `launched_n_per_m` [N/m]
@@ -66,7 +67,12 @@ def parameters(scene: Scene, law: dict[str, Any]) -> dict[str, Any]:
     at = scene.surface.position
     surface: dict[str, Any] = {"kind": "anchor", "position": [0.0, 0.0, at]}
     if scene.surface.kind == "plane":
-        surface = {"kind": "plane", "axis": "z", "position": at, "normal": int(scene.surface.normal)}
+        surface = {
+            "kind": "plane",
+            "axis": "z",
+            "position": at,
+            "normal": int(scene.surface.normal),
+        }
     return {
         # What is looked for lies beyond what a device would bear: none of the launch file's limits.
         "driver": {"device": msgspec.to_builtins(scene.device), "safety": NO_LIMITS},
@@ -85,10 +91,17 @@ def parameters(scene: Scene, law: dict[str, Any]) -> dict[str, Any]:
 
 def _assignments(scene: Scene, ticks: int) -> dict[str, Any]:
     apply = "next_tick" if scene.next_tick else "on_arrival"
-    return {"pace": "lockstep", "rate": 1.0 / scene.period, "duration": ticks * scene.period, "apply": apply}
+    return {
+        "pace": "lockstep",
+        "rate": 1.0 / scene.period,
+        "duration": ticks * scene.period,
+        "apply": apply,
+    }
 
 
-def _written(scene: Scene, law: dict[str, Any], ticks: int, folder: Path) -> tuple[Path, LaunchedScene]:
+def _written(
+    scene: Scene, law: dict[str, Any], ticks: int, folder: Path
+) -> tuple[Path, LaunchedScene]:
     path = folder / "drop.yaml"
     # JSON is YAML, and its floats come back with the same bits.
     path.write_text(json.dumps(parameters(scene, law)), encoding="utf-8")
@@ -101,14 +114,19 @@ def launched(scene: Scene, law: dict[str, Any], ticks: int) -> tuple[Array, Arra
         path, read_back = _written(scene, law, ticks, Path(folder))
         # The driver's own rules are the launch's; a drop that keeps its ticks never comes to them.
         if replace(read_back.scene, safety=scene.safety) != scene or read_back.ticks != ticks:
-            raise ValueError(f"{SCENARIO} plays {read_back.scene} for {read_back.ticks} ticks, wanted was {scene}")
+            raise ValueError(
+                f"{SCENARIO} plays {read_back.scene} for {read_back.ticks} ticks, wanted was"
+                f" {scene}"
+            )
         words = [f"{name}:={value}" for name, value in _assignments(scene, ticks).items()]
         figures = measured_launch.launch(
             SCENARIO, *words, "--params", str(path), folder=Path(folder), timeout=60.0 + 0.1 * ticks
         )
         states = Recording(Path(folder) / figures["recording"]).messages(DEVICE_STATE)
     if [state.seq for state in states] != list(range(ticks + 1)):
-        raise MeasurementError(f"{len(states)} states were recorded, expected {ticks + 1} without a gap")
+        raise MeasurementError(
+            f"{len(states)} states were recorded, expected {ticks + 1} without a gap"
+        )
     axis = read_back.axis
     position = np.array([state.position[axis] for state in states[:ticks]])
     # A state tells the force that ended the tick before it.
@@ -130,7 +148,8 @@ def compiled(scene: Scene, law: dict[str, Any]) -> CompiledLaw:
 def last_settling(verdict: Callable[[float], bool], grid: Sequence[float]) -> float | None:
     """Bisect a rising grid of K [N/m]: one that settles and whose neighbour above does not.
 
-    None when the first does not settle, infinite when the last does: a grid says nothing of what lies beyond its ends.
+    None when the first does not settle, infinite when the last does: a grid says nothing of what
+    lies beyond its ends.
     """
     if not verdict(grid[0]):
         return None
@@ -144,7 +163,11 @@ def last_settling(verdict: Callable[[float], bool], grid: Sequence[float]) -> fl
 
 
 def same_k_max(
-    law: Law, scene: Scene, criterion: Criterion, grid: Sequence[float], step: Callable[[str, int], None] = lambda *_: None
+    law: Law,
+    scene: Scene,
+    criterion: Criterion,
+    grid: Sequence[float],
+    step: Callable[[str, int], None] = lambda *_: None,
 ) -> SameKMax:
     """Find K_max of a law by the processes and in one process, independently."""
     launches = 0

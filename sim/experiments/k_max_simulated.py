@@ -1,7 +1,8 @@
 """The largest stiffness that still settles: K raised until a run no longer does, then bisected.
 
-That is how the paper finds its K_max. The lowest interval of K that settles counts, so that an island of stability beyond the
-limit does not; and the swing of the last run that settled tells the frequency that really occurs there.
+That is how the paper finds its K_max. The lowest interval of K that settles counts, so that an
+island of stability beyond the limit does not; and the swing of the last run that settled tells the
+frequency that really occurs there.
 """
 
 import math
@@ -25,33 +26,39 @@ SEARCHED = (1e-3, 4.0)  # softest and stiffest K that are tried, in units of m/T
 class SimulatedKMax:
     """Where raising the nominal stiffness stops a run from settling."""
 
-    # Largest K that settled, of the lowest interval that does [N/m]; None when none did, infinite when the stiffest that was
-    # tried did.
+    # Largest K that settled, of the lowest interval that does [N/m]; None when none did, infinite
+    # when the stiffest that was tried did.
     k_max_n_per_m: float | None
-    h1_max_n_per_m: float | None  # H(1) there [N/m]; None for a law with code of its own, which need not have one
+    # H(1) there [N/m]; None for a law with code of its own, which need not have one
+    h1_max_n_per_m: float | None
     unsettled_n_per_m: float | None  # smallest K above it that did not [N/m]
-    frequency_hz: float | None  # frequency of the last swings seen at K_max [Hz]; None when it did not swing
+    # frequency of the last swings seen at K_max [Hz]; None when it did not swing
+    frequency_hz: float | None
     ticks: int  # simulated ticks
-    searched_n_per_m: tuple[float, float] = (math.nan, math.nan)  # softest and stiffest K that were tried [N/m]
+    # softest and stiffest K that were tried [N/m]
+    searched_n_per_m: tuple[float, float] = (math.nan, math.nan)
 
 
 def at_stiffness(law: Law, period: float) -> LawOfStiffness:
     """Return the law as a function of its nominal stiffness K [N/m], compiled anew for each.
 
-    A law without a parameter ``stiffness`` gets its spring in tap 0. That is refused for one with code of its own, whose
-    code would keep its stiffness: ValueError.
+    A law without a parameter ``stiffness`` gets its spring in tap 0. That is refused for one with
+    code of its own, whose code would keep its stiffness: ValueError.
     """
     if "stiffness" in law.__struct_fields__:
         return lambda stiffness: msgspec.structs.replace(law, stiffness=stiffness).compile(period)
     if law.compile(period).evaluate is not None:
         raise ValueError(
-            f"law kind {law.kind} has code of its own and no parameter 'stiffness' that could be raised; name its stiffness so"
+            f"law kind {law.kind} has code of its own and no parameter 'stiffness' that could be"
+            " raised; name its stiffness so"
         )
     derivative = without_spring(law, period)
     return lambda stiffness: with_spring(derivative, stiffness)
 
 
-def swing_frequency(position: Array, period: float, rest: float, smallest: float = 1e-7) -> float | None:
+def swing_frequency(
+    position: Array, period: float, rest: float, smallest: float = 1e-7
+) -> float | None:
     """Frequency of the last 20 swings about a point [Hz], by interpolated upward crossings; None with less than three."""
     y = position - rest
     up = np.flatnonzero((y[:-1] < 0.0) & (y[1:] >= 0.0))
@@ -108,12 +115,18 @@ def simulated_k_max(
     best = law_of_stiffness(good)
     linear = linear_at_rest(best)
     position = run(scene, best, criterion.ticks).position
-    rest = rest_position(scene, best, criterion.ticks) if linear else float(np.mean(position[-(criterion.ticks // 4) :]))
+    rest = (
+        rest_position(scene, best, criterion.ticks)
+        if linear
+        else float(np.mean(position[-(criterion.ticks // 4) :]))
+    )
     swing = None if rest is None else swing_frequency(position, scene.period, rest)
     return SimulatedKMax(good, best.h1 if linear else None, bad, swing, ticks, searched)
 
 
-def _compiled(law_of_stiffness: LawOfStiffness, stiffnesses: list[float], first: bool) -> list[CompiledLaw]:
+def _compiled(
+    law_of_stiffness: LawOfStiffness, stiffnesses: list[float], first: bool
+) -> list[CompiledLaw]:
     """Compile a law at rising stiffnesses, up to the first that it refuses; its refusal of the softest of all is raised."""
     laws: list[CompiledLaw] = []
     for stiffness in stiffnesses:

@@ -1,7 +1,8 @@
 """No more model than a scene needs, and no less: switch every term and look whether the outcome moves.
 
-The outcome is what a scene is for (``model.outcome`` of its launch file): when it settles, how hard it pushes, how stiff it may
-get, whether it buzzes at rest; in several axes what is felt along a way, force and proxy at every tick, too.
+The outcome is what a scene is for (``model.outcome`` of its launch file): when it settles, how hard
+it pushes, how stiff it may get, whether it buzzes at rest; in several axes what is felt along a
+way, force and proxy at every tick, too.
 """
 
 import math
@@ -16,14 +17,21 @@ from nodes.launcher.launch_spec import Launch, Model
 from nodes.stability.k_max import k_max, with_spring
 from sim.arrays import Array
 from sim.experiments.perception import tolerances
-from sim.experiments.spatial_terms import SPATIAL_CONVENTIONS, SPATIAL_TERMS, SpatialScene, spatial_scene
+from sim.experiments.spatial_terms import (
+    SPATIAL_CONVENTIONS,
+    SPATIAL_TERMS,
+    SpatialScene,
+    spatial_scene,
+)
 from sim.experiments.terms import BROUGHT, CONVENTIONS, PROTECTS, TERMS, TOGETHER, NeedTerm
 from sim.measure.stopwatch import Timing, interleaved
 from sim.scene.from_launch import LaunchedScene
 from sim.scene.loop import Trace
 from sim.scene.spatial import SpatialTrace
 
-BUZZ = 1e-6  # motion at rest that does not count [m]: about what a fingertip feels at its most sensitive, near 250 Hz
+# motion at rest that does not count [m]: about what a fingertip feels at its most sensitive, near
+# 250 Hz
+BUZZ = 1e-6
 _FORCE = 0.01
 _TAIL = 5
 
@@ -38,14 +46,15 @@ Play = Callable[[Sequence[Callable[[], R]]], list[R]]
 class Outcome:
     """What came of a scene; None where a figure makes no sense."""
 
-    # Last time at which the device was further than 1 % of its travel from where it ended; the length of the run when it did
-    # not come to rest [s].
+    # Last time at which the device was further than 1 % of its travel from where it ended; the
+    # length of the run when it did not come to rest [s].
     settling_s: float
     peak_force_n: float  # largest force [N]
     rest_force_n: float  # mean force over the last fifth [N]
     travel_m: float  # range of the motion [m]
     limit_cycle_m: float  # swing over the last fifth, peak to peak [m]
-    # Stiffness at which the loop becomes unstable (K_max in terms of H(1)); None without contact or poles [N/m].
+    # Stiffness at which the loop becomes unstable (K_max in terms of H(1)); None without contact or
+    # poles [N/m].
     h1_max_n_per_m: float | None
 
 
@@ -54,16 +63,20 @@ class Finding:
     """What switching one term did."""
 
     term: str  # the term, or two that were switched together, or a convention
-    switched: str  # ``off``, with what there is in its place, or ``on``, with the value; ``other`` for a convention
-    # ``needed``, ``superfluous``, ``sought``, ``protects``, ``missing``, ``left out``, ``not needed``, ``brought by the loop``,
-    # ``convention``.
+    # ``off``, with what there is in its place, or ``on``, with the value; ``other`` for a
+    # convention
+    switched: str
+    # ``needed``, ``superfluous``, ``sought``, ``protects``, ``missing``, ``left out``, ``not
+    # needed``, ``brought by the loop``, ``convention``.
     verdict: str
     moved: float  # largest relative movement of any outcome that counts [1]
     most: str  # which outcome that was
     changes: dict[str, float]  # relative movement of each outcome that counts [1]
-    # What the term costs per tick in plain Python [µs]; None where the spread is larger, and for a convention.
+    # What the term costs per tick in plain Python [µs]; None where the spread is larger, and for a
+    # convention.
     cost_us: float | None
-    # How far that cost may be off by the spread of the rounds that were timed [µs]; None with one round.
+    # How far that cost may be off by the spread of the rounds that were timed [µs]; None with one
+    # round.
     cost_spread_us: float | None = None
 
 
@@ -73,7 +86,8 @@ class Needs:
 
     outcome: Outcome  # of the scene as it is
     findings: tuple[Finding, ...]  # one for each term, pair and convention that was switched
-    tick_us: float | None  # time per tick of the scene as it is, in plain Python [µs]; None where nothing was timed
+    # time per tick of the scene as it is, in plain Python [µs]; None where nothing was timed
+    tick_us: float | None
 
     @property
     def superfluous(self) -> tuple[str, ...]:
@@ -96,7 +110,12 @@ def outcome(scene: LaunchedScene, trace: Trace) -> Outcome:
     law = scene.last_law
     poleless = scene.scene.surface.kind == "free" or law.evaluate is not None
     stiffest = None if poleless else k_max(with_spring(law, -law.h1), scene.plant).h1_max_n_per_m
-    return _outcome(np.asarray(trace.position)[:, None], np.asarray(trace.force)[:, None], trace.period, stiffest)
+    return _outcome(
+        np.asarray(trace.position)[:, None],
+        np.asarray(trace.force)[:, None],
+        trace.period,
+        stiffest,
+    )
 
 
 def _outcome(position: Array, force: Array, period: float, h1_max: float | None = None) -> Outcome:
@@ -169,10 +188,15 @@ def needs(
         return movement(before, outcome(changed, trace), scene.scene.period)
 
     contact = scene.scene.surface.kind == "plane"
-    variants, play = variants_of(scene, TERMS, CONVENTIONS if contact else {}, TOGETHER), partial(_play, interpreted=True)
+    variants, play = (
+        variants_of(scene, TERMS, CONVENTIONS if contact else {}, TOGETHER),
+        partial(_play, interpreted=True),
+    )
     with np.errstate(all="ignore"):
         before = outcome(scene, play(scene))
-        findings, tick = judge(scene, variants, play, changes, scene.ticks, model, rounds, step, players, tolerance)
+        findings, tick = judge(
+            scene, variants, play, changes, scene.ticks, model, rounds, step, players, tolerance
+        )
     return Needs(before, findings, tick)
 
 
@@ -196,18 +220,24 @@ def judge(
     """Play a scene and its variants: what each moves and, in turns, what it costs on this machine; time per tick [µs]."""
     played = players([partial(play, variant.scene) for variant in variants])
     jobs: dict[str, tuple[Callable[[], object], int]] = {
-        str(i): (partial(play, changed), ticks) for i, changed in enumerate([scene, *(v.scene for v in variants)])
+        str(i): (partial(play, changed), ticks)
+        for i, changed in enumerate([scene, *(v.scene for v in variants)])
     }
     timings: dict[str, Timing] = interleaved(jobs, rounds, step) if rounds else {}
     found = []
     for i, variant in enumerate(variants, 1):
         finding = _finding(
-            variant, changes(variant.scene, played[i - 1]), model, tolerance or tolerances(model.tolerance, felt=False)
+            variant,
+            changes(variant.scene, played[i - 1]),
+            model,
+            tolerance or tolerances(model.tolerance, felt=False),
         )
         if timings:
             whole, mine = timings["0"], timings[str(i)]
             cost = 1e6 * (whole.median - mine.median) * (1.0 if variant.off else -1.0)
-            spread = 0.5e6 * ((mine.high - mine.low) + (whole.high - whole.low)) if rounds > 1 else None
+            spread = (
+                0.5e6 * ((mine.high - mine.low) + (whole.high - whole.low)) if rounds > 1 else None
+            )
             known = finding.switched != "other" and spread is not None and abs(cost) > spread
             finding = replace(finding, cost_us=cost if known else None, cost_spread_us=spread)
         found.append(finding)
@@ -215,7 +245,10 @@ def judge(
 
 
 def variants_of(
-    scene: S, terms: Sequence[NeedTerm[S]], conventions: Mapping[str, Callable[[S], S]], together: Sequence[tuple[str, str]]
+    scene: S,
+    terms: Sequence[NeedTerm[S]],
+    conventions: Mapping[str, Callable[[S], S]],
+    together: Sequence[tuple[str, str]],
 ) -> list[Variant[S]]:
     """Switch each term off where the scene has it and on where it has not, some together, and the conventions."""
     found: list[Variant[S]] = []
@@ -235,10 +268,14 @@ def variants_of(
             for term in pair:
                 changed = changed if term.typical is None else term.typical(changed)
             found.append(Variant((left, right), changed, "on"))
-    return found + [Variant((name,), switch(scene), "other") for name, switch in conventions.items()]
+    return found + [
+        Variant((name,), switch(scene), "other") for name, switch in conventions.items()
+    ]
 
 
-def _finding(variant: Variant[S], moved_by: dict[str, float], model: Model, tolerance: Callable[[str], float]) -> Finding:
+def _finding(
+    variant: Variant[S], moved_by: dict[str, float], model: Model, tolerance: Callable[[str], float]
+) -> Finding:
     terms, switched = variant.terms, variant.switched
     counts: set[str] = {*model.outcome}
     changes = {name: value for name, value in moved_by.items() if name in counts}
@@ -246,7 +283,11 @@ def _finding(variant: Variant[S], moved_by: dict[str, float], model: Model, tole
     moved = changes.get(most, 0.0)
     matters = bool(most) and moved > tolerance(most)
     if variant.off:
-        why = {"needed": matters, "sought": set(terms) <= {*model.sought}, "protects": set(terms) <= PROTECTS}
+        why = {
+            "needed": matters,
+            "sought": set(terms) <= {*model.sought},
+            "protects": set(terms) <= PROTECTS,
+        }
         verdict = next((word for word, so in why.items() if so), "superfluous")
     elif switched == "other":
         verdict = "convention"
@@ -282,7 +323,9 @@ def spatial_needs(
     with np.errstate(all="ignore"):
         first = scene.play()
         before = _outcome(first.position, first.force, period)
-        variants = variants_of(scene, SPATIAL_TERMS, SPATIAL_CONVENTIONS, (("friction", "resolution"),))
+        variants = variants_of(
+            scene, SPATIAL_TERMS, SPATIAL_CONVENTIONS, (("friction", "resolution"),)
+        )
 
         def changes(changed: SpatialScene, trace: SpatialTrace) -> dict[str, float]:
             del changed
@@ -292,5 +335,7 @@ def spatial_needs(
             }
 
         ticks = len(first.position)
-        findings, tick = judge(scene, variants, _play, changes, ticks, launch.model, rounds, step, players, tolerance)
+        findings, tick = judge(
+            scene, variants, _play, changes, ticks, launch.model, rounds, step, players, tolerance
+        )
     return Needs(before, findings, tick)

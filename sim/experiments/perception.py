@@ -22,14 +22,16 @@ THRESHOLDS = (
         "force",
         0.07,
         0.10,
-        "Jones, Perception 18 (1989) 681; Pang, Tan & Durlach, Perception & Psychophysics 49 (1991) 531",
+        "Jones, Perception 18 (1989) 681; Pang, Tan & Durlach, Perception & Psychophysics 49"
+        " (1991) 531",
         ("peak_force", "rest_force", "force"),
     ),
     Threshold(
         "stiffness",
         0.08,
         0.23,
-        "Tan et al., Perception & Psychophysics 57 (1995) 495; Jones & Hunter, Experimental Brain Research 79 (1990) 150",
+        "Tan et al., Perception & Psychophysics 57 (1995) 495; Jones & Hunter, Experimental Brain"
+        " Research 79 (1990) 150",
         ("k_max",),
     ),
 )
@@ -40,5 +42,9 @@ def tolerances(usual: float, felt: bool) -> Callable[[str], float]:
 
     Outcomes without a threshold (settling, travel, a limit cycle, the proxy) keep `usual`.
     """
-    known = {outcome: threshold.low for threshold in THRESHOLDS for outcome in threshold.outcomes} if felt else {}
+    known = (
+        {outcome: threshold.low for threshold in THRESHOLDS for outcome in threshold.outcomes}
+        if felt
+        else {}
+    )
     return lambda outcome: known.get(outcome, usual)

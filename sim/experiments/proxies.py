@@ -1,10 +1,12 @@
 """Renderers of proxies compared on paths whose ideal force is a closed form, after Ruffaldi, Morris, Edmunds, Barbagli and Pai.
 
-A tool is led along a surface that a formula describes, a known depth below it, so that the ideal force is known at every tick:
-stiffness times depth, along the normal (Standardized Evaluation of Haptic Rendering Systems, 2006; theirs were scanned paths,
-these are generated). Then the same closed way there and back: whatever the force costs there it must give back, or it is
-friction that nobody asked for. A plate thinner than a step says whether a proxy changes sides. A mesh is compared with its
-polyhedron too, by brute force over all its triangles: nothing of the geometry under test is used.
+A tool is led along a surface that a formula describes, a known depth below it, so that the ideal
+force is known at every tick: stiffness times depth, along the normal (Standardized Evaluation of
+Haptic Rendering Systems, 2006; theirs were scanned paths, these are generated). Then the same
+closed way there and back: whatever the force costs there it must give back, or it is friction that
+nobody asked for. A plate thinner than a step says whether a proxy changes sides. A mesh is compared
+with its polyhedron too, by brute force over all its triangles: nothing of the geometry under test
+is used.
 """
 
 from __future__ import annotations
@@ -41,12 +43,17 @@ class ProxyError:
     triangles: int  # 0 for a shape of a few floats
     rms_n: float  # root mean square of the force's error against the closed form [N]
     max_n: float  # the largest [N]
-    noise_n: float  # what of it changes from tick to tick: root mean square of its differences over √2 [N]
+    # what of it changes from tick to tick: root mean square of its differences over √2 [N]
+    noise_n: float
     proxy_um: float  # largest distance of the proxy from the closed form [µm]
-    # Largest distance of the proxy on a mesh from where it is on the flat triangles, exactly [µm]; None for other shapes.
+    # Largest distance of the proxy on a mesh from where it is on the flat triangles, exactly [µm];
+    # None for other shapes.
     polyhedron_um: float | None
-    drag: float  # work lost on a closed way there and back, over force times way: the apparent coefficient of friction
-    # Time of a call: median and 99th percentile, each with what the interpreter adds to it, under 1 µs [µs].
+    # work lost on a closed way there and back, over force times way: the apparent coefficient of
+    # friction
+    drag: float
+    # Time of a call: median and 99th percentile, each with what the interpreter adds to it, under 1
+    # µs [µs].
     call_us: float
     call_p99_us: float
     rounds: int  # most rounds that a call took
@@ -83,11 +90,14 @@ def icosphere(halvings: int, radius: float) -> Array:
 def ring(ticks: int, speed: float, period: float, radius: float) -> tuple[Array, Array]:
     """Go round a sphere, in a plane that is none of the axes: points on it [m] and their normals."""
     angle = 0.1 + np.arange(ticks) * speed * period / radius
-    normal = np.stack([np.cos(angle), np.sin(angle) * math.cos(0.3), np.sin(angle) * math.sin(0.3)], axis=1)
+    normal = np.stack(
+        [np.cos(angle), np.sin(angle) * math.cos(0.3), np.sin(angle) * math.sin(0.3)], axis=1
+    )
     return radius * normal, normal
 
 
-Case = tuple[str, int, list[Solid], Array, Array]  # name, triangles, solids, points on the surface [m], normals
+# name, triangles, solids, points on the surface [m], normals
+Case = tuple[str, int, list[Solid], Array, Array]
 CLOSED_FORMS = 3  # cases before the first mesh
 
 
@@ -102,7 +112,9 @@ def case(number: int, ticks: int, speed: float, period: float) -> Case:
     up = np.tile([0.0, 0.0, 1.0], (ticks, 1))
     along = np.array([0.6, 0.8, 0.0])
     turn = np.arange(ticks) * speed * period / RADIUS
-    rod_normal = np.cos(turn)[:, None] * np.array([0.0, 0.0, 1.0]) + np.sin(turn)[:, None] * np.array([0.8, -0.6, 0.0])
+    rod_normal = np.cos(turn)[:, None] * np.array([0.0, 0.0, 1.0]) + np.sin(turn)[
+        :, None
+    ] * np.array([0.8, -0.6, 0.0])
     rod = RADIUS * rod_normal + 0.02 * np.sin(turn)[:, None] * along
     found: list[Case] = [
         ("plane", 0, [plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))], flat, up),
@@ -147,15 +159,32 @@ class Way(NamedTuple):
 def compared(way: Way, stiffness: float) -> ProxyError:
     """Lead the tool along one surface: all but the times of the calls, which are of one machine (`timed`)."""
     (name, triangles, solids, surface, normal), path = way.led()
-    ticks, depth, period, tool_radius, below = way.ticks, way.depth, way.period, way.tool_radius, way.below()
+    ticks, depth, period, tool_radius, below = (
+        way.ticks,
+        way.depth,
+        way.period,
+        way.tool_radius,
+        way.below(),
+    )
     ideal = surface + tool_radius * normal
     found = touch(solids, path, tool_radius, period)
     inside = found.contact & (below > 0.1 * depth)
     off = None
     if solids[0].mesh is not None:
-        off = 1e6 * off_polyhedron(solids[0].mesh.corners, path[inside], found.proxy[inside], tool_radius)
-    lost, error = drag(solids, path[ticks // 10 :], tool_radius, period, found), stiffness * (found.proxy - ideal)[inside]
-    told = {"name": name, "triangles": triangles, "polyhedron_um": off, "drag": lost, "rounds": int(found.rounds.max())}
+        off = 1e6 * off_polyhedron(
+            solids[0].mesh.corners, path[inside], found.proxy[inside], tool_radius
+        )
+    lost, error = (
+        drag(solids, path[ticks // 10 :], tool_radius, period, found),
+        stiffness * (found.proxy - ideal)[inside],
+    )
+    told = {
+        "name": name,
+        "triangles": triangles,
+        "polyhedron_um": off,
+        "drag": lost,
+        "rounds": int(found.rounds.max()),
+    }
     return ProxyError.of(error, stiffness, **told, call_us=math.nan, call_p99_us=math.nan)
 
 
@@ -163,12 +192,26 @@ def timed(row: ProxyError, way: Way) -> ProxyError:
     """Time the calls of a case on this machine."""
     (_, _, solids, _, _), path = way.led()
     single = call_times(solids, path, way.tool_radius, way.period, _TIMED)
-    return replace(row, call_us=float(1e6 * np.median(single)), call_p99_us=float(1e6 * np.percentile(single, 99)))
+    return replace(
+        row,
+        call_us=float(1e6 * np.median(single)),
+        call_p99_us=float(1e6 * np.percentile(single, 99)),
+    )
 
 
-def drag(solids: Sequence[Solid], path: Array, tool_radius: float, period: float, before: Touched | None = None) -> float:
+def drag(
+    solids: Sequence[Solid],
+    path: Array,
+    tool_radius: float,
+    period: float,
+    before: Touched | None = None,
+) -> float:
     """Find the apparent friction of a way there and back that stays in contact: work lost over force times way."""
-    there = path if before is None else np.concatenate([before.path[: len(before.path) - len(path)], path])
+    there = (
+        path
+        if before is None
+        else np.concatenate([before.path[: len(before.path) - len(path)], path])
+    )
     found = touch(solids, np.concatenate([there, path[::-1]]), tool_radius, period)
     lead = len(there) - len(path)
     return lost((found.proxy - found.path)[lead:], np.diff(found.path[lead:], axis=0))
@@ -216,7 +259,10 @@ def nearest_on(corners: Array, point: Array) -> Array:
     area = np.einsum("ij,ij->i", normal, normal)
     beta = np.einsum("ij,ij->i", np.cross(w, v), normal) / area
     gamma = np.einsum("ij,ij->i", np.cross(u, w), normal) / area
-    take(corners[:, 0] + beta[:, None] * u + gamma[:, None] * v, (beta >= 0.0) & (gamma >= 0.0) & (beta + gamma <= 1.0))
+    take(
+        corners[:, 0] + beta[:, None] * u + gamma[:, None] * v,
+        (beta >= 0.0) & (gamma >= 0.0) & (beta + gamma <= 1.0),
+    )
     return best
 
 
@@ -231,11 +277,15 @@ def ideal_proxy(corners: Array, device: Array, tool: float, inside: bool) -> Arr
 def off_polyhedron(corners: Array, path: Array, proxy: Array, tool: float) -> float:
     """Give the largest distance of proxies on a convex polyhedron about the origin from where they should be [m], sampled."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    places = np.unique(np.linspace(0, len(path) - 1, max(2, min(200, _MOST // len(corners)))).astype(int))
+    places = np.unique(
+        np.linspace(0, len(path) - 1, max(2, min(200, _MOST // len(corners)))).astype(int)
+    )
     worst = 0.0
     for k in places:
         inside = bool((np.einsum("ij,ij->i", path[k] - corners[:, 0], normals) < 0.0).all())
-        worst = max(worst, float(np.linalg.norm(proxy[k] - ideal_proxy(corners, path[k], tool, inside))))
+        worst = max(
+            worst, float(np.linalg.norm(proxy[k] - ideal_proxy(corners, path[k], tool, inside)))
+        )
     return worst
 
 
@@ -249,7 +299,13 @@ _SCENE = """<mujoco><option timestep="{step!r}" integrator="implicitfast" cone="
 
 
 def body_error(
-    step: float, ticks: int, stiffness: float, depth: float, speed: float, period: float, stiff: bool = False
+    step: float,
+    ticks: int,
+    stiffness: float,
+    depth: float,
+    speed: float,
+    period: float,
+    stiff: bool = False,
 ) -> ProxyError:
     """Lead a tool that is a body along the sphere, so deep below it [m]; `stiff` contacts are as stiff as the step allows."""
     surface, normal = ring(ticks, speed, period, RADIUS)
@@ -258,7 +314,9 @@ def body_error(
     path = ideal - below[:, None] * normal
     contact = f'solref="{2.0 * step!r} 1" solimp="0.99 0.9999 0.0001"' if stiff else ""
     begin = " ".join(repr(x) for x in path[0].tolist())
-    text = _SCENE.format(step=step, radius=RADIUS, tip=_TIP, mass=_MASS, contact=contact, begin=begin)
+    text = _SCENE.format(
+        step=step, radius=RADIUS, tip=_TIP, mass=_MASS, contact=contact, begin=begin
+    )
     with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
         file = Path(folder) / "sphere.xml"
         file.write_text(text, encoding="utf-8")
@@ -273,7 +331,8 @@ def body_error(
         times[k] = time.perf_counter_ns() - start
         tools[k] = world.tool_position
         stretch = tools[k] - path[k]
-        # In axes that turn with the surface: in the world's a damper would push the tool on along the way (THEORY.md §15).
+        # In axes that turn with the surface: in the world's a damper would push the tool on along
+        # the way (THEORY.md §15).
         turn(turned, upright, normal[k].tolist(), True)
         axes = np.reshape(turned, (3, 3))
         stretch = axes @ stretch

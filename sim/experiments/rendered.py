@@ -1,9 +1,10 @@
 """What a law renders: stiffness and damping against frequency, and the plane of both in which it may be set (Z-width).
 
-Between its samples the force is held, and it acts late: at the port the law H is G(jω) = H(e^{jωT}) e^{−jω(d + ½)T} sinc(ωT/2),
-for motions below half the rate. A spring and a damper in its place have G = K + jωB, so Re G is the stiffness that is felt at a
-frequency, and Im G/ω the damping: a delay takes K (d + ½) T of it (Colgate & Brown, "Factors affecting the Z-width of a haptic
-display", 1994).
+Between its samples the force is held, and it acts late: at the port the law H is G(jω) = H(e^{jωT})
+e^{−jω(d + ½)T} sinc(ωT/2), for motions below half the rate. A spring and a damper in its place have
+G = K + jωB, so Re G is the stiffness that is felt at a frequency, and Im G/ω the damping: a delay
+takes K (d + ½) T of it (Colgate & Brown, "Factors affecting the Z-width of a haptic display",
+1994).
 """
 
 from __future__ import annotations
@@ -44,11 +45,15 @@ def frequencies(period: float, lowest: float = LOWEST, points: int = POINTS) -> 
     """Return frequencies up to half the rate, evenly spread over the decades [Hz]."""
     highest = 0.5 / period
     if not 0.0 < lowest < highest:
-        raise ValueError(f"lowest is {lowest:g} Hz, expected between 0 and half the rate, {highest:g} Hz")
+        raise ValueError(
+            f"lowest is {lowest:g} Hz, expected between 0 and half the rate, {highest:g} Hz"
+        )
     return np.asarray(np.geomspace(lowest, highest, points))
 
 
-def port(law: CompiledLaw, period: float, delay: float, frequency_hz: Array) -> NDArray[np.complex128]:
+def port(
+    law: CompiledLaw, period: float, delay: float, frequency_hz: Array
+) -> NDArray[np.complex128]:
     """Return G(jω) at the port [N/m]: the law, held, `delay` ticks late. ValueError for a law with code of its own."""
     _linear(law)
     angle = 2.0 * np.pi * frequency_hz * period
@@ -61,16 +66,22 @@ def _linear(law: CompiledLaw) -> None:
         raise ValueError("law: has code of its own and no response; play it instead")
 
 
-def rendered(law: CompiledLaw, period: float, delay: float = 0.0, frequency_hz: Array | None = None) -> FeltResponse:
+def rendered(
+    law: CompiledLaw, period: float, delay: float = 0.0, frequency_hz: Array | None = None
+) -> FeltResponse:
     """Return what a law renders at a period [s] and a delay [ticks], by default at `frequencies`."""
     at = frequencies(period) if frequency_hz is None else np.asarray(frequency_hz, dtype=np.float64)
     if not (at.size and np.all(at > 0.0) and np.all(at <= 0.5 / period * (1.0 + 1e-12))):
-        raise ValueError(f"frequency_hz: expected above 0 and up to half the rate, {0.5 / period:g} Hz")
+        raise ValueError(
+            f"frequency_hz: expected above 0 and up to half the rate, {0.5 / period:g} Hz"
+        )
     felt = port(law, period, delay, at)
     own = law.response(np.exp(2j * np.pi * at * period))
     pulse = 2.0 * np.pi * at
     phase = np.degrees(np.unwrap(np.angle(felt)))
-    return FeltResponse(at, felt.real, felt.imag / pulse, own.real, own.imag / pulse, np.abs(felt), phase)
+    return FeltResponse(
+        at, felt.real, felt.imag / pulse, own.real, own.imag / pulse, np.abs(felt), phase
+    )
 
 
 @dataclass(frozen=True)
@@ -88,7 +99,9 @@ def z_width(law: Law, plant: Plant, gains: Sequence[float]) -> ZWidth:
     """Return the K–B plane of a law on a device: how stiff it may be at each gain, stable in known hands and passive in any."""
     for field in ("stiffness", "damping"):
         if field not in law.__struct_fields__:
-            raise ValueError(f"law kind {law.kind} has no parameter {field!r}: its K-B plane has no axis for it")
+            raise ValueError(
+                f"law kind {law.kind} has no parameter {field!r}: its K-B plane has no axis for it"
+            )
     rows = [_widest(msgspec.structs.replace(law, damping=float(gain)), plant) for gain in gains]
     edges, felt, passive = (np.array(column) for column in zip(*rows, strict=True))
     return ZWidth(law.kind, np.asarray(gains, dtype=np.float64), edges, felt, passive)
@@ -96,14 +109,17 @@ def z_width(law: Law, plant: Plant, gains: Sequence[float]) -> ZWidth:
 
 def _widest(law: Law, plant: Plant) -> tuple[float, float, float]:
     found = k_max(without_spring(law, plant.period), plant)
-    edge, felt = (np.nan if value is None else value for value in (found.k_max_n_per_m, found.h1_max_n_per_m))
+    edge, felt = (
+        np.nan if value is None else value for value in (found.k_max_n_per_m, found.h1_max_n_per_m)
+    )
     return edge, felt, passive_stiffness(at_stiffness(law, plant.period), plant)
 
 
 def passive_stiffness(law_of_stiffness: Callable[[float], CompiledLaw], plant: Plant) -> float:
     """Return the largest K with which a law is passive on the damping of a device [N/m]; NaN where none is.
 
-    The damping that a law needs is a maximum of functions linear in K: convex, so the K that are passive are one interval.
+    The damping that a law needs is a maximum of functions linear in K: convex, so the K that are
+    passive are one interval.
     """
 
     def needed(stiffness: float) -> float:
@@ -127,7 +143,9 @@ def passive_stiffness(law_of_stiffness: Callable[[float], CompiledLaw], plant: P
     return low
 
 
-def _least_between(needed: Callable[[float], float], grid: Array, at: int, enough: float) -> tuple[float, float, float | None]:
+def _least_between(
+    needed: Callable[[float], float], grid: Array, at: int, enough: float
+) -> tuple[float, float, float | None]:
     """Look between the neighbours of the least of a grid for a K that needs no more than `enough`; None where there is none."""
     low, high = float(grid[max(at - 1, 0)]), float(grid[min(at + 1, len(grid) - 1)])
     for _ in range(24 if np.isfinite(needed(float(grid[at]))) else 0):
@@ -139,7 +157,13 @@ def _least_between(needed: Callable[[float], float], grid: Array, at: int, enoug
     return low, high, None
 
 
-def error_of(law: CompiledLaw, period: float, delay: float, wanted: NDArray[np.complex128], frequency_hz: Array) -> float:
+def error_of(
+    law: CompiledLaw,
+    period: float,
+    delay: float,
+    wanted: NDArray[np.complex128],
+    frequency_hz: Array,
+) -> float:
     """Return how far what is felt is from an impedance [N/m], root mean square over the frequencies, as a part of it."""
     felt = port(law, period, delay, frequency_hz)
     return float(np.sqrt(np.mean(np.abs(felt / wanted - 1.0) ** 2)))

@@ -1,7 +1,7 @@
 """How fast the one-process simulator is: against a plain C loop of the same recurrence, and over the cores.
 
-The C loop is compiled here, from the source below: no contraction of multiply and add, no fast math. So it must give the same
-bits as ours, and that is checked before it is timed.
+The C loop is compiled here, from the source below: no contraction of multiply and add, no fast
+math. So it must give the same bits as ours, and that is checked before it is timed.
 """
 
 import ctypes
@@ -95,7 +95,9 @@ def ours(law: CompiledLaw, ticks: int) -> Callable[[], Array]:
     motion, contact = motion_of(here, ticks), contact_of(here)
     none, positions = np.empty(0, dtype=np.int64), np.empty(ticks)
     taps = np.array(law.taps)
-    rendered = LawTables(taps, np.array([0, len(taps)]), None, np.zeros(2, dtype=np.int64), none, none)
+    rendered = LawTables(
+        taps, np.array([0, len(taps)]), None, np.zeros(2, dtype=np.int64), none, none
+    )
     records = Records(positions, None, None, None, None, None)
 
     def play() -> Array:
@@ -113,12 +115,29 @@ def compile_c(folder: Path) -> Any:
         raise NoCompilerError("neither cc nor gcc is in the PATH: install one to compare with C")
     source, library = folder / "play.c", folder / "play.so"
     source.write_text(SOURCE)
-    done = subprocess.run([compiler, *FLAGS, "-o", library, source], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [compiler, *FLAGS, "-o", library, source], capture_output=True, text=True, check=False
+    )
     if done.returncode != 0:
-        raise NoCompilerError(f"{compiler} {' '.join(FLAGS)} failed: {done.stderr.strip().splitlines()[-1:]}")
+        raise NoCompilerError(
+            f"{compiler} {' '.join(FLAGS)} failed: {done.stderr.strip().splitlines()[-1:]}"
+        )
     play = ctypes.CDLL(str(library)).play
     number, whole, array = ctypes.c_double, ctypes.c_long, ctypes.POINTER(ctypes.c_double)
-    play.argtypes = [whole, number, number, array, number, number, number, array, whole, array, whole, array]
+    play.argtypes = [
+        whole,
+        number,
+        number,
+        array,
+        number,
+        number,
+        number,
+        array,
+        whole,
+        array,
+        whole,
+        array,
+    ]
     play.restype = None
     return play
 
@@ -155,7 +174,10 @@ def measure(ticks: int, rounds: int, step: Callable[[str], None] = lambda _: Non
             if play is not None:
                 jobs[f"c|{n}"] = in_c(play, law, ticks), ticks
                 if ours(law, ticks)().tobytes() != in_c(play, law, ticks)().tobytes():
-                    raise RuntimeError(f"C and the simulator give different bits with {n} taps; the timing would mean nothing")
+                    raise RuntimeError(
+                        f"C and the simulator give different bits with {n} taps; the timing would"
+                        " mean nothing"
+                    )
         cores = len(os.sched_getaffinity(0))
         found = interleaved(jobs, rounds, step)
         # As a search for K_max uses it: drops of the usual horizon, many at once.
@@ -163,7 +185,12 @@ def measure(ticks: int, rounds: int, step: Callable[[str], None] = lambda _: Non
         many = [with_spring(laws()[4], 10.0 * k) for k in range(16 * cores)]
         work = horizon * len(many)
         spread = interleaved(
-            {"one": (_spread(many, horizon, 1), work), "all": (_spread(many, horizon, cores), work)}, rounds, step
+            {
+                "one": (_spread(many, horizon, 1), work),
+                "all": (_spread(many, horizon, cores), work),
+            },
+            rounds,
+            step,
         )
     simulator = {n: found[f"ours|{n}"] for n in laws()}
     plain_c = {} if play is None else {n: found[f"c|{n}"] for n in laws()}

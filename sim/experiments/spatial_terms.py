@@ -22,7 +22,8 @@ from sim.scene.spatial import SpatialTrace, play
 
 ROUGH = Friction(0.3, 0.3)  # of a smooth hard surface under a hard tip, about
 _GRIDS = (48, 24, 16, 12, 8, 6, 4)
-# Mass along the other axes over that along the first: about what an arm with its motors on the base has.
+# Mass along the other axes over that along the first: about what an arm with its motors on the base
+# has.
 _UNEVEN = {"y": 1.5, "z": 2.0}
 
 
@@ -51,7 +52,9 @@ def spatial_scene(launch: Launch) -> SpatialScene:
     kinds = {spec.kind: (name, spec.parameters) for name, spec in launch.nodes.items()}
     for kind in ("sim_driver", "coupling"):
         if kind not in kinds:
-            raise ParameterError(f"{launch.scenario}.nodes: no node of kind {kind}; one process cannot play it")
+            raise ParameterError(
+                f"{launch.scenario}.nodes: no node of kind {kind}; one process cannot play it"
+            )
     name, given = kinds.get("environment", ("", {}))
     surface = parse_surface(given.get("surface", {"kind": "free"}), f"{name}.surface")
     own = tuple(surface.solids(f"{name}.surface")) if isinstance(surface, Touchable) else ()
@@ -63,9 +66,13 @@ def _node(kind: str, change: Callable[[dict[str, Any]], Mapping[str, Any]]) -> E
 
     def edit(scene: SpatialScene) -> SpatialScene:
         nodes = {
-            name: msgspec.structs.replace(spec, parameters={**spec.parameters, **change(spec.parameters)})
-            if spec.kind == kind
-            else spec
+            name: (
+                msgspec.structs.replace(
+                    spec, parameters={**spec.parameters, **change(spec.parameters)}
+                )
+                if spec.kind == kind
+                else spec
+            )
             for name, spec in scene.launch.nodes.items()
         }
         return scene._replace(launch=msgspec.structs.replace(scene.launch, nodes=nodes))
@@ -112,7 +119,12 @@ def _unlimited(name: str) -> Edit:
 
 def _uneven(scene: SpatialScene) -> SpatialScene:
     device, axes = device_of(scene), scene.launch.run.axes
-    return with_device(scene, axes={axis: {"mass": part * device.mass} for axis, part in _UNEVEN.items() if axis in axes[1:]})
+    return with_device(
+        scene,
+        axes={
+            axis: {"mass": part * device.mass} for axis, part in _UNEVEN.items() if axis in axes[1:]
+        },
+    )
 
 
 def _without_delay(scene: SpatialScene) -> SpatialScene:
@@ -123,7 +135,10 @@ def _without_delay(scene: SpatialScene) -> SpatialScene:
 
 def _is_meant(kind: str, name: str, value: Any) -> Callable[[SpatialScene], bool]:
     def declared(scene: SpatialScene) -> bool:
-        return any(s.kind == kind and s.parameters.get(name, value) == value for s in scene.launch.nodes.values())
+        return any(
+            s.kind == kind and s.parameters.get(name, value) == value
+            for s in scene.launch.nodes.values()
+        )
 
     return declared
 
@@ -134,10 +149,15 @@ def _one_face(scene: SpatialScene) -> SpatialScene:
     depth = np.where(found.contact, np.linalg.norm(found.proxy - found.position, axis=1), -1.0)
     deepest = int(np.argmax(depth))
     if depth[deepest] < 0.0:
-        raise ParameterError(f"{scene.launch.scenario}: the device touches nothing, so nothing can be said of what it needs")
+        raise ParameterError(
+            f"{scene.launch.scenario}: the device touches nothing, so nothing can be said of what"
+            " it needs"
+        )
     normal = found.normal[deepest]
     point = found.proxy[deepest] - _tool_radius(scene) * normal
-    return scene._replace(solids=(plane(tuple(point.tolist()), tuple(normal.tolist()), scene.shapes[0].friction),))
+    return scene._replace(
+        solids=(plane(tuple(point.tolist()), tuple(normal.tolist()), scene.shapes[0].friction),)
+    )
 
 
 def _coarser(scene: SpatialScene) -> SpatialScene:
@@ -147,7 +167,12 @@ def _coarser(scene: SpatialScene) -> SpatialScene:
 def _half(solid: Solid) -> Solid:
     """Draw a mesh's corners together until at most half of its triangles are left."""
     if solid.mesh is not None:
-        found = (made for cells in _GRIDS for _, made in decimated(solid, cells) if not isinstance(made, str))
+        found = (
+            made
+            for cells in _GRIDS
+            for _, made in decimated(solid, cells)
+            if not isinstance(made, str)
+        )
         for (made,) in found:
             if made.mesh is not None and 2 * len(made.mesh.corners) <= len(solid.mesh.corners):
                 return made
@@ -155,11 +180,15 @@ def _half(solid: Solid) -> Solid:
 
 
 def _rubbed(friction: Friction) -> Edit:
-    return lambda scene: scene._replace(solids=tuple(solid._replace(friction=friction) for solid in scene.shapes))
+    return lambda scene: scene._replace(
+        solids=tuple(solid._replace(friction=friction) for solid in scene.shapes)
+    )
 
 
 def _surface(change: Callable[[dict[str, Any]], dict[str, Any]]) -> Edit:
-    return _node("environment", lambda given: {"surface": change(given.get("surface", {"kind": "free"}))})
+    return _node(
+        "environment", lambda given: {"surface": change(given.get("surface", {"kind": "free"}))}
+    )
 
 
 def _tool_radius(scene: SpatialScene) -> float:
@@ -171,11 +200,31 @@ def _tool_radius(scene: SpatialScene) -> float:
 
 # All terms of a scene with several axes.
 SPATIAL_TERMS: tuple[NeedTerm[SpatialScene], ...] = (
-    NeedTerm("gravity", _has("gravity"), _set(gravity=None), _set(gravity=GRAVITY), f"{GRAVITY} m/s²"),
+    NeedTerm(
+        "gravity", _has("gravity"), _set(gravity=None), _set(gravity=GRAVITY), f"{GRAVITY} m/s²"
+    ),
     NeedTerm("damping", _has("damping"), _set(damping=0.0)),
-    NeedTerm("friction", _has("friction"), _set(friction=None), _set(friction=FRICTION), f"{FRICTION} N an axis"),
-    NeedTerm("resolution", _has("resolution"), _set(resolution=None), _set(resolution=RESOLUTION), f"{RESOLUTION:g} m"),
-    NeedTerm("peak_force", _has("peak_force"), _set(peak_force=None), _set(peak_force=PEAK_FORCE), f"{PEAK_FORCE} N an axis"),
+    NeedTerm(
+        "friction",
+        _has("friction"),
+        _set(friction=None),
+        _set(friction=FRICTION),
+        f"{FRICTION} N an axis",
+    ),
+    NeedTerm(
+        "resolution",
+        _has("resolution"),
+        _set(resolution=None),
+        _set(resolution=RESOLUTION),
+        f"{RESOLUTION:g} m",
+    ),
+    NeedTerm(
+        "peak_force",
+        _has("peak_force"),
+        _set(peak_force=None),
+        _set(peak_force=PEAK_FORCE),
+        f"{PEAK_FORCE} N an axis",
+    ),
     NeedTerm(
         "delay",
         lambda scene: device_of(scene).delay > 0.0 or scene.launch.run.apply == "next_tick",
@@ -192,7 +241,11 @@ SPATIAL_TERMS: tuple[NeedTerm[SpatialScene], ...] = (
         ", ".join(f"{axis} {part:g} times as heavy" for axis, part in _UNEVEN.items()),
         "alike along all axes",
     ),
-    NeedTerm("guard", lambda scene: _driver(scene).passivity is not None, _node("sim_driver", lambda _: {"passivity": None})),
+    NeedTerm(
+        "guard",
+        lambda scene: _driver(scene).passivity is not None,
+        _node("sim_driver", lambda _: {"passivity": None}),
+    ),
     NeedTerm("limit", _limited("peak_force"), _unlimited("peak_force")),
     NeedTerm("slew", _limited("slew"), _unlimited("slew")),
     NeedTerm("workspace", _limited("workspace"), _unlimited("workspace")),
@@ -208,7 +261,10 @@ SPATIAL_TERMS: tuple[NeedTerm[SpatialScene], ...] = (
         simpler="the plane that touches it",
     ),
     NeedTerm(
-        "triangles", lambda scene: any(solid.kind == MESH for solid in scene.shapes), _coarser, simpler="half as many at most"
+        "triangles",
+        lambda scene: any(solid.kind == MESH for solid in scene.shapes),
+        _coarser,
+        simpler="half as many at most",
     ),
     NeedTerm(
         "surface_friction",
@@ -233,7 +289,9 @@ SPATIAL_TERMS: tuple[NeedTerm[SpatialScene], ...] = (
 
 
 def _flip(name: str, usual: Any, other: Any) -> Edit:
-    return _node("coupling", lambda given: {name: other if given.get(name, usual) == usual else usual})
+    return _node(
+        "coupling", lambda given: {name: other if given.get(name, usual) == usual else usual}
+    )
 
 
 # What must be one way or the other, for scenes with several axes.

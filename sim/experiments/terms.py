@@ -1,7 +1,8 @@
 """The terms a scene's model is made of, and how to switch each one off or on.
 
-Off means that the term does not exist (None, not a small number), on means what a Touch X or a usual loop would bring. A term
-is declared, left out on purpose (``model.leaves_out`` of the launch file), or simply not there.
+Off means that the term does not exist (None, not a small number), on means what a Touch X or a
+usual loop would bring. A term is declared, left out on purpose (``model.leaves_out`` of the launch
+file), or simply not there.
 """
 
 from collections.abc import Callable
@@ -19,8 +20,8 @@ S = TypeVar("S")
 
 Switch = Callable[[LaunchedScene], LaunchedScene]
 
-# Touch X: resolution and peak force from the data sheet, friction from memory (THEORY.md §4); the response time is the
-# median of four processes on one ordinary machine.
+# Touch X: resolution and peak force from the data sheet, friction from memory (THEORY.md §4); the
+# response time is the median of four processes on one ordinary machine.
 RESOLUTION, FRICTION, PEAK_FORCE, GRAVITY, RESPONSE = 2.3e-5, 0.06, 7.9, 9.81, 250e-6
 _VERTICAL = 2
 _SHORTEST = 3
@@ -33,7 +34,8 @@ class NeedTerm(Generic[S]):
     name: str  # as in ``model.leaves_out``
     declared: Callable[[S], bool]  # from a scene to whether it has the term
     without: Callable[[S], S]  # from a scene to the same scene without the term
-    # From a scene to the same scene with a typical value; None where adding it would make another scene.
+    # From a scene to the same scene with a typical value; None where adding it would make another
+    # scene.
     typical: Callable[[S], S] | None = None
     value: str = ""  # that value, for people
     simpler: str = ""  # what the scene has in its place without it, for people; empty for nothing
@@ -64,7 +66,11 @@ def _shortened(scene: LaunchedScene) -> LaunchedScene:
     def half(law: CompiledLaw) -> CompiledLaw:
         return replace(law, taps=law.taps[: max(_SHORTEST, (len(law.taps) + 1) // 2)])
 
-    return replace(scene, law=half(scene.law), swaps=tuple(replace(swap, law=half(swap.law)) for swap in scene.swaps))
+    return replace(
+        scene,
+        law=half(scene.law),
+        swaps=tuple(replace(swap, law=half(swap.law)) for swap in scene.swaps),
+    )
 
 
 def _longest(scene: LaunchedScene) -> int:
@@ -81,9 +87,27 @@ TERMS: tuple[NeedTerm[LaunchedScene], ...] = (
         f"{GRAVITY} m/s² on a vertical axis",
     ),
     NeedTerm("damping", lambda scene: scene.scene.device.damping > 0.0, _set("damping", 0.0)),
-    NeedTerm("friction", _has("friction"), _set("friction", None), _set("friction", FRICTION), f"{FRICTION} N"),
-    NeedTerm("resolution", _has("resolution"), _set("resolution", None), _set("resolution", RESOLUTION), f"{RESOLUTION:g} m"),
-    NeedTerm("peak_force", _has("peak_force"), _set("peak_force", None), _set("peak_force", PEAK_FORCE), f"{PEAK_FORCE} N"),
+    NeedTerm(
+        "friction",
+        _has("friction"),
+        _set("friction", None),
+        _set("friction", FRICTION),
+        f"{FRICTION} N",
+    ),
+    NeedTerm(
+        "resolution",
+        _has("resolution"),
+        _set("resolution", None),
+        _set("resolution", RESOLUTION),
+        f"{RESOLUTION:g} m",
+    ),
+    NeedTerm(
+        "peak_force",
+        _has("peak_force"),
+        _set("peak_force", None),
+        _set("peak_force", PEAK_FORCE),
+        f"{PEAK_FORCE} N",
+    ),
     NeedTerm(
         "delay",
         lambda scene: scene.scene.device.delay > 0.0 or scene.scene.next_tick,
@@ -93,7 +117,9 @@ TERMS: tuple[NeedTerm[LaunchedScene], ...] = (
     ),
     NeedTerm("hand", _has("hand"), _set("hand", None)),
     NeedTerm(
-        "contact", lambda scene: scene.scene.surface.kind != "free", lambda scene: _driver(surface=SceneSurface("free"))(scene)
+        "contact",
+        lambda scene: scene.scene.surface.kind != "free",
+        lambda scene: _driver(surface=SceneSurface("free"))(scene),
     ),
     NeedTerm("limit", lambda scene: scene.scene.peak is not None, _driver(peak=None)),
     NeedTerm("slew", lambda scene: scene.scene.slew is not None, _driver(slew=None)),
@@ -108,10 +134,13 @@ TERMS: tuple[NeedTerm[LaunchedScene], ...] = (
 # What must be one way or the other: never superfluous and never missing, but worth knowing.
 CONVENTIONS: dict[str, Switch] = {
     "clamp": lambda scene: replace(scene, scene=replace(scene.scene, clamp=not scene.scene.clamp)),
-    "history rule": lambda scene: replace(scene, scene=replace(scene.scene, raw=not scene.scene.raw)),
+    "history rule": lambda scene: replace(
+        scene, scene=replace(scene.scene, raw=not scene.scene.raw)
+    ),
 }
 # Terms that may only matter together (buzz at rest, THEORY.md §5).
 TOGETHER: tuple[tuple[str, str], ...] = (("friction", "resolution"),)
 # Limits that a device would have: never superfluous because a stable loop does not meet them.
 PROTECTS = frozenset({"limit", "slew", "workspace"})
-BROUGHT = frozenset({"delay"})  # what the running processes bring by themselves, whether or not the scene has it
+# what the running processes bring by themselves, whether or not the scene has it
+BROUGHT = frozenset({"delay"})

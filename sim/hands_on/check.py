@@ -1,7 +1,8 @@
 """Checking a device by hand: noise, rate, axes without a force, and then a first force in steps, each asked for.
 
-Nothing is pushed before the axes are known to be right: a force along a wrong axis is felt as an unstable wall. Each push grows
-and goes by a ramp, and ends at once when the handle moves faster than `FASTEST`.
+Nothing is pushed before the axes are known to be right: a force along a wrong axis is felt as an
+unstable wall. Each push grows and goes by a ramp, and ends at once when the handle moves faster
+than `FASTEST`.
 """
 
 import math
@@ -19,7 +20,8 @@ from nodes.driver.hardware.mapping import AxisName, Mapping
 from sim.hands_on.delay import FORCE, PULSES, MeasuredDelay, measure
 
 REST: Final = 1.0  # how long a device at rest is looked at [s]
-MOVED: Final = 0.02  # so far the handle must be moved, along one axis more than twice as far as along the others [m]
+# so far the handle must be moved, along one axis more than twice as far as along the others [m]
+MOVED: Final = 0.02
 PUSH_TIME: Final = 0.6  # how long a push lasts, its ramps included [s]
 FASTEST: Final = 0.25  # A handle that is faster is let go [m/s]
 STEP: Final = 0.001
@@ -32,7 +34,8 @@ class SamplesAtRest(msgspec.Struct, frozen=True, kw_only=True):
     """A device at rest."""
 
     noise: Vector  # standard deviation of its position [m]
-    # Smallest change of a position that was seen [m]: the encoder's step, or finer; None when nothing changed.
+    # Smallest change of a position that was seen [m]: the encoder's step, or finer; None when
+    # nothing changed.
     step: float | None
     rate: float  # samples of its servo loop [Hz]
     asked: float  # those that it is asked for [Hz]
@@ -55,7 +58,9 @@ def ask(question: str) -> str:
     print(question, end=" ", file=sys.stderr, flush=True)
     answer = sys.stdin.readline()
     if not answer:
-        raise UsageError("nobody answers: `haptic device check` asks before each step; run it on a terminal")
+        raise UsageError(
+            "nobody answers: `haptic device check` asks before each step; run it on a terminal"
+        )
     return answer.strip().lower()
 
 
@@ -74,7 +79,10 @@ def at_rest(device: MailboxDevice) -> SamplesAtRest:
                 places.append(place)
         time.sleep(0.0002)
     if len(places) < 2:
-        raise RefusedError(f"{device.TITLE}: {len(places)} positions in {REST:g} s: {device.condition() or 'it gives none'}")
+        raise RefusedError(
+            f"{device.TITLE}: {len(places)} positions in {REST:g} s:"
+            f" {device.condition() or 'it gives none'}"
+        )
     x, y, z = np.std(places, axis=0).tolist()
     changes = np.abs(np.diff(places, axis=0))
     return SamplesAtRest(
@@ -95,7 +103,9 @@ def place_of(device: MailboxDevice) -> Vector:
         if device.ticks > ticks + FRESH and all(map(math.isfinite, place)):
             return place
         time.sleep(STEP)
-    raise RefusedError(f"{device.TITLE}: it gives no position: {device.condition() or 'look at cable and power'}")
+    raise RefusedError(
+        f"{device.TITLE}: it gives no position: {device.condition() or 'look at cable and power'}"
+    )
 
 
 def axes(device: MailboxDevice) -> tuple[bool, list[str]]:
@@ -112,8 +122,9 @@ def axes(device: MailboxDevice) -> tuple[bool, list[str]]:
         if abs(moved[largest]) < MOVED or abs(moved[largest]) < 2.0 * others:
             text = ", ".join(f"{1e3 * x:+.0f}" for x in moved)
             raise RefusedError(
-                f"{way}: the position changed by {text} mm; expected at least {1e3 * MOVED:.0f} mm along one axis and less "
-                "than half of it along the others: try again, or give mapping.rotation for a mount that is askew"
+                f"{way}: the position changed by {text} mm; expected at least {1e3 * MOVED:.0f} mm"
+                " along one axis and less than half of it along the others: try again, or give"
+                " mapping.rotation for a mount that is askew"
             )
         found.append(_theirs(device, largest, moved[largest]))
         right = right and largest == number and moved[largest] >= 0.0
@@ -174,8 +185,8 @@ def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
         step = "none was seen" if rest.step is None else f"{1e6 * rest.step:.3g} µm"
         noise = "/".join(f"{1e6 * value:.3g}" for value in rest.noise)
         print(
-            f"  noise {noise} µm, step {step}, {rest.rate:.0f} samples/s of {rest.asked:.0f} asked for, {rest.missed} missed "
-            f"in {REST:g} s, longest gap {1e3 * rest.longest:.3g} ms",
+            f"  noise {noise} µm, step {step}, {rest.rate:.0f} samples/s of {rest.asked:.0f} asked"
+            f" for, {rest.missed} missed in {REST:g} s, longest gap {1e3 * rest.longest:.3g} ms",
             file=sys.stderr,
         )
         right, found = axes(device)
@@ -185,12 +196,12 @@ def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
                 Mapping(axes=msgspec.convert(found, tuple[AxisName, AxisName, AxisName]))
             except ValueError as error:
                 raise RefusedError(
-                    f"as the handle was moved, {error}; nothing was pushed: check again; forward is away from you, left is "
-                    "your left"
+                    f"as the handle was moved, {error}; nothing was pushed: check again; forward is"
+                    " away from you, left is your left"
                 ) from error
             raise RefusedError(
-                f"the axes are others than the driver takes: nothing was pushed. Give it mapping: {{axes: [{written}]}} and "
-                "check again"
+                "the axes are others than the driver takes: nothing was pushed. Give it mapping:"
+                f" {{axes: [{written}]}} and check again"
             )
         pushes = _pushes(device)
         passed = all(one.felt and not one.ended for one in pushes)
@@ -199,12 +210,17 @@ def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
         raise RefusedError(str(error)) from error
     finally:
         device.close()
-    felt = ", ".join(f"{one.force:g} N {'felt' if one.felt else 'NOT felt'}" for one in pushes) or "no force tried"
-    facts = ", ".join(str(device.facts[name]) for name in ("model", "serial") if device.facts.get(name))
+    felt = (
+        ", ".join(f"{one.force:g} N {'felt' if one.felt else 'NOT felt'}" for one in pushes)
+        or "no force tried"
+    )
+    facts = ", ".join(
+        str(device.facts[name]) for name in ("model", "serial") if device.facts.get(name)
+    )
     line = (
-        f"haptic device check {kind}: {facts}; axes {' '.join(found)} right; noise {noise} µm, step {step}; "
-        f"{rest.rate:.0f} samples/s of {rest.asked:.0f}, {rest.missed} missed, longest gap {1e3 * rest.longest:.3g} ms; "
-        f"upwards: {felt}; {delay_in_words(measured)}"
+        f"haptic device check {kind}: {facts}; axes {' '.join(found)} right; noise {noise} µm, step"
+        f" {step}; {rest.rate:.0f} samples/s of {rest.asked:.0f}, {rest.missed} missed, longest gap"
+        f" {1e3 * rest.longest:.3g} ms; upwards: {felt}; {delay_in_words(measured)}"
     )
     told = {"rest": rest, "pushes": pushes, "delay": measured}
     found_out = {"axes_right": right, "axes": found, **msgspec.to_builtins(told)}
@@ -215,8 +231,12 @@ def _pushes(device: MailboxDevice) -> list[TriedForce]:
     """Push with 0.1 N, 1 N and what the device bears, each asked for; the first that is not felt ends it."""
     pushes: list[TriedForce] = []
     for force in (0.1, 1.0, device.limits.peak_force):
-        largest = " (the largest that the device allows)" if force == device.limits.peak_force else ""
-        if not ask(f"Hold the handle loosely. Push upwards with {force:g} N{largest}? [y/n]").startswith("y"):
+        largest = (
+            " (the largest that the device allows)" if force == device.limits.peak_force else ""
+        )
+        if not ask(
+            f"Hold the handle loosely. Push upwards with {force:g} N{largest}? [y/n]"
+        ).startswith("y"):
             break
         one = push(device, force)
         pushes.append(one)
@@ -231,14 +251,19 @@ def _pushes(device: MailboxDevice) -> list[TriedForce]:
 
 def _delay(device: MailboxDevice) -> MeasuredDelay | None:
     """Measure the delay from force to effect, when the user allows it."""
-    question = f"Hold the handle loosely. Push up and down {PULSES} times with {min(FORCE, device.limits.peak_force):g} N"
+    question = (
+        f"Hold the handle loosely. Push up and down {PULSES} times with"
+        f" {min(FORCE, device.limits.peak_force):g} N"
+    )
     if not ask(f"{question}, 60 ms each, to measure the delay? [y/n]").startswith("y"):
         return None
     measured = measure(device)
     print(f"  {delay_in_words(measured)}", file=sys.stderr)
     if measured.delay is not None:
         ticks = measured.delay * 500.0
-        print(f"  for a launch file at 500 Hz: plant: {{device_delay: {ticks:.2g}}}", file=sys.stderr)
+        print(
+            f"  for a launch file at 500 Hz: plant: {{device_delay: {ticks:.2g}}}", file=sys.stderr
+        )
     return measured
 
 
@@ -248,13 +273,25 @@ def delay_in_words(measured: MeasuredDelay | None) -> str:
         return "delay not measured"
     if measured.delay is None:
         return f"delay not measured: {measured.why}"
-    return f"force to effect {1e3 * measured.delay:.1f} ± {1e3 * measured.uncertainty:.1f} ms (95 %, {measured.pulses} pulses)"
+    return (
+        f"force to effect {1e3 * measured.delay:.1f} ± {1e3 * measured.uncertainty:.1f} ms (95 %,"
+        f" {measured.pulses} pulses)"
+    )
 
 
 def no_force(device: MailboxDevice, one: TriedForce) -> str:
     """Say what it may be when the device itself knows nothing."""
     if one.moved > 0.001:
-        return f"the handle moved up by {1e3 * one.moved:.1f} mm: the force acts, but is small for this hand"
+        return (
+            f"the handle moved up by {1e3 * one.moved:.1f} mm: the force acts, but is small for"
+            " this hand"
+        )
     if device.let_go:
-        return f"the servo loop let go {device.let_go} times because no force came in time: the machine is busy"
-    return "the device says that nothing keeps forces off: is a switch on its housing off, or an emergency stop pressed?"
+        return (
+            f"the servo loop let go {device.let_go} times because no force came in time: the"
+            " machine is busy"
+        )
+    return (
+        "the device says that nothing keeps forces off: is a switch on its housing off, or an"
+        " emergency stop pressed?"
+    )

@@ -1,7 +1,8 @@
 """How long after a force is handed over a device moves: short pulses up and down, and the position that answers each.
 
-A handle that is held loosely answers as a mass with a damper. Each pulse is fitted with the response of one, which begins
-d after the force was handed over; d is looked for, mass and damper are whatever suits. So a soft hand counts as no delay.
+A handle that is held loosely answers as a mass with a damper. Each pulse is fitted with the
+response of one, which begins d after the force was handed over; d is looked for, mass and damper
+are whatever suits. So a soft hand counts as no delay.
 """
 
 import math
@@ -22,13 +23,16 @@ BEFORE, PULSE, AFTER = 0.05, 0.06, 0.25
 FAR: Final = 0.002  # a handle that went so far needs no more push [m]
 LEAST: Final = 5e-5  # one that went less far was held too firmly [m]
 LONGEST: Final = 0.04  # longest delay that is looked for [s]
-TIMES: Final = (0.002, 0.005, 0.01, 0.02, 0.05, 0.2)  # times in which a handle comes to its speed, m/b, that are tried [s]
+# times in which a handle comes to its speed, m/b, that are tried [s]
+TIMES: Final = (0.002, 0.005, 0.01, 0.02, 0.05, 0.2)
 
 
 class MeasuredDelay(msgspec.Struct, frozen=True, kw_only=True):
     """A delay from force to effect."""
 
-    delay: float | None  # from handing a force over until a sample shows its effect begin [s]; None where it could not be told
+    # from handing a force over until a sample shows its effect begin [s]; None where it could not
+    # be told
+    delay: float | None
     uncertainty: float  # of it, at 95 % [s]
     pulses: int  # pulses that tell it
     why: str = ""  # why it could not be told; empty when it could
@@ -91,13 +95,18 @@ def measure(device: MailboxDevice) -> MeasuredDelay:
             time.sleep(0.002)
     if len(found) < PULSES // 2:
         reason = device.condition() or "hold it more loosely"
-        why = f"only {len(found)} of {PULSES} pulses moved the handle by {1e3 * LEAST:g} mm: {reason}"
+        why = (
+            f"only {len(found)} of {PULSES} pulses moved the handle by {1e3 * LEAST:g} mm: {reason}"
+        )
         return MeasuredDelay(delay=None, uncertainty=math.inf, pulses=len(found), why=why)
     ordered = sorted(found)
-    # A pulse in which the machine stalled says nothing: the median, and the spread of the middle half of them.
+    # A pulse in which the machine stalled says nothing: the median, and the spread of the middle
+    # half of them.
     spread = ordered[(3 * len(ordered)) // 4] - ordered[len(ordered) // 4]
     error = 1.57 * spread / math.sqrt(len(ordered))
     # A sample may be as old as the time from one to the next, which is not seen.
     return MeasuredDelay(
-        delay=float(np.median(ordered)), uncertainty=math.hypot(error, 1.0 / device.servo_rate), pulses=len(ordered)
+        delay=float(np.median(ordered)),
+        uncertainty=math.hypot(error, 1.0 / device.servo_rate),
+        pulses=len(ordered),
     )

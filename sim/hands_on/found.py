@@ -19,7 +19,8 @@ class DeviceKind:
 
     kind: str  # kind of node that drives it
     found: bool  # whether what it needs is here
-    library: str | None  # that: where it is, or the name of what is missing; None for a device that needs nothing
+    # that: where it is, or the name of what is missing; None for a device that needs nothing
+    library: str | None
     searched: tuple[str, ...]  # where it was looked for
     checked: str  # what its driver was tested against
 
@@ -27,12 +28,18 @@ class DeviceKind:
 def real_kinds() -> dict[str, type[HardwareDriver]]:
     """Find every installed driver of a real device."""
     found, _ = NODES.all()
-    return {name: kind for name, kind in found.items() if isinstance(kind, type) and issubclass(kind, HardwareDriver)}
+    return {
+        name: kind
+        for name, kind in found.items()
+        if isinstance(kind, type) and issubclass(kind, HardwareDriver)
+    }
 
 
 def devices() -> list[DeviceKind]:
     """Look for every kind of device."""
-    listed = [DeviceKind("sim_driver", True, None, (), "closed forms and lockstep runs (no hardware)")]
+    listed = [
+        DeviceKind("sim_driver", True, None, (), "closed forms and lockstep runs (no hardware)")
+    ]
     for name, kind in sorted(real_kinds().items()):
         library, searched = kind.find(convert({}, kind.Parameters, name))
         # Of what is missing its name is told.
@@ -59,8 +66,14 @@ def device_of(kind: str, words: Sequence[str]) -> MailboxDevice:
     """Make a device from the command line, words as ``touch.library:=/opt/libHD.so``; it is not connected yet."""
     known = real_kinds()
     if kind not in known:
-        virtual = "; the virtual device needs no check: haptic launch identify" if kind == "sim_driver" else ""
-        raise UsageError(f"{kind!r} drives no real device; there are: {', '.join(sorted(known))}{virtual}")
+        virtual = (
+            "; the virtual device needs no check: haptic launch identify"
+            if kind == "sim_driver"
+            else ""
+        )
+        raise UsageError(
+            f"{kind!r} drives no real device; there are: {', '.join(sorted(known))}{virtual}"
+        )
     written: dict[str, Any] = {}
     for path, value in parse_assignments(list(words)).items():
         at = written
@@ -68,7 +81,9 @@ def device_of(kind: str, words: Sequence[str]) -> MailboxDevice:
         for name in outer:
             at = at.setdefault(name, {})
             if not isinstance(at, dict):
-                raise UsageError(f"{path}:={value}: {name}:={at} is given too; name the value that is meant")
+                raise UsageError(
+                    f"{path}:={value}: {name}:={at} is given too; name the value that is meant"
+                )
         at[last] = value
     device = known[kind].hardware(convert(written, known[kind].Parameters, kind))
     device.say = lambda text: print(text, file=sys.stderr, flush=True)

@@ -16,7 +16,13 @@ def holders(library: str | None) -> list[tuple[int, str]]:
         if folder.name.isdecimal():
             try:
                 maps = (folder / "maps").read_text(encoding="utf-8", errors="replace")
-                command = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
+                command = (
+                    (folder / "cmdline")
+                    .read_bytes()
+                    .replace(b"\0", b" ")
+                    .decode(errors="replace")
+                    .strip()
+                )
             except OSError:
                 # It has ended meanwhile, or is another user's.
                 continue
@@ -30,7 +36,9 @@ def free(device: MailboxDevice) -> dict[str, Any]:
     others = holders(type(device).find(device.parameters).library)
     if others:
         named = "; ".join(f"process {number}: {command[:120]}" for number, command in others)
-        raise RefusedError(f"{device.TITLE}: held by {named}. End that first: haptic stop, or kill the process")
+        raise RefusedError(
+            f"{device.TITLE}: held by {named}. End that first: haptic stop, or kill the process"
+        )
     try:
         device.connect()
         device.identify()

@@ -33,7 +33,9 @@ def info(device: MailboxDevice, rate: float, delay: float, damping: float) -> di
         "edge": None,
     }
     if inertia is not None:
-        law = without_spring(parse_law({"kind": "pd", "stiffness": 1.0, "damping": damping}, "pd"), 1.0 / rate)
+        law = without_spring(
+            parse_law({"kind": "pd", "stiffness": 1.0, "damping": damping}, "pd"), 1.0 / rate
+        )
         edges = []
         try:
             masses, (least, greatest) = masses_along(inertia)
@@ -42,8 +44,17 @@ def info(device: MailboxDevice, rate: float, delay: float, damping: float) -> di
         for mass in masses:
             plant = Plant(period=1.0 / rate, mass=mass, damping=0.0, delay=delay)
             edges.append({"mass_kg": mass, "k_max_n_per_m": k_max(law, plant).k_max_n_per_m})
-        report["edge"] = {"rate_hz": rate, "delay_ticks": delay, "damping_n_s_per_m": damping, "axes": edges}
-        report["edge"] |= {"least_kg": least, "greatest_kg": greatest, "scale": device.parameters.mapping.scale}
+        report["edge"] = {
+            "rate_hz": rate,
+            "delay_ticks": delay,
+            "damping_n_s_per_m": damping,
+            "axes": edges,
+        }
+        report["edge"] |= {
+            "least_kg": least,
+            "greatest_kg": greatest,
+            "scale": device.parameters.mapping.scale,
+        }
     return report
 
 
@@ -55,18 +66,29 @@ def text(report: dict[str, Any]) -> str:
         f"  peak force {limits['peak_force']} N, {limits['continuous_force']} N continuous; "
         f"holds a force for {limits['hold']} s"
     )
-    lines += [f"  {axis}: {low:.3g} to {high:.3g} m" for axis, (low, high) in zip("xyz", limits["workspace"], strict=True)]
+    lines += [
+        f"  {axis}: {low:.3g} to {high:.3g} m"
+        for axis, (low, high) in zip("xyz", limits["workspace"], strict=True)
+    ]
     if (edge := report["edge"]) is not None:
         lines.append(
-            f"  inertia where it stands, and the largest stable stiffness of PD, B = {edge['damping_n_s_per_m']:g} N s/m, at "
-            f"{edge['rate_hz']:g} Hz, delay {edge['delay_ticks']:g} ticks, the device's own damping taken as 0:"
+            "  inertia where it stands, and the largest stable stiffness of PD, B ="
+            f" {edge['damping_n_s_per_m']:g} N s/m, at {edge['rate_hz']:g} Hz, delay"
+            f" {edge['delay_ticks']:g} ticks, the device's own damping taken as 0:"
         )
         lines += [
             f"    {axis}: {one['mass_kg']:.4g} kg, "
-            + ("no stable one" if one["k_max_n_per_m"] is None else f"{one['k_max_n_per_m']:.4g} N/m")
+            + (
+                "no stable one"
+                if one["k_max_n_per_m"] is None
+                else f"{one['k_max_n_per_m']:.4g} N/m"
+            )
             for axis, one in zip("xyz", edge["axes"], strict=True)
         ]
-        lines.append(f"    any direction: {edge['least_kg']:.4g} to {edge['greatest_kg']:.4g} kg here; other poses have others")
+        lines.append(
+            f"    any direction: {edge['least_kg']:.4g} to {edge['greatest_kg']:.4g} kg here; other"
+            " poses have others"
+        )
         # What the scene moves is the device's own mass divided by the square of the scale.
         least, greatest = (edge[name] * edge["scale"] ** 2 for name in ("least_kg", "greatest_kg"))
         heaviest = f", heaviest: {greatest:.4g}" if greatest > least else ""

@@ -1,8 +1,9 @@
 """A running launch whose law and surface are borrowed, and restored whatever happens to the borrower.
 
-The surface is restored first and the law after it: at no time does a stiff law meet a point that has
-jumped. Everything is changed under leases, which this process renews several times a second. When it
-is killed or held up (Ctrl-Z), the nodes restore surface and law and refuse its later changes.
+The surface is restored first and the law after it: at no time does a stiff law meet a point that
+has jumped. Everything is changed under leases, which this process renews several times a second.
+When it is killed or held up (Ctrl-Z), the nodes restore surface and law and refuse its later
+changes.
 """
 
 import contextlib
@@ -24,11 +25,14 @@ from nodes.launcher.runs import RunInfo
 from sim.identify.signals_once import undisturbed, whole
 
 RAMP = 100  # cross-fade from and to the law that was there [ticks]
-# So long after the last renewal surface and law are put back; the law later, as it is the stiffer one [s].
+# So long after the last renewal surface and law are put back; the law later, as it is the stiffer
+# one [s].
 SURFACE_LEASE, LAW_LEASE = 4.0, 5.0
-PATIENT = 6.0  # leases are so many times longer in lockstep: a loop that takes the whole machine pushes nobody
+# leases are so many times longer in lockstep: a loop that takes the whole machine pushes nobody
+PATIENT = 6.0
 RENEWED = 0.4  # how often leases are renewed [s]
-# What holds the device between pushes and knocks: its name, and a trial that is over at once, which leaves the spring.
+# What holds the device between pushes and knocks: its name, and a trial that is over at once, which
+# leaves the spring.
 SOFT_LAW, SOFT = "soft", {"kind": "knock", "taps": [0.0], "step": 1e-9, "ticks": 1}
 SOFT_RAMP = 250  # cross-fade to it [ticks]
 REST = 0.2  # the force of a device at rest is averaged over so long [s]
@@ -42,13 +46,20 @@ class PushedLaunch:
     """The nodes of a running launch that are needed to push its device."""
 
     def __init__(self, run: RunInfo) -> None:
-        # Of a launch of several chains the one that was chosen, also where its recorder is asked for it.
+        # Of a launch of several chains the one that was chosen, also where its recorder is asked
+        # for it.
         self.run = run = run.only_chain()
         self.chosen = run.chosen
         found = roles(run)
         if len(found) < 3:
-            raise UsageError(f"{run.run}: has no driver, environment and coupling that could push a device")
-        self.driver, self.environment, self.coupling = found["driver"], found["environment"], found["coupling"]
+            raise UsageError(
+                f"{run.run}: has no driver, environment and coupling that could push a device"
+            )
+        self.driver, self.environment, self.coupling = (
+            found["driver"],
+            found["environment"],
+            found["coupling"],
+        )
         setup = run.nodes[self.driver]
         self.period = setup.period  # sampling period [s]
         self.axes = tuple(AXIS_INDEX[axis] for axis in setup.axes)  # axes that the scene computes
@@ -84,7 +95,9 @@ class PushedLaunch:
         if state == "stopped":
             raise RefusedError(f"{self.driver}: has stopped for good ({self.why_stopped()})")
         if state == "fault":
-            raise RefusedError(f"{self.driver}: the device is outside its workspace; bring it back first")
+            raise RefusedError(
+                f"{self.driver}: the device is outside its workspace; bring it back first"
+            )
 
     def why_stopped(self) -> str:
         """Ask the driver for the newest change of its safety state."""
@@ -105,7 +118,9 @@ class PushedLaunch:
             if tick != before:
                 last = time.monotonic()
             elif time.monotonic() - last > silence:
-                raise RefusedError(f"{self.driver}: no tick within {silence:g} s; does the launch tick?")
+                raise RefusedError(
+                    f"{self.driver}: no tick within {silence:g} s; does the launch tick?"
+                )
 
     @contextlib.contextmanager
     def standing(self) -> Iterator[None]:
@@ -132,7 +147,10 @@ class PushedLaunch:
                     last = time.monotonic()
                     yield message.message
                 elif time.monotonic() - last > silence:
-                    raise RefusedError(f"{self.driver}: nothing was heard within {silence:g} s; does the launch tick?")
+                    raise RefusedError(
+                        f"{self.driver}: nothing was heard within {silence:g} s; does the launch"
+                        " tick?"
+                    )
             raise RefusedError(f"{self.run.run}: the launch has ended")
         finally:
             heard.close()  # type: ignore[attr-defined]
@@ -145,7 +163,15 @@ class PushedLaunch:
         with whole():
             if node not in self.leased:
                 return ask(self.run, node, operation, **arguments)
-            return ask(self.run, node, "lease.change", name=LEASE, holder=self.holder, operation=operation, args=arguments)
+            return ask(
+                self.run,
+                node,
+                "lease.change",
+                name=LEASE,
+                holder=self.holder,
+                operation=operation,
+                args=arguments,
+            )
 
     def soften(self, load: float) -> None:
         """Let a soft spring hold the device, whatever the surface is."""
@@ -165,8 +191,8 @@ def carried(loop: PushedLaunch, amplitude: float, given: float | None) -> float:
     weight = _at_rest(loop, amplitude) if given is None else given
     if abs(weight) + amplitude > strongest:
         raise RefusedError(
-            f"{loop.driver}: a load of {weight:.3g} N and a push of {amplitude:g} N are more than {strongest:g} N, the largest "
-            "force of the driver; lower --amplitude"
+            f"{loop.driver}: a load of {weight:.3g} N and a push of {amplitude:g} N are more than"
+            f" {strongest:g} N, the largest force of the driver; lower --amplitude"
         )
     return weight
 
@@ -180,17 +206,22 @@ def _at_rest(loop: PushedLaunch, amplitude: float) -> float:
             continue
         last = states[-ticks:]
         means = [sum(one.force[i] for one in last) / ticks for i in loop.axes]
-        spans = [max(one.position[i] for one in last) - min(one.position[i] for one in last) for i in loop.axes]
+        spans = [
+            max(one.position[i] for one in last) - min(one.position[i] for one in last)
+            for i in loop.axes
+        ]
         moves = max(spans) > STILL
         if moves and len(states) * loop.period < SETTLING:
             continue
         pressed = max(means, key=abs)
         if abs(pressed) > amplitude:
             raise RefusedError(
-                f"{loop.driver}: a force of {pressed:.3g} N acts on the device, more than the push of {amplitude:g} N: let go "
-                f"first. If it carries the device's weight, say so: --load {pressed:.3g}"
+                f"{loop.driver}: a force of {pressed:.3g} N acts on the device, more than the push"
+                f" of {amplitude:g} N: let go first. If it carries the device's weight, say so:"
+                f" --load {pressed:.3g}"
             )
-        # Of a device that moves the force tells no weight; with several axes nobody knows which way is down.
+        # Of a device that moves the force tells no weight; with several axes nobody knows which way
+        # is down.
         return 0.0 if moves or len(loop.axes) > 1 else means[0]
     raise RefusedError(f"{loop.run.run}: the launch has ended")
 
@@ -203,7 +234,8 @@ class Borrowed:
         self.law, self._surface = self._found()  # what comes back at the end
         self.not_put_back = ""  # why law or surface could not be put back; empty when they were
         self._lost = ""  # why what was borrowed is lost
-        self._reverts: dict[str, tuple[str, dict[str, Any]]] = {}  # by leased node: operation and arguments that revert
+        # by leased node: operation and arguments that revert
+        self._reverts: dict[str, tuple[str, dict[str, Any]]] = {}
         loop.holder = f"{os.getpid()}-{time.monotonic_ns()}"
         self._over = threading.Event()
         self._renewing = threading.Thread(target=self._renew, name="leases", daemon=True)
@@ -219,8 +251,11 @@ class Borrowed:
         self.borrow(loop.coupling, LAW_LEASE, "law.switch", law=self.law, ramp=RAMP, force=True)
         self.borrow(loop.environment, SURFACE_LEASE, "param.set", values={"surface": self._surface})
         if self._found() != (self.law, self._surface):
-            # Another tuning gave them back after they were looked at here: what was seen may have been its law on trial.
-            raise RefusedError(f"{loop.run.run}: law or surface were changed just now by somebody else; try again")
+            # Another tuning gave them back after they were looked at here: what was seen may have
+            # been its law on trial.
+            raise RefusedError(
+                f"{loop.run.run}: law or surface were changed just now by somebody else; try again"
+            )
         self._renewing.start()
 
     def borrow(self, node: str, seconds: float, revert: str, **arguments: Any) -> None:
@@ -229,21 +264,30 @@ class Borrowed:
         longer = PATIENT if loop.run.nodes[loop.driver].pace == "lockstep" else 1.0
         # A node that refuses holds another's lease: what is there now may be another tuning's.
         with whole():
-            agreed: dict[str, Any] = {"seconds": longer * seconds, "then": revert, "args": arguments}
+            agreed: dict[str, Any] = {
+                "seconds": longer * seconds,
+                "then": revert,
+                "args": arguments,
+            }
             ask(loop.run, node, "lease.take", name=LEASE, holder=loop.holder, **agreed)
             self._reverts[node] = revert, arguments
             loop.leased.add(node)
 
     def _holds(self, node: str) -> bool:
         """Renew a lease; False where it has run out, and may be another's by now."""
-        return not ask(self._loop.run, node, "lease.renew", names=[LEASE], holder=self._loop.holder)["run_out"]
+        return not ask(
+            self._loop.run, node, "lease.renew", names=[LEASE], holder=self._loop.holder
+        )["run_out"]
 
     def _renew(self) -> None:
         while not self._over.wait(RENEWED):
             try:
                 for node in list(self._reverts):
                     if not self._holds(node):
-                        self._lost = f"{node}: this process was held up for too long, and the launch took law and surface back"
+                        self._lost = (
+                            f"{node}: this process was held up for too long, and the launch took"
+                            " law and surface back"
+                        )
             except RefusedError as error:
                 self._lost = self._lost or str(error)
 

@@ -20,10 +20,18 @@ CONFIDENCE = 0.95
 def nothing(experiment: Experiment, length: int, why: str) -> Identified:
     """Tell what a run without a changing force tells: its delays and its encoder."""
     _, *delays, jitter = _delays(experiment)
-    estimates: dict[str, Any] = dict.fromkeys((name for _, name, _, _ in ROWS), Estimate(None, why=why))
+    estimates: dict[str, Any] = dict.fromkeys(
+        (name for _, name, _, _ in ROWS), Estimate(None, why=why)
+    )
     estimates |= {"encoder": encoder(experiment.position[~experiment.missing]), "jitter": jitter}
     figures: dict[str, Any] = {"delay_range": tuple(delays), "held": False, "residual": math.nan}
-    figures |= {"dropped": 0, "windows": 0, "ticks": length, "axis": experiment.axis, "period": experiment.period}
+    figures |= {
+        "dropped": 0,
+        "windows": 0,
+        "ticks": length,
+        "axis": experiment.axis,
+        "period": experiment.period,
+    }
     return Identified(**estimates, **figures)
 
 
@@ -35,15 +43,20 @@ def covariance_of(found: Fit) -> Array:
     # A direction without any information gets an error without bound, not a division by zero.
     inverse = (vectors / np.maximum(values, 1e-14)) @ vectors.T * np.outer(size, size)
     windows, p = len(found.starts), len(found.free)
-    # Each window's score without its own pull on the estimate (the jackknife's correction, to first order).
+    # Each window's score without its own pull on the estimate (the jackknife's correction, to first
+    # order).
     scores = np.empty((windows, p))
     identity = np.eye(p)
     for w in range(windows):
-        scores[w] = np.linalg.lstsq(identity - (found.matrices[w] @ inverse), found.sides[w], rcond=None)[0]
+        scores[w] = np.linalg.lstsq(
+            identity - (found.matrices[w] @ inverse), found.sides[w], rcond=None
+        )[0]
     between = inverse @ (scores.T @ scores) @ inverse * (windows - 1) / windows
     white = inverse * max(found.rms, 1e-12) ** 2
     # Neither may promise more than the other: take the larger variance of each unknown.
-    wider = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(between), 1e-12 * np.diag(white)), 1.0))
+    wider = np.sqrt(
+        np.maximum(np.diag(white) / np.maximum(np.diag(between), 1e-12 * np.diag(white)), 1.0)
+    )
     return np.asarray(between * np.outer(wider, wider), dtype=np.float64)
 
 
@@ -54,12 +67,17 @@ class _Widths:
         from scipy.stats import t
 
         self._found, self._covariance = found, covariance_of(found)
-        # What terms that the model does not have may move each unknown by: no chance, so it is added to the width.
+        # What terms that the model does not have may move each unknown by: no chance, so it is
+        # added to the width.
         self._moved = np.array(moved) if len(moved) else np.zeros(len(found.free))
-        self._quantile = float(t.ppf(0.5 + 0.5 * CONFIDENCE, max(1, len(found.starts) - len(found.free))))
+        self._quantile = float(
+            t.ppf(0.5 + 0.5 * CONFIDENCE, max(1, len(found.starts) - len(found.free)))
+        )
         self._index = {int(which): i for i, which in enumerate(found.free)}
         self.mobility = float(found.theta[motion.MOBILITY])
-        self.mass_off = (self._quantile * math.sqrt(self._covariance[0, 0]) + float(self._moved[0])) / self.mobility
+        self.mass_off = (
+            self._quantile * math.sqrt(self._covariance[0, 0]) + float(self._moved[0])
+        ) / self.mobility
 
     def __contains__(self, which: int) -> bool:
         return which in self._index
@@ -86,8 +104,12 @@ class _Widths:
         if motion.AVERAGE not in self:
             return late, width
         pair = [self._index[motion.DELAY], self._index[motion.AVERAGE]]
-        chance = self._quantile * math.sqrt(max(float(self._covariance[np.ix_(pair, pair)].sum()), 0.0))
-        return late + float(self._found.theta[motion.AVERAGE]), chance + float(self._moved[pair].sum())
+        chance = self._quantile * math.sqrt(
+            max(float(self._covariance[np.ix_(pair, pair)].sum()), 0.0)
+        )
+        return late + float(self._found.theta[motion.AVERAGE]), chance + float(
+            self._moved[pair].sum()
+        )
 
 
 def conclude(experiment: Experiment, choice: Choice, grid: Estimate) -> Identified:
@@ -131,34 +153,53 @@ def conclude(experiment: Experiment, choice: Choice, grid: Estimate) -> Identifi
     )
 
 
-def _mechanics(experiment: Experiment, widths: _Widths, damping_per_mass: float) -> dict[str, Estimate]:
+def _mechanics(
+    experiment: Experiment, widths: _Widths, damping_per_mass: float
+) -> dict[str, Estimate]:
     """Estimate mass, damping, friction, stiffness and load: none of them where nothing tells the mass."""
     g, relative = widths.mobility, widths.mass_off
     force = float(np.std(experiment.force))  # how much it changed, root mean square [N]
     if relative > 0.5:
-        why = f"its error would be {100 * relative:.0f} %: push with forces that change more, or record longer"
+        why = (
+            f"its error would be {100 * relative:.0f} %: push with forces that change more, or"
+            " record longer"
+        )
         unknown = Estimate(None, why=f"the mass is not known ({why})")
-        return {"mass": Estimate(None, why=why), **dict.fromkeys(("damping", "friction", "stiffness", "load"), unknown)}
+        return {
+            "mass": Estimate(None, why=why),
+            **dict.fromkeys(("damping", "friction", "stiffness", "load"), unknown),
+        }
     speed = float(np.sqrt(np.mean((np.diff(experiment.position) / experiment.period) ** 2)))
     load, load_width = widths.per_mass(motion.LOAD)
     held = motion.STIFFNESS in widths
     return {
         # An interval of 1/m is one of m, and not symmetric.
         "mass": Estimate(1.0 / g, 1.0 / (g * (1.0 + relative)), 1.0 / (g * (1.0 - relative))),
-        "damping": _bounded(*widths.per_mass(motion.DAMPING), max(damping_per_mass / g, force / speed if speed else 0.0)),
+        "damping": _bounded(
+            *widths.per_mass(motion.DAMPING),
+            max(damping_per_mass / g, force / speed if speed else 0.0),
+        ),
         "friction": _bounded(*widths.per_mass(motion.FRICTION), 0.5 * force),
         "load": Estimate(load, load - load_width, load + load_width),
-        "stiffness": _bounded(*widths.per_mass(motion.STIFFNESS), math.inf) if held else Estimate(0.0, 0.0, 0.0),
+        "stiffness": (
+            _bounded(*widths.per_mass(motion.STIFFNESS), math.inf)
+            if held
+            else Estimate(0.0, 0.0, 0.0)
+        ),
     }
 
 
 def _own_delay(experiment: Experiment, choice: Choice, widths: _Widths) -> Estimate:
     """Estimate the device's own delay [ticks]."""
     late, width = widths.total_delay()
-    # Nobody knows how late an unsteady sample is on average; evenly spread from 0 on it is 1.7 of its standard deviations.
+    # Nobody knows how late an unsteady sample is on average; evenly spread from 0 on it is 1.7 of
+    # its standard deviations.
     width += 2.0 * choice.unsteady / experiment.period
     if width > 0.5:
-        why = f"its error would be {width:.2g} ticks: the force must change often, by much more than friction"
+        why = (
+            f"its error would be {width:.2g} ticks: the force must change often, by much more than"
+            " friction"
+        )
         return Estimate(None, why=why)
     return Estimate(late, max(late - width, 0.0), late + width)
 
@@ -170,13 +211,18 @@ def _terms(period: float, choice: Choice, widths: _Widths) -> dict[str, Estimate
         return Estimate(value, max(value - width, 0.0), value + width)
 
     seen = (
-        f"none seen; one above {choice.mode_bound:.0f} Hz, with a quarter of the mass, would not show"
+        f"none seen; one above {choice.mode_bound:.0f} Hz, with a quarter of the mass, would not"
+        " show"
         if choice.mode_bound > 0.0
         else "none seen, and none with a quarter of the mass would show: push longer, or faster"
     )
     bound, unseen = choice.quadratic_bound / widths.mobility, Estimate(None, why=seen)
     terms = {"quadratic": Estimate(0.0, 0.0, bound), "lag": Estimate(0.0, 0.0, choice.lag_bound)}
-    terms |= {"frequency": Estimate(None, choice.mode_bound, why=seen), "share": unseen, "loss": unseen}
+    terms |= {
+        "frequency": Estimate(None, choice.mode_bound, why=seen),
+        "share": unseen,
+        "loss": unseen,
+    }
     if motion.QUADRATIC in widths:
         terms["quadratic"] = positive(*widths.per_mass(motion.QUADRATIC))
     if motion.LAG in widths:
@@ -184,7 +230,11 @@ def _terms(period: float, choice: Choice, widths: _Widths) -> dict[str, Estimate
     terms["average"] = Estimate(0.0, 0.0, 0.0)
     if motion.AVERAGE in widths:
         terms["average"] = positive(*widths.direct(motion.AVERAGE))
-    for name, which in (("frequency", motion.FREQUENCY), ("share", motion.SHARE), ("loss", motion.LOSS)):
+    for name, which in (
+        ("frequency", motion.FREQUENCY),
+        ("share", motion.SHARE),
+        ("loss", motion.LOSS),
+    ):
         if which in widths:
             terms[name] = positive(*widths.direct(which))
     return terms
@@ -193,7 +243,13 @@ def _terms(period: float, choice: Choice, widths: _Widths) -> dict[str, Estimate
 def _bounded(value: float, width: float, too_wide: float) -> Estimate:
     """Estimate what cannot be negative; None when its error is as large as what it is estimated from."""
     if width > too_wide:
-        return Estimate(None, why=f"its error would be {width:.2g}, as large as what it is estimated from ({too_wide:.2g})")
+        return Estimate(
+            None,
+            why=(
+                f"its error would be {width:.2g}, as large as what it is estimated from"
+                f" ({too_wide:.2g})"
+            ),
+        )
     return Estimate(value, max(value - width, 0.0), value + width)
 
 
@@ -201,12 +257,20 @@ def _delays(experiment: Experiment) -> tuple[float, float, float, Estimate]:
     """Median, shortest and longest delay of the loop, and its jitter with an interval from halves of the run."""
     delay = experiment.delay
     if len(delay) < 100:
-        return 0.0, 0.0, 0.0, Estimate(None, why=f"{len(delay)} ticks were answered, at least 100 are needed")
+        return (
+            0.0,
+            0.0,
+            0.0,
+            Estimate(None, why=f"{len(delay)} ticks were answered, at least 100 are needed"),
+        )
     median = float(np.median(delay))
     shortest, longest = (float(q) for q in np.quantile(delay, (0.001, 0.999)))
     blocks = np.array_split(delay, 10)
     rng = np.random.default_rng(1)
-    drawn = (np.concatenate([blocks[i] for i in rng.integers(0, len(blocks), len(blocks))]) for _ in range(200))
+    drawn = (
+        np.concatenate([blocks[i] for i in rng.integers(0, len(blocks), len(blocks))])
+        for _ in range(200)
+    )
     spreads = [np.ptp(np.quantile(again, (0.001, 0.999))) for again in drawn]
     low, high = (float(q) for q in np.quantile(spreads, (0.025, 0.975)))
     value = longest - shortest

@@ -1,9 +1,10 @@
 """What a recorded hand and device would have felt with another law.
 
-The model takes the device's place: a virtual device as it was declared, or one identified from this recording or another.
-What moved the recorded device besides the law (a hand) is estimated tick by tick as the force that the model lacks, and acts
-again. What is left are nudges: the least that keep the model in the encoder step that was read. With them the same law comes
-back to what was recorded; how far the model alone does not is the error of every prediction.
+The model takes the device's place: a virtual device as it was declared, or one identified from this
+recording or another. What moved the recorded device besides the law (a hand) is estimated tick by
+tick as the force that the model lacks, and acts again. What is left are nudges: the least that keep
+the model in the encoder step that was read. With them the same law comes back to what was recorded;
+how far the model alone does not is the error of every prediction.
 """
 
 from dataclasses import dataclass, replace
@@ -17,7 +18,8 @@ from sim.experiments.drop import Criterion, settled
 from sim.identify.recorded_scene import RecordedScene
 from sim.scene.loop import Given, run
 
-STILL = Criterion().tolerance  # largest motion over the last quarter of a run that counts as settled: that of the drop test [m]
+# largest motion over the last quarter of a run that counts as settled: that of the drop test [m]
+STILL = Criterion().tolerance
 
 
 @dataclass(frozen=True)
@@ -26,14 +28,18 @@ class Felt:
 
     measured: Array  # what the encoder reads at each tick [m], shape (N,)
     force: Array  # force that the driver hands over in answer [N], shape (N,)
-    # Whether it comes to rest: by the drop test's verdict where the run is a drop, else by the motion of the last quarter.
+    # Whether it comes to rest: by the drop test's verdict where the run is a drop, else by the
+    # motion of the last quarter.
     settled: bool
     peak_force: float  # largest magnitude of the force [N]
     rest: float  # mean position over the last quarter [m]
 
 
 def replay(
-    recorded: RecordedScene, law: CompiledLaw | None = None, external: Array | None = None, nudged: Array | None = None
+    recorded: RecordedScene,
+    law: CompiledLaw | None = None,
+    external: Array | None = None,
+    nudged: Array | None = None,
 ) -> Felt:
     """Play a recorded scene again, by default with what did render; `external` is of `missing_force`, `nudged` of `nudges`."""
     played, ticks = recorded.scene, len(recorded.position)
@@ -53,9 +59,19 @@ def nudges(recorded: RecordedScene, external: Array | None = None) -> Array:
     jumps = np.zeros((ticks, 3))
     arrivals = recorded.came, np.full(len(recorded.came), -1, dtype=np.int64), recorded.given
     given = Given(
-        force=external, target=recorded.target, arrivals=arrivals, nudged=jumps, read=recorded.position.astype(np.float64)
+        force=external,
+        target=recorded.target,
+        arrivals=arrivals,
+        nudged=jumps,
+        read=recorded.position.astype(np.float64),
     )
-    run(replace(recorded.scene.scene, passivity=None), CompiledLaw((0.0,)), ticks, interpreted=True, given=given)
+    run(
+        replace(recorded.scene.scene, passivity=None),
+        CompiledLaw((0.0,)),
+        ticks,
+        interpreted=True,
+        given=given,
+    )
     return jumps
 
 
@@ -64,7 +80,11 @@ def _judged(recorded: RecordedScene, law: CompiledLaw, measured: Array, force: A
     last = measured[-(len(measured) // 4) :]
     with np.errstate(invalid="ignore"):
         still = bool(np.ptp(last) <= STILL)
-    if scene.device.gravity is not None and scene.device.hand is None and scene.surface.kind == "plane":
+    if (
+        scene.device.gravity is not None
+        and scene.device.hand is None
+        and scene.surface.kind == "plane"
+    ):
         still = settled(scene, law, measured, force, Criterion(ticks=len(measured)))
     return Felt(measured, force, still, float(np.max(np.abs(force))), float(np.mean(last)))
 
@@ -72,10 +92,13 @@ def _judged(recorded: RecordedScene, law: CompiledLaw, measured: Array, force: A
 def missing_force(recorded: RecordedScene, noise: float) -> Array:
     """Estimate the force that the model lacks, tick by tick [N]; `noise` is a measured position's standard deviation [m]."""
     device, y = recorded.scene.scene.device, recorded.position
-    step = coefficients(device.moving_mass, device.moving_damping, device.grip, recorded.scene.scene.period)
+    step = coefficients(
+        device.moving_mass, device.moving_damping, device.grip, recorded.scene.scene.period
+    )
     known = _known(recorded)
     best, chosen = -np.inf, np.zeros(len(y))
-    # A random walk of the force, smoothed over the whole recording (Kalman; Rauch, Tung and Striebel), its size by likelihood.
+    # A random walk of the force, smoothed over the whole recording (Kalman; Rauch, Tung and
+    # Striebel), its size by likelihood.
     for walk in np.geomspace(1e-5, 1.0, 11).tolist():
         likelihood, force = _smooth(y, known, step, noise, walk)
         if likelihood > best:
@@ -91,7 +114,9 @@ def _known(recorded: RecordedScene) -> Array:
     speed = np.gradient(np.convolve(recorded.position, np.ones(9) / 9.0, "same")) / period
     slow = (device.resolution or 1e-7) / (9.0 * period)
     rubbing = -(device.friction or 0.0) * np.clip(speed / slow, -1.0, 1.0)
-    arrivals = list(zip((recorded.took + device.delay).tolist(), recorded.given.tolist(), strict=True))
+    arrivals = list(
+        zip((recorded.took + device.delay).tolist(), recorded.given.tolist(), strict=True)
+    )
     added, j, acting = np.zeros((ticks, 2)), 0, 0.0
     for k in range(ticks):
         x = v = at = 0.0
@@ -113,7 +138,9 @@ def _known(recorded: RecordedScene) -> Array:
     return added
 
 
-def _smooth(y: Array, known: Array, step: tuple[float, ...], noise: float, walk: float) -> tuple[float, Array]:
+def _smooth(
+    y: Array, known: Array, step: tuple[float, ...], noise: float, walk: float
+) -> tuple[float, Array]:
     a11, a12, a21, a22, b1, b2 = step
     transition = np.array([[a11, a12, b1], [a21, a22, b2], [0.0, 0.0, 1.0]])
     wandering = np.zeros((3, 3))

@@ -1,10 +1,12 @@
 """Motion of the identified device over windows of a recording, compiled; and what each unknown moves in it.
 
-Within a window the device moves by the exact map with Coulomb friction (`sim.device.friction`), from one force to the next
-wherever in the tick that one takes effect. What a richer model has besides is taken in quarters of a tick: the lag of the
-actuator by its exact mean, quadratic damping in the middle, a joint by the series of its own exact map. All per unit of mass.
+Within a window the device moves by the exact map with Coulomb friction (`sim.device.friction`),
+from one force to the next wherever in the tick that one takes effect. What a richer model has
+besides is taken in quarters of a tick: the lag of the actuator by its exact mean, quadratic damping
+in the middle, a joint by the series of its own exact map. All per unit of mass.
 
-Everything compiled that calls each other stands in this file: kept code is looked up by the file of the outermost function.
+Everything compiled that calls each other stands in this file: kept code is looked up by the file of
+the outermost function.
 """
 
 import math
@@ -17,17 +19,34 @@ from sim.device.friction import slide
 from sim.device.model import Coefficients, coefficients
 from sim.scene.compiled import compiled
 
-MOBILITY, DAMPING, FRICTION, STIFFNESS, LOAD, DELAY, QUADRATIC, LAG, SHARE, FREQUENCY, LOSS, AVERAGE = range(12)
-# The unknowns: 1/m [1/kg]; b/m [1/s]; c/m [m/s²]; k/m of a hand [1/s²]; load/m [m/s²]; delay [ticks]; quadratic damping per
-# mass [1/m]; lag [ticks]; part of the mass beyond a joint; frequency [Hz] and damping ratio of the joint; part of the sample
-# before in each reading.
+(
+    MOBILITY,
+    DAMPING,
+    FRICTION,
+    STIFFNESS,
+    LOAD,
+    DELAY,
+    QUADRATIC,
+    LAG,
+    SHARE,
+    FREQUENCY,
+    LOSS,
+    AVERAGE,
+) = range(12)
+# The unknowns: 1/m [1/kg]; b/m [1/s]; c/m [m/s²]; k/m of a hand [1/s²]; load/m [m/s²]; delay
+# [ticks]; quadratic damping per mass [1/m]; lag [ticks]; part of the mass beyond a joint; frequency
+# [Hz] and damping ratio of the joint; part of the sample before in each reading.
 NAMES = (
     "mobility", "damping", "friction", "stiffness", "load", "delay", "quadratic", "lag", "share", "frequency", "loss",
     "average",
 )  # fmt: skip
-STATES = 4  # position [m] and velocity [m/s] of the motor's side, then what the joint is stretched by and how fast
+# position [m] and velocity [m/s] of the motor's side, then what the joint is stretched by and how
+# fast
+STATES = 4
 _PARTS = 4  # steps of a tick in a richer model
-_ORDER = 10  # of the series of the joint's map: 1e-9 at a quarter of a tick and the highest frequency that is looked for
+# of the series of the joint's map: 1e-9 at a quarter of a tick and the highest frequency that is
+# looked for
+_ORDER = 10
 
 
 @compiled()
@@ -78,7 +97,10 @@ def _slide_joint(
 ) -> None:
     """One step of two masses with Coulomb friction on the first; `before` is room for a state."""
     remaining = duration
-    spring, damper = share * (1.0 - share) * pulse * pulse, 2.0 * loss * share * (1.0 - share) * pulse
+    spring, damper = (
+        share * (1.0 - share) * pulse * pulse,
+        2.0 * loss * share * (1.0 - share) * pulse,
+    )
     for _ in range(4):
         if state[1] == 0.0:
             net = u - stiffness * state[0] - spring * (state[0] - state[2]) + damper * state[3]
@@ -90,17 +112,33 @@ def _slide_joint(
             direction = 1.0 if state[1] > 0.0 else -1.0
         for i in range(STATES):
             before[i] = state[i]
-        _flow(state, u - direction * friction, remaining, False, damping, stiffness, share, pulse, loss)
+        _flow(
+            state,
+            u - direction * friction,
+            remaining,
+            False,
+            damping,
+            stiffness,
+            share,
+            pulse,
+            loss,
+        )
         if state[1] * direction >= 0.0:
             return
         # The velocity turned on the way: to where it is zero, by two secants, and on from there.
         low, high, at_low, at_high = 0.0, remaining, before[1], state[1]
         halt = 0.0
         for _ in range(3):
-            halt = low + (high - low) * at_low / (at_low - at_high) if at_low != 0.0 else 0.5 * (low + high)
+            halt = (
+                low + (high - low) * at_low / (at_low - at_high)
+                if at_low != 0.0
+                else 0.5 * (low + high)
+            )
             for i in range(STATES):
                 state[i] = before[i]
-            _flow(state, u - direction * friction, halt, False, damping, stiffness, share, pulse, loss)
+            _flow(
+                state, u - direction * friction, halt, False, damping, stiffness, share, pulse, loss
+            )
             if state[1] * direction > 0.0:
                 low, at_low = halt, state[1]
             else:
@@ -113,16 +151,39 @@ def _slide_joint(
 
 @compiled()
 def _slide(
-    x: float, v: float, u: float, duration: float, coefs: Coefficients, damping: float, stiffness: float, friction: float
+    x: float,
+    v: float,
+    u: float,
+    duration: float,
+    coefs: Coefficients,
+    damping: float,
+    stiffness: float,
+    friction: float,
 ) -> tuple[float, float]:
     """One step of a unit mass: compiled once, for all who call it."""
     return slide(x, v, u, duration, coefs, 1.0, damping, stiffness, friction)
 
 
 @compiled()
-def _rigid(theta: Array, state: Array, start: int, length: int, period: float, at: Array, force: Array, out: Array) -> None:
+def _rigid(
+    theta: Array,
+    state: Array,
+    start: int,
+    length: int,
+    period: float,
+    at: Array,
+    force: Array,
+    out: Array,
+) -> None:
     """Positions of one window of a rigid device from its initial state."""
-    mobility, damping, friction, stiffness, load, delay = theta[0], theta[1], theta[2], theta[3], theta[4], theta[5]
+    mobility, damping, friction, stiffness, load, delay = (
+        theta[0],
+        theta[1],
+        theta[2],
+        theta[3],
+        theta[4],
+        theta[5],
+    )
     x, v = state[0], state[1]
     # The force that acts when the window begins: the last one that took effect until then.
     j = np.searchsorted(at, start - delay, "right") - 1
@@ -139,7 +200,9 @@ def _rigid(theta: Array, state: Array, start: int, length: int, period: float, a
                 if abs(duration - known) > 1e-12 * period:
                     coefs = coefficients(1.0, damping, stiffness, duration)
                     known = duration
-                x, v = _slide(x, v, mobility * acting + load, duration, coefs, damping, stiffness, friction)
+                x, v = _slide(
+                    x, v, mobility * acting + load, duration, coefs, damping, stiffness, friction
+                )
                 now = until
             j += 1
             acting = force[j]
@@ -148,14 +211,39 @@ def _rigid(theta: Array, state: Array, start: int, length: int, period: float, a
             if abs(duration - known) > 1e-12 * period:
                 coefs = coefficients(1.0, damping, stiffness, duration)
                 known = duration
-            x, v = _slide(x, v, mobility * acting + load, duration, coefs, damping, stiffness, friction)
+            x, v = _slide(
+                x, v, mobility * acting + load, duration, coefs, damping, stiffness, friction
+            )
 
 
+# Long: one device, drawn at random term by term.
 @compiled()
-def _richer(theta: Array, initial: Array, start: int, length: int, period: float, at: Array, force: Array, out: Array) -> None:
+def _richer(  # noqa: PLR0915
+    theta: Array,
+    initial: Array,
+    start: int,
+    length: int,
+    period: float,
+    at: Array,
+    force: Array,
+    out: Array,
+) -> None:
     """Positions of one window of a device with a lag, quadratic damping or a joint."""
-    mobility, damping, friction, stiffness, load, delay = theta[0], theta[1], theta[2], theta[3], theta[4], theta[5]
-    quadratic, lag, share, pulse, loss = theta[6], theta[7], theta[8], 2.0 * math.pi * theta[9], theta[10]
+    mobility, damping, friction, stiffness, load, delay = (
+        theta[0],
+        theta[1],
+        theta[2],
+        theta[3],
+        theta[4],
+        theta[5],
+    )
+    quadratic, lag, share, pulse, loss = (
+        theta[6],
+        theta[7],
+        theta[8],
+        2.0 * math.pi * theta[9],
+        theta[10],
+    )
     state, before = np.empty(STATES), np.empty(STATES)
     state[0], state[1] = initial[0], initial[1]
     state[2], state[3] = state[0] - initial[2], state[1] - initial[3]
@@ -168,7 +256,9 @@ def _richer(theta: Array, initial: Array, start: int, length: int, period: float
         given = force[i] if j >= 0 else 0.0
         while i <= j:
             end = at[i + 1] + delay if i < j else float(start)
-            given = force[i] + (given - force[i]) * math.exp(-max(end - max(at[i] + delay, start - 12.0 * lag), 0.0) / lag)
+            given = force[i] + (given - force[i]) * math.exp(
+                -max(end - max(at[i] + delay, start - 12.0 * lag), 0.0) / lag
+            )
             i += 1
     known = -1.0
     coefs = coefficients(1.0, damping, stiffness, period)
@@ -194,7 +284,18 @@ def _richer(theta: Array, initial: Array, start: int, length: int, period: float
                     if quadratic > 0.0:
                         u -= quadratic * state[1] * abs(state[1])
                     if share > 0.0:
-                        _slide_joint(state, before, u, h * period, damping, stiffness, friction, share, pulse, loss)
+                        _slide_joint(
+                            state,
+                            before,
+                            u,
+                            h * period,
+                            damping,
+                            stiffness,
+                            friction,
+                            share,
+                            pulse,
+                            loss,
+                        )
                     else:
                         if abs(h - known) > 1e-12:
                             coefs = coefficients(1.0, damping, stiffness, h * period)
@@ -203,7 +304,16 @@ def _richer(theta: Array, initial: Array, start: int, length: int, period: float
                         for again in range(2 if quadratic > 0.0 else 1):
                             # Quadratic damping in the middle: a first try tells where that is.
                             held = u + quadratic * (state[1] * abs(state[1]) - middle * abs(middle))
-                            x, v = _slide(state[0], state[1], held, h * period, coefs, damping, stiffness, friction)
+                            x, v = _slide(
+                                state[0],
+                                state[1],
+                                held,
+                                h * period,
+                                coefs,
+                                damping,
+                                stiffness,
+                                friction,
+                            )
                             middle = 0.5 * (state[1] + v) if again == 0 else middle
                         state[0], state[1] = x, v
             now = max(until, now)
@@ -213,7 +323,16 @@ def _richer(theta: Array, initial: Array, start: int, length: int, period: float
 
 
 @compiled()
-def window(theta: Array, state: Array, start: int, length: int, period: float, at: Array, force: Array, out: Array) -> None:
+def window(
+    theta: Array,
+    state: Array,
+    start: int,
+    length: int,
+    period: float,
+    at: Array,
+    force: Array,
+    out: Array,
+) -> None:
     """Positions that are read in one window, from its initial state."""
     if theta[6] == 0.0 and theta[7] == 0.0 and theta[8] == 0.0:
         _rigid(theta, state, start, length, period, at, force, out)
@@ -221,7 +340,8 @@ def window(theta: Array, state: Array, start: int, length: int, period: float, a
         _richer(theta, state, start, length, period, at, force, out)
     part = theta[11]
     if part != 0.0:
-        # The sample before the first of a window is not known: drawn on with a constant acceleration, and never compared.
+        # The sample before the first of a window is not known: drawn on with a constant
+        # acceleration, and never compared.
         before = 3.0 * out[0] - 3.0 * out[1] + out[2]
         for k in range(length):
             here = out[k]
@@ -271,10 +391,14 @@ def slopes(
                 near[i - p] += step
             window(moved, near, start, length, period, at, force, there)
             for k in range(length):
-                out[w, i, k] = 0.0 if missing[start + k] or k < first else (there[k] - here[k]) / step
+                out[w, i, k] = (
+                    0.0 if missing[start + k] or k < first else (there[k] - here[k]) / step
+                )
             if i < p:
                 moved[free[i]] = theta[free[i]]
             else:
                 near[i - p] = states[w, i - p]
         for k in range(length):
-            residuals[w, k] = 0.0 if missing[start + k] or k < first else position[start + k] - here[k]
+            residuals[w, k] = (
+                0.0 if missing[start + k] or k < first else position[start + k] - here[k]
+            )

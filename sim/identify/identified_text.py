@@ -46,8 +46,16 @@ def figures(found: Identified) -> dict[str, Any]:
             "cause": found.remainder,
             "k_max_change": found.remainder_k_max if math.isfinite(found.remainder_k_max) else None,
         },
-        "unbelieved": {key: _estimate(found.unbelieved[name]) for key, name, _, _ in ROWS if name in found.unbelieved},
-        "held_out": {"residual_steps": found.steps(found.held_out), "residual_m": found.held_out, "whiteness": found.whiteness},
+        "unbelieved": {
+            key: _estimate(found.unbelieved[name])
+            for key, name, _, _ in ROWS
+            if name in found.unbelieved
+        },
+        "held_out": {
+            "residual_steps": found.steps(found.held_out),
+            "residual_m": found.held_out,
+            "whiteness": found.whiteness,
+        },
         "windows_dropped": found.dropped,
         "window_ticks": found.ticks,
     }
@@ -55,7 +63,9 @@ def figures(found: Identified) -> dict[str, Any]:
 
 def from_figures(record: Mapping[str, Any]) -> Identified:
     """Read back what `figures` gave: the inverse, for a step that is run alone."""
-    estimates: dict[str, Any] = {name: Estimate(**record[key]) for key, name, _, _ in ROWS if key in record}
+    estimates: dict[str, Any] = {
+        name: Estimate(**record[key]) for key, name, _, _ in ROWS if key in record
+    }
     low, high = record["delay_range_ticks"]
     return Identified(
         **estimates,
@@ -69,7 +79,11 @@ def from_figures(record: Mapping[str, Any]) -> Identified:
         period=1.0 / record["rate_hz"],
         terms=tuple(record["terms"]),
         **_remainder(record.get("remainder")),
-        unbelieved={name: Estimate(**record["unbelieved"][key]) for key, name, _, _ in ROWS if key in record["unbelieved"]},
+        unbelieved={
+            name: Estimate(**record["unbelieved"][key])
+            for key, name, _, _ in ROWS
+            if key in record["unbelieved"]
+        },
     )
 
 
@@ -90,18 +104,25 @@ def verdict(found: Identified) -> str:
     model = " with ".join(["a rigid device", *(" and ".join(found.terms) for _ in found.terms[:1])])
     if found.remainder:
         return (
-            f"holds for a design: {model}; the recording also shows {found.remainder}, which the model does not have and which "
-            f"may change K_max by {100.0 * found.remainder_k_max:.2g} %"
+            f"holds for a design: {model}; the recording also shows {found.remainder}, which the"
+            " model does not have and which may change K_max by"
+            f" {100.0 * found.remainder_k_max:.2g} %"
         )
     return f"holds: {model} leaves no more than noise in windows that it was not fitted to"
 
 
 def text(found: Identified) -> str:
     """Give an identified device as a table, the verdict first."""
-    lines = [verdict(found), f"axis {found.axis}, {'held by a hand' if found.held else 'free'}; 95 % intervals"]
+    lines = [
+        verdict(found),
+        f"axis {found.axis}, {'held by a hand' if found.held else 'free'}; 95 % intervals",
+    ]
     for _, name, label, unit in ROWS:
         estimate: Estimate = getattr(found, name)
-        if name in ("share", "loss", *(("frequency",) if found.refuted else ())) and estimate.value is None:
+        if (
+            name in ("share", "loss", *(("frequency",) if found.refuted else ()))
+            and estimate.value is None
+        ):
             continue
         if name in found.unbelieved:
             fitted = found.unbelieved[name].value
@@ -112,13 +133,22 @@ def text(found: Identified) -> str:
         elif name == "average" and estimate.value == 0.0:
             continue
         elif name in ("quadratic", "lag") and estimate.value == 0.0:
-            lines.append(f"  {label:30} none seen; below {estimate.high:.2g} {unit} it would not show")
+            lines.append(
+                f"  {label:30} none seen; below {estimate.high:.2g} {unit} it would not show"
+            )
         else:
-            lines.append(f"  {label:30} {estimate.value:10.5g}  ({estimate.low:.5g} to {estimate.high:.5g}) {unit}")
+            lines.append(
+                f"  {label:30} {estimate.value:10.5g}  ({estimate.low:.5g} to {estimate.high:.5g})"
+                f" {unit}"
+            )
     steps, unseen = found.steps(found.residual), found.held_out
-    residual = f"{found.residual * 1e6:.3g} µm" + ("" if steps is None else f" = {steps:.3g} encoder steps (rounding: 0.29)")
+    residual = f"{found.residual * 1e6:.3g} µm" + (
+        "" if steps is None else f" = {steps:.3g} encoder steps (rounding: 0.29)"
+    )
     held_out = "none" if unseen is None else f"{unseen * 1e6:.3g} µm"
-    left_out = f", {found.dropped} left out: a stall or a knock spoilt them" if found.dropped else ""
+    left_out = (
+        f", {found.dropped} left out: a stall or a knock spoilt them" if found.dropped else ""
+    )
     windows = f"{found.windows} windows of {found.ticks} ticks{left_out}"
     lines.append(f"  residual {residual}; in held-out windows {held_out}; {windows}")
     return "\n".join(lines)
@@ -127,5 +157,13 @@ def text(found: Identified) -> str:
 def device_parameters(found: Identified) -> dict[str, Any]:
     """Describe an identified device as the sim driver's parameter ``device``."""
     mass, _, _ = found.mass.known()
-    optional = {"damping": found.damping, "friction": found.friction, "resolution": found.encoder, "delay": found.device_delay}
-    return {"mass": mass, **{name: one.value for name, one in optional.items() if one.value is not None}}
+    optional = {
+        "damping": found.damping,
+        "friction": found.friction,
+        "resolution": found.encoder,
+        "delay": found.device_delay,
+    }
+    return {
+        "mass": mass,
+        **{name: one.value for name, one in optional.items() if one.value is not None},
+    }

@@ -1,8 +1,9 @@
 """Identify a device from an experiment: each parameter with a 95 % interval, or with the reason why it cannot be told.
 
-The first guess comes from linear equations: there is no wrong valley to begin in. Multiply the equation of motion by a bump φ
-that vanishes with its slope at both ends, and integrate by parts: only φ is differentiated. What is left is linear in all
-unknowns but the delay, which is tried out. Encoder rounding biases it by some percent.
+The first guess comes from linear equations: there is no wrong valley to begin in. Multiply the
+equation of motion by a bump φ that vanishes with its slope at both ends, and integrate by parts:
+only φ is differentiated. What is left is linear in all unknowns but the delay, which is tried out.
+Encoder rounding biases it by some percent.
 """
 
 import math
@@ -15,7 +16,18 @@ from sim.identify.choose_model import Windows, choose
 from sim.identify.conclude import conclude, covariance_of, nothing
 from sim.identify.experiment import Experiment, encoder
 from sim.identify.identified import Identified
-from sim.identify.identified_motion import AVERAGE, DAMPING, DELAY, FRICTION, LAG, LOAD, MOBILITY, NAMES, STIFFNESS, window
+from sim.identify.identified_motion import (
+    AVERAGE,
+    DAMPING,
+    DELAY,
+    FRICTION,
+    LAG,
+    LOAD,
+    MOBILITY,
+    NAMES,
+    STIFFNESS,
+    window,
+)
 from sim.identify.output_error import Fit, fit, windows
 
 WINDOW = 100  # ticks of a window
@@ -26,11 +38,14 @@ def identify(experiment: Experiment, held: bool | None = None, length: int = WIN
     starts = windows(experiment, length)
     if len(starts) < 12:
         raise ValueError(
-            f"{len(starts)} windows of {length} ticks, at least 12 are needed: record {12 * length} ticks without gaps"
+            f"{len(starts)} windows of {length} ticks, at least 12 are needed: record {12 * length}"
+            " ticks without gaps"
         )
     if not np.ptp(experiment.force) > 0.0:
         return nothing(
-            experiment, length, "the force never changed: nothing tells the device; push it (haptic launch identify)"
+            experiment,
+            length,
+            "the force never changed: nothing tells the device; push it (haptic launch identify)",
         )
     within = np.zeros(len(experiment.position), dtype=bool)
     for first, end in experiment.segments:
@@ -48,13 +63,24 @@ def initial_state(experiment: Experiment, found: Identified) -> tuple[float, flo
     return float(first.states[0, 0]), float(first.states[0, 1])
 
 
-def followed(experiment: Experiment, found: Identified, count: int) -> tuple[NDArray[np.int64], Array]:
+def followed(
+    experiment: Experiment, found: Identified, count: int
+) -> tuple[NDArray[np.int64], Array]:
     """Let a device move through the first windows of a run, each from where the run has it: first ticks, positions [m]."""
     starts = windows(experiment, found.ticks)[:count]
     begun = _begun(experiment, found, starts)
     positions = np.empty((len(starts), found.ticks))
     for start, state, out in zip(starts.tolist(), begun.states, positions, strict=True):
-        window(begun.theta, state, start, found.ticks, experiment.period, experiment.at, experiment.force, out)
+        window(
+            begun.theta,
+            state,
+            start,
+            found.ticks,
+            experiment.period,
+            experiment.at,
+            experiment.force,
+            out,
+        )
     return starts, positions
 
 
@@ -74,12 +100,19 @@ def _begun(experiment: Experiment, found: Identified, starts: NDArray[np.int64])
     return fit(experiment, starts, found.ticks, theta, (), found.encoder.value or 1e-6)
 
 
-def _search(experiment: Experiment, starts: NDArray[np.int64], length: int, scale: float, held: bool | None) -> Fit:
+def _search(
+    experiment: Experiment, starts: NDArray[np.int64], length: int, scale: float, held: bool | None
+) -> Fit:
     """From the linear equations' guess to everything."""
-    free = (MOBILITY, DAMPING, FRICTION, LOAD) if held is False else (MOBILITY, DAMPING, FRICTION, STIFFNESS, LOAD)
+    free = (
+        (MOBILITY, DAMPING, FRICTION, LOAD)
+        if held is False
+        else (MOBILITY, DAMPING, FRICTION, STIFFNESS, LOAD)
+    )
     full: Fit | None = None
     for stiff in (True, False)[held is False :]:
-        # The equations of a free device tell more when there is no hand; which of the two starts nearer decides.
+        # The equations of a free device tell more when there is no hand; which of the two starts
+        # nearer decides.
         here = fit(experiment, starts, length, first_guess(experiment, stiff), free, scale, steps=5)
         here = fit(experiment, starts, length, here.theta, (*free, DELAY), scale, here.states)
         if full is None or here.rms < full.rms:
@@ -90,7 +123,15 @@ def _search(experiment: Experiment, starts: NDArray[np.int64], length: int, scal
     if held is None and not _is_held(full):
         theta = full.theta.copy()
         theta[STIFFNESS] = 0.0
-        full = fit(experiment, starts, length, theta, (MOBILITY, DAMPING, FRICTION, LOAD, DELAY), scale, full.states)
+        full = fit(
+            experiment,
+            starts,
+            length,
+            theta,
+            (MOBILITY, DAMPING, FRICTION, LOAD, DELAY),
+            scale,
+            full.states,
+        )
     return full
 
 
@@ -142,5 +183,10 @@ def first_guess(experiment: Experiment, held: bool) -> Array:
         error = float(np.linalg.norm(matrix @ solution - target))
         if error < best[0]:
             g, b, c, load, k = (*solution.tolist(), 0.0)[:5]
-            best = error, np.array([max(g, 0.1), max(b, 0.0), max(c, 0.0), max(k, 0.0), load, delay, *[0.0] * 6])
+            best = (
+                error,
+                np.array(
+                    [max(g, 0.1), max(b, 0.0), max(c, 0.0), max(k, 0.0), load, delay, *[0.0] * 6]
+                ),
+            )
     return best[1]

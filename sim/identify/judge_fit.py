@@ -1,7 +1,8 @@
 """Judge a fit by what it leaves: whether that is no more than rounding and white noise, and which term the data ask for if not.
 
-Rounding is not white where the device is slow. So what a model that holds would leave is drawn: its own motion, rounded on
-grids that lie anywhere, with as much white noise before as the residual asks for (THEORY.md §12).
+Rounding is not white where the device is slow. So what a model that holds would leave is drawn: its
+own motion, rounded on grids that lie anywhere, with as much white noise before as the residual asks
+for (THEORY.md §12).
 """
 
 import math
@@ -15,7 +16,8 @@ from sim.identify.output_error import Fit, left_over, own_states
 from sim.identify.suspects import Shapes, Suspect
 
 DRAWS = 40  # how often a model that holds is drawn
-FINEST = 1e-9  # grid of an encoder whose own is not seen; what is left below its rounding is arithmetic [m]
+# grid of an encoder whose own is not seen; what is left below its rounding is arithmetic [m]
+FINEST = 1e-9
 LAGS = 20  # of the autocorrelation [ticks]
 SURE = 5.0  # so many standard deviations are no chance, among some hundred suspects
 QUANTILE = 1.96  # of a 95 % interval [standard deviations]
@@ -55,7 +57,8 @@ def left(experiment: Experiment, found: Fit, step: float | None, seed: int = 1) 
     rows = found.starts[:, None] + np.arange(found.length)
     unread = experiment.missing[rows]
     modelled = experiment.position[rows] - residual
-    # An orthonormal basis of what each window's own state moves, then one of what the unknowns move besides.
+    # An orthonormal basis of what each window's own state moves, then one of what the unknowns move
+    # besides.
     columns = np.swapaxes(moved[:, p:], 1, 2)
     columns = columns / np.maximum(np.linalg.norm(columns, axis=1, keepdims=True), 1e-300)
     u, s, _ = np.linalg.svd(columns, full_matrices=False)
@@ -81,7 +84,8 @@ def left(experiment: Experiment, found: Fit, step: float | None, seed: int = 1) 
         error[:, unread] = 0.0
         return _freed(error, states, unknowns)
 
-    # Rounding alone first: what the residual is more than that is white noise in a model that holds.
+    # Rounding alone first: what the residual is more than that is white noise in a model that
+    # holds.
     draws = drawn(0.0)
     rounding = float(np.mean(np.sum(draws**2, axis=(1, 2)))) / samples
     noise = math.sqrt(max(size**2 - rounding, 0.0))
@@ -100,15 +104,23 @@ def whiteness(what: Left) -> float:
 
     def correlation(rows: Array) -> Array:
         power = np.sum(rows**2, axis=(-2, -1))
-        lags = [np.sum(rows[..., lag:] * rows[..., :-lag], axis=(-2, -1)) / power for lag in range(1, LAGS + 1)]
+        lags = [
+            np.sum(rows[..., lag:] * rows[..., :-lag], axis=(-2, -1)) / power
+            for lag in range(1, LAGS + 1)
+        ]
         return np.stack(lags, axis=-1)
 
     drawn, seen = correlation(what.draws), correlation(what.residual)
     middle, spread = drawn.mean(axis=0), drawn.std(axis=0, ddof=1)
-    # How far models that hold are from their own mean: the lags are not independent where rounding is slow.
+    # How far models that hold are from their own mean: the lags are not independent where rounding
+    # is slow.
     own = np.mean(((drawn - middle) / spread) ** 2, axis=1) * (DRAWS + 1) / (DRAWS - 1)
     shape = float(own.mean() ** 2 / own.var(ddof=1))
-    return float(gamma.sf(float(np.mean(((seen - middle) / spread) ** 2)), shape, scale=float(own.mean()) / shape))
+    return float(
+        gamma.sf(
+            float(np.mean(((seen - middle) / spread) ** 2)), shape, scale=float(own.mean()) / shape
+        )
+    )
 
 
 def unsteady(experiment: Experiment, what: Left) -> tuple[float, float]:
@@ -134,13 +146,17 @@ class Evidence:
     factors: Array  # of each shape, fitted together, shape (g,)
     # By how much more of itself the term may be, at 95 %, by how the windows differ about it.
     margin: float
-    moves: Array  # what the unknowns of the fit would change by if the term were added, in the order of `Fit.free`
+    # what the unknowns of the fit would change by if the term were added, in the order of
+    # `Fit.free`
+    moves: Array
 
 
 def scan(experiment: Experiment, found: Fit, what: Left) -> list[Evidence]:
     """Try every suspect on what is left, that which takes up most first."""
     findings = []
-    beyond = max(1.0 - (what.rounding / what.size) ** 2, 1.0 / what.residual.size) if what.size else 1.0
+    beyond = (
+        max(1.0 - (what.rounding / what.size) ** 2, 1.0 / what.residual.size) if what.size else 1.0
+    )
     power = float(np.sum(what.residual**2)) * beyond
     for suspect in Shapes(experiment, found, what.modelled).all():
         shapes = _freed(suspect.shapes, what.states, what.unknowns).reshape(len(suspect.shapes), -1)
@@ -156,7 +172,10 @@ def scan(experiment: Experiment, found: Fit, what: Left) -> list[Evidence]:
         residual = what.residual.ravel()
         factors = np.linalg.lstsq((shapes / norms[:, None]).T, residual, rcond=None)[0] / norms
         explained = factors @ shapes
-        strength, share = seen / spread / math.sqrt(q.shape[1]), min(seen**2 / power, 1.0) if power > 0.0 else 0.0
+        strength, share = (
+            seen / spread / math.sqrt(q.shape[1]),
+            min(seen**2 / power, 1.0) if power > 0.0 else 0.0,
+        )
         carried = _carried(what, suspect, factors, explained)
         visible = SURE * spread / float(norms[0])
         findings.append(Evidence(suspect, strength, share, factor, visible, factors, *carried))
@@ -174,5 +193,9 @@ def _carried(what: Left, suspect: Suspect, factors: Array, explained: Array) -> 
     votes = np.sum(what.residual * unit, axis=1) - np.sum(unit**2, axis=1) * size
     margin = QUANTILE * math.sqrt(float(np.sum(votes**2)) * windows / max(windows - 1, 1)) / size
     whole = _freed(np.tensordot(factors, suspect.shapes, 1), what.states, what.unknowns[:, :0])
-    moves = np.linalg.lstsq(what.slopes.T, whole.ravel(), rcond=None)[0] if len(what.slopes) else np.zeros(0)
+    moves = (
+        np.linalg.lstsq(what.slopes.T, whole.ravel(), rcond=None)[0]
+        if len(what.slopes)
+        else np.zeros(0)
+    )
     return margin, -np.asarray(moves, dtype=np.float64)

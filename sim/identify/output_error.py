@@ -1,9 +1,10 @@
 """Output error: the device whose exact motion under the recorded forces comes closest to the recorded positions.
 
-The run is cut into windows, each with an initial state of its own, so that nothing has to be known before a window and no
-error grows from one into the next. The unknowns are taken where the motion (`sim.identify.identified_motion`) is nearly
-linear in them, per unit of mass. Gauss–Newton steps with Levenberg's damping find them all; the initial states are eliminated
-window by window. THEORY.md §12.
+The run is cut into windows, each with an initial state of its own, so that nothing has to be known
+before a window and no error grows from one into the next. The unknowns are taken where the motion
+(`sim.identify.identified_motion`) is nearly linear in them, per unit of mass. Gauss–Newton steps
+with Levenberg's damping find them all; the initial states are eliminated window by window.
+THEORY.md §12.
 """
 
 import math
@@ -19,9 +20,12 @@ from sim.identify.identified_motion import SHARE, STATES, slopes
 # Smallest value of each unknown, in the order and the units of `NAMES`.
 LEAST = np.array([1e-3, 0.0, 0.0, 0.0, -math.inf, 0.0, 0.0, 0.0, 1e-3, 1.0, 0.0, 0.0])
 # Largest value of each.
-MOST = np.array([1e5, math.inf, math.inf, math.inf, math.inf, 100.0, math.inf, 50.0, 0.98, 1000.0, 2.0, 0.5])
+MOST = np.array(
+    [1e5, math.inf, math.inf, math.inf, math.inf, 100.0, math.inf, 50.0, 0.98, 1000.0, 2.0, 0.5]
+)
 _DIVERGED = 1e100  # of a position [m]: its square can still be added up
-# Differences that slopes are taken over, as a part of `_SIZES` or of the value, whichever is larger.
+# Differences that slopes are taken over, as a part of `_SIZES` or of the value, whichever is
+# larger.
 _STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-3, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-5, 1e-3, 1e-3])
 _SIZES = np.array([1.0, 1.0, 0.1, 100.0, 1.0, 1.0, 1.0, 1.0, 0.1, 10.0, 0.01, 1.0])
 
@@ -32,7 +36,8 @@ class Fit:
 
     theta: Array  # the unknowns, in the order of `NAMES`, shape (12,)
     free: NDArray[np.int64]  # which of them were looked for
-    # Initial position [m] and velocity [m/s] of each window, and stretch [m] and its rate [m/s] of a joint, shape (W, 4).
+    # Initial position [m] and velocity [m/s] of each window, and stretch [m] and its rate [m/s] of
+    # a joint, shape (W, 4).
     states: Array
     errors: Array  # sum of squared residuals of each window [m²], shape (W,)
     # Normal equations of each window at the end, the initial state eliminated.
@@ -50,7 +55,11 @@ class Fit:
 
 def windows(experiment: Experiment, length: int) -> NDArray[np.int64]:
     """Cut an experiment into windows: first tick of each, shape (W,); none spans a gap."""
-    found = [start for first, end in experiment.segments for start in range(first, end - length + 1, length)]
+    found = [
+        start
+        for first, end in experiment.segments
+        for start in range(first, end - length + 1, length)
+    ]
     return np.array(found, dtype=np.int64)
 
 
@@ -79,7 +88,11 @@ def fit(
     own = own_states(theta)
 
     def equations(theta: Array, states: Array) -> tuple[Array, ...]:
-        return _normal(*_slopes(experiment, starts, length, theta, chosen, states, scale), own, experiment.period)
+        return _normal(
+            *_slopes(experiment, starts, length, theta, chosen, states, scale),
+            own,
+            experiment.period,
+        )
 
     now = equations(theta, states)
     damping, stuck = 1e-3, 0
@@ -113,7 +126,9 @@ def own_states(theta: Array) -> int:
 
 def left_over(experiment: Experiment, found: Fit, scale: float) -> tuple[Array, Array]:
     """Give what a fit leaves (W, L), and what each unknown and each window's own state moves (W, p + s, L)."""
-    return _slopes(experiment, found.starts, found.length, found.theta, found.free, found.states, scale)
+    return _slopes(
+        experiment, found.starts, found.length, found.theta, found.free, found.states, scale
+    )
 
 
 def _slopes(
@@ -126,7 +141,10 @@ def _slopes(
     scale: float,
 ) -> tuple[Array, Array]:
     own, widths = own_states(theta), _STEPS * np.maximum(_SIZES, np.abs(theta))
-    residuals, moved = np.empty((len(starts), length)), np.empty((len(starts), len(free) + own, length))
+    residuals, moved = (
+        np.empty((len(starts), length)),
+        np.empty((len(starts), len(free) + own, length)),
+    )
     slopes(
         theta, free, widths, own, states, np.ascontiguousarray(starts), experiment.period, experiment.position,
         experiment.missing, experiment.at, experiment.force, scale, residuals, moved,
@@ -139,10 +157,17 @@ def _normal(residuals: Array, moved: Array, own: int, period: float) -> tuple[Ar
     windows, length = residuals.shape
     unknowns, initial, error = moved[:, :-own], moved[:, -own:], residuals[:, :, None]
     alone, along = np.zeros((windows, STATES)), np.zeros((windows, STATES, unknowns.shape[1]))
-    # What diverges has no slopes: a step that leads there is taken back, a term that begins there is left out.
+    # What diverges has no slopes: a step that leads there is taken back, a term that begins there
+    # is left out.
     if not (np.abs(residuals).max() < _DIVERGED and np.abs(moved).max() < _DIVERGED):
         p = unknowns.shape[1]
-        return np.full(windows, np.inf), np.zeros((windows, p, p)), np.zeros((windows, p)), alone, along
+        return (
+            np.full(windows, np.inf),
+            np.zeros((windows, p, p)),
+            np.zeros((windows, p)),
+            alone,
+            along,
+        )
     # The states' own block, a hair away from singular where friction holds the device all the time.
     hair = np.where(np.arange(own) % 2 == 0, 1.0, (length * period) ** 2)
     block = initial @ initial.swapaxes(1, 2) + 1e-9 * length * np.diag(hair)

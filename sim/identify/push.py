@@ -1,7 +1,7 @@
 """Push the device of a running launch: the excitation takes over as a law, and everything is put back whatever happens.
 
-The law goes first and the surface after it, the other way round at the end. Should this process be killed, the launch takes law
-and surface back by itself (sim/identify/borrowed.py).
+The law goes first and the surface after it, the other way round at the end. Should this process be
+killed, the launch takes law and surface back by itself (sim/identify/borrowed.py).
 """
 
 import signal
@@ -17,11 +17,17 @@ from sim.identify.borrowed import RAMP, Borrowed, PushedLaunch, borrowed, carrie
 from sim.identify.signals_once import undisturbed
 from sim.measure.measured_launch import beside, within
 
-LAW = "identify"  # name that the excitation gets in the coupling; it stays defined afterwards, inactive
-HELD_FAST = 1.5  # a device that is pushed and has not moved for so many seconds' worth of ticks is held fast [s]
-STUCK = f"the device has not moved for {HELD_FAST:g} s though it was pushed: it is held fast, or friction holds it"
+# name that the excitation gets in the coupling; it stays defined afterwards, inactive
+LAW = "identify"
+# a device that is pushed and has not moved for so many seconds' worth of ticks is held fast [s]
+HELD_FAST = 1.5
+STUCK = (
+    f"the device has not moved for {HELD_FAST:g} s though it was pushed: it is held fast, or"
+    " friction holds it"
+)
 MOVED = 1e-4  # less than this is not a motion [m]
-# A driver that gives no force for so many seconds' worth of ticks ends the push; shorter silences are a busy machine's [s].
+# A driver that gives no force for so many seconds' worth of ticks ends the push; shorter silences
+# are a busy machine's [s].
 ALARM = 1.0
 LONGER = 2.0  # so much longer than it is recorded the excitation pushes, should nobody end it [s]
 LONGEST = 600.0  # the excitation takes no longer duration [s]
@@ -34,7 +40,8 @@ class Pushed:
 
     recording: Path  # its recording
     place: tuple[float, float, float]  # where the device was centred [m], shape (3,)
-    ticks: tuple[int, int] = (0, 2**53)  # first tick of the push and the one after its last, shape (2,)
+    # first tick of the push and the one after its last, shape (2,)
+    ticks: tuple[int, int] = (0, 2**53)
     reason: str = "done"  # why it ended: ``done``, or what stopped it
 
 
@@ -51,7 +58,10 @@ def push(
     loop.read_limits()
     here = tuple(float(x) for x in loop.progress()["position_m"])
     centre = tuple(float(x) for x in place) if place is not None else here
-    result, duration = Pushed(out, (centre[0], centre[1], centre[2])), float(law.get("duration", 8.0))
+    result, duration = (
+        Pushed(out, (centre[0], centre[1], centre[2])),
+        float(law.get("duration", 8.0)),
+    )
     law = {**law, "load": carried(loop, float(law["amplitude"]), load)}
     record = ("bag", "record", topics.DEVICE_STATE, "--run", loop.chosen, "--out", str(out))
     recorder: subprocess.Popen[bytes] | None = None
@@ -86,7 +96,9 @@ def _centre(loop: PushedLaunch, here: Sequence[float], centre: Sequence[float]) 
         loop.anchor([h + (c - h) * n / steps for c, h in zip(centre, here, strict=True)])
 
 
-def _watch(loop: PushedLaunch, duration: float, held: Borrowed, say: Callable[[str], None], result: Pushed) -> None:
+def _watch(
+    loop: PushedLaunch, duration: float, held: Borrowed, say: Callable[[str], None], result: Pushed
+) -> None:
     """Let the excitation take over, and hear every tick until the push is over, or must be; all times are counted in ticks."""
     ticks, first = round(duration / loop.period), -1
     still_at: Sequence[float] = ()

@@ -43,12 +43,15 @@ class RecordedScene:
     # When each force took over, rising, and when the driver got it [ticks], shape (M,).
     took: Array
     came: Array
-    answers: NDArray[np.int64]  # the tick it answers; −1 for the driver's own, whose value is `given`, shape (M,)
+    # the tick it answers; −1 for the driver's own, whose value is `given`, shape (M,)
+    answers: NDArray[np.int64]
     given: Array  # its recorded value [N], shape (M,)
-    # Where somebody dragged the device's hand [m]; None for a hand that kept to its path, shape (N,), or None.
+    # Where somebody dragged the device's hand [m]; None for a hand that kept to its path, shape
+    # (N,), or None.
     target: Array | None
     declared: bool  # whether the device is a virtual one whose parameters were recorded
-    recorded_ticks: int  # ticks in the recording; more than N where the driver slept: what follows is not replayed
+    # ticks in the recording; more than N where the driver slept: what follows is not replayed
+    recorded_ticks: int
 
 
 def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
@@ -64,12 +67,18 @@ def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
     if len(states) < SHORTEST or seq[0] != 0:
         slept = " before one that the driver slept through" if len(whole) else ""
         first = seq[0] if len(seq) else 0
-        raise ValueError(f"{path}: {len(states)} ticks from tick {first} on{slept}; a replay needs {SHORTEST} from 0 on")
+        raise ValueError(
+            f"{path}: {len(states)} ticks from tick {first} on{slept}; a replay needs {SHORTEST}"
+            " from 0 on"
+        )
     launch, left_out, dragged = _playable(launch, device)
     played = from_launch(launch)
     receipts = [one for one in recording.messages(RECEIPT) if one.action in ("switch", "set")]
     if receipts:
-        swaps = tuple(PlannedSwap(one.seq, _law_of(one.after, played.scene.period), one.ramp) for one in receipts)
+        swaps = tuple(
+            PlannedSwap(one.seq, _law_of(one.after, played.scene.period), one.ramp)
+            for one in receipts
+        )
         played = replace(played, swaps=swaps)
     axis = played.axis
     handed = handed_over(states, axis)
@@ -86,7 +95,9 @@ def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
         came=handed.at - float(launch.run.apply == "next_tick"),
         answers=handed.answers,
         given=handed.force,
-        target=np.array([state.target[axis] for state in states]) if dragged and not lockstep else None,
+        target=(
+            np.array([state.target[axis] for state in states]) if dragged and not lockstep else None
+        ),
         declared=device is None,
         recorded_ticks=len(seq),
     )
@@ -97,11 +108,16 @@ def _launch(recording: Recording) -> Launch:
     text = recording.metadata.get("launch_file", {}).get("yaml")
     arguments = recording.manifest.get("arguments")
     if text is None or arguments is None:
-        raise ParameterError(f"{recording.path}: was recorded without its launch file, so its scene is not known")
-    # Its words are those of its writer: none of them may name a file here, to be written or to be read.
+        raise ParameterError(
+            f"{recording.path}: was recorded without its launch file, so its scene is not known"
+        )
+    # Its words are those of its writer: none of them may name a file here, to be written or to be
+    # read.
     with tempfile.TemporaryDirectory(prefix="haptic-replay-") as folder:
         file = Path(folder) / "recorded.yaml"
-        file.write_bytes(msgspec.json.encode(_without_files(parse_yaml(text, "the recorded launch file"))))
+        file.write_bytes(
+            msgspec.json.encode(_without_files(parse_yaml(text, "the recorded launch file")))
+        )
         launch = launch_file.read(str(file), msgspec.json.decode(arguments))
     scenario = recording.manifest.get("scenario", "")
     launch = msgspec.structs.replace(launch, scenario=scenario or launch.scenario, text=text)
@@ -119,10 +135,17 @@ def _launch(recording: Recording) -> Launch:
 def _without_files(content: Any) -> Any:
     """Leave out the parameter files that nodes watch: what they said at the start is among the recorded parameters."""
     if isinstance(content, dict) and content.get("include"):
-        raise ParameterError("a recording of a launch file that includes others: replay the recording of one of its chains")
+        raise ParameterError(
+            "a recording of a launch file that includes others: replay the recording of one of its"
+            " chains"
+        )
     if isinstance(content, dict) and isinstance(content.get("nodes"), dict):
         nodes = {
-            name: {key: value for key, value in spec.items() if key != "watch"} if isinstance(spec, dict) else spec
+            name: (
+                {key: value for key, value in spec.items() if key != "watch"}
+                if isinstance(spec, dict)
+                else spec
+            )
             for name, spec in content["nodes"].items()
         }
         return {**content, "nodes": nodes}
@@ -136,18 +159,24 @@ def _playable(launch: Launch, device: DeviceModel | None) -> tuple[Launch, tuple
         if not spec.kind.endswith("driver"):
             continue
         safety = spec.parameters.get("safety", {})
-        left_out += [f"{name}.safety.{limit}" for limit in ("ramp", "continuous_force") if safety.get(limit)]
+        left_out += [
+            f"{name}.safety.{limit}" for limit in ("ramp", "continuous_force") if safety.get(limit)
+        ]
         parameters: dict[str, Any] = {"safety": safety}
         for kept in ("passivity", *(() if device else ("preset",))):
             if kept in spec.parameters:
                 parameters[kept] = spec.parameters[kept]
         if device is not None:
-            parameters["device"] = {k: v for k, v in msgspec.to_builtins(device).items() if v is not None}
+            parameters["device"] = {
+                k: v for k, v in msgspec.to_builtins(device).items() if v is not None
+            }
         elif "device" in spec.parameters:
             parameters["device"] = spec.parameters["device"]
             dragged = spec.parameters.get("pointer") is not None
         else:
-            raise ValueError(f"{name} is a {spec.kind}: its device is not declared; name a model by --model")
+            raise ValueError(
+                f"{name} is a {spec.kind}: its device is not declared; name a model by --model"
+            )
         nodes[name] = msgspec.structs.replace(spec, kind="sim_driver", parameters=parameters)
     return msgspec.structs.replace(launch, nodes=nodes), tuple(left_out), dragged
 
@@ -159,7 +188,9 @@ def _law_of(text: str, period: float) -> CompiledLaw:
     return compile_law(parse_law(described, name), period, name)
 
 
-def another_law(recorded: RecordedScene, given: Mapping[str, Any]) -> tuple[CompiledLaw, dict[str, Any]]:
+def another_law(
+    recorded: RecordedScene, given: Mapping[str, Any]
+) -> tuple[CompiledLaw, dict[str, Any]]:
     """Make the law that is asked for instead of the recorded one."""
     law = _wanted(recorded.launch, given)
     return compile_law(law, recorded.scene.scene.period, "law"), law_to_dict(law)
@@ -171,9 +202,15 @@ def refuse_law(path: Path, given: Mapping[str, Any]) -> None:
 
 
 def _wanted(launch: Launch, given: Mapping[str, Any]) -> Law:
-    coupling = next((spec.parameters for spec in launch.nodes.values() if spec.kind == "coupling"), {})
+    coupling = next(
+        (spec.parameters for spec in launch.nodes.values() if spec.kind == "coupling"), {}
+    )
     changes = dict(given)
     wanted = changes.pop("law", coupling.get("law"))
-    described = wanted if isinstance(wanted, dict) else coupling.get("laws", {}).get(wanted, {"kind": wanted})
+    described = (
+        wanted
+        if isinstance(wanted, dict)
+        else coupling.get("laws", {}).get(wanted, {"kind": wanted})
+    )
     described = {"kind": described} if isinstance(described, str) else dict(described)
     return parse_law({**described, **changes}, "law")

@@ -1,9 +1,11 @@
 """What a residual that is not noise may do to a design: to K_max, and to the intervals of the device.
 
-A recording of a few seconds sees terms that change nothing: 1 mN of cogging, half a step of the encoder's eccentricity. So a
-term that is seen does not refute a model by itself. Each term that takes up part of the residual is added to the device, at the
-largest size that the windows leave open, and the largest stable stiffness of a reference law tells what that matters (model
-error modelling: Ljung 1999; Reinelt, Garulli & Ljung 2002). What it would move the unknowns by widens their intervals.
+A recording of a few seconds sees terms that change nothing: 1 mN of cogging, half a step of the
+encoder's eccentricity. So a term that is seen does not refute a model by itself. Each term that
+takes up part of the residual is added to the device, at the largest size that the windows leave
+open, and the largest stable stiffness of a reference law tells what that matters (model error
+modelling: Ljung 1999; Reinelt, Garulli & Ljung 2002). What it would move the unknowns by widens
+their intervals.
 """
 
 from __future__ import annotations
@@ -24,28 +26,34 @@ from sim.identify.output_error import Fit
 from sim.identify.suspects import describe
 
 REFUSED = 0.05  # change of K_max, as a part of it, beyond which a remainder refutes the model
-DAMPER = 0.3  # gain B of the law that K_max is told for, in m/(T (1 + 2d)): a PD's in the middle of its range
+# gain B of the law that K_max is told for, in m/(T (1 + 2d)): a PD's in the middle of its range
+DAMPER = 0.3
 ALTERNATIVE = 0.3  # a term that takes up so much of what the best one does may be the cause as well
 CLEAR = 0.5  # where the best one takes up less, every term that is seen may be the cause
 NAMED = 0.27  # less of it tells no cause
 FLEXIBLE = 0.6  # part of the share of a term of several shapes that counts when one is named
 PARTS = 4  # of the run, and of the range of the motion
-# Terms whose factor is positive in every device: with the other sign a term only resembles what is left.
+# Terms whose factor is positive in every device: with the other sign a term only resembles what is
+# left.
 POSITIVE = {
     "flexible mode", "backlash", "actuator lag", "sensor filter", "presliding", "stribeck", "quadratic damping", "force steps",
 }  # fmt: skip
 WHOLE = 2.0  # largest factor of a term that is whole at 1, with room for its grid
-SHOWN = 8  # terms that are tried, those that take up most first; then each other kind at the size that does
+# terms that are tried, those that take up most first; then each other kind at the size that does
+SHOWN = 8
 
 
 @dataclass(frozen=True)
 class Remainder:
     """What the residual asks for that the model does not have."""
 
-    cause: str = ""  # the term that takes up most of it, in words; empty where the residual is noise
+    # the term that takes up most of it, in words; empty where the residual is noise
+    cause: str = ""
     explained: float = 0.0  # part of the residual, beyond rounding, that the term takes up
-    k_max_change: float = 0.0  # largest change of K_max by it or another term that may be the cause, as a part of K_max
-    moved: tuple[float, ...] = ()  # largest change of each unknown of the fit, in the order of `Fit.free`
+    # largest change of K_max by it or another term that may be the cause, as a part of K_max
+    k_max_change: float = 0.0
+    # largest change of each unknown of the fit, in the order of `Fit.free`
+    moved: tuple[float, ...] = ()
 
 
 NOTHING = Remainder()
@@ -53,7 +61,11 @@ NOTHING = Remainder()
 
 def likeliest(seen: Sequence[Evidence]) -> Evidence | None:
     """Return the term to name; one of several shapes fits anything a little, so only a part of its share counts."""
-    return max(seen, key=lambda one: one.share * (FLEXIBLE if len(one.suspect.shapes) > 1 else 1.0), default=None)
+    return max(
+        seen,
+        key=lambda one: one.share * (FLEXIBLE if len(one.suspect.shapes) > 1 else 1.0),
+        default=None,
+    )
 
 
 def plant_of(experiment: Experiment, found: Fit) -> FlexiblePlant:
@@ -86,10 +98,13 @@ def reference_gain(plant: FlexiblePlant, period: float) -> float:
     return DAMPER * plant.mass / (period * (1.0 + 2.0 * plant.delay))
 
 
-def stiffest(plant: FlexiblePlant, period: float, gain: float, average: float = 0.0) -> float | None:
+def stiffest(
+    plant: FlexiblePlant, period: float, gain: float, average: float = 0.0
+) -> float | None:
     """Return K_max [N/m] of a PD on a flexible device, behind a sensor that averages; None where no K is stable.
 
-    All boundaries lie on one curve K = −1/P(z) − D(z) over the unit circle, as in `nodes.stability.k_max`.
+    All boundaries lie on one curve K = −1/P(z) − D(z) over the unit circle, as in
+    `nodes.stability.k_max`.
     """
     whole, numerator, denominator = plant.rational(period)
     mode = 2.0 * math.pi * plant.frequency * period if math.isfinite(plant.frequency) else math.pi
@@ -98,11 +113,17 @@ def stiffest(plant: FlexiblePlant, period: float, gain: float, average: float = 
     grid = np.union1d(grid, near[(near > 0.0) & (near < math.pi)])
     w = np.exp(-1j * grid)
     z = 1.0 / w
-    device = np.polyval(numerator, z) / (np.polyval(denominator, z) * z ** (whole + 1)) * (1.0 - average + average * w)
+    device = (
+        np.polyval(numerator, z)
+        / (np.polyval(denominator, z) * z ** (whole + 1))
+        * (1.0 - average + average * w)
+    )
     curve = -1.0 / device - gain / period * (1.0 - w)
     turns = np.flatnonzero(curve.imag[:-1] * curve.imag[1:] < 0.0)
     part = curve.imag[turns] / (curve.imag[turns] - curve.imag[turns + 1])
-    cuts = np.append(curve.real[turns] + part * (curve.real[turns + 1] - curve.real[turns]), curve.real[-1])
+    cuts = np.append(
+        curve.real[turns] + part * (curve.real[turns + 1] - curve.real[turns]), curve.real[-1]
+    )
     low = 0.0
     for cut in np.sort(cuts[cuts > 0.0]).tolist():
         if flexible_radius(_pd(0.5 * (low + cut), gain, period, average), period, plant) < 1.0:
@@ -117,7 +138,9 @@ def _pd(stiffness: float, gain: float, period: float, average: float) -> Compile
     return CompiledLaw(tuple(float(tap) for tap in taps))
 
 
-def remainder(experiment: Experiment, found: Fit, evidence: Sequence[Evidence], step: float | None = None) -> Remainder:
+def remainder(
+    experiment: Experiment, found: Fit, evidence: Sequence[Evidence], step: float | None = None
+) -> Remainder:
     """Return what the terms that a residual shows may do, the largest of each; `evidence` has the strongest first.
 
     `step` is that of the encoder [m].
@@ -146,7 +169,9 @@ def remainder(experiment: Experiment, found: Fit, evidence: Sequence[Evidence], 
 def _possible(one: Evidence) -> bool:
     """Whether a device can have a term of this sign and size."""
     factor = float(one.factors[0])
-    return one.suspect.term not in POSITIVE or (factor > 0.0 and not (one.suspect.term == "force steps" and factor > WHOLE))
+    return one.suspect.term not in POSITIVE or (
+        factor > 0.0 and not (one.suspect.term == "force steps" and factor > WHOLE)
+    )
 
 
 def _told(found: Fit, one: Evidence) -> Array:
@@ -164,18 +189,24 @@ def _alternatives(seen: Sequence[Evidence]) -> list[Evidence]:
     return [*seen[:SHOWN], *(one for term, one in first.items() if term not in kinds)]
 
 
-def _by_parts(experiment: Experiment, found: Fit, here: float | None, gain: float) -> tuple[float, Array]:
+def _by_parts(
+    experiment: Experiment, found: Fit, here: float | None, gain: float
+) -> tuple[float, Array]:
     """Return how K_max, as a part of it, and the unknowns differ between the quarters of a run, and of its range."""
     place = experiment.position[found.starts + found.length // 2]
     change, moved = 0.0, np.zeros(len(found.free))
     for order in (np.arange(len(place)), np.argsort(place)):
         for part in np.array_split(order, PARTS):
-            step = np.linalg.lstsq(found.matrices[part].sum(axis=0), found.sides[part].sum(axis=0), rcond=None)[0]
+            step = np.linalg.lstsq(
+                found.matrices[part].sum(axis=0), found.sides[part].sum(axis=0), rcond=None
+            )[0]
             theta = found.theta.copy()
             theta[found.free] += step
             theta[motion.MOBILITY] = max(theta[motion.MOBILITY], 1e-3)
             average = float(np.clip(theta[motion.AVERAGE], 0.0, 0.5))
-            there = stiffest(_averaging(_plant(experiment, theta), average), experiment.period, gain, average)
+            there = stiffest(
+                _averaging(_plant(experiment, theta), average), experiment.period, gain, average
+            )
             if here is None or there is None:
                 change = change if here is there else math.inf
             else:
@@ -190,14 +221,23 @@ def _averaging(plant: FlexiblePlant, average: float) -> FlexiblePlant:
     return replace(plant, delay=max(plant.delay - average, 0.0))
 
 
-def _change(experiment: Experiment, found: Fit, one: Evidence, here: float | None, gain: float, step: float = 0.0) -> float:
+def _change(
+    experiment: Experiment,
+    found: Fit,
+    one: Evidence,
+    here: float | None,
+    gain: float,
+    step: float = 0.0,
+) -> float:
     """Return what one term may change K_max by, as a part of it: infinite where nothing is stable with it."""
     period, size = experiment.period, 1.0 + one.margin
     theta = found.theta.copy()
     theta[found.free] += one.moves * size
     theta[motion.MOBILITY] = max(theta[motion.MOBILITY], 1e-3)
     own = float(theta[motion.AVERAGE])
-    plant, average, softer, stronger = _with(experiment, _plant(experiment, theta), one, size, own, step)
+    plant, average, softer, stronger = _with(
+        experiment, _plant(experiment, theta), one, size, own, step
+    )
     there = stiffest(_averaging(plant, average), period, gain, average)
     if here is None or there is None:
         return 0.0 if here is there else math.inf
@@ -207,15 +247,27 @@ def _change(experiment: Experiment, found: Fit, one: Evidence, here: float | Non
 
 
 def _with(
-    experiment: Experiment, plant: FlexiblePlant, one: Evidence, size: float, own: float, step: float
+    experiment: Experiment,
+    plant: FlexiblePlant,
+    one: Evidence,
+    size: float,
+    own: float,
+    step: float,
 ) -> tuple[FlexiblePlant, float, float, float]:
     """Return a device with a term: the plant, part that its sensor averages, spring to ground [N/m], and gain [1]."""
-    term, factor, period, mass = one.suspect.term, float(one.factors[0]) * size, experiment.period, plant.mass
+    term, factor, period, mass = (
+        one.suspect.term,
+        float(one.factors[0]) * size,
+        experiment.period,
+        plant.mass,
+    )
     factors = np.abs(one.factors) * size
     average, spring, gain = own, 0.0, 1.0
     if term == "flexible mode" and factor > 0.0 and plant.rigid:
         share = min(factor / (1.0 + factor), 0.95)
-        plant = replace(plant, share=share, frequency=one.suspect.start[1], loss=one.suspect.start[2])
+        plant = replace(
+            plant, share=share, frequency=one.suspect.start[1], loss=one.suspect.start[2]
+        )
     elif term == "backlash" and factor > 0.0:
         # Within the gap only the motor's side moves.
         plant = replace(plant, mass=mass / (1.0 + factor))
@@ -223,7 +275,9 @@ def _with(
         # A part of a lag blurs like a shorter one, whose square is that part; the mean delay stays.
         lag = one.suspect.start[0]
         short = lag * math.sqrt(factor)
-        plant = replace(plant, lag=short * period, delay=max(plant.delay + factor * lag - short, 0.0))
+        plant = replace(
+            plant, lag=short * period, delay=max(plant.delay + factor * lag - short, 0.0)
+        )
     elif term == "sensor filter" and factor > 0.0 and own == 0.0:
         part = one.suspect.start[0]
         blur, late = factor * part * (1.0 - part), plant.delay + factor * part
@@ -232,10 +286,14 @@ def _with(
             plant = replace(plant, delay=max(late, 0.0))
         elif plant.lag == 0.0:
             # Two samples blur by no more: a longer filter, which is a lag of the same square.
-            plant = replace(plant, lag=math.sqrt(blur) * period, delay=max(late - math.sqrt(blur), 0.0))
+            plant = replace(
+                plant, lag=math.sqrt(blur) * period, delay=max(late - math.sqrt(blur), 0.0)
+            )
     elif term == "spring":
         reach = float(np.ptp(experiment.position)) / 2.0
-        spring = mass * float(factors @ np.array([1.0, 2.0 * reach, 3.0 * reach**2])[: len(factors)])
+        spring = mass * float(
+            factors @ np.array([1.0, 2.0 * reach, 3.0 * reach**2])[: len(factors)]
+        )
     elif term == "cogging":
         spring = mass * float(np.linalg.norm(factors)) * 2.0 * math.pi / one.suspect.size
     elif term == "encoder ripple":
@@ -248,7 +306,9 @@ def _with(
     elif term == "deadband":
         # Steepest where the force is 0, or where it is largest.
         strongest = one.suspect.start[0]
-        gain = 1.0 + size * max(0.0, float(one.factors[0]) / (0.1 * strongest), 2.0 * float(one.factors[1]) * strongest)
+        gain = 1.0 + size * max(
+            0.0, float(one.factors[0]) / (0.1 * strongest), 2.0 * float(one.factors[1]) * strongest
+        )
     elif term == "drift":
         plant = replace(plant, damping=max(plant.damping - 0.5 * mass * factors[0], 0.0))
     return plant, average, float(spring), float(gain)

@@ -1,7 +1,8 @@
 """What a device may have beyond the model: for each such term, what it would move the recorded positions by.
 
-A term that acts as a force moves the device as any force does; one that the encoder adds is seen as it stands. Each shape is
-known up to a factor and a size or two, which are tried on a grid; `judge_fit` compares them with what a fit leaves.
+A term that acts as a force moves the device as any force does; one that the encoder adds is seen as
+it stands. Each shape is known up to a factor and a size or two, which are tried on a grid;
+`judge_fit` compares them with what a fit leaves.
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,7 +30,8 @@ class Suspect:
 
     term: str  # its name
     size: float  # what is tried on a grid, in the unit of `SIZES`
-    shapes: Array  # what it moves the positions by, up to a factor for each of g parts, shape (g, W, L)
+    # what it moves the positions by, up to a factor for each of g parts, shape (g, W, L)
+    shapes: Array
     start: tuple[float, ...] = ()  # sizes to begin a fit with
 
 
@@ -45,10 +47,19 @@ SIZES: dict[str, tuple[str, float]] = {
     "cogging": ("a force that repeats every {:.2g} mm", 1e3),
     "encoder ripple": ("an encoder error that repeats every {:.2g} mm", 1e3),
     "drift": ("friction or damping that changes during the run", 1.0),
-    "sensor filter": ("a sensor that averages: {:.0f} % of the sample before in each reading", 100.0),
+    "sensor filter": (
+        "a sensor that averages: {:.0f} % of the sample before in each reading",
+        100.0,
+    ),
     "force steps": ("a force that comes in steps of {:.2g} mN", 1e3),
     "gain by sign": ("a motor that gives more force one way than the other", 1.0),
-    "deadband": ("a force that the motor does not give as commanded: a dead band, or a gain that depends on the force", 1.0),
+    "deadband": (
+        (
+            "a force that the motor does not give as commanded: a dead band, or a gain that depends"
+            " on the force"
+        ),
+        1.0,
+    ),
 }
 
 
@@ -75,7 +86,12 @@ class Shapes:
         self._rows = found.starts[:, None] + np.arange(found.length)
         self._x, self._v = modelled, np.gradient(modelled, period, axis=1)
         ticks = np.arange(len(experiment.position), dtype=np.float64)
-        self._ticks, self._given, self._at, self._delay = ticks, experiment.force, experiment.at, float(theta[DELAY])
+        self._ticks, self._given, self._at, self._delay = (
+            ticks,
+            experiment.force,
+            experiment.at,
+            float(theta[DELAY]),
+        )
         self._force = self._mean(experiment.force)
         direction = np.sign(np.gradient(np.convolve(experiment.position, np.ones(5) / 5.0, "same")))
         self._net = self._force - theta[FRICTION] * direction + theta[LOAD]
@@ -94,24 +110,41 @@ class Shapes:
 
     def _moved_by(self, force: Array) -> Array:
         """Motion of the model by a force per mass (W, L), from rest in each window."""
-        plant = held_plant(Plant(self._period, 1.0, float(self._theta[DAMPING]), 0.0, float(self._theta[STIFFNESS])))
+        plant = held_plant(
+            Plant(
+                self._period, 1.0, float(self._theta[DAMPING]), 0.0, float(self._theta[STIFFNESS])
+            )
+        )
         return _filtered([0.0, *plant.numerator[:2]], plant.denominator, force)
 
     def all(self) -> Iterator[Suspect]:
         """Give every suspect at every size."""
-        parts = (self._modes, self._lags, self._frictions, self._springs, self._gaps, self._repeated, self._others, self._read)
+        parts = (
+            self._modes,
+            self._lags,
+            self._frictions,
+            self._springs,
+            self._gaps,
+            self._repeated,
+            self._others,
+            self._read,
+        )
         for part in parts:
             yield from part()
 
     def _modes(self) -> Iterator[Suspect]:
         highest = HIGHEST * 0.5 / self._period
         # 3 % apart: a joint that rings for some ten periods is not missed between two of them.
-        for frequency in np.geomspace(LOWEST, highest, 1 + int(np.log(highest / LOWEST) / 0.03)).tolist():
+        for frequency in np.geomspace(
+            LOWEST, highest, 1 + int(np.log(highest / LOWEST) / 0.03)
+        ).tolist():
             pulse = 2.0 * np.pi * frequency
             for loss in LOSSES:
                 plant = held_plant(Plant(self._period, 1.0, 2.0 * loss * pulse, 0.0, pulse * pulse))
                 swing = _filtered([0.0, *plant.numerator[:2]], plant.denominator, self._net)
-                yield Suspect("flexible mode", frequency, swing[self._rows][None], (0.3, frequency, loss))
+                yield Suspect(
+                    "flexible mode", frequency, swing[self._rows][None], (0.3, frequency, loss)
+                )
 
     def _lags(self) -> Iterator[Suspect]:
         for lag in LAGS:
@@ -126,9 +159,13 @@ class Shapes:
         v, sign = self._v, np.sign(self._v)
         yield Suspect("quadratic damping", 0.0, self._moved_by(-v * np.abs(v))[None], (1.0,))
         for speed in (0.01, 0.03):
-            yield Suspect("stribeck", speed, self._moved_by(-sign * np.exp(-((v / speed) ** 2)))[None])
+            yield Suspect(
+                "stribeck", speed, self._moved_by(-sign * np.exp(-((v / speed) ** 2)))[None]
+            )
         for reach in (2e-5, 5e-5, 1e-4, 2e-4, 5e-4):
-            yield Suspect("presliding", reach, self._moved_by(sign - self._bristle(reach) / reach)[None])
+            yield Suspect(
+                "presliding", reach, self._moved_by(sign - self._bristle(reach) / reach)[None]
+            )
 
     def _bristle(self, reach: float) -> Array:
         """Deflection of something that is dragged along, and slips beyond its reach."""
@@ -173,11 +210,17 @@ class Shapes:
 
     def _others(self) -> Iterator[Suspect]:
         along = np.broadcast_to((self._rows / self._rows.max() - 0.5)[:, :1], self._x.shape)
-        yield Suspect("drift", 0.0, np.stack([self._moved_by(-along * self._v), self._moved_by(-along * np.sign(self._v))]))
+        yield Suspect(
+            "drift",
+            0.0,
+            np.stack([self._moved_by(-along * self._v), self._moved_by(-along * np.sign(self._v))]),
+        )
         force = self._force[self._rows]
         strongest = np.abs(force).max() or 1.0
         shapes = (np.tanh(force / (0.1 * strongest)), force * np.abs(force))
-        yield Suspect("deadband", 0.0, np.stack([self._moved_by(shape) for shape in shapes]), (strongest,))
+        yield Suspect(
+            "deadband", 0.0, np.stack([self._moved_by(shape) for shape in shapes]), (strongest,)
+        )
         yield Suspect("gain by sign", 0.0, self._moved_by(np.abs(force))[None])
         largest = float(np.abs(self._given).max())
         for step in FORCE_STEPS:

@@ -1,7 +1,8 @@
 """What launches are compared with: the bare loop in Python, and in C where there is a compiler; and what a tick may do besides.
 
-A guard, a cross-fade, a device behind its servo loop: each is the same launch as the ordinary one, with a file of parameters
-laid over it, or a stand-in of a real device in the place of the virtual one. So what differs is that one thing.
+A guard, a cross-fade, a device behind its servo loop: each is the same launch as the ordinary one,
+with a file of parameters laid over it, or a stand-in of a real device in the place of the virtual
+one. So what differs is that one thing.
 """
 
 import atexit
@@ -40,12 +41,19 @@ def c_loop() -> tuple[str, ...] | None:
     program = Path(tempfile.mkdtemp(prefix="haptic-bare-c-")) / "bare_loop"
     atexit.register(shutil.rmtree, program.parent, ignore_errors=True)
     source = Path(__file__).with_name("bare_loop.c")
-    done = subprocess.run([compiler, "-O2", "-o", program, source, "-ldl"], capture_output=True, check=False)
+    done = subprocess.run(
+        [compiler, "-O2", "-o", program, source, "-ldl"], capture_output=True, check=False
+    )
     return (str(program), libzmq) if done.returncode == 0 else None
 
 
 def bare_loop(
-    ticks: int, core: str, fifo: int = 0, rate: float = 0.0, logger: bool = False, program: Sequence[str] = BARE
+    ticks: int,
+    core: str,
+    fifo: int = 0,
+    rate: float = 0.0,
+    logger: bool = False,
+    program: Sequence[str] = BARE,
 ) -> dict[str, Any]:
     """Run a yardstick."""
     from sim.measure.bare_loop import ROLES
@@ -55,8 +63,21 @@ def bare_loop(
         others = sorted(os.sched_getaffinity(0) - ({int(core)} if core.isdecimal() else set()))
         commands = [[*program, role, folder, str(ticks), core, str(fifo), *tail] for role in ROLES]
         if logger:
-            commands.insert(0, [*program, "logger", folder, str(ticks), str(others[0]) if others else core, "0", *tail])
-        started = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for command in commands]
+            commands.insert(
+                0,
+                [
+                    *program,
+                    "logger",
+                    folder,
+                    str(ticks),
+                    str(others[0]) if others else core,
+                    "0",
+                    *tail,
+                ],
+            )
+        started = [
+            subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for command in commands
+        ]
         try:
             out, _ = started[-1].communicate(timeout=60.0 + 4.0 * ticks / (rate or 1000.0))
             codes = [process.wait(timeout=10.0) for process in started]
@@ -73,13 +94,19 @@ def bare_loop(
 
 SCENARIO: Final = "floor_drop"
 
-LONGEST_FADE: Final = 100_000  # a ramp has no more ticks; a longer round goes on with the law that came
-# Of the stand-in, and of the loop that is compared with the virtual device [Hz]: a servo loop that keeps step with it.
+# a ramp has no more ticks; a longer round goes on with the law that came
+LONGEST_FADE: Final = 100_000
+# Of the stand-in, and of the loop that is compared with the virtual device [Hz]: a servo loop that
+# keeps step with it.
 SERVO_RATE: Final = 4000
 # The stand-in of a Force Dimension device, as its driver is told of it.
 ARM: Final[Mapping[str, Any]] = {"serial": 1234, "ready_time": 5.0, "servo_rate": SERVO_RATE}
 # Each with what it is called.
-CASES: Final = {"guard": "guard on", "fade": "during a cross-fade", "stand_in": "stand-in of a device"}
+CASES: Final = {
+    "guard": "guard on",
+    "fade": "during a cross-fade",
+    "stand_in": "stand-in of a device",
+}
 
 
 def given(case: str) -> dict[str, Any]:
@@ -98,7 +125,10 @@ def _with_arm(folder: Path) -> str:
     world.state.position[2] = -0.001
     content = read_yaml(launch_file.find(SCENARIO))
     driver = content["nodes"]["driver"]
-    parameters = {"safety": driver["parameters"]["safety"], "force_dimension": {**ARM, "library": str(path)}}
+    parameters = {
+        "safety": driver["parameters"]["safety"],
+        "force_dimension": {**ARM, "library": str(path)},
+    }
     driver |= {"kind": "force_dimension_driver", "parameters": parameters}
     # What the launch file says of the virtual device only.
     del content["model"]

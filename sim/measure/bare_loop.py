@@ -1,7 +1,8 @@
 """The yardstick: the same three hops with nothing but pyzmq and msgpack.
 
-Three processes pass the same maps (same fields, same sizes) around the same sockets, unchecked, uncounted and unrecorded, with
-a spring in place of a law. What haptic-nodes adds to this, it has to be worth. One process per role::
+Three processes pass the same maps (same fields, same sizes) around the same sockets, unchecked,
+uncounted and unrecorded, with a spring in place of a law. What haptic-nodes adds to this, it has to
+be worth. One process per role::
 
     python -m sim.measure.bare_loop ROLE FOLDER TICKS CORE FIFO RATE LISTENERS
 
@@ -41,7 +42,13 @@ def _sockets(folder: str, own: str, other: str, listeners: int) -> tuple[Any, An
     return publisher, inbox
 
 
-def _relay(folder: str, own: str, other: str, answer: Callable[[dict[str, Any]], dict[str, Any]], listeners: int) -> None:
+def _relay(
+    folder: str,
+    own: str,
+    other: str,
+    answer: Callable[[dict[str, Any]], dict[str, Any]],
+    listeners: int,
+) -> None:
     publisher, inbox = _sockets(folder, own, other, listeners)
     topic = f"/{own}/answer".encode()
     pack = msgpack.Packer().pack
@@ -75,7 +82,13 @@ def _proxy(state: dict[str, Any]) -> dict[str, Any]:
 
 def _force(proxy: dict[str, Any]) -> dict[str, Any]:
     force = [1000.0 * (proxy["proxy"][i] - proxy["position"][i]) for i in range(3)]
-    return {"seq": proxy["seq"], "stamp": proxy["stamp"], "force": force, "law": "pd", "revision": 0}
+    return {
+        "seq": proxy["seq"],
+        "stamp": proxy["stamp"],
+        "force": force,
+        "law": "pd",
+        "revision": 0,
+    }
 
 
 def _state(seq: int, position: float, force: list[float]) -> dict[str, Any]:
@@ -118,7 +131,8 @@ def _drive(folder: str, ticks: int, rate: float, listeners: int) -> dict[str, An
     publisher, inbox = _sockets(folder, "driver", "coupling", listeners)
     pack = msgpack.Packer().pack
     unpack = msgpack.unpackb
-    # The inbox's own subscription has to reach the coupling too: the first tick is asked until it is answered.
+    # The inbox's own subscription has to reach the coupling too: the first tick is asked until it
+    # is answered.
     inbox.rcvtimeo = 50
     seq = 0
     answered = False

@@ -1,8 +1,9 @@
 """Independent jobs of a study, done in this process or by an executor: processes of this machine, or workers of a cluster.
 
-Whatever they run on, the figures are the same to the bit: so a worker that has another version of this project refuses its
-jobs, and one that dies loses none. A sweep keeps each result as a line of a ledger, keyed by the job's parameters: one that was
-interrupted goes on where it stopped, and one that is complete is only read; one of another version is refused.
+Whatever they run on, the figures are the same to the bit: so a worker that has another version of
+this project refuses its jobs, and one that dies loses none. A sweep keeps each result as a line of
+a ledger, keyed by the job's parameters: one that was interrupted goes on where it stopped, and one
+that is complete is only read; one of another version is refused.
 """
 
 import contextlib
@@ -46,8 +47,9 @@ def run_chunk(job: Callable[[J], R], chunk: Sequence[J], wanted: str) -> list[R]
     """Do some jobs one after another, in one process; refuse those of another program."""
     if program() != wanted:
         raise RefusedError(
-            f"the worker on {platform.node()} (process {os.getpid()}) has another version of haptic-nodes in {_ROOT}: "
-            "its figures would not be those of this one; install the same version there, and restart the worker"
+            f"the worker on {platform.node()} (process {os.getpid()}) has another version of"
+            f" haptic-nodes in {_ROOT}: its figures would not be those of this one; install the"
+            " same version there, and restart the worker"
         )
     return [job(parameters) for parameters in chunk]
 
@@ -73,18 +75,22 @@ def _result(future: Future[list[R]]) -> list[R]:
     try:
         return future.result()
     except CancelledError as error:
-        raise RefusedError("--cluster: the scheduler is gone; what was done is kept where a study keeps it") from error
+        raise RefusedError(
+            "--cluster: the scheduler is gone; what was done is kept where a study keeps it"
+        ) from error
     except Exception as error:
         # By name: Dask is an extra.
         if type(error).__name__ == "KilledWorker":
             raise RefusedError(
-                f"--cluster: {RETRIES + 1} workers died over one job; their own logs say of what, memory most often"
+                f"--cluster: {RETRIES + 1} workers died over one job; their own logs say of what,"
+                " memory most often"
             ) from error
         raise
 
 
 SweepRow = dict[str, Any]
-# From the parameters of a job to its figures; a function of a module, so that other processes find it by name.
+# From the parameters of a job to its figures; a function of a module, so that other processes find
+# it by name.
 Job = Callable[[Mapping[str, Any]], SweepRow]
 
 
@@ -105,8 +111,9 @@ def read_ledger(path: Path) -> dict[str, SweepRow]:
                 continue
             if entry.get("program") != program():
                 raise RefusedError(
-                    f"{path}: holds results of another version of haptic-nodes, which do not belong in one study with those of "
-                    "this one; --fresh begins anew and sets them aside, or go on with that version"
+                    f"{path}: holds results of another version of haptic-nodes, which do not belong"
+                    " in one study with those of this one; --fresh begins anew and sets them"
+                    " aside, or go on with that version"
                 )
     return found
 
@@ -126,12 +133,17 @@ def sweep(
         step(f"{len(jobs) - len(left)} of {len(jobs)} were done before", len(jobs) - len(left))
     ledger.parent.mkdir(parents=True, exist_ok=True)
     whole = not ledger.exists() or ledger.read_bytes().endswith(b"\n") or not ledger.stat().st_size
-    with open(ledger, "a", encoding="utf-8") as file, contextlib.closing(done_by(pool, job, left, chunk)) as found:
+    with (
+        open(ledger, "a", encoding="utf-8") as file,
+        contextlib.closing(done_by(pool, job, left, chunk)) as found,
+    ):
         if not whole:
             file.write("\n")
         for part, rows in found:
             for i, row in zip(part, rows, strict=True):
-                file.write(json.dumps({"job": dict(left[i]), "row": row, "program": program()}) + "\n")
+                file.write(
+                    json.dumps({"job": dict(left[i]), "row": row, "program": program()}) + "\n"
+                )
                 done[key_of(left[i])] = row
             file.flush()
             step(f"{len(done)} of {len(jobs)}", len(rows))

@@ -1,7 +1,8 @@
 """Launches from outside: a scenario started as a user starts it, asked, ended as Ctrl-C ends it, and answered as figures.
 
-Studies, benches, drills and tests start their launches here. ``with Running("floor_drop", "duration:=0") as launch:`` goes on
-once the driver ticks; ``launch("floor_drop", "pace:=lockstep")`` runs one to its end.
+Studies, benches, drills and tests start their launches here. ``with Running("floor_drop",
+"duration:=0") as launch:`` goes on once the driver ticks; ``launch("floor_drop",
+"pace:=lockstep")`` runs one to its end.
 """
 
 import contextlib
@@ -35,8 +36,11 @@ from nodes.recording.summary import quantile
 from sim.measure import stopwatch
 
 HAPTIC = (*PYTHON, "-m", "nodes.cli.command")  # the command ``haptic`` with this interpreter
-DEADLINE = 180.0  # when a condition that must come about is given up [s]: a bound for what hangs, not a measure of anything
-PATIENCE = 3.0 * DEADLINE  # how long a command may take that compiles its loop first, on a busy machine [s]
+# when a condition that must come about is given up [s]: a bound for what hangs, not a measure of
+# anything
+DEADLINE = 180.0
+# how long a command may take that compiles its loop first, on a busy machine [s]
+PATIENCE = 3.0 * DEADLINE
 
 
 class MeasurementError(HapticError):
@@ -78,7 +82,11 @@ def left_behind(runtime_dir: Path, longest: float = 10.0) -> list[str]:
 
 
 def haptic(
-    folder: Path, *words: str, code: int | None = 0, environment: Mapping[str, str] | None = None, timeout: float = PATIENCE
+    folder: Path,
+    *words: str,
+    code: int | None = 0,
+    environment: Mapping[str, str] | None = None,
+    timeout: float = PATIENCE,
 ) -> subprocess.CompletedProcess[str]:
     """Run one ``haptic`` command to its end in a folder; an exit code other than `code` raises, None lets any pass."""
     done = subprocess.run(
@@ -97,16 +105,20 @@ def haptic(
     return done
 
 
-def launch(scenario: str, *words: str, folder: Path | None = None, timeout: float = 300.0) -> dict[str, Any]:
+def launch(
+    scenario: str, *words: str, folder: Path | None = None, timeout: float = 300.0
+) -> dict[str, Any]:
     """Run a scenario to its end."""
     with contextlib.ExitStack() as held:
         if folder is None:
             folder = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="haptic-")))
-        done = haptic(folder, "launch", scenario, "--json", "--no-plot", *words, code=None, timeout=timeout)
+        done = haptic(
+            folder, "launch", scenario, "--json", "--no-plot", *words, code=None, timeout=timeout
+        )
         if done.returncode not in (0, OVERLOADED):
             raise MeasurementError(
-                f"haptic launch {scenario} {' '.join(words)}: exit code {done.returncode}\n{done.stdout[-1000:]}\n"
-                f"{done.stderr[-2000:]}"
+                f"haptic launch {scenario} {' '.join(words)}: exit code"
+                f" {done.returncode}\n{done.stdout[-1000:]}\n{done.stderr[-2000:]}"
             )
         figures: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
         return figures
@@ -121,7 +133,11 @@ def beside(*words: str, **options: Any) -> subprocess.Popen[Any]:
     start = functools.partial(subprocess.Popen, [*HAPTIC, *words], process_group=0, **options)
     start.keywords["preexec_fn"] = functools.partial(die_with_parent, os.getpid())
     # To the kernel the end of the thread that started a process is that of its parent.
-    return start() if threading.current_thread() is threading.main_thread() else _STARTER.submit(start).result()
+    return (
+        start()
+        if threading.current_thread() is threading.main_thread()
+        else _STARTER.submit(start).result()
+    )
 
 
 @contextlib.contextmanager
@@ -129,7 +145,9 @@ def launched(scenario: str, *assignments: str) -> Iterator[RunInfo]:
     """Start a launch where the user's other verbs find it, wait for its first ticks, and end it afterwards."""
     words = [scenario, *assignments]
     with tempfile.TemporaryFile() as output:
-        process = beside("launch", *words, "--json", "--no-plot", stdout=subprocess.DEVNULL, stderr=output)
+        process = beside(
+            "launch", *words, "--json", "--no-plot", stdout=subprocess.DEVNULL, stderr=output
+        )
 
         def ticking() -> RunInfo | None:
             run = next((run for run in runs().values() if run.launcher == process.pid), None)
@@ -168,7 +186,8 @@ def end(process: subprocess.Popen[Any], patience: float = DEADLINE) -> None:
 class Running:
     """A launch in the background, with directories of its own; the ``with`` block begins at its first tick, if `ready`."""
 
-    # The launcher, in a process group of its own, so that it can be sent what Ctrl-C on a terminal sends.
+    # The launcher, in a process group of its own, so that it can be sent what Ctrl-C on a terminal
+    # sends.
     process: subprocess.Popen[bytes]
 
     def __init__(
@@ -180,14 +199,20 @@ class Running:
         stderr: int | None = None,
     ) -> None:
         # Short, because the paths of sockets are.
-        self._place = tempfile.TemporaryDirectory(prefix="hapt-", dir="/tmp", ignore_cleanup_errors=True)
+        self._place = tempfile.TemporaryDirectory(
+            prefix="hapt-", dir="/tmp", ignore_cleanup_errors=True
+        )
         place = Path(self._place.name)
         # Working and runtime directory.
         self.folder = folder or place
         self.runtime_dir = place / "run"
         self.runtime_dir.mkdir(mode=0o700)
         # Variables that lead another ``haptic`` command to this launch.
-        self.environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(self.runtime_dir), **(environment or {})}
+        self.environment = {
+            **os.environ,
+            "HAPTIC_RUNTIME_DIR": str(self.runtime_dir),
+            **(environment or {}),
+        }
         self.context = new_context()  # for sockets beside the launch; ended with it
         self._words = words
         self._run_dir: Path | None = None
@@ -196,21 +221,43 @@ class Running:
 
     def __enter__(self) -> Self:
         """Start it, and wait for its first tick."""
-        with open(self.folder / "stdout.txt", "wb") as out, open(self.folder / "stderr.txt", "wb") as errors:
+        with (
+            open(self.folder / "stdout.txt", "wb") as out,
+            open(self.folder / "stderr.txt", "wb") as errors,
+        ):
             told = {"stdout": out, "stderr": errors if self._stderr is None else self._stderr}
-            self.process = beside("launch", *self._words, "--json", "--no-plot", cwd=self.folder, env=self.environment, **told)
+            self.process = beside(
+                "launch",
+                *self._words,
+                "--json",
+                "--no-plot",
+                cwd=self.folder,
+                env=self.environment,
+                **told,
+            )
         try:
             if self._ready:
-                if not within(lambda: self.process.poll() is not None or self.ticks() > 0, DEADLINE):
-                    raise MeasurementError(f"the first tick: not within {DEADLINE:g} s: {self.errors}")
+                if not within(
+                    lambda: self.process.poll() is not None or self.ticks() > 0, DEADLINE
+                ):
+                    raise MeasurementError(
+                        f"the first tick: not within {DEADLINE:g} s: {self.errors}"
+                    )
                 if self.process.poll():
-                    raise MeasurementError(f"the launch ended with exit code {self.process.returncode}: {self.errors}")
+                    raise MeasurementError(
+                        f"the launch ended with exit code {self.process.returncode}: {self.errors}"
+                    )
         except BaseException:
             self.close()
             raise
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         """Leave nothing behind."""
         self.close()
 
@@ -263,7 +310,11 @@ class Running:
         with contextlib.suppress(ControlError, StopIteration):
             # Of several chains the slowest.
             published: dict[str, list[str]] = json.loads(self.run.manifest["publishes"])
-            drivers = [name for name, sent in published.items() if any(one.endswith(topics.DEVICE_STATE) for one in sent)]
+            drivers = [
+                name
+                for name, sent in published.items()
+                if any(one.endswith(topics.DEVICE_STATE) for one in sent)
+            ]
             return min(int(self.call(name, "status", timeout=1.0)["ticks"]) for name in drivers)
         return 0
 
@@ -274,7 +325,9 @@ class Running:
 
     def _ticks_from(self, goal: int) -> int:
         if self.process.poll() is not None:
-            raise MeasurementError(f"the launch ended with exit code {self.process.returncode}: {self.errors}")
+            raise MeasurementError(
+                f"the launch ended with exit code {self.process.returncode}: {self.errors}"
+            )
         ticks = self.ticks()
         return ticks if ticks >= goal else 0
 
@@ -288,11 +341,15 @@ class Running:
             self.process.send_signal(number)
         found = self.process.wait(timeout=DEADLINE)
         if code is not None and found != code:
-            raise MeasurementError(f"the launch ended with exit code {found}, expected {code}: {self.errors}")
+            raise MeasurementError(
+                f"the launch ended with exit code {found}, expected {code}: {self.errors}"
+            )
         return self.figures
 
 
-def responses_in(states: Sequence[DeviceState], spans: Sequence[tuple[float, float]]) -> dict[str, Any]:
+def responses_in(
+    states: Sequence[DeviceState], spans: Sequence[tuple[float, float]]
+) -> dict[str, Any]:
     """Sum up what a driver published in some spans of time [s]: response in each [µs], all ticks, those missed or left out."""
     found: dict[str, Any] = {"p50_us": [], "p99_us": [], "missed": 0, "ticks": 0}
     for began, ended in spans:

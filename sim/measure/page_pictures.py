@@ -14,7 +14,10 @@ from sim.results import fresh
 TURN = """part => { const dial = document.getElementById("dial");
   dial.value = 1000 * part;
   for (const kind of ["input", "change"]) dial.dispatchEvent(new Event(kind)); }"""
-READY = "document.body.dataset.bins > 100 && haptic.dial.stiffness !== null && haptic.dial.edge !== null"
+READY = (
+    "document.body.dataset.bins > 100 && haptic.dial.stiffness !== null && haptic.dial.edge !=="
+    " null"
+)
 
 
 def _url(launch: Running) -> str:
@@ -28,7 +31,9 @@ def _url(launch: Running) -> str:
 
 
 @contextmanager
-def _page(browser: Any, url: str, width: int = 1366, height: int = 768, **context: Any) -> Iterator[Any]:
+def _page(
+    browser: Any, url: str, width: int = 1366, height: int = 768, **context: Any
+) -> Iterator[Any]:
     opened = browser.new_context(viewport={"width": width, "height": height}, **context)
     try:
         page = opened.new_page()
@@ -63,7 +68,10 @@ def _past_the_edge(page: Any) -> None:
         page.wait_for_timeout(300.0)
         page.mouse.up()
         page.wait_for_timeout(100.0)
-    wait_for(lambda: page.evaluate("haptic.slow.window()?.at > haptic.slow.window()?.sight[0] + 0.15"), "slow motion")
+    wait_for(
+        lambda: page.evaluate("haptic.slow.window()?.at > haptic.slow.window()?.sight[0] + 0.15"),
+        "slow motion",
+    )
 
 
 def _beside(page: Any) -> None:

@@ -1,7 +1,7 @@
 """A real launch to be maltreated: watched at its driver's topic, struck from outside, ended, and looked after.
 
-The rig listens as any listener does and strikes with signals and control requests; nothing in the launch knows that it is a
-drill.
+The rig listens as any listener does and strikes with signals and control requests; nothing in the
+launch knows that it is a drill.
 """
 
 import contextlib
@@ -24,7 +24,9 @@ from nodes.base.processor_wait import ProcessorWait, state_of
 from sim.measure.measured_launch import HAPTIC, Running, left_behind, processes_of, wait_for, within
 
 START = 30.0  # longest time from the first tick to the first messages [s]
-END = 20.0  # longest time from the interrupt to the end, beside what the machine keeps a process of the launch waiting [s]
+# longest time from the interrupt to the end, beside what the machine keeps a process of the launch
+# waiting [s]
+END = 20.0
 
 
 def full_pipe() -> tuple[int, int]:
@@ -45,14 +47,22 @@ def full_pipe() -> tuple[int, int]:
 class Rig(Running):
     """One launch under maltreatment; `unread` when nobody reads its standard error."""
 
-    def __init__(self, content: Mapping[str, Any], environment: Mapping[str, str] | None = None, unread: bool = False) -> None:
+    def __init__(
+        self,
+        content: Mapping[str, Any],
+        environment: Mapping[str, str] | None = None,
+        unread: bool = False,
+    ) -> None:
         self._pipe = full_pipe() if unread else ()
         # Who does not end says where it is.
         environment = {"PYTHONFAULTHANDLER": "1", **(environment or {})}
-        super().__init__("drill.yaml", environment=environment, stderr=self._pipe[1] if self._pipe else None)
+        super().__init__(
+            "drill.yaml", environment=environment, stderr=self._pipe[1] if self._pipe else None
+        )
         (self.folder / "drill.yaml").write_bytes(msgspec.json.encode(content))  # JSON is YAML
         self.states: list[DeviceState] = []  # what the driver published, in the order of receipt
-        self.summary: dict[str, Any] = {}  # what ``haptic launch --json`` answered; empty before the end
+        # what ``haptic launch --json`` answered; empty before the end
+        self.summary: dict[str, Any] = {}
         self.exit_code: int | None = None  # exit code of the launcher
         self.left: list[str] = []  # processes and files that outlived the launch
         self.said = ""  # what it wrote to standard error, to its end
@@ -63,7 +73,9 @@ class Rig(Running):
         """Wait for the first ticks, and listen."""
         super().__enter__()
         try:
-            inbox = Subscription(self.context, [self.run.publishers()["driver"]], [DEVICE_STATE], queue=100_000)
+            inbox = Subscription(
+                self.context, [self.run.publishers()["driver"]], [DEVICE_STATE], queue=100_000
+            )
             self._listener = threading.Thread(target=self._listen, args=(inbox,), daemon=True)
             self._listener.start()
             wait_for(lambda: len(self.states) > 50, "what the driver publishes", START)
@@ -95,7 +107,12 @@ class Rig(Running):
         """Start another ``haptic`` command beside the launch, in its folder; what it says goes to `beside.txt` there."""
         with (self.folder / "beside.txt").open("ab") as said:
             return subprocess.Popen(
-                [*HAPTIC, *words], cwd=self.folder, env=self.environment, stdin=subprocess.DEVNULL, stdout=said, stderr=said
+                [*HAPTIC, *words],
+                cwd=self.folder,
+                env=self.environment,
+                stdin=subprocess.DEVNULL,
+                stdout=said,
+                stderr=said,
             )
 
     def end(self) -> None:
@@ -132,7 +149,11 @@ class Rig(Running):
         threads, state = [], state_of(Path(f"/proc/{self.process.pid}"))
         for path in Path(f"/proc/{self.process.pid}/task").iterdir():
             with contextlib.suppress(OSError):
-                threads.append(" ".join((path / name).read_text().strip() for name in ("comm", "wchan", "syscall")))
+                threads.append(
+                    " ".join(
+                        (path / name).read_text().strip() for name in ("comm", "wchan", "syscall")
+                    )
+                )
         self.process.send_signal(signal.SIGABRT)
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(2.0)

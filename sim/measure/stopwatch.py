@@ -1,7 +1,8 @@
 """Timing that can be believed: interleaved, repeated, with its spread, on a machine that is named.
 
-A shared machine drifts while one candidate after another is timed, so every round runs all of them, in an order that
-rotates; what is reported is the median over the rounds and the quartiles around it.
+A shared machine drifts while one candidate after another is timed, so every round runs all of them,
+in an order that rotates; what is reported is the median over the rounds and the quartiles around
+it.
 """
 
 import os
@@ -59,7 +60,9 @@ class Progress:
 
 
 def interleaved(
-    jobs: Mapping[str, tuple[Callable[[], object], int]], rounds: int, step: Callable[[str], None] = lambda _: None
+    jobs: Mapping[str, tuple[Callable[[], object], int]],
+    rounds: int,
+    step: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Timing]:
     """Time several jobs against each other."""
     names = list(jobs)
@@ -79,7 +82,9 @@ def interleaved(
 
 def _summary(values: list[float]) -> Timing:
     ordered, last = sorted(values), len(values) - 1
-    return Timing(statistics.median(ordered), ordered[last // 4], ordered[last - last // 4], len(ordered))
+    return Timing(
+        statistics.median(ordered), ordered[last // 4], ordered[last - last // 4], len(ordered)
+    )
 
 
 def machine() -> dict[str, Any]:

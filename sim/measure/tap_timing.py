@@ -1,8 +1,9 @@
 """Which way to add n taps is fastest per tick: a plain loop, a sum written out, numpy's running sum, or a compiled loop.
 
-All four add from the newest to the oldest and so give the same bits; numpy's own dot product does not, and is timed
-only to show what that costs. The choice of the coupling, `nodes.coupling.law_on_axis.UNROLLED_TAPS`, is made from this.
-Timed beside them: what a history that turns with the surface costs in three axes, by the kernel's own function.
+All four add from the newest to the oldest and so give the same bits; numpy's own dot product does
+not, and is timed only to show what that costs. The choice of the coupling,
+`nodes.coupling.law_on_axis.UNROLLED_TAPS`, is made from this. Timed beside them: what a history
+that turns with the surface costs in three axes, by the kernel's own function.
 """
 
 import math
@@ -47,7 +48,10 @@ class TapTimings:
     def crossover(self, before: str, after: str) -> float | None:
         """Find the number of taps from which one way is faster than another, for good."""
         lengths = sorted(self.timings)
-        ratio = [math.log(self.timings[n][after].median / self.timings[n][before].median) for n in lengths]
+        ratio = [
+            math.log(self.timings[n][after].median / self.timings[n][before].median)
+            for n in lengths
+        ]
         if ratio[-1] >= 0.0:
             return None
         for i in range(len(lengths) - 1, 0, -1):
@@ -64,7 +68,9 @@ class TapTimings:
 _fir_compiled = compiled()(fir)
 
 
-def evaluators(law: CompiledLaw, history: Sequence[float], ring: Any) -> dict[str, Callable[[int], float]]:
+def evaluators(
+    law: CompiledLaw, history: Sequence[float], ring: Any
+) -> dict[str, Callable[[int], float]]:
     """Make the ways to add the taps of one law over one history."""
     taps, n = law.taps, len(law.taps)
     weights: Any = np.array(taps)
@@ -111,7 +117,11 @@ def time_laws(rounds: int, step: Callable[[str], None]) -> dict[str, Timing]:
     # A slow swing through an encoder: windows open and close.
     samples = (np.rint(1e-3 * np.sin(0.02 * np.arange(ticks)) / step_m) * step_m).tolist()
 
-    return interleaved({name: (in_node(law.compile(period), samples), ticks) for name, law in laws.items()}, rounds, step)
+    return interleaved(
+        {name: (in_node(law.compile(period), samples), ticks) for name, law in laws.items()},
+        rounds,
+        step,
+    )
 
 
 def in_node(law: CompiledLaw, samples: Sequence[float]) -> Callable[[], object]:
@@ -141,7 +151,10 @@ def import_seconds(module: str) -> float:
     """Time the import of a module in a process of its own: what a node pays at its start."""
     code = f"import time; t = time.perf_counter(); import {module}; print(time.perf_counter() - t)"
     return min(
-        float(subprocess.run([*PYTHON, "-c", code], capture_output=True, text=True, check=True).stdout) for _ in range(3)
+        float(
+            subprocess.run([*PYTHON, "-c", code], capture_output=True, text=True, check=True).stdout
+        )
+        for _ in range(3)
     )
 
 
@@ -151,7 +164,11 @@ def as_json(found: TapTimings, machine: dict[str, Any]) -> dict[str, Any]:
     for n, ways in sorted(found.timings.items()):
         point: dict[str, Any] = {"taps": n}
         for way, timing in ways.items():
-            point |= {f"{way}_us": 1e6 * timing.median, f"{way}_us_low": 1e6 * timing.low, f"{way}_us_high": 1e6 * timing.high}
+            point |= {
+                f"{way}_us": 1e6 * timing.median,
+                f"{way}_us_low": 1e6 * timing.low,
+                f"{way}_us_high": 1e6 * timing.high,
+            }
         points.append(point)
     return {
         "points": points,

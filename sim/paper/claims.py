@@ -36,11 +36,14 @@ def table(claims: Sequence[Claim]) -> str:
     """Lay claims out for people."""
     width = max(len(HOLDS), len(ONLY_IF), len(FAILS))
     return "\n".join(
-        f"{claim.verdict:{width}}  {claim.claim}  [{claim.source}]\n{'':{width}}  {claim.number}" for claim in claims
+        f"{claim.verdict:{width}}  {claim.claim}  [{claim.source}]\n{'':{width}}  {claim.number}"
+        for claim in claims
     )
 
 
-def save(name: str, figures: Mapping[str, Any], claims: Sequence[Claim], picture: Figure, folder: Path) -> dict[str, Any]:
+def save(
+    name: str, figures: Mapping[str, Any], claims: Sequence[Claim], picture: Figure, folder: Path
+) -> dict[str, Any]:
     """Write a study's figures and picture."""
     plot, data = folder / f"{name}.png", fresh(folder / f"{name}.json")
     save_figure(picture, plot, fresh)

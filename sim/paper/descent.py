@@ -1,13 +1,16 @@
 """The paper's way to its optimum, reproduced: steepest descent on the cost (13) with the steps (14) and (15).
 
-The cost asks for f = −1 at a few low and middle frequencies and f = +1 at ω_N. With two terms and two such frequencies it has
-three targets and four unknowns: a whole curve of optima with J ≈ 0, so where the descent ends depends on where it starts; and
-the slopes along gains and orders differ too much for one step size. Both are shown rather than repaired. The cost can even be
-cheated: f = −1 at all frequencies is a negative spring, which costs H(1) and damps nothing, and a truncated derivative leaks
+The cost asks for f = −1 at a few low and middle frequencies and f = +1 at ω_N. With two terms and
+two such frequencies it has three targets and four unknowns: a whole curve of optima with J ≈ 0, so
+where the descent ends depends on where it starts; and the slopes along gains and orders differ too
+much for one step size. Both are shown rather than repaired. The cost can even be
+cheated: f = −1 at all frequencies is a negative spring, which costs H(1) and damps nothing, and a
+    truncated derivative leaks
 exactly that. Terms are normalised by their own f(ω_N), as in the paper.
 
-The better way: for fixed orders f is linear in the gains, so the best are a least-squares or a linear-programming problem with
-one answer, and only the orders are left to search. There f is that of D − D(1), whose mean is zero: no negative spring helps.
+The better way: for fixed orders f is linear in the gains, so the best are a least-squares or a
+linear-programming problem with one answer, and only the orders are left to search. There f is that
+of D − D(1), whose mean is zero: no negative spring helps.
 """
 
 from dataclasses import dataclass
@@ -36,8 +39,8 @@ class Descent:
     gains: Array
     orders: Array
     cost: Array  # J before the first step and after each one, shape (steps + 1,)
-    # ``converged`` (J < 1e-6), ``slow`` (steps used up), ``diverged`` (J grew a millionfold or is not finite) or
-    # ``out_of_range`` (an order left 0 < α < 4).
+    # ``converged`` (J < 1e-6), ``slow`` (steps used up), ``diverged`` (J grew a millionfold or is
+    # not finite) or ``out_of_range`` (an order left 0 < α < 4).
     outcome: str
 
 
@@ -74,7 +77,12 @@ def cost(gains: Array, orders: Array, targets: Targets, taps: int) -> float:
 
 
 def steepest_descent(
-    gains: Array, orders: Array, targets: Targets, taps: int = 4, rate: float = 0.01, steps: int = 5000
+    gains: Array,
+    orders: Array,
+    targets: Targets,
+    taps: int = 4,
+    rate: float = 0.01,
+    steps: int = 5000,
 ) -> Descent:
     """Follow −∇J with a fixed rate, gains (14) and orders (15) in the same step."""
     gains, orders = np.array(gains, dtype=np.float64), np.array(orders, dtype=np.float64)
@@ -92,7 +100,10 @@ def steepest_descent(
         if history[-1] < CONVERGED:
             outcome = "converged"
             break
-        gains, orders = (gains - rate * 2.0 * (values @ miss), orders - rate * 2.0 * gains * (slopes @ miss))
+        gains, orders = (
+            gains - rate * 2.0 * (values @ miss),
+            orders - rate * 2.0 * gains * (slopes @ miss),
+        )
         if not ((orders > 0.0) & (orders < 4.0)).all():
             outcome = "out_of_range"
             break
@@ -116,11 +127,15 @@ class Shaping:
     nyquist: float  # f(ω_N)
 
 
-def minimax(orders: Array, band: tuple[float, float], nyquist: float, taps: int, points: int = 61) -> Shaping | None:
+def minimax(
+    orders: Array, band: tuple[float, float], nyquist: float, taps: int, points: int = 61
+) -> Shaping | None:
     """Gains with the least ripple about f = −1 over a band, f(ω_N) bounded: a linear programme."""
     theta = np.pi * np.linspace(band[0], band[1], points)
     basis = np.array([term_damping(theta, order, taps, False)[0] for order in orders.tolist()]).T
-    top = np.array([term_damping(np.array([np.pi]), order, taps, False)[0][0] for order in orders.tolist()])
+    top = np.array(
+        [term_damping(np.array([np.pi]), order, taps, False)[0][0] for order in orders.tolist()]
+    )
     found = _least_ripple(basis, top, nyquist)
     return None if found is None else measured(found[:-1], orders, band, taps)
 
@@ -134,18 +149,31 @@ def _least_ripple(basis: Array, top: Array, nyquist: float) -> Array | None:
     above = np.block([[basis, -ones], [-basis, -ones], [top, np.zeros(1)], [-top, np.zeros(1)]])
     limits = np.concatenate([-np.ones(points), np.ones(points), [nyquist, nyquist]])
     bounds = [(None, None)] * factors + [(0.0, None)]
-    solution = linprog([0.0] * factors + [1.0], A_ub=above, b_ub=limits, bounds=bounds, method="highs")
-    return np.asarray(solution.x, dtype=np.float64) if solution.success and solution.x is not None else None
+    solution = linprog(
+        [0.0] * factors + [1.0], A_ub=above, b_ub=limits, bounds=bounds, method="highs"
+    )
+    return (
+        np.asarray(solution.x, dtype=np.float64)
+        if solution.success and solution.x is not None
+        else None
+    )
 
 
 def measured(gains: Array, orders: Array, band: tuple[float, float], taps: int) -> Shaping:
     """Measure the f of a multi-term law."""
     fine = np.pi * np.linspace(band[0], band[1], 601)
     ripple = float(np.abs(damping_curve(fine, gains, orders, taps, False) + 1.0).max())
-    return Shaping(gains, orders, ripple, float(damping_curve(np.array([np.pi]), gains, orders, taps, False)[0]))
+    return Shaping(
+        gains,
+        orders,
+        ripple,
+        float(damping_curve(np.array([np.pi]), gains, orders, taps, False)[0]),
+    )
 
 
-def free_taps(taps: int, band: tuple[float, float], nyquist: float, points: int = 61) -> tuple[Array, float]:
+def free_taps(
+    taps: int, band: tuple[float, float], nyquist: float, points: int = 61
+) -> tuple[Array, float]:
     """Find the least ripple that any derivative part of this length can have: the same programme over the taps themselves."""
     # f = 2 Σ t_j cos (j+1)θ with the tail sums t_j free: leak-free by construction.
     theta = np.pi * np.linspace(band[0], band[1], points)
@@ -153,11 +181,15 @@ def free_taps(taps: int, band: tuple[float, float], nyquist: float, points: int 
     basis, top = 2.0 * np.cos(np.outer(theta, j)), 2.0 * np.cos(np.pi * j)
     found = _least_ripple(basis, top, nyquist)
     if found is None:
-        raise ValueError(f"nyquist = {nyquist:g}: no {taps} taps meet this bound; raise it or take more taps")
+        raise ValueError(
+            f"nyquist = {nyquist:g}: no {taps} taps meet this bound; raise it or take more taps"
+        )
     return np.asarray(-np.diff([0.0, *found[:-1], 0.0]), dtype=np.float64), float(found[-1])
 
 
-def best_orders(terms: int, band: tuple[float, float], nyquist: float, taps: int, grid: int = 14) -> tuple[Shaping, int]:
+def best_orders(
+    terms: int, band: tuple[float, float], nyquist: float, taps: int, grid: int = 14
+) -> tuple[Shaping, int]:
     """Search the orders globally, the gains by linear programme: every combination on a grid, then the best polished."""
     from scipy.optimize import minimize
 
@@ -172,12 +204,21 @@ def best_orders(terms: int, band: tuple[float, float], nyquist: float, taps: int
         return 1e3 if shape is None else shape.ripple
 
     axis = 4.0 * (np.arange(grid) + 0.5) / grid
-    ranked = sorted((ripple(np.array(orders)), orders) for orders in combinations(axis.tolist(), terms))
+    ranked = sorted(
+        (ripple(np.array(orders)), orders) for orders in combinations(axis.tolist(), terms)
+    )
     if ranked[0][0] >= 1e3:
-        raise ValueError(f"nyquist = {nyquist:g}: no combination of {terms} orders meets this bound; raise it")
+        raise ValueError(
+            f"nyquist = {nyquist:g}: no combination of {terms} orders meets this bound; raise it"
+        )
     found = min(
         (
-            minimize(ripple, np.array(orders), method="Nelder-Mead", options={"maxfev": 120, "xatol": 1e-4, "fatol": 1e-7})
+            minimize(
+                ripple,
+                np.array(orders),
+                method="Nelder-Mead",
+                options={"maxfev": 120, "xatol": 1e-4, "fatol": 1e-7},
+            )
             for _, orders in ranked[:3]
         ),
         key=lambda result: float(result.fun),

@@ -1,7 +1,7 @@
 """Where methods fail: each boundary from just inside and just outside, by pole radius and by simulation, and known traps.
 
-A boundary is only believed when two independent methods change their mind at the same place. The traps are those that
-THEORY.md names: methods that look right and are not, each made to fail here.
+A boundary is only believed when two independent methods change their mind at the same place. The
+traps are those that THEORY.md names: methods that look right and are not, each made to fail here.
 """
 
 import math
@@ -28,7 +28,8 @@ from sim.paper.descent import paper_targets, starting, steepest_descent
 from sim.scene.loop import run
 
 MARGIN = 0.002  # how far inside and outside a boundary is looked at, as a share of K
-HORIZON = 400_000  # ticks of those swings: enough to tell e^{−x} from e^{+x} at that margin on every boundary below
+# ticks of those swings: enough to tell e^{−x} from e^{+x} at that margin on every boundary below
+HORIZON = 400_000
 
 
 @dataclass(frozen=True)
@@ -57,20 +58,38 @@ def boundaries() -> list[Boundary]:
     """List the boundaries that are looked at."""
     spring = CompiledLaw((0.0,))
     recursive = without_spring(
-        PDAlpha(stiffness=1.0, damping=2.0, order=0.8, taps=6, gains="paper", derivative="oustaloup_matched"), PERIOD
+        PDAlpha(
+            stiffness=1.0,
+            damping=2.0,
+            order=0.8,
+            taps=6,
+            gains="paper",
+            derivative="oustaloup_matched",
+        ),
+        PERIOD,
     )
-    short = without_spring(PDAlpha(stiffness=1.0, damping=2.0, order=1.5, taps=8, gains="paper"), PERIOD)
+    short = without_spring(
+        PDAlpha(stiffness=1.0, damping=2.0, order=1.5, taps=8, gains="paper"), PERIOD
+    )
     pd = without_spring(PD(stiffness=1.0, damping=2.0), PERIOD)
     return [
         ("spring", spring, Plant(PERIOD, 0.1, 1.0)),
         *(("PD, B 2 N s/m", pd, Plant(PERIOD, 0.1, 1.0, delay)) for delay in (0.0, 1.0, 0.4)),
-        ("PD, B 40 N s/m", without_spring(PD(stiffness=1.0, damping=40.0), PERIOD), Plant(PERIOD, 0.1, 1.0)),
+        (
+            "PD, B 40 N s/m",
+            without_spring(PD(stiffness=1.0, damping=40.0), PERIOD),
+            Plant(PERIOD, 0.1, 1.0),
+        ),
         ("PDα, α 1.5, 8 taps", short, Plant(PERIOD, 0.05, 1.0)),
         ("PDα, α 0.8, Oustaloup", recursive, Plant(PERIOD, 0.1, 1.0, 1.0)),
         ("paper's optimum, B 3 N s/m", optimum(3.0), Plant(PERIOD, 0.1, 1.0)),
         ("paper's optimum, B 3 N s/m", optimum(3.0), Plant(PERIOD, 0.1, 1.0, 1.0)),
         ("paper's optimum, B 30 N s/m", optimum(30.0), Plant(PERIOD, 0.1, 1.0)),
-        ("paper's optimum, B 3 N s/m, hand 300 N/m", optimum(3.0), Plant(PERIOD, 0.1, 1.0, 0.0, 300.0)),
+        (
+            "paper's optimum, B 3 N s/m, hand 300 N/m",
+            optimum(3.0),
+            Plant(PERIOD, 0.1, 1.0, 0.0, 300.0),
+        ),
     ]
 
 
@@ -84,7 +103,12 @@ def both_sides(boundary: Boundary) -> FailureEdge | None:
     inside, outside = (pole_radius(law, device) for law in laws)
     settled = settles(free_scene(held(device), PERIOD), laws, Criterion(HORIZON))
     return FailureEdge(
-        f"{name}, m {device.mass:g} kg, d {device.delay:g} ticks", limit, inside, outside, settled[0], settled[1]
+        f"{name}, m {device.mass:g} kg, d {device.delay:g} ticks",
+        limit,
+        inside,
+        outside,
+        settled[0],
+        settled[1],
     )
 
 
@@ -95,7 +119,12 @@ def traps() -> list[Claim]:
     bad, good = (pole_radius(law, Plant(PERIOD, 0.1, 1.0)) for law in (whole, split))
     noisy = {name: chatter_bound(name) for name in ("pd", "optimum")}
     passive = 2.0 * (1.0 - 2.0) / PERIOD
-    really = k_max(without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Plant(PERIOD, 0.1, 1.0)).k_max_n_per_m or 0.0
+    really = (
+        k_max(
+            without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Plant(PERIOD, 0.1, 1.0)
+        ).k_max_n_per_m
+        or 0.0
+    )
     slow, fast = descent_outcomes(0.03), descent_outcomes(3.0)
     return [
         _euler_claim(),
@@ -103,7 +132,8 @@ def traps() -> list[Claim]:
             "THEORY.md §1",
             "the printed Gamma ratio gives 0 from m = 171 on",
             verdict(first == 171),
-            f"first zero at m = {first}; the recursion gives {coefficients(0.5, first + 1)[first]:.3e} there (α = 0.5)",
+            f"first zero at m = {first}; the recursion gives"
+            f" {coefficients(0.5, first + 1)[first]:.3e} there (α = 0.5)",
         ),
         _leak_claim(),
         Claim(
@@ -117,14 +147,18 @@ def traps() -> list[Claim]:
             "THEORY.md §5",
             "encoder noise is multiplied with H(−1): chatter iff f_c < Δ·H(−1)/2",
             verdict(False, all(ratio <= 1.0 for _, _, ratio in noisy.values())),
-            "only if read as a bound: friction that stops a mass of 0.1 kg at rest on the floor, over Δ·H(−1)/2: "
-            + ", ".join(f"{n} {ratio:.2f} (H(−1) = {h:.0f} N/m)" for n, (h, _, ratio) in noisy.items()),
+            "only if read as a bound: friction that stops a mass of 0.1 kg at rest on the floor,"
+            " over Δ·H(−1)/2: "
+            + ", ".join(
+                f"{n} {ratio:.2f} (H(−1) = {h:.0f} N/m)" for n, (h, _, ratio) in noisy.items()
+            ),
         ),
         Claim(
             "THEORY.md §2",
             "the passivity limit is far below what really is stable on a known device",
             verdict(really > 2.0 / PERIOD),
-            f"PD, B = 2 N s/m, b = 1: passive for K < 2(b − B)/T = {passive:.0f} N/m, so never; stable up to {really:.0f}",
+            f"PD, B = 2 N s/m, b = 1: passive for K < 2(b − B)/T = {passive:.0f} N/m, so never;"
+            f" stable up to {really:.0f}",
         ),
         Claim(
             "THEORY.md §2; paper, eq. (13)–(15)",
@@ -143,7 +177,9 @@ def _euler_claim() -> Claim:
         "semi-implicit Euler with n_sub sub-steps overstates K_max by 1/(1 − 1/n_sub)",
         verdict(worst < 0.01, worst < 0.1),
         "heavy device (10 kg), found/predicted: "
-        + ", ".join(f"n={n} {found:.3f}/{predicted:.3f}" for n, (found, predicted) in biases.items()),
+        + ", ".join(
+            f"n={n} {found:.3f}/{predicted:.3f}" for n, (found, predicted) in biases.items()
+        ),
     )
 
 
@@ -156,8 +192,8 @@ def _leak_claim() -> Claim:
         "THEORY.md §1",
         "truncation leaks until H(1) ≤ 0",
         verdict(inside.h1 > 0.0 > outside.h1 and radii[0] < 1.0 < radii[1]),
-        f"PDα 1.5, 4 taps, K = 1000: at B = {limit:.1f} N s/m nothing is felt; pole radius − 1 at B ∓ 0.1 %: "
-        f"{radii[0] - 1.0:+.1e}, {radii[1] - 1.0:+.1e}",
+        f"PDα 1.5, 4 taps, K = 1000: at B = {limit:.1f} N s/m nothing is felt; pole radius − 1 at B"
+        f" ∓ 0.1 %: {radii[0] - 1.0:+.1e}, {radii[1] - 1.0:+.1e}",
     )
 
 
@@ -165,12 +201,16 @@ def _fragile_claim(fragile: dict[str, dict[str, tuple[float, bool]]]) -> Claim:
     def shown(name: str) -> str:
         return ", ".join(f"{loop} {radius:.3f}" for loop, (radius, _) in fragile[name].items())
 
-    optimum_fails = fragile["optimum"]["one tick of delay"][0] > 1.0 and fragile["optimum"]["half the mass"][0] > 1.0
+    optimum_fails = (
+        fragile["optimum"]["one tick of delay"][0] > 1.0
+        and fragile["optimum"]["half the mass"][0] > 1.0
+    )
     return Claim(
         "THEORY.md §2, §3",
         "what multi-term gains at d = 0 does not survive one tick of delay, or half the mass",
         verdict(optimum_fails),
-        f"B = 30, 0.9 K_max, pole radius: optimum {shown('optimum')}; nor does PD tuned as tightly: {shown('pd')}",
+        f"B = 30, 0.9 K_max, pole radius: optimum {shown('optimum')}; nor does PD tuned as tightly:"
+        f" {shown('pd')}",
     )
 
 
@@ -200,7 +240,9 @@ def gamma_coefficient(order: float, m: int) -> float:
 
 def leak_law(damping: float, stiffness: float = 1000.0) -> CompiledLaw:
     """Give a PDα whose short memory leaks: α = 1.5, 4 taps, normalised gain."""
-    return PDAlpha(stiffness=stiffness, damping=damping, order=1.5, taps=4, gains="paper").compile(PERIOD)
+    return PDAlpha(stiffness=stiffness, damping=damping, order=1.5, taps=4, gains="paper").compile(
+        PERIOD
+    )
 
 
 def leak_boundary(stiffness: float = 1000.0) -> float:
@@ -215,7 +257,10 @@ def tustin_whole(stiffness: float, gain: float, order: float = 1.5) -> CompiledL
     a1, a2 = -(poles[0] + poles[1]).real, (poles[0] * poles[1]).real
     scale = gain * (2.0 / PERIOD) ** order
     direct = n0 / a2
-    return CompiledLaw((stiffness + scale * direct,), ((scale * (1.0 - direct), scale * (n1 - direct * a1), a1, a2),))
+    return CompiledLaw(
+        (stiffness + scale * direct,),
+        ((scale * (1.0 - direct), scale * (n1 - direct * a1), a1, a2),),
+    )
 
 
 def tustin_split(stiffness: float, gain: float, order: float = 1.5) -> CompiledLaw:
@@ -223,7 +268,9 @@ def tustin_split(stiffness: float, gain: float, order: float = 1.5) -> CompiledL
     return combine(stiffness, [(gain, realise("tustin_cfe", order, 3, PERIOD))])
 
 
-def fragility(damping: float = 30.0, share: float = 0.9) -> dict[str, dict[str, tuple[float, bool]]]:
+def fragility(
+    damping: float = 30.0, share: float = 0.9
+) -> dict[str, dict[str, tuple[float, bool]]]:
     """Tune PD and the paper's optimum to a share of their K_max at 0.1 kg and no delay, then change the loop."""
     loops = {
         "as tuned": Plant(PERIOD, 0.1, 1.0),
@@ -232,7 +279,10 @@ def fragility(damping: float = 30.0, share: float = 0.9) -> dict[str, dict[str, 
         "half the mass": Plant(PERIOD, 0.05, 1.0),
         "twice the mass": Plant(PERIOD, 0.2, 1.0),
     }
-    derivatives = {"pd": without_spring(PD(stiffness=1.0, damping=damping), PERIOD), "optimum": optimum(damping)}
+    derivatives = {
+        "pd": without_spring(PD(stiffness=1.0, damping=damping), PERIOD),
+        "optimum": optimum(damping),
+    }
     results: dict[str, dict[str, tuple[float, bool]]] = {}
     for name, derivative in derivatives.items():
         limit = k_max(derivative, loops["as tuned"]).k_max_n_per_m
@@ -241,11 +291,16 @@ def fragility(damping: float = 30.0, share: float = 0.9) -> dict[str, dict[str, 
         results[name] = {}
         for loop, device in loops.items():
             scene = free_scene(held(device), PERIOD)
-            results[name][loop] = pole_radius(law, device), settles(scene, [law], Criterion(20_000))[0]
+            results[name][loop] = (
+                pole_radius(law, device),
+                settles(scene, [law], Criterion(20_000))[0],
+            )
     return results
 
 
-def chatter(law: CompiledLaw, friction: float, resolution: float = 2.3e-5, ticks: int = 5000) -> bool:
+def chatter(
+    law: CompiledLaw, friction: float, resolution: float = 2.3e-5, ticks: int = 5000
+) -> bool:
     """See whether a device at rest on a floor keeps chattering across an encoder edge."""
     model = DeviceModel(mass=0.1, damping=1.0, friction=friction, resolution=resolution)
     trace = run(drop_scene(model, PERIOD, False, True, height=1e-4), law, ticks)
@@ -254,13 +309,20 @@ def chatter(law: CompiledLaw, friction: float, resolution: float = 2.3e-5, ticks
 
 def descent_outcomes(rate: float) -> dict[str, int]:
     """Count how the paper's steepest descent ends, from a grid of starts."""
-    found = [steepest_descent(np.ones(2), orders, paper_targets(), 4, rate, 1000).outcome for orders in starting(5, 2)]
+    found = [
+        steepest_descent(np.ones(2), orders, paper_targets(), 4, rate, 1000).outcome
+        for orders in starting(5, 2)
+    ]
     return dict(sorted(Counter(found).items()))
 
 
 def chatter_bound(name: str) -> tuple[float, float, float]:
     """Compare the friction that stops chatter with the bound Δ·H(−1)/2."""
-    derivative = optimum(3.0) if name == "optimum" else without_spring(PD(stiffness=1.0, damping=3.0), PERIOD)
+    derivative = (
+        optimum(3.0)
+        if name == "optimum"
+        else without_spring(PD(stiffness=1.0, damping=3.0), PERIOD)
+    )
     law = with_spring(derivative, 1000.0)
     bound = 0.5 * 2.3e-5 * law.h_nyquist
     low, high = 0.0, 4.0 * bound

@@ -1,7 +1,8 @@
 """Where methods fail beyond a rigid device at one rate: joint, two rates, encoder and friction, jitter, bounce, slide, world.
 
-Each boundary comes from one method and is looked at from both sides by another that shares nothing with it: poles of a joint
-by an integration in small steps, a certificate for jitter by a sequence of delays, an unknown world by the worst one, built.
+Each boundary comes from one method and is looked at from both sides by another that shares nothing
+with it: poles of a joint by an integration in small steps, a certificate for jitter by a sequence
+of delays, an unknown world by the worst one, built.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ from sim.device.model import DeviceModel, advance, coefficients, quantise
 PERIOD = 0.002  # T of everything below [s]: the paper's
 MASS, DAMPING = 0.1, 1.0  # of the device [kg], [N s/m]
 RESOLUTION = 2.3e-5  # of its encoder [m]
-TURNS = 2e-5  # second difference of a position, root mean square, beyond which a contact chatters [m]
+# second difference of a position, root mean square, beyond which a contact chatters [m]
+TURNS = 2e-5
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,14 @@ def joint() -> BeyondEdge:
         return _shrinks(position)
 
     sides = rests(edge * (1.0 - margin)), rests(edge * (1.0 + margin))
-    return BeyondEdge("a joint of 40 Hz, two fifths of the mass", "K [N/m]", edge, margin, "poles; small steps", *sides)
+    return BeyondEdge(
+        "a joint of 40 Hz, two fifths of the mass",
+        "K [N/m]",
+        edge,
+        margin,
+        "poles; small steps",
+        *sides,
+    )
 
 
 def _shrinks(position: Array) -> bool:
@@ -104,40 +113,66 @@ def two_rates() -> BeyondEdge:
         return _shrinks(np.array(seen))
 
     sides = rests(edge * (1.0 - margin)), rests(edge * (1.0 + margin))
-    return BeyondEdge("a servo at four times the rate", "K [N/m]", edge, margin, "lifted map; servo ticks", *sides)
+    return BeyondEdge(
+        "a servo at four times the rate", "K [N/m]", edge, margin, "lifted map; servo ticks", *sides
+    )
 
 
 def encoder_and_friction() -> BeyondEdge:
     """Return the friction that stops chatter across one encoder edge: by H(−1), and by the work of that motion."""
     law, margin, path = _pd(1000.0, 3.0), 0.002, 1e-9
     edge = rest(law, PERIOD, RESOLUTION).friction_alternating_n
-    x = np.where(np.arange(4000) % 2, 10.5 * RESOLUTION + 0.5 * path, 10.5 * RESOLUTION - 0.5 * path)
+    x = np.where(
+        np.arange(4000) % 2, 10.5 * RESOLUTION + 0.5 * path, 10.5 * RESOLUTION - 0.5 * path
+    )
     read = np.array([quantise(float(value), RESOLUTION) for value in x])
     force = -np.convolve(read, law.taps)[: len(x)]
-    # An even number of ticks: the mean force does no work. Whoever moves the device chooses the way round.
+    # An even number of ticks: the mean force does no work. Whoever moves the device chooses the way
+    # round.
     work = abs(float((force[100:-2] * np.diff(x)[100:-1]).mean()))
 
     def moves(friction: float) -> bool:
         return work > friction * path
 
     sides = not moves(edge * (1.0 + margin)), not moves(edge * (1.0 - margin))
-    return BeyondEdge("encoder of 23 µm and friction", "friction [N]", edge, -margin, "Δ |H(−1)|/2; work of a motion", *sides)
+    return BeyondEdge(
+        "encoder of 23 µm and friction",
+        "friction [N]",
+        edge,
+        -margin,
+        "Δ |H(−1)|/2; work of a motion",
+        *sides,
+    )
 
 
 def jitter() -> BeyondEdge:
     """Return the edge of a delay that jitters by half a tick: by certificate, and by the sequence of delays that grows."""
     gain, delays, margin = 3.0, (0.5, 1.0), 0.05
     plant = Plant(PERIOD, MASS, DAMPING)
-    low, high = 100.0, k_max(without_spring(PD(stiffness=1.0, damping=gain), PERIOD), plant).k_max_n_per_m or 0.0
+    low, high = (
+        100.0,
+        k_max(without_spring(PD(stiffness=1.0, damping=gain), PERIOD), plant).k_max_n_per_m or 0.0,
+    )
     while high - low > 0.01 * high:
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if every_delay(_pd(middle, gain), plant, delays).stable is False else (middle, high)
+        low, high = (
+            (low, middle)
+            if every_delay(_pd(middle, gain), plant, delays).stable is False
+            else (middle, high)
+        )
     outer = _pd(high * (1.0 + margin), gain)
     worst = every_delay(outer, plant, delays).growing
     inner = _pd(high * (1.0 - margin), gain)
     certified = every_delay(inner, plant, delays).stable is True
     sides = certified and not _grows(inner, plant, worst), not _grows(outer, plant, worst)
-    return BeyondEdge("a delay of 0.5 to 1 ticks", "K [N/m]", high, margin, "certificate; the sequence, played", *sides)
+    return BeyondEdge(
+        "a delay of 0.5 to 1 ticks",
+        "K [N/m]",
+        high,
+        margin,
+        "certificate; the sequence, played",
+        *sides,
+    )
 
 
 def _grows(law: CompiledLaw, plant: Plant, delays: tuple[float, ...]) -> bool:
@@ -174,17 +209,28 @@ def bounce() -> BeyondEdge:
 
     horizon = Criterion(20_000)
     gain, margin, plant = 8.0, 0.03, Plant(PERIOD, MASS, DAMPING)
-    linear = k_max(without_spring(PD(stiffness=1.0, damping=gain), PERIOD), plant).k_max_n_per_m or 0.0
+    linear = (
+        k_max(without_spring(PD(stiffness=1.0, damping=gain), PERIOD), plant).k_max_n_per_m or 0.0
+    )
     low, high = 0.5 * linear, linear
     while high - low > 1e-3 * high:
         middle = 0.5 * (low + high)
         low, high = (
-            (middle, high) if settles(drop_scene(held(plant), PERIOD), [_pd(middle, gain)], horizon)[0] else (low, middle)
+            (middle, high)
+            if settles(drop_scene(held(plant), PERIOD), [_pd(middle, gain)], horizon)[0]
+            else (low, middle)
         )
-    drops = falls(Demand((MASS, MASS), DAMPING, (0.0, 0.0), PERIOD, 0.99, 1e6), [MASS], [CONVENTION], [0.01])
-    sides = (settled(_pd(high * share, gain), drops, horizon)[0] for share in (1.0 - margin, 1.0 + margin))
+    drops = falls(
+        Demand((MASS, MASS), DAMPING, (0.0, 0.0), PERIOD, 0.99, 1e6), [MASS], [CONVENTION], [0.01]
+    )
+    sides = (
+        settled(_pd(high * share, gain), drops, horizon)[0]
+        for share in (1.0 - margin, 1.0 + margin)
+    )
     name = f"a landing, at {100.0 * high / linear:.0f} % of the linear edge"
-    return BeyondEdge(name, "K [N/m]", high, margin, "drop by closed form; by matrix exponential", *sides)
+    return BeyondEdge(
+        name, "K [N/m]", high, margin, "drop by closed form; by matrix exponential", *sides
+    )
 
 
 def slide() -> BeyondEdge:
@@ -194,27 +240,36 @@ def slide() -> BeyondEdge:
 
     margin, gain = 0.1, 2.0
     plant = Plant(PERIOD, 0.15, 3.0, 0.0, 150.0)
-    edge = k_max(without_spring(PD(stiffness=1.0, damping=gain), PERIOD), plant).k_max_n_per_m or 0.0
+    edge = (
+        k_max(without_spring(PD(stiffness=1.0, damping=gain), PERIOD), plant).k_max_n_per_m or 0.0
+    )
 
     def quiet(stiffness: float) -> bool:
-        launch = launch_file.read("rough_plane", {"stiffness": stiffness, "damping": gain, "duration": 2.0})
+        launch = launch_file.read(
+            "rough_plane", {"stiffness": stiffness, "damping": gain, "duration": 2.0}
+        )
         position = play(launch).position
         # What a hand and a slide do bends slowly; an unstable contact turns every few ticks.
         turns = np.diff(position[len(position) // 2 :], 2, axis=0)
         return bool(np.sqrt(np.mean(np.sum(turns**2, axis=1))) < TURNS)
 
     sides = quiet(edge * (1.0 - margin)), quiet(edge * (1.0 + margin))
-    return BeyondEdge("a slide along a rough plane", "K [N/m]", edge, margin, "poles; the launch, played", *sides)
+    return BeyondEdge(
+        "a slide along a rough plane", "K [N/m]", edge, margin, "poles; the launch, played", *sides
+    )
 
 
 def unknown_world() -> BeyondEdge:
     """Return the edge before any passive world that answers in the same tick: by certificate, and by the worst one, built.
 
-    The certificate is (18.2) of THEORY.md: Re{D/H + D P} > 0, D = (1 − w)/T, on the whole circle, and stable at the wall.
+    The certificate is (18.2) of THEORY.md: Re{D/H + D P} > 0, D = (1 − w)/T, on the whole circle,
+    and stable at the wall.
     """
     gain, margin = 3.0, 0.002
     plant = Plant(PERIOD, MASS, DAMPING)
-    edge = world_k_max(without_spring(PD(stiffness=1.0, damping=gain), PERIOD), plant, AnyWorld()).k_max_n_per_m
+    edge = world_k_max(
+        without_spring(PD(stiffness=1.0, damping=gain), PERIOD), plant, AnyWorld()
+    ).k_max_n_per_m
     assert edge is not None  # noqa: S101 - a soft law is certified on this device
     held = held_plant(plant)
     theta = np.concatenate([np.geomspace(1e-4, 1e-2, 400), np.linspace(1e-2, math.pi, 40_001)])
@@ -229,7 +284,8 @@ def unknown_world() -> BeyondEdge:
         """Whether the poles stay inside before the lossless world of first order that cancels what is left at its frequency."""
         left = share(stiffness)
         at = int(np.argmin(left.real))
-        # (18.1): Y = −jσ there, a mass T/(2σ tan(θ/2)) where σ > 0, a spring −2 tan(θ/2)/(σ T) where σ < 0.
+        # (18.1): Y = −jσ there, a mass T/(2σ tan(θ/2)) where σ > 0, a spring −2 tan(θ/2)/(σ T)
+        # where σ < 0.
         sigma, half = float(left[at].imag), math.tan(0.5 * float(theta[at]))
         if sigma > 0.0:
             world = Body(mass=PERIOD / (2.0 * sigma * half), integrator="lossless")
@@ -239,9 +295,22 @@ def unknown_world() -> BeyondEdge:
 
     sides = stands(edge * (1.0 - margin)), stands(edge * (1.0 + margin))
     return BeyondEdge(
-        "any passive world, answering at once", "K [N/m]", edge, margin, "certificate; worst world's poles", *sides
+        "any passive world, answering at once",
+        "K [N/m]",
+        edge,
+        margin,
+        "certificate; worst world's poles",
+        *sides,
     )
 
 
 # What is looked at; another edge is another function here.
-BEYOND: tuple[Callable[[], BeyondEdge], ...] = (joint, two_rates, encoder_and_friction, jitter, bounce, slide, unknown_world)
+BEYOND: tuple[Callable[[], BeyondEdge], ...] = (
+    joint,
+    two_rates,
+    encoder_and_friction,
+    jitter,
+    bounce,
+    slide,
+    unknown_world,
+)

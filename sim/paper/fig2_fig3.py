@@ -1,6 +1,7 @@
 """The paper's figures 2 and 3: f(ω) of Grünwald–Letnikov terms and of their optimised sum, in the paper's normalisation.
 
-Frequencies are in units of ω_N, f in units of a term's f(ω_N): the sum to n that renders, as in eq. (9) (THEORY.md §1).
+Frequencies are in units of ω_N, f in units of a term's f(ω_N): the sum to n that renders, as in eq.
+(9) (THEORY.md §1).
 """
 
 import itertools
@@ -17,8 +18,10 @@ from sim.arrays import Array
 from sim.paper.claims import Claim, verdict
 from sim.paper.descent import damping_curve
 
-LOW_ORDERS, HIGH_ORDERS = (0.3, 0.5, 0.7, 1.0), (1.0, 1.3, 1.5, 1.7)  # orders of figure 2 (a) and (b)
-MEMORIES = (1, 2, 3, 4, 5, 8, 10, 20, 50, 100, 1000)  # FIR orders n over which a claim is judged: the paper prints none
+# orders of figure 2 (a) and (b)
+LOW_ORDERS, HIGH_ORDERS = (0.3, 0.5, 0.7, 1.0), (1.0, 1.3, 1.5, 1.7)
+# FIR orders n over which a claim is judged: the paper prints none
+MEMORIES = (1, 2, 3, 4, 5, 8, 10, 20, 50, 100, 1000)
 MIDDLE = 0.5  # where the low and middle frequencies end, in units of ω_N
 
 
@@ -56,7 +59,9 @@ def one_term(theta: Array, order: float, taps: int) -> Array:
 
 def curve_of(theta: Array, order: float, memory: float) -> Array:
     """Give f of one term with a memory of n, or infinite."""
-    return term_curve(theta, order) if memory == math.inf else one_term(theta, order, int(memory) + 1)
+    return (
+        term_curve(theta, order) if memory == math.inf else one_term(theta, order, int(memory) + 1)
+    )
 
 
 def _last_zero(theta: Array, curve: Array) -> float:
@@ -72,12 +77,16 @@ def _last_zero(theta: Array, curve: Array) -> float:
 def _order_of_signs(difference: Array) -> str:
     """Signs of a curve from low to high frequency, each run of the same sign once: '-+' is first below, then above."""
     signs = np.sign(difference)[np.abs(difference) > 1e-9]
-    return "".join("+" if s > 0 else "-" for i, s in enumerate(signs) if i == 0 or s != signs[i - 1])
+    return "".join(
+        "+" if s > 0 else "-" for i, s in enumerate(signs) if i == 0 or s != signs[i - 1]
+    )
 
 
 def _for_which(holds: dict[int, bool]) -> str:
     good, bad = [n for n, yes in holds.items() if yes], [n for n, yes in holds.items() if not yes]
-    return f"n = {', '.join(map(str, good)) or 'none'}" + (f"; not n = {', '.join(map(str, bad))}" if bad else "")
+    return f"n = {', '.join(map(str, good)) or 'none'}" + (
+        f"; not n = {', '.join(map(str, bad))}" if bad else ""
+    )
 
 
 def _by_memory(source: str, claim: str, judge: Callable[[float], bool], number: str) -> Claim:
@@ -85,7 +94,9 @@ def _by_memory(source: str, claim: str, judge: Callable[[float], bool], number: 
     holds, unlimited = {n: judge(n) for n in MEMORIES}, judge(math.inf)
     everywhere = all(holds.values()) and unlimited
     which = "every n looked at" if all(holds.values()) else _for_which(holds)
-    found = f"{which}; unlimited memory: {'yes' if unlimited else 'no'}" + (f"; {number}" if number else "")
+    found = f"{which}; unlimited memory: {'yes' if unlimited else 'no'}" + (
+        f"; {number}" if number else ""
+    )
     return Claim(source, claim, verdict(everywhere, any(holds.values()) or unlimited), found)
 
 
@@ -101,15 +112,18 @@ def claims_2(taps: int) -> list[Claim]:
             "paper, fig. 2 and eq. (9)",
             "per term, B_α is chosen such that f(ω_N) = 1",
             verdict(all(abs(curve[-1] - 1.0) < 1e-12 for curve in finite)),
-            f"gains: paper is that of the sum to n; |f(ω_N) − 1| ≤ {max(abs(c[-1] - 1.0) for c in finite):.0e}",
+            "gains: paper is that of the sum to n; |f(ω_N) − 1| ≤"
+            f" {max(abs(c[-1] - 1.0) for c in finite):.0e}",
         ),
         *_below_1(theta, curves, [*low, *high[1:]], taps),
         *_above_1(theta, curves, high[1:], taps),
         _by_memory(
             "paper, section 3.2",
-            "a single term is not enough: none is more passive than PD at low and middle frequencies both",
+            "a single term is not enough: none is more passive than PD at low and middle"
+            " frequencies both",
             lambda n: all(_worse_somewhere(theta, curve_of(theta, a, n), pd) for a in _OTHERS),
-            f"α = {_OTHERS[0]} to {_OTHERS[-1]} but 1, up to {MIDDLE:g} ω_N; at n = 1 the leak passes for damping",
+            f"α = {_OTHERS[0]} to {_OTHERS[-1]} but 1, up to {MIDDLE:g} ω_N; at n = 1 the leak"
+            " passes for damping",
         ),
         Claim(
             "paper, eq. (1) and (9)",
@@ -121,7 +135,8 @@ def claims_2(taps: int) -> list[Claim]:
     ]
 
 
-Curves = Mapping[tuple[float, float], Array]  # f of one term by its order and memory n; n infinite for unlimited memory
+# f of one term by its order and memory n; n infinite for unlimited memory
+Curves = Mapping[tuple[float, float], Array]
 
 
 def _below_1(theta: Array, curves: Curves, shown: Sequence[TermCurve], taps: int) -> list[Claim]:
@@ -175,11 +190,16 @@ def _above_1(theta: Array, curves: Curves, shown: Sequence[TermCurve], taps: int
     def crosses(n: float) -> bool:
         return all(_order_of_signs(curves[a, n] - pd) == "+-" for a in above)
 
-    lowest = ", ".join(f"{term.order:g} at {theta[int(np.argmin(term.curve))] / math.pi:.2f} ω_N" for term in shown)
+    lowest = ", ".join(
+        f"{term.order:g} at {theta[int(np.argmin(term.curve))] / math.pi:.2f} ω_N" for term in shown
+    )
     starts = ", ".join(f"{a:g}: {_at_zero(a, taps):+.3f}" for a in (*above, 2.0))
     return [
         _by_memory(
-            "paper, section 3.2, fig. 2(b)", "1 < α < 2: f has a minimum between 0 and ω_N", dips, f"n = {taps - 1}: {lowest}"
+            "paper, section 3.2, fig. 2(b)",
+            "1 < α < 2: f has a minimum between 0 and ω_N",
+            dips,
+            f"n = {taps - 1}: {lowest}",
         ),
         _by_memory(
             "paper, section 3.2, fig. 2(b)",
@@ -218,7 +238,10 @@ def _ours_2(theta: Array, taps: int) -> list[Claim]:
     """Judge what THEORY.md adds to figure 2: the closed form and the leak."""
     # 4096 taps against the closed form, away from ω = 0 where no finite memory reaches.
     inside = theta >= 0.05 * math.pi
-    long = max(float(np.abs(one_term(theta, a, 4096) - term_curve(theta, a))[inside].max()) for a in HIGH_ORDERS)
+    long = max(
+        float(np.abs(one_term(theta, a, 4096) - term_curve(theta, a))[inside].max())
+        for a in HIGH_ORDERS
+    )
     leaks = {a: _leak(a, taps) for a in (*LOW_ORDERS, *HIGH_ORDERS, 2.5, 3.5)}
     worst = max(leaks, key=lambda a: abs(leaks[a]))
     return [
@@ -232,7 +255,8 @@ def _ours_2(theta: Array, taps: int) -> list[Claim]:
             "THEORY.md §1",
             "a truncated derivative leaks: D(1) > 0 for 0<α<1 and 2<α<3, < 0 for 1<α<2 and 3<α<4",
             verdict(all(_leak_sign(a, leak) for a, leak in leaks.items())),
-            f"with {taps} taps the largest is at α = {worst}: D(1) = {leaks[worst]:+.3f} of f(ω_N)·2/T",
+            f"with {taps} taps the largest is at α = {worst}: D(1) = {leaks[worst]:+.3f} of"
+            " f(ω_N)·2/T",
         ),
     ]
 
@@ -259,7 +283,12 @@ def figure_3(taps: int, points: int = 400) -> dict[str, Array]:
     theta = np.pi * np.arange(1, points + 1) / points
     gains, orders = optimum_terms()
     parts = [damping_curve(theta, gains[i : i + 1], orders[i : i + 1], taps) for i in range(2)]
-    return {"theta": theta, "optimum": parts[0] + parts[1], "pd": -np.cos(theta), "terms": np.array(parts)}
+    return {
+        "theta": theta,
+        "optimum": parts[0] + parts[1],
+        "pd": -np.cos(theta),
+        "terms": np.array(parts),
+    }
 
 
 def ripple(taps: int, upper: float) -> float:
@@ -279,18 +308,25 @@ def claims_3(taps: int, period: float) -> list[Claim]:
 
     better = _order_of_signs(figure["optimum"] - figure["pd"]) == "-+"
     everywhere = {n: against_pd(n) == "-+" for n in MEMORIES}
-    crossing = float(theta[np.flatnonzero(figure["optimum"] < figure["pd"])[-1]] / math.pi) if better else math.nan
+    crossing = (
+        float(theta[np.flatnonzero(figure["optimum"] < figure["pd"])[-1]] / math.pi)
+        if better
+        else math.nan
+    )
     nyquist = float(figure["optimum"][-1])
     ripples = {n: ripple(n + 1, 0.5) for n in range(1, 33)}
     flattest = min(ripples, key=lambda n: ripples[n])
-    # Physical gains share one number A; in seconds a term's weight against the other is (2/T)^(α2 − α1) of the normalised.
+    # Physical gains share one number A; in seconds a term's weight against the other is (2/T)^(α2 −
+    # α1) of the normalised.
     seconds = (2.0 / period) ** float(orders[1] - orders[0])
     ratio = gains[1] / gains[0] * seconds
     band = np.flatnonzero(np.abs(figure["optimum"] + 1.0) < 0.15)
     end = float(theta[band[-1]] / math.pi) if len(band) else 0.0
     fine = np.pi * (np.arange(20000) + 0.5) / 20000
     mean = float(damping_curve(fine, gains, orders, taps).mean())
-    leak = float(sum(g * _leak(o, taps) for g, o in zip(gains.tolist(), orders.tolist(), strict=True)))
+    leak = float(
+        sum(g * _leak(o, taps) for g, o in zip(gains.tolist(), orders.tolist(), strict=True))
+    )
     return [
         Claim(
             "paper, fig. 3",
@@ -303,14 +339,15 @@ def claims_3(taps: int, period: float) -> list[Claim]:
             "paper, eq. (10) and fig. 3",
             "f of the optimum at ω_N is the sum of its gains, 1.69 + 1.32, each term being 1 there",
             verdict(abs(nyquist - float(gains.sum())) < 1e-12),
-            f"f(ω_N) = {nyquist:+.3f}: the price of the band below. The paper does not say that (13) is met at ω_N",
+            f"f(ω_N) = {nyquist:+.3f}: the price of the band below. The paper does not say that"
+            " (13) is met at ω_N",
         ),
         Claim(
             "paper, eq. (13)",
             "the optimum is near f = −1 at low and middle frequencies",
             verdict(ripple(taps, 0.5) < 0.02, ripple(taps, 0.5) < 0.2),
-            f"only if 'about' will do: |f + 1| ≤ {ripple(taps, 0.5):.3f} up to 0.5 ω_N, ≤ 0.15 up to {end:.2f} ω_N "
-            f"(PD: up to {math.acos(0.85) / math.pi:.2f})",
+            f"only if 'about' will do: |f + 1| ≤ {ripple(taps, 0.5):.3f} up to 0.5 ω_N, ≤ 0.15 up"
+            f" to {end:.2f} ω_N (PD: up to {math.acos(0.85) / math.pi:.2f})",
         ),
         Claim(
             "THEORY.md §2",
@@ -323,13 +360,14 @@ def claims_3(taps: int, period: float) -> list[Claim]:
             "THEORY.md §2",
             "with T in seconds the second term is 10^5 times the first",
             verdict(5.0 <= math.log10(seconds) < 6.5),
-            f"T = {period * 1e3:g} ms: (2/T)^(α₂−α₁) = {seconds:.2g}, with the gains {ratio:.2g}: A = [1.69, 1.32] only "
-            "means something normalised",
+            f"T = {period * 1e3:g} ms: (2/T)^(α₂−α₁) = {seconds:.2g}, with the gains {ratio:.2g}: A"
+            " = [1.69, 1.32] only means something normalised",
         ),
         Claim(
             "THEORY.md §2",
             "the mean of f over (0, ω_N) is T·D(1)/2: damping at one frequency is paid at another",
             verdict(abs(mean - leak) < 1e-6),
-            f"mean {mean:+.6f}, T·D(1)/2 = {leak:+.6f} (the leak: below 0 it is felt as a softer spring)",
+            f"mean {mean:+.6f}, T·D(1)/2 = {leak:+.6f} (the leak: below 0 it is felt as a softer"
+            " spring)",
         ),
     ]

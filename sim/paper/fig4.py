@@ -1,9 +1,10 @@
 """The paper's figure 4: the largest stiffness that survives the drop, over the damping gain B, law by law.
 
-The same drop for PD (plain, with a filtered and with a windowed velocity), the paper's optimum, a law designed for the same
-delay and half to twice the mass, and one designed for this very drop: without delay and a tick late, with a perfect sensor
-and the Touch X's (resolution and friction, which only matter together). Stiffness is told twice, nominal K and H(1), what is
-felt; and the frequency at which the device really swings at the limit is measured.
+The same drop for PD (plain, with a filtered and with a windowed velocity), the paper's optimum, a
+law designed for the same delay and half to twice the mass, and one designed for this very drop:
+without delay and a tick late, with a perfect sensor and the Touch X's (resolution and friction,
+which only matter together). Stiffness is told twice, nominal K and H(1), what is felt; and the
+frequency at which the device really swings at the limit is measured.
 """
 
 import itertools
@@ -45,15 +46,23 @@ class Setting:
     damping: float
     period: float  # sampling period T [s]
     gains: tuple[float, ...]  # damping gains B of the horizontal axis [N s/m]
-    # Of the Touch X [m], [N]; the friction is a data-sheet figure quoted from memory (THEORY.md §4).
+    # Of the Touch X [m], [N]; the friction is a data-sheet figure quoted from memory (THEORY.md
+    # §4).
     resolution: float = 2.3e-5
     friction: float = 0.06
-    criterion: Criterion = field(default_factory=Criterion)  # horizon and tolerance, the same for every law
+    # horizon and tolerance, the same for every law
+    criterion: Criterion = field(default_factory=Criterion)
 
     def device(self, delay: float, touch: bool) -> DeviceModel:
         """Describe the device."""
         resolution, friction = (self.resolution, self.friction) if touch else (None, None)
-        return DeviceModel(mass=self.mass, damping=self.damping, delay=delay, resolution=resolution, friction=friction)
+        return DeviceModel(
+            mass=self.mass,
+            damping=self.damping,
+            delay=delay,
+            resolution=resolution,
+            friction=friction,
+        )
 
     def held(self, delay: float) -> Plant:
         """Describe the same as the linear loop sees it."""
@@ -69,7 +78,8 @@ class Curve:
     touch: bool  # whether with the Touch X's resolution and friction
     found: list[SimulatedKMax]  # one for each gain of the setting; shorter after an interruption
     linear: list[float | None]  # K_max of the linear loop by pole radius [N/m]
-    convention: int = 0  # of contact, one of `sim.design.demand.CONVENTIONS`; the figure is drawn with the first
+    # of contact, one of `sim.design.demand.CONVENTIONS`; the figure is drawn with the first
+    convention: int = 0
 
 
 def published(setting: Setting) -> dict[str, Family]:
@@ -77,9 +87,15 @@ def published(setting: Setting) -> dict[str, Family]:
     period, step = setting.period, setting.resolution
     return {
         "pd": lambda gain: without_spring(PD(stiffness=1.0, damping=gain), period),
-        "pd_filtered": lambda gain: without_spring(PDFiltered(stiffness=1.0, damping=gain, cutoff=CUTOFF), period),
-        "pd_windowed": lambda gain: without_spring(PDWindowed(stiffness=1.0, damping=gain, resolution=step), period),
-        "paper_optimum": lambda gain: without_spring(parse_law({"kind": "paper_optimum", "damping": gain}), period),
+        "pd_filtered": lambda gain: without_spring(
+            PDFiltered(stiffness=1.0, damping=gain, cutoff=CUTOFF), period
+        ),
+        "pd_windowed": lambda gain: without_spring(
+            PDWindowed(stiffness=1.0, damping=gain, resolution=step), period
+        ),
+        "paper_optimum": lambda gain: without_spring(
+            parse_law({"kind": "paper_optimum", "damping": gain}), period
+        ),
     }
 
 
@@ -98,16 +114,27 @@ def demands(setting: Setting, delay: float) -> dict[str, Demand]:
     mass, damping, period = setting.mass, setting.damping, setting.period
     delays = (delay, delay)
     return {
-        # Half to twice the mass, an allowance for the hand that holds it, and what `study design` takes by default.
+        # Half to twice the mass, an allowance for the hand that holds it, and what `study design`
+        # takes by default.
         "designed": Demand((0.5 * mass, 2.0 * mass), damping, delays, period, 0.99, 1e4),
-        # This mass and this convention alone; 0.995 per tick still settles within the horizon, |H(−1)| is PD's at its best.
-        "designed_drop": Demand((mass, mass), damping, delays, period, 0.995, 4.0 * mass / period**2, lands=CONVENTIONS[:1]),
+        # This mass and this convention alone; 0.995 per tick still settles within the horizon,
+        # |H(−1)| is PD's at its best.
+        "designed_drop": Demand(
+            (mass, mass),
+            damping,
+            delays,
+            period,
+            0.995,
+            4.0 * mass / period**2,
+            lands=CONVENTIONS[:1],
+        ),
     }
 
 
 def _designed(setting: Setting, delay: float, name: str) -> list[float] | None:
     """Search the taps of a designed law; None where none keeps the demand, or none has a damping to scale."""
-    # The stiffest laws of a drop differ by a percent, and which one a search ends at depends on its seed and on rounding.
+    # The stiffest laws of a drop differ by a percent, and which one a search ends at depends on its
+    # seed and on rounding.
     for seed in range(1, 6):
         found = stiffest(demands(setting, delay)[name], np.eye(4), seed=seed)
         if found is None:
@@ -121,14 +148,19 @@ def _designed(setting: Setting, delay: float, name: str) -> list[float] | None:
 def designs(setting: Setting) -> list[SweepRow]:
     """List the searches for the laws that are designed for a delay: jobs of `point`."""
     wanted = ((delay, name) for delay in DELAYS for name in demands(setting, delay))
-    return [{"setting": asdict(setting), "what": "design", "delay": delay, "law": name} for delay, name in wanted]
+    return [
+        {"setting": asdict(setting), "what": "design", "delay": delay, "law": name}
+        for delay, name in wanted
+    ]
 
 
 def drops(setting: Setting, designed: Sequence[SweepRow]) -> list[SweepRow]:
     """List the boundaries of the figure and of the conventions, point by point: jobs of `point`."""
     taps = {(row["delay"], row["law"]): row["taps"] for row in designed}
     plain = [(delay, law, touch, 0) for delay in DELAYS for law in LAWS for touch in (False, True)]
-    others = [(0.0, law, False, i) for law in ("pd", "paper_optimum") for i in range(1, len(CONVENTIONS))]
+    others = [
+        (0.0, law, False, i) for law in ("pd", "paper_optimum") for i in range(1, len(CONVENTIONS))
+    ]
     return [
         {"setting": asdict(setting), "what": "drop", "law": law, "delay": delay, "touch": touch}
         | {"convention": convention, "gain": gain, "taps": taps.get((delay, law))}
@@ -145,11 +177,22 @@ def point(job: Mapping[str, Any]) -> SweepRow:
     if job["what"] == "design":
         return {**record, "taps": _designed(setting, job["delay"], job["law"])}
     derivative = _family(setting, job["law"], job["taps"])(job["gain"])
-    scene = drop_scene(setting.device(job["delay"], job["touch"]), setting.period, *CONVENTIONS[job["convention"]])
-    found = simulated_k_max(lambda stiffness: with_spring(derivative, stiffness), scene, setting.criterion)
+    scene = drop_scene(
+        setting.device(job["delay"], job["touch"]), setting.period, *CONVENTIONS[job["convention"]]
+    )
+    found = simulated_k_max(
+        lambda stiffness: with_spring(derivative, stiffness), scene, setting.criterion
+    )
     # A law with code of its own has no poles.
-    linear = None if derivative.evaluate else k_max(derivative, setting.held(job["delay"])).k_max_n_per_m
-    return {**record, **{key: job[key] for key in ("touch", "convention")}, "found": asdict(found), "linear": linear}
+    linear = (
+        None if derivative.evaluate else k_max(derivative, setting.held(job["delay"])).k_max_n_per_m
+    )
+    return {
+        **record,
+        **{key: job[key] for key in ("touch", "convention")},
+        "found": asdict(found),
+        "linear": linear,
+    }
 
 
 def curves_of(jobs: Sequence[SweepRow], rows: Mapping[str, SweepRow]) -> list[Curve]:
@@ -157,12 +200,20 @@ def curves_of(jobs: Sequence[SweepRow], rows: Mapping[str, SweepRow]) -> list[Cu
     named: dict[tuple[str, float, bool, int], list[SweepRow | None]] = {}
     for job in jobs:
         row = rows.get(key_of(job))
-        named.setdefault((job["law"], job["delay"], job["touch"], job["convention"]), []).append(row)
+        named.setdefault((job["law"], job["delay"], job["touch"], job["convention"]), []).append(
+            row
+        )
     curves = []
     for (law, delay, touch, convention), found in named.items():
-        known = [row for row in itertools.takewhile(lambda row: row is not None, found) if row is not None]
+        known = [
+            row
+            for row in itertools.takewhile(lambda row: row is not None, found)
+            if row is not None
+        ]
         limits = [SimulatedKMax(**row["found"]) for row in known]
-        curves.append(Curve(law, delay, touch, limits, [row["linear"] for row in known], convention))
+        curves.append(
+            Curve(law, delay, touch, limits, [row["linear"] for row in known], convention)
+        )
     return curves
 
 

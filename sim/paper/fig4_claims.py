@@ -14,14 +14,21 @@ from sim.paper.claims import Claim, verdict
 from sim.paper.fig4 import CUTOFF, DELAYS, LAWS, Curve, Setting, best, published
 
 
-def claims_4(setting: Setting, curves: list[Curve], spreads: list[tuple[float, str, float]]) -> list[Claim]:
+def claims_4(
+    setting: Setting, curves: list[Curve], spreads: list[tuple[float, str, float]]
+) -> list[Claim]:
     """Judge what the paper and THEORY.md state about the drop test."""
     by = {(c.law, c.delay, c.touch): c for c in curves}
     pd, optimum = by["pd", 0.0, False], by["paper_optimum", 0.0, False]
     others = [name for name in LAWS if name != "pd"]
     return [
         # The paper's own unit first: nominal K.
-        *(_against_pd(setting, by["pd", delay, False], by["paper_optimum", delay, False], felt=False) for delay in (0.0, 1.0)),
+        *(
+            _against_pd(
+                setting, by["pd", delay, False], by["paper_optimum", delay, False], felt=False
+            )
+            for delay in (0.0, 1.0)
+        ),
         *_thesis(setting, [pd, optimum]),
         _peak_of_pd(setting),
         _conditional(setting, pd),
@@ -70,12 +77,14 @@ def _leak(setting: Setting, optimum: Curve) -> Claim:
         "THEORY.md §1",
         "nominal K is not the stiffness felt: a truncated term leaks",
         verdict(abs(top / nominal - 1.0) > 0.01),
-        f"the paper's optimum at its stiffest, B = {setting.gains[where]:.3g}: K = {nominal:.0f}, H(1) = {top:.0f} N/m "
-        f"({100.0 * (top / nominal - 1.0):+.1f} %)",
+        f"the paper's optimum at its stiffest, B = {setting.gains[where]:.3g}: K = {nominal:.0f},"
+        f" H(1) = {top:.0f} N/m ({100.0 * (top / nominal - 1.0):+.1f} %)",
     )
 
 
-def _conventions(setting: Setting, curves: list[Curve], spreads: list[tuple[float, str, float]]) -> Claim:
+def _conventions(
+    setting: Setting, curves: list[Curve], spreads: list[tuple[float, str, float]]
+) -> Claim:
     stiffest = {c.law: setting.gains[best(c, felt=True)[1]] for c in curves}
     anywhere = max(spreads)
     before = max(s for s in spreads if s[2] <= stiffest[s[1]])
@@ -84,9 +93,10 @@ def _conventions(setting: Setting, curves: list[Curve], spreads: list[tuple[floa
         "THEORY.md §4",
         "two conventions (history, clamping) change K_max by up to about 17 %",
         verdict(0.12 <= anywhere[0] <= 0.2, bool(calm)),
-        f"d = 0, four combinations, PD and optimum: only if {_ranges(setting.gains, calm)} is it up to 17 %; below the "
-        f"stiffest point of each law up to {100.0 * before[0]:.1f} % ({before[1]}, B = {before[2]:.3g}), anywhere up to "
-        f"{100.0 * anywhere[0]:.0f} % ({anywhere[1]}, B = {anywhere[2]:.3g})",
+        f"d = 0, four combinations, PD and optimum: only if {_ranges(setting.gains, calm)} is it up"
+        f" to 17 %; below the stiffest point of each law up to {100.0 * before[0]:.1f} %"
+        f" ({before[1]}, B = {before[2]:.3g}), anywhere up to {100.0 * anywhere[0]:.0f} %"
+        f" ({anywhere[1]}, B = {anywhere[2]:.3g})",
     )
 
 
@@ -104,8 +114,9 @@ def _horizon(setting: Setting, curves: list[Curve]) -> Claim:
         "THEORY.md §4",
         "the drop test reads 70–99 % of the linear limit",
         verdict(within == 1.0, within > 0.5),
-        f"horizon {setting.criterion.ticks} ticks: {100.0 * min(shares):.0f} … {100.0 * max(shares):.0f} %, median "
-        f"{100.0 * middle:.0f} %; {100.0 * within:.0f} % of the points are within",
+        f"horizon {setting.criterion.ticks} ticks: {100.0 * min(shares):.0f} …"
+        f" {100.0 * max(shares):.0f} %, median {100.0 * middle:.0f} %; {100.0 * within:.0f} % of"
+        " the points are within",
     )
 
 
@@ -116,9 +127,10 @@ def _swing(setting: Setting, curves: list[Curve]) -> Claim:
         "THEORY.md §2",
         "at the limit the known mass rings at about √(K/m)",
         verdict(len(near) == len(rings), bool(near)),
-        f"measured/√(K/m), PD and optimum at d = 0: {min(rings)[0]:.2f} … {max(rings)[0]:.2f}; only if "
-        f"{_ranges(setting.gains, set(near))} is it within 20 %. Against the angle of the exact pole: "
-        f"{min(angles):.3f} … {max(angles):.3f}, median {sorted(angles)[len(angles) // 2]:.4f}",
+        f"measured/√(K/m), PD and optimum at d = 0: {min(rings)[0]:.2f} … {max(rings)[0]:.2f}; only"
+        f" if {_ranges(setting.gains, set(near))} is it within 20 %. Against the angle of the exact"
+        f" pole: {min(angles):.3f} … {max(angles):.3f}, median"
+        f" {sorted(angles)[len(angles) // 2]:.4f}",
     )
 
 
@@ -141,9 +153,13 @@ def _rings(setting: Setting, curves: list[Curve]) -> tuple[list[tuple[float, flo
 
 def _ranges(gains: tuple[float, ...], good: set[float]) -> str:
     """Name the ranges of gains that belong to a set."""
-    runs = (list(run) for yes, run in itertools.groupby(sorted(set(gains)), good.__contains__) if yes)
+    runs = (
+        list(run) for yes, run in itertools.groupby(sorted(set(gains)), good.__contains__) if yes
+    )
     parts = [(run[0], run[-1]) for run in runs]
-    return "B = " + " or ".join(f"{low:.3g}" if low == high else f"{low:.3g} … {high:.3g}" for low, high in parts)
+    return "B = " + " or ".join(
+        f"{low:.3g}" if low == high else f"{low:.3g} … {high:.3g}" for low, high in parts
+    )
 
 
 _NAMES = {
@@ -170,10 +186,12 @@ def _against_pd(setting: Setting, pd: Curve, other: Curve, felt: bool) -> Claim:
     unit = "in H(1)" if felt else "in nominal K"
     return Claim(
         "paper, fig. 4" if other.law == "paper_optimum" else "THEORY.md §4",
-        f"{_NAMES[other.law]} reaches more stiffness than PD at the same B, {unit}, d = {other.delay:g}, {sensor}",
+        f"{_NAMES[other.law]} reaches more stiffness than PD at the same B, {unit}, d ="
+        f" {other.delay:g}, {sensor}",
         verdict(low[0] > 1.0, bool(better)),
-        f"{condition}better at {len(better)} of {len(pairs)} gains, ratio {low[0]:.2f} (B = {low[1]:.3g}) … {high[0]:.2f} "
-        f"(B = {high[1]:.3g}); best over B: {best(other, felt)[0]:.0f} against {best(pd, felt)[0]:.0f} N/m",
+        f"{condition}better at {len(better)} of {len(pairs)} gains, ratio {low[0]:.2f} (B ="
+        f" {low[1]:.3g}) … {high[0]:.2f} (B = {high[1]:.3g}); best over B:"
+        f" {best(other, felt)[0]:.0f} against {best(pd, felt)[0]:.0f} N/m",
     )
 
 
@@ -193,7 +211,8 @@ def _thesis(setting: Setting, curves: list[Curve]) -> list[Claim]:
         ((optimum.f_n_s_per_m < pd.f_n_s_per_m) == (optimum.k_exact_n_per_m > pd.k_exact_n_per_m))
         for gain in setting.gains
         if (pd := edge_of(published(setting)["pd"](gain), setting.held(0.0))) is not None
-        and (optimum := edge_of(published(setting)["paper_optimum"](gain), setting.held(0.0))) is not None
+        and (optimum := edge_of(published(setting)["paper_optimum"](gain), setting.held(0.0)))
+        is not None
     ]
     tops = [_top(replace(setting, period=period), curves[0].law) for period in _PERIODS]
     return [
@@ -201,16 +220,18 @@ def _thesis(setting: Setting, curves: list[Curve]) -> list[Claim]:
             "paper, section 3; THEORY.md §9",
             "the smaller f at the frequency that occurs, the stiffer the wall",
             verdict(all(pairs) and exact < 1e-6),
-            f"K_max = 2(bR − f(ω_c))/T to {exact:.0e} at {len(edges)} points of PD and optimum; without R: ratio "
-            f"{min(simple):.3f} … {max(simple):.3f}, always low; the law with the smaller f(ω_c) is the stiffer one at "
-            f"{sum(pairs)} of {len(pairs)} gains",
+            f"K_max = 2(bR − f(ω_c))/T to {exact:.0e} at {len(edges)} points of PD and optimum;"
+            f" without R: ratio {min(simple):.3f} … {max(simple):.3f}, always low; the law with the"
+            f" smaller f(ω_c) is the stiffer one at {sum(pairs)} of {len(pairs)} gains",
         ),
         Claim(
             "paper, introduction",
             "a long sampling period forces a low stiffness",
             verdict(all(a > b for a, b in itertools.pairwise(tops))),
             "best K_max of PD over B, by pole radius: "
-            + ", ".join(f"T = {1e3 * t:g} ms {k:.0f} N/m" for t, k in zip(_PERIODS, tops, strict=True)),
+            + ", ".join(
+                f"T = {1e3 * t:g} ms {k:.0f} N/m" for t, k in zip(_PERIODS, tops, strict=True)
+            ),
         ),
     ]
 

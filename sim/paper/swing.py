@@ -1,11 +1,13 @@
 """The swing of a device in contact, from a recording: what it says of K_max, and how surely (THEORY.md §9).
 
-A swing is a pole of the loop: law, delay and the device's damping are known, so its frequency tells the mass, and the exact
-loop with this mass tells K_max. Dry friction changes how fast the swing dies, hardly how fast it turns: so with a known damping
-the decay is not used. Where the damping is not known it lies between none and what the decay shows.
+A swing is a pole of the loop: law, delay and the device's damping are known, so its frequency tells
+the mass, and the exact loop with this mass tells K_max. Dry friction changes how fast the swing
+dies, hardly how fast it turns: so with a known damping the decay is not used. Where the damping is
+not known it lies between none and what the decay shows.
 
-Windows of the contact are fitted one by one; how far they are apart is the interval. What is no swing of the linear loop is
-refused. How often the interval holds K_max is counted on random devices with friction and an encoder.
+Windows of the contact are fitted one by one; how far they are apart is the interval. What is no
+swing of the linear loop is refused. How often the interval holds K_max is counted on random devices
+with friction and an encoder.
 """
 
 import cmath
@@ -37,7 +39,9 @@ from sim.scene.loop import run
 _SHORTEST = 40
 # Parts of the contact that are fitted: what is left of the impact dies in the first eighth.
 _WINDOWS = ((0.12, 1.0), (0.25, 1.0), (0.12, 0.6), (0.4, 1.0))
-_MARGIN = 0.01  # least half width of the interval: over 360 drops on random devices the windows alone miss by less, but for PDα
+# least half width of the interval: over 360 drops on random devices the windows alone miss by less,
+# but for PDα
+_MARGIN = 0.01
 _RESIDUAL = 0.1  # largest residual of the fit, as a part of the swing
 
 
@@ -54,11 +58,15 @@ class Swing:
     ticks: int  # length of the contact that it was measured over
     stiffness_n_per_m: float  # nominal K that was rendered [N/m]
     k_max_n_per_m: tuple[float, float]  # interval of K_max [N/m], shape (2,)
-    mass_kg: tuple[float, float]  # interval of the moving mass that the swing shows [kg], shape (2,)
-    # Damping that was taken: twice the known one, or from none to what the decay shows [N s/m], shape (2,).
+    # interval of the moving mass that the swing shows [kg], shape (2,)
+    mass_kg: tuple[float, float]
+    # Damping that was taken: twice the known one, or from none to what the decay shows [N s/m],
+    # shape (2,).
     damping_n_s_per_m: tuple[float, float]
-    hand_n_per_m: float  # stiffness of the hand that was taken to hold the device, as it did then [N/m]
-    # What the loop does at the middle of the interval, by Colgate's condition at the frequency that occurs there.
+    # stiffness of the hand that was taken to hold the device, as it did then [N/m]
+    hand_n_per_m: float
+    # What the loop does at the middle of the interval, by Colgate's condition at the frequency that
+    # occurs there.
     edge: Edge
 
 
@@ -79,15 +87,26 @@ def ringing(position: Array) -> Decay:
 
     size = float(np.ptp(position))
     if len(position) < _SHORTEST:
-        raise CannotTellError(f"{len(position)} ticks of contact before it bounces, at least {_SHORTEST} are needed")
+        raise CannotTellError(
+            f"{len(position)} ticks of contact before it bounces, at least {_SHORTEST} are needed"
+        )
     if size < 1e-9:
-        raise CannotTellError(f"{len(position)} ticks of contact that move by {size:.2g} m: nothing swings")
+        raise CannotTellError(
+            f"{len(position)} ticks of contact that move by {size:.2g} m: nothing swings"
+        )
     x, k = (position - position.mean()) / size, np.arange(len(position))
 
     def misfit(guess: Array) -> Array:
         decay, theta = guess
         envelope = np.clip(decay, 0.3, 1.05) ** k
-        parts = np.column_stack([envelope * np.cos(theta * k), envelope * np.sin(theta * k), np.ones(len(k)), k / len(k)])
+        parts = np.column_stack(
+            [
+                envelope * np.cos(theta * k),
+                envelope * np.sin(theta * k),
+                np.ones(len(k)),
+                k / len(k),
+            ]
+        )
         return np.asarray(parts @ np.linalg.lstsq(parts, x, rcond=None)[0] - x)
 
     found = least_squares(misfit, _start(x), x_scale=(0.01, 0.01))
@@ -106,7 +125,10 @@ def _start(x: Array) -> tuple[float, float]:
     tools = np.column_stack([x[1:-3], x[:-4], np.ones(len(x) - 4)])
     a, b, _ = np.linalg.lstsq(tools.T @ rows, tools.T @ x[4:], rcond=None)[0]
     if a * a + 4.0 * b >= 0.0 or b >= 0.0:
-        raise CannotTellError("the contact creeps to rest, it does not swing: raise the stiffness or lower the damping")
+        raise CannotTellError(
+            "the contact creeps to rest, it does not swing: raise the stiffness or lower the"
+            " damping"
+        )
     decay = math.sqrt(-b)
     return min(decay, 1.0), math.acos(max(-1.0, min(1.0, a / (2.0 * decay))))
 
@@ -114,7 +136,8 @@ def _start(x: Array) -> tuple[float, float]:
 def recorded_swing(path: Path, damping: float | None = None, hand: float | None = None) -> Swing:
     """Measure the swing of a recording's longest contact, and what it says of K_max.
 
-    Damping [N s/m] and hand [N/m] of a virtual device are those that were recorded, where they are not given.
+    Damping [N s/m] and hand [N/m] of a virtual device are those that were recorded, where they are
+    not given.
     """
     loop = measure(path)
     recording = Recording(path)
@@ -122,7 +145,10 @@ def recorded_swing(path: Path, damping: float | None = None, hand: float | None 
     axis, inside = _contact(recording)
     body = virtual_device(recording, axis)
     if body is not None:
-        damping, hand = (body.moving_damping if damping is None else damping), (body.grip if hand is None else hand)
+        damping, hand = (
+            (body.moving_damping if damping is None else damping),
+            (body.grip if hand is None else hand),
+        )
     return swing_of(law, Plant(loop.period, 1.0, 0.0, loop.median, hand or 0.0), inside, damping)
 
 
@@ -144,7 +170,9 @@ def windows(inside: Array) -> tuple[list[Decay], int]:
             fits.append(ringing(window))
     whole = fits[0]
     if whole.residual > _RESIDUAL:
-        raise CannotTellError(f"no single swing: {100.0 * whole.residual:.0f} % of the motion is something else")
+        raise CannotTellError(
+            f"no single swing: {100.0 * whole.residual:.0f} % of the motion is something else"
+        )
     if whole.decay - 2.0 * whole.decay_off > 1.0 - 1e-9:
         raise CannotTellError("the swing does not decay: the loop is unstable, or in a limit cycle")
     return fits, end
@@ -164,7 +192,10 @@ def swing_of(law: Law, loop: Plant, inside: Array, damping: float | None) -> Swi
                 plants.append(_by_frequency(compiled, loop, theta, fit.decay, damping))
             else:
                 plants.append(_by_frequency(compiled, loop, theta, fit.decay, 0.0))
-                plants += [_by_pole(compiled, loop, theta, fit.decay + off) for off in (-2.0 * fit.decay_off, 0.0)]
+                plants += [
+                    _by_pole(compiled, loop, theta, fit.decay + off)
+                    for off in (-2.0 * fit.decay_off, 0.0)
+                ]
     known = [plant for plant in plants if plant is not None]
     edges = [edge for plant in known if (edge := edge_of(derivative, plant)) is not None]
     if len(edges) < len(plants) or not edges:
@@ -173,13 +204,27 @@ def swing_of(law: Law, loop: Plant, inside: Array, damping: float | None) -> Swi
     low, high = edges[0].k_exact_n_per_m, edges[-1].k_exact_n_per_m
     wider = _MARGIN * 0.5 * (low + high) + 0.5 * (high - low)
     masses, dampings = ([getattr(plant, name) for plant in known] for name in ("mass", "damping"))
-    intervals = (max(low - wider, 0.0), high + wider), (min(masses), max(masses)), (min(dampings), max(dampings))
+    intervals = (
+        (max(low - wider, 0.0), high + wider),
+        (min(masses), max(masses)),
+        (min(dampings), max(dampings)),
+    )
     stiffness = float(getattr(law, "stiffness", compiled.h1))
     middle = edges[len(edges) // 2]
-    return Swing(fits[0].theta / loop.period, fits[0].decay, ticks, stiffness, *intervals, loop.stiffness, middle)
+    return Swing(
+        fits[0].theta / loop.period,
+        fits[0].decay,
+        ticks,
+        stiffness,
+        *intervals,
+        loop.stiffness,
+        middle,
+    )
 
 
-def _by_frequency(law: CompiledLaw, loop: Plant, theta: float, decay: float, damping: float) -> Plant | None:
+def _by_frequency(
+    law: CompiledLaw, loop: Plant, theta: float, decay: float, damping: float
+) -> Plant | None:
     """Find the mass with which the loop has a pole at an angle; its decay comes out, too."""
     return _solved(law, loop, decay, lambda second: (damping, second * cmath.exp(1j * theta)))
 
@@ -189,13 +234,19 @@ def _by_pole(law: CompiledLaw, loop: Plant, theta: float, decay: float) -> Plant
     return _solved(law, loop, 1.0, lambda second: (max(second, 0.0), decay * cmath.exp(1j * theta)))
 
 
-def _solved(law: CompiledLaw, loop: Plant, start: float, trial: Callable[[float], tuple[float, complex]]) -> Plant | None:
+def _solved(
+    law: CompiledLaw, loop: Plant, start: float, trial: Callable[[float], tuple[float, complex]]
+) -> Plant | None:
     from scipy.optimize import root
 
     _, z = trial(start)
     half = 0.5 * abs(cmath.phase(z))
     # Of a lossless mass on a spring of this size (THEORY.md §9).
-    mass = abs(law.response(z) + loop.stiffness) * loop.period**2 / (4.0 * math.sin(half) * math.tan(half))
+    mass = (
+        abs(law.response(z) + loop.stiffness)
+        * loop.period**2
+        / (4.0 * math.sin(half) * math.tan(half))
+    )
 
     def plant(unknown: Array) -> Plant:
         return replace(loop, mass=math.exp(min(unknown[0], 50.0)), damping=trial(unknown[1])[0])
@@ -220,13 +271,19 @@ def _contact(recording: Recording) -> tuple[int, Array]:
     if not force.any():
         raise CannotTellError("nothing was touched: there was no force")
     axis = int(np.abs(force).max(axis=0).argmax())
-    first, last = _contact_without_gaps(np.abs(force[:, axis]) > 0.0, np.array([state.seq for state in states]))
+    first, last = _contact_without_gaps(
+        np.abs(force[:, axis]) > 0.0, np.array([state.seq for state in states])
+    )
     inside = states[first:last]
     rendered = {message.seq: message for message in recording.messages(FORCE)}
     answers = [rendered[state.force_seq] for state in inside if state.force_seq in rendered]
     if inside and not answers:
-        raise CannotTellError("the coupling's forces of the longest contact were not recorded, so the law is not known")
-    # The law that is known is the launch's own: changes are counted from its start, whenever a recording began.
+        raise CannotTellError(
+            "the coupling's forces of the longest contact were not recorded, so the law is not"
+            " known"
+        )
+    # The law that is known is the launch's own: changes are counted from its start, whenever a
+    # recording began.
     if any(answer.revision != 0 for answer in answers):
         raise CannotTellError("the law changed before the end of the longest contact")
     fresh = [state for state in inside if state.force_seq in rendered and state.age == 0]
@@ -247,7 +304,11 @@ def _contact_without_gaps(contact: NDArray[np.bool_], seq: NDArray[np.int64]) ->
 
 def longest(contact: NDArray[np.bool_]) -> tuple[int, int]:
     """Longest run of true."""
-    runs = np.flatnonzero(np.diff(np.concatenate([[0], contact.astype(int), [0]]))).reshape(-1, 2).tolist()
+    runs = (
+        np.flatnonzero(np.diff(np.concatenate([[0], contact.astype(int), [0]])))
+        .reshape(-1, 2)
+        .tolist()
+    )
     first, last = max(runs, key=lambda run: run[1] - run[0], default=(0, 0))
     return first, last
 
@@ -266,15 +327,31 @@ RESOLUTION = 2.3e-5  # of the encoder [m]
 def dropped(number: int, name: str, law: Mapping[str, Any], period: float) -> dict[str, Any]:
     """Drop a random device on a floor of 0.3 to 0.9 K_max, and look for K_max in its swing."""
     random = np.random.default_rng([7, number])
-    plant = Plant(period, 10.0 ** random.uniform(-1.3, -0.5), random.uniform(0.5, 2.0), random.uniform(0.0, 1.5))
+    plant = Plant(
+        period,
+        10.0 ** random.uniform(-1.3, -0.5),
+        random.uniform(0.5, 2.0),
+        random.uniform(0.0, 1.5),
+    )
     gained = {**law, "damping": random.uniform(20.0, 60.0) * plant.mass}
     share, friction = random.uniform(0.3, 0.9), random.uniform(0.0, 0.1)
     limit = k_max(without_spring(parse_law(gained), period), plant).k_max_n_per_m
-    result: dict[str, Any] = {"law": name, "share": share, "k_max_n_per_m": limit, "between_n_per_m": None}
+    result: dict[str, Any] = {
+        "law": name,
+        "share": share,
+        "k_max_n_per_m": limit,
+        "between_n_per_m": None,
+    }
     if limit is None:
         return result | {"why": "no stiffness is stable"}
     rendered = parse_law({**gained, "stiffness": share * limit})
-    device = DeviceModel(mass=plant.mass, damping=plant.damping, delay=plant.delay, friction=friction, resolution=RESOLUTION)
+    device = DeviceModel(
+        mass=plant.mass,
+        damping=plant.damping,
+        delay=plant.delay,
+        friction=friction,
+        resolution=RESOLUTION,
+    )
     trace = run(drop_scene(device, period, raw=False, clamp=True), rendered.compile(period), TICKS)
     first, last = longest(np.abs(trace.force) > 0.0)
     try:

@@ -21,11 +21,13 @@ from sim.population.virtual import KINDS, draw, draw_outside, excite, excite_out
 from sim.scene.richer import RicherModel
 from sim.tune.design import Wanted, demand
 
-PARAMETERS = ("mass", "damping", "friction", "delay", "encoder", "stiffness")  # what is compared; the stiffness is a hand's
+# what is compared; the stiffness is a hand's
+PARAMETERS = ("mass", "damping", "friction", "delay", "encoder", "stiffness")
 TAPS = 4
 RADIUS = 0.99
 NYQUIST = 1e4  # largest |H(−1)| of a design [N/m]
-SPREAD = 1.25  # factor by which the mass may be off in either direction: the margin of every design here
+# factor by which the mass may be off in either direction: the margin of every design here
+SPREAD = 1.25
 
 
 def study_device(job: Mapping[str, Any]) -> dict[str, Any]:
@@ -33,11 +35,23 @@ def study_device(job: Mapping[str, Any]) -> dict[str, Any]:
     period = 1.0 / job["rate"]
     model = draw(job["number"], job["seed"], job["held"])
     found = identify(excite(model, period, job["seconds"], job["number"]))
-    truths = (model.moving_mass, model.moving_damping, model.friction or 0.0, model.delay, model.resolution, model.grip)
+    truths = (
+        model.moving_mass,
+        model.moving_damping,
+        model.friction or 0.0,
+        model.delay,
+        model.resolution,
+        model.grip,
+    )
     told = zip(PARAMETERS, truths, strict=True)
-    row: dict[str, Any] = {name: {"truth": truth, **asdict(getattr(found, name))} for name, truth in told}
+    row: dict[str, Any] = {
+        name: {"truth": truth, **asdict(getattr(found, name))} for name, truth in told
+    }
     row |= {"held": job["held"], "refuted": found.refuted}
-    row |= {"residual_steps": found.steps(found.residual), "held_out_steps": found.steps(found.held_out)}
+    row |= {
+        "residual_steps": found.steps(found.residual),
+        "held_out_steps": found.steps(found.held_out),
+    }
     if job["tune"]:
         row["tuned"] = _tuned(model, found, period)
     return row
@@ -48,20 +62,33 @@ def _tuned(model: DeviceModel, found: Identified, period: float) -> dict[str, An
         asked = demand(found, Wanted(TAPS, SPREAD, RADIUS, NYQUIST))
     except ValueError as error:
         return {"why": str(error)}
-    # In lockstep the delay is one number, known to a thousandth of a tick: its upper end stands for the interval.
+    # In lockstep the delay is one number, known to a thousandth of a tick: its upper end stands for
+    # the interval.
     latest = (found.delay_range[1] if found.delay.high is None else found.delay.high,) * 2
     grip = (found.stiffness.value or 0.0,) * 2
     asked = Demand(asked.mass, asked.damping, latest, period, RADIUS, NYQUIST, grip)
-    masses, delays = (model.moving_mass / SPREAD, model.moving_mass * SPREAD), (model.delay, model.delay)
-    known = Demand(masses, model.moving_damping, delays, period, RADIUS, NYQUIST, (model.grip, model.grip))
+    masses, delays = (
+        (model.moving_mass / SPREAD, model.moving_mass * SPREAD),
+        (model.delay, model.delay),
+    )
+    known = Demand(
+        masses, model.moving_damping, delays, period, RADIUS, NYQUIST, (model.grip, model.grip)
+    )
     result: dict[str, Any] = {}
-    for name, law in (("tuned", designed(asked, TAPS)), ("known", designed(known, TAPS)), ("pd", best_pd(asked))):
+    for name, law in (
+        ("tuned", designed(asked, TAPS)),
+        ("known", designed(known, TAPS)),
+        ("pd", best_pd(asked)),
+    ):
         result[name] = None
         if law.found is not None:
             taps = CompiledLaw(tuple(law.found.taps.tolist()))
             result[name] = {
                 "h1_n_per_m": taps.h1,
-                "radius": pole_radius(taps, Plant(period, model.moving_mass, model.moving_damping, model.delay, model.grip)),
+                "radius": pole_radius(
+                    taps,
+                    Plant(period, model.moving_mass, model.moving_damping, model.delay, model.grip),
+                ),
             }
     return result
 
@@ -76,7 +103,9 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             known = [one for one in known if one["truth"] > 0.0]
         holds = [one["low"] <= one["truth"] <= one["high"] for one in known]
         errors = [abs(one["value"] - one["truth"]) for one in known]
-        relative = [e / one["truth"] for e, one in zip(errors, known, strict=True) if one["truth"] > 0.0]
+        relative = [
+            e / one["truth"] for e, one in zip(errors, known, strict=True) if one["truth"] > 0.0
+        ]
         result["parameters"][name] = {
             "told": len(known),
             "cannot_tell": sum(row[name]["value"] is None for row in rows),
@@ -90,14 +119,27 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         both = [law for law in laws if law["known"]]
         share = [law["tuned"]["h1_n_per_m"] / law["known"]["h1_n_per_m"] for law in both]
         gain = [law["tuned"]["h1_n_per_m"] / law["pd"]["h1_n_per_m"] for law in laws if law["pd"]]
-        result["tuned"] = {"laws": len(laws), "unstable": sum(not law["tuned"]["radius"] < 1.0 for law in laws)}
-        for name, values, beyond, least in (("known", share, "90_percent", 0.9), ("pd", gain, "1_2", 1.2)):
-            result["tuned"] |= {f"of_{name}_min": min(values, default=math.nan), f"of_{name}_median": float(np.median(values))}
-            result["tuned"][f"of_{name}_at_least_{beyond}"] = sum(value >= least for value in values) / len(values)
+        result["tuned"] = {
+            "laws": len(laws),
+            "unstable": sum(not law["tuned"]["radius"] < 1.0 for law in laws),
+        }
+        for name, values, beyond, least in (
+            ("known", share, "90_percent", 0.9),
+            ("pd", gain, "1_2", 1.2),
+        ):
+            result["tuned"] |= {
+                f"of_{name}_min": min(values, default=math.nan),
+                f"of_{name}_median": float(np.median(values)),
+            }
+            result["tuned"][f"of_{name}_at_least_{beyond}"] = sum(
+                value >= least for value in values
+            ) / len(values)
     return result
 
 
-FAR = 2.0  # half widths of a 95 % interval beyond which an estimate is false certainty: by chance one in ten thousand is
+# half widths of a 95 % interval beyond which an estimate is false certainty: by chance one in ten
+# thousand is
+FAR = 2.0
 ALLOWED = 0.05  # largest part of devices of which anything may be told that is false
 NEEDLESS = 0.10  # largest part of the devices with a good fit that may be refused
 GOOD = 0.01  # a fit whose K_max is so close to the truth serves a design, as a part of K_max
@@ -132,7 +174,8 @@ NAMED = {
 def truths(device: RicherModel, found: Identified, period: float) -> dict[str, float]:
     """Say what each parameter is that a run could tell."""
     rigid = device.rigid
-    # A lag that is not told apart belongs to the delay, and so does what forces come late by on average.
+    # A lag that is not told apart belongs to the delay, and so does what forces come late by on
+    # average.
     late = device.lag + device.sensor_lag
     unseen = device.average + (0.0 if "actuator lag" in found.terms else late / period)
     return {
@@ -170,7 +213,9 @@ def study_outside(job: Mapping[str, Any]) -> dict[str, Any]:
     for name, truth in truths(device, found, period).items():
         estimate = getattr(found, name)
         # What is 0 because the data do not ask for it has a bound, no interval.
-        if estimate.value is not None and not (name in ("quadratic", "lag", "average") and estimate.value == 0.0):
+        if estimate.value is not None and not (
+            name in ("quadratic", "lag", "average") and estimate.value == 0.0
+        ):
             half = 0.5 * (estimate.high - estimate.low)
             row["off"][name] = abs(estimate.value - truth) / max(half, 1e-300)
     return row
@@ -222,18 +267,34 @@ def summary_outside(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         offs = [off for row in of for off in row["off"].values()]
         result["kinds"][kind] = {
             "devices": len(of),
-            **{word: sum(outcome(row) == word for row in of) for word in ("rigid", "richer", "reported", "refused", "false")},
+            **{
+                word: sum(outcome(row) == word for row in of)
+                for word in ("rigid", "richer", "reported", "refused", "false")
+            },
             "named": sum(named(row) for row in of),
             "intervals": len(offs),
             "missed": sum(off > 1.0 for off in offs),
             "false_of": sorted(
                 {labels[name] for row in of for name, off in row["off"].items() if off > FAR}
-                | {"K_max" for row in of if not row["refuted"] and (row["k_max_off"] or 0.0) > WRONG}
+                | {
+                    "K_max"
+                    for row in of
+                    if not row["refuted"] and (row["k_max_off"] or 0.0) > WRONG
+                }
             ),
             "good": sum(_good(row) for row in of),
             "needless": sum(_good(row) and row["refuted"] for row in of),
         }
-    for word in ("reported", "refused", "false", "named", "intervals", "missed", "good", "needless"):
+    for word in (
+        "reported",
+        "refused",
+        "false",
+        "named",
+        "intervals",
+        "missed",
+        "good",
+        "needless",
+    ):
         result[word] = sum(one[word] for one in result["kinds"].values())
     return result
 

@@ -1,7 +1,8 @@
 """Random devices, inside the model and outside, tuned from end to end without knowing them, and judged by their true poles.
 
-The chain is `haptic tune`'s own: push, identify, refuse a refuted model, design, predict, climb by knocks, judge. Only the loop
-between law and device is played in one process. The judge knows the device: the poles of its loop, joint and lag included.
+The chain is `haptic tune`'s own: push, identify, refuse a refuted model, design, predict, climb by
+knocks, judge. Only the loop between law and device is played in one process. The judge knows the
+device: the poles of its loop, joint and lag included.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -63,7 +64,9 @@ def tune_device(job: Mapping[str, Any]) -> dict[str, Any]:
     return row
 
 
-def knocks(device: RicherModel, law: CompiledLaw, knock: float, period: float) -> Callable[[int], KnockVerdict]:
+def knocks(
+    device: RicherModel, law: CompiledLaw, knock: float, period: float
+) -> Callable[[int], KnockVerdict]:
     """Make knocks on the true device."""
     if device.kind == "rigid":
         return knocked(law, device.rigid, period, knock, PEAK, None)
@@ -83,7 +86,9 @@ def _as_read(law: CompiledLaw, device: RicherModel) -> CompiledLaw:
         return law
     if law.sections:
         raise ValueError("law: has sections; behind a sensor that averages only taps are judged")
-    return CompiledLaw(tuple(np.convolve(law.taps, [1.0 - device.average, device.average]).tolist()))
+    return CompiledLaw(
+        tuple(np.convolve(law.taps, [1.0 - device.average, device.average]).tolist())
+    )
 
 
 def true_edge(law: CompiledLaw, device: RicherModel, period: float) -> float | None:
@@ -101,7 +106,11 @@ def true_edge(law: CompiledLaw, device: RicherModel, period: float) -> float | N
                 return None
     for _ in range(20):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if true_radius(scaled(law, middle), device, period) < 1.0 else (low, middle)
+        low, high = (
+            (middle, high)
+            if true_radius(scaled(law, middle), device, period) < 1.0
+            else (low, middle)
+        )
     return low * law.h1
 
 
@@ -109,8 +118,16 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Count what was delivered, and what of it was wrong."""
     tried = [row for row in rows if row["holds"] is not None]
     judged = [row for row in tried if row["edge_between_n_per_m"] and row["true_edge_n_per_m"]]
-    edges = [row["edge_n_per_m"] / row["true_edge_n_per_m"] - 1.0 for row in judged if row["edge_n_per_m"]]
-    inside = [low <= row["true_edge_n_per_m"] <= high for row in judged for low, high in [row["edge_between_n_per_m"]]]
+    edges = [
+        row["edge_n_per_m"] / row["true_edge_n_per_m"] - 1.0
+        for row in judged
+        if row["edge_n_per_m"]
+    ]
+    inside = [
+        low <= row["true_edge_n_per_m"] <= high
+        for row in judged
+        for low, high in [row["edge_between_n_per_m"]]
+    ]
     return {
         "devices": len(rows),
         "refused": sum(bool(row["refuted"]) for row in rows),

@@ -1,7 +1,7 @@
 """Virtual devices to identify, drawn at random and pushed as `nodes.laws.excitation` pushes, in one process.
 
-Those that the identified model does not fit (joints, lags, backlash and the rest) are drawn kind by kind about the same rigid
-ones, so that what is told can be compared with what it is.
+Those that the identified model does not fit (joints, lags, backlash and the rest) are drawn kind by
+kind about the same rigid ones, so that what is told can be compared with what it is.
 """
 
 import math
@@ -21,7 +21,9 @@ from sim.scene.richer import RicherModel, pushed
 PUSH = Excitation()  # how they are pushed: as a launch pushes by default
 
 
-def excite(model: DeviceModel, period: float, seconds: float, seed: int, peak: float = 3.3) -> Experiment:
+def excite(
+    model: DeviceModel, period: float, seconds: float, seed: int, peak: float = 3.3
+) -> Experiment:
     """Push a virtual device and note what its encoder reads."""
     anchor = SceneSurface("anchor", quantise(model.position, model.resolution))
     scene = Scene(device=model, surface=anchor, period=period, raw=False, clamp=False, peak=peak)
@@ -50,7 +52,11 @@ RIGID: dict[str, Drawn] = {
     "delay": _evenly(0.0, 2.5),
     "resolution": _between(5e-6, 1e-4),
 }
-HAND: dict[str, Drawn] = {"mass": _between(0.05, 0.2), "damping": _between(1.0, 5.0), "stiffness": _between(100.0, 600.0)}
+HAND: dict[str, Drawn] = {
+    "mass": _between(0.05, 0.2),
+    "damping": _between(1.0, 5.0),
+    "stiffness": _between(100.0, 600.0),
+}
 
 
 def drawn(fields: dict[str, Drawn], rng: np.random.Generator) -> dict[str, Any]:
@@ -65,19 +71,27 @@ def draw(number: int, seed: int, held: bool) -> DeviceModel:
     return DeviceModel(**model, hand=Hand(**drawn(HAND, rng), path=[(0.0, 0.0)]) if held else None)
 
 
-def excite_outside(device: RicherModel, period: float, seconds: float, seed: int, peak: float = 3.3) -> Experiment:
+def excite_outside(
+    device: RicherModel, period: float, seconds: float, seed: int, peak: float = 3.3
+) -> Experiment:
     """Push such a device from rest at 0 and note what its encoder reads, as if sampled at the tick, whenever it was."""
     ticks = round(seconds / period)
     signal = Telegraph(PUSH.amplitude, PUSH.clocks, seed)
     wanted: Array = np.array([signal.next() for _ in range(ticks)])
     damper = PUSH.damping / period
     taps = np.array([PUSH.stiffness + damper, -damper])
-    return lockstep(period, *pushed(device, period, wanted, taps, (0.0, PUSH.reach, peak, 0.0), seed))
+    return lockstep(
+        period, *pushed(device, period, wanted, taps, (0.0, PUSH.reach, peak, 0.0), seed)
+    )
 
 
 # What each kind has beside that, drawn at random.
 KINDS: dict[str, dict[str, Drawn]] = {
-    "flexible mode": {"share": _evenly(0.15, 0.6), "frequency": _between(15.0, 200.0), "loss": _between(0.01, 0.1)},
+    "flexible mode": {
+        "share": _evenly(0.15, 0.6),
+        "frequency": _between(15.0, 200.0),
+        "loss": _between(0.01, 0.1),
+    },
     "actuator lag": {"lag": _between(0.5e-3, 6e-3)},
     "quadratic damping": {"quadratic": _between(0.3, 4.0)},
     "presliding": {"presliding": _between(2e-5, 2e-4)},

@@ -1,8 +1,9 @@
 """Compiling the very functions that the nodes call.
 
-The kernels of `nodes.arithmetic` and `sim.device.model` are registered with numba as they are, without copies and without
-fastmath, so compiled and interpreted runs give the same bits. Compiled code is kept between processes in the cache of compiled
-code (nodes/compiled/cache.py), each version of a function with the digests of all sources that it was made of.
+The kernels of `nodes.arithmetic` and `sim.device.model` are registered with numba as they are,
+without copies and without fastmath, so compiled and interpreted runs give the same bits. Compiled
+code is kept between processes in the cache of compiled code (nodes/compiled/cache.py), each version
+of a function with the digests of all sources that it was made of.
 """
 
 import contextlib
@@ -86,7 +87,14 @@ def numbers_of(own: Callable[[Sequence[float], int], float], ticks: int) -> Any:
         signal = own.signal(0)
         shares = [(k + 1) / own.growing if k + 1 < own.growing else 1.0 for k in range(pushed)]
         drawn = np.array([signal.next() for _ in range(pushed)])
-        return Pushing(drawn, np.array(shares), np.zeros(2, dtype=np.int64), own.law.reach, own.law.load, own.fade)
+        return Pushing(
+            drawn,
+            np.array(shares),
+            np.zeros(2, dtype=np.int64),
+            own.law.reach,
+            own.law.load,
+            own.fade,
+        )
     return None
 
 
@@ -119,7 +127,9 @@ kernel(faded)
 # Compiled, the code of its own is handed over as its numbers.
 # Not strict: numba takes annotations for part of an argument's name.
 overload(own_force, strict=False)(
-    lambda own, history, head: _pushed if getattr(own, "instance_class", None) is Pushing else _windowed  # noqa: ARG005
+    lambda own, history, head: (  # noqa: ARG005
+        _pushed if getattr(own, "instance_class", None) is Pushing else _windowed
+    )
 )
 
 
@@ -145,7 +155,9 @@ class _Kept:
 
     def _name(self, types: Any, codegen: Any) -> str:
         which = f"{self._function.__qualname__}{types}{codegen.magic_tuple()}"
-        return f"{self._function.__module__}.{hashlib.sha256(which.encode()).hexdigest()[:24]}.numba"
+        return (
+            f"{self._function.__module__}.{hashlib.sha256(which.encode()).hexdigest()[:24]}.numba"
+        )
 
     def load_overload(self, types: Any, target: Any) -> Any:
         """Find machine code; None where it must be compiled."""
@@ -188,7 +200,9 @@ class _Kept:
     def _refused(self, error: cache.CacheRefusedError) -> None:
         if not _Kept._warned:
             _Kept._warned = True
-            sys.stderr.write(f"compiled again in each process, because nothing can be kept: {error}\n")
+            sys.stderr.write(
+                f"compiled again in each process, because nothing can be kept: {error}\n"
+            )
 
 
 def compiled() -> Callable[[Function], Function]:

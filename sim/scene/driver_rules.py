@@ -34,7 +34,9 @@ class DriverRules:
     ) -> None:
         if parameters.workspace is not None and len(axes) == 1:
             nothing = (-math.inf, math.inf)
-            parameters = msgspec.structs.replace(parameters, workspace=(parameters.workspace[0], nothing, nothing))
+            parameters = msgspec.structs.replace(
+                parameters, workspace=(parameters.workspace[0], nothing, nothing)
+            )
         s = state_of(DriverState)
         self.state = s  # all that it keeps
         s.period, s.virtual, s.next_tick = period, 1, next_tick

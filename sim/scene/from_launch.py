@@ -1,7 +1,7 @@
 """A launch file played in one process: the same scene, law, swaps and conventions, thousands of times faster.
 
-This is what holds the project together: a lockstep run through four processes and the same launch file played here
-give the same bits, for every scenario (tests/sim/scene/test_lockstep.py).
+This is what holds the project together: a lockstep run through four processes and the same launch
+file played here give the same bits, for every scenario (tests/sim/scene/test_lockstep.py).
 """
 
 from dataclasses import dataclass
@@ -45,19 +45,30 @@ class LaunchedScene:
         """Device and hand as the linear loop sees them: what moves, its delay with that of the loop."""
         body = self.scene.device
         return Plant(
-            self.scene.period, body.moving_mass, body.moving_damping, body.delay + float(self.scene.next_tick), body.grip
+            self.scene.period,
+            body.moving_mass,
+            body.moving_damping,
+            body.delay + float(self.scene.next_tick),
+            body.grip,
         )
 
-    def play(self, ticks: int | None = None, interpreted: bool = False, given: Given | None = None) -> Trace:
+    def play(
+        self, ticks: int | None = None, interpreted: bool = False, given: Given | None = None
+    ) -> Trace:
         """Play the scene, for as many ticks as the launch file says when none are given; see `sim.scene.loop.run`."""
-        return run(self.scene, self.law, ticks or self.ticks, self.swaps, self.memory, interpreted, given)
+        return run(
+            self.scene, self.law, ticks or self.ticks, self.swaps, self.memory, interpreted, given
+        )
 
 
 def parameters_of(launch: Launch, kind: str, target: type) -> tuple[str, Any]:
     """Find the one node of a kind in a launch: its name and its parameters."""
     found = [(name, spec) for name, spec in launch.nodes.items() if spec.kind == kind]
     if len(found) != 1:
-        raise ParameterError(f"{launch.scenario}.nodes: {len(found)} nodes of kind {kind}; one process plays exactly one")
+        raise ParameterError(
+            f"{launch.scenario}.nodes: {len(found)} nodes of kind {kind}; one process plays"
+            " exactly one"
+        )
     name, spec = found[0]
     return name, convert(spec.parameters, target, name)
 
@@ -66,7 +77,8 @@ def from_launch(launch: Launch) -> LaunchedScene:
     """Translate a launch file; ParameterError where it has several axes, other surfaces or swaps of a law with its own code."""
     if len(launch.run.axes) != 1:
         raise ParameterError(
-            f"{launch.scenario}.run.axes: {launch.run.axes}; one process plays one axis here; sim.scene.spatial plays several"
+            f"{launch.scenario}.run.axes: {launch.run.axes}; one process plays one axis here;"
+            " sim.scene.spatial plays several"
         )
     axis = launch.run.axes[0]
     period = launch.run.period
@@ -74,11 +86,13 @@ def from_launch(launch: Launch) -> LaunchedScene:
     device = along(driver.device, launch.run.axes)[0]
     if device.mass_by_position:
         raise ParameterError(
-            f"{launch.scenario}: device.mass_by_position: one process plays one mass here; launch it, or take sim.scene.spatial"
+            f"{launch.scenario}: device.mass_by_position: one process plays one mass here; launch"
+            " it, or take sim.scene.spatial"
         )
     if any(spec.kind == "world" for spec in launch.nodes.values()):
         raise ParameterError(
-            f"{launch.scenario}.nodes: a body of kind world; one process plays surfaces here; sim.scene.spatial plays it"
+            f"{launch.scenario}.nodes: a body of kind world; one process plays surfaces here;"
+            " sim.scene.spatial plays it"
         )
     name, environment = parameters_of(launch, "environment", EnvironmentParameters)
     coupling_name, coupling = parameters_of(launch, "coupling", CouplingParameters)
@@ -86,19 +100,25 @@ def from_launch(launch: Launch) -> LaunchedScene:
     reduced = surface.on_axis(axis)
     if reduced is None:
         raise ParameterError(
-            f"{name}.surface.kind: {surface.kind!r} has no form on one axis (on_axis), so one process cannot play it; launch it"
+            f"{name}.surface.kind: {surface.kind!r} has no form on one axis (on_axis), so one"
+            " process cannot play it; launch it"
         )
     safety = driver.safety
     limits = lower(safety, DeviceLimits(), period)
     if safety.workspace is not None:
         # Of one axis only the first counts.
-        safety = msgspec.structs.replace(safety, workspace=(safety.workspace[AXIS_INDEX[axis]], *NO_END[1:]))
+        safety = msgspec.structs.replace(
+            safety, workspace=(safety.workspace[AXIS_INDEX[axis]], *NO_END[1:])
+        )
     book = LawBook(coupling_name, period)
 
     def law(name: str) -> CompiledLaw:
         compiled = book.compile(coupling, name)
         if compiled.evaluate is not None and coupling.schedule:
-            raise ParameterError(f"{coupling_name}.laws.{name}: has code of its own, which one process cannot swap; launch it")
+            raise ParameterError(
+                f"{coupling_name}.laws.{name}: has code of its own, which one process cannot swap;"
+                " launch it"
+            )
         return compiled
 
     swaps = sorted(coupling.schedule, key=lambda swap: swap.at)
@@ -118,7 +138,9 @@ def from_launch(launch: Launch) -> LaunchedScene:
             safety=safety,
         ),
         law=law(coupling.law),
-        swaps=tuple(PlannedSwap(round(swap.at / period), law(swap.law), swap.ramp) for swap in swaps),
+        swaps=tuple(
+            PlannedSwap(round(swap.at / period), law(swap.law), swap.ramp) for swap in swaps
+        ),
         ticks=launch.run.ticks or round(10.0 / period),
         memory=coupling.memory,
         axis=AXIS_INDEX[axis],

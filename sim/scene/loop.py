@@ -1,7 +1,8 @@
 """The scene in one process: device, environment, coupling and driver in one loop, tick by tick as the nodes do it.
 
-It answers what the distributed loop will do, thousands of times faster. `play` is one function: it runs interpreted (slow, for
-the test that compares the two) or compiled, over the very kernels that the nodes call.
+It answers what the distributed loop will do, thousands of times faster. `play` is one function: it
+runs interpreted (slow, for the test that compares the two) or compiled, over the very kernels that
+the nodes call.
 """
 
 import itertools
@@ -22,7 +23,16 @@ from sim.arrays import Array
 from sim.device.model import DeviceModel, coefficients, ends_of, split_delay
 from sim.scene.compiled import numbers_of
 from sim.scene.driver_rules import DriverRules
-from sim.scene.tick_loop import Arrivals, Contact, Guard, LawTables, Motion, Records, play, play_compiled
+from sim.scene.tick_loop import (
+    Arrivals,
+    Contact,
+    Guard,
+    LawTables,
+    Motion,
+    Records,
+    play,
+    play_compiled,
+)
 
 MAX_TICKS: Final = 10_000_000  # longest run of one process: it keeps some 100 bytes of each tick
 
@@ -41,7 +51,10 @@ class SceneSurface:
         if self.kind not in ("free", "plane", "anchor"):
             raise ValueError(f"surface.kind is {self.kind!r}, expected free, plane or anchor")
         if self.normal not in (1.0, -1.0):
-            raise ValueError(f"surface.normal is {self.normal}, expected +1 or -1: on one axis a plane faces up or down")
+            raise ValueError(
+                f"surface.normal is {self.normal}, expected +1 or -1: on one axis a plane faces up"
+                " or down"
+            )
 
     @property
     def code(self) -> int:
@@ -64,19 +77,23 @@ class Scene:
     workspace: tuple[float, float] | None = None
     next_tick: bool = False  # whether forces take effect one tick later (``apply: next_tick``)
     passivity: PassivityParameters | None = None  # the driver's passivity guard; None for none
-    # Ticks in which the force of a scene that begins in contact comes (the coupling's `ease`); 0 for at once.
+    # Ticks in which the force of a scene that begins in contact comes (the coupling's `ease`); 0
+    # for at once.
     ease: int = 0
-    # Its ramp, its stop and the heating of its motor beside these limits, of which those that are None are off here too; None
-    # for the limits alone.
+    # Its ramp, its stop and the heating of its motor beside these limits, of which those that are
+    # None are off here too; None for the limits alone.
     safety: SafetyParameters | None = None
 
     def __post_init__(self) -> None:
         if not self.period > 0.0:
             raise ValueError(f"period is {self.period} s, expected more than 0")
-        if self.workspace is not None and not self.workspace[0] <= self.device.position <= self.workspace[1]:
+        if (
+            self.workspace is not None
+            and not self.workspace[0] <= self.device.position <= self.workspace[1]
+        ):
             raise ValueError(
-                f"device.position is {self.device.position} m, expected inside the workspace, {self.workspace[0]} to "
-                f"{self.workspace[1]} m"
+                f"device.position is {self.device.position} m, expected inside the workspace,"
+                f" {self.workspace[0]} to {self.workspace[1]} m"
             )
         for name in ("peak", "slew"):
             value = getattr(self, name)
@@ -90,8 +107,8 @@ class PlannedSwap:
 
     tick: int  # first tick at which the new law has a say
     law: CompiledLaw  # the new law
-    # Length of the cross-fade [ticks], 0 for none: force (1−w)·old + w·new, w = (j+1)/ramp at the j-th tick after the swap. A
-    # swap during a cross-fade starts from the law being faded in.
+    # Length of the cross-fade [ticks], 0 for none: force (1−w)·old + w·new, w = (j+1)/ramp at the
+    # j-th tick after the swap. A swap during a cross-fade starts from the law being faded in.
     ramp: int = 0
 
 
@@ -104,8 +121,8 @@ class Trace:
     velocity: Array  # true velocity when sampled [m/s], shape (ticks,)
     measured: Array  # what the encoder read [m], shape (ticks,)
     deflection: Array  # deflection of the coupling [m], shape (ticks,)
-    # Force handed to the device, after the driver's limits [N], shape (ticks,). Delay and saturation of the device come after
-    # it.
+    # Force handed to the device, after the driver's limits [N], shape (ticks,). Delay and
+    # saturation of the device come after it.
     force: Array
     final: tuple[float, float]  # position [m] and velocity [m/s] after the last tick, shape (2,)
 
@@ -119,15 +136,19 @@ class Trace:
 class Given:
     """What happens to a run beside its scene and law; None for what does not."""
 
-    force: Array | None = None  # force on the device besides the law's, during each tick [N], shape (ticks,), or None
-    # Where the device's hand pulls to during each tick instead of along its path [m], shape (ticks,), or None.
+    # force on the device besides the law's, during each tick [N], shape (ticks,), or None
+    force: Array | None = None
+    # Where the device's hand pulls to during each tick instead of along its path [m], shape
+    # (ticks,), or None.
     target: Array | None = None
-    # When the driver gets forces in real time, shape (n,), rising [ticks]; the tick that each answers, −1 for the driver's own;
-    # and the latter's value [N]. None for lockstep: each tick's own, by the rule.
+    # When the driver gets forces in real time, shape (n,), rising [ticks]; the tick that each
+    # answers, −1 for the driver's own; and the latter's value [N]. None for lockstep: each tick's
+    # own, by the rule.
     arrivals: tuple[Array, NDArray[np.int64], Array] | None = None
     # Jumps of position [m], velocity [m/s] and reading [m] at each tick, shape (ticks, 3), or None.
     nudged: Array | None = None
-    # What an encoder has read [m]: the least jumps that keep the device there are noted in `nudged`, shape (ticks,), or None.
+    # What an encoder has read [m]: the least jumps that keep the device there are noted in
+    # `nudged`, shape (ticks,), or None.
     read: Array | None = None
 
 
@@ -142,10 +163,12 @@ def run(
 ) -> Trace:
     """Play a scene from rest: no force before tick 0, and the deflection of tick 0 as if it had always been so.
 
-    `law` is that of tick 0, `swaps` are later ones, in the order of their ticks. The history remembers at least `memory`
-    deflections: over it recursive laws that are swapped in are warmed up. `interpreted` is thousands of times slower; a law
-    with code of its own runs so, and a scene whose driver does more than lower forces. ValueError refuses ticks, swaps and laws
-    that cannot be.
+    `law` is that of tick 0, `swaps` are later ones, in the order of their ticks. The history
+    remembers at least `memory`
+    deflections: over it recursive laws that are swapped in are warmed up. `interpreted` is
+        thousands of times slower; a law
+    with code of its own runs so, and a scene whose driver does more than lower forces. ValueError
+    refuses ticks, swaps and laws that cannot be.
     """
     _check(law, ticks, swaps)
     given = given or Given()
@@ -161,28 +184,42 @@ def run(
     rules = None
     if given.arrivals is None:
         rules = DriverRules(scene.device, scene.period, scene.next_tick, safety, scene.passivity)
-    return _played(scene, law, ticks, swaps, memory, interpreted or rules is not None, given, rules)[0]
+    return _played(
+        scene, law, ticks, swaps, memory, interpreted or rules is not None, given, rules
+    )[0]
 
 
 def _check(law: CompiledLaw, ticks: int, swaps: Sequence[PlannedSwap]) -> None:
     if ticks < 1:
         raise ValueError(f"ticks is {ticks}, expected at least 1")
     if ticks > MAX_TICKS:
-        raise ValueError(f"ticks is {ticks}, expected at most {MAX_TICKS}: one process keeps all of a run; launch a longer one")
+        raise ValueError(
+            f"ticks is {ticks}, expected at most {MAX_TICKS}: one process keeps all of a run;"
+            " launch a longer one"
+        )
     for i, swap in enumerate(swaps):
         earliest = swaps[i - 1].tick if i else 0
         if swap.tick < earliest:
-            raise ValueError(f"swaps[{i}].tick is {swap.tick}, expected at least {earliest}: swaps come in order")
+            raise ValueError(
+                f"swaps[{i}].tick is {swap.tick}, expected at least {earliest}: swaps come in order"
+            )
         if swap.ramp < 0:
             raise ValueError(f"swaps[{i}].ramp is {swap.ramp}, expected 0 or more ticks")
     for i, candidate in enumerate([law, *(swap.law for swap in swaps)]):
         if not candidate.finite:
-            raise ValueError(f"law {i} of the run has a coefficient that is not finite: taps {candidate.taps}")
+            raise ValueError(
+                f"law {i} of the run has a coefficient that is not finite: taps {candidate.taps}"
+            )
         if candidate.evaluate is not None and swaps:
-            raise ValueError(f"law {i} of the run has code of its own, which one process cannot swap: use the nodes")
+            raise ValueError(
+                f"law {i} of the run has code of its own, which one process cannot swap: use the"
+                " nodes"
+            )
 
 
-def _stops(safety: SafetyParameters, peak: float | None, period: float, asked: Array, measured: Array) -> bool:
+def _stops(
+    safety: SafetyParameters, peak: float | None, period: float, asked: Array, measured: Array
+) -> bool:
     """Whether the driver might have stopped: the force came to its largest magnitude often, or the device went astray."""
     if not np.all(np.abs(measured) <= REACH):
         return True
@@ -213,7 +250,9 @@ def _played(
     recursive = any(candidate.sections for candidate in laws)
     ring = max(2, memory, *(len(candidate.taps) for candidate in laws))
     taps_from = list(itertools.accumulate((len(candidate.taps) for candidate in laws), initial=0))
-    states_from = list(itertools.accumulate((2 * len(candidate.sections) for candidate in laws), initial=0))
+    states_from = list(
+        itertools.accumulate((2 * len(candidate.sections) for candidate in laws), initial=0)
+    )
 
     def numbers(values: Any, kind: Any = np.float64) -> Any:
         return list(values) if interpreted else np.array(values, dtype=kind)
@@ -232,7 +271,9 @@ def _played(
             numbers([0.0] * len(when)),
         )
     records = Records(*(numbers([0.0] * ticks) for _ in Records._fields))
-    nudged = np.zeros((ticks, 3)) if given.nudged is None and given.read is not None else given.nudged
+    nudged = (
+        np.zeros((ticks, 3)) if given.nudged is None and given.read is not None else given.nudged
+    )
     contact = contact_of(scene)
     if not interpreted:
         motion, contact = in_numbers(ticks, motion, contact, lockstep=arrivals is None)
@@ -243,7 +284,11 @@ def _played(
         LawTables(
             numbers([tap for candidate in laws for tap in candidate.taps]),
             numbers(taps_from, np.int64),
-            numbers([c for candidate in laws for s in candidate.sections for c in s]) if recursive else None,
+            (
+                numbers([c for candidate in laws for s in candidate.sections for c in s])
+                if recursive
+                else None
+            ),
             numbers(states_from, np.int64),
             numbers([swap.tick for swap in swaps], np.int64),
             numbers([swap.ramp for swap in swaps], np.int64),
@@ -259,7 +304,9 @@ def _played(
         given.read,
         rules,
     )
-    position, velocity, measured, deflections, force, asked = (np.asarray(row, dtype=np.float64) for row in records)
+    position, velocity, measured, deflections, force, asked = (
+        np.asarray(row, dtype=np.float64) for row in records
+    )
     return Trace(scene.period, position, velocity, measured, deflections, force, final), asked
 
 
@@ -267,7 +314,10 @@ def motion_of(scene: Scene, ticks: int, given: Given | None = None) -> Motion:
     """Prepare the device of a scene for the loop; its loads, where there are any, as a list."""
     device = scene.device
     if device.mass_by_position:
-        raise ValueError("device.mass_by_position: this loop has one mass; sim.scene.spatial plays it, and so does a launch")
+        raise ValueError(
+            "device.mass_by_position: this loop has one mass; sim.scene.spatial plays it, and so"
+            " does a launch"
+        )
     mass, damping, grip = device.moving_mass, device.moving_damping, device.grip
     whole, part = split_delay(device.delay + (1.0 if scene.next_tick else 0.0))
     early = part * scene.period
@@ -275,12 +325,20 @@ def motion_of(scene: Scene, ticks: int, given: Given | None = None) -> Motion:
     given = given or Given()
     loads = None
     if given.target is not None:
-        loads = [device.load(k, scene.period, target) for k, target in enumerate(given.target.tolist())]
+        loads = [
+            device.load(k, scene.period, target) for k, target in enumerate(given.target.tolist())
+        ]
     elif device.hand or given.force is not None:
         loads = [device.load(k, scene.period) for k in range(ticks)]
     if loads is not None and given.force is not None:
         loads = [load + force for load, force in zip(loads, given.force.tolist(), strict=True)]
-    body = {"position": device.position, "velocity": device.velocity, "mass": mass, "damping": damping, "grip": grip}
+    body = {
+        "position": device.position,
+        "velocity": device.velocity,
+        "mass": mass,
+        "damping": damping,
+        "grip": grip,
+    }
     return Motion(
         **body,
         early=early,
@@ -298,10 +356,13 @@ def motion_of(scene: Scene, ticks: int, given: Given | None = None) -> Motion:
     )
 
 
-def in_numbers(ticks: int, motion: Motion, contact: Contact, lockstep: bool = True) -> tuple[Motion, Contact]:
+def in_numbers(
+    ticks: int, motion: Motion, contact: Contact, lockstep: bool = True
+) -> tuple[Motion, Contact]:
     """Write what a scene lacks as numbers that change no bit, so that one compiled version plays scenes of many kinds.
 
-    None is a type of its own: each combination would be compiled, one to three seconds of processor time each.
+    None is a type of its own: each combination would be compiled, one to three seconds of processor
+    time each.
     """
     peak, slew = (math.inf if limit is None else limit for limit in (contact.peak, contact.slew))
     return motion._replace(
@@ -310,7 +371,11 @@ def in_numbers(ticks: int, motion: Motion, contact: Contact, lockstep: bool = Tr
         friction=motion.friction or 0.0,
         motor=math.inf if motion.motor is None else motion.motor,
         ends=(-math.inf, math.inf) if motion.ends is None else motion.ends,
-        loads=np.full(ticks, motion.load) if motion.loads is None else np.array(motion.loads, dtype=np.float64),
+        loads=(
+            np.full(ticks, motion.load)
+            if motion.loads is None
+            else np.array(motion.loads, dtype=np.float64)
+        ),
         # In real time what is left of a change of force would be none after an infinite force.
     ), contact._replace(peak=peak, slew=slew if lockstep else contact.slew)
 
@@ -319,7 +384,16 @@ def contact_of(scene: Scene) -> Contact:
     """Prepare surface, conventions and limits of a scene for the loop."""
     surface = scene.surface
     normal = surface.normal if surface.kind == "plane" else 0.0
-    return Contact(surface.code, surface.position, normal, scene.raw, scene.clamp, scene.peak, scene.slew, scene.ease)
+    return Contact(
+        surface.code,
+        surface.position,
+        normal,
+        scene.raw,
+        scene.clamp,
+        scene.peak,
+        scene.slew,
+        scene.ease,
+    )
 
 
 def _guard_of(scene: Scene, numbers: Callable[[list[Any]], Any]) -> Guard | None:

@@ -1,7 +1,7 @@
 """A virtual device that is more than one rigid mass: joints, lags, backlash and the rest of what hardware has.
 
-It is integrated in small steps, 64 to a tick (midpoint rule, Coulomb friction exact within a step), because no closed form
-knows all of this. `sim.device.model` is the rigid one, exact.
+It is integrated in small steps, 64 to a tick (midpoint rule, Coulomb friction exact within a step),
+because no closed form knows all of this. `sim.device.model` is the rigid one, exact.
 """
 
 import math
@@ -25,7 +25,8 @@ class RicherModel:
     kind: str = "rigid"  # what it is called
     quadratic: float = 0.0  # damping that grows with the speed: force per speed squared [N s²/m²]
     lag: float = 0.0  # time constant of the actuator [s]
-    # Part of the mass beyond a joint, frequency [Hz] and damping ratio of the two masses against each other.
+    # Part of the mass beyond a joint, frequency [Hz] and damping ratio of the two masses against
+    # each other.
     share: float = 0.0
     frequency: float = 0.0
     loss: float = 0.0
@@ -33,7 +34,8 @@ class RicherModel:
     hardening: float = 0.0  # cubic spring to the middle [N/m³]
     presliding: float = 0.0  # deflection over which friction builds up (LuGre) [m]
     stribeck: float = 0.0  # what friction is more at rest, as a part of it; it falls over 0.02 m/s
-    uneven: float = 0.0  # what friction is more in one direction and less in the other, as a part of it
+    # what friction is more in one direction and less in the other, as a part of it
+    uneven: float = 0.0
     cogging: float = 0.0  # force of the motor's poles, 8 mm apart [N]
     ripple: float = 0.0  # error of the encoder, repeated every 1.3 mm [m]
     noise: float = 0.0  # of the position, before rounding, root mean square [m]
@@ -41,7 +43,8 @@ class RicherModel:
     late: float = 0.0  # forces come late by up to so much more than the delay [ticks]
     warming: float = 0.0  # part by which damping falls during the run
     deadband: float = 0.0  # forces below it do nothing, and larger ones so much less [N]
-    average: float = 0.0  # part of the sample before in each reading: 0.5 for a sensor that averages two samples
+    # part of the sample before in each reading: 0.5 for a sensor that averages two samples
+    average: float = 0.0
     sensor_lag: float = 0.0  # time constant of a filter at the sensor [s]
     gain_by_sign: float = 0.0  # part by which positive forces are larger, and negative ones smaller
     force_step: float = 0.0  # of the force that the motor gives [N]
@@ -54,8 +57,14 @@ class RicherModel:
         A filter at the sensor is a lag of the actuator to a linear loop.
         """
         rigid = self.rigid
-        joint = {"share": self.share, "frequency": self.frequency, "loss": self.loss} if self.share else {}
-        return FlexiblePlant(rigid.mass, rigid.damping, rigid.delay, lag=self.lag + self.sensor_lag, **joint)
+        joint = (
+            {"share": self.share, "frequency": self.frequency, "loss": self.loss}
+            if self.share
+            else {}
+        )
+        return FlexiblePlant(
+            rigid.mass, rigid.damping, rigid.delay, lag=self.lag + self.sensor_lag, **joint
+        )
 
 
 _ODD = (
@@ -64,8 +73,9 @@ _ODD = (
 )  # fmt: skip
 
 
+# Long: one compiled function: a call across it would cost what it saves.
 @compiled()
-def _push(
+def _push(  # noqa: C901, PLR0915
     wanted: Array,
     taps: Array,
     law: tuple[float, float, float, float],
@@ -83,7 +93,20 @@ def _push(
     """Push in closed loop, as the nodes do in lockstep; everything that acts is taken in the middle of each step."""
     centre, reach, peak, start = law
     mass, damping, friction, share, joint, loss = body
-    grip, quadratic, lag, gap, hardening, presliding, stribeck, uneven, cogging, ripple, warming, deadband = odd[:12]
+    (
+        grip,
+        quadratic,
+        lag,
+        gap,
+        hardening,
+        presliding,
+        stribeck,
+        uneven,
+        cogging,
+        ripple,
+        warming,
+        deadband,
+    ) = odd[:12]
     average, sensor_lag, by_sign, force_step, pitch = odd[12:]
     seen, before = start, start
     own = mass * (1.0 - share)
@@ -102,7 +125,11 @@ def _push(
             until, what = 1.0, 0
             if not sampled and sample[k] <= until:
                 until, what = max(sample[k], now), 1
-            if arrived < ticks and (arrived < k or (arrived == k and sampled)) and arrive[arrived] - k < until:
+            if (
+                arrived < ticks
+                and (arrived < k or (arrived == k and sampled))
+                and arrive[arrived] - k < until
+            ):
                 until, what = max(arrive[arrived] - k, now), 2
             count = math.ceil((until - now) * period / step - 1e-9)
             for _ in range(count):
@@ -143,7 +170,10 @@ def _push(
                     end = math.copysign(presliding, v)
                     after = end + (bristle - end) * math.exp(-rate * h)
                     stiff = c / presliding
-                    u -= stiff * 0.5 * (bristle + after) + 0.3 * math.sqrt(stiff * own) * (after - bristle) / h
+                    u -= (
+                        stiff * 0.5 * (bristle + after)
+                        + 0.3 * math.sqrt(stiff * own) * (after - bristle) / h
+                    )
                     bristle = after
                     c = 0.0
                 x, v = slide(x, v, u, h, coefficients(own, b, 0.0, h), own, b, 0.0, c)
@@ -184,8 +214,9 @@ def pushed(
 ) -> tuple[Array, Array]:
     """Push a device by the forces that are wanted and a law [N]: what its encoder reads [m], and the forces given [N].
 
-    `law` is the point that the law pulls to and the reach within which forces are wanted [m], the largest force [N] and where
-    the device is [m]; `slew` the largest change of the force per tick [N].
+    `law` is the point that the law pulls to and the reach within which forces are wanted [m], the
+    largest force [N] and where the device is [m]; `slew` the largest change of the force per tick
+    [N].
     """
     ticks = len(wanted)
     rng = np.random.default_rng([seed, 7])

@@ -1,7 +1,8 @@
 """A launch of any axes in one process: the states and rules of the nodes themselves, tick by tick, as in lockstep.
 
-It plays what nodes can: shapes, things that move, several axes, laws with code of their own and swaps between them, all of the
-driver's safety. It is interpreted, for few runs (`sim.scene.loop` is for thousands); no rule in it is its own.
+It plays what nodes can: shapes, things that move, several axes, laws with code of their own and
+swaps between them, all of the driver's safety. It is interpreted, for few runs (`sim.scene.loop` is
+for thousands); no rule in it is its own.
 """
 
 import math
@@ -41,7 +42,8 @@ class SpatialTrace(NamedTuple):
 
     position: Array  # what the encoders read [m], shape (ticks, 3)
     proxy: Array  # where the proxy was [m], shape (ticks, 3)
-    normal: Array  # outward normal of what was touched; zero for a body that moves, shape (ticks, 3)
+    # outward normal of what was touched; zero for a body that moves, shape (ticks, 3)
+    normal: Array
     contact: NDArray[np.bool_]  # whether something was touched, shape (ticks,)
     force: Array  # force handed to the device, after all limits [N], shape (ticks, 3)
     law: list[str]  # which law rendered
@@ -54,14 +56,18 @@ class _Coupling:
         name, parameters = parameters_of(launch, "coupling", CouplingParameters)
         period = launch.run.period
         book = LawBook(name, period)
-        self.renderer = renderer = Renderer([AXIS_INDEX[axis] for axis in launch.run.axes], parameters.memory)
+        self.renderer = renderer = Renderer(
+            [AXIS_INDEX[axis] for axis in launch.run.axes], parameters.memory
+        )
         renderer.state.ease_peak = known_peak(launch, name.rpartition("/")[0]) or 0.0
         settle_conventions(renderer.state, parameters, period)
 
         def law(name: str) -> ActiveLaw:
             return ActiveLaw(name, "", book.compile(parameters, name), renderer.histories)
 
-        renderer.fallback = ActiveLaw("fallback", "", parameters.fallback.compile(period), renderer.histories)
+        renderer.fallback = ActiveLaw(
+            "fallback", "", parameters.fallback.compile(period), renderer.histories
+        )
         renderer.law = law(parameters.law)
         scheduled = sorted(parameters.schedule, key=lambda swap: swap.at)
         self._schedule = [(round(swap.at / period), law(swap.law), swap.ramp) for swap in scheduled]
@@ -92,7 +98,8 @@ class _Jumps:
         self.tick, self.compliance = 0, 0.0
 
 
-# From a tick, the position [m] and the force handed over last [N] to proxy, normal, distance and contact.
+# From a tick, the position [m] and the force handed over last [N] to proxy, normal, distance and
+# contact.
 Ask = Callable[[int, Vector, Vector], Meeting]
 SurfaceChange = tuple[int, dict[str, Any]]  # the first tick on another surface, and its parameters
 
@@ -116,7 +123,9 @@ def _environment(
         meet_axes(surface, launch.run.axes, f"{name}.surface")
         if solids is not None:
             radius = getattr(surface, "tool_radius", 0.0)
-            meet = meeting_of(Numbers(SHAPES, scene_table(solids, radius, period), new_memory(len(solids))))
+            meet = meeting_of(
+                Numbers(SHAPES, scene_table(solids, radius, period), new_memory(len(solids)))
+            )
             return lambda _, position, __: meet(position)
         return _surfaces(surface, launch, jumps, sorted(changes, key=lambda change: change[0]))
     name, bodies = parameters_of(launch, "mujoco", MujocoParameters)
@@ -173,14 +182,17 @@ def play(
 ) -> SpatialTrace:
     """Play a launch file of one chain and virtual devices: the bits of a run in lockstep.
 
-    `path`, shape (at least ticks, 3): where the encoders find the device [m], whatever the force; no device is played then.
-    `changes` are other surfaces, each from a tick on.
-    `solids` and `world` take the place of the launch file's own. ParameterError says what is wrong, as a launch would.
+    `path`, shape (at least ticks, 3): where the encoders find the device [m], whatever the force;
+    no device is played then. `changes` are other surfaces, each from a tick on. `solids` and
+    `world` take the place of the launch file's own. ParameterError says what is wrong, as a launch
+    would.
     """
     run = launch.run
     period, ticks = run.period, ticks or run.ticks or round(10.0 / run.period)
     if ticks > MAX_TICKS:
-        raise ParameterError(f"run.duration: {ticks} ticks, limit {MAX_TICKS} in one process; launch a longer run")
+        raise ParameterError(
+            f"run.duration: {ticks} ticks, limit {MAX_TICKS} in one process; launch a longer run"
+        )
     _, driver = parameters_of(launch, "sim_driver", SimDriverParameters)
     next_tick = run.apply == "next_tick"
     jumps = _Jumps()
@@ -202,12 +214,23 @@ def play(
             place = path[k].tolist()
         position = rules.sample(k, (place[0], place[1], place[2]))
         proxy, normal, distance, contact = meet(k, position, force)
-        met: dict[str, Any] = {"proxy": proxy, "normal": normal, "distance": distance, "contact": contact}
+        met: dict[str, Any] = {
+            "proxy": proxy,
+            "normal": normal,
+            "distance": distance,
+            "contact": contact,
+        }
         met |= {"rebased": jumps.tick, "compliance": jumps.compliance}
         wanted = coupling.answer(Proxy(seq=k, stamp=k * period, position=position, **met))
         force = rules.command(k, wanted, normal if contact else ZERO)
         for part in parts:
             write_axis(part, force[part.axis], k, 0.0)
-        positions[k], proxies[k], normals[k], contacts[k], forces[k] = position, proxy, normal, contact, force
+        positions[k], proxies[k], normals[k], contacts[k], forces[k] = (
+            position,
+            proxy,
+            normal,
+            contact,
+            force,
+        )
         laws.append(coupling.renderer.name)
     return SpatialTrace(positions, proxies, normals, contacts, forces, laws)

@@ -1,14 +1,25 @@
 """The loop of a scene, tick after tick: the kernels of the nodes in the order in which the nodes call them.
 
-It is written as a plain function and compiled as it stands. What it needs comes as a few tuples of numbers and arrays. In
-lockstep each tick's force takes effect by the rule; in real time forces come when `Arrivals` says, late, or not at all.
+It is written as a plain function and compiled as it stands. What it needs comes as a few tuples of
+numbers and arrays. In lockstep each tick's force takes effect by the rule; in real time forces come
+when `Arrivals` says, late, or not at all.
 """
 
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
-from nodes.arithmetic import cross_fade, deflection, eased, limit, limit_within_tick, one_sided, push, settle, warm_up
+from nodes.arithmetic import (
+    cross_fade,
+    deflection,
+    eased,
+    limit,
+    limit_within_tick,
+    one_sided,
+    push,
+    settle,
+    warm_up,
+)
 from nodes.compiled.kernels.sources import kernel
 from nodes.coupling.render import evaluate
 from nodes.driver.passivity import backlog, control, forget, observe, through
@@ -18,7 +29,8 @@ from sim.device.friction import move
 from sim.device.model import Coefficients, coefficients, end_stop, quantise, saturate
 from sim.scene.compiled import compiled, own_force
 
-Values: TypeAlias = Any  # a list of numbers when the loop is interpreted, an array when it is compiled
+# a list of numbers when the loop is interpreted, an array when it is compiled
+Values: TypeAlias = Any
 
 
 kernel(meet_plane)
@@ -26,7 +38,14 @@ kernel(meet_plane)
 
 @kernel
 def respond(
-    measured: float, kind: int, surface: float, normal: float, raw: bool, history: Values, head: int, length: int
+    measured: float,
+    kind: int,
+    surface: float,
+    normal: float,
+    raw: bool,
+    history: Values,
+    head: int,
+    length: int,
 ) -> tuple[int, float, bool]:
     """Environment and first half of the coupling: from the sample to the newest deflection in the history."""
     proxy, distance, contact = measured, 0.0, kind == ANCHOR
@@ -44,9 +63,9 @@ kernel(evaluate)
 class Motion(NamedTuple):
     """The device as the loop moves it: `DeviceModel`, ready for one period and delay.
 
-    A tick is split where a force arrives: `early` seconds with the one before, `late` seconds with the newest. A field
-    is None where the scene has no such term; another version is compiled without it. Where `early` is 0, `early_map`
-    is not read.
+    A tick is split where a force arrives: `early` seconds with the one before, `late` seconds with
+    the newest. A field is None where the scene has no such term; another version is compiled
+    without it. Where `early` is 0, `early_map` is not read.
     """
 
     position: float
@@ -106,9 +125,10 @@ class Guard(NamedTuple):
 class Arrivals(NamedTuple):
     """When the driver gets its forces in real time, in the order in which it gets them.
 
-    The n-th comes at `when` [ticks] and is the force for tick `answers`; where that is −1 it is the driver's own, `given` [N].
-    It acts `effect` ticks later, and ticks without an answer hold the force before. `asked` and `acts` are notes of the loop:
-    the law's force of each tick, and the n-th force after guard and limits [N].
+    The n-th comes at `when` [ticks] and is the force for tick `answers`; where that is −1 it is the
+    driver's own, `given` [N]. It acts `effect` ticks later, and ticks without an answer hold the
+    force before. `asked` and `acts` are notes of the loop: the law's force of each tick, and the
+    n-th force after guard and limits [N].
     """
 
     when: Values
@@ -134,7 +154,9 @@ NUDGE = 0.1  # part of a nudge that the velocity takes as an error of its own, m
 
 
 @kernel
-def nudge(x: float, read: float, resolution: float | None, period: float) -> tuple[float, float, float]:
+def nudge(
+    x: float, read: float, resolution: float | None, period: float
+) -> tuple[float, float, float]:
     """Move a position the shortest way to where the encoder reads what it read, and the velocity with it."""
     if quantise(x, resolution) == read:
         return 0.0, 0.0, 0.0
@@ -144,7 +166,8 @@ def nudge(x: float, read: float, resolution: float | None, period: float) -> tup
     return off, NUDGE * off / period, read - quantise(x + off, resolution)
 
 
-# numba leaves a branch out when an *argument* is None, not when a field is: hence these small functions.
+# numba leaves a branch out when an *argument* is None, not when a field is: hence these small
+# functions.
 @kernel
 def _note(row: Values | None, k: int, value: float) -> None:
     if row is not None:
@@ -205,7 +228,9 @@ def _move_early(
 
 
 @kernel
-def _guarded(guard: Guard, energy: float, force: float, step: float, pending: float, share: float) -> tuple[float, float]:
+def _guarded(
+    guard: Guard, energy: float, force: float, step: float, pending: float, share: float
+) -> tuple[float, float]:
     """Let the guard choose a force, `share` of a tick with the pending one before it: its account, and the force."""
     energy = forget(energy, force, guard.stiffness)
     expected = energy - guard.allowance + (share * pending + backlog(guard.line, guard.part)) * step
@@ -223,7 +248,8 @@ def _move_part(x: float, v: float, u: float, ticks: float, motion: Motion) -> tu
     return _stopped(x, v, motion.ends)
 
 
-def play(
+# Long: one compiled function: a call across it would cost what it saves.
+def play(  # noqa: C901, PLR0915
     ticks: int,
     motion: Motion,
     contact: Contact,
@@ -241,8 +267,9 @@ def play(
 ) -> tuple[float, float]:
     """Play a scene from rest; `sim.scene.loop.run` prepares it and reads what was written down.
 
-    `nudged` are jumps of position, velocity and reading at each tick; with `read`, the readings that a recording holds, they
-    are found here. `rules` are the driver's rules beyond guard, peak and slew (sim/scene/driver_rules.py), interpreted only.
+    `nudged` are jumps of position, velocity and reading at each tick; with `read`, the readings
+    that a recording holds, they are found here. `rules` are the driver's rules beyond guard, peak
+    and slew (sim/scene/driver_rules.py), interpreted only.
     """
     x, v = motion.position, motion.velocity
     length = len(history) // 2
@@ -270,7 +297,8 @@ def play(
     old_state = now_state
     now_recursive = _slice(laws.recursive, 2 * laws.states_from[0], 2 * laws.states_from[1])
     old_recursive = now_recursive
-    # One span per law: inside a span nothing about the law changes, which is worth a factor of 1.7 in speed.
+    # One span per law: inside a span nothing about the law changes, which is worth a factor of 1.7
+    # in speed.
     start = 0
     for law in range(len(laws.swap_at) + 1):
         if law > 0:
@@ -281,14 +309,18 @@ def play(
             now_taps = laws.taps[laws.taps_from[law] : laws.taps_from[law + 1]]
             now_state = states[laws.states_from[law] : laws.states_from[law + 1]]
             old_recursive = now_recursive
-            now_recursive = _slice(laws.recursive, 2 * laws.states_from[law], 2 * laws.states_from[law + 1])
+            now_recursive = _slice(
+                laws.recursive, 2 * laws.states_from[law], 2 * laws.states_from[law + 1]
+            )
             _warm_up(now_recursive, now_state, history, head, length)
         end = ticks
         if law < len(laws.swap_at) and laws.swap_at[law] < ticks:
             end = laws.swap_at[law]
         for k in range(start, end):
             if read is not None:
-                nudged[k, 0], nudged[k, 1], nudged[k, 2] = nudge(x, float(read[k]), motion.resolution, motion.period)
+                nudged[k, 0], nudged[k, 1], nudged[k, 2] = nudge(
+                    x, float(read[k]), motion.resolution, motion.period
+                )
             if nudged is not None:
                 x += float(nudged[k, 0])
                 v += float(nudged[k, 1])
@@ -298,10 +330,18 @@ def play(
             if rules is not None:
                 measured = rules.sample(k, (measured, 0.0, 0.0))[0]
             head, newest, touches = respond(
-                measured, contact.kind, contact.surface, contact.normal, contact.raw, history, head, length
+                measured,
+                contact.kind,
+                contact.surface,
+                contact.normal,
+                contact.raw,
+                history,
+                head,
+                length,
             )
             if k == 0 and newest != 0.0:
-                # It begins in contact: at rest, as the coupling takes it, and the force comes by its easing.
+                # It begins in contact: at rest, as the coupling takes it, and the force comes by
+                # its easing.
                 for m in range(len(history)):
                     history[m] = newest
                 if law == 0:
@@ -317,9 +357,13 @@ def play(
             if own is not None:
                 force = force + own_force(own, history, head)
             if done < ramp:
-                force = cross_fade(evaluate(old_taps, old_recursive, old_state, history, head), force, done, ramp)
+                force = cross_fade(
+                    evaluate(old_taps, old_recursive, old_state, history, head), force, done, ramp
+                )
                 done += 1
-            force = one_sided(force, contact.normal, force * contact.normal, touches, contact.raw, contact.clamp)
+            force = one_sided(
+                force, contact.normal, force * contact.normal, touches, contact.raw, contact.clamp
+            )
             if easing > 0:
                 force = limit(force, 0.0, contact.peak, math.inf)
                 if ease_done == 0:
@@ -348,19 +392,40 @@ def play(
                     _note(records.asked, k, force)
                     applied = limit_within_tick(force, applied, contact.peak, contact.slew, 0.0)
                     if guard is not None:
-                        acting = through(guard.line, applied if guard.late == 0.0 else pending, guard.part)
-                # A ring of the last i + 2 commands; of those still under way, tick k−i−1's acts first, then tick k−i's.
+                        acting = through(
+                            guard.line, applied if guard.late == 0.0 else pending, guard.part
+                        )
+                # A ring of the last i + 2 commands; of those still under way, tick k−i−1's acts
+                # first, then tick k−i's.
                 commands[slot] = applied
                 older = slot + 1 if slot + 1 < waiting else 0
                 newer = older + 1 if older + 1 < waiting else 0
                 slot = older
                 u = saturate(commands[older], motion.motor) + load
                 x, v = _move_early(
-                    x, v, u, motion.early, motion.early_map, motion.mass, motion.damping, motion.grip, motion.friction
+                    x,
+                    v,
+                    u,
+                    motion.early,
+                    motion.early_map,
+                    motion.mass,
+                    motion.damping,
+                    motion.grip,
+                    motion.friction,
                 )
                 x, v = _stopped(x, v, motion.ends)
                 u = saturate(applied if waiting == 2 else commands[newer], motion.motor) + load
-                x, v = move(x, v, u, motion.late, motion.late_map, motion.mass, motion.damping, motion.grip, motion.friction)
+                x, v = move(
+                    x,
+                    v,
+                    u,
+                    motion.late,
+                    motion.late_map,
+                    motion.mass,
+                    motion.damping,
+                    motion.grip,
+                    motion.friction,
+                )
                 x, v = _stopped(x, v, motion.ends)
             else:
                 arrivals.asked[k] = force
@@ -379,7 +444,9 @@ def play(
                         answered = answered or answers == k
                         force = arrivals.asked[answers]
                         if guard is not None:
-                            energy, force = _guarded(guard, energy, force, step, handed, late if late > 0.0 else offset)
+                            energy, force = _guarded(
+                                guard, energy, force, step, handed, late if late > 0.0 else offset
+                            )
                         last = applied
                         applied = limit_within_tick(force, last, contact.peak, contact.slew, slewed)
                         slewed += abs(applied - last)
@@ -395,11 +462,17 @@ def play(
                 if guard is not None:
                     if not answered:
                         energy = forget(energy, applied, guard.stiffness)
-                    acting = through(guard.line, pending if late > 0.0 else mean + (1.0 - since) * handed, guard.part)
+                    acting = through(
+                        guard.line,
+                        pending if late > 0.0 else mean + (1.0 - since) * handed,
+                        guard.part,
+                    )
                 now = 0.0
                 while gone < came and arrivals.when[gone] + arrivals.effect < k + 1:
                     until = max(arrivals.when[gone] + arrivals.effect - k, now)
-                    x, v = _move_part(x, v, saturate(moving, motion.motor) + load, until - now, motion)
+                    x, v = _move_part(
+                        x, v, saturate(moving, motion.motor) + load, until - now, motion
+                    )
                     moving = arrivals.acts[gone]
                     now = until
                     gone += 1
@@ -409,4 +482,5 @@ def play(
     return x, v
 
 
-play_compiled: Any = compiled()(play)  # the loop, compiled: for other compiled functions that play many scenes
+# the loop, compiled: for other compiled functions that play many scenes
+play_compiled: Any = compiled()(play)

@@ -30,7 +30,11 @@ def _walk(scene: Array, memory: Array, path: Array, answers: Array) -> None:
         for k in range(3):
             answers[i, k] = memory[PROXY + k]
             answers[i, 3 + k] = memory[NORMAL + k]
-        answers[i, 6], answers[i, 7], answers[i, 8] = memory[DISTANCE], memory[IN_CONTACT], memory[ROUNDS]
+        answers[i, 6], answers[i, 7], answers[i, 8] = (
+            memory[DISTANCE],
+            memory[IN_CONTACT],
+            memory[ROUNDS],
+        )
 
 
 class Touched(NamedTuple):
@@ -46,7 +50,11 @@ class Touched(NamedTuple):
 
 
 def touch(
-    solids: Sequence[Solid], path: Array, tool_radius: float = 0.0, period: float = 1e-3, interpreted: bool = False
+    solids: Sequence[Solid],
+    path: Array,
+    tool_radius: float = 0.0,
+    period: float = 1e-3,
+    interpreted: bool = False,
 ) -> Touched:
     """Lead a device along a path (ticks, 3) [m] over shapes."""
     table = scene_table(solids, tool_radius, period)
@@ -60,14 +68,29 @@ def touch(
     else:
         memory = np.array(new_memory(len(solids)))
         _walk(np.array(table), memory, np.ascontiguousarray(path, dtype=np.float64), answers)
-    return Touched(path, answers[:, :3], answers[:, 3:6], answers[:, 6], answers[:, 7] == 1.0, answers[:, 8], memory)
+    return Touched(
+        path,
+        answers[:, :3],
+        answers[:, 3:6],
+        answers[:, 6],
+        answers[:, 7] == 1.0,
+        answers[:, 8],
+        memory,
+    )
 
 
 def call_times(
-    solids: Sequence[Solid], path: Array, tool_radius: float = 0.0, period: float = 1e-3, most: int = 20_000
+    solids: Sequence[Solid],
+    path: Array,
+    tool_radius: float = 0.0,
+    period: float = 1e-3,
+    most: int = 20_000,
 ) -> Array:
     """Time single calls of the compiled proxy along a path [s], with what the interpreter adds to each (under 1 µs)."""
-    table, memory = np.array(scene_table(solids, tool_radius, period)), np.array(new_memory(len(solids)))
+    table, memory = (
+        np.array(scene_table(solids, tool_radius, period)),
+        np.array(new_memory(len(solids))),
+    )
     times = []
     for x, y, z in path[:most].tolist():
         begin = time.perf_counter_ns()

@@ -1,9 +1,10 @@
 """A stand-in for Haply's Inverse Service: a WebSocket server with one Inverse3, its HTTP side and its events.
 
-As the vendor's: the first message is the whole inventory, then one state answers each message; what is zero is left out of a
-state; a force is forgotten soon after its message; forces of other sessions are added. It serves the arm of a world file
-(sim/stand_ins/world.py), whose faults it plays. ``fail`` names ``state`` to leave it out, ``session`` to end that, ``twice`` to
-send each state twice, ``nested`` to send JSON that is nested 50 000 deep, ``buttons`` to send 1500 of them:
+As the vendor's: the first message is the whole inventory, then one state answers each message; what
+is zero is left out of a state; a force is forgotten soon after its message; forces of other
+sessions are added. It serves the arm of a world file (sim/stand_ins/world.py), whose faults it
+plays. ``fail`` names ``state`` to leave it out, ``session`` to end that, ``twice`` to send each
+state twice, ``nested`` to send JSON that is nested 50 000 deep, ``buttons`` to send 1500 of them:
 
     python -m sim.stand_ins.inverse_service WORLD [--cold SECONDS] [--version 3.1]
 """
@@ -59,7 +60,9 @@ class Service:
         if read is None:
             return None
         (x, y, z), (vx, vy, vz) = read
-        fx, fy, fz = (a + b for a, b in zip(self._world.force(), self._world.state.other, strict=True))
+        fx, fy, fz = (
+            a + b for a, b in zip(self._world.force(), self._world.state.other, strict=True)
+        )
         state = {
             "cursor_position": _vector((-y, x, z)),
             "cursor_velocity": _vector((-vy, vx, vz)),
@@ -90,9 +93,13 @@ class Service:
                     connection.send('{"more": ' + "[" * 50_000 + "]" * 50_000 + "}")
                     continue
                 if failing == b"buttons":
-                    document["wireless_verse_grip"] = [{"state": {"buttons": {f"{n:04}": True for n in range(1500)}}}]
+                    document["wireless_verse_grip"] = [
+                        {"state": {"buttons": {f"{n:04}": True for n in range(1500)}}}
+                    ]
                 elif world.state.buttons:
-                    document["wireless_verse_grip"] = [{"state": {"buttons": {"a": bool(world.state.buttons & 1)}}}]
+                    document["wireless_verse_grip"] = [
+                        {"state": {"buttons": {"a": bool(world.state.buttons & 1)}}}
+                    ]
                 if world.state.positive:
                     document |= {"something_new": [1, 2], "warning": "motor saturated"}
                 for _ in range(2 if failing == b"twice" else 1):
@@ -118,10 +125,14 @@ class Service:
         del connection
         if request.headers.get("Upgrade"):
             return None
-        data: Any = {"/version": self._version, "/sessions": [], "/inverse3/0/config/basis": {"permutation": "XYZ"}}.get(
-            request.path
-        )
-        body = json.dumps({"ok": data is not None, "data": data, "error": None if data is not None else "unknown"}).encode()
+        data: Any = {
+            "/version": self._version,
+            "/sessions": [],
+            "/inverse3/0/config/basis": {"permutation": "XYZ"},
+        }.get(request.path)
+        body = json.dumps(
+            {"ok": data is not None, "data": data, "error": None if data is not None else "unknown"}
+        ).encode()
         return Response(HTTPStatus.OK, "OK", Headers({"Content-Length": str(len(body))}), body)
 
     def events(self, connection: ServerConnection) -> None:
@@ -134,7 +145,11 @@ class Service:
                     event = "ebrake_triggered" if now[0] else "ebrake_released"
                     connection.send(json.dumps({"type": "device-safety-triggered", "event": event}))
                 if now[1] != before[1]:
-                    connection.send(json.dumps({"type": "device-disconnected" if now[1] else "device-connected"}))
+                    connection.send(
+                        json.dumps(
+                            {"type": "device-disconnected" if now[1] else "device-connected"}
+                        )
+                    )
                 before = now
                 time.sleep(0.01)
         except ConnectionClosed:
@@ -172,11 +187,17 @@ def start(folder: Path, *options: str) -> Started:
 
 def main() -> None:
     """Serve until the process is ended."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0] if __doc__ else "")
+    parser = argparse.ArgumentParser(
+        description=__doc__.split("\n", maxsplit=1)[0] if __doc__ else ""
+    )
     parser.add_argument("world", type=Path)
-    parser.add_argument("--cold", type=float, default=0.0, help="so long after its start there is no device yet [s]")
+    parser.add_argument(
+        "--cold", type=float, default=0.0, help="so long after its start there is no device yet [s]"
+    )
     parser.add_argument("--version", default="3.5")
-    parser.add_argument("--ports", type=int, nargs=2, default=(0, 0), help="to listen at, for states and events")
+    parser.add_argument(
+        "--ports", type=int, nargs=2, default=(0, 0), help="to listen at, for states and events"
+    )
     arguments = parser.parse_args()
     world = World(arguments.world)
     service = Service(world, arguments.version)
@@ -188,7 +209,13 @@ def main() -> None:
 
         threading.Timer(arguments.cold, warm).start()
     servers: list[Server] = [
-        serve(service.serve, "localhost", arguments.ports[0], process_request=service.answer, compression=None),
+        serve(
+            service.serve,
+            "localhost",
+            arguments.ports[0],
+            process_request=service.answer,
+            compression=None,
+        ),
         serve(service.events, "localhost", arguments.ports[1], compression=None),
     ]
     print(*(server.socket.getsockname()[1] for server in servers), flush=True)

@@ -1,7 +1,8 @@
 """The arm behind a stand-in: physics, what a driver has done to it, and the faults that it plays on command.
 
-It lies in a file (world.h), which the stand-in in a node's process and what watches or breaks it both map. A stand-in of a
-library is compiled into a folder, with its world beside it; so two of them are two devices.
+It lies in a file (world.h), which the stand-in in a node's process and what watches or breaks it
+both map. A stand-in of a library is compiled into a folder, with its world beside it; so two of
+them are two devices.
 """
 
 import ctypes
@@ -24,16 +25,32 @@ class WorldState(ctypes.Structure):
     _fields_: ClassVar[list[tuple[str, Any]]] = [
         *((name, ctypes.c_double) for name in ("mass", "damping", "gravity", "resolution")),
         *((name, ctypes.c_double * 3) for name in ("position", "velocity", "force", "seen")),
-        *((name, ctypes.c_double) for name in ("advanced_at", "free_from", "watchdog", "commanded_at")),
+        *(
+            (name, ctypes.c_double)
+            for name in ("advanced_at", "free_from", "watchdog", "commanded_at")
+        ),
         *((name, ctypes.c_double) for name in ("peak", "continuous", "gripper")),
         ("turn", ctypes.c_double * 9),
         *((name, ctypes.c_int32) for name in ("buttons", "serial", "devices", "rate")),
-        *((name, ctypes.c_int32) for name in ("open", "forces", "calibrations", "broken", "commands", "style")),
+        *(
+            (name, ctypes.c_int32)
+            for name in ("open", "forces", "calibrations", "broken", "commands", "style")
+        ),
         ("largest", ctypes.c_double),
         *(
             (name, ctypes.c_int32)
             for name in (
-                *("unplugged", "nan", "positive", "block_ms", "manual", "cause", "error", "refuse_rate", "frozen"),
+                *(
+                    "unplugged",
+                    "nan",
+                    "positive",
+                    "block_ms",
+                    "manual",
+                    "cause",
+                    "error",
+                    "refuse_rate",
+                    "frozen",
+                ),
                 *("slow_ms", "stuck", "fails"),
             )
         ),
@@ -59,14 +76,20 @@ class World:
         with path.open("r+b") as file:
             self._mapped = mmap.mmap(file.fileno(), ctypes.sizeof(WorldState))
         self.path = path
-        # It, as it is now. Of the faults, ``unplugged`` fails every call; ``nan`` gives positions that are none; ``positive``
-        # lets calls give remarks; ``block_ms`` lets the next read take so long; ``manual`` asks for a calibration by hand;
-        # ``cause`` keeps forces off; ``error`` reports an error once; ``refuse_rate`` refuses the servo rate; ``frozen`` stops
-        # the vendor's own thread; ``slow_ms`` lets each read take so long; ``stuck`` lets the encoders stand still; ``fails``
-        # lets the call named ``fail`` fail; ``other`` is a force of somebody else [N]; ``late`` is the delay of the device
-        # itself [s].
+        # It, as it is now. Of the faults, ``unplugged`` fails every call; ``nan`` gives positions
+        # that are none; ``positive`` lets calls give remarks; ``block_ms`` lets the next read take
+        # so long; ``manual`` asks for a calibration by hand; ``cause`` keeps forces off; ``error``
+        # reports an error once; ``refuse_rate`` refuses the servo rate; ``frozen`` stops the
+        # vendor's own thread; ``slow_ms`` lets each read take so long; ``stuck`` lets the encoders
+        # stand still; ``fails`` lets the call named ``fail`` fail; ``other`` is a force of somebody
+        # else [N]; ``late`` is the delay of the device itself [s].
         self.state = WorldState.from_buffer(self._mapped)
-        code = shared_library("stand-in-world.so", [HERE / "world.c", HERE / "world.h"], [HERE / "world.c", "-lm"], "an arm")
+        code = shared_library(
+            "stand-in-world.so",
+            [HERE / "world.c", HERE / "world.h"],
+            [HERE / "world.c", "-lm"],
+            "an arm",
+        )
         code.stand_in_size.restype = ctypes.c_size_t
         if code.stand_in_size() != ctypes.sizeof(WorldState):
             raise OSError(f"{path}: world.h and world.py disagree")

@@ -1,8 +1,9 @@
 """From an identified device to its law: the stiffest that keeps a pole radius over all that the device may be, and lands.
 
-The design keeps a pole radius over the whole interval of mass, widened by a factor for what identification cannot know (another
-hand, another pose), and over the whole range of delay that was seen. Unless told otherwise, every drop on a floor settles too.
-What the law will do on the device as identified is predicted: its edge by poles and by knocks, drops, delays, rest.
+The design keeps a pole radius over the whole interval of mass, widened by a factor for what
+identification cannot know (another hand, another pose), and over the whole range of delay that was
+seen. Unless told otherwise, every drop on a floor settles too. What the law will do on the device
+as identified is predicted: its edge by poles and by knocks, drops, delays, rest.
 """
 
 import math
@@ -33,7 +34,8 @@ class Wanted:
     radius: float = 0.99  # largest pole radius
     nyquist: float = 1e4  # largest |H(−1)| [N/m]
     land: bool = True  # whether every drop must settle too
-    # By how much the device is lighter and heavier in other poses than in the one that it was identified in [kg], shape (2,).
+    # By how much the device is lighter and heavier in other poses than in the one that it was
+    # identified in [kg], shape (2,).
     poses: tuple[float, float] = (0.0, 0.0)
 
 
@@ -67,7 +69,11 @@ def _beyond(found: Identified) -> tuple[tuple[float, float, float, float], ...]:
     if found.frequency.value is not None:
         _, *ends = found.share.known()
         _, low, high = found.frequency.known()
-        shares, frequencies, loss = (ends[0], ends[1]), (low / 1.05, high * 1.05), found.loss.known()[1]
+        shares, frequencies, loss = (
+            (ends[0], ends[1]),
+            (low / 1.05, high * 1.05),
+            found.loss.known()[1],
+        )
     return tuple(
         (lag, share, frequency, loss)
         for lag in sorted({early, late})
@@ -92,12 +98,18 @@ def model(found: Identified) -> DeviceModel | RicherModel:
     if found.held and found.stiffness.value:
         hand = Hand(stiffness=found.stiffness.value, path=[(0.0, 0.0)])
     friction, resolution = found.friction.value or None, found.encoder.value
-    rigid = DeviceModel(mass=mass, damping=damping, delay=delay, hand=hand, friction=friction, resolution=resolution)
+    rigid = DeviceModel(
+        mass=mass, damping=damping, delay=delay, hand=hand, friction=friction, resolution=resolution
+    )
     whole = found.plant()
     quadratic = found.quadratic.value or 0.0
     if whole.rigid and whole.lag == quadratic == 0.0:
         return rigid
-    joint = {} if whole.rigid else {"share": whole.share, "frequency": whole.frequency, "loss": whole.loss}
+    joint = (
+        {}
+        if whole.rigid
+        else {"share": whole.share, "frequency": whole.frequency, "loss": whole.loss}
+    )
     return RicherModel(rigid, "identified", quadratic=quadratic, lag=whole.lag, **joint)
 
 
@@ -107,13 +119,17 @@ def plant_of(found: Identified) -> Plant:
     return Plant(found.period, *values, found.stiffness.value or 0.0)
 
 
-def knock_size(taps: tuple[float, ...], edge: float, found: Identified, peak: float | None) -> float:
+def knock_size(
+    taps: tuple[float, ...], edge: float, found: Identified, peak: float | None
+) -> float:
     """Choose a knock that the driver does not limit: at most 1 mm, at least eight encoder steps [m]."""
     strongest = 0.8 * (peak or 4.0) / (edge * max(map(abs, taps)))
     return max(min(1e-3, strongest), 8.0 * (found.encoder.value or 1e-6))
 
 
-def linear_edge(law: CompiledLaw, plant: Plant | FlexiblePlant, period: float | None = None) -> float:
+def linear_edge(
+    law: CompiledLaw, plant: Plant | FlexiblePlant, period: float | None = None
+) -> float:
     """Find the factor of all taps, 1 to 100, at which a pole of the loop reaches the unit circle; 1 for an unstable law."""
 
     def radius(factor: float) -> float:
@@ -143,9 +159,17 @@ def predict(
     dropped = drops(law, asked)
     factor = edge.factor
     radius = pole_radius(law, plant) if rigid else flexible_radius(law, found.period, whole)
-    figures: dict[str, Any] = {"h1_n_per_m": law.h1, "h_nyquist_n_per_m": law.h_nyquist, "pole_radius": radius}
+    figures: dict[str, Any] = {
+        "h1_n_per_m": law.h1,
+        "h_nyquist_n_per_m": law.h_nyquist,
+        "pole_radius": radius,
+    }
     figures |= {"edge_linear_factor": linear, "edge_linear_h1_n_per_m": linear * law.h1}
-    figures |= {"edge_factor": factor, "edge_h1_n_per_m": None if factor is None else factor * law.h1, "knock_m": knock}
+    figures |= {
+        "edge_factor": factor,
+        "edge_h1_n_per_m": None if factor is None else factor * law.h1,
+        "knock_m": knock,
+    }
     figures |= {"stable_up_to_delay_ticks": latest_delay(law, asked)}
     figures |= {"drops_settled": sum(dropped.values()), "drops": len(dropped)}
     figures["grasp"] = asdict(judge_grasps(law, asked, STYLUS, 20_000))
@@ -158,7 +182,10 @@ def _every_delay(law: CompiledLaw, asked: Demand) -> dict[str, Any]:
     answer = certificate(law, asked)
     if answer != "too wide":
         return {"every_delay_stable": answer}
-    return {"every_delay_stable": None, "every_delay_why": f"delays of {low:.3g} to {high:.3g} ticks: over a tick apart"}
+    return {
+        "every_delay_stable": None,
+        "every_delay_why": f"delays of {low:.3g} to {high:.3g} ticks: over a tick apart",
+    }
 
 
 def _at_rest(law: CompiledLaw, found: Identified, plant: Plant) -> dict[str, Any]:

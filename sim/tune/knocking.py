@@ -1,11 +1,13 @@
 """Knock on a held device and see whether it comes to rest: how the edge of stability is approached, on a model and for real.
 
-The law on trial feels a step of the deflection from nothing (`nodes.laws.knock`). What is left of the motion at the end of the
-window decides; what is left but goes on dying is watched for longer. The predicted and the measured edge are found by the same
-steps and the same verdict, friction, encoder and limits of the driver included.
+The law on trial feels a step of the deflection from nothing (`nodes.laws.knock`). What is left of
+the motion at the end of the window decides; what is left but goes on dying is watched for longer.
+The predicted and the measured edge are found by the same steps and the same verdict, friction,
+encoder and limits of the driver included.
 
-The steps begin far below the law and go up through it: large where the model sees no danger, of 2 % near the law's edge. When a
-large step does not come to rest, those below it are tried from the last that did; when the first does not, they go down.
+The steps begin far below the law and go up through it: large where the model sees no danger, of 2 %
+near the law's edge. When a large step does not come to rest, those below it are tried from the last
+that did; when the first does not, they go down.
 """
 
 import math
@@ -26,14 +28,18 @@ WINDOW = 400  # ticks that a knock is watched
 LONGEST = 4 * WINDOW  # ticks that a knock is watched whose motion dies slowly
 STEP = 1.02  # factor between two stiffnesses near the edge
 STRIDE = 10  # so many of those steps are one large step, 22 %
-LOWEST = -7 * STRIDE  # where the climb begins where the model allows it: a quarter of the law [steps]
-DEEPEST = -20 * STRIDE  # a law that does not rest at a fiftieth of itself is not tried any lower [steps]
+# where the climb begins where the model allows it: a quarter of the law [steps]
+LOWEST = -7 * STRIDE
+# a law that does not rest at a fiftieth of itself is not tried any lower [steps]
+DEEPEST = -20 * STRIDE
 NEAR = 4  # so many steps below the predicted edge the small steps begin
 BEYOND = 12  # so many steps above the predicted edge it is given up: 27 %
 LEFT = 0.5  # part of the knock that may be left, peak to peak, in the last third of the window
-DYING = 0.9  # a motion dies when the last third of the longest window has so much of the third before it
+# a motion dies when the last third of the longest window has so much of the third before it
+DYING = 0.9
 GROWING = 1.05  # one that has more than this of it grows, and is watched no longer
-# Where in an encoder step a knock on a model begins: near the edge that decides, and the worst of them counts.
+# Where in an encoder step a knock on a model begins: near the edge that decides, and the worst of
+# them counts.
 STARTS = (0.0, 0.25, 0.5, 0.75)
 FAR = 3.0  # a deflection of so many knocks ends the trial
 
@@ -46,7 +52,8 @@ class KnockVerdict:
     left: float  # motion in the last third of the window, as a part of the knock, peak to peak
     rests: bool  # whether that is little enough, or still dying after the longest window
     why: str = ""  # what ended the trial before its time; empty when nothing did
-    ended_by: str = ""  # ``stop`` or ``fault`` of the driver, ``energy`` given out; empty when nothing of these
+    # ``stop`` or ``fault`` of the driver, ``energy`` given out; empty when nothing of these
+    ended_by: str = ""
 
 
 @dataclass
@@ -55,7 +62,8 @@ class KnockedEdge:
 
     steps: list[KnockVerdict] = field(default_factory=list)  # in the order of the stiffness
     ended: str = ""  # why no more were tried
-    complete: bool = False  # whether the climb came to its own end: nothing refused or interrupted it
+    # whether the climb came to its own end: nothing refused or interrupted it
+    complete: bool = False
 
     @property
     def factor(self) -> float | None:
@@ -65,7 +73,9 @@ class KnockedEdge:
     @property
     def rested(self) -> float | None:
         """Largest factor up to which every one came to rest; None when none did."""
-        below = [step.factor for step in self.steps if self.factor is None or step.factor < self.factor]
+        below = [
+            step.factor for step in self.steps if self.factor is None or step.factor < self.factor
+        ]
         return max(below, default=None)
 
     def add(self, verdict: KnockVerdict) -> None:
@@ -92,19 +102,29 @@ def judge(position: Array, knock: float, factor: float) -> KnockVerdict | None:
     with np.errstate(invalid="ignore", over="ignore"):
         away = np.abs(knock - (position - position[:1])) / abs(knock)
         if position.size and not bool(np.all(away <= FAR)):
-            return KnockVerdict(factor, float(np.max(np.nan_to_num(away, nan=np.inf))), False, f"went {FAR:g} knocks far")
+            return KnockVerdict(
+                factor,
+                float(np.max(np.nan_to_num(away, nan=np.inf))),
+                False,
+                f"went {FAR:g} knocks far",
+            )
         for ticks in (WINDOW, 2 * WINDOW, LONGEST):
             if position.size < ticks:
                 return None
             third = ticks // 3
-            middle, last = (float(np.ptp(part)) for part in (position[third : 2 * third], position[ticks - third : ticks]))
+            middle, last = (
+                float(np.ptp(part))
+                for part in (position[third : 2 * third], position[ticks - third : ticks])
+            )
             left = last / abs(knock)
             if left < LEFT or last > GROWING * middle:
                 return KnockVerdict(factor, left, left < LEFT)
     return KnockVerdict(factor, left, last < DYING * middle)
 
 
-def climb(plan: Plan, knock: Callable[[int], KnockVerdict], steps: KnockedEdge | None = None) -> KnockedEdge:
+def climb(
+    plan: Plan, knock: Callable[[int], KnockVerdict], steps: KnockedEdge | None = None
+) -> KnockedEdge:
     """Go up in steps until one does not come to rest, and find between which two that is; `steps` takes what is known."""
     edge = KnockedEdge() if steps is None else steps
 
@@ -117,7 +137,9 @@ def climb(plan: Plan, knock: Callable[[int], KnockVerdict], steps: KnockedEdge |
         # Down in large steps until one rests, then up again in small ones.
         here -= STRIDE
         if here < DEEPEST:
-            edge.ended = f"nothing came to rest, down to {factor_of(here + STRIDE):.2g} times the law"
+            edge.ended = (
+                f"nothing came to rest, down to {factor_of(here + STRIDE):.2g} times the law"
+            )
             edge.complete = True
             return edge
     known = edge.factor
@@ -140,7 +162,11 @@ def climb(plan: Plan, knock: Callable[[int], KnockVerdict], steps: KnockedEdge |
 
 
 def _ended(who: str, found: float | None) -> str:
-    return "every factor came to rest" if found is None else f"the {who} does not come to rest at {found:.3f} times the law"
+    return (
+        "every factor came to rest"
+        if found is None
+        else f"the {who} does not come to rest at {found:.3f} times the law"
+    )
 
 
 def scaled(law: CompiledLaw, factor: float) -> CompiledLaw:
@@ -165,15 +191,28 @@ def knocked(
         def on_richer(step: int) -> KnockVerdict:
             factor = factor_of(step)
             told = (period, np.zeros(LONGEST), np.array(scaled(law, factor).taps))
-            places = [(knock, math.inf, strongest, start * (richer.rigid.resolution or 0.0)) for start in starts]
-            return worst(judge(pushed(richer, *told, place, 0, change)[0], knock, factor) for place in places)
+            places = [
+                (knock, math.inf, strongest, start * (richer.rigid.resolution or 0.0))
+                for start in starts
+            ]
+            return worst(
+                judge(pushed(richer, *told, place, 0, change)[0], knock, factor) for place in places
+            )
 
         return on_richer
 
     def begun(start: float) -> Scene:
         place = start * (model.resolution or 0.0) - knock
         device = msgspec.structs.replace(model, position=place, velocity=0.0, gravity=None)
-        return Scene(device=device, surface=SceneSurface("anchor"), period=period, raw=False, clamp=False, peak=peak, slew=slew)
+        return Scene(
+            device=device,
+            surface=SceneSurface("anchor"),
+            period=period,
+            raw=False,
+            clamp=False,
+            peak=peak,
+            slew=slew,
+        )
 
     scenes = [begun(start) for start in (starts if model.resolution else starts[:1])]
 
@@ -201,7 +240,8 @@ def planned(knock: Callable[[int], KnockVerdict], linear: float) -> tuple[Plan, 
     edge = KnockedEdge()
     for step in range(LOWEST, top + 1):
         edge.add(knock(step))
-        # Far below a law a light damper may take longer than any window: the climb begins where the model rests.
+        # Far below a law a light damper may take longer than any window: the climb begins where the
+        # model rests.
         if not edge.steps[-1].rests:
             if step >= 0:
                 break

@@ -1,9 +1,10 @@
 """Knock on the device of a running launch: each trial ends by itself, and everything is put back whatever happens.
 
-The law on trial gives up after its ticks, or as soon as the device swings far (`nodes.laws.knock`): counted by the loop itself,
-so in lockstep too. The driver's passivity guard watches with an allowance: a knock that dies down never meets it, and a loop
-that gives out more is held within a tick. A driver that stopped the loop has given its verdict: it does not rest. It takes
-forces again once the soft spring holds the device; with a real one only when the user has asked for it.
+The law on trial gives up after its ticks, or as soon as the device swings far (`nodes.laws.knock`):
+counted by the loop itself, so in lockstep too. The driver's passivity guard watches with an
+allowance: a knock that dies down never meets it, and a loop that gives out more is held within a
+tick. A driver that stopped the loop has given its verdict: it does not rest. It takes forces again
+once the soft spring holds the device; with a real one only when the user has asked for it.
 """
 
 import math
@@ -16,14 +17,29 @@ from messages.errors import RefusedError
 from nodes.client.launches import ask
 from sim.arrays import Array
 from sim.identify.borrowed import SOFT_LAW, SOFT_RAMP, SURFACE_LEASE, Borrowed, PushedLaunch
-from sim.tune.knocking import LONGEST, WINDOW, KnockedEdge, KnockVerdict, Plan, climb, factor_of, judge, law_of
+from sim.tune.knocking import (
+    LONGEST,
+    WINDOW,
+    KnockedEdge,
+    KnockVerdict,
+    Plan,
+    climb,
+    factor_of,
+    judge,
+    law_of,
+)
 
 AGAIN = 10  # how often one stiffness is tried when the machine stalls
-HOLDS = 3  # how often the far end of the soft spring is put where the device is, which still creeps towards it
+# how often the far end of the soft spring is put where the device is, which still creeps towards it
+HOLDS = 3
 TRIAL = "trial"  # name that the coupling gets for the law on trial
-# A knock has moved the device when its position went so far, and has not when less than that [parts of the knock].
+# A knock has moved the device when its position went so far, and has not when less than that [parts
+# of the knock].
 MOVES, STANDS = 0.5, 0.1
-UNMOVED = "the position did not follow a knock: the encoder is stuck, or the device is held fast; nothing was verified by it"
+UNMOVED = (
+    "the position did not follow a knock: the encoder is stuck, or the device is held fast; nothing"
+    " was verified by it"
+)
 STOPPED, TAKEN = "the driver stopped the loop", "the driver took the force away"
 
 
@@ -57,15 +73,20 @@ class Trials:
         # A launch that has a guard of its own keeps it.
         self._own = ask(loop.run, loop.driver, "param.get", name="passivity")
         self._guarded = not (self._own and self._own["guard"] == "on")
-        self._allowance = {"allowance": 4.0 * (loop.peak if loop.peak is not None else 20.0) * knock}
+        self._allowance = {
+            "allowance": 4.0 * (loop.peak if loop.peak is not None else 20.0) * knock
+        }
 
     def climb(self, plan: Plan, steps: KnockedEdge) -> KnockedEdge:
         """Try the law from far below up to its edge; `steps` takes the verdicts as they come."""
         loop = self._loop
         self._near = plan.near
-        # The driver too: a process that was held up must not ask it for forces again, nor change its guard.
+        # The driver too: a process that was held up must not ask it for forces again, nor change
+        # its guard.
         if self._guarded:
-            self._held.borrow(loop.driver, SURFACE_LEASE, "param.set", values={"passivity": self._own})
+            self._held.borrow(
+                loop.driver, SURFACE_LEASE, "param.set", values={"passivity": self._own}
+            )
         else:
             self._held.borrow(loop.driver, SURFACE_LEASE, "status")
         self.hold_softly()
@@ -91,15 +112,21 @@ class Trials:
                 return verdict
             rested += verdict.rests and not disturbed
             if verdict.rests and not disturbed and rested < 2 and step >= self._near:
-                # Near the edge it decides where in a step of the encoder a knock begins: once more, the other way.
+                # Near the edge it decides where in a step of the encoder a knock begins: once more,
+                # the other way.
                 continue
             if not disturbed and (verdict.rests or doubted):
-                self._say(f"{factor:.3f} times the law: {100 * verdict.left:.0f} % of the knock left")
+                self._say(
+                    f"{factor:.3f} times the law: {100 * verdict.left:.0f} % of the knock left"
+                )
                 return verdict
-            # A machine that stalls shakes the device once, unseen perhaps; a loop that is unstable does it each time.
+            # A machine that stalls shakes the device once, unseen perhaps; a loop that is unstable
+            # does it each time.
             doubted = doubted or not disturbed
             self._say(f"{factor:.3f} times the law: again, {disturbed or 'to be sure'}")
-        raise StalledError(f"at {factor:.3f} times the law the machine stalled {AGAIN} times in a row: {disturbed}")
+        raise StalledError(
+            f"at {factor:.3f} times the law the machine stalled {AGAIN} times in a row: {disturbed}"
+        )
 
     def _try(self, factor: float) -> tuple[KnockVerdict, str]:
         """Knock once, and tell what disturbed it."""
@@ -119,7 +146,11 @@ class Trials:
         if disturbed and verdict is None:
             verdict = KnockVerdict(factor, 0.0, False, disturbed)
         if cut.why or verdict is None:
-            left = float(np.ptp(position[-len(position) // 3 :])) / self._knock if len(position) else 0.0
+            left = (
+                float(np.ptp(position[-len(position) // 3 :])) / self._knock
+                if len(position)
+                else 0.0
+            )
             verdict = KnockVerdict(factor, left, False, cut.why, cut.by)
         left = loop.change(loop.coupling, "law.switch", law=SOFT_LAW, ramp=0)["from"]
         if cut.by == "stop":
@@ -173,15 +204,26 @@ class Trials:
                 return np.array(positions), Cut(), "ticks went by unheard"
             positions.append(state.position[axis])
             if state.safety == "fault":
-                return np.array(positions), Cut("fault", f"{TAKEN}: the device left its workspace"), ""
+                return (
+                    np.array(positions),
+                    Cut("fault", f"{TAKEN}: the device left its workspace"),
+                    "",
+                )
             if state.age > 1 or state.safety != "active" or state.overruns > overruns:
                 late += 1
             if state.energy - energy > self._allowance["allowance"]:
-                # A spring that was stretched by the knock holds ½ F x; far more than that was made by the loop.
-                cut = Cut("energy", f"the loop gave out {state.energy - energy:.2g} J after one knock")
+                # A spring that was stretched by the knock holds ½ F x; far more than that was made
+                # by the loop.
+                cut = Cut(
+                    "energy", f"the loop gave out {state.energy - energy:.2g} J after one knock"
+                )
                 return np.array(positions), cut, ""
-            # Judged when a window is full, or each tick once it is far; the longest window always decides.
-            if len(positions) % WINDOW == 0 or abs(positions[-1] - positions[0]) > 2.0 * self._knock:
+            # Judged when a window is full, or each tick once it is far; the longest window always
+            # decides.
+            if (
+                len(positions) % WINDOW == 0
+                or abs(positions[-1] - positions[0]) > 2.0 * self._knock
+            ):
                 verdict = judge(np.array(positions), self._sign * self._knock, factor)
                 if verdict is not None:
                     break

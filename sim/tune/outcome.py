@@ -7,38 +7,54 @@ from typing import Any
 from sim.tune.knocking import STEP, KnockedEdge
 from sim.tune.tuning_text import number
 
-# An edge so far from the predicted one is another device's: then the model tells nothing of this one's poles either.
+# An edge so far from the predicted one is another device's: then the model tells nothing of this
+# one's poles either.
 AGREES = 0.1
-MARGIN = 1.05  # a law holds when it rests up to so many times itself: what dry friction lends a small knock, a large one lacks
-# The edge by poles gets one figure where neither end of its interval is further from it; else the interval alone.
+# a law holds when it rests up to so many times itself: what dry friction lends a small knock, a
+# large one lacks
+MARGIN = 1.05
+# The edge by poles gets one figure where neither end of its interval is further from it; else the
+# interval alone.
 CERTAIN = 1.05
 
 
 def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
     """Judge a law by the knocks on its device.
 
-    Only a climb that came to its own end tells an edge. Knocks see it early where a motion dies slowly, late where friction is
-    strong (`by_poles`). Where device and model do not agree about it, dry friction may hold a mode that the model lacks: such a
-    law is not delivered, even if small knocks on it come to rest.
+    Only a climb that came to its own end tells an edge. Knocks see it early where a motion dies
+    slowly, late where friction is strong (`by_poles`). Where device and model do not agree about
+    it, dry friction may hold a mode that the model lacks: such a law is not delivered, even if
+    small knocks on it come to rest.
     """
     h1, factor, rested = predicted["h1_n_per_m"], edge.factor, edge.rested
     expected = predicted["edge_factor"]
-    agrees = factor is expected is None or (factor and expected and abs(factor / expected - 1.0) <= AGREES)
+    agrees = factor is expected is None or (
+        factor and expected and abs(factor / expected - 1.0) <= AGREES
+    )
     ends = None
     if factor is not None and rested is not None and agrees:
         ends = by_poles(factor, expected, predicted["edge_linear_factor"])
     certain = ends is not None and ends[1] <= ends[0] * CERTAIN**2
     below_law = [step for step in edge.steps if step.factor <= 1.0 + 1e-12]
-    climbed = bool(below_law) and all(step.rests for step in below_law) and below_law[-1].factor > 1.0 / STEP
+    climbed = (
+        bool(below_law)
+        and all(step.rests for step in below_law)
+        and below_law[-1].factor > 1.0 / STEP
+    )
     rests = climbed and edge.complete and rested is not None and rested >= 1.0
     # Without an edge it is what rested that tells.
     surely = rested if ends is None else ends[0]
     holds = bool(rests and agrees and surely is not None and surely >= MARGIN)
     ended = edge.ended
     if rests and not agrees:
-        ended = f"{ended}, where the model has {expected or 0.0:.3f}: the device is not the one that was identified"
+        ended = (
+            f"{ended}, where the model has {expected or 0.0:.3f}: the device is not the one that"
+            " was identified"
+        )
     if rests and ends is not None and not holds:
-        ended = f"{ended}; a large motion may not at {ends[0]:.3f} times, and {MARGIN:g} is asked for"
+        ended = (
+            f"{ended}; a large motion may not at {ends[0]:.3f} times, and {MARGIN:g} is asked for"
+        )
     return {
         "holds": holds,
         "agrees": bool(agrees),
@@ -46,7 +62,9 @@ def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
         "edge_factor": factor,
         "edge_h1_n_per_m": None if factor is None else factor * h1,
         # The lower end: a middle would lie above the true edge as often as below.
-        "edge_by_poles_h1_n_per_m": min(ends[0], rested or ends[0]) * h1 if ends and certain else None,
+        "edge_by_poles_h1_n_per_m": (
+            min(ends[0], rested or ends[0]) * h1 if ends and certain else None
+        ),
         "edge_by_poles_between_n_per_m": [end * h1 for end in ends] if ends else None,
         "stiffest_at_rest_n_per_m": None if rested is None else rested * h1,
         **compared(predicted["edge_factor"], factor),
@@ -58,8 +76,9 @@ def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
 def by_poles(measured: float, expected: float, linear: float) -> tuple[float, float]:
     """Give the interval of the factor at which a pole of the device reaches the unit circle.
 
-    Friction that is a little off moves the measured knocks, times the ratio of poles and knocks on the model, by several steps;
-    a model that is wrong and not refuted moves its own poles. So the interval holds both ways, and a step more on either side.
+    Friction that is a little off moves the measured knocks, times the ratio of poles and knocks on
+    the model, by several steps; a model that is wrong and not refuted moves its own poles. So the
+    interval holds both ways, and a step more on either side.
     """
     corrected = measured * linear / expected
     return min(linear, corrected) / STEP, max(linear, corrected) * STEP
@@ -71,14 +90,20 @@ def compared(predicted: float | None, measured: float | None) -> dict[str, Any]:
         return {"edge_error": None, "edge_compared": "not both have an edge"}
     error = measured / predicted - 1.0
     same = abs(error) < 0.5 * (STEP - 1.0)
-    words = f"the same step of {100 * (STEP - 1.0):.0f} %" if same else f"{100 * error:+.0f} % from the predicted one"
+    words = (
+        f"the same step of {100 * (STEP - 1.0):.0f} %"
+        if same
+        else f"{100 * error:+.0f} % from the predicted one"
+    )
     return {"edge_error": error, "edge_compared": words}
 
 
 def headline(record: Mapping[str, Any]) -> str:
     """Say in one sentence what came of a tuning, the worst first."""
     designed, after = record.get("designed"), record.get("verified")
-    stopped = record.get("refused") or (f"interrupted during {record['interrupted']}" if record.get("interrupted") else "")
+    stopped = record.get("refused") or (
+        f"interrupted during {record['interrupted']}" if record.get("interrupted") else ""
+    )
     if designed is None:
         return f"No law: {stopped or 'none was designed'}."
     lands = "" if designed["lands"] else "; it does not bear a landing"
@@ -87,13 +112,23 @@ def headline(record: Mapping[str, Any]) -> str:
         law = f"a law of {number(designed['h1_n_per_m'], 'N/m')}"
         return f"Not tried: {law} was designed, but not tried on the device{why}{lands}."
     if after["holds"]:
-        tried = f"{number(designed['h1_n_per_m'], 'N/m')} were tried on the device{f', {stopped}' if stopped else ''}"
+        tried = (
+            f"{number(designed['h1_n_per_m'], 'N/m')} were tried on the"
+            f" device{f', {stopped}' if stopped else ''}"
+        )
         return f"The law holds: {tried}, {edge_in_words(after)}{lands}."
     rested = after["stiffest_at_rest_n_per_m"]
-    softer = "nothing softer came to rest either" if rested is None else f"it came to rest up to {number(rested, 'N/m')}"
+    softer = (
+        "nothing softer came to rest either"
+        if rested is None
+        else f"it came to rest up to {number(rested, 'N/m')}"
+    )
     if not after.get("complete", after["edge_factor"] is not None or not stopped):
         law = number(designed["h1_n_per_m"], "N/m")
-        return f"Not verified: {stopped or after['ended']}; {softer}, the law has {law}. Nothing was delivered."
+        return (
+            f"Not verified: {stopped or after['ended']}; {softer}, the law has {law}. Nothing was"
+            " delivered."
+        )
     return f"The law does NOT hold: {after['ended']}; {softer}. Nothing was delivered."
 
 
@@ -103,4 +138,8 @@ def edge_in_words(after: Mapping[str, Any]) -> str:
     if ends is None:
         return f"no edge was found up to {number(after['stiffest_at_rest_n_per_m'] or 0.0, 'N/m')}"
     between = f"between {number(ends[0])} and {number(ends[1], 'N/m')}"
-    return f"its edge lies {between}" if edge is None else f"its edge is at {number(edge, 'N/m')} or above ({between})"
+    return (
+        f"its edge lies {between}"
+        if edge is None
+        else f"its edge is at {number(edge, 'N/m')} or above ({between})"
+    )

@@ -23,7 +23,15 @@ if TYPE_CHECKING:
 STEPS = ("identify", "design", "predict", "verify", "apply")
 # What each step does anew; the rest of it was another law's, or another device's.
 OVERTAKES = {
-    "identify": ("identified", "limits", "designed", "predicted", "predicted_steps", "verified", "applied"),
+    "identify": (
+        "identified",
+        "limits",
+        "designed",
+        "predicted",
+        "predicted_steps",
+        "verified",
+        "applied",
+    ),
     "design": ("designed", "predicted", "predicted_steps", "verified", "applied"),
     "predict": ("predicted", "predicted_steps"),
     "verify": ("verified", "applied"),
@@ -46,8 +54,10 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
     land: bool = True  # whether every drop must settle
     refuted: bool = False  # whether to design on a model that the recording refutes
     amplitude: float = 0.7  # of the push [N]: a force above it is taken for a hand's
-    load: float | None = None  # the force that carries the device's weight [N]; None for what acts at rest
-    rearm: bool = False  # whether the driver of a real device takes forces again after it stopped a trial
+    # the force that carries the device's weight [N]; None for what acts at rest
+    load: float | None = None
+    # whether the driver of a real device takes forces again after it stopped a trial
+    rearm: bool = False
     command: str = ""  # what was typed
 
 
@@ -60,7 +70,9 @@ def _kept(file: Path) -> dict[str, Any]:
         if "identified" in record:
             from_figures(record["identified"])
     except (msgspec.DecodeError, LookupError, TypeError, ValueError) as error:
-        raise UsageError(f"{file}: is not what haptic tune wrote ({error}); remove it, and begin with identify") from error
+        raise UsageError(
+            f"{file}: is not what haptic tune wrote ({error}); remove it, and begin with identify"
+        ) from error
     return record
 
 
@@ -76,8 +88,11 @@ class Tuning:
         fresh: bool,
     ) -> None:
         self._options, self._find, self._identified, self._say = options, running, identified, say
-        self._file, self._tuned, self._designed = (options.out / name for name in ("tune.json", "tuned.yaml", "designed.yaml"))
-        self.files = {"html": str(options.out / "tune.html"), "json": str(self._file)}  # what was written
+        self._file, self._tuned, self._designed = (
+            options.out / name for name in ("tune.json", "tuned.yaml", "designed.yaml")
+        )
+        # what was written
+        self.files = {"html": str(options.out / "tune.html"), "json": str(self._file)}
         self.record: dict[str, Any] = {}  # what is known
         if not fresh and self._file.exists():
             self.record = _kept(self._file)
@@ -114,17 +129,26 @@ class Tuning:
                 self.record.update(before)
             else:
                 self._untouched = False
-                if step in ("identify", "design", "verify") and not self.record.get("verified", {}).get("holds"):
+                if step in ("identify", "design", "verify") and not self.record.get(
+                    "verified", {}
+                ).get("holds"):
                     # A law that was delivered before is not this one.
                     self._tuned.unlink(missing_ok=True)
                     if step == "verify":
-                        self._write_law(self._designed, "tried on the device, and it did NOT hold, or was not verified")
+                        self._write_law(
+                            self._designed,
+                            "tried on the device, and it did NOT hold, or was not verified",
+                        )
 
     def _identify(self) -> None:
         from sim.identify.identified_text import figures
 
         recording, ended, found = self._identified()
-        self.record["identified"] = {"recording": str(recording), "stopped": ended, **figures(found)}
+        self.record["identified"] = {
+            "recording": str(recording),
+            "stopped": ended,
+            **figures(found),
+        }
         loop = self._running()
         self.record["limits"] = {"peak_n": loop.peak, "slew_n": loop.slew}
         if (poses := loop.poses()) is not None:
@@ -143,15 +167,27 @@ class Tuning:
         poses = identified.get("poses_kg") or (0.0, 0.0)
         refused = refusal(found)
         if refused and not chosen.refuted:
-            raise RefusedError(f"{refused}. A law for it would be a law for another device; --refuted designs it all the same")
+            raise RefusedError(
+                f"{refused}. A law for it would be a law for another device; --refuted designs it"
+                " all the same"
+            )
         found = found.anyway()
-        self._say(f"designing {chosen.taps} taps{' that land' if chosen.land else ''}, and PD to compare")
+        self._say(
+            f"designing {chosen.taps} taps{' that land' if chosen.land else ''}, and PD to compare"
+        )
         wanted = Wanted(
-            chosen.taps, chosen.spread, chosen.radius, self._nyquist(found), chosen.land, poses=(poses[0], poses[1])
+            chosen.taps,
+            chosen.spread,
+            chosen.radius,
+            self._nyquist(found),
+            chosen.land,
+            poses=(poses[0], poses[1]),
         )
         law, pd, asked = design(found, wanted)
         if law.found is None or law.law is None:
-            raise RefusedError("no law keeps the demand: allow a larger --radius, less --spread or more --taps")
+            raise RefusedError(
+                "no law keeps the demand: allow a larger --radius, less --spread or more --taps"
+            )
         lands = all(drops(law.found.law, asked).values())
         # A ratio between a law that lands and one that does not would compare two different things.
         comparable = pd.found is not None and lands and all(drops(pd.found.law, asked).values())
@@ -170,7 +206,9 @@ class Tuning:
             "worst": list(law.found.worst[:2]),
             "demand": asdict(asked),
         }
-        self._write_law(self._designed, "NOT tried on the device: haptic tune --steps predict verify")
+        self._write_law(
+            self._designed, "NOT tried on the device: haptic tune --steps predict verify"
+        )
 
     def _nyquist(self, found: Identified) -> float:
         """Bound encoder noise by what friction swallows: an edge of the encoder crossed to and fro gains Δ²·H(−1)."""
@@ -187,7 +225,12 @@ class Tuning:
         designed = self.record["designed"]
         low, high = designed["demand"]["mass"]
         lands = "every drop settles" if designed["lands"] else "it does NOT survive a landing"
-        lines = (f"haptic launch SCENARIO --params {path}", tried, lands, f"m {low:.4g}..{high:.4g} kg")
+        lines = (
+            f"haptic launch SCENARIO --params {path}",
+            tried,
+            lands,
+            f"m {low:.4g}..{high:.4g} kg",
+        )
         path.write_text(to_yaml(designed["law"], LAW, comment="\n".join(lines)), encoding="utf-8")
 
     def _predict(self) -> None:
@@ -198,14 +241,19 @@ class Tuning:
         from sim.tune.outcome import compared
 
         designed = self._need("designed")
-        found, asked = from_figures(self._need("identified")).anyway(), msgspec.convert(designed["demand"], Demand)
+        found, asked = (
+            from_figures(self._need("identified")).anyway(),
+            msgspec.convert(designed["demand"], Demand),
+        )
         limits = self._need("limits")
         law = CompiledLaw(tuple(designed["taps_n_per_m"]))
         figures, edge, plan = predict(law, asked, found, limits["peak_n"], limits["slew_n"])
         self.record["predicted"], steps = figures, [asdict(step) for step in edge.steps]
         self.record["predicted_steps"] = {"steps": steps, "ended": edge.ended, "plan": asdict(plan)}
         if "verified" in self.record:
-            self.record["verified"] |= compared(figures["edge_factor"], self.record["verified"]["edge_factor"])
+            self.record["verified"] |= compared(
+                figures["edge_factor"], self.record["verified"]["edge_factor"]
+            )
 
     def _verify(self) -> None:
         from sim.identify.borrowed import borrowed, carried
@@ -223,7 +271,9 @@ class Tuning:
         with borrowed(loop) as held:
             try:
                 taps, knock = designed["taps_n_per_m"], predicted["knock_m"]
-                Trials(loop, held, taps, knock, load, self._say, self._options.rearm).climb(plan, edge)
+                Trials(loop, held, taps, knock, load, self._say, self._options.rearm).climb(
+                    plan, edge
+                )
             except KeyboardInterrupt:
                 edge.ended, edge.complete = edge.ended or "interrupted", False
                 raise
@@ -238,7 +288,9 @@ class Tuning:
             self.record["not_put_back"] = held.not_put_back
         if self.record["verified"]["holds"]:
             most = self.record["verified"]["stiffest_at_rest_n_per_m"]
-            self._write_law(self._tuned, f"tried on the device: knocks came to rest up to {most:.4g} N/m")
+            self._write_law(
+                self._tuned, f"tried on the device: knocks came to rest up to {most:.4g} N/m"
+            )
             self._designed.unlink(missing_ok=True)
 
     def _refuse_other_rate(self, loop: PushedLaunch) -> None:
@@ -246,20 +298,24 @@ class Tuning:
         period = self._need("designed")["demand"]["period"]
         if not math.isclose(period, loop.period, rel_tol=1e-6):
             raise RefusedError(
-                f"{loop.run.run}: runs at {1.0 / loop.period:g} Hz, and the law was designed for {1.0 / period:g} Hz; start it "
-                "with that rate, or begin with identify"
+                f"{loop.run.run}: runs at {1.0 / loop.period:g} Hz, and the law was designed for"
+                f" {1.0 / period:g} Hz; start it with that rate, or begin with identify"
             )
 
     def _apply(self) -> None:
         """Fade to the tuned law in the running coupling: only to one that was tried and held."""
         designed = self._need("designed")
         if not self.record.get("verified", {}).get("holds"):
-            raise RefusedError("apply: the law was not tried on the device, or does not hold; only a law that held is applied")
+            raise RefusedError(
+                "apply: the law was not tried on the device, or does not hold; only a law that held"
+                " is applied"
+            )
         loop = self._running()
         self._refuse_other_rate(loop)
         loop.ready()
         law = {"kind": "fir", "taps": designed["taps_n_per_m"], "period": loop.period}
-        # What renders now, perhaps the law of an earlier tuning, stays as it is: it is faded from, and can be switched back to.
+        # What renders now, perhaps the law of an earlier tuning, stays as it is: it is faded from,
+        # and can be switched back to.
         before = str(ask(loop.run, loop.coupling, "law.list")["active"])
         name = LAW if before != LAW else f"{LAW}_again"
         ask(loop.run, loop.coupling, "param.set", values={f"laws.{name}": law})
@@ -275,14 +331,24 @@ class Tuning:
         if law := next((path for path in (self._tuned, self._designed) if path.exists()), None):
             self.files["params"] = str(law)
         if self._untouched:
-            why: dict[str, Any] = {key: self.record[key] for key in ("refused", "interrupted") if key in self.record}
+            why: dict[str, Any] = {
+                key: self.record[key] for key in ("refused", "interrupted") if key in self.record
+            }
             said = why.get("refused") or f"interrupted during {why.get('interrupted')}"
-            self.record, self.files = {**why, "headline": f"Nothing new: {said}. {self._file} is as it was."}, {}
+            self.record, self.files = (
+                {**why, "headline": f"Nothing new: {said}. {self._file} is as it was."},
+                {},
+            )
             return
         self.record["headline"] = headline(self.record)
-        self.record["command"], self.record["date"] = self._options.command, time.strftime("%Y-%m-%d %H:%M:%S %z")
+        self.record["command"], self.record["date"] = (
+            self._options.command,
+            time.strftime("%Y-%m-%d %H:%M:%S %z"),
+        )
         with contextlib.suppress(RefusedError):
-            self.record["device"] = self.record.get("device") or (self._loop.run.scenario if self._loop else "")
+            self.record["device"] = self.record.get("device") or (
+                self._loop.run.scenario if self._loop else ""
+            )
         self._file.write_text(json.dumps(self.record, indent=1), encoding="utf-8")
 
     def write(self) -> None:

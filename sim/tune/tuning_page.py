@@ -14,7 +14,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from messages.errors import HapticError
-from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, new_figure, styled, threshold
+from nodes.recording.figure_style import (
+    COLOURS,
+    GREY,
+    LINES,
+    MARKERS,
+    new_figure,
+    styled,
+    threshold,
+)
 from sim.identify.identified_text import ROWS, from_figures
 from sim.tune.knocking import LEFT
 from sim.tune.tuning_text import SECTIONS, TextRow, number
@@ -24,9 +32,12 @@ if TYPE_CHECKING:
 
 
 STYLE = (
-    ":root{color-scheme:light dark}body{font:15px/1.5 system-ui,sans-serif;max-width:56rem;margin:2rem auto;padding:0 1rem}"
-    "table{border-collapse:collapse}td,th{padding:.15rem .8rem .15rem 0;text-align:left;border-bottom:1px solid #8884;"
-    "vertical-align:top}img{max-width:100%}.verdict{font-size:1.2rem;border-left:.4rem solid #c33;padding-left:.8rem}"
+    ":root{color-scheme:light dark}body{font:15px/1.5"
+    " system-ui,sans-serif;max-width:56rem;margin:2rem auto;padding:0 1rem}"
+    "table{border-collapse:collapse}td,th{padding:.15rem .8rem .15rem"
+    " 0;text-align:left;border-bottom:1px solid #8884;"
+    "vertical-align:top}img{max-width:100%}.verdict{font-size:1.2rem;border-left:.4rem solid"
+    " #c33;padding-left:.8rem}"
     ".holds{border-color:#393}.by{opacity:.75}img{border-radius:.4rem;margin:.6rem 0}"
     # In the dark a picture's paper is dark, too, and its colours stay what they are.
     "@media(prefers-color-scheme:dark){img{filter:invert(.9) hue-rotate(180deg)}}"
@@ -39,11 +50,23 @@ READ_IN = {"m": ("µm", 1e6), "s": ("ms", 1e3)}
 def page(record: Mapping[str, Any]) -> str:
     """Write a tuning as HTML that needs no other file."""
     holds = " holds" if record.get("verified", {}).get("holds") else ""
-    parts = [f'<h1>From a device to its law</h1><p class="verdict{holds}"><b>{_plain(record["headline"])}</b></p>']
-    by = [("device", record.get("device")), ("date", record.get("date")), ("command", record.get("command"))]
-    parts.append(f'<p class="by">{"<br>".join(f"{name}: {_plain(value)}" for name, value in by if value)}</p>')
+    parts = [
+        "<h1>From a device to its law</h1><p"
+        f' class="verdict{holds}"><b>{_plain(record["headline"])}</b></p>'
+    ]
+    by = [
+        ("device", record.get("device")),
+        ("date", record.get("date")),
+        ("command", record.get("command")),
+    ]
+    parts.append(
+        f'<p class="by">{"<br>".join(f"{name}: {_plain(value)}" for name, value in by if value)}</p>'
+    )
     if record.get("interrupted"):
-        parts.append(f"<p><b>Interrupted during {_plain(record['interrupted'])}</b>: what follows is what was known.</p>")
+        parts.append(
+            f"<p><b>Interrupted during {_plain(record['interrupted'])}</b>: what follows is what"
+            " was known.</p>"
+        )
     if record.get("not_put_back"):
         parts.append(f"<p><b>Not put back</b>: {_plain(record['not_put_back'])}</p>")
     if "identified" in record:
@@ -51,10 +74,17 @@ def page(record: Mapping[str, Any]) -> str:
     for title, key, rows in SECTIONS:
         if key in record:
             parts += [f"<h2>{title}</h2>", _table(rows(record[key]))]
-    parts += [f'<img alt="{name}" src="data:image/png;base64,{picture}">' for name, picture in pictures(record)]
-    seen = '<meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">'
+    parts += [
+        f'<img alt="{name}" src="data:image/png;base64,{picture}">'
+        for name, picture in pictures(record)
+    ]
+    seen = (
+        '<meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">'
+    )
     head = f"{seen}<title>haptic tune</title><style>{STYLE}</style>"
-    return f'<!doctype html><html lang="en"><head>{head}</head><body>{"".join(parts)}</body></html>\n'
+    return (
+        f'<!doctype html><html lang="en"><head>{head}</head><body>{"".join(parts)}</body></html>\n'
+    )
 
 
 def _plain(value: object) -> str:
@@ -62,7 +92,9 @@ def _plain(value: object) -> str:
 
 
 def _table(rows: Sequence[TextRow]) -> str:
-    lines = "".join(f"<tr><td>{_plain(name)}</td><td>{_plain(value)}</td></tr>" for name, value in rows)
+    lines = "".join(
+        f"<tr><td>{_plain(name)}</td><td>{_plain(value)}</td></tr>" for name, value in rows
+    )
     return f"<table>{lines}</table>"
 
 
@@ -82,19 +114,30 @@ def _device(record: Mapping[str, Any]) -> str:
         if one is None or (key == "sensor_average" and not one["value"]):
             continue
         if one["value"] is None:
-            lines.append(f"<tr><td>{name}</td><td colspan=3>cannot tell: {_plain(one['why'])}</td></tr>")
+            lines.append(
+                f"<tr><td>{name}</td><td colspan=3>cannot tell: {_plain(one['why'])}</td></tr>"
+            )
         else:
             shown, factor = READ_IN.get(unit, (unit, 1.0))
             value, low, high = (factor * one[end] for end in ("value", "low", "high"))
-            lines.append(f"<tr><td>{name}</td><td>{number(value)}</td><td>{_interval(low, high)}</td><td>{shown}</td></tr>")
-    refuted = f"<p><b>The recording refutes this model: {_plain(record['why'])}</b></p>" if record.get("refuted") else ""
+            lines.append(
+                f"<tr><td>{name}</td><td>{number(value)}</td><td>{_interval(low, high)}</td><td>{shown}</td></tr>"
+            )
+    refuted = (
+        f"<p><b>The recording refutes this model: {_plain(record['why'])}</b></p>"
+        if record.get("refuted")
+        else ""
+    )
     steps = record["residual_steps"]
     ended = f"The push ended: {_plain(record['stopped'])}. "
     residual = f"Residual {number(steps)} encoder steps; rounding alone leaves 0.29."
     left = record.get("remainder") or {}
     if left.get("cause") and not record.get("refuted"):
         share = 100.0 * (left["k_max_change"] or 0.0)
-        refuted = f"<p>The recording also shows {_plain(left['cause'])}: it may change K_max by {share:.2g} %.</p>"
+        refuted = (
+            f"<p>The recording also shows {_plain(left['cause'])}: it may change K_max by"
+            f" {share:.2g} %.</p>"
+        )
     return f"{refuted}<table>{''.join(lines)}</table><p>{ended}{residual}</p>"
 
 
@@ -104,7 +147,11 @@ FALL = 0.8  # how much of a fall on the wall is drawn [s]
 
 def pictures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Draw what is known: of each picture what it shows, and its PNG in base64."""
-    drawn = {"the model against the recording": _fit, "the wall that is felt": _felt, "what is left of each knock": _knocks}
+    drawn = {
+        "the model against the recording": _fit,
+        "the wall that is felt": _felt,
+        "what is left of each knock": _knocks,
+    }
     found = [(name, draw(record)) for name, draw in drawn.items()]
     return [(name, _encoded(figure)) for name, figure in found if figure is not None]
 
@@ -135,8 +182,14 @@ def _fit(record: Mapping[str, Any]) -> Figure | None:
     for k, (start, modelled) in enumerate(zip(starts.tolist(), positions, strict=True)):
         time = (start + np.arange(len(modelled))) * experiment.period
         recorded = experiment.position[start : start + len(modelled)]
-        named = {"recorded": "recorded", "model": "model"} if k == 0 else {"recorded": "_", "model": "_"}
-        top.plot(time, 1e3 * recorded, color=GREY, ls="-", lw=3.0, alpha=0.6, label=named["recorded"])
+        named = (
+            {"recorded": "recorded", "model": "model"}
+            if k == 0
+            else {"recorded": "_", "model": "_"}
+        )
+        top.plot(
+            time, 1e3 * recorded, color=GREY, ls="-", lw=3.0, alpha=0.6, label=named["recorded"]
+        )
         top.plot(time, 1e3 * modelled, color=COLOURS[0], ls="-", lw=1.0, label=named["model"])
         bottom.plot(time, 1e6 * (recorded - modelled), color=COLOURS[1], ls="-", lw=0.8)
     top.set(ylabel="position  [mm]", title="the model against the recording, window by window")
@@ -166,17 +219,29 @@ def _felt(record: Mapping[str, Any]) -> Figure | None:
     # Nobody holds what falls.
     plant = replace(found.plant(), stiffness=0.0)
     ticks = round(FALL / found.period)
-    position, force = fallen(plant, found.period, CompiledLaw(tuple(designed["taps_n_per_m"])), HEIGHTS[0], ticks)
+    position, force = fallen(
+        plant, found.period, CompiledLaw(tuple(designed["taps_n_per_m"])), HEIGHTS[0], ticks
+    )
     depth = -1e3 * position
     figure = new_figure(8.0, 3.6)
     axes = figure.subplots()
     axes.plot(depth, force, color=COLOURS[0], ls="-", lw=1.0, label="a fall from 10 mm")
     most = max(float(depth.max()), 0.1)
     h1 = designed["h1_n_per_m"]
-    axes.plot([0.0, most], [0.0, 1e-3 * most * h1], color=COLOURS[1], ls="--", label=f"at rest: {number(h1, 'N/m')}")
+    axes.plot(
+        [0.0, most],
+        [0.0, 1e-3 * most * h1],
+        color=COLOURS[1],
+        ls="--",
+        label=f"at rest: {number(h1, 'N/m')}",
+    )
     axes.set_xlim(-0.25 * most, 1.05 * most)
     threshold(axes, 0.0, "surface", vertical=True)
-    axes.set(xlabel="depth  [mm]", ylabel="force  [N]", title="the wall that is felt, on the identified device")
+    axes.set(
+        xlabel="depth  [mm]",
+        ylabel="force  [N]",
+        title="the wall that is felt, on the identified device",
+    )
     axes.legend(loc="upper left", bbox_to_anchor=(0.02, 0.85))
     return figure
 
@@ -189,7 +254,10 @@ def _knocks(record: Mapping[str, Any]) -> Figure | None:
     h1 = record["predicted"]["h1_n_per_m"]
     figure = new_figure(8.0, 3.6)
     axes = figure.subplots()
-    runs = (("predicted", record["predicted_steps"]["steps"]), ("measured", record.get("verified", {}).get("steps")))
+    runs = (
+        ("predicted", record["predicted_steps"]["steps"]),
+        ("measured", record.get("verified", {}).get("steps")),
+    )
     for k, (name, steps) in enumerate(runs):
         if steps:
             stiffness = [h1 * step["factor"] for step in steps]

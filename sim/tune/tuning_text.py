@@ -26,7 +26,11 @@ def number(value: Any, unit: str = "") -> str:
 def _poses(record: Mapping[str, Any]) -> str:
     """Tell what of a range of masses is that of other poses."""
     lighter, heavier = record.get("poses_kg") or (0.0, 0.0)
-    return f", with {number(lighter)} less and {number(heavier)} more in other poses" if lighter or heavier else ""
+    return (
+        f", with {number(lighter)} less and {number(heavier)} more in other poses"
+        if lighter or heavier
+        else ""
+    )
 
 
 def _proven(record: Mapping[str, Any]) -> list[TextRow]:
@@ -34,7 +38,11 @@ def _proven(record: Mapping[str, Any]) -> list[TextRow]:
     proof = record.get("landing_proof")
     if proof is None:
         return []
-    told = f"proven for {proof['cases']} devices and delays" if proof["proven"] else f"no proof: {proof['why']}"
+    told = (
+        f"proven for {proof['cases']} devices and delays"
+        if proof["proven"]
+        else f"no proof: {proof['why']}"
+    )
     return [(f"from any height ({proof['convention']})", told)]
 
 
@@ -42,19 +50,33 @@ def law_rows(record: Mapping[str, Any]) -> list[TextRow]:
     """Tell the designed law."""
     asked = record["demand"]
     gain = record["gain_over_pd"]
-    compared = "no ratio: only laws that both land are compared" if gain is None else f"{gain:.3g} times the best PD"
+    compared = (
+        "no ratio: only laws that both land are compared"
+        if gain is None
+        else f"{gain:.3g} times the best PD"
+    )
     worst = [record["worst"]] if "worst" in record else []
     return [
         ("stiffness that is felt, H(1)", number(record["h1_n_per_m"], "N/m")),
         ("beside PD of the same demand", compared),
-        ("settles after every drop on a floor", "yes" if record["lands"] else "NO: it does not survive a landing"),
+        (
+            "settles after every drop on a floor",
+            "yes" if record["lands"] else "NO: it does not survive a landing",
+        ),
         *_proven(record),
         ("taps", ", ".join(f"{tap:.4g}" for tap in record["taps_n_per_m"]) + " N/m"),
-        ("for masses", f"{number(asked['mass'][0])} to {number(asked['mass'][1])} kg{_poses(record)}"),
+        (
+            "for masses",
+            f"{number(asked['mass'][0])} to {number(asked['mass'][1])} kg{_poses(record)}",
+        ),
         ("for delays", f"{number(asked['delay'][0])} to {number(asked['delay'][1])} ticks"),
         ("pole radius at most", number(asked["radius"])),
         *(("the worst case", f"{number(mass)} kg, {number(delay)} ticks") for mass, delay in worst),
-        *([("the model is refuted", record["model_refuted"])] if record.get("model_refuted") else []),
+        *(
+            [("the model is refuted", record["model_refuted"])]
+            if record.get("model_refuted")
+            else []
+        ),
     ]
 
 
@@ -63,8 +85,15 @@ def _grasped(record: Mapping[str, Any]) -> list[TextRow]:
     if (judged := record.get("grasp")) is None:
         return []
     worst = judged["worst"]
-    told = {True: "stable, certified", False: "NOT stable"}.get(worst["certified"], "stable where it was tried, not certified")
-    return [("held as a stylus is, by 0.2 kg behind 380 to 770 N/m", f"{told}; pole radius {worst['radius']:.4f}")]
+    told = {True: "stable, certified", False: "NOT stable"}.get(
+        worst["certified"], "stable where it was tried, not certified"
+    )
+    return [
+        (
+            "held as a stylus is, by 0.2 kg behind 380 to 770 N/m",
+            f"{told}; pole radius {worst['radius']:.4f}",
+        )
+    ]
 
 
 def predicted_rows(record: Mapping[str, Any]) -> list[TextRow]:
@@ -76,11 +105,17 @@ def predicted_rows(record: Mapping[str, Any]) -> list[TextRow]:
     decided = record.get("every_delay_why") or ("not decided" if every is None else number(every))
     quiet = {True: "yes", "estimated": "by estimate", None: "cannot tell"}.get(rest, "not proven")
     return [
-        ("edge, by knocks on the model", "none was found" if knocked is None else number(knocked, "N/m")),
+        (
+            "edge, by knocks on the model",
+            "none was found" if knocked is None else number(knocked, "N/m"),
+        ),
         ("edge, by its poles", number(record["edge_linear_h1_n_per_m"], "N/m")),
         ("pole radius", f"{record['pole_radius']:.4f}"),
         ("drops that settle", f"{record['drops_settled']} of {record['drops']}"),
-        ("stable up to a delay of", "100 ticks and on" if later is None else number(later, "ticks")),
+        (
+            "stable up to a delay of",
+            "100 ticks and on" if later is None else number(later, "ticks"),
+        ),
         ("stable for every sequence of delays", decided),
         *_grasped(record),
         ("comes to rest without a buzz", quiet),
@@ -96,7 +131,10 @@ def verified_rows(record: Mapping[str, Any]) -> list[TextRow]:
     return [
         ("the law holds", number(record["holds"])),
         ("came to rest up to", "nothing" if rested is None else number(rested, "N/m")),
-        ("edge, by knocks on the device", "none was found" if edge is None else number(edge, "N/m")),
+        (
+            "edge, by knocks on the device",
+            "none was found" if edge is None else number(edge, "N/m"),
+        ),
         ("edge, by poles: less what friction lends a knock", by_poles),
         ("beside the prediction", record["edge_compared"]),
         ("knocks", f"{len(record['steps'])} stiffnesses; {record['ended']}"),
@@ -118,14 +156,20 @@ def text(record: Mapping[str, Any], files: Mapping[str, str]) -> str:
         from sim.identify.identified_text import from_figures
         from sim.identify.identified_text import text as device
 
-        lines += [device(from_figures(record["identified"])), f"  the push ended: {record['identified']['stopped']}"]
+        lines += [
+            device(from_figures(record["identified"])),
+            f"  the push ended: {record['identified']['stopped']}",
+        ]
     for title, key, rows in SECTIONS:
         if key in record:
             lines += [title, *(f"  {name:50} {value}" for name, value in rows(record[key]))]
     if record.get("refused"):
         lines.append(f"stopped: {record['refused']}")
     if record.get("interrupted"):
-        lines.append(f"interrupted during {record['interrupted']}; the law and the surface that were there are back")
+        lines.append(
+            f"interrupted during {record['interrupted']}; the law and the surface that were there"
+            " are back"
+        )
     if record.get("not_put_back"):
         lines.append(f"NOT put back: {record['not_put_back']}")
     return "\n".join([*lines, *files.values()])

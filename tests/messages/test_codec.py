@@ -71,15 +71,18 @@ def test_wrong_types_limits_and_non_finite_are_refused(change: dict[str, Any]) -
 @pytest.mark.parametrize("missing", sorted(GOOD))
 def test_missing_fields_are_refused(missing: str) -> None:
     with pytest.raises(MessageRefusedError, match=missing):
-        Decoder(Force).decode(msgpack.packb({name: value for name, value in GOOD.items() if name != missing}))
+        Decoder(Force).decode(
+            msgpack.packb({name: value for name, value in GOOD.items() if name != missing})
+        )
 
 
 def test_at_the_limits() -> None:
     decoder = Decoder(Force)
     assert decoder.decode(msgpack.packb({**GOOD, "seq": MAX_COUNT})).seq == MAX_COUNT
     assert decoder.decode(msgpack.packb({**GOOD, "law": "x" * 128})).law == "x" * 128
-    # A field of a later version is ignored (evolution rule), however it fills the payload up to the limit.
-    room = MAX_PAYLOAD - len(msgpack.packb({**GOOD, "new": b""})) - 1  # bin16 takes one byte more than bin8
+    # A field of a later version is ignored (evolution rule), however it fills the payload up to the
+    # limit. bin16 takes one byte more than bin8
+    room = MAX_PAYLOAD - len(msgpack.packb({**GOOD, "new": b""})) - 1
     payload = msgpack.packb({**GOOD, "new": b"x" * room})
     assert len(payload) == MAX_PAYLOAD
     assert decoder.decode(payload).force == (0.0, 0.0, 1.5)
@@ -111,22 +114,36 @@ def test_every_truncation_is_refused(kind: type[Message], data: st.DataObject) -
 def test_requests_and_replies_are_one_bounded_frame() -> None:
     request = msgpack.packb({"op": "status", "args": {}})
     assert decode_request([request]).op == "status"
-    for frames in ([], [request, request], [request + b"\xc0"], [b"x" * (MAX_PAYLOAD + 1)], [b"\xff\xfe"]):
+    for frames in (
+        [],
+        [request, request],
+        [request + b"\xc0"],
+        [b"x" * (MAX_PAYLOAD + 1)],
+        [b"\xff\xfe"],
+    ):
         with pytest.raises(MessageRefusedError):
             decode_request(frames)
     for frames in ([], [b"", b""], [b"x" * (MAX_REPLY + 1)], [b"\xc1"]):
         with pytest.raises(MessageRefusedError):
             decode_reply(frames)
     # An operation's name and arguments are bounded too: 128 characters, 64 names.
-    for wrong in ({"op": "x" * 129}, {"op": 1}, {"op": "a", "args": {str(i): 0 for i in range(65)}}, {"op": "a", "b": 1}):
+    for wrong in (
+        {"op": "x" * 129},
+        {"op": 1},
+        {"op": "a", "args": {str(i): 0 for i in range(65)}},
+        {"op": "a", "b": 1},
+    ):
         with pytest.raises(MessageRefusedError):
             decode_request([msgpack.packb(wrong)])
 
 
-def test_garbage_sent_to_a_running_node_is_counted_and_told(tmp_path: Path) -> None:
+# Long: one garbage after the other against the same node.
+def test_garbage_sent_to_a_running_node_is_counted_and_told(tmp_path: Path) -> None:  # noqa: PLR0915
     """A real coupling process, fed by the test in the place of the environment."""
     with private_runtime_dir() as folder:
-        inbox, outbox, control = (f"ipc://{folder}/{name}" for name in ("environment.pub", "c.pub", "c.ctl"))
+        inbox, outbox, control = (
+            f"ipc://{folder}/{name}" for name in ("environment.pub", "c.pub", "c.ctl")
+        )
         setup = setup_of(
             run="garbage",
             run_dir=str(folder),
@@ -138,7 +155,11 @@ def test_garbage_sent_to_a_running_node_is_counted_and_told(tmp_path: Path) -> N
             control=control,
             sources={topics.PROXY: inbox},
             listeners=1,
-            parameters={"law": "pd", "ease": 0.0, "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 0.0}}},
+            parameters={
+                "law": "pd",
+                "ease": 0.0,
+                "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 0.0}},
+            },
         )
         (folder / "coupling.json").write_bytes(msgspec.json.encode(setup))
         context = new_context()
@@ -161,11 +182,16 @@ def test_garbage_sent_to_a_running_node_is_counted_and_told(tmp_path: Path) -> N
             topic = topics.PROXY.encode()
             state = DeviceState(seq=0, stamp=0.0, position=(0.0, 0.0, 0.0))
             bad = [b"", b"\xc1", b"\x91" * 50_000, b"x" * (MAX_PAYLOAD + 1), encode(state)]
-            bad += [msgpack.packb({"seq": 1, "stamp": math.nan, "position": [0] * 3, "proxy": [0] * 3})]
+            bad += [
+                msgpack.packb({"seq": 1, "stamp": math.nan, "position": [0] * 3, "proxy": [0] * 3})
+            ]
             for payload in bad:
                 rogue.send(topic, payload)
             # The subscription is a prefix: a longer topic passes ZeroMQ and must be refused here.
-            rogue.send(topic + b"/x", encode(Proxy(seq=1, stamp=0.0, position=(0.0,) * 3, proxy=(0.0,) * 3)))
+            rogue.send(
+                topic + b"/x",
+                encode(Proxy(seq=1, stamp=0.0, position=(0.0,) * 3, proxy=(0.0,) * 3)),
+            )
             good = Proxy(seq=1, stamp=0.002, position=(0.0, 0.0, -0.001), proxy=(0.0,) * 3, normal=(0.0, 0.0, 1.0),
                          distance=-0.001, contact=True)  # fmt: skip
             rogue.send(topic, encode(good))
@@ -195,7 +221,13 @@ def test_garbage_sent_to_a_running_node_is_counted_and_told(tmp_path: Path) -> N
                 reply = ask(msgpack.packb(wrong))
                 assert reply["ok"] is False, wrong
                 assert reply["error"], wrong
-            for garbage in ((b"",), (b"\xc1",), (status, status), (b"", b"", b""), (b"\x91" * 50_000,)):
+            for garbage in (
+                (b"",),
+                (b"\xc1",),
+                (status, status),
+                (b"", b"", b""),
+                (b"\x91" * 50_000,),
+            ):
                 assert ask(*garbage)["ok"] is False
                 refusals += 1
             assert ask(status)["result"]["refused"] == len(bad) + 1 + refusals

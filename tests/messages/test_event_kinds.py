@@ -31,7 +31,16 @@ from tests.support.setups import setup_of
 
 PAGE = (Path(messages.__file__).parent / "PROTOCOL.md").read_text(encoding="utf-8")
 SOURCES = Path(messages.__file__).parents[1]
-UNITS = {"m": "m", "n": "N", "s": "s", "j": "J", "kg": "kg", "ticks": "ticks", "bytes": "bytes", "m_per_s": "m/s"}
+UNITS = {
+    "m": "m",
+    "n": "N",
+    "s": "s",
+    "j": "J",
+    "kg": "kg",
+    "ticks": "ticks",
+    "bytes": "bytes",
+    "m_per_s": "m/s",
+}
 """Ends of names, and the units that they stand for."""
 
 
@@ -52,10 +61,15 @@ def test_the_type_lists_the_kinds_of_the_registry() -> None:
 
 
 def test_the_page_has_the_kinds_numbers_and_causes_of_the_code() -> None:
-    found = {kind: (meaning, named(data)) for kind, (meaning, data) in rows("| kind | meaning |").items()}
+    found = {
+        kind: (meaning, named(data)) for kind, (meaning, data) in rows("| kind | meaning |").items()
+    }
     assert found == {kind: (known.meaning, known.data) for kind, known in EVENTS.items()}
     assert {name: meaning for name, (meaning,) in rows("| number | meaning |").items()} == DATA
-    causes = {int(cause): (kind.strip("`"), named(data)) for cause, (kind, _, data) in rows("| `cause` | kind").items()}
+    causes = {
+        int(cause): (kind.strip("`"), named(data))
+        for cause, (kind, _, data) in rows("| `cause` | kind").items()
+    }
     assert causes == {cause: (note.kind, note.fields) for cause, note in NOTES.items()}
 
 
@@ -92,17 +106,28 @@ def calls() -> Iterator[tuple[str, ast.Call]]:
         for path in (SOURCES / package).rglob("*.py"):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 called = node.func if isinstance(node, ast.Call) else None
-                if isinstance(called, ast.Attribute) and called.attr in ("emit", "emit_each", "deny"):
+                if isinstance(called, ast.Attribute) and called.attr in (
+                    "emit",
+                    "emit_each",
+                    "deny",
+                ):
                     assert isinstance(node, ast.Call)
                     yield f"{path.relative_to(SOURCES)}:{node.lineno}", node
 
 
 def test_every_event_that_is_emitted_is_registered_and_every_kind_is_emitted() -> None:
     """A rare one, too: one that nobody registered would end the node that meets it."""
-    used = {note.kind for note in NOTES.values()} | {"device_force", "device_force_back"}  # chosen by an expression
+    # chosen by an expression
+    used = {note.kind for note in NOTES.values()} | {"device_force", "device_force_back"}
     for place, call in calls():
         assert isinstance(call.func, ast.Attribute)
-        kind: Any = "denied" if call.func.attr == "deny" else ast.literal_eval(first) if (first := literal(call)) else ""
+        kind: Any = (
+            "denied"
+            if call.func.attr == "deny"
+            else ast.literal_eval(first)
+            if (first := literal(call))
+            else ""
+        )
         if not kind:
             continue
         dicts = [one for one in ast.walk(call) if isinstance(one, ast.Dict)]
@@ -124,7 +149,11 @@ def node_events() -> Events:
 
 @given(data=st.data(), kind=st.sampled_from(sorted(EVENTS)))
 def test_every_kind_comes_through_wire_and_recording(data: st.DataObject, kind: EventKind) -> None:
-    names = st.sampled_from(EVENTS[kind].data or ("",)).filter(bool) if EVENTS[kind].data else st.nothing()
+    names = (
+        st.sampled_from(EVENTS[kind].data or ("",)).filter(bool)
+        if EVENTS[kind].data
+        else st.nothing()
+    )
     numbers = data.draw(st.dictionaries(names, st.floats() | st.integers(0, 2**53)))
     events = node_events()
     events.emit_each(kind, "a sentence", numbers)
@@ -137,9 +166,15 @@ def test_every_kind_comes_through_wire_and_recording(data: st.DataObject, kind: 
 
 @pytest.mark.parametrize(
     ("kind", "data", "named_in"),
-    [("safty", {}, "'safty'"), ("safety", {"span": 1.0}, "span"), ("hung", {"limit_s": 1.0}, "none")],
+    [
+        ("safty", {}, "'safty'"),
+        ("safety", {"span": 1.0}, "span"),
+        ("hung", {"limit_s": 1.0}, "none"),
+    ],
 )
-def test_what_is_not_registered_is_refused_at_once(kind: Any, data: dict[str, float], named_in: str) -> None:
+def test_what_is_not_registered_is_refused_at_once(
+    kind: Any, data: dict[str, float], named_in: str
+) -> None:
     events = node_events()
     with pytest.raises(UnknownEventError, match=named_in):
         events.emit(kind, "", data)
@@ -147,7 +182,9 @@ def test_what_is_not_registered_is_refused_at_once(kind: Any, data: dict[str, fl
 
 
 def test_another_package_has_kinds_of_its_own() -> None:
-    assert checked_data(OtherKind("glove.overheat"), {"celsius": 61, "odd": math.nan}) == {"celsius": 61.0}
+    assert checked_data(OtherKind("glove.overheat"), {"celsius": 61, "odd": math.nan}) == {
+        "celsius": 61.0
+    }
 
 
 def test_an_event_without_numbers_is_read() -> None:
@@ -172,7 +209,9 @@ def test_foxglove_reads_the_numbers_of_an_event(tmp_path: Path) -> None:
     foxglove(schema(Event))
     assert set(schema(Event)["properties"]["data"]["properties"]) == set(DATA)
     path, topic = tmp_path / "a.mcap", topics.event("driver")
-    event = Event(seq=3, stamp=0.1, node="driver", kind="stopped", reason="r", data={"span_s": 0.25})
+    event = Event(
+        seq=3, stamp=0.1, node="driver", kind="stopped", reason="r", data={"span_s": 0.25}
+    )
     with RecordWriter(str(path), {}) as writer:
         writer.write(topic, event, 0.1)
     recording = Recording(path)

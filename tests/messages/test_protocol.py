@@ -79,7 +79,11 @@ def check(topic: str, message: dict[str, Any]) -> None:
 def test_page_lists_every_field_and_topic() -> None:
     page = (Path(types.__file__).parent / "PROTOCOL.md").read_text(encoding="utf-8")
     rows = {line.split("`")[1]: line for line in page.splitlines() if line.startswith("| `/")}
-    kinds: dict[str, type[types.Message]] = {**topics.FIXED, "/NODE/status": types.NodeStatus, "/NODE/event": types.Event}
+    kinds: dict[str, type[types.Message]] = {
+        **topics.FIXED,
+        "/NODE/status": types.NodeStatus,
+        "/NODE/event": types.Event,
+    }
     for topic, message_type in kinds.items():
         for name in message_type.__struct_fields__:
             row = rows[topic].replace("what `/device/state` has", rows[topics.DEVICE_STATE])
@@ -104,7 +108,13 @@ def test_live_traffic_with_zmq_and_msgpack_only(tmp_path: Path) -> None:
             sub.subscribe(b"")
             for node in nodes.values():
                 sub.connect(node["listen"] or node["publish"])
-            kinds = {"/device/state", "/environment/proxy", "/coupling/force", "/driver/status", "/coupling/status"}
+            kinds = {
+                "/device/state",
+                "/environment/proxy",
+                "/coupling/force",
+                "/driver/status",
+                "/coupling/status",
+            }
             while not kinds <= set(seen) or len(seen["/device/state"]) < 100:
                 name, payload = sub.recv_multipart()
                 message = decode(payload)
@@ -126,7 +136,10 @@ def test_live_traffic_with_zmq_and_msgpack_only(tmp_path: Path) -> None:
             req.linger = 0
             req.rcvtimeo = 20_000
             req.connect(nodes["coupling"]["control"])
-            for request, accepted in (({"op": "status", "args": {}}, True), ({"op": "fly", "args": {}}, False)):
+            for request, accepted in (
+                ({"op": "status", "args": {}}, True),
+                ({"op": "fly", "args": {}}, False),
+            ):
                 req.send(msgpack.packb(request))
                 reply = decode(req.recv())
                 assert reply["ok"] is accepted
@@ -147,7 +160,11 @@ class ForeignCoupling(threading.Thread):
     def run(self) -> None:
         """Answer until asked to stop."""
         with zmq.Context() as context:
-            pub, sub, rep = context.socket(zmq.PUB), context.socket(zmq.SUB), context.socket(zmq.REP)
+            pub, sub, rep = (
+                context.socket(zmq.PUB),
+                context.socket(zmq.SUB),
+                context.socket(zmq.REP),
+            )
             for socket in (pub, sub, rep):
                 socket.linger = 200
             pub.bind(self.setup["publish"])
@@ -166,7 +183,9 @@ class ForeignCoupling(threading.Thread):
                     if proxy["seq"] != last:
                         last = proxy["seq"]
                         force = [0.0, 0.0, 1000.0 * (proxy["proxy"][2] - proxy["position"][2])]
-                        payload = msgpack.packb({"seq": last, "stamp": proxy["stamp"], "force": force})
+                        payload = msgpack.packb(
+                            {"seq": last, "stamp": proxy["stamp"], "force": force}
+                        )
                         self.answered += 1
                     else:
                         self.repeated += 1
@@ -178,7 +197,11 @@ class ForeignCoupling(threading.Thread):
                         self.stop_asked = True
                     answers = {"status": {"state": state}, "stop": None}
                     known = request["op"] in answers
-                    reply = {"ok": known, "result": answers.get(request["op"]), "error": "" if known else "unknown"}
+                    reply = {
+                        "ok": known,
+                        "result": answers.get(request["op"]),
+                        "error": "" if known else "unknown",
+                    }
                     rep.send(msgpack.packb(reply))
                     told_end = state == "finished"
             for socket in (pub, sub, rep):
@@ -190,7 +213,10 @@ def test_a_coupling_in_nothing_but_zmq_and_msgpack_runs_the_loop(tmp_path: Path)
     scene.write_text(BY_HAND.format(pace="lockstep", duration=0.4))
     with running(tmp_path, str(scene), ready=False) as launch:
         wait_for(lambda: list(launch.runtime_dir.glob("**/run.json")), "the run")
-        wait_for(lambda: list(launch.runtime_dir.glob("**/coupling.json")), "the setup of the foreign node")
+        wait_for(
+            lambda: list(launch.runtime_dir.glob("**/coupling.json")),
+            "the setup of the foreign node",
+        )
         node = ForeignCoupling(json.loads((launch.run_dir / "coupling.json").read_bytes()))
         figures = launch.finish()
         node.join(timeout=20.0)
@@ -198,7 +224,8 @@ def test_a_coupling_in_nothing_but_zmq_and_msgpack_runs_the_loop(tmp_path: Path)
         assert figures["exit_reason"] == "done"
         assert figures["ticks"] == 200
         assert node.answered == 200 + 1  # every tick, and the state after the last one
-        # A spring alone holds up the mass: half-way of its swing is m·g/K, and it never falls further than twice that plus
-        # the drop; 3 mm is beyond any of it and far above the 1 mm it started from falling free for 0.4 s (0.78 m).
+        # A spring alone holds up the mass: half-way of its swing is m·g/K, and it never falls
+        # further than twice that plus the drop; 3 mm is beyond any of it and far above the 1 mm it
+        # started from falling free for 0.4 s (0.78 m).
         assert abs(figures["final"]["position_m"]) < 3e-3
         assert "waiting for coupling" in launch.errors

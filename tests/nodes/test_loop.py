@@ -8,7 +8,16 @@ import math
 import numpy as np
 import pytest
 
-from nodes.arithmetic import deflection, fir, limit, one_sided, plane_distance, push, sections, settle
+from nodes.arithmetic import (
+    deflection,
+    fir,
+    limit,
+    one_sided,
+    plane_distance,
+    push,
+    sections,
+    settle,
+)
 from nodes.laws import CompiledLaw
 from nodes.laws.pd import PD
 from sim.device.model import DeviceModel, Hand, quantise
@@ -30,13 +39,17 @@ def scene(**changes: object) -> Scene:
     fields = {field.name for field in dataclasses.fields(Scene)}
     of_scene = {name: value for name, value in changes.items() if name in fields}
     of_device = {name: value for name, value in changes.items() if name not in fields}
-    device = DeviceModel(**{name: getattr(DROPPED, name) for name in DROPPED.__struct_fields__} | of_device)
+    device = DeviceModel(
+        **{name: getattr(DROPPED, name) for name in DROPPED.__struct_fields__} | of_device
+    )
     return dataclasses.replace(DROP, device=device, **of_scene)  # type: ignore[arg-type]
 
 
 def same_bits(one: Trace, other: Trace) -> bool:
     arrays = ("position", "velocity", "measured", "deflection", "force")
-    return one.final == other.final and all(getattr(one, a).tobytes() == getattr(other, a).tobytes() for a in arrays)
+    return one.final == other.final and all(
+        getattr(one, a).tobytes() == getattr(other, a).tobytes() for a in arrays
+    )
 
 
 SCENES = {
@@ -53,13 +66,25 @@ SCENES = {
     "motor": scene(peak_force=2.0),
     "limits": scene(peak=3.0, slew=0.5),
     "hand": scene(hand=HAND, gravity=None),
-    "everything": scene(raw=True, delay=1.6, resolution=2.3e-5, friction=0.06, peak_force=7.9, hand=HAND, peak=6.0, slew=1.0),
+    "everything": scene(
+        raw=True,
+        delay=1.6,
+        resolution=2.3e-5,
+        friction=0.06,
+        peak_force=7.9,
+        hand=HAND,
+        peak=6.0,
+        slew=1.0,
+    ),
 }
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_compiled_bits_are_interpreted_bits(name: str) -> None:
-    swaps = (PlannedSwap(150, PD(stiffness=900.0, damping=2.0).compile(PERIOD)), PlannedSwap(300, LAW, ramp=25))
+    swaps = (
+        PlannedSwap(150, PD(stiffness=900.0, damping=2.0).compile(PERIOD)),
+        PlannedSwap(300, LAW, ramp=25),
+    )
     fast = run(SCENES[name], LAW, 500, swaps)
     assert same_bits(fast, run(SCENES[name], LAW, 500, swaps, interpreted=True))
     assert np.isfinite(fast.position).all()
@@ -80,7 +105,11 @@ def test_what_a_scene_lacks_makes_no_version_of_its_own() -> None:
 
 @pytest.mark.parametrize("name", ["drop", "everything"])
 def test_compiled_bits_with_recursive_laws(name: str) -> None:
-    swaps = (PlannedSwap(60, RECURSIVE), PlannedSwap(100, LAW, ramp=10), PlannedSwap(105, RECURSIVE, ramp=40))
+    swaps = (
+        PlannedSwap(60, RECURSIVE),
+        PlannedSwap(100, LAW, ramp=10),
+        PlannedSwap(105, RECURSIVE, ramp=40),
+    )
     fast = run(SCENES[name], LAW, 400, swaps, memory=64)
     assert same_bits(fast, run(SCENES[name], LAW, 400, swaps, memory=64, interpreted=True))
 
@@ -97,7 +126,8 @@ def test_compiled_bits_of_a_diverging_run() -> None:
 def test_bits_of_the_nodes_kernels_by_hand(name: str) -> None:
     """The order of calls that the contract of the nodes states, written out once more over `VirtualDevice`."""
     here = SCENES[name]
-    # Each law with sections costs a compilation of its own per kind of scene; two of them show that they are in order.
+    # Each law with sections costs a compilation of its own per kind of scene; two of them show that
+    # they are in order.
     law = RECURSIVE if name in ("drop", "everything") else LAW
     trace = run(here, law, 200)
     device = VirtualDevice(here.device, PERIOD, here.next_tick)
@@ -122,7 +152,12 @@ def test_bits_of_the_nodes_kernels_by_hand(name: str) -> None:
         asked = fir(law.taps, history, head)
         if flat:
             asked += sections(flat, state, history[head], history[head + 1])
-        force = limit(one_sided(asked, normal, asked * normal, contact, here.raw, here.clamp), force, here.peak, here.slew)
+        force = limit(
+            one_sided(asked, normal, asked * normal, contact, here.raw, here.clamp),
+            force,
+            here.peak,
+            here.slew,
+        )
         assert (device.state.x, measured, newest, force) == (
             trace.position[k],
             trace.measured[k],
@@ -137,11 +172,13 @@ def test_falls_as_a_parabola_and_lands_on_the_spring() -> None:
     trace = run(scene(damping=0.0), LAW, 6000)
     falling = trace.position > 0.0
     first = int(np.argmin(falling))
-    # First contact at √(2·0.01/9.81) = 45.2 ms, tick 23. Undamped fall, exact at every tick: a few roundings of 1 cm.
+    # First contact at √(2·0.01/9.81) = 45.2 ms, tick 23. Undamped fall, exact at every tick: a few
+    # roundings of 1 cm.
     assert first == 23
     expected = 0.01 - 0.5 * 9.81 * trace.time[:first] ** 2
     assert trace.position[:first] == pytest.approx(expected, abs=1e-16)
-    # At rest m g = K x. The bounces decay at about (B − KT/2)/2m = 3 /s: e^{−36} is left after 12 s.
+    # At rest m g = K x. The bounces decay at about (B − KT/2)/2m = 3 /s: e^{−36} is left after 12
+    # s.
     assert trace.final[0] == pytest.approx(-0.1 * 9.81 / LAW.h1, rel=1e-9)
 
 
@@ -175,10 +212,17 @@ def test_friction_brings_it_to_a_dead_stop() -> None:
 
 
 def test_delay_shifts_what_the_device_feels() -> None:
-    # A constant force from tick 0 (a spring without damping, anchored far away, so that x hardly matters): 1 N on 0.1 kg.
+    # A constant force from tick 0 (a spring without damping, anchored far away, so that x hardly
+    # matters): 1 N on 0.1 kg.
     far = CompiledLaw((1e-6,))
     for delay in (0.0, 0.5, 2.0, 2.75):
-        here = scene(surface=SceneSurface("anchor", 1e6), damping=0.0, gravity=None, position=0.0, delay=delay)
+        here = scene(
+            surface=SceneSurface("anchor", 1e6),
+            damping=0.0,
+            gravity=None,
+            position=0.0,
+            delay=delay,
+        )
         trace = run(here, far, 10)
         # 1e-6 N/m over 2 cm changes the force by 2e-8.
         assert trace.final[0] == pytest.approx(0.5 * 10.0 * ((10 - delay) * PERIOD) ** 2, rel=1e-7)
@@ -207,14 +251,15 @@ def test_cross_fade_mixes_both_laws_over_the_same_history() -> None:
 
 
 def test_recursive_law_swaps_in_as_if_it_had_been_there() -> None:
-    # Over a ring that reaches back to before tick 0 the replay is complete: the force equals that of a law that ran all
-    # along over the same deflections. An open loop shows it: no force reaches the device in time.
+    # Over a ring that reaches back to before tick 0 the replay is complete: the force equals that
+    # of a law that ran all along over the same deflections. An open loop shows it: no force reaches
+    # the device in time.
     open_loop = scene(surface=SceneSurface("anchor", 0.0), gravity=None, velocity=0.5, delay=1000.0)
     always = run(open_loop, RECURSIVE, 100)
     swapped = run(open_loop, LAW, 100, (PlannedSwap(50, RECURSIVE),), memory=512)
     assert swapped.deflection.tobytes() == always.deflection.tobytes()
-    # 512 ticks of memory cover tick 0 to 49, and the rest before: the slower pole, 0.9, has forgotten what was before that, and
-    # what is left is the rounding of a few hundred sums.
+    # 512 ticks of memory cover tick 0 to 49, and the rest before: the slower pole, 0.9, has
+    # forgotten what was before that, and what is left is the rounding of a few hundred sums.
     assert swapped.force[50:] == pytest.approx(always.force[50:], rel=1e-12)
     short = run(open_loop, LAW, 100, (PlannedSwap(50, RECURSIVE),), memory=16)
     # With 16 ticks the slower pole, 0.9, has forgotten all but 0.9^16 ≈ 19 % of what came before.

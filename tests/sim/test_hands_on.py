@@ -15,7 +15,11 @@ import pytest
 from tests.support.devices import Bench, bench, real_devices
 from tests.support.launching import HAPTIC, haptic, wait_for
 
-MOVES = {"away from you": (0.05, 0.0, 0.0), "to the left": (0.0, 0.05, 0.0), "upwards, hold": (0.0, 0.0, 0.05)}
+MOVES = {
+    "away from you": (0.05, 0.0, 0.0),
+    "to the left": (0.0, 0.05, 0.0),
+    "upwards, hold": (0.0, 0.0, 0.05),
+}
 
 
 @pytest.fixture(params=sorted(real_devices()))
@@ -46,7 +50,9 @@ def felt(stand: Bench, question: str) -> str:
     return ""
 
 
-def checked(stand: Bench, folder: Path, answer: Callable[[Bench, str], str], *more: str, **given: Any) -> tuple[int, str, str]:
+def checked(
+    stand: Bench, folder: Path, answer: Callable[[Bench, str], str], *more: str, **given: Any
+) -> tuple[int, str, str]:
     """Run `haptic device check`, answering each question; exit code, standard output, and what was said."""
     command = [*HAPTIC, "device", "check", stand.kind, *words(stand, **given), *more]
     process = subprocess.Popen(
@@ -103,16 +109,23 @@ def test_check_finds_wrong_axes_before_any_force(tmp_path: Path) -> None:
         assert 'mapping: {axes: ["+y", "-x", "+z"]}' in said
         assert stand.world.state.largest == 0.0
         # As it says, it is right.
-        code, out, said = checked(stand, tmp_path, felt, 'mapping.axes:=["+y", "-x", "+z"]', "--json")
+        code, out, said = checked(
+            stand, tmp_path, felt, 'mapping.axes:=["+y", "-x", "+z"]', "--json"
+        )
         assert code == 0, said
         assert json.loads(out.splitlines()[-1])["axes_right"] is True
 
 
 @pytest.mark.parametrize(
     ("move", "told"),
-    [((0.0, -0.05, 0.0), "a mirror of the scene"), ((0.05, 0.0, 0.0), "each of x, y and z must stand in it once")],
+    [
+        ((0.0, -0.05, 0.0), "a mirror of the scene"),
+        ((0.05, 0.0, 0.0), "each of x, y and z must stand in it once"),
+    ],
 )
-def test_a_handle_that_is_moved_otherwise_gives_no_axes(move: tuple[float, float, float], told: str, tmp_path: Path) -> None:
+def test_a_handle_that_is_moved_otherwise_gives_no_axes(
+    move: tuple[float, float, float], told: str, tmp_path: Path
+) -> None:
     """To the right where left was asked for, or forward again: a mapping of that would be refused, so none is offered."""
 
     def otherwise(stand: Bench, question: str) -> str:
@@ -180,7 +193,11 @@ def test_nobody_answers(tmp_path: Path) -> None:
 
 
 def test_info_and_free(stand: Bench, tmp_path: Path) -> None:
-    told = json.loads(haptic(tmp_path, "device", "info", stand.kind, *words(stand), "--json").stdout.splitlines()[-1])
+    told = json.loads(
+        haptic(tmp_path, "device", "info", stand.kind, *words(stand), "--json").stdout.splitlines()[
+            -1
+        ]
+    )
     assert told["facts"]["serial"] in ("1234", "04BA")
     assert told["limits"]["hold"] > 0.0
     if stand.kind == "force_dimension_driver":
@@ -188,8 +205,13 @@ def test_info_and_free(stand: Bench, tmp_path: Path) -> None:
         assert [one["mass_kg"] for one in told["edge"]["axes"]] == pytest.approx([0.15, 0.1, 0.1])
         stiffest = [one["k_max_n_per_m"] for one in told["edge"]["axes"]]
         assert stiffest[1] == stiffest[2] != stiffest[0]
-        assert "no process holds it" in haptic(tmp_path, "device", "free", stand.kind, *words(stand)).stdout
-        done = haptic(tmp_path, "device", "info", stand.kind, f"{stand.section}.nonsense:=1", code=2)
+        assert (
+            "no process holds it"
+            in haptic(tmp_path, "device", "free", stand.kind, *words(stand)).stdout
+        )
+        done = haptic(
+            tmp_path, "device", "info", stand.kind, f"{stand.section}.nonsense:=1", code=2
+        )
         assert "nonsense" in done.stderr
     wait_for(lambda: stand.world.state.open == 0, "it is given back")
 
@@ -198,7 +220,9 @@ def test_free_names_who_holds_the_device(tmp_path: Path) -> None:
     with bench("touch_driver", tmp_path) as stand:
         path = stand.parameters["library"]
         code = f"import ctypes, sys; ctypes.CDLL({path!r}); print(1, flush=True); sys.stdin.read()"
-        holder = subprocess.Popen(["python3", "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        holder = subprocess.Popen(
+            ["python3", "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
         with holder:
             assert holder.stdout
             assert holder.stdin

@@ -34,13 +34,17 @@ def test_the_delay_from_force_to_effect_is_told_with_its_uncertainty(
     w.mass, w.damping, w.free_from = 1.0, 100.0, 0.0
     measured = measure(device)
     assert measured.delay is not None, measured.why
-    # On the way out it waits for the servo loop, on the way back for a sample: up to a period each. Three times the 95 % are as
-    # good as certain.
-    assert measured.delay == pytest.approx(late + 1.0 / device.servo_rate, abs=3.0 * measured.uncertainty)
+    # On the way out it waits for the servo loop, on the way back for a sample: up to a period each.
+    # Three times the 95 % are as good as certain.
+    assert measured.delay == pytest.approx(
+        late + 1.0 / device.servo_rate, abs=3.0 * measured.uncertainty
+    )
     assert measured.uncertainty < 0.01
 
 
-def test_a_handle_that_does_not_move_tells_no_delay(stand: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_handle_that_does_not_move_tells_no_delay(
+    stand: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("sim.hands_on.delay.AFTER", REST)
     device = stand.opened()
     measured = measure(device)

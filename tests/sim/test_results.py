@@ -21,7 +21,9 @@ from sim.results import EARLIER, fresh
 from tests.support.overlap import drawn_texts, overlaps
 
 
-def test_an_earlier_file_is_set_aside_and_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_earlier_file_is_set_aside_and_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = tmp_path / "studies" / "deep"
     for number in range(3):
         fresh(folder / "a.png").write_text(f"a {number}")
@@ -30,7 +32,9 @@ def test_an_earlier_file_is_set_aside_and_said(tmp_path: Path, capsys: pytest.Ca
     kept = sorted((folder / EARLIER).glob("*/a.png"))
     assert sorted(path.read_text() for path in kept) == ["a 0", "a 1"]
     # What one run set aside stays together.
-    assert [path.with_name("b.json").read_text().replace("b", "a") for path in kept] == [p.read_text() for p in kept]
+    assert [path.with_name("b.json").read_text().replace("b", "a") for path in kept] == [
+        p.read_text() for p in kept
+    ]
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 2
     assert said[0] == f"{folder}: files of an earlier run are kept in {kept[0].parent}"
@@ -53,7 +57,10 @@ def test_a_study_that_runs_again_keeps_what_was_there(
 def test_the_front_of_a_chart_is_named_however_crowded(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     costs, errors = rng.lognormal(0.0, 0.3, (2, 60)).tolist()
-    crowd = [Point(f"a_choice_with_a_long_name {i}", costs[i], errors[i], f"family {i % 9}") for i in range(60)]
+    crowd = [
+        Point(f"a_choice_with_a_long_name {i}", costs[i], errors[i], f"family {i % 9}")
+        for i in range(60)
+    ]
     front = [Point(f"on_the_front {i}", 0.2 * 1.02**i, 0.2 / 1.05**i, "front") for i in range(8)]
     group = with_front(Group("g", "a chart", "cost [µs]", "error [1]", (*crowd, *front)))
     figures: list[Figure] = []
@@ -79,7 +86,14 @@ def test_names_without_room_are_left_out_unless_they_must_be_there() -> None:
     few = len(axes.texts)
     assert 0 < few < len(points)
     assert overlaps(figure) == []
-    name_points(axes, [("must", 0.5, 0.5)], [t.get_window_extent() for t in axes.texts], must=True, size=7.0, color="k")
+    name_points(
+        axes,
+        [("must", 0.5, 0.5)],
+        [t.get_window_extent() for t in axes.texts],
+        must=True,
+        size=7.0,
+        color="k",
+    )
     assert axes.texts[-1].get_text() == "must"
     assert overlaps(figure) == []
 
@@ -93,15 +107,26 @@ def test_logarithmic_axes_are_labelled_with_plain_numbers(low: float, high: floa
     legend_below(figure, [axes])
     assert overlaps(figure) == []
     labels = [text.get_text() for text in drawn_texts(figure)]
-    assert any(low <= float(label) <= high for label in labels if label.replace(".", "").replace("e-", "").isdigit())
+    assert any(
+        low <= float(label) <= high
+        for label in labels
+        if label.replace(".", "").replace("e-", "").isdigit()
+    )
 
 
 def test_drill_prints_columns_and_markdown_where_asked() -> None:
     outcomes = [
         DrillOutcome(
-            fault="kill coupling", what="SIGKILL, respawned", safe_ticks=19, lost_ticks=3, window_ticks=180, passed=True
+            fault="kill coupling",
+            what="SIGKILL, respawned",
+            safe_ticks=19,
+            lost_ticks=3,
+            window_ticks=180,
+            passed=True,
         ),
-        DrillOutcome(fault="flood", what="300 old forces", safe_ticks=40, reasons=["40 ticks, limit 27"]),
+        DrillOutcome(
+            fault="flood", what="300 old forces", safe_ticks=40, reasons=["40 ticks, limit 27"]
+        ),
         DrillOutcome(fault="full disk", what="no room under the logger", skipped="not root"),
     ]
     lines = table(outcomes).splitlines()
@@ -109,7 +134,9 @@ def test_drill_prints_columns_and_markdown_where_asked() -> None:
     assert lines[0].split("  ")[0] == "fault"
     # Columns begin where their heads do, or end there for numbers.
     assert all(line.index("SIGKILL") == lines[0].index("what was done") for line in lines[1:2])
-    assert lines[1].index("3 of 180") + len("3 of 180") == lines[0].index("ticks lost") + len("ticks lost")
+    assert lines[1].index("3 of 180") + len("3 of 180") == lines[0].index("ticks lost") + len(
+        "ticks lost"
+    )
     assert lines[2].endswith("FAILED")
     assert lines[3].endswith("skipped")
     assert lines[-1] == "flood: 40 ticks, limit 27" or "full disk: skipped: not root" in lines

@@ -15,7 +15,9 @@ from tests.support.launching import running, wait_for
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("kind", slowly(["force_dimension_driver", "inverse3_driver"], but=["inverse3_driver"]))
+@pytest.mark.parametrize(
+    "kind", slowly(["force_dimension_driver", "inverse3_driver"], but=["inverse3_driver"])
+)
 def test_a_driver_that_is_stopped_or_killed_leaves_no_force(kind: str, tmp_path: Path) -> None:
     """The firmware's watchdog, and the service that forgets; a Touch has nothing outside the process that is known."""
     with bench(kind, tmp_path) as stand:
@@ -28,7 +30,9 @@ def test_a_driver_that_is_stopped_or_killed_leaves_no_force(kind: str, tmp_path:
             wait_for(pushes, "2 mm of 150 N/m")
             driver = launch.pid("driver")
             os.kill(driver, signal.SIGSTOP)
-            wait_for(lambda: not any(stand.world.force()), "no force from a process that stands still")
+            wait_for(
+                lambda: not any(stand.world.force()), "no force from a process that stands still"
+            )
             os.kill(driver, signal.SIGCONT)
             wait_for(pushes, "the force again")
             # A coupling that is gone: the driver damps, then gives nothing.

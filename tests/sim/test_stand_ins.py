@@ -32,8 +32,9 @@ HEIGHT, WEIGHT = 0.01, 0.1 * 9.81
 
 DROPS, NEAR = 20, 0.02
 """A machine that stalls in mid-drop renders something else: so many drops, until one is so near [share], and late by less
-than a tick. With both processors busy the stand-in's own loop is late by parts of a tick all the time, and the best of
-twenty was off by 1.3 %."""
+than a tick. With both processors busy the stand-in's own loop is late by parts of a tick all the
+time, and the best of twenty was off by 1.3 %.
+"""
 
 
 def through(stand: Bench, folder: Path, **parameters: Any) -> str:
@@ -83,10 +84,17 @@ def _compared(table: Table, virtual: Forces, drop: int) -> tuple[float, float, i
     known = np.flatnonzero(np.isfinite(force))  # where no tick was lost
     if force.size < len(virtual[0.0]) or known.size < 0.9 * force.size:
         return math.inf, 0.0, first
-    # The device's own latency is not told: it is the delay at which the virtual device renders the same.
-    error, delay = min((float(np.sqrt(np.mean((force - of)[known] ** 2))), delay) for delay, of in virtual.items())
+    # The device's own latency is not told: it is the delay at which the virtual device renders the
+    # same.
+    error, delay = min(
+        (float(np.sqrt(np.mean((force - of)[known] ** 2))), delay) for delay, of in virtual.items()
+    )
     peak, rest = virtual[delay].max(), float(np.nanmean(force[-50:]))
-    return max(error / peak, abs(np.nanmax(force) / peak - 1.0), abs(rest / WEIGHT - 1.0)), delay, first
+    return (
+        max(error / peak, abs(np.nanmax(force) / peak - 1.0), abs(rest / WEIGHT - 1.0)),
+        delay,
+        first,
+    )
 
 
 def _latency(table: Table, delay: float, first: int, ticks: int) -> float:
@@ -104,22 +112,31 @@ def _recorded(path: Path, tick: int) -> Table | None:
 def test_the_drop_renders_through_the_device(stand: Bench, virtual: Forces, tmp_path: Path) -> None:
     period, ticks = 0.002, len(virtual[0.0])
     drops = []
-    with running(tmp_path, through(stand, tmp_path, servo_rate=2000), *SOFT, "duration:=0") as launch:
+    with running(
+        tmp_path, through(stand, tmp_path, servo_rate=2000), *SOFT, "duration:=0"
+    ) as launch:
         epoch = float(next(launch.runtime_dir.rglob("driver.epoch")).read_text(encoding="ascii"))
         for _ in range(DROPS):
             # Let go at a tick, as the virtual device is.
             drops.append(int((time.monotonic() - epoch) / period) + 100)
             stand.world.drop(HEIGHT, at=epoch + drops[-1] * period)
             time.sleep((ticks + 110) * period)  # the drop itself, in real time
-            table = wait_for(lambda: _recorded(tmp_path / "run.mcap", drops[-1] + ticks), "the drop to be recorded")
+            table = wait_for(
+                lambda: _recorded(tmp_path / "run.mcap", drops[-1] + ticks),
+                "the drop to be recorded",
+            )
             error, delay, first = _compared(table, virtual, drops[-1])
             if error < NEAR and _latency(table, delay, first, ticks) < 1.0:
                 break
-        # Then somebody holds the arm where it rests, and it gives no position for a while: no force, and back by a ramp.
+        # Then somebody holds the arm where it rests, and it gives no position for a while: no
+        # force, and back by a ramp.
         stand.world.state.free_from = math.inf
         stand.world.state.nan = 1
         wait_for(lambda: not any(stand.world.force()), "no force without a position")
-        wait_for(lambda: launch.call("driver", "progress")["safety"] == "fault", "the driver takes it for none")
+        wait_for(
+            lambda: launch.call("driver", "progress")["safety"] == "fault",
+            "the driver takes it for none",
+        )
         stand.world.state.nan = 0
         wait_for(lambda: stand.world.force()[2] > 0.0, "the force comes back")
         # Unplugged in mid-run it ends, and says why.
@@ -132,6 +149,9 @@ def test_the_drop_renders_through_the_device(stand: Bench, virtual: Forces, tmp_
     table = read(tmp_path / "run.mcap")
     error, delay, first = _compared(table, virtual, drops[-1])
     latency = _latency(table, delay, first, ticks)
-    told = f"delay {delay:.3f} ticks, {latency:.3f} of them the device's; off {error:.2%}; missed {int(table['missed'][-1])}"
+    told = (
+        f"delay {delay:.3f} ticks, {latency:.3f} of them the device's; off {error:.2%}; missed"
+        f" {int(table['missed'][-1])}"
+    )
     assert -0.1 < latency < 1.0, told
     assert error < NEAR, told

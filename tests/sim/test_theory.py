@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
-ROOT = next(folder for folder in Path(__file__).resolve().parents if (folder / "pyproject.toml").exists())
+ROOT = next(
+    folder for folder in Path(__file__).resolve().parents if (folder / "pyproject.toml").exists()
+)
 PAGE = ROOT / "sim" / "THEORY.md"
 CITED = re.compile(r"\btheory\.md\s+(§\d+(?:(?:\s*,\s*|\s+and\s+|[-–])§?\d+)*)", re.IGNORECASE)
 HEADING = re.compile(r"^## (\d+)\. \S", re.MULTILINE)
@@ -49,7 +51,11 @@ def test_sections_are_numbered_without_a_gap() -> None:
 
 
 def test_every_row_of_the_papers_table_has_code_and_a_test() -> None:
-    table = PAGE.read_text(encoding="utf-8").partition("statement by statement")[2].partition("\n## ")[0]
+    table = (
+        PAGE.read_text(encoding="utf-8")
+        .partition("statement by statement")[2]
+        .partition("\n## ")[0]
+    )
     rows = [line.split("|")[1:-1] for line in table.splitlines() if line.startswith("| ")][2:]
     defined = {
         name
@@ -71,8 +77,14 @@ def test_what_is_printed_cites_the_paper_or_this_page() -> None:
     allowed = re.compile(r"^(paper\b|THEORY\.md §)")
     for path in sorted((ROOT / "sim").rglob("*.py")):
         for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(call, ast.Call) and getattr(call.func, "id", "") in ("Claim", "_by_memory") and call.args:
-                told = [leaf.value for leaf in ast.walk(call.args[0]) if isinstance(leaf, ast.Constant)]
+            if (
+                isinstance(call, ast.Call)
+                and getattr(call.func, "id", "") in ("Claim", "_by_memory")
+                and call.args
+            ):
+                told = [
+                    leaf.value for leaf in ast.walk(call.args[0]) if isinstance(leaf, ast.Constant)
+                ]
                 texts = [text for text in told if isinstance(text, str) and " " in text]
                 assert all(allowed.match(text) for text in texts), f"{path}:{call.lineno}: {texts}"
 

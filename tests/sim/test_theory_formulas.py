@@ -17,7 +17,15 @@ T = 0.002
 
 def right_side(number: str, **values: object) -> complex:
     """Compute what a formula of the page says its left side is, or is bounded by."""
-    known = {"cos": np.cos, "sin": np.sin, "tan": np.tan, "real": np.real, "abs": abs, "pi": np.pi, **values}
+    known = {
+        "cos": np.cos,
+        "sin": np.sin,
+        "tan": np.tan,
+        "real": np.real,
+        "abs": abs,
+        "pi": np.pi,
+        **values,
+    }
     statement = formulas()[number][0]
     return complex(eval(re.split("<=|>=|[<>=]", statement, maxsplit=1)[1], {}, known))  # noqa: S307
 
@@ -30,7 +38,9 @@ def test_formulas_are_numbered_in_order_within_their_section() -> None:
             assert part.startswith(f"{section}. "), number
             numbers.setdefault(section, []).append(int(place))
     assert all(places == list(range(1, len(places) + 1)) for places in numbers.values()), numbers
-    assert PAGE.count(r"\tag{") == sum(map(len, numbers.values())), "a formula that DISPLAYED does not read"
+    assert PAGE.count(r"\tag{") == sum(map(len, numbers.values())), (
+        "a formula that DISPLAYED does not read"
+    )
 
 
 def test_formulas_that_are_cited_stand_in_the_page() -> None:
@@ -82,7 +92,12 @@ def test_the_boundary_curve_ends_where_the_pole_radius_does(law: str, delay: flo
 
 
 def test_two_devices_with_a_spring_between_them() -> None:
-    for delays, stiffness in (((0, 0), 500.0), ((0, 1), 236.07), ((1, 1), 166.67), ((0, 2), 151.39)):
+    for delays, stiffness in (
+        ((0, 0), 500.0),
+        ((0, 1), 236.07),
+        ((1, 1), 166.67),
+        ((0, 2), 151.39),
+    ):
         statement = formulas()["17.4"][0]
         for factor, expected in ((1.0 - 1e-4, True), (1.0 + 1e-4, False)):
             known = {"K": factor * stiffness, "T": T, "b": 1.0, "d_1": delays[0], "d_2": delays[1]}
@@ -91,8 +106,14 @@ def test_two_devices_with_a_spring_between_them() -> None:
 
 @pytest.mark.parametrize("gain", [0.0, 0.5, 3.0])
 def test_damping_that_a_derivative_costs(gain: float) -> None:
-    law = with_spring(without_spring(parse_law({"kind": "pd", "stiffness": 1.0, "damping": gain}), T), 0.0)
+    law = with_spring(
+        without_spring(parse_law({"kind": "pd", "stiffness": 1.0, "damping": gain}), T), 0.0
+    )
     omega = np.linspace(1.0, np.pi / T, 50)
     z = np.exp(1j * omega * T)
-    f = eval(formulas()["2.2"][0].partition("=")[2], {}, {"T": T, "real": np.real, "D": law.response(z), "z": z})  # noqa: S307
+    f = eval(  # noqa: S307
+        formulas()["2.2"][0].partition("=")[2],
+        {},
+        {"T": T, "real": np.real, "D": law.response(z), "z": z},
+    )
     assert f == pytest.approx(-gain * np.cos(omega * T), abs=1e-9)

@@ -13,11 +13,20 @@ from nodes.laws.parse import parse_law
 from nodes.stability.k_max import with_spring, without_spring
 from nodes.stability.loop_region import known_answer
 from nodes.stability.plant import Plant
-from nodes.stability.worlds import AnyWorld, EulerTool, OtherDevice, SteppedTool, WorldKind, world_k_max
+from nodes.stability.worlds import (
+    AnyWorld,
+    EulerTool,
+    OtherDevice,
+    SteppedTool,
+    WorldKind,
+    world_k_max,
+)
 from tests.support.formulas import PAGE, formulas
 
 T = 0.002
-SECTION = re.search(r"^## \d+\. Any hand, any world\n.*?(?=^## |\Z)", PAGE, re.MULTILINE | re.DOTALL)
+SECTION = re.search(
+    r"^## \d+\. Any hand, any world\n.*?(?=^## |\Z)", PAGE, re.MULTILINE | re.DOTALL
+)
 
 
 def section() -> str:
@@ -95,6 +104,10 @@ def test_every_figure_of_the_table() -> None:
         law = without_spring(parse_law({"kind": "pd", "stiffness": 1.0, "damping": float(gain)}), T)
         for delay, cell in zip((0.0, 0.5, 1.0, 2.0), cells.split("|"), strict=True):
             for text, any_hand in zip(cell.split("/"), (False, True), strict=True):
-                found = world_k_max(law, Plant(T, 0.1, 1.0, delay), AnyWorld(), any_hand).k_max_n_per_m
+                found = world_k_max(
+                    law, Plant(T, 0.1, 1.0, delay), AnyWorld(), any_hand
+                ).k_max_n_per_m
                 # Half a unit of the last digit.
-                assert found == (None if text.strip() == "none" else pytest.approx(float(text), abs=5.1e-4))
+                assert found == (
+                    None if text.strip() == "none" else pytest.approx(float(text), abs=5.1e-4)
+                )

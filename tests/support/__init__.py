@@ -9,10 +9,14 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 FIXTURES = ROOT / "tests" / "fixtures"
-INSTALLED = {"PYTHONPATH": os.pathsep.join([str(FIXTURES / "installed"), os.environ.get("PYTHONPATH", "")])}
+INSTALLED = {
+    "PYTHONPATH": os.pathsep.join([str(FIXTURES / "installed"), os.environ.get("PYTHONPATH", "")])
+}
 """The environment in which the package of tests/fixtures/installed is installed."""
 
 
 def slowly(values: Iterable[Any], but: Container[Any] = ()) -> list[Any]:
     """Parametrize a test with values of which all but some are slow: what they try differs in degree."""
-    return [value if value in but else pytest.param(value, marks=pytest.mark.slow) for value in values]
+    return [
+        value if value in but else pytest.param(value, marks=pytest.mark.slow) for value in values
+    ]

@@ -1,6 +1,7 @@
 """A real browser for the tests: Debian's chromium through Playwright, whose own downloads are not used.
 
-Where it is installed, chromium's headless shell: the same engine without a window's own pages, at less than half the cost.
+Where it is installed, chromium's headless shell: the same engine without a window's own pages, at
+less than half the cost.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ _BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-
 
 CHROMIUM = next(filter(None, map(shutil.which, _BROWSERS)), None)
 
-needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: apt install chromium-headless-shell")
+needs_browser = pytest.mark.skipif(
+    CHROMIUM is None, reason="no chromium here: apt install chromium-headless-shell"
+)
 
 ARGUMENTS = [
     "--no-sandbox",
@@ -79,7 +82,9 @@ def url_of(launch: Running) -> str:
 
 
 @contextlib.contextmanager
-def viewing(launch_folder: Path, *words: str, environment: Any = None, stderr: Any = None) -> Iterator[str]:
+def viewing(
+    launch_folder: Path, *words: str, environment: Any = None, stderr: Any = None
+) -> Iterator[str]:
     """Run ``haptic view`` for the length of a with block.
 
     Parameters
@@ -165,7 +170,9 @@ class OpenPage:
     """
 
     def __init__(self, browser: Browser, url: str, **context: Any) -> None:
-        self._context = browser.new_context(**{"viewport": {"width": 1366, "height": 768}, **context})
+        self._context = browser.new_context(
+            **{"viewport": {"width": 1366, "height": 768}, **context}
+        )
         self._context.set_default_timeout(1e3 * DEADLINE)
         self._page = self._context.new_page()
         self._errors: list[str] = []

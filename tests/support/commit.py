@@ -12,5 +12,7 @@ from tests.support import ROOT
 @functools.cache
 def commit() -> str:
     """Return its hash in hexadecimal digits; the day where there is no repository."""
-    done = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     return done.stdout.strip() or time.strftime("%Y%m%d0000")

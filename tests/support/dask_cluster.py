@@ -58,7 +58,14 @@ class DaskCluster:
         }
         with open(self.folder / f"{what}-{time.monotonic_ns()}.log", "wb") as log:
             return subprocess.Popen(
-                [sys.executable, "-m", f"distributed.cli.dask_{what}", *words, "--no-dashboard", *self.tls],
+                [
+                    sys.executable,
+                    "-m",
+                    f"distributed.cli.dask_{what}",
+                    *words,
+                    "--no-dashboard",
+                    *self.tls,
+                ],
                 env=environment,
                 stdout=log,
                 stderr=log,
@@ -77,11 +84,15 @@ class DaskCluster:
 
 
 @contextlib.contextmanager
-def dask_cluster(folder: Path, host: str = "127.0.0.1", tls: Sequence[str] = (), workers: int = 2) -> Iterator[DaskCluster]:
+def dask_cluster(
+    folder: Path, host: str = "127.0.0.1", tls: Sequence[str] = (), workers: int = 2
+) -> Iterator[DaskCluster]:
     """Start a scheduler and workers; all are gone afterwards."""
     protocol, port = "tls" if tls else "tcp", free_port()
     found = DaskCluster(f"{protocol}://{host}:{port}", tls, folder)
-    found.scheduler = found.start("scheduler", "--protocol", protocol, "--host", host, "--port", str(port))
+    found.scheduler = found.start(
+        "scheduler", "--protocol", protocol, "--host", host, "--port", str(port)
+    )
     try:
         for _ in range(workers):
             found.add_worker()

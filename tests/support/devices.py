@@ -61,11 +61,16 @@ class Bench(NamedTuple):
 
     def written(self, mapping: dict[str, Any] | None = None, **given: Any) -> dict[str, Any]:
         """Write its parameters as a launch file does."""
-        return {self.section: {**self.parameters, **given}, **({"mapping": mapping} if mapping else {})}
+        return {
+            self.section: {**self.parameters, **given},
+            **({"mapping": mapping} if mapping else {}),
+        }
 
     def device(self, mapping: dict[str, Any] | None = None, **given: Any) -> MailboxDevice:
         """Make the device; it is not connected yet."""
-        made = self.driver.hardware(msgspec.convert(self.written(mapping, **given), self.driver.Parameters))
+        made = self.driver.hardware(
+            msgspec.convert(self.written(mapping, **given), self.driver.Parameters)
+        )
         self.made.append(made)
         return made
 
@@ -89,7 +94,11 @@ class Bench(NamedTuple):
 def real_devices() -> dict[str, type[HardwareDriver]]:
     """Find every registered driver of a real device."""
     found, _ = NODES.all()
-    return {name: kind for name, kind in found.items() if isinstance(kind, type) and issubclass(kind, HardwareDriver)}
+    return {
+        name: kind
+        for name, kind in found.items()
+        if isinstance(kind, type) and issubclass(kind, HardwareDriver)
+    }
 
 
 @cache
@@ -107,7 +116,9 @@ def bench(kind: str, folder: Path, *options: str) -> Iterator[Bench]:
         # A name of its own: who holds a device is told by the name of its library.
         path = folder / f"lib{name}-{os.urandom(4).hex()}.so"
         shutil.copy(_compiled(name), path)
-        stand = Bench(kind, driver, world_beside(path), section, {"library": str(path), **GRIPPED[kind]}, made)
+        stand = Bench(
+            kind, driver, world_beside(path), section, {"library": str(path), **GRIPPED[kind]}, made
+        )
         service = None
     else:
         assert kind == "inverse3_driver", f"{kind} has no stand-in yet"

@@ -28,7 +28,9 @@ def formulas() -> dict[str, list[str]]:
 def readable(text: str) -> bool:
     """Return whether a formula is one of plain arithmetic: no sums, integrals, matrices, signals or accents."""
     return not re.search(
-        r"\\(?:sum|int|max|begin|approx|binom|Gamma|mathbf|ldots)|''|!|\\cos j|\[k\]|L\(|mathsf|sgn|atan2|physical", text
+        r"\\(?:sum|int|max|begin|approx|binom|Gamma|mathbf|ldots)|''|!|\\cos"
+        r" j|\[k\]|L\(|mathsf|sgn|atan2|physical",
+        text,
     )
 
 

@@ -43,5 +43,6 @@ nodes:
   logger: {kind: logger}
 """
 """Whatever a busy machine does to the loop, the hand is damped and goes no deeper than its 3 mm. No core and no priority of
-its own: other loops on the machine must not starve this one. Laws are judged for a device and a delay that are worse than
-those it has, so what is refused here would still be stable."""
+its own: other loops on the machine must not starve this one. Laws are judged for a device and a
+delay that are worse than those it has, so what is refused here would still be stable.
+"""

@@ -1,8 +1,8 @@
 """Real launches for the tests: what studies and benches start theirs with, and nothing left behind at the end.
 
-``with running(folder, "floor_drop", "duration:=0") as launch:`` starts ``haptic launch`` and yields it once its driver
-ticks; ``launch_json(folder, "floor_drop", "pace:=lockstep")`` runs one to its end. Both assert that no process of the run
-outlives it and that its directory is gone.
+``with running(folder, "floor_drop", "duration:=0") as launch:`` starts ``haptic launch`` and yields
+it once its driver ticks; ``launch_json(folder, "floor_drop", "pace:=lockstep")`` runs one to its
+end. Both assert that no process of the run outlives it and that its directory is gone.
 """
 
 from __future__ import annotations
@@ -18,7 +18,15 @@ from typing import Any
 import pytest
 
 from nodes.cli.main import main
-from sim.measure.measured_launch import DEADLINE, HAPTIC, Running, haptic, left_behind, processes_of, wait_for
+from sim.measure.measured_launch import (
+    DEADLINE,
+    HAPTIC,
+    Running,
+    haptic,
+    left_behind,
+    processes_of,
+    wait_for,
+)
 
 __all__ = [
     "DEADLINE",
@@ -59,14 +67,20 @@ def running(
     stderr: int | None = None,
 ) -> Iterator[Running]:
     """Run a launch for the length of a with block; see `Running`."""
-    with Running(scenario, *assignments, folder=folder, environment=environment, ready=ready, stderr=stderr) as launch:
+    with Running(
+        scenario, *assignments, folder=folder, environment=environment, ready=ready, stderr=stderr
+    ) as launch:
         yield launch
         launch.interrupt()
         assert_nothing_left(launch.runtime_dir)
 
 
 def launch_json(
-    folder: Path, scenario: str, *assignments: str, code: int = 0, environment: Mapping[str, str] | None = None
+    folder: Path,
+    scenario: str,
+    *assignments: str,
+    code: int = 0,
+    environment: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
     """Run a launch to its end: the object of ``--json``, whose ``recording`` is relative to `folder`."""
     with running(folder, scenario, *assignments, environment=environment, ready=False) as launch:
@@ -91,8 +105,8 @@ def typed_in(
 ) -> subprocess.CompletedProcess[str]:
     """Run a verb in this process, as `haptic` does in one of its own: starting one costs half a second.
 
-    For what a verb says, asks and returns. What is of a process (signals, pipes, how it starts) needs one, and so does a
-    launch, which writes to the process's own standard error.
+    For what a verb says, asks and returns. What is of a process (signals, pipes, how it starts)
+    needs one, and so does a launch, which writes to the process's own standard error.
     """
     out, err = io.StringIO(), io.StringIO()
     with (
@@ -105,5 +119,7 @@ def typed_in(
             patched.setenv(name, value)
         found = exit_code(*words)
     done = subprocess.CompletedProcess(["haptic", *words], found, out.getvalue(), err.getvalue())
-    assert code is None or found == code, f"{done.args}: exit code {found}, expected {code}\n{done.stderr}"
+    assert code is None or found == code, (
+        f"{done.args}: exit code {found}, expected {code}\n{done.stderr}"
+    )
     return done

@@ -25,12 +25,18 @@ def _either(halves: tuple[IO[str], ...]) -> None:
 @contextlib.contextmanager
 def machine(run: str, alone: bool) -> Iterator[None]:
     """Share the machine with the tests of the other workers of a run, or have half of it alone."""
-    # Who waits to be alone holds the queue, so that no test begins before it: without it, others would never let it in.
+    # Who waits to be alone holds the queue, so that no test begins before it: without it, others
+    # would never let it in.
     place = Path(tempfile.gettempdir()) / f"haptic-tests-{os.getuid()}-{run}"
-    with open(f"{place}.queue", "w") as queue, open(f"{place}.0", "w") as one, open(f"{place}.1", "w") as other:
+    with (
+        open(f"{place}.queue", "w") as queue,
+        open(f"{place}.0", "w") as one,
+        open(f"{place}.1", "w") as other,
+    ):
         fcntl.flock(queue, fcntl.LOCK_EX)
         if alone:
-            # A loop in real time sleeps for most of a tick: two of them share the machine, but not with what computes.
+            # A loop in real time sleeps for most of a tick: two of them share the machine, but not
+            # with what computes.
             _either((one, other))
         else:
             fcntl.flock(one, fcntl.LOCK_SH)

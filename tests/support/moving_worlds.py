@@ -26,19 +26,28 @@ def body_in_z(body: Body, period: float) -> tuple[Array, Array]:
     if body.integrator == "lossless":
         # F = (2 m (z − 1)/(z + 1) + c + (k/2)(z + 1)/(z − 1)) q, and y = q z/(z − 1).
         below = np.polyadd(
-            np.polyadd(2.0 * m * np.polymul(Z1, Z1), c * np.polymul(Z1, ONE_MORE)), 0.5 * k * np.polymul(ONE_MORE, ONE_MORE)
+            np.polyadd(2.0 * m * np.polymul(Z1, Z1), c * np.polymul(Z1, ONE_MORE)),
+            0.5 * k * np.polymul(ONE_MORE, ONE_MORE),
         )
         return np.polymul(ONE_MORE, Z), below
-    below = np.polyadd(np.polyadd(m * np.polymul(Z1, Z1), c * np.polymul(Z1, Z)), k * np.polymul(Z, Z))
+    below = np.polyadd(
+        np.polyadd(m * np.polymul(Z1, Z1), c * np.polymul(Z1, Z)), k * np.polymul(Z, Z)
+    )
     return np.polymul(Z, Z), below
 
 
 def characteristic(law: CompiledLaw, plant: Plant, worlds: Sequence[tuple[Array, Array]]) -> Array:
     """Polynomial of 1 + H (P + Σ W), taps only; worlds in series, each a fraction in z."""
     held = held_plant(plant)
-    above, below = np.array(held.numerator), np.concatenate([held.denominator, np.zeros(held.whole + 1)])
+    above, below = (
+        np.array(held.numerator),
+        np.concatenate([held.denominator, np.zeros(held.whole + 1)]),
+    )
     for top, bottom in worlds:
-        above, below = np.polyadd(np.polymul(above, bottom), np.polymul(top, below)), np.polymul(below, bottom)
+        above, below = (
+            np.polyadd(np.polymul(above, bottom), np.polymul(top, below)),
+            np.polymul(below, bottom),
+        )
     shift = np.concatenate([[1.0], np.zeros(len(law.taps) - 1)])
     return np.asarray(np.polyadd(np.polymul(below, shift), np.polymul(above, np.array(law.taps))))
 
@@ -48,7 +57,10 @@ def stable_in_many_digits(law: CompiledLaw, plant: Plant, bodies: Sequence[Body]
     with mpmath.workdps(150):
         exact = np.vectorize(mpmath.mpf, otypes=[object])
         m = [
-            (mpmath.mpf(b.mass) / mpmath.mpf(plant.period) ** 2, mpmath.mpf(b.damping) / mpmath.mpf(plant.period))
+            (
+                mpmath.mpf(b.mass) / mpmath.mpf(plant.period) ** 2,
+                mpmath.mpf(b.damping) / mpmath.mpf(plant.period),
+            )
             for b in bodies
         ]
         held = held_plant(plant)
@@ -85,10 +97,17 @@ def _times(a: Sequence[Any], b: Sequence[Any]) -> list[Any]:
 
 def _plus(a: Sequence[Any], b: Sequence[Any]) -> list[Any]:
     size = max(len(a), len(b))
-    return [one + other for one, other in zip([*[0] * (size - len(a)), *a], [*[0] * (size - len(b)), *b], strict=True)]
+    return [
+        one + other
+        for one, other in zip(
+            [*[0] * (size - len(a)), *a], [*[0] * (size - len(b)), *b], strict=True
+        )
+    ]
 
 
-def polynomial_radius(law: CompiledLaw, plant: Plant, worlds: Sequence[tuple[Array, Array]]) -> float:
+def polynomial_radius(
+    law: CompiledLaw, plant: Plant, worlds: Sequence[tuple[Array, Array]]
+) -> float:
     """Largest root of 1 + H (P + Σ W), taps only; worlds in series, each a fraction in z."""
     return float(np.abs(np.roots(characteristic(law, plant, worlds))).max())
 
@@ -108,12 +127,16 @@ class Chain:
     def continuous(self) -> tuple[Array, Array]:
         """Return A and B of positions and velocities."""
         if not self.second:
-            own = np.array([[0.0, 1.0], [-self.link / self.mass, -(self.damping + self.loss) / self.mass]])
+            own = np.array(
+                [[0.0, 1.0], [-self.link / self.mass, -(self.damping + self.loss) / self.mass]]
+            )
             return own, np.array([0.0, 1.0 / self.mass])
         own = np.zeros((4, 4))
         own[0, 1] = own[2, 3] = 1.0
         own[1] = np.array([-self.link, -self.damping - self.loss, self.link, self.loss]) / self.mass
-        own[3] = np.array([self.link, self.loss, -self.link - self.ground, -self.loss]) / self.second
+        own[3] = (
+            np.array([self.link, self.loss, -self.link - self.ground, -self.loss]) / self.second
+        )
         return own, np.array([0.0, 1.0 / self.mass, 0.0, 0.0])
 
 
@@ -125,10 +148,16 @@ def exact(own: Array, push: Array, duration: float) -> tuple[Array, Array]:
     return moved[:size, :size], moved[:size, size]
 
 
-def chains_radius(taps: Sequence[float], period: float, pushed_back: Chain, pushed_on: Chain) -> float:
+def chains_radius(
+    taps: Sequence[float], period: float, pushed_back: Chain, pushed_on: Chain
+) -> float:
     """Pole radius of a law between two chains; where both may drift together, the pole at 1 of that drift is left out."""
     waits = [math.floor(chain.delay) + 1 for chain in (pushed_back, pushed_on)]
-    parts, longest, history = [chain.continuous() for chain in (pushed_back, pushed_on)], max(waits), len(taps) - 1
+    parts, longest, history = (
+        [chain.continuous() for chain in (pushed_back, pushed_on)],
+        max(waits),
+        len(taps) - 1,
+    )
     sizes = [len(push) for _, push in parts]
     first, second = sizes
     size = first + second + history + longest
@@ -136,19 +165,28 @@ def chains_radius(taps: Sequence[float], period: float, pushed_back: Chain, push
     states = [rows[:first], rows[first : first + second]]
     past, forces = rows[first + second : first + second + history], rows[first + second + history :]
     x = states[0][0] - states[1][0]
-    force = taps[0] * x + sum((tap * row for tap, row in zip(taps[1:], past, strict=True)), np.zeros(size))
+    force = taps[0] * x + sum(
+        (tap * row for tap, row in zip(taps[1:], past, strict=True)), np.zeros(size)
+    )
     acting = [force, *forces]
     moved = []
-    for (own, push), state, chain, sign in zip(parts, states, (pushed_back, pushed_on), (-1.0, 1.0), strict=True):
+    for (own, push), state, chain, sign in zip(
+        parts, states, (pushed_back, pushed_on), (-1.0, 1.0), strict=True
+    ):
         whole = math.floor(chain.delay)
         late = chain.delay - whole
         early, old = exact(own, push, late * period)
         last, new = exact(own, push, (1.0 - late) * period)
-        moved.append(last @ (early @ state + sign * np.outer(old, acting[whole + 1])) + sign * np.outer(new, acting[whole]))
+        moved.append(
+            last @ (early @ state + sign * np.outer(old, acting[whole + 1]))
+            + sign * np.outer(new, acting[whole])
+        )
     deflections = np.array([x, *past])[:history].reshape(history, size)
     step = np.vstack([*moved, deflections, np.array(acting)[:longest]])
     poles = np.linalg.eigvals(step)
-    if not any((chain.link and not chain.second) or chain.ground for chain in (pushed_back, pushed_on)):
+    if not any(
+        (chain.link and not chain.second) or chain.ground for chain in (pushed_back, pushed_on)
+    ):
         poles = np.delete(poles, np.argmin(np.abs(poles - 1.0)))
     return float(np.abs(poles).max())
 
@@ -167,7 +205,8 @@ def played(law: CompiledLaw, plant: Plant, body: Body, ticks: int) -> Array:
     for tick in range(ticks):
         free = sum(tap * value for tap, value in zip(law.taps[1:], x, strict=False))
         if body.integrator == "lossless":
-            # The two rules of a trapezoidal body added up, for its position; first order where a part is absent.
+            # The two rules of a trapezoidal body added up, for its position; first order where a
+            # part is absent.
             if body.mass:
                 a0, a1, a2 = 2 * inertia + loss + k / 2, k - 4 * inertia, 2 * inertia - loss + k / 2
                 rest, give = (force_before - a1 * before - a2 * older) / a0, 1.0 / a0

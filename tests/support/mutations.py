@@ -1,6 +1,7 @@
 """Mutations of the driver's safety rules, each of which some test must notice; run one by one on request.
 
-``python -m tests.support.mutations`` tries all of them, with the tests that are named for each, in a copy of the sources.
+``python -m tests.support.mutations`` tries all of them, with the tests that are named for each, in
+a copy of the sources.
 """
 
 from __future__ import annotations
@@ -36,10 +37,29 @@ class Mutation(NamedTuple):
 
 DRIVER = "nodes/driver/"
 MUTATIONS = (
-    Mutation("half of the motor heat's reserve", f"{DRIVER}motor_heat.py", "(3.0 * s.slew)", "(6.0 * s.slew)", (ORACLES,)),
-    Mutation("no heat while a force is held", f"{DRIVER}motor_heat.py", "s.watchdog)", "0)", (ORACLES, LIMITS)),
-    Mutation("rearm keeps old swings", f"{DRIVER}safety.py", "s.peaks_count = s.peaked = 0", "s.peaked = 0", (NO_PUSH,)),
-    # Not here: `lost` drops what waited and is too old, but the clock before the write refuses that as well.
+    Mutation(
+        "half of the motor heat's reserve",
+        f"{DRIVER}motor_heat.py",
+        "(3.0 * s.slew)",
+        "(6.0 * s.slew)",
+        (ORACLES,),
+    ),
+    Mutation(
+        "no heat while a force is held",
+        f"{DRIVER}motor_heat.py",
+        "s.watchdog)",
+        "0)",
+        (ORACLES, LIMITS),
+    ),
+    Mutation(
+        "rearm keeps old swings",
+        f"{DRIVER}safety.py",
+        "s.peaks_count = s.peaked = 0",
+        "s.peaked = 0",
+        (NO_PUSH,),
+    ),
+    # Not here: `lost` drops what waited and is too old, but the clock before the write refuses that
+    # as well.
     Mutation(
         "nor is it at its tick",
         f"{DRIVER}tick.py",
@@ -48,18 +68,40 @@ MUTATIONS = (
         (ORACLES, NO_PUSH),
     ),
     Mutation(
-        "a hold one tick long in a silence", f"{DRIVER}tick.py", "seq + 1 - s.written >=", "seq - s.written >=", (ORACLES,)
+        "a hold one tick long in a silence",
+        f"{DRIVER}tick.py",
+        "seq + 1 - s.written >=",
+        "seq - s.written >=",
+        (ORACLES,),
     ),
     Mutation(
-        "a hold one tick short in a silence", f"{DRIVER}tick.py", "seq + 1 - s.written >=", "seq + 2 - s.written >=", (ORACLES,)
+        "a hold one tick short in a silence",
+        f"{DRIVER}tick.py",
+        "seq + 1 - s.written >=",
+        "seq + 2 - s.written >=",
+        (ORACLES,),
     ),
     Mutation(
-        "a hold one tick long while held up", f"{DRIVER}tick.py", "- (seq - s.written)", "- (seq - s.written) + 1", (ORACLES,)
+        "a hold one tick long while held up",
+        f"{DRIVER}tick.py",
+        "- (seq - s.written)",
+        "- (seq - s.written) + 1",
+        (ORACLES,),
     ),
     Mutation(
-        "a hold one tick short while held up", f"{DRIVER}tick.py", "- (seq - s.written)", "- (seq - s.written) - 1", (ORACLES,)
+        "a hold one tick short while held up",
+        f"{DRIVER}tick.py",
+        "- (seq - s.written)",
+        "- (seq - s.written) - 1",
+        (ORACLES,),
     ),
-    Mutation("the clock is not read before a write", f"{DRIVER}tick.py", "return not is_late", "return True", (NO_PUSH,)),
+    Mutation(
+        "the clock is not read before a write",
+        f"{DRIVER}tick.py",
+        "return not is_late",
+        "return True",
+        (NO_PUSH,),
+    ),
     Mutation(
         "a device that let go is not noticed before a write",
         f"{DRIVER}tick.py",
@@ -67,8 +109,20 @@ MUTATIONS = (
         "is_late = False and now >=",
         (NO_PUSH,),
     ),
-    Mutation("a delay one tick short", f"{DRIVER}tick.py", "s.delay = 1.0 + s.age", "s.delay = 0.0 + s.age", (ORACLES,)),
-    Mutation("a delay without its age", f"{DRIVER}tick.py", "/ s.period) + s.age", "/ s.period)", (ORACLES,)),
+    Mutation(
+        "a delay one tick short",
+        f"{DRIVER}tick.py",
+        "s.delay = 1.0 + s.age",
+        "s.delay = 0.0 + s.age",
+        (ORACLES,),
+    ),
+    Mutation(
+        "a delay without its age",
+        f"{DRIVER}tick.py",
+        "/ s.period) + s.age",
+        "/ s.period)",
+        (ORACLES,),
+    ),
     Mutation(
         "a force that stays at its limit swings at every tick",
         f"{DRIVER}safety.py",
@@ -90,8 +144,20 @@ MUTATIONS = (
         "and s.energy > -1e9:",
         (NO_PUSH,),
     ),
-    Mutation("velocity of a late sample", f"{DRIVER}motion.py", "if s.virtual == 0:", "if s.virtual == 2:", (ORACLES,)),
-    Mutation("a jump is a motion", f"{DRIVER}motion.py", "if stepped and s.jumped == 0 else", "if stepped else", (NO_PUSH,)),
+    Mutation(
+        "velocity of a late sample",
+        f"{DRIVER}motion.py",
+        "if s.virtual == 0:",
+        "if s.virtual == 2:",
+        (ORACLES,),
+    ),
+    Mutation(
+        "a jump is a motion",
+        f"{DRIVER}motion.py",
+        "if stepped and s.jumped == 0 else",
+        "if stepped else",
+        (NO_PUSH,),
+    ),
     Mutation(
         "a jump has no ramp",
         f"{DRIVER}safety.py",
@@ -100,7 +166,11 @@ MUTATIONS = (
         (NO_PUSH,),
     ),
     Mutation(
-        "what is felt does not fade", f"{DRIVER}safety.py", "s.fading = max(s.fading - 1.0, 0.0)", "s.fading += 0.0", (NO_PUSH,)
+        "what is felt does not fade",
+        f"{DRIVER}safety.py",
+        "s.fading = max(s.fading - 1.0, 0.0)",
+        "s.fading += 0.0",
+        (NO_PUSH,),
     ),
     Mutation(
         "what was felt before a jump comes back after a gap",
@@ -123,7 +193,13 @@ MUTATIONS = (
         "s.ramp_ticks < 0 and (is_felt",
         (NO_PUSH,),
     ),
-    Mutation("a ramp at every start", f"{DRIVER}safety.py", "(is_felt or s.always_ramp != 0)", "(is_felt or True)", (NO_PUSH,)),
+    Mutation(
+        "a ramp at every start",
+        f"{DRIVER}safety.py",
+        "(is_felt or s.always_ramp != 0)",
+        "(is_felt or True)",
+        (NO_PUSH,),
+    ),
     Mutation(
         "a ramp grows twice as fast",
         f"{DRIVER}safety.py",
@@ -132,7 +208,11 @@ MUTATIONS = (
         (NO_PUSH, SAFETY),
     ),
     Mutation(
-        "a gap costs four ticks of ramp", f"{DRIVER}safety.py", "REGAIN: Final = 5", "REGAIN: Final = 4", (NO_PUSH, SAFETY)
+        "a gap costs four ticks of ramp",
+        f"{DRIVER}safety.py",
+        "REGAIN: Final = 5",
+        "REGAIN: Final = 4",
+        (NO_PUSH, SAFETY),
     ),
     Mutation(
         "a fault forgets no ramp",
@@ -142,10 +222,18 @@ MUTATIONS = (
         (NO_PUSH, SAFETY),
     ),
     Mutation(
-        "the slew of each force of a tick", f"{DRIVER}safety.py", "s.slewed[i] += abs", "s.slewed[i] = 0.0 * abs", (ORACLES,)
+        "the slew of each force of a tick",
+        f"{DRIVER}safety.py",
+        "s.slewed[i] += abs",
+        "s.slewed[i] = 0.0 * abs",
+        (ORACLES,),
     ),
     Mutation(
-        "the watchdog bites a tick late", f"{DRIVER}safety.py", "if silent < s.watchdog:", "if silent <= s.watchdog:", (SAFETY,)
+        "the watchdog bites a tick late",
+        f"{DRIVER}safety.py",
+        "if silent < s.watchdog:",
+        "if silent <= s.watchdog:",
+        (SAFETY,),
     ),
     Mutation(
         "damping lasts a tick longer",
@@ -161,8 +249,20 @@ MUTATIONS = (
         "seq - answers > s.max_age + 1",
         (SAFETY,),
     ),
-    Mutation("a force is taken twice", f"{DRIVER}safety.py", "answers <= s.force_seq", "answers < s.force_seq", (SAFETY,)),
-    Mutation("a stop needs no energy", f"{DRIVER}safety.py", "and gained > 0.0:", "and gained > -1e9:", (SWINGS,)),
+    Mutation(
+        "a force is taken twice",
+        f"{DRIVER}safety.py",
+        "answers <= s.force_seq",
+        "answers < s.force_seq",
+        (SAFETY,),
+    ),
+    Mutation(
+        "a stop needs no energy",
+        f"{DRIVER}safety.py",
+        "and gained > 0.0:",
+        "and gained > -1e9:",
+        (SWINGS,),
+    ),
     Mutation(
         "the guard acts before the ramp",
         f"{DRIVER}safety.py",
@@ -207,13 +307,30 @@ def survives(mutation: Mutation, folder: Path) -> bool:
     text = path.read_text(encoding="utf-8")
     if text.count(mutation.old) != 1:
         raise ValueError(
-            f"{mutation.name}: {mutation.old!r} stands {text.count(mutation.old)} times in {mutation.file}, not once"
+            f"{mutation.name}: {mutation.old!r} stands {text.count(mutation.old)} times in"
+            f" {mutation.file}, not once"
         )
     path.write_text(text.replace(mutation.old, mutation.new), encoding="utf-8")
     try:
-        command = [sys.executable, "-m", "pytest", "-n", "0", "-q", "-x", "-p", "no:cacheprovider", *mutation.tests]
+        command = [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-n",
+            "0",
+            "-q",
+            "-x",
+            "-p",
+            "no:cacheprovider",
+            *mutation.tests,
+        ]
         environment = {**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
-        return subprocess.run(command, cwd=folder, env=environment, capture_output=True, check=False).returncode == 0
+        return (
+            subprocess.run(
+                command, cwd=folder, env=environment, capture_output=True, check=False
+            ).returncode
+            == 0
+        )
     finally:
         path.write_text(text, encoding="utf-8")
 
@@ -232,7 +349,10 @@ def main() -> int:
         left = []
         for mutation in MUTATIONS:
             lives = survives(mutation, Path(name))
-            print(f"{'SURVIVES' if lives else 'killed':9}{mutation.name} ({mutation.file})", flush=True)
+            print(
+                f"{'SURVIVES' if lives else 'killed':9}{mutation.name} ({mutation.file})",
+                flush=True,
+            )
             left += [mutation.name] if lives else []
     print(f"{len(left)} of {len(MUTATIONS)} survive")
     return len(left)

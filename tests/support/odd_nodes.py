@@ -91,8 +91,13 @@ class Broken(Node):
 
 DIST_INFO = {
     "METADATA": "Metadata-Version: 2.1\nName: odd-nodes\nVersion: 0\n",
-    "entry_points.txt": "[haptic.nodes]\n"
-    + "".join(f"{kind.lower()} = odd_nodes:{kind}\n" for kind in ("Crasher", "Stubborn", "Broken", "Arms")),
+    "entry_points.txt": (
+        "[haptic.nodes]\n"
+        + "".join(
+            f"{kind.lower()} = odd_nodes:{kind}\n"
+            for kind in ("Crasher", "Stubborn", "Broken", "Arms")
+        )
+    ),
 }
 
 
@@ -108,7 +113,9 @@ def odd_nodes(tmp_path: Path) -> dict[str, str]:
     return {"PYTHONPATH": f"{folder}:{os.environ.get('PYTHONPATH', '')}"}
 
 
-def scenario(folder: Path, duration: float = 0.0, loop: dict[str, Any] | None = None, **more: Any) -> str:
+def scenario(
+    folder: Path, duration: float = 0.0, loop: dict[str, Any] | None = None, **more: Any
+) -> str:
     """Write a launch file: a mass in free fall onto a floor, a logger, and more nodes; `loop` is added to the chain."""
     chain = loop or {}
     content = {
@@ -117,13 +124,22 @@ def scenario(folder: Path, duration: float = 0.0, loop: dict[str, Any] | None = 
         "nodes": {
             "driver": {
                 "kind": "sim_driver",
-                "parameters": {"device": {"mass": 0.1, "damping": 1.0, "gravity": 9.81, "position": 0.001}},
+                "parameters": {
+                    "device": {"mass": 0.1, "damping": 1.0, "gravity": 9.81, "position": 0.001}
+                },
                 **chain,
             },
-            "environment": {"kind": "environment", "parameters": {"surface": {"kind": "plane", "axis": "z"}}, **chain},
+            "environment": {
+                "kind": "environment",
+                "parameters": {"surface": {"kind": "plane", "axis": "z"}},
+                **chain,
+            },
             "coupling": {
                 "kind": "coupling",
-                "parameters": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}}},
+                "parameters": {
+                    "law": "pd",
+                    "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}},
+                },
                 **chain,
             },
             "logger": {"kind": "logger", "required": False, "parameters": {"path": "run.mcap"}},

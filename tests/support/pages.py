@@ -1,10 +1,10 @@
 """The commands of a page as a reader would type them: blocks of ``sh``, line by line, from top to bottom.
 
-A block of ``text`` right after one of ``sh`` shows what that prints: each of its lines must be printed, with any
-numbers where it has numbers and anything where it has ``…``.
+A block of ``text`` right after one of ``sh`` shows what that prints: each of its lines must be
+printed, with any numbers where it has numbers and anything where it has ``…``.
 
-What a launch started with ``&`` gives goes on until its block ends. Long commands are run with the options that their own
-``--help`` offers for shortening; nothing else is changed.
+What a launch started with ``&`` gives goes on until its block ends. Long commands are run with the
+options that their own ``--help`` offers for shortening; nothing else is changed.
 """
 
 from __future__ import annotations
@@ -187,7 +187,8 @@ def command(line: str, shorter: Mapping[str, str]) -> Command:
     line : str
         As it stands in the block.
     shorter : mapping of str to str
-        From the first words of a command to words that are added after its last one. The longest that fits is taken.
+        From the first words of a command to words that are added after its last one. The longest
+        that fits is taken.
 
     Returns
     -------
@@ -265,8 +266,13 @@ class Shell:
                 )
             self.background.append(process)
             if wanted.words[:2] == ["haptic", "launch"]:
-                wait_for(lambda: process.poll() is not None or self._ticks(), f"{wanted.line}: the first tick")
-            assert process.poll() is None, f"{wanted.line} ended: {self._log.read_text(encoding='utf-8')}"
+                wait_for(
+                    lambda: process.poll() is not None or self._ticks(),
+                    f"{wanted.line}: the first tick",
+                )
+            assert process.poll() is None, (
+                f"{wanted.line} ended: {self._log.read_text(encoding='utf-8')}"
+            )
             return ""
         if wanted.words == ["wait"]:
             for process in self.background:
@@ -283,15 +289,23 @@ class Shell:
             timeout=PATIENCE,
             check=False,
         )
-        assert done.returncode == 0, f"$ {wanted.line}\n{done.stdout}{done.stderr}exit code {done.returncode}"
+        assert done.returncode == 0, (
+            f"$ {wanted.line}\n{done.stdout}{done.stderr}exit code {done.returncode}"
+        )
         return done.stdout
 
     def _ticks(self) -> bool:
         with contextlib.suppress(ControlError), zmq.Context() as context:
             for path in self.runtime_dir.glob("runs/*/run.json"):
                 run = msgspec.json.decode(path.read_bytes(), type=RunInfo)
-                drivers = [setup.control for name, setup in run.nodes.items() if name.rpartition("/")[2] == "driver"]
-                if drivers and all(call(context, driver, "status", timeout=1.0)["ticks"] for driver in drivers):
+                drivers = [
+                    setup.control
+                    for name, setup in run.nodes.items()
+                    if name.rpartition("/")[2] == "driver"
+                ]
+                if drivers and all(
+                    call(context, driver, "status", timeout=1.0)["ticks"] for driver in drivers
+                ):
                     return True
         return False
 
@@ -307,7 +321,9 @@ class Shell:
 
 
 @contextlib.contextmanager
-def shell(folder: Path, runtime_dir: Path, programs: Path = Path(sys.executable).parent) -> Iterator[Shell]:
+def shell(
+    folder: Path, runtime_dir: Path, programs: Path = Path(sys.executable).parent
+) -> Iterator[Shell]:
     """Run commands for the length of a with block.
 
     Parameters

@@ -1,6 +1,7 @@
 """Write down which tests start a process, and in which fixture: what a partition of the suite by cost begins with.
 
-Loaded where ``HAPTIC_PROCESS_LOG`` names a file; each line of it is a test and the fixture that was being set up, if any.
+Loaded where ``HAPTIC_PROCESS_LOG`` names a file; each line of it is a test and the fixture that was
+being set up, if any.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A ROS 2 node that knows nothing of this project: listens, pushes, pulls, sets parameters, and prints what came of it as JSON.
 
-Run by whichever Python has rclpy: ``python rclpy_probe.py SECONDS parameters|plain NAMESPACE``, which may
-be empty.
+Run by whichever Python has rclpy: ``python rclpy_probe.py SECONDS parameters|plain NAMESPACE``,
+which may be empty.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from typing import Any
 PUSH, PULL = 0.5, 0.012
 
 
-def main(seconds: float, with_parameters: bool, namespace: str) -> None:
+# Long: one run of a program that a test starts, in the order of its steps.
+def main(seconds: float, with_parameters: bool, namespace: str) -> None:  # noqa: PLR0915
     """Do it."""
     import rclpy
     from geometry_msgs.msg import PoseStamped, WrenchStamped
@@ -92,7 +93,13 @@ def main(seconds: float, with_parameters: bool, namespace: str) -> None:
     told["types"] = dict(node.get_topic_names_and_types())
     told["counts"] = {topic: len(found) for topic, found in got.items()}
     told["poses"] = [
-        [m.header.stamp.sec, m.header.stamp.nanosec, m.pose.position.x, m.pose.position.y, m.pose.position.z]
+        [
+            m.header.stamp.sec,
+            m.header.stamp.nanosec,
+            m.pose.position.x,
+            m.pose.position.y,
+            m.pose.position.z,
+        ]
         for m in got["device/pose"]
     ]
     told["span"] = first(got["device/pose"][-1]) - first(got["device/pose"][0])

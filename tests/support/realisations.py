@@ -17,14 +17,22 @@ T = 0.002
 EPS = 2.0**-52
 KINDS = sorted(derivative_kinds())
 BDF = ("bdf2", "bdf3", "bdf4", "bdf5", "bdf6")
-RECURSIVE = ("tustin_cfe", "al_alaoui_cfe", "oustaloup_tustin", "oustaloup_matched", "least_squares")
+RECURSIVE = (
+    "tustin_cfe",
+    "al_alaoui_cfe",
+    "oustaloup_tustin",
+    "oustaloup_matched",
+    "least_squares",
+)
 # What one tick of the loop does with: a length each realisation takes at any order.
 LENGTH = {**dict.fromkeys(KINDS, 64), **dict.fromkeys(RECURSIVE, 11)}
 
 
 def apply(law: CompiledLaw, samples: NDArray[np.float64]) -> NDArray[np.float64]:
     """Output of a law from rest, by scipy's filters rather than the loop's kernels."""
-    output: NDArray[np.float64] = np.asarray(lfilter(law.taps or (0.0,), [1.0], samples), dtype=np.float64)
+    output: NDArray[np.float64] = np.asarray(
+        lfilter(law.taps or (0.0,), [1.0], samples), dtype=np.float64
+    )
     for b0, b1, a1, a2 in law.sections:
         output = output + lfilter([b0, b1], [1.0, a1, a2], samples)
     return output
@@ -49,7 +57,8 @@ def loop(law: CompiledLaw, samples: list[float]) -> list[float]:
 def size(law: CompiledLaw) -> float:
     """Sum of the magnitudes a unit deflection is multiplied with: the scale of rounding."""
     return math.fsum(map(abs, law.taps)) + sum(
-        float(np.sum(np.abs(lfilter([b0, b1], [1.0, a1, a2], np.eye(1, 4000)[0])))) for b0, b1, a1, a2 in law.sections
+        float(np.sum(np.abs(lfilter([b0, b1], [1.0, a1, a2], np.eye(1, 4000)[0]))))
+        for b0, b1, a1, a2 in law.sections
     )
 
 

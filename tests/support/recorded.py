@@ -14,12 +14,16 @@ from nodes.recording.writer import RecordWriter
 from sim.device.model import advance, coefficients
 
 PERIOD = 0.002
-PUBLISHES = json.dumps({"driver": [DEVICE_STATE], "environment": [PROXY], "coupling": [FORCE, RECEIPT]})
+PUBLISHES = json.dumps(
+    {"driver": [DEVICE_STATE], "environment": [PROXY], "coupling": [FORCE, RECEIPT]}
+)
 """Who publishes what, as a manifest has it."""
 MASS, STIFFNESS, DAMPING = 0.1, 1500.0, 3.0
 
 
-def drop(ticks: int, *, missed: tuple[int, ...] = (), switch: int | None = None) -> Iterator[tuple[str, Message]]:
+def drop(
+    ticks: int, *, missed: tuple[int, ...] = (), switch: int | None = None
+) -> Iterator[tuple[str, Message]]:
     """Play the drop of 0.1 kg from 10 mm.
 
     Parameters
@@ -51,7 +55,9 @@ def drop(ticks: int, *, missed: tuple[int, ...] = (), switch: int | None = None)
                 force=(0.0, 0.0, force),
                 mean_force=(0.0, 0.0, force),
                 force_seq=k - 1,
-                response=0.0 if k == 0 or k - 1 in missed else 160e-6 + 40e-6 * ((k * 7919) % 13) / 13,
+                response=(
+                    0.0 if k == 0 or k - 1 in missed else 160e-6 + 40e-6 * ((k * 7919) % 13) / 13
+                ),
                 missed=late,
                 energy=energy,
             ),
@@ -75,7 +81,14 @@ def drop(ticks: int, *, missed: tuple[int, ...] = (), switch: int | None = None)
             damping *= 2.0
             yield (
                 RECEIPT,
-                Receipt(seq=k, stamp=k * PERIOD, action="switch", before="{law: pd}", after="{law: stiffer}", revision=1),
+                Receipt(
+                    seq=k,
+                    stamp=k * PERIOD,
+                    action="switch",
+                    before="{law: pd}",
+                    after="{law: stiffer}",
+                    revision=1,
+                ),
             )
         stretch = deflection(x, proxy, distance, 1.0, contact, False)
         law = STIFFNESS * stretch + damping * (stretch - before) / PERIOD
@@ -85,10 +98,21 @@ def drop(ticks: int, *, missed: tuple[int, ...] = (), switch: int | None = None)
         energy -= force * x
         x, v = advance(x, v, force - MASS * 9.81, step)
         energy += force * x
-    for node, kind, sent in (("driver", "sim_driver", ticks), ("environment", "environment", ticks)):
+    for node, kind, sent in (
+        ("driver", "sim_driver", ticks),
+        ("environment", "environment", ticks),
+    ):
         yield (
             status(node),
-            NodeStatus(seq=ticks, stamp=ticks * PERIOD, node=node, kind=kind, state="finished", pid=1, sent=sent),
+            NodeStatus(
+                seq=ticks,
+                stamp=ticks * PERIOD,
+                node=node,
+                kind=kind,
+                state="finished",
+                pid=1,
+                sent=sent,
+            ),
         )
 
 
@@ -97,7 +121,11 @@ def rewritten(path: Path, keep: Callable[[str, int], bool]) -> Path:
     recording, out = Recording(path), path.with_suffix(".less.mcap")
     written = recording.metadata
     with RecordWriter(
-        out, recording.manifest, launch_file=written["launch_file"]["yaml"], parameters=written["parameters"], overwrite=True
+        out,
+        recording.manifest,
+        launch_file=written["launch_file"]["yaml"],
+        parameters=written["parameters"],
+        overwrite=True,
     ) as writer:
         for entry in recording.entries():
             if keep(entry.topic, entry.message.seq):

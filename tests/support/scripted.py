@@ -1,8 +1,9 @@
 """A node on a scripted clock: time passes and messages come only as a test says, alike for interpreted and compiled ticks.
 
-Compiled ticks call the clock, the waits and ZeroMQ by their addresses, so they are handed scripted ones; the interpreter gets
-the same script through the modules that it takes time and sockets from. Looking at the clock takes no time: only waits do. So
-what a node does depends on the script alone, and both ticks must do the same, to the bit and to the nanosecond.
+Compiled ticks call the clock, the waits and ZeroMQ by their addresses, so they are handed scripted
+ones; the interpreter gets the same script through the modules that it takes time and sockets from.
+Looking at the clock takes no time: only waits do. So what a node does depends on the script alone,
+and both ticks must do the same, to the bit and to the nanosecond.
 """
 
 from __future__ import annotations
@@ -26,10 +27,19 @@ from nodes.driver.calls import JUMPED, READ, WRITE, Calls
 from nodes.driver.device import DeviceLimits
 from nodes.driver.node import Driver
 from nodes.driver.parameters import DriverParameters
-from tests.support.scripted_world import ASIDE, HOP, Arrival, ScriptedFunctions, ScriptedPublisher, ScriptedSocket, World
+from tests.support.scripted_world import (
+    ASIDE,
+    HOP,
+    Arrival,
+    ScriptedFunctions,
+    ScriptedPublisher,
+    ScriptedSocket,
+    World,
+)
 from tests.support.setups import setup_of
 
-# -- a driver's device ------------------------------------------------------------------------------------------------
+# -- a driver's device
+# ------------------------------------------------------------------------------------------------
 
 
 class Hand:
@@ -50,9 +60,18 @@ class Hand:
     world: World | None = None
 
     def __init__(
-        self, limits: DeviceLimits, position: Callable[[int], Vector], fails: Iterable[int] = (), jumps_at: Iterable[int] = ()
+        self,
+        limits: DeviceLimits,
+        position: Callable[[int], Vector],
+        fails: Iterable[int] = (),
+        jumps_at: Iterable[int] = (),
     ) -> None:
-        self.limits, self._position, self._fails, self._jumps_at = limits, position, set(fails), set(jumps_at)
+        self.limits, self._position, self._fails, self._jumps_at = (
+            limits,
+            position,
+            set(fails),
+            set(jumps_at),
+        )
         self.given: list[tuple[int, Vector, float]] = []
         self.log: list[tuple[int, Vector]] = []
         self.jumps = 0
@@ -109,7 +128,9 @@ class HandInC(Hand):
             return 0
 
         self._kept = READ(read), WRITE(write)
-        first, second = (ctypes.cast(function, ctypes.c_void_p).value or 0 for function in self._kept)
+        first, second = (
+            ctypes.cast(function, ctypes.c_void_p).value or 0 for function in self._kept
+        )
         return Calls(first, second, 0)
 
 
@@ -134,7 +155,8 @@ AHEAD = 5000.0
 """How far the launcher's clock is ahead of a driver's [s]."""
 
 
-# -- playing ----------------------------------------------------------------------------------------------------------
+# -- playing
+# ----------------------------------------------------------------------------------------------------------
 
 
 class Outcome(NamedTuple):
@@ -152,20 +174,36 @@ class Outcome(NamedTuple):
 _NOT_ALIKE = {
     *("device_read", "device_write", "device_context", "device_room", "attention", "fd", "poll"),
     *("places", "lines", "bins", "texts", "text_sizes", "table", "memory"),
-    *("history", "taps", "sections", "sections_state", "undo", "undo_count", "oldest", "turned_before", "met"),
+    *(
+        "history",
+        "taps",
+        "sections",
+        "sections_state",
+        "undo",
+        "undo_count",
+        "oldest",
+        "turned_before",
+        "met",
+    ),
 }
 """Fields that are addresses, or what compiled ticks keep for themselves."""
 
 
 def _numbers(state: Any) -> dict[str, Any]:
     """Give the numbers of a node's state, beyond what its compiled ticks need of the world."""
-    found: dict[str, Any] = {name: getattr(state, name) for name in ("seq", "answered", "gaps", "skipped", "ticks")}
+    found: dict[str, Any] = {
+        name: getattr(state, name) for name in ("seq", "answered", "gaps", "skipped", "ticks")
+    }
     loop: Any = LoopState
     for name, _ in type(state)._fields_[len(loop._fields_) :]:
         if name not in _NOT_ALIKE:
             # How long a tick took is measured, not ruled; that it was counted is.
             value = sum(state.spent) if name == "spent" else getattr(state, name)
-            found[name] = value if isinstance(value, int) else repr(list(value) if hasattr(value, "__len__") else value)
+            found[name] = (
+                value
+                if isinstance(value, int)
+                else repr(list(value) if hasattr(value, "__len__") else value)
+            )
     return found
 
 
@@ -235,7 +273,13 @@ def played(script: Script, tick: str, folder: Path) -> tuple[Outcome, Any]:
 
     with pytest.MonkeyPatch.context() as patch:
         for module in (
-            *("nodes.driver.node", "nodes.driver.plain_tick", "nodes.base.realtime", "nodes.base.events", "nodes.base.follow"),
+            *(
+                "nodes.driver.node",
+                "nodes.driver.plain_tick",
+                "nodes.base.realtime",
+                "nodes.base.events",
+                "nodes.base.follow",
+            ),
             *("nodes.compiled.memory", "messages.transport.sockets"),
         ):
             patch.setattr(f"{module}.time", time)
@@ -255,7 +299,8 @@ def played(script: Script, tick: str, folder: Path) -> tuple[Outcome, Any]:
         context: Any = SimpleNamespace(socket=lambda _: socket)
         node.inbox = Subscription(context, [], [])
         if isinstance(node, Driver):
-            # As on another machine; whoever follows compares stamps, which these scripts give in this machine's time.
+            # As on another machine; whoever follows compares stamps, which these scripts give in
+            # this machine's time.
             node.clock.set(AHEAD, 0.0)
         else:
             world.at_end = lambda: setattr(node, "stopping", True)
@@ -271,7 +316,10 @@ def played(script: Script, tick: str, folder: Path) -> tuple[Outcome, Any]:
 
 
 def _outcome(world: World, node: Any, script: Script) -> Outcome:
-    topic, event = node.setup.topic(script.kind.publishes[0]).encode(), topics.event(node.setup.name).encode()
+    topic, event = (
+        node.setup.topic(script.kind.publishes[0]).encode(),
+        topics.event(node.setup.name).encode(),
+    )
     aside = [frames for _, frames in world.sent[ASIDE]]
     events = [msgspec.msgpack.decode(frames[1]) for frames in aside if frames[0] == event]
     status = node.status()
@@ -280,7 +328,15 @@ def _outcome(world: World, node: Any, script: Script) -> Outcome:
         aside=[frames[1] for frames in aside if frames[0] == topic],
         # Within a tick a refusal by the decoder is told at once, one by the safety at its end.
         events=sorted((one["kind"], one["reason"], one["seq"], one["stamp"]) for one in events),
-        counted=(status.seq, status.ticks, status.gaps, status.skipped, status.received, status.refused, status.sent),
+        counted=(
+            status.seq,
+            status.ticks,
+            status.gaps,
+            status.skipped,
+            status.received,
+            status.refused,
+            status.sent,
+        ),
         state=_numbers(node.counters),
         given=node.hand.given if script.hand is not None else [],
         log=node.hand.log if script.hand is not None else [],

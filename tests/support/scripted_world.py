@@ -57,8 +57,9 @@ class World:
     late : mapping of int to int
         By how much a wait until the start of a tick is too long [µs].
     stalls : mapping of (int, str) to int
-        For how long the process is stopped in a tick, and where in it [µs]: in the device's ``read``, after the ``publish`` of
-        its state, after an ``answer`` was received, when its arrival was ``stamped``, or in the device's ``write``.
+        For how long the process is stopped in a tick, and where in it [µs]: in the device's
+        ``read``, after the ``publish`` of its state, after an ``answer`` was received, when its
+        arrival was ``stamped``, or in the device's ``write``.
 
     Attributes
     ----------
@@ -139,7 +140,8 @@ class World:
         """Take the next frame, after some milliseconds at most; -1 waits without end."""
         until = self.now + 1_000_000 * timeout_ms if timeout_ms >= 0 else math.inf
         if timeout_ms > 0:
-            # Every wait ends a step late, as that for a message does; of one that is followed by a finer one nothing is seen.
+            # Every wait ends a step late, as that for a message does; of one that is followed by a
+            # finer one nothing is seen.
             until = _end_of(until)
         if not (self.is_ready() or (timeout_ms and self._wait_until(until))):
             return None
@@ -166,7 +168,8 @@ class World:
                 self.stall("publish")
 
 
-# -- for the interpreter ---------------------------------------------------------------------------------------------
+# -- for the interpreter
+# ---------------------------------------------------------------------------------------------
 
 
 class ScriptedSocket:
@@ -203,7 +206,10 @@ class ScriptedPublisher(Publisher):
     def __init__(self, world: World) -> None:
         self.apart, self.endpoint = True, ""
         self._batch, self._held = 4, []
-        self._sockets: list[Any] = [SimpleNamespace(underlying=HOP), SimpleNamespace(underlying=ASIDE)]
+        self._sockets: list[Any] = [
+            SimpleNamespace(underlying=HOP),
+            SimpleNamespace(underlying=ASIDE),
+        ]
 
         def sender(socket: int) -> Any:
             return lambda frame, flags=0: world.send(socket, frame, bool(flags & zmq.SNDMORE))
@@ -211,7 +217,8 @@ class ScriptedPublisher(Publisher):
         self._hop, self._aside = sender(HOP), sender(ASIDE)
 
 
-# -- for compiled ticks ----------------------------------------------------------------------------------------------
+# -- for compiled ticks
+# ----------------------------------------------------------------------------------------------
 
 
 class ScriptedFunctions:
@@ -229,9 +236,12 @@ class ScriptedFunctions:
             "sched_yield": (c_int64,),
         }
         self._kept = {
-            name: ctypes.CFUNCTYPE(c_int32, *kinds)(self._guarded(getattr(self, name))) for name, kinds in takes.items()
+            name: ctypes.CFUNCTYPE(c_int32, *kinds)(self._guarded(getattr(self, name)))
+            for name, kinds in takes.items()
         }
-        self.addresses = {name: ctypes.cast(call, ctypes.c_void_p).value or 0 for name, call in self._kept.items()}
+        self.addresses = {
+            name: ctypes.cast(call, ctypes.c_void_p).value or 0 for name, call in self._kept.items()
+        }
 
     def _guarded(self, call: Callable[..., int]) -> Callable[..., int]:
         def guarded(*given: int) -> int:
@@ -261,7 +271,11 @@ class ScriptedFunctions:
 
     def zmq_getsockopt(self, socket: int, option: int, value: int, _: int) -> int:
         """Tell what a socket has."""
-        told = self._world.more if option == zmq.RCVMORE else socket == INBOX and self._world.is_ready()
+        told = (
+            self._world.more
+            if option == zmq.RCVMORE
+            else socket == INBOX and self._world.is_ready()
+        )
         c_int32.from_address(value).value = int(told)
         return 0
 

@@ -23,7 +23,13 @@ LAWS = {
 KINDS: dict[str, tuple[type[Any], dict[str, Any]]] = {
     "environment": (Environment, {"surface": {"kind": "plane"}}),
     # One law of taps alone, one with a recursive section, which sees what is bridged too.
-    **{law: (Coupling, {"law": law, "laws": LAWS, "memory": 16, "stability": "off", "figures": False}) for law in LAWS},
+    **{
+        law: (
+            Coupling,
+            {"law": law, "laws": LAWS, "memory": 16, "stability": "off", "figures": False},
+        )
+        for law in LAWS
+    },
 }
 """Who follows a driver: class and parameters."""
 
@@ -36,7 +42,9 @@ def moving(seq: int) -> Vector:
 def answer(seq: int, after: float = 600.0, force: Vector | None = None) -> Arrival:
     """Answer a tick, some microseconds after its start."""
     given = (0.0, 0.1, 1.0 + 0.05 * (seq * 3 % 7)) if force is None else force
-    return Arrival(at(seq, after), (topics.FORCE.encode(), encode(Force(seq=seq, stamp=0.0, force=given))))
+    return Arrival(
+        at(seq, after), (topics.FORCE.encode(), encode(Force(seq=seq, stamp=0.0, force=given)))
+    )
 
 
 def answers_but(*left_out: int) -> list[Arrival]:
@@ -54,11 +62,16 @@ def driver(
     **safety: Any,
 ) -> Script:
     """Make the script of a driver, whose first force has no ramp unless one is asked for."""
-    bears = DeviceLimits(**{"peak_force": 8.0, "hold": 10.0, "workspace": BOX, "latency": 0.0, **(limits or {})})
+    bears = DeviceLimits(
+        **{"peak_force": 8.0, "hold": 10.0, "workspace": BOX, "latency": 0.0, **(limits or {})}
+    )
     return Script(
         ScriptedDriver,
         arrivals,
-        {"safety": {"hang": None, "ramp": 0.0, **safety}, **({"passivity": guard} if guard else {})},
+        {
+            "safety": {"hang": None, "ramp": 0.0, **safety},
+            **({"passivity": guard} if guard else {}),
+        },
         late or {},
         ticks,
         hand=lambda: Hand(bears, position),
@@ -70,7 +83,9 @@ def question(kind: str, seq: int, stamp: float) -> Message:
     depth = -1e-3 - 1e-5 * (seq * 7 % 11)
     position = (0.0, 0.0, depth)
     if kind == "environment":
-        return DeviceState(seq=seq, stamp=stamp, position=position, force=(0.0, 0.0, 0.0), delay=0.1)
+        return DeviceState(
+            seq=seq, stamp=stamp, position=position, force=(0.0, 0.0, 0.0), delay=0.1
+        )
     return Proxy(
         seq=seq,
         stamp=stamp,
@@ -88,7 +103,9 @@ def follower(kind: str, coming: Sequence[tuple[int, float]], pace: str = "realti
     made, parameters = KINDS[kind]
     topic = made.listens_to[0].encode()
     arrivals = [
-        Arrival(at(place, late), (topic, encode(question(kind, seq, 1e-9 * (EPOCH + TICK * place)))))
+        Arrival(
+            at(place, late), (topic, encode(question(kind, seq, 1e-9 * (EPOCH + TICK * place))))
+        )
         for place, (seq, late) in enumerate(coming)
     ]
     return Script(made, arrivals, parameters, pace=pace)

@@ -17,9 +17,13 @@ Array = NDArray[np.float64]
 
 def box_triangles(size: Any) -> Array:
     """Twelve triangles of a box about the origin; shape (12, 3, 3)."""
-    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * size
+    corners = (
+        np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * size
+    )
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    return np.asarray(corners[[face for a, b, c, d in quads for face in ([a, b, c], [a, c, d])]], dtype=np.float64)
+    return np.asarray(
+        corners[[face for a, b, c, d in quads for face in ([a, b, c], [a, c, d])]], dtype=np.float64
+    )
 
 
 def wander(rng: np.random.Generator, ticks: int, step: float, limits: Any, start: Any) -> Array:
@@ -28,7 +32,9 @@ def wander(rng: np.random.Generator, ticks: int, step: float, limits: Any, start
     way *= rng.uniform(0.0, step, (ticks, 1)) / np.linalg.norm(way, axis=1, keepdims=True)
     limits = np.asarray(limits, dtype=np.float64)
     far = np.cumsum(way, axis=0) + start + limits
-    return np.asarray(np.abs((far + 2.0 * limits) % (4.0 * limits) - 2.0 * limits) - limits, dtype=np.float64)
+    return np.asarray(
+        np.abs((far + 2.0 * limits) % (4.0 * limits) - 2.0 * limits) - limits, dtype=np.float64
+    )
 
 
 def distance_to(solid: Solid, point: Array) -> float:
@@ -57,7 +63,8 @@ def distance_to(solid: Solid, point: Array) -> float:
 def out_of_balance(solids: list[Solid], radius: float, proxy: Array, device: Array) -> float:
     """How far a proxy is from an equilibrium without friction [m]: its deflection less the nearest sum of pushes.
 
-    Pushes go along the gradients of the distances of what is touched, by central differences: nothing under test is used.
+    Pushes go along the gradients of the distances of what is touched, by central differences:
+    nothing under test is used.
     """
     step = 1e-6
     pushes = []
@@ -74,7 +81,11 @@ def out_of_balance(solids: list[Solid], radius: float, proxy: Array, device: Arr
             pushes.append(
                 np.array(
                     [
-                        (distance_to(solid, proxy + step * axis) - distance_to(solid, proxy - step * axis)) / (2.0 * step)
+                        (
+                            distance_to(solid, proxy + step * axis)
+                            - distance_to(solid, proxy - step * axis)
+                        )
+                        / (2.0 * step)
                         for axis in np.eye(3)
                     ]
                 )

@@ -19,13 +19,17 @@ def _values(info: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
     if isinstance(info, msgspec.inspect.FloatType):
         return st.floats(-_SPAN, _SPAN)
     if isinstance(info, msgspec.inspect.IntType):
-        return st.integers(-(2**63) if info.ge is None else info.ge, 2**63 - 1 if info.le is None else info.le)
+        return st.integers(
+            -(2**63) if info.ge is None else info.ge, 2**63 - 1 if info.le is None else info.le
+        )
     if isinstance(info, msgspec.inspect.StrType):
         return st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
     if isinstance(info, msgspec.inspect.BoolType):
         return st.booleans()
     if isinstance(info, msgspec.inspect.DictType):
-        return st.dictionaries(_values(info.key_type), _values(info.value_type), max_size=info.max_length or 8)
+        return st.dictionaries(
+            _values(info.key_type), _values(info.value_type), max_size=info.max_length or 8
+        )
     assert isinstance(info, msgspec.inspect.TupleType)
     return st.tuples(*map(_values, info.item_types))
 

@@ -13,7 +13,9 @@ from nodes.stability.two_hands import TwoHands
 T = 0.002  # sampling period [s]
 
 
-def held(mass: float, damping: float, stiffness: float, share: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def held(
+    mass: float, damping: float, stiffness: float, share: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return a share of a tick of m x'' + b x' + k x = u, by the matrix exponential of scipy."""
     whole = np.zeros((3, 3))
     whole[0, 1], whole[1] = 1.0, (-stiffness / mass, -damping / mass, 1.0 / mass)
@@ -23,7 +25,11 @@ def held(mass: float, damping: float, stiffness: float, share: float) -> tuple[N
 
 def loop_radius(coupling: TwoHands, devices: tuple[tuple[float, float, float], ...]) -> float:
     """Largest pole of both devices with their hands, every delay a shift register; nothing of the module under test."""
-    depth = math.floor(max(max(row) for row in coupling.delays)) + 1 + max(len(law.taps) for law in coupling.laws)
+    depth = (
+        math.floor(max(max(row) for row in coupling.delays))
+        + 1
+        + max(len(law.taps) for law in coupling.laws)
+    )
     size = 2 * (2 + depth)
     step = np.zeros((size, size))
     for side, (mass, damping, stiffness) in enumerate(devices):

@@ -1,7 +1,8 @@
 """Two machines for a test: two network namespaces, joined by a cable with delay, jitter and loss, and a clock each.
 
-The cable is a pair of TUN devices whose packets this process hands on, late or not at all, so it needs neither iproute2 nor
-the kernel's netem. No packet can leave: the namespaces have no other way out. Needs the right to make namespaces.
+The cable is a pair of TUN devices whose packets this process hands on, late or not at all, so it
+needs neither iproute2 nor the kernel's netem. No packet can leave: the namespaces have no other way
+out. Needs the right to make namespaces.
 """
 
 from __future__ import annotations
@@ -26,7 +27,13 @@ from typing import IO
 CLONE_NEWNET = 0x40000000
 CLONE_NEWTIME = 0x00000080
 _TUNSETIFF, _IFF_TUN, _IFF_NO_PI = 0x400454CA, 0x0001, 0x1000
-_SIOCSIFADDR, _SIOCSIFNETMASK, _SIOCGIFFLAGS, _SIOCSIFFLAGS, _SIOCSIFMTU = 0x8916, 0x891C, 0x8913, 0x8914, 0x8922
+_SIOCSIFADDR, _SIOCSIFNETMASK, _SIOCGIFFLAGS, _SIOCSIFFLAGS, _SIOCSIFMTU = (
+    0x8916,
+    0x891C,
+    0x8913,
+    0x8914,
+    0x8922,
+)
 _UP_AND_RUNNING = 0x41
 
 
@@ -67,16 +74,22 @@ class Host:
         maker.start()
         maker.join()
         if self._error is not None:
-            raise NoRightsError(f"a network namespace with a TUN device: {self._error}") from self._error
+            raise NoRightsError(
+                f"a network namespace with a TUN device: {self._error}"
+            ) from self._error
 
     def _make(self) -> None:
         try:
             libc = ctypes.CDLL(None, use_errno=True)
             if libc.unshare(CLONE_NEWNET):
                 raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
-            self._namespace = os.open(f"/proc/self/task/{threading.get_native_id()}/ns/net", os.O_RDONLY)
+            self._namespace = os.open(
+                f"/proc/self/task/{threading.get_native_id()}/ns/net", os.O_RDONLY
+            )
             self.tun = os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK)
-            fcntl.ioctl(self.tun, _TUNSETIFF, struct.pack("16sH22x", b"cable", _IFF_TUN | _IFF_NO_PI))
+            fcntl.ioctl(
+                self.tun, _TUNSETIFF, struct.pack("16sH22x", b"cable", _IFF_TUN | _IFF_NO_PI)
+            )
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
 
                 def set_(request: int, name: bytes, value: bytes) -> None:
@@ -100,7 +113,12 @@ class Host:
         return float(told) > time.monotonic() + self.ahead / 2.0
 
     def popen(
-        self, words: Sequence[str], environment: Mapping[str, str], folder: Path, out: IO[bytes], err: IO[bytes]
+        self,
+        words: Sequence[str],
+        environment: Mapping[str, str],
+        folder: Path,
+        out: IO[bytes],
+        err: IO[bytes],
     ) -> subprocess.Popen[bytes]:
         """Start a process on this host.
 
@@ -182,7 +200,9 @@ class Cable(threading.Thread):
         Whether nothing comes through at the moment.
     """
 
-    def __init__(self, hosts: tuple[Host, Host], delay: float = 0.0, jitter: float = 0.0, loss: float = 0.0) -> None:
+    def __init__(
+        self, hosts: tuple[Host, Host], delay: float = 0.0, jitter: float = 0.0, loss: float = 0.0
+    ) -> None:
         super().__init__(daemon=True, name="cable")
         self._ends = (hosts[0].tun, hosts[1].tun)
         self.delay, self.jitter, self.loss = delay, jitter, loss
@@ -235,7 +255,8 @@ def two_hosts(
     Yields
     ------
     tuple of Host, Host, Cable
-        10.77.0.1, 10.77.0.2 and what joins them; `NoRightsError` is raised where this machine does not allow it.
+        10.77.0.1, 10.77.0.2 and what joins them; `NoRightsError` is raised where this machine does
+        not allow it.
     """
     with contextlib.ExitStack() as stack:
         hosts = []

@@ -51,8 +51,13 @@ class Whole:
                 stream.seek(index.chunk_start_offset)
                 chunk = next(StreamReader(stream, skip_magic=True, emit_chunks=True).records)
                 assert isinstance(chunk, Chunk)
-                count = sum(isinstance(record, RawMessage) for record in breakup_chunk(chunk, validate_crc=True))
-                self.ends.append((index.chunk_start_offset + index.chunk_length, self.ends[-1][1] + count))
+                count = sum(
+                    isinstance(record, RawMessage)
+                    for record in breakup_chunk(chunk, validate_crc=True)
+                )
+                self.ends.append(
+                    (index.chunk_start_offset + index.chunk_length, self.ends[-1][1] + count)
+                )
         assert self.ends[-1][1] == len(self.sent)
         assert len(self.ends) > 4
 

@@ -8,7 +8,15 @@ from typing import Any
 import numpy as np
 
 from messages.types import Message
-from nodes.compiled.kernels.machine import compilable, copy16, put_be16, put_be32, put_be64, put_byte, put_real
+from nodes.compiled.kernels.machine import (
+    compilable,
+    copy16,
+    put_be16,
+    put_be32,
+    put_be64,
+    put_byte,
+    put_real,
+)
 from nodes.compiled.message_fields import FLAG, REAL, VECTOR, WHOLE, fields_of
 
 
@@ -49,7 +57,10 @@ def make_encode(message: type[Message]) -> Callable[[int, int, Any, Any, int, in
     """Make the writer of one type of message."""
     fields = fields_of(message)
     count = len(fields)
-    kinds, slots, sizes = (np.array(row) for row in zip(*((f.kind, f.slot, 1 + len(f.name)) for f in fields), strict=True))
+    kinds, slots, sizes = (
+        np.array(row)
+        for row in zip(*((f.kind, f.slot, 1 + len(f.name)) for f in fields), strict=True)
+    )
     real, vector, whole, flag = REAL, VECTOR, WHOLE, FLAG
 
     @compilable

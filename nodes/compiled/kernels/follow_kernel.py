@@ -32,6 +32,7 @@ def overtaken(s: LoopState, stamp: float) -> bool:
     s.skipping = 1 if has_message(s, s.inbox) else 0
     if s.skipping != 0:
         s.skipped += 1
-        s.payload, s.spare = s.spare, s.payload  # should the newer one be unusual, the plain tick judges both
+        # should the newer one be unusual, the plain tick judges both
+        s.payload, s.spare = s.spare, s.payload
         s.spare_size = s.payload_size
     return bool(s.skipping != 0)

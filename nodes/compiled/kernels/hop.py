@@ -5,7 +5,15 @@ from __future__ import annotations
 from numba.extending import overload
 
 from messages.codec import MAX_PAYLOAD
-from nodes.compiled.kernels.machine import byte, call_clock, call_option, call_pass, call_yield, compilable, wholes_at
+from nodes.compiled.kernels.machine import (
+    byte,
+    call_clock,
+    call_option,
+    call_pass,
+    call_yield,
+    compilable,
+    wholes_at,
+)
 from nodes.compiled.layout import LONGEST_IN, LONGEST_OUT, LONGEST_TOPIC, LoopState
 from nodes.compiled.memory import monotonic as monotonic
 
@@ -103,7 +111,8 @@ def answer(s: LoopState, at: int, size: int) -> None:
     """Send a message to the next hop, then to the listeners."""
     send_hop(s, at, size)
     if keep(s, size):
-        # Under FIFO the I/O thread, no more urgent than this one, still has the message for the hop.
+        # Under FIFO the I/O thread, no more urgent than this one, still has the message for the
+        # hop.
         call_yield(s.sched_yield, (0,))
         flush(s)
     s.sent, s.sent_size = at, size

@@ -1,6 +1,7 @@
 """What a kernel needs of the machine and numba does not give: bytes at an address, and functions that are called there.
 
-Nothing here knows of Python's objects: compiled, a kernel refers to no symbol but libm's, and needs no interpreter lock.
+Nothing here knows of Python's objects: compiled, a kernel refers to no symbol but libm's, and needs
+no interpreter lock.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 def compilable(function: Function) -> Function:
     """Let a function be compiled into those that call it; to a type checker it stays what it is."""
-    # Neither the interpreter nor C calls it: a way of calling it from there would be compiled for each.
+    # Neither the interpreter nor C calls it: a way of calling it from there would be compiled for
+    # each.
     compile_: Any = numba.njit  # of numba's options a type checker knows only the common ones
     made: Function = compile_(no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
     return made
@@ -93,7 +95,9 @@ def _shared(result: Any) -> Intrinsic:
     """Make a load of 8 bytes that another process may be writing: it happens before every later one."""
 
     def generate(_: Any, builder: Any, address: Any) -> Any:
-        value = builder.load_atomic(builder.inttoptr(address, ir.IntType(64).as_pointer()), "acquire", 8)
+        value = builder.load_atomic(
+            builder.inttoptr(address, ir.IntType(64).as_pointer()), "acquire", 8
+        )
         return value if result == types.int64 else builder.bitcast(value, ir.DoubleType())
 
     return _made(result, [types.int64], generate)
@@ -124,10 +128,19 @@ def record_at(record: Any) -> Intrinsic:
     return _made(record, [types.int64], generate)
 
 
-_to_reals, _to_wholes = record_at(types.CPointer(types.float64)), record_at(types.CPointer(types.int64))
+_to_reals, _to_wholes = (
+    record_at(types.CPointer(types.float64)),
+    record_at(types.CPointer(types.int64)),
+)
 overload(reals_at)(lambda address, count: lambda address, count: carray(_to_reals(address), count))  # noqa: ARG005
-overload(wholes_at)(lambda address, count: lambda address, count: carray(_to_wholes(address), count))  # noqa: ARG005
-overload(pairs_at)(lambda address, count: lambda address, count: carray(_to_reals(address), (count, 2)))  # noqa: ARG005
+overload(wholes_at)(
+    lambda address, count: lambda address, count: carray(_to_wholes(address), count)  # noqa: ARG005
+)
+overload(pairs_at)(
+    lambda address, count: (  # noqa: ARG005
+        lambda address, count: carray(_to_reals(address), (count, 2))
+    )
+)
 
 
 def _foreign(*takes: Any) -> Intrinsic:
@@ -139,7 +152,11 @@ def _foreign(*takes: Any) -> Intrinsic:
         function = ir.FunctionType(context.get_value_type(result), kinds)
         given = [builder.extract_value(arguments, n) for n in range(len(takes))]
         wanted = [
-            builder.trunc(value, kind) if isinstance(kind, ir.IntType) and value.type.width > kind.width else value
+            (
+                builder.trunc(value, kind)
+                if isinstance(kind, ir.IntType) and value.type.width > kind.width
+                else value
+            )
             for value, kind in zip(given, kinds, strict=True)
         ]
         return builder.call(builder.inttoptr(address, function.as_pointer()), wanted)
@@ -154,12 +171,15 @@ call_pass = _foreign(types.int64, types.int64, types.int64, types.int32)
 call_option = _foreign(types.int64, types.int32, types.int64, types.int64)
 # int clock_gettime (clockid_t clock, struct timespec *now)
 call_clock = _foreign(types.int32, types.int64)
-# int clock_nanosleep (clockid_t clock, int flags, const struct timespec *until, struct timespec *left)
+# int clock_nanosleep (clockid_t clock, int flags, const struct timespec *until, struct timespec
+# *left)
 call_sleep = _foreign(types.int32, types.int32, types.int64, types.int64)
-# int ppoll (struct pollfd *descriptors, nfds_t count, const struct timespec *longest, const sigset_t *mask)
+# int ppoll (struct pollfd *descriptors, nfds_t count, const struct timespec *longest, const
+# sigset_t *mask)
 call_poll = _foreign(types.int64, types.int64, types.int64, types.int64)
 # int sched_yield (void), which takes no notice of an argument
 call_yield = _foreign(types.int64)
-# int read (int64_t context, int64_t seq, double *out) of a device, and int write (…, double *force, int64_t seq, double offset)
+# int read (int64_t context, int64_t seq, double *out) of a device, and int write (…, double *force,
+# int64_t seq, double offset)
 call_read = _foreign(types.int64, types.int64, types.int64)
 call_write = _foreign(types.int64, types.int64, types.int64, types.float64)

@@ -1,8 +1,8 @@
 """Reading a MessagePack map with known fields, in any order; unknown keys are skipped.
 
-What is read here is read exactly as messages/codec.py reads it. Anything unusual returns False (a wrong type, a
-value out of its bounds, text that is not ASCII, an extension, a malformed or truncated payload): the Python decoder then reads
-the payload and reports what is wrong with it.
+What is read here is read exactly as messages/codec.py reads it. Anything unusual returns False (a
+wrong type, a value out of its bounds, text that is not ASCII, an extension, a malformed or
+truncated payload): the Python decoder then reads the payload and reports what is wrong with it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from nodes.compiled.kernels.machine import be16, be32, be64, byte, compilable, r
 from nodes.compiled.layout import TEXTS
 from nodes.compiled.message_fields import FLAG, REAL, TEXT, VECTOR, WHOLE, Field, fields_of
 
-MOST_SKIPPED = 32  # arrays and maps under unknown keys that are skipped; deeper ones may be refused for their depth
+# arrays and maps under unknown keys that are skipped; deeper ones may be refused for their depth
+MOST_SKIPPED = 32
 
 
 @compilable
@@ -106,8 +107,9 @@ def real_number(at: int, end: int) -> tuple[bool, float, int]:
     return known, float(whole), at
 
 
+# Long: one branch a kind of value that msgpack knows.
 @compilable
-def after_value(at: int, end: int) -> int:
+def after_value(at: int, end: int) -> int:  # noqa: C901
     """Skip one value of any kind: where it ends, -1 when that is not to be said."""
     left = 1
     containers = 0
@@ -153,14 +155,18 @@ def after_value(at: int, end: int) -> int:
     return at
 
 
-def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:
+# Long: one compiled function: a call across it would cost what it saves.
+def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:  # noqa: C901, PLR0915
     """Make the scan of one type of message."""
     fields: tuple[Field, ...] = fields_of(message)
     count = len(fields)
     names = np.frombuffer(b"".join(field.name.encode() for field in fields), np.uint8).copy()
     sizes = np.array([len(field.name) for field in fields])
     begins = np.concatenate([[0], np.cumsum(sizes)[:-1]])
-    kinds, slots, lows, highs = (np.array(row) for row in zip(*((f.kind, f.slot, f.low, f.high) for f in fields), strict=True))
+    kinds, slots, lows, highs = (
+        np.array(row)
+        for row in zip(*((f.kind, f.slot, f.low, f.high) for f in fields), strict=True)
+    )
     defaults = np.array([0.0 if field.default is None else field.default for field in fields])
     required = sum(1 << k for k, field in enumerate(fields) if field.default is None)
     real, vector, whole, flag, text, texts = REAL, VECTOR, WHOLE, FLAG, TEXT, TEXTS
@@ -182,8 +188,9 @@ def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:
                 return k
         return -1
 
+    # Long: one compiled function: a call across it would cost what it saves.
     @compilable
-    def scan(at: int, end: int, reals: Any, wholes: Any) -> bool:
+    def scan(at: int, end: int, reals: Any, wholes: Any) -> bool:  # noqa: C901
         entries, at = map_size(at, end)
         if entries < 0:
             return False

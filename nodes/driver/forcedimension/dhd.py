@@ -8,7 +8,19 @@ from __future__ import annotations
 import ctypes
 import subprocess
 import tempfile
-from ctypes import POINTER, c_bool, c_char, c_char_p, c_double, c_int, c_size_t, c_ubyte, c_uint, c_ushort, c_void_p
+from ctypes import (
+    POINTER,
+    c_bool,
+    c_char,
+    c_char_p,
+    c_double,
+    c_int,
+    c_size_t,
+    c_ubyte,
+    c_uint,
+    c_ushort,
+    c_void_p,
+)
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -16,24 +28,59 @@ from nodes.driver.hardware.compile import compiler, shared_library
 from nodes.driver.hardware.libraries import Functions, declared, find, load
 from nodes.driver.hardware.mailbox import Mailbox
 
-FOLDERS: Final = ("/usr/lib", "/usr/lib64", "/usr/lib/x86_64-linux-gnu", "/usr/local/lib", "/opt/force-dimension/lib")
+FOLDERS: Final = (
+    "/usr/lib",
+    "/usr/lib64",
+    "/usr/lib/x86_64-linux-gnu",
+    "/usr/local/lib",
+    "/opt/force-dimension/lib",
+)
 REMEDY: Final = (
-    "install the Force Dimension SDK and give the path of its libdhd.so or, where it has only static libraries, of "
-    "lib/release/lin-x86_64-gcc/libdhd.a (or libdrd.a) as force_dimension.library"
+    "install the Force Dimension SDK and give the path of its libdhd.so or, where it has only"
+    " static libraries, of lib/release/lin-x86_64-gcc/libdhd.a (or libdrd.a) as"
+    " force_dimension.library"
 )
 WHAT: Final = "Force Dimension's library (libdhd, libdrd)"
 
 ERRORS: Final = (  # by number, as dhdc.h numbers them
-    *("no error", "error", "communication error", "device controller busy", "no driver found", "no device found"),
-    *("operation not available", "operation timed out", "geometry error", "expert mode disabled", "not implemented"),
-    *("out of memory", "device not ready", "file not found", "configuration error", "invalid index", "deprecated"),
-    *("null argument", "redundant encoder integrity test failed", "feature is not enabled", "device is in use"),
+    *(
+        "no error",
+        "error",
+        "communication error",
+        "device controller busy",
+        "no driver found",
+        "no device found",
+    ),
+    *(
+        "operation not available",
+        "operation timed out",
+        "geometry error",
+        "expert mode disabled",
+        "not implemented",
+    ),
+    *(
+        "out of memory",
+        "device not ready",
+        "file not found",
+        "configuration error",
+        "invalid index",
+        "deprecated",
+    ),
+    *(
+        "null argument",
+        "redundant encoder integrity test failed",
+        "feature is not enabled",
+        "device is in use",
+    ),
     *("invalid value", "robotic regulation is not running"),
 )
 
 CONDITIONS: Final = {  # why forces are off, as the device's own status says (DHD_FORCE_OFF_*)
     1: "the device's FORCE button is off: press it",
-    2: "the handle moved faster than the device allows and it braked: let it rest, then press its FORCE button",
+    2: (
+        "the handle moved faster than the device allows and it braked: let it rest, then press its"
+        " FORCE button"
+    ),
     3: "its watchdog cut the forces, because none came in time: press its FORCE button",
     4: "forces are not enabled",
     5: "the USB connection was cut",
@@ -51,7 +98,10 @@ FUNCTIONS: Final[Functions] = {  # all that is used of it
     **dict.fromkeys(("dhdErrorGetLast", "dhdGetDeviceCount", "dhdEnableExpertMode"), (c_int, [])),
     **dict.fromkeys(("dhdOpenID", "dhdClose", "dhdStop"), (c_int, [_ID])),
     **dict.fromkeys(("dhdEnableForce", "dhdSetWatchdog"), (c_int, [c_ubyte, _ID])),
-    **dict.fromkeys(("dhdSetEffectorMass", "dhdSetBaseAngleXDeg", "dhdSetBaseAngleZDeg"), (c_int, [c_double, _ID])),
+    **dict.fromkeys(
+        ("dhdSetEffectorMass", "dhdSetBaseAngleXDeg", "dhdSetBaseAngleZDeg"),
+        (c_int, [c_double, _ID]),
+    ),
     **dict.fromkeys(("dhdGetPosition", "dhdGetLinearVelocity"), (c_int, [_D, _D, _D, _ID])),
     **dict.fromkeys(("dhdHasWrist", "dhdHasGripper"), (c_bool, [_ID])),
     **dict.fromkeys(("dhdGetGripperGap", "dhdGetJointAngles"), (c_int, [_D, _ID])),
@@ -111,14 +161,19 @@ def load_library(name: str) -> Any:
     if name.endswith(".a"):
         path = Path(name).absolute()
         if not path.exists():
-            raise OSError(f"{name} cannot be loaded: no such file; {REMEDY}; without a device, use kind sim_driver")
+            raise OSError(
+                f"{name} cannot be loaded: no such file; {REMEDY}; without a device, use kind"
+                " sim_driver"
+            )
         return declared(_linked(path), name, WHAT, FUNCTIONS)
     return load(name, FOLDERS, REMEDY, WHAT, FUNCTIONS)
 
 
 def _linked(archive: Path) -> Any:
     """Link a static library into a shared one."""
-    usb = find("libusb-1.0.so.0", ("/usr/lib", "/usr/lib/x86_64-linux-gnu", "/lib/x86_64-linux-gnu"))
+    usb = find(
+        "libusb-1.0.so.0", ("/usr/lib", "/usr/lib/x86_64-linux-gnu", "/lib/x86_64-linux-gnu")
+    )
     if usb.library is not None:
         ctypes.CDLL(usb.library, mode=ctypes.RTLD_GLOBAL)  # the archive leaves its functions open
     with tempfile.TemporaryDirectory(prefix="haptic-dhd-") as folder:
@@ -127,17 +182,22 @@ def _linked(archive: Path) -> Any:
         whole: list[str | Path] = ["-Wl,--whole-archive", archive, "-Wl,--no-whole-archive", stubs]
         options = [*whole, "-lstdc++", "-lpthread", "-lm"]
         try:
-            return shared_library(f"linked-{archive.stem}.so", [archive], options, f"a library of {archive}")
+            return shared_library(
+                f"linked-{archive.stem}.so", [archive], options, f"a library of {archive}"
+            )
         except OSError as error:
             if "undefined symbol" not in str(error):
                 raise
             name = str(error).rpartition(" ")[2]
             missing = (
-                f"libusb-1.0.so.0 is not found (looked in {', '.join(usb.searched)}): install libusb-1.0-0"
+                f"libusb-1.0.so.0 is not found (looked in {', '.join(usb.searched)}): install"
+                " libusb-1.0-0"
                 if name.startswith("libusb") and usb.library is None
                 else f"it is not {WHAT}, or not all of it; {REMEDY}"
             )
-            raise OSError(f"{archive} cannot be used: it needs {name}, which nothing here has; {missing}") from error
+            raise OSError(
+                f"{archive} cannot be used: it needs {name}, which nothing here has; {missing}"
+            ) from error
 
 
 def _stubs(archive: Path) -> str:
@@ -145,11 +205,17 @@ def _stubs(archive: Path) -> str:
     names: dict[str, set[str]] = {"U": set(), "T": set()}
     done = subprocess.run(["nm", archive], capture_output=True, text=True, check=False)
     if done.returncode:
-        raise OSError(f"nm cannot read {archive}: {done.stderr[-300:]}; is it a static library of {compiler()}?")
+        raise OSError(
+            f"nm cannot read {archive}: {done.stderr[-300:]}; is it a static library of"
+            f" {compiler()}?"
+        )
     for line in done.stdout.splitlines():
         *_, kind, name = line.split() if len(line.split()) >= 2 else ("", "", "")
         if kind in ("U", "T", "D", "B", "R", "W"):
             names["U" if kind == "U" else "T"].add(name)
     missing = sorted(name for name in names["U"] - names["T"] if "forcedimension6logger" in name)
     # Weak, and enough for a number as for a function without a result.
-    return "".join(f"__attribute__((weak)) long {name}(void) {{ return 0; }}\n" for name in missing) or "int unused;\n"
+    return (
+        "".join(f"__attribute__((weak)) long {name}(void) {{ return 0; }}\n" for name in missing)
+        or "int unused;\n"
+    )

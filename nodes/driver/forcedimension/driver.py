@@ -1,7 +1,8 @@
 """Force Dimension devices as a driver node, through the vendor's DHD and a servo loop in C (servo.c).
 
-Checked against the header and the static library of SDK 3.17.5 without a device, and against a stand-in (sim/stand_ins); not
-yet on hardware. Positions are in metres; the axes of a device on a table are +x to the operator, +y right, +z up.
+Checked against the header and the static library of SDK 3.17.5 without a device, and against a
+stand-in (sim/stand_ins); not yet on hardware. Positions are in metres; the axes of a device on a
+table are +x to the operator, +y right, +z up.
 """
 
 from __future__ import annotations
@@ -24,18 +25,23 @@ from nodes.driver.hardware.mailbox import HardwareParameters, MailboxDevice, Ser
 from nodes.parameters.paths import LocalPath
 
 
-class ForceDimensionParameters(ServoParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class ForceDimensionParameters(
+    ServoParameters, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of the device.
 
     serial: Its serial number; None for the first one that is found.
-    library: DHD's library: a name that the dynamic linker finds, or a path; a static one (``.a``) is linked once.
-    watchdog: After so long without a force command the firmware itself cuts the forces and brakes [s]: what holds when the
-        whole process is gone. 0 for a device without one, which must then be allowed by ``safety.without: [hold]``.
-    peak_force: What the model bears along each axis [N]: the device does not tell it. An omega.3 bears 12, a delta.3 and a
-        sigma.7 20, a Falcon 8.
+    library: DHD's library: a name that the dynamic linker finds, or a path; a static one (``.a``)
+        is linked once.
+    watchdog: After so long without a force command the firmware itself cuts the forces and brakes
+        [s]: what holds when the whole process is gone. 0 for a device without one, which must then
+        be allowed by ``safety.without: [hold]``.
+    peak_force: What the model bears along each axis [N]: the device does not tell it. An omega.3
+        bears 12, a delta.3 and a sigma.7 20, a Falcon 8.
     continuous_force: What it bears for long [N]; None for as much.
     workspace: Of the model, along its own axes [m]; a device outside of it gets no force.
-    gravity_compensation: Whether the library carries the device's own weight; beside the forces of the scene.
+    gravity_compensation: Whether the library carries the device's own weight; beside the forces of
+        the scene.
     tool_mass: Mass of what is mounted on it, for that [kg]; None for the one that the device knows.
     base_angles: How its base stands, about x and z of its own, for that [degrees].
     ready_time: Longest wait for a device that must be moved to calibrate itself [s].
@@ -54,7 +60,9 @@ class ForceDimensionParameters(ServoParameters, frozen=True, forbid_unknown_fiel
     ready_time: Annotated[float, msgspec.Meta(ge=0.0, le=120.0)] = 20.0
 
 
-class ForceDimensionDriverParameters(HardwareParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class ForceDimensionDriverParameters(
+    HardwareParameters, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of the driver node.
 
     force_dimension: The device.
@@ -83,8 +91,9 @@ class ForceDimensionDevice(MailboxDevice):
         count = self._dhd.dhdGetDeviceCount()
         if count <= 0:
             raise OSError(
-                f"Force Dimension: no device found (of {self._sdk()}): is it plugged in and switched on? Without a rule of "
-                "udev for vendor 1451 (a Falcon: 0403:cb48) only root sees it"
+                f"Force Dimension: no device found (of {self._sdk()}): is it plugged in and"
+                " switched on? Without a rule of udev for vendor 1451 (a Falcon: 0403:cb48) only"
+                " root sees it"
             )
         seen: list[str] = []
         refused = ""
@@ -105,8 +114,14 @@ class ForceDimensionDevice(MailboxDevice):
                 raise
             self.close()
         if self._wants.serial is None:
-            raise OSError(f"Force Dimension: the device cannot be opened: {refused}; does another program have it?")
-        raise OSError(f"Force Dimension: no device with serial number {self._wants.serial}; there are: {', '.join(seen)}")
+            raise OSError(
+                f"Force Dimension: the device cannot be opened: {refused}; does another program"
+                " have it?"
+            )
+        raise OSError(
+            f"Force Dimension: no device with serial number {self._wants.serial}; there are:"
+            f" {', '.join(seen)}"
+        )
 
     def _connected(self, serial: int) -> None:
         wants, dhd = self._wants, self._dhd
@@ -119,17 +134,23 @@ class ForceDimensionDevice(MailboxDevice):
             "serial": str(serial),
             "firmware": version.value.decode(errors="replace") if has_version else "unknown",
             "sdk": self._sdk(),
-            # A limit that was set in the library, and no property of the device; −1: none, or no answer.
+            # A limit that was set in the library, and no property of the device; −1: none, or no
+            # answer.
             "force_limit_n": float(dhd.dhdGetMaxForce(self._id)),
         }
         has_watchdog = False
         if wants.watchdog > 0.0:
             units = min(255, int(wants.watchdog / sdk.WATCHDOG_UNIT))
-            has_watchdog = dhd.dhdEnableExpertMode() >= 0 and dhd.dhdSetWatchdog(units, self._id) >= 0
-        self.facts["watchdog"] = f"{wants.watchdog:g} s" if has_watchdog else f"none ({self._last()})"
+            has_watchdog = (
+                dhd.dhdEnableExpertMode() >= 0 and dhd.dhdSetWatchdog(units, self._id) >= 0
+            )
+        self.facts["watchdog"] = (
+            f"{wants.watchdog:g} s" if has_watchdog else f"none ({self._last()})"
+        )
         limit = self.facts["force_limit_n"]
         peak = min(wants.peak_force, limit) if limit > 0.0 else wants.peak_force
-        # The thread's own deadline lets go first, while the process lives; the firmware's, when it does not.
+        # The thread's own deadline lets go first, while the process lives; the firmware's, when it
+        # does not.
         hold = max(wants.deadline, wants.watchdog) if has_watchdog else math.inf
         continuous = min(peak, wants.continuous_force or peak)
         self.prepare(peak, continuous, wants.workspace, hold=hold, opening=wants.ready_time + 10.0)
@@ -183,12 +204,12 @@ class ForceDimensionDevice(MailboxDevice):
         while self._call("dhdGetStatus", status) >= 0 and status[sdk.RESET]:
             if time.monotonic() > until:
                 raise OSError(
-                    f"Force Dimension: not calibrated within {self._wants.ready_time:g} s: move the handle through its whole "
-                    "range once, or into its cradle, and launch again"
+                    f"Force Dimension: not calibrated within {self._wants.ready_time:g} s: move the"
+                    " handle through its whole range once, or into its cradle, and launch again"
                 )
             self.wait_for(
-                f"waits up to {self._wants.ready_time:g} s for its calibration: move the handle through its whole range, or "
-                "into its cradle"
+                f"waits up to {self._wants.ready_time:g} s for its calibration: move the handle"
+                " through its whole range, or into its cradle"
             )
             time.sleep(0.02)
 
@@ -197,7 +218,10 @@ class ForceDimensionDevice(MailboxDevice):
         if self._id is None:
             return
         if self._shared is not None and self._code.servo_end(ctypes.byref(self._shared)):
-            raise OSError("Force Dimension: a call of the device does not return; its watchdog cuts the forces")
+            raise OSError(
+                "Force Dimension: a call of the device does not return; its watchdog cuts the"
+                " forces"
+            )
         # Forces off first; a device that is gone refuses both, and that is no news at the end.
         self._dhd.dhdStop(self._id)
         self._dhd.dhdClose(self._id)
@@ -210,7 +234,11 @@ class ForceDimensionDevice(MailboxDevice):
     def condition(self) -> str:
         """Say why the device gives no force."""
         cause = int(self._box.condition)
-        return sdk.CONDITIONS.get(cause, f"the device says that forces are off (cause {cause})") if cause else ""
+        return (
+            sdk.CONDITIONS.get(cause, f"the device says that forces are off (cause {cause})")
+            if cause
+            else ""
+        )
 
     def inertia(self) -> Inertia | None:
         """Tell the inertia that forces of the scene move where the device stands [kg]."""
@@ -230,7 +258,9 @@ class ForceDimensionDevice(MailboxDevice):
 def inertia_in_scene(theirs: ArrayLike, turn: Inertia) -> Inertia:
     """Turn a device's inertia m into the scene's, T⁻ᵀ m T⁻¹ [kg]: the same energy for v = T u, T a turn times the scale."""
     rows = np.array(turn)
-    ours: Inertia = msgspec.convert((rows @ theirs @ rows.T / (rows[0] @ rows[0]) ** 2).tolist(), Inertia)
+    ours: Inertia = msgspec.convert(
+        (rows @ theirs @ rows.T / (rows[0] @ rows[0]) ** 2).tolist(), Inertia
+    )
     return ours
 
 
@@ -239,4 +269,6 @@ class ForceDimensionDriver(HardwareDriver):
 
     Parameters: ClassVar[type[msgspec.Struct]] = ForceDimensionDriverParameters
     hardware: ClassVar[type[MailboxDevice]] = ForceDimensionDevice
-    checked: ClassVar[str] = "the library of SDK 3.17.5 without a device, and a stand-in of it; not on hardware"
+    checked: ClassVar[str] = (
+        "the library of SDK 3.17.5 without a device, and a stand-in of it; not on hardware"
+    )

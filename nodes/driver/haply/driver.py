@@ -1,8 +1,9 @@
 """Haply Inverse3 as a driver node, through the WebSocket of Haply's Inverse Service.
 
-A thread exchanges forces for states, as fast as the service answers and at most at `servo_rate`; driver and thread share a
-mailbox, as with every other device, so the driver's tick never waits for the service. Written from the vendor's guide and
-checked against a stand-in service (sim/stand_ins), not yet on hardware.
+A thread exchanges forces for states, as fast as the service answers and at most at `servo_rate`;
+driver and thread share a mailbox, as with every other device, so the driver's tick never waits for
+the service. Written from the vendor's guide and checked against a stand-in service (sim/stand_ins),
+not yet on hardware.
 """
 
 from __future__ import annotations
@@ -44,14 +45,22 @@ CLOSED, SLOW, FORCELESS, UNPLUGGED, NO_STATE, UNREADABLE, SURPLUS, BROKEN = rang
 ERRORS: Final = {
     CLOSED: "the Inverse Service closed the connection",
     SLOW: "the Inverse Service does not answer in time",
-    FORCELESS: "the Inverse Service takes no forces (0 N act while a force is asked for): it must be of version 3.5",
+    FORCELESS: (
+        "the Inverse Service takes no forces (0 N act while a force is asked for): it must be of"
+        " version 3.5"
+    ),
     UNPLUGGED: "the Inverse3 was unplugged",
     NO_STATE: "the Inverse Service gives no state of the Inverse3",
     UNREADABLE: "the Inverse Service sends messages that cannot be read",
-    SURPLUS: "the Inverse Service goes on sending more states than it is asked for: it must be of version 3.5",
+    SURPLUS: (
+        "the Inverse Service goes on sending more states than it is asked for: it must be of"
+        " version 3.5"
+    ),
     BROKEN: "the exchange with the Inverse Service failed",
 }
-ASKED: Final = 0.1  # from so much force on it is looked whether the service takes it [N]; and so much may come from others
+# from so much force on it is looked whether the service takes it [N]; and so much may come from
+# others
+ASKED: Final = 0.1
 FORCELESS_AFTER: Final = 0.3  # after so long without an effect forces are taken to be refused [s]
 SURPLUS_BURST, SURPLUS_RATE = 100, 10.0
 """Surplus answers that are forgiven at once, and each second [1/s]; each was 1 round trip old at most."""
@@ -79,7 +88,9 @@ class Inverse3Parameters(ServoParameters, frozen=True, forbid_unknown_fields=Tru
     workspace: Workspace = ((-0.35, 0.35), (-0.35, 0.35), (-0.35, 0.35))
 
 
-class Inverse3DriverParameters(HardwareParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Inverse3DriverParameters(
+    HardwareParameters, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of the driver node.
 
     inverse3: The device.
@@ -146,12 +157,12 @@ class Inverse3Device(MailboxDevice):
                 why = str(error)
                 if time.monotonic() > begun + wants.start_time:
                     raise OSError(
-                        f"Inverse3: not ready at {address} within {wants.start_time:g} s: {why}; {REMEDY}. On Linux "
-                        "ModemManager may hold its serial port"
+                        f"Inverse3: not ready at {address} within {wants.start_time:g} s: {why};"
+                        f" {REMEDY}. On Linux ModemManager may hold its serial port"
                     ) from error
                 self.wait_for(
-                    f"waits up to {wants.start_time:g} s for the Inverse Service at {address}: {why}; a cold start takes up to "
-                    f"{COLD_START:g} s"
+                    f"waits up to {wants.start_time:g} s for the Inverse Service at {address}:"
+                    f" {why}; a cold start takes up to {COLD_START:g} s"
                 )
                 time.sleep(0.1)
         if why:
@@ -165,7 +176,11 @@ class Inverse3Device(MailboxDevice):
             names = [device.device_id for device in found]
             chosen = [device for device in found if wants.serial in ("", device.device_id)]
             if not chosen:
-                asked = f"no Inverse3 {wants.serial}; there are: {', '.join(names)}" if names else "no Inverse3 is connected"
+                asked = (
+                    f"no Inverse3 {wants.serial}; there are: {', '.join(names)}"
+                    if names
+                    else "no Inverse3 is connected"
+                )
                 raise ValueError(asked)
             self._describe(chosen[0])
             self._open = dialled.pop_all()
@@ -179,8 +194,12 @@ class Inverse3Device(MailboxDevice):
             "model": "Haply Inverse3",
             "serial": device.device_id,
             "service": ask(wants.host, wants.port, "/version") or "unknown",
-            # What the service does to positions and forces on the way: it changes what is felt, and its meaning.
-            "basis": ask(wants.host, wants.port, "/inverse3/0/config/basis") or device.config.get("basis", "unknown"),
+            # What the service does to positions and forces on the way: it changes what is felt, and
+            # its meaning.
+            "basis": (
+                ask(wants.host, wants.port, "/inverse3/0/config/basis")
+                or device.config.get("basis", "unknown")
+            ),
             "config": device.config,
             "status": device.status,
             "other_sessions": sessions if isinstance(sessions, list) else [],
@@ -226,7 +245,8 @@ class Inverse3Device(MailboxDevice):
             wanted = (force[0], force[1], force[2]) if acts else ZERO
             begun = begun if owed else time.monotonic()
             try:
-                # A second question would leave every later answer one behind, and so does an answer that nobody asked for.
+                # A second question would leave every later answer one behind, and so does an answer
+                # that nobody asked for.
                 if not owed:
                     self._newest(socket, "")
                     socket.send(command(self._id, wanted if acts else None, first))
@@ -240,21 +260,27 @@ class Inverse3Device(MailboxDevice):
                 owed, blind, self._unreadable = False, True, True
                 continue
             first = owed = self._unreadable = False
-            state = next((device.state for device in answered.inverse3 if device.device_id == self._id), None)
+            state = next(
+                (device.state for device in answered.inverse3 if device.device_id == self._id), None
+            )
             blind = state is None
             if state is None:
-                # What is zero may be left out of a state, but a state that is not there is no state of zeros.
+                # What is zero may be left out of a state, but a state that is not there is no state
+                # of zeros.
                 self._failed(NO_STATE)
             else:
                 self._publish_sample(state, answered)
                 given = state.current_cursor_force.numbers()
-                self._others = tuple(a - b for a, b in zip(given, wanted, strict=True)) if acts else given  # type: ignore[assignment]
+                self._others = (
+                    tuple(a - b for a, b in zip(given, wanted, strict=True)) if acts else given  # type: ignore[assignment]
+                )
                 acting = max(map(abs, given)) > 0.0
                 taken = max(map(abs, wanted)) < ASKED or acting
                 refused_since = math.inf if taken else min(refused_since, begun)
                 self._withheld = begun - refused_since > FORCELESS_AFTER
                 proven = proven or acting
-                # A service that has taken forces is of the right version: now something else keeps them off, its brake for one.
+                # A service that has taken forces is of the right version: now something else keeps
+                # them off, its brake for one.
                 if self._withheld and not proven and not self._remark:
                     self._failed(FORCELESS, fatal=True)
                     return
@@ -265,15 +291,23 @@ class Inverse3Device(MailboxDevice):
     def _publish_sample(self, state: Inverse3State, answered: ServiceMessage) -> None:
         turn = state.body_orientation
         pressed, self._many_buttons = buttons(answered)
-        seen = (*state.cursor_position.numbers(), *state.cursor_velocity.numbers(), turn.x, turn.y, turn.z, turn.w)
+        seen = (
+            *state.cursor_position.numbers(),
+            *state.cursor_velocity.numbers(),
+            turn.x,
+            turn.y,
+            turn.z,
+            turn.w,
+        )
         self._code.mailbox_sampled(self._at, (ctypes.c_double * SAMPLE)(*seen, 0.0, float(pressed)))
         self._code.mailbox_ticked(self._at)
 
     def _newest(self, socket: ClientConnection, answer: str | bytes) -> str | bytes:
         """Return the newest answer that has come, `answer` if none has; count those beyond it.
 
-        One answer was asked for each time. Were the others left in line, each would make every later position older by one
-        period, without limit. Raises _SurplusError when they go on coming.
+        One answer was asked for each time. Were the others left in line, each would make every
+        later position older by one period, without limit. Raises _SurplusError when they go on
+        coming.
         """
         while True:
             try:
@@ -281,7 +315,9 @@ class Inverse3Device(MailboxDevice):
             except TimeoutError:
                 return answer
             now = time.monotonic()
-            self._forgiven = min(SURPLUS_BURST, self._forgiven + (now - self._counted) * SURPLUS_RATE) - 1.0
+            self._forgiven = (
+                min(SURPLUS_BURST, self._forgiven + (now - self._counted) * SURPLUS_RATE) - 1.0
+            )
             self._surplus, self._counted = self._surplus + 1, now
             self.facts["surplus_answers"] = self._surplus
             if self._forgiven < 0.0:
@@ -315,18 +351,30 @@ class Inverse3Device(MailboxDevice):
     def condition(self) -> str:
         """Return what is wrong with the service, mostly why another force acts than was asked for."""
         if self._box.fault:
-            return f"{self.error_text(self._box.fault)}: forces are off until the node is started again"
+            return (
+                f"{self.error_text(self._box.fault)}: forces are off until the node is started"
+                " again"
+            )
         if self._remark:
             return self._remark
         if self._withheld:
-            return "the Inverse Service lets no force act (0 N while a force is asked for), and does not say why"
+            return (
+                "the Inverse Service lets no force act (0 N while a force is asked for), and does"
+                " not say why"
+            )
         if self._unreadable:
             return f"{ERRORS[UNREADABLE]}: no position, so no force"
         if max(map(abs, self._others)) > ASKED:
             x, y, z = self._others
-            return f"another session of the Inverse Service adds {x:+.2f}, {y:+.2f}, {z:+.2f} N along the device's axes"
+            return (
+                f"another session of the Inverse Service adds {x:+.2f}, {y:+.2f}, {z:+.2f} N along"
+                " the device's axes"
+            )
         if self._many_buttons:
-            return f"the grip has more than {MOST_BUTTONS} buttons: the first {MOST_BUTTONS} by name are read"
+            return (
+                f"the grip has more than {MOST_BUTTONS} buttons: the first {MOST_BUTTONS} by name"
+                " are read"
+            )
         return ""
 
     def close(self) -> None:

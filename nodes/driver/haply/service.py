@@ -1,7 +1,8 @@
 """Haply's Inverse Service (3.5): what is said over its WebSocket, and the little that its HTTP side is asked.
 
-The first message holds all that there is; after it exactly one state answers each message sent. What is zero may be left out of
-a state. A force acts once and is forgotten; forces of several sessions add up.
+The first message holds all that there is; after it exactly one state answers each message sent.
+What is zero may be left out of a state. A force acts once and is forgotten; forces of several
+sessions add up.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ class _Quaternion(_Vector):
 class Inverse3State(msgspec.Struct):
     """The state of a device; what is left out is zero.
 
-    cursor_position, cursor_velocity, current_cursor_force: In the session's own axes [m], [m/s], [N].
+    cursor_position, cursor_velocity, current_cursor_force: In the session's own axes [m], [m/s],
+        [N].
     body_orientation: Of the device's body.
     """
 
@@ -106,14 +108,20 @@ def command(device: str, force: Vector | None, first: bool = False) -> str:
 def ask(host: str, port: int, path: str) -> Any:
     """Ask the service's HTTP side; None where it has no answer: an older one has not all of it."""
     try:
-        with urllib.request.urlopen(f"http://{host}:{port}{path}", timeout=1.0) as answer:  # http only
+        # http only
+        with urllib.request.urlopen(f"http://{host}:{port}{path}", timeout=1.0) as answer:
             service_state = json.loads(answer.read(1 << 20))
     except (OSError, ValueError, RecursionError, urllib.error.URLError):
         return None
-    return service_state.get("data") if isinstance(service_state, dict) and service_state.get("ok") else None
+    return (
+        service_state.get("data")
+        if isinstance(service_state, dict) and service_state.get("ok")
+        else None
+    )
 
 
-EVENTS: Final = {  # what the service's events mean, by the word that is in them; those in `ENDS` end it
+# what the service's events mean, by the word that is in them; those in `ENDS` end it
+EVENTS: Final = {
     "device-disconnected": "the Inverse3 was unplugged",
     "device-busy": "another program has the Inverse3",
     "ebrake_triggered": "the emergency brake of the Inverse3 is on",

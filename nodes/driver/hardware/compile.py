@@ -13,11 +13,15 @@ from typing import Any
 from nodes.compiled import cache
 
 
-def shared_library(name: str, sources: Iterable[Path], options: Sequence[str | Path], what: str) -> Any:
+def shared_library(
+    name: str, sources: Iterable[Path], options: Sequence[str | Path], what: str
+) -> Any:
     """Load what a C compiler makes of some options; OSError when there is none, or it fails."""
     # A path that is absolute stands for itself.
     digests = {
-        str(path.relative_to(cache.ROOT) if path.is_relative_to(cache.ROOT) else path): cache.digest_of(path)
+        str(
+            path.relative_to(cache.ROOT) if path.is_relative_to(cache.ROOT) else path
+        ): cache.digest_of(path)
         for path in sources
     }
     try:
@@ -36,14 +40,22 @@ def servo_library(source: Path) -> Any:
     """Load a servo loop, which is compiled once per version of its source."""
     sources = [source, Path(__file__).with_name("mailbox.h")]
     name = f"{source.parent.name}-{source.stem}.so"
-    return shared_library(name, sources, ["-pthread", source, "-lm"], f"the servo loop {source.parent.name}/{source.name}")
+    return shared_library(
+        name,
+        sources,
+        ["-pthread", source, "-lm"],
+        f"the servo loop {source.parent.name}/{source.name}",
+    )
 
 
 def compiler() -> str:
     """Find a C compiler."""
     found = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if found is None:
-        raise OSError("no C compiler: a device's servo loop is compiled once, at first use; install gcc or clang")
+        raise OSError(
+            "no C compiler: a device's servo loop is compiled once, at first use; install gcc or"
+            " clang"
+        )
     return found
 
 

@@ -20,7 +20,8 @@ from nodes.driver.node import Driver
 from nodes.driver.safety import set_workspace
 from nodes.parameters.store import ParameterError, convert
 
-HANDLE_PERIOD: Final = 0.02  # how often the handle is looked at; published when it has changed, and each second [s]
+# how often the handle is looked at; published when it has changed, and each second [s]
+HANDLE_PERIOD: Final = 0.02
 
 
 class HardwareDriver(Driver):
@@ -37,7 +38,9 @@ class HardwareDriver(Driver):
         return cls.hardware.find(parameters)
 
     @classmethod
-    def plant(cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]) -> dict[str, float]:
+    def plant(
+        cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]
+    ) -> dict[str, float]:
         """Return the scale at which the scene feels the device; its mass is not known before it is identified."""
         del axes
         return {"scale": convert(parameters, cls.Parameters, name).mapping.scale}
@@ -53,7 +56,9 @@ class HardwareDriver(Driver):
     def loop(self) -> None:
         """Tick, and look at the handle beside it."""
         ended = threading.Event()
-        thread = threading.Thread(target=self._watch_handle, args=(ended,), name="handle", daemon=True)
+        thread = threading.Thread(
+            target=self._watch_handle, args=(ended,), name="handle", daemon=True
+        )
         thread.start()
         try:
             super().loop()
@@ -70,7 +75,9 @@ class HardwareDriver(Driver):
             try:
                 handle = self.held.handle()
             except Exception as error:  # noqa: BLE001  # code of a device, in a thread of its own: the loop goes on
-                self.events.emit("device", f"the handle cannot be read and is not published any more: {error}")
+                self.events.emit(
+                    "device", f"the handle cannot be read and is not published any more: {error}"
+                )
                 return
             if handle is None:
                 continue
@@ -89,7 +96,8 @@ class HardwareDriver(Driver):
         """Look which masses the device has, too (control thread)."""
         super().look_after()
         if self.state == "running":
-            self._masses.look(self.held.inertia())  # a device passes through poses that nobody asks about
+            # a device passes through poses that nobody asks about
+            self._masses.look(self.held.inertia())
 
     def operations(self) -> dict[str, Callable[..., Any]]:
         """Offer what the device is, the mass that a law meets on it, and to put its handle into the middle of the scene."""
@@ -104,9 +112,14 @@ class HardwareDriver(Driver):
         def apply(seq: int) -> dict[str, Any]:
             del seq
             if any(self.driving.handed):
-                raise ParameterError(f"{self.setup.name}: re-centre while no force acts: move the device out of the wall first")
+                raise ParameterError(
+                    f"{self.setup.name}: re-centre while no force acts: move the device out of the"
+                    " wall first"
+                )
             moved = self.held.recentre()
-            set_workspace(self.driving, lower(self.store.current.safety, self.held.limits, self.setup.period))
+            set_workspace(
+                self.driving, lower(self.store.current.safety, self.held.limits, self.setup.period)
+            )
             return {"moved_m": list(moved)}
 
         # Between two ticks: a tick with the new place and the old workspace would be a fault.

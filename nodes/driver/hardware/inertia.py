@@ -1,7 +1,8 @@
 """The mass that a law meets on a device whose inertia depends on where it stands and which way it is pushed.
 
-A force along a direction u moves a device of inertia M as one mass 1/(uᵀ M⁻¹ u), because the other directions give way. Over
-all directions that lies between the least and the largest eigenvalue of M.
+A force along a direction u moves a device of inertia M as one mass 1/(uᵀ M⁻¹ u), because the other
+directions give way. Over all directions that lies between the least and the largest eigenvalue of
+M.
 """
 
 from __future__ import annotations

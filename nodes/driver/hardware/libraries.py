@@ -9,7 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-Functions = Mapping[str, tuple[Any, Sequence[Any]]]  # of each function that is used: what it gives, and what it takes
+# of each function that is used: what it gives, and what it takes
+Functions = Mapping[str, tuple[Any, Sequence[Any]]]
 
 
 class Search(NamedTuple):
@@ -23,7 +24,9 @@ def find(name: str, folders: Sequence[str]) -> Search:
     """Look for a library: a path, or a name in what the dynamic linker knows and in the vendor's folders."""
     if "/" in name:
         return Search(name if Path(name).exists() else None, (name,))
-    loader = [folder for folder in os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep) if folder]
+    loader = [
+        folder for folder in os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep) if folder
+    ]
     places = [str(Path(folder) / name) for folder in (*loader, *folders)]
     library = next((place for place in places if Path(place).exists()), None)
     if library is None:
@@ -39,7 +42,8 @@ def load(name: str, folders: Sequence[str], remedy: str, what: str, functions: F
     except OSError as error:
         searched = "; looked in " + ", ".join(found.searched) if found.library is None else ""
         raise OSError(
-            f"{name} cannot be loaded ({error}{searched}): {remedy}; without a device, use kind sim_driver"
+            f"{name} cannot be loaded ({error}{searched}): {remedy}; without a device, use kind"
+            " sim_driver"
         ) from error
     return declared(library, name, what, functions)
 

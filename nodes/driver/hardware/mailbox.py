@@ -1,7 +1,8 @@
 """A device behind a mailbox: a servo loop samples it and brings it forces, the driver takes the newest at each tick.
 
-Base of all drivers of real devices. mailbox.h is the mailbox itself; the driver's two calls are in it, so that compiled ticks
-need no interpreter, and so is the deadline after which a force that nobody renews is zero.
+Base of all drivers of real devices. mailbox.h is the mailbox itself; the driver's two calls are in
+it, so that compiled ticks need no interpreter, and so is the deadline after which a force that
+nobody renews is zero.
 """
 
 from __future__ import annotations
@@ -26,13 +27,16 @@ from nodes.driver.hardware.mapping import Mapping, limits_in_scene, matrix
 from nodes.driver.limits import SafetyParameters, recovery_ramp
 from nodes.driver.parameters import DriverParameters
 
-FAULT, STALLED, UNREAD = 1, 2, 3  # what ``device_read`` of mailbox.h fails with, as negative numbers
+# what ``device_read`` of mailbox.h fails with, as negative numbers
+FAULT, STALLED, UNREAD = 1, 2, 3
 
-LOST: Final = 0.8  # after so long without a sample a device is given up; until then there is no force [s]
+# after so long without a sample a device is given up; until then there is no force [s]
+LOST: Final = 0.8
 SAMPLE: Final = 12
 SILENCE: Final = 0.1  # longest watchdog that a launch file may ask for on these devices [s]
 
-_kept: Final[list[Any]] = []  # mailboxes of servo loops that may hang: they must not write into freed memory
+# mailboxes of servo loops that may hang: they must not write into freed memory
+_kept: Final[list[Any]] = []
 
 
 def _named(kind: Any, *names: str) -> list[tuple[str, Any]]:
@@ -99,7 +103,8 @@ class MailboxDevice(ABC):
 
     TITLE: ClassVar[str] = ""  # what it is called in errors
     SECTION: ClassVar[str] = ""  # which of the node's parameters are its own
-    FOLDERS: ClassVar[Sequence[str]] = ()  # where its vendor's library may be, beside what the dynamic linker knows
+    # where its vendor's library may be, beside what the dynamic linker knows
+    FOLDERS: ClassVar[Sequence[str]] = ()
     # Its axes that are forward, left and up here, where it stands upright.
     AXES: ClassVar[Sequence[str]] = ("+x", "+y", "+z")
     UNIT: ClassVar[float] = 1.0  # its unit of length [m]
@@ -109,12 +114,14 @@ class MailboxDevice(ABC):
     def __init__(self, parameters: Any) -> None:
         self.parameters = parameters
         self._wants: Any = getattr(parameters, self.SECTION)
-        self.facts: dict[str, Any] = {}  # what is known of it once it is connected: model, serial number, versions
+        # what is known of it once it is connected: model, serial number, versions
+        self.facts: dict[str, Any] = {}
         self.servo_rate, self.deadline = self._wants.servo_rate, self._wants.deadline
         # Told what is waited for while it is opened, which may take long; its maker sets it.
         self.say: Callable[[str], Any] = str
         self._waits = ""
-        self.limits = DeviceLimits()  # what a scene may ask for, by what the device says it bears; known after `connect`
+        # what a scene may ask for, by what the device says it bears; known after `connect`
+        self.limits = DeviceLimits()
         self.turn = matrix(parameters.mapping, self.AXES)  # from the device's axes into the scene's
         self._code: Any = None
         self._shared: Any = None
@@ -168,10 +175,20 @@ class MailboxDevice(ABC):
     def condition(self) -> str:
         """Say why the device gives no force although it is asked to; empty when nothing keeps it from it."""
         fault = self._box.fault
-        return f"the device reported {self.error_text(fault)}: forces are off until the node is started again" if fault else ""
+        return (
+            f"the device reported {self.error_text(fault)}: forces are off until the node is"
+            " started again"
+            if fault
+            else ""
+        )
 
     def prepare(
-        self, peak: float, continuous: float, workspace: Workspace, hold: float | None = None, opening: float | None = None
+        self,
+        peak: float,
+        continuous: float,
+        workspace: Workspace,
+        hold: float | None = None,
+        opening: float | None = None,
     ) -> None:
         """Make the mailbox, with what the device bears along its axes [N, m], and how long it holds a force [s]."""
         mapping: Mapping = self.parameters.mapping
@@ -192,7 +209,10 @@ class MailboxDevice(ABC):
             self._code.servo_size.restype = ctypes.c_size_t
             sizes.append((self._code.servo_size, self.Shared))
         if any(size() != ctypes.sizeof(struct) for size, struct in sizes):
-            raise OSError(f"{self.TITLE}: servo loop and driver disagree about what they share; reinstall haptic-nodes")
+            raise OSError(
+                f"{self.TITLE}: servo loop and driver disagree about what they share; reinstall"
+                " haptic-nodes"
+            )
         doubles, whole = ctypes.POINTER(ctypes.c_double), ctypes.c_int64
         self._code.device_read.argtypes = [whole, whole, doubles]
         self._code.device_write.argtypes = [whole, doubles, whole, ctypes.c_double]
@@ -239,7 +259,9 @@ class MailboxDevice(ABC):
         # Where the device stands is known now.
         a, b, c = self._box.origin
         self.limits = limits_in_scene(
-            self._theirs, msgspec.structs.replace(mapping, centre=(a, b, c), recentre=False), self.turn
+            self._theirs,
+            msgspec.structs.replace(mapping, centre=(a, b, c), recentre=False),
+            self.turn,
         )
         return x, y, z
 
@@ -255,10 +277,15 @@ class MailboxDevice(ABC):
         if status == -JUMPED:
             status = 0
         if status == FAULT:
-            raise OSError(f"{self.TITLE}: {self.error_text(box.fault)}; forces are off until the node is started again")
+            raise OSError(
+                f"{self.TITLE}: {self.error_text(box.fault)}; forces are off until the node is"
+                " started again"
+            )
         if status == STALLED and (silent := time.monotonic() - box.seen_at) > LOST:
             error = f"{self.error_text(box.error)}; " if box.error else ""
-            raise OSError(f"{self.TITLE}: no sample for {silent:.3f} s: {error}look at cable and power")
+            raise OSError(
+                f"{self.TITLE}: no sample for {silent:.3f} s: {error}look at cable and power"
+            )
         if status:
             return (math.nan, math.nan, math.nan)
         return position[0], position[1], position[2]

@@ -1,8 +1,9 @@
 """From the device into the scene: axes, mount, scale, centre and clutch, as one matrix that forces go back through.
 
-A position p of the device is at s R A p + origin in the scene: A says which of the device's axes is forward, left and up, R how
-the device stands, s the scale. A force F goes back as s Aᵀ Rᵀ F, so that force times velocity is the same on both sides: a
-scene that is drawn twice as large is felt with twice the force for the same law, and a loop that is passive stays so.
+A position p of the device is at s R A p + origin in the scene: A says which of the device's axes is
+forward, left and up, R how the device stands, s the scale. A force F goes back as s Aᵀ Rᵀ F, so
+that force times velocity is the same on both sides: a scene that is drawn twice as large is felt
+with twice the force for the same law, and a loop that is passive stays so.
 """
 
 from __future__ import annotations
@@ -25,13 +26,15 @@ Turn = tuple[Vector, Vector, Vector]
 class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """How positions of the device become positions of the scene.
 
-    axes: Which axis of the device, in its vendor's directions, is forward, left and up here, e.g. ``["-z", "-x", "+y"]``; None
-        for those of the device as it stands upright on a table.
+    axes: Which axis of the device, in its vendor's directions, is forward, left and up here, e.g.
+        ``["-z", "-x", "+y"]``; None for those of the device as it stands upright on a table.
     rotation: How the device is turned from there: about x, then y, then z of the scene [degrees].
-    scale: Metres of the scene for a metre of the device; forces on the device are those of the scene times it.
+    scale: Metres of the scene for a metre of the device; forces on the device are those of the
+        scene times it.
     centre: Where the middle of the device is in the scene [m].
     recentre: Whether ``centre`` is where the device stands when it is opened.
-    clutch: Number of the button, from 0, that holds the scene still while the device is moved; None for none.
+    clutch: Number of the button, from 0, that holds the scene still while the device is moved; None
+        for none.
     reach: How far the clutch may move the device against the scene, along an axis [m].
     clutch_ramp: Time in which the force comes back after the clutch [s].
     """
@@ -49,11 +52,19 @@ class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         if self.axes is not None and len({name[1] for name in self.axes}) != 3:
             raise ValueError(f"axes is {list(self.axes)}: each of x, y and z must stand in it once")
         if self.axes is not None and np.linalg.det(_rows(self.axes)) < 0.0:
-            raise ValueError(f"axes is {list(self.axes)}: a mirror of the scene; turn one sign round, or swap two")
+            raise ValueError(
+                f"axes is {list(self.axes)}: a mirror of the scene; turn one sign round, or"
+                " swap two"
+            )
 
 
 def _rows(names: Sequence[str]) -> NDArray[np.float64]:
-    return np.array([[(1.0 if name[0] == "+" else -1.0) * (letter == name[1]) for letter in "xyz"] for name in names])
+    return np.array(
+        [
+            [(1.0 if name[0] == "+" else -1.0) * (letter == name[1]) for letter in "xyz"]
+            for name in names
+        ]
+    )
 
 
 def _cosine_sine(degrees: float) -> tuple[float, float]:
@@ -83,10 +94,14 @@ def limits_in_scene(limits: DeviceLimits, mapping: Mapping, turn: Turn) -> Devic
     # On axis j of the device acts Σ turn[i][j] F[i].
     worst = float(np.abs(rows).sum(axis=0).max())
     # An axis that plays no part adds nothing, not even where it has no end.
-    ends = np.multiply(rows[:, :, None], limits.workspace, out=np.zeros((3, 3, 2)), where=rows[:, :, None] != 0.0)
+    ends = np.multiply(
+        rows[:, :, None], limits.workspace, out=np.zeros((3, 3, 2)), where=rows[:, :, None] != 0.0
+    )
     low, high = ends.min(axis=2).sum(axis=1), ends.max(axis=2).sum(axis=1)
     # Where the device stands when it is opened is not known yet.
-    beyond = (mapping.reach if mapping.clutch is not None else 0.0) + (high - low if mapping.recentre else 0.0)
+    beyond = (mapping.reach if mapping.clutch is not None else 0.0) + (
+        high - low if mapping.recentre else 0.0
+    )
     workspace = np.stack([low - beyond, high + beyond], axis=1) + np.array(mapping.centre)[:, None]
     return msgspec.structs.replace(
         limits,

@@ -1,9 +1,10 @@
 """Two devices coupled position to position: one law between two hands.
 
-The position of the pair is that of the first device less that of the second; a force on the pair acts on the first, and its
-opposite on the second. So the deflection of the law is how far the hands are apart, and everything that holds for one device
-holds for the pair: history, swaps, limits, and energy, because F·(v₁ − v₂) is the power on both. The stability figures take the
-second device as the `partner` of the coupling's `plant` (nodes/stability/pair.py).
+The position of the pair is that of the first device less that of the second; a force on the pair
+acts on the first, and its opposite on the second. So the deflection of the law is how far the hands
+are apart, and everything that holds for one device holds for the pair: history, swaps, limits, and
+energy, because F·(v₁ − v₂) is the power on both. The stability figures take the second device as
+the `partner` of the coupling's `plant` (nodes/stability/pair.py).
 """
 
 from __future__ import annotations
@@ -30,20 +31,25 @@ class PairedMember(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """One of the two.
 
     kind: Kind of driver.
-    parameters: As that driver takes them. Of its ``safety`` largest forces, slew and workspace hold; the rest is the pair's.
+    parameters: As that driver takes them. Of its ``safety`` largest forces, slew and workspace
+        hold; the rest is the pair's.
     """
 
     kind: str
     parameters: dict[str, Any] = {}
 
 
-class PairedDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PairedDriverParameters(
+    DriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of the driver of a pair.
 
     first, second: The devices.
-    align: Speed at which devices that stand apart at the start, or when one of them is read again, are taken to come together
-        [m/s]: their distance counts as none at first, and fades. 0 keeps that offset for good.
-    apart: Largest distance at the start along an axis [m]; the driver refuses to begin beyond it. None for any.
+    align: Speed at which devices that stand apart at the start, or when one of them is read again,
+        are taken to come together [m/s]: their distance counts as none at first, and fades. 0 keeps
+        that offset for good.
+    apart: Largest distance at the start along an axis [m]; the driver refuses to begin beyond it.
+        None for any.
     """
 
     first: PairedMember
@@ -70,12 +76,17 @@ class Alignment(msgspec.Struct, frozen=True, kw_only=True):
 class PairedDevice:
     """Two devices as one; `bears` is what each of them bears, where that is less than it says itself.
 
-    With an `alignment` the pair begins at zero, wherever its devices stand: the distance that no motion made is an offset,
-    which fades. After a gap in either position, or a jump of either, the pair goes on from where it was in the same way.
+    With an `alignment` the pair begins at zero, wherever its devices stand: the distance that no
+    motion made is an offset, which fades. After a gap in either position, or a jump of either, the
+    pair goes on from where it was in the same way.
     """
 
     def __init__(
-        self, first: Device, second: Device, bears: Sequence[DeviceLimits] = (), alignment: Alignment | None = None
+        self,
+        first: Device,
+        second: Device,
+        bears: Sequence[DeviceLimits] = (),
+        alignment: Alignment | None = None,
     ) -> None:
         self.first, self.second = first, second
         self._alignment = alignment
@@ -83,7 +94,8 @@ class PairedDevice:
         self._place: Vector = ZERO  # position of the pair that was given last
         self._offset: Vector = ZERO
         self._read_at = -1
-        self.met_apart = 0.0  # how far from the pair's position they were when they were aligned last [m]
+        # how far from the pair's position they were when they were aligned last [m]
+        self.met_apart = 0.0
         self._bears = tuple(bears) or (first.limits, second.limits)
         nowhere = (math.nan, math.nan, math.nan)
         self.places: tuple[Vector, Vector] = (nowhere, nowhere)
@@ -93,7 +105,9 @@ class PairedDevice:
     def limits(self) -> DeviceLimits:
         """The lower of each limit; of the workspaces, all that one position less another can be."""
         a, b = self._bears
-        x, y, z = ((p[0] - q[1], p[1] - q[0]) for p, q in zip(a.workspace, b.workspace, strict=True))
+        x, y, z = (
+            (p[0] - q[1], p[1] - q[0]) for p, q in zip(a.workspace, b.workspace, strict=True)
+        )
         workspace: Workspace = (x, y, z)
         known = None not in (a.latency, b.latency)
         return DeviceLimits(
@@ -101,7 +115,8 @@ class PairedDevice:
             continuous_force=min(a.continuous_force, b.continuous_force),
             slew=min(a.slew, b.slew),
             silence=min(a.silence, b.silence),
-            # No force is left when the later one has let go; one of them is alone from when the earlier has.
+            # No force is left when the later one has let go; one of them is alone from when the
+            # earlier has.
             hold=max(a.hold, b.hold),
             lets_go=min(one.hold if one.lets_go is None else one.lets_go for one in (a, b)),
             latency=max(a.latency or 0.0, b.latency or 0.0) if known else None,
@@ -129,14 +144,18 @@ class PairedDevice:
         if not self._known:
             return (math.nan, math.nan, math.nan)
         apart = (a[0] - b[0], a[1] - b[1], a[2] - b[2])
-        return apart if self._alignment is None else self._aligned(apart, seq, was_known, self._alignment)
+        return (
+            apart
+            if self._alignment is None
+            else self._aligned(apart, seq, was_known, self._alignment)
+        )
 
     def _aligned(self, apart: Vector, seq: int, was_known: bool, alignment: Alignment) -> Vector:
         """Return the position of the pair: how far its devices are apart, less an offset that fades."""
         if self._read_at < 0 and max(map(abs, apart)) > alignment.apart:
             raise OSError(
-                f"the devices stand ({', '.join(f'{x:.4g}' for x in apart)}) m apart, limit apart: {alignment.apart:g} m; move "
-                "them together, or raise the limit"
+                f"the devices stand ({', '.join(f'{x:.4g}' for x in apart)}) m apart, limit apart:"
+                f" {alignment.apart:g} m; move them together, or raise the limit"
             )
         x, y, z = self._offset
         if not was_known:
@@ -156,7 +175,10 @@ class PairedDevice:
         for name, place, bears in zip(("first", "second"), self.places, self._bears, strict=True):
             for axis, at, (low, high) in zip("xyz", place, bears.workspace, strict=True):
                 if not low <= at <= high and math.isfinite(at):
-                    return f"{name}: {axis} = {at:.4g} m, outside its workspace of {low:.4g} to {high:.4g} m"
+                    return (
+                        f"{name}: {axis} = {at:.4g} m, outside its workspace of {low:.4g} to"
+                        f" {high:.4g} m"
+                    )
         return ""
 
     def write_force(self, force: Vector, seq: int, offset: float) -> None:
@@ -192,7 +214,9 @@ class PairedDriver(Driver):
         """Put a preset in the place of both devices, where they are virtual ones."""
         changed, plants = dict(parameters), []
         for which, member in _both(convert(parameters, PairedDriverParameters, name)):
-            stood = _kind_of(member, f"{name}.{which}")[1].substitute_device(member.parameters, f"{name}.{which}", device)
+            stood = _kind_of(member, f"{name}.{which}")[1].substitute_device(
+                member.parameters, f"{name}.{which}", device
+            )
             if stood is None:
                 return None
             changed[which] = {"kind": member.kind, "parameters": stood[0]}
@@ -200,7 +224,9 @@ class PairedDriver(Driver):
         return changed, {"heaviest": None, **_pair(*plants)}
 
     @classmethod
-    def plant(cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]) -> dict[str, float]:
+    def plant(
+        cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]
+    ) -> dict[str, float]:
         """Return the plant of two known devices, each with its hand; of two real ones the scale that both have."""
         known = []
         for which, member in _both(convert(parameters, PairedDriverParameters, name)):
@@ -229,10 +255,16 @@ class PairedDriver(Driver):
             for driver in self._drivers:
                 made.append(driver.make_device())
                 held.callback(made[-1].close)
-            bears = [self._bears(driver, device) for driver, device in zip(self._drivers, made, strict=True)]
+            bears = [
+                self._bears(driver, device)
+                for driver, device in zip(self._drivers, made, strict=True)
+            ]
             held.pop_all()
         wanted: PairedDriverParameters = self.store.current
-        alignment = Alignment(step=wanted.align * self.setup.period, apart=math.inf if wanted.apart is None else wanted.apart)
+        alignment = Alignment(
+            step=wanted.align * self.setup.period,
+            apart=math.inf if wanted.apart is None else wanted.apart,
+        )
         self.pair = PairedDevice(made[0], made[1], bears, alignment)
         for _, device in self._hardware():
             device.come_back_within(self.store.current.safety)
@@ -244,7 +276,9 @@ class PairedDriver(Driver):
         pair: SafetyParameters = self.store.current.safety
         # Either is pushed with what the pair is pushed with.
         peak = own.peak_force if own.peak_force is not None else pair.peak_force
-        declared = msgspec.structs.replace(own, peak_force=peak, without=[*own.without, *pair.without])
+        declared = msgspec.structs.replace(
+            own, peak_force=peak, without=[*own.without, *pair.without]
+        )
         if not driver.virtual and (refusal := undeclared(declared, device.limits)):
             raise ParameterError(f"{name}: {refusal}")
         found = lower(own, device.limits, period, f"{name}.safety")
@@ -260,7 +294,10 @@ class PairedDriver(Driver):
 
     def operations(self) -> dict[str, Any]:
         """Offer where each of the two is."""
-        return {**super().operations(), "places": lambda: {"first_m": self.pair.places[0], "second_m": self.pair.places[1]}}
+        return {
+            **super().operations(),
+            "places": lambda: {"first_m": self.pair.places[0], "second_m": self.pair.places[1]},
+        }
 
     def look_after(self) -> None:
         """Report devices that are being brought together (control thread)."""
@@ -288,11 +325,15 @@ class PairedDriver(Driver):
 def _pair(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
     """Return two plants as the plant of their coupling: the first one, and the second one as its partner."""
     own = ("mass", "damping", "stiffness")
-    found = {name: first[name] for name in (*own, "device_delay")} | {f"partner_{name}": second[name] for name in own}
+    found = {name: first[name] for name in (*own, "device_delay")} | {
+        f"partner_{name}": second[name] for name in own
+    }
     return {**found, "partner_later": second["device_delay"] - first["device_delay"]}
 
 
-def _both(parameters: PairedDriverParameters) -> tuple[tuple[str, PairedMember], tuple[str, PairedMember]]:
+def _both(
+    parameters: PairedDriverParameters,
+) -> tuple[tuple[str, PairedMember], tuple[str, PairedMember]]:
     return ("first", parameters.first), ("second", parameters.second)
 
 
@@ -312,6 +353,10 @@ def _members(setup: Setup) -> Iterator[tuple[type[Driver], Setup]]:
     for which, member in _both(convert(setup.parameters, PairedDriverParameters, setup.name)):
         where = f"{setup.name}.{which}"
         factory, kind = _kind_of(member, where)
-        changed: dict[str, Any] = {"name": where, "kind": member.kind, "parameters": member.parameters}
+        changed: dict[str, Any] = {
+            "name": where,
+            "kind": member.kind,
+            "parameters": member.parameters,
+        }
         # Each is called as one that is written in Python.
         yield kind, msgspec.structs.replace(setup, factory=factory, tick="plain", **changed)

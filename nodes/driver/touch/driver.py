@@ -1,9 +1,10 @@
 """3D Systems Touch and Touch X as a driver node, through OpenHaptics' HDAPI (libHD) and a servo loop in C (servo.c).
 
-Written from the facts in public headers and bindings, and not yet run on hardware; what can be checked without is checked
-against a stand-in library (sim/stand_ins).
+Written from the facts in public headers and bindings, and not yet run on hardware; what can be
+checked without is checked against a stand-in library (sim/stand_ins).
 
-HDAPI counts in millimetres with +x right, +y up, +z towards the user; here +x is forward, +y left, +z up, in metres.
+HDAPI counts in millimetres with +x right, +y up, +z towards the user; here +x is forward, +y left,
++z up, in metres.
 """
 
 from __future__ import annotations
@@ -39,7 +40,9 @@ class TouchParameters(ServoParameters, frozen=True, forbid_unknown_fields=True, 
     calibration_time: Annotated[float, msgspec.Meta(ge=0.0, le=120.0)] = 20.0
 
 
-class TouchDriverParameters(HardwareParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class TouchDriverParameters(
+    HardwareParameters, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of the driver node.
 
     touch: The device.
@@ -69,7 +72,8 @@ class TouchDevice(MailboxDevice):
         """Load the vendor's library, take hold of the device, and read its limits; no force yet."""
         if TouchDevice.held:
             raise OSError(
-                "Touch: this process has one already, and HDAPI has one scheduler a process: give each a launch of its own"
+                "Touch: this process has one already, and HDAPI has one scheduler a process: give"
+                " each a launch of its own"
             )
         self._hd: Any = hdapi.load_library(self._wants.library)
         name = self._wants.name or "(default)"
@@ -82,12 +86,17 @@ class TouchDevice(MailboxDevice):
         try:
             self._hd.hdDisable(hdapi.FORCE_OUTPUT)
             self._check("forces cannot be switched off")
-            known = {"model": hdapi.MODEL_TYPE, "serial": hdapi.SERIAL_NUMBER, "driver": hdapi.DRIVER_VERSION}
+            known = {
+                "model": hdapi.MODEL_TYPE,
+                "serial": hdapi.SERIAL_NUMBER,
+                "driver": hdapi.DRIVER_VERSION,
+            }
             self.facts = {name: self._text(which) for name, which in known.items()}
             if self._wants.serial not in ("", self.facts["serial"]):
                 raise OSError(
-                    f"Touch: device {name} has serial number {self.facts['serial']}, not {self._wants.serial}; give the "
-                    "name that the vendor's setup has for that one as touch.name"
+                    f"Touch: device {name} has serial number {self.facts['serial']}, not"
+                    f" {self._wants.serial}; give the name that the vendor's setup has for that one"
+                    " as touch.name"
                 )
             self._prepare()
         except OSError:
@@ -120,16 +129,23 @@ class TouchDevice(MailboxDevice):
         """Make the mailbox with the device's own limits."""
         ends = [end * self.UNIT for end in self._doubles(hdapi.MAX_WORKSPACE, 6)]
         workspace: Workspace = ((ends[0], ends[3]), (ends[1], ends[4]), (ends[2], ends[5]))
-        (peak,), (continuous,) = self._doubles(hdapi.MAX_FORCE, 1), self._doubles(hdapi.MAX_CONTINUOUS_FORCE, 1)
+        (peak,), (continuous,) = (
+            self._doubles(hdapi.MAX_FORCE, 1),
+            self._doubles(hdapi.MAX_CONTINUOUS_FORCE, 1),
+        )
         if not (peak > 0.0 and continuous > 0.0):
-            raise OSError(f"Touch: the device reports a peak force of {peak:g} N and {continuous:g} N continuously")
+            raise OSError(
+                f"Touch: the device reports a peak force of {peak:g} N and {continuous:g} N"
+                " continuously"
+            )
         self.prepare(peak, continuous, workspace)
 
     def open(self) -> None:
         """Start the servo loop, calibrate with forces off, then let forces through, at zero."""
         hd = self._hd
         hd.hdSetSchedulerRate(self._wants.servo_rate)
-        # Where it is refused the device's own rate holds: the driver takes the newest sample at each of its own ticks.
+        # Where it is refused the device's own rate holds: the driver takes the newest sample at
+        # each of its own ticks.
         self._errors()
         servo = self._shared
         for field, name in hdapi.SERVO_CALLS.items():
@@ -155,18 +171,34 @@ class TouchDevice(MailboxDevice):
                 styles = (ctypes.c_int * 1)()  # the position may jump: forces are still off
                 self._hd.hdGetIntegerv(hdapi.CALIBRATION_STYLE, styles)
                 self._check("the way of calibrating cannot be read")
-                ways = [way for way in (hdapi.AUTOMATIC, hdapi.INKWELL, hdapi.ENCODER_RESET) if styles[0] & way]
+                ways = [
+                    way
+                    for way in (hdapi.AUTOMATIC, hdapi.INKWELL, hdapi.ENCODER_RESET)
+                    if styles[0] & way
+                ]
                 if not ways:
-                    raise OSError(f"Touch: the device knows no way of calibrating that this driver does (0x{styles[0]:X})")
+                    raise OSError(
+                        "Touch: the device knows no way of calibrating that this driver does"
+                        f" (0x{styles[0]:X})"
+                    )
                 self._hd.hdUpdateCalibration(ways[0])
                 self._check("the calibration failed")
             by_hand = state == hdapi.CALIBRATION_NEEDS_MANUAL
-            remedy = "put the stylus into its inkwell" if by_hand else "move the stylus through its whole range"
+            remedy = (
+                "put the stylus into its inkwell"
+                if by_hand
+                else "move the stylus through its whole range"
+            )
             if time.monotonic() > until:
-                raise OSError(f"Touch: not calibrated within {self._wants.calibration_time:g} s (0x{state:04X}): {remedy}")
+                raise OSError(
+                    f"Touch: not calibrated within {self._wants.calibration_time:g} s"
+                    f" (0x{state:04X}): {remedy}"
+                )
             # What an update mends at once needs nobody.
             if by_hand:
-                self.wait_for(f"waits up to {self._wants.calibration_time:g} s for its calibration: {remedy}")
+                self.wait_for(
+                    f"waits up to {self._wants.calibration_time:g} s for its calibration: {remedy}"
+                )
             time.sleep(0.01)
         self._check("the calibration cannot be checked")
 

@@ -1,6 +1,7 @@
 """HDAPI (OpenHaptics, libHD) as the Touch's driver needs it: constants, shared structures, axes, the servo loop's library.
 
-From public headers and bindings; HDAPI counts in millimetres with +x right, +y up, +z towards the user.
+From public headers and bindings; HDAPI counts in millimetres with +x right, +y up, +z towards the
+user.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ CALIBRATION_OK, CALIBRATION_NEEDS_UPDATE, CALIBRATION_NEEDS_MANUAL = 0x5000, 0x5
 MODEL_TYPE, DRIVER_VERSION, SERIAL_NUMBER = 0x2501, 0x2502, 0x2504
 MAX_WORKSPACE, MAX_FORCE, MAX_CONTINUOUS_FORCE = 0x2550, 0x2603, 0x2604
 CALIBRATION_STYLE = 0x2555  # which ways of calibrating the device has, one bit each
-AUTOMATIC, INKWELL, ENCODER_RESET = 2, 4, 1  # the ways, the best first, as the vendor's examples prefer them
+# the ways, the best first, as the vendor's examples prefer them
+AUTOMATIC, INKWELL, ENCODER_RESET = 2, 4, 1
 
 INVALID_HANDLE = 0xFFFFFFFF
 ERRORS = {
@@ -69,10 +71,19 @@ def error_text(code: int) -> str:
     return f"{ERRORS.get(code, 'error')} (0x{code:04X})"
 
 
-FOLDERS = ("/usr/lib", "/usr/lib64", "/usr/lib/x86_64-linux-gnu", "/usr/local/lib", "/opt/OpenHaptics")
+FOLDERS = (
+    "/usr/lib",
+    "/usr/lib64",
+    "/usr/lib/x86_64-linux-gnu",
+    "/usr/local/lib",
+    "/opt/OpenHaptics",
+)
 """Where 3D Systems' packages put the library, beside what the dynamic linker knows."""
 
-REMEDY = "install OpenHaptics and the Touch device driver of 3D Systems, or give the library's path as touch.library"
+REMEDY = (
+    "install OpenHaptics and the Touch device driver of 3D Systems, or give the library's path as"
+    " touch.library"
+)
 
 
 def load_library(name: str) -> Any:
@@ -81,14 +92,19 @@ def load_library(name: str) -> Any:
     doubles, whole = ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_int)
     functions: Functions = {
         "hdInitDevice": (uint, [ctypes.c_char_p]),
-        **dict.fromkeys(("hdDisableDevice", "hdEnable", "hdDisable", "hdMakeCurrentDevice"), (void, [uint])),
+        **dict.fromkeys(
+            ("hdDisableDevice", "hdEnable", "hdDisable", "hdMakeCurrentDevice"), (void, [uint])
+        ),
         **dict.fromkeys(("hdBeginFrame", "hdEndFrame", "hdUpdateCalibration"), (void, [uint])),
         **dict.fromkeys(("hdGetDoublev", "hdSetDoublev"), (void, [uint, doubles])),
         "hdGetIntegerv": (void, [uint, whole]),
         "hdGetString": (ctypes.c_char_p, [uint]),
         "hdGetError": (ErrorInfo, []),
         **dict.fromkeys(("hdSetSchedulerRate", "hdUnschedule"), (void, [ctypes.c_ulong])),
-        "hdScheduleAsynchronous": (ctypes.c_ulong, [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_ushort]),
+        "hdScheduleAsynchronous": (
+            ctypes.c_ulong,
+            [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_ushort],
+        ),
         **dict.fromkeys(("hdStartScheduler", "hdStopScheduler"), (void, [])),
         "hdCheckCalibration": (uint, []),
     }

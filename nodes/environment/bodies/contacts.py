@@ -1,7 +1,7 @@
 """How stiff the contacts of a tool are in N/m: measured, because MuJoCo's parameters of a contact do not tell it.
 
-A ball with the tool's contact parameters and mass is pressed on a plane with those of each other geom, by three loads. Geoms
-with equal parameters are pressed once.
+A ball with the tool's contact parameters and mass is pressed on a plane with those of each other
+geom, by three loads. Geoms with equal parameters are pressed once.
 """
 
 from __future__ import annotations
@@ -27,11 +27,14 @@ class PairStiffness(NamedTuple):
     """What a contact of the tool is."""
 
     geom: str  # what the tool presses on, held where it is
-    stiffness: float | None  # force over depth between 0.5 and 1.5 N [N/m]; None for one that does not settle
+    # force over depth between 0.5 and 1.5 N [N/m]; None for one that does not settle
+    stiffness: float | None
     pressed: float | None = None  # the same between 1.5 and 4.5 N
 
 
-def measure_contacts(mujoco: Any, model: Any, of_tool: Sequence[int], mass: float) -> list[PairStiffness]:
+def measure_contacts(
+    mujoco: Any, model: Any, of_tool: Sequence[int], mass: float
+) -> list[PairStiffness]:
     """Press the first geom of a tool on each other geom that it can meet.
 
     Parameters
@@ -70,20 +73,34 @@ def measure_contacts(mujoco: Any, model: Any, of_tool: Sequence[int], mass: floa
 def _attributes(model: Any, geom: int) -> str:
     """Return the attributes of a geom that say how it touches."""
     found = {name: getattr(model, f"geom_{name}")[geom] for name in _OF_CONTACT}
-    return " ".join(f'{name}="{" ".join(map(repr, numbers.ravel().tolist()))}"' for name, numbers in found.items())
+    return " ".join(
+        f'{name}="{" ".join(map(repr, numbers.ravel().tolist()))}"'
+        for name, numbers in found.items()
+    )
 
 
-def _press(mujoco: Any, option: Any, wall: str, tip: str, mass: float) -> tuple[float | None, float | None]:
+def _press(
+    mujoco: Any, option: Any, wall: str, tip: str, mass: float
+) -> tuple[float | None, float | None]:
     # A pyramid's slope is part of how stiff a contact is.
-    scene = {"cone": "elliptic" if option.cone else "pyramidal", "ratio": float(option.impratio), "mass": mass}
-    model = mujoco.MjModel.from_xml_string(_PRESS.format(step=min(option.timestep, _FINE), wall=wall, tip=tip, **scene))
+    scene = {
+        "cone": "elliptic" if option.cone else "pyramidal",
+        "ratio": float(option.impratio),
+        "mass": mass,
+    }
+    model = mujoco.MjModel.from_xml_string(
+        _PRESS.format(step=min(option.timestep, _FINE), wall=wall, tip=tip, **scene)
+    )
     data = mujoco.MjData(model)
     depths = []
     for load in _LOADS:
         data.qfrc_applied[0] = -load
         mujoco.mj_step(model, data, round(1.0 / model.opt.timestep))
         depths.append(-float(data.qpos[0]) if abs(float(data.qvel[0])) < _STILL else math.nan)
-    ways = [(more - less, deeper - depth) for less, more, depth, deeper in zip(_LOADS, _LOADS[1:], depths, depths[1:])]  # noqa: B905
+    ways = [
+        (more - less, deeper - depth)
+        for less, more, depth, deeper in zip(_LOADS, _LOADS[1:], depths, depths[1:])  # noqa: B905
+    ]
     first, second = (load / way if way > _SHALLOW else None for load, way in ways)
     return first, second
 
@@ -102,6 +119,7 @@ def contacts_text(found: Sequence[PairStiffness]) -> str:
             continue
         curved = pressed is not None and not 1.0 / _CURVED < pressed / stiffness < _CURVED
         told.append(
-            f"{who} {stiffness:.3g} N/m" + (f", {pressed:.3g} N/m under {_LOADS[2]:g} N: it is curved" if curved else "")
+            f"{who} {stiffness:.3g} N/m"
+            + (f", {pressed:.3g} N/m under {_LOADS[2]:g} N: it is curved" if curved else "")
         )
     return "; ".join(told) or "none"

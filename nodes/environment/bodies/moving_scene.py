@@ -1,8 +1,9 @@
 """A MuJoCo scene that is stepped by the ticks of the loop: the tool feels what the device feels, at the same instants.
 
-The coupling is between two masses, the device and the tool. So the force that a law renders acts on the tool with the other
-sign, from when it acts on the device to when the next one does: between two steps of the scene no momentum is made or lost. A
-body that is led by a constraint (a mocap body and a weld) would be a coupling of its own in place of the law.
+The coupling is between two masses, the device and the tool. So the force that a law renders acts on
+the tool with the other sign, from when it acts on the device to when the next one does: between two
+steps of the scene no momentum is made or lost. A body that is led by a constraint (a mocap body and
+a weld) would be a coupling of its own in place of the law.
 """
 
 from __future__ import annotations
@@ -17,14 +18,23 @@ from typing import Any
 
 from messages.types import Vector
 from nodes.environment.bodies.contacts import PairStiffness, measure_contacts
-from nodes.environment.bodies.tool import AXES, ToolParameters, ToolResponse, add_tool, measure_response
+from nodes.environment.bodies.tool import (
+    AXES,
+    ToolParameters,
+    ToolResponse,
+    add_tool,
+    measure_response,
+)
 from nodes.parameters.store import ParameterError
 
 EXTRA = "pip install 'haptic-nodes[mujoco]'"
 LARGEST = 64_000_000  # largest MJCF file that is read [bytes]
-WIDEST = 1.0  # largest radius around a geom of the tool [m]: what is larger was probably drawn in millimetres
+# largest radius around a geom of the tool [m]: what is larger was probably drawn in millimetres
+WIDEST = 1.0
 
-GAP = 0.1  # of a longer time without a state only so much is stepped: a scene that made up for all of it would be late [s]
+# of a longer time without a state only so much is stepped: a scene that made up for all of it would
+# be late [s]
+GAP = 0.1
 
 HEAVIEST = 1e6  # heaviest body [kg]
 LARGEST_NUMBER = 1e10  # largest number of a scene: MuJoCo's own limit of what it steps
@@ -34,7 +44,8 @@ _NUMBERS = (  # of a model: with one that is none the scene diverges at its firs
     *("jnt_stiffness", "dof_damping", "dof_armature", "dof_frictionloss"),
 )
 _MOST_STEPS = 1000
-_OVERLAP = 1e-4  # deeper than this in another body the tool begins unfelt [m]: MuJoCo would throw it out
+# deeper than this in another body the tool begins unfelt [m]: MuJoCo would throw it out
+_OVERLAP = 1e-4
 _LIGHTEST = 1e-6
 
 
@@ -51,7 +62,13 @@ class MovingScene:
     """A scene and its tool on three slide joints; `held`: all else is held. ParameterError says why it cannot be had."""
 
     def __init__(
-        self, file: Path, tool: str | ToolParameters, period: float, where: str, held: bool = False, lost: float = math.inf
+        self,
+        file: Path,
+        tool: str | ToolParameters,
+        period: float,
+        where: str,
+        held: bool = False,
+        lost: float = math.inf,
     ) -> None:
         self.lost = lost  # distance from the device at which the tool is put back to it [m]
         wanted = tool if isinstance(tool, ToolParameters) else ToolParameters(body=tool)
@@ -65,49 +82,66 @@ class MovingScene:
             with open(file, "rb") as opened:
                 size = opened.seek(0, os.SEEK_END)
         except OSError as error:
-            raise ParameterError(f"{where}.scene: {file} cannot be read: {error.strerror}") from error
+            raise ParameterError(
+                f"{where}.scene: {file} cannot be read: {error.strerror}"
+            ) from error
         if size > LARGEST:
             raise ParameterError(
-                f"{where}.scene: {file} has {size / 1e6:.0f} MB, more than {LARGEST / 1e6:.0f}; meshes and textures "
-                "belong in files of their own"
+                f"{where}.scene: {file} has {size / 1e6:.0f} MB, more than {LARGEST / 1e6:.0f};"
+                " meshes and textures belong in files of their own"
             )
         try:
             with _heard(mujoco) as warnings:
                 self.model = _model(mujoco, file, wanted, held, where)
         except ValueError as error:
-            raise ParameterError(f"{where}.scene: {file}: {' '.join(str(error).split())}") from error
+            raise ParameterError(
+                f"{where}.scene: {file}: {' '.join(str(error).split())}"
+            ) from error
         if warnings:
-            # MuJoCo would go on without the value: a mass that is not a number becomes that of water.
+            # MuJoCo would go on without the value: a mass that is not a number becomes that of
+            # water.
             raise ParameterError(f"{where}.scene: {file}: {' '.join(' '.join(warnings).split())}")
         self._refuse_odd_numbers(file, where)
         self.data = mujoco.MjData(self.model)
         self.tool, self._slides = self._find_tool(tool, file, where)  # the tool's body in the model
         first = int(self.model.body_dofadr[self.tool])
         self._speeds = slice(first, first + 3)
-        self.mass = float(self.model.body_subtreemass[self.tool])  # of the tool, with what is fixed to it [kg]
+        # of the tool, with what is fixed to it [kg]
+        self.mass = float(self.model.body_subtreemass[self.tool])
         if self.mass < _LIGHTEST:
-            raise ParameterError(f"{where}.tool: body {tool!r} weighs {self.mass:g} kg, expected at least {_LIGHTEST:g} kg")
-        widest = max((float(self.model.geom_rbound[i]) for i in range(self.model.ngeom) if self._of_tool(i)), default=0.0)
+            raise ParameterError(
+                f"{where}.tool: body {tool!r} weighs {self.mass:g} kg, expected at least"
+                f" {_LIGHTEST:g} kg"
+            )
+        widest = max(
+            (float(self.model.geom_rbound[i]) for i in range(self.model.ngeom) if self._of_tool(i)),
+            default=0.0,
+        )
         if widest > WIDEST:
             raise ParameterError(
-                f"{where}.scene: {file}: a geom of body {tool!r} reaches {widest:.4g} m, expected at most {WIDEST:g} m; "
-                "MJCF is in metres"
+                f"{where}.scene: {file}: a geom of body {tool!r} reaches {widest:.4g} m, expected"
+                f" at most {WIDEST:g} m; MJCF is in metres"
             )
         # Steps of the scene in a tick: its own step, made shorter so that a whole number fits.
         self.steps = max(1, math.ceil(period / float(self.model.opt.timestep) - 1e-9))
         if self.steps > _MOST_STEPS:
             raise ParameterError(
-                f"{where}.scene: {file}: a step of {self.model.opt.timestep:g} s is {self.steps} a tick, at most "
-                f"{_MOST_STEPS}; raise option timestep"
+                f"{where}.scene: {file}: a step of {self.model.opt.timestep:g} s is {self.steps} a"
+                f" tick, at most {_MOST_STEPS}; raise option timestep"
             )
         self.model.opt.timestep = period / self.steps
         self._most = max(1, round(GAP / period)) * self.steps
-        # Forces handed to the device: when they take effect [steps], and what they are [N]. Before the first, none.
+        # Forces handed to the device: when they take effect [steps], and what they are [N]. Before
+        # the first, none.
         self._forces: deque[tuple[int, Vector]] = deque([(-1, (0.0, 0.0, 0.0))])
         self._done = 0
         self.resets = 0  # how often the scene diverged and was put back to its beginning
-        self._touches = {i: (int(self.model.geom_contype[i]), int(self.model.geom_conaffinity[i])) for i in self._geoms()}
-        self.inside = False  # whether the tool meets nothing, because it began inside of another body
+        self._touches = {
+            i: (int(self.model.geom_contype[i]), int(self.model.geom_conaffinity[i]))
+            for i in self._geoms()
+        }
+        # whether the tool meets nothing, because it began inside of another body
+        self.inside = False
         mujoco.mj_forward(self.model, self.data)
 
     def _refuse_odd_numbers(self, file: Path, where: str) -> None:
@@ -115,19 +149,23 @@ class MovingScene:
         model = self.model
         step = float(model.opt.timestep)
         if not (math.isfinite(step) and step > 0.0):
-            raise ParameterError(f"{where}.scene: {file}: option timestep is {step:g} s, expected a time above 0")
+            raise ParameterError(
+                f"{where}.scene: {file}: option timestep is {step:g} s, expected a time above 0"
+            )
         for i in range(1, model.nbody):
             mass = float(model.body_mass[i])
             if not mass <= HEAVIEST:
                 raise ParameterError(
-                    f"{where}.scene: {file}: body {model.body(i).name!r} weighs {mass:g} kg, expected at most {HEAVIEST:g} kg"
+                    f"{where}.scene: {file}: body {model.body(i).name!r} weighs {mass:g} kg,"
+                    f" expected at most {HEAVIEST:g} kg"
                 )
         for name in _NUMBERS:
             values = getattr(model.opt if name == "gravity" else model, name).ravel().tolist()
             odd = next((value for value in values if not abs(value) <= LARGEST_NUMBER), None)
             if odd is not None:
                 raise ParameterError(
-                    f"{where}.scene: {file}: a number of {name} is {odd:g}, expected at most {LARGEST_NUMBER:g}"
+                    f"{where}.scene: {file}: a number of {name} is {odd:g}, expected at most"
+                    f" {LARGEST_NUMBER:g}"
                 )
 
     def _find_tool(self, tool: str, file: Path, where: str) -> tuple[int, list[int]]:
@@ -136,17 +174,23 @@ class MovingScene:
         if body < 0:
             names = [model.body(i).name for i in range(1, model.nbody)]
             raise ParameterError(
-                f"{where}.tool: no body {tool!r} in {file}; its bodies are {', '.join(names) or 'none'}; "
-                f"{where}.tool: {{mass: 0.05, radius: 0.005}} adds one"
+                f"{where}.tool: no body {tool!r} in {file}; its bodies are"
+                f" {', '.join(names) or 'none'}; {where}.tool: {{mass: 0.05, radius: 0.005}}"
+                " adds one"
             )
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         kind = mujoco.mjtJoint.mjJNT_SLIDE
-        slides = [i for i in range(first, first + count) if model.jnt_type[i] == kind and not model.jnt_limited[i]]
+        slides = [
+            i
+            for i in range(first, first + count)
+            if model.jnt_type[i] == kind and not model.jnt_limited[i]
+        ]
         axes = [tuple(model.jnt_axis[i].tolist()) for i in slides]
         if count != 3 or axes != list(AXES) or model.body_parentid[body] != 0:
             raise ParameterError(
-                f"{where}.tool: body {tool!r} must be a child of the world with three slide joints without limits, along x, y "
-                f"and z: the device has three axes, and its own workspace; or {where}.tool: {{body: NAME, mass: 0.05}} adds one"
+                f"{where}.tool: body {tool!r} must be a child of the world with three slide joints"
+                " without limits, along x, y and z: the device has three axes, and its own"
+                f" workspace; or {where}.tool: {{body: NAME, mass: 0.05}} adds one"
             )
         return body, [int(model.jnt_qposadr[i]) for i in slides]
 
@@ -165,7 +209,8 @@ class MovingScene:
     def begin(self, position: Vector) -> None:
         """Put the tool where the device is, at rest: a coupling that begins stretched would throw it.
 
-        A tool that is inside of another body there meets nothing until it is outside of all: its contacts would throw it.
+        A tool that is inside of another body there meets nothing until it is outside of all: its
+        contacts would throw it.
         """
         self._meet_bodies(True)
         for at, wanted, now in zip(self._slides, position, self.tool_position, strict=True):
@@ -179,13 +224,18 @@ class MovingScene:
     def _meet_bodies(self, meets: bool) -> None:
         """Switch the contacts of the tool on or off."""
         for i, (kind, affinity) in self._touches.items():
-            self.model.geom_contype[i], self.model.geom_conaffinity[i] = (kind, affinity) if meets else (0, 0)
+            self.model.geom_contype[i], self.model.geom_conaffinity[i] = (
+                (kind, affinity) if meets else (0, 0)
+            )
 
     def _deepest(self) -> float:
         """Depth of the tool in other bodies, by the contacts that were found last [m]."""
         contact = self.data.contact
         of_tool = (int(i) in self._touches or int(j) in self._touches for i, j in contact.geom)
-        return max((-float(away) for away, own in zip(contact.dist, of_tool, strict=True) if own), default=0.0)
+        return max(
+            (-float(away) for away, own in zip(contact.dist, of_tool, strict=True) if own),
+            default=0.0,
+        )
 
     def _leave_bodies(self) -> None:
         """Meet other bodies again as soon as the tool is wholly outside of them."""
@@ -196,12 +246,19 @@ class MovingScene:
             self._meet_bodies(False)
 
     def follow(
-        self, tick: int, position: Vector, force: Vector, since: int, delay: float, first: bool, jumped: bool = False
+        self,
+        tick: int,
+        position: Vector,
+        force: Vector,
+        since: int,
+        delay: float,
+        first: bool,
+        jumped: bool = False,
     ) -> str:
         """Go to a tick whose state tells the last force, the tick it answered and its delay.
 
-        `first` and `jumped` say that no motion led the device to its position. Return why the tool was put back to the device;
-        empty where it was not.
+        `first` and `jumped` say that no motion led the device to its position. Return why the tool
+        was put back to the device; empty where it was not.
         """
         if first:
             self.begin(position)
@@ -210,11 +267,17 @@ class MovingScene:
         self.hand_over(force, since, delay)
         self.advance(tick)
         if self.diverged():
-            why = "the scene diverged and was put back to its beginning; a smaller option timestep may help"
+            why = (
+                "the scene diverged and was put back to its beginning; a smaller option timestep"
+                " may help"
+            )
         elif jumped:
             why = "the device's position jumped"
         elif (away := math.dist(self.tool_position, position)) > self.lost:
-            why = f"the tool was {away:.3g} m away from the device, more than {self.lost:g} m: it was thrown, or left behind"
+            why = (
+                f"the tool was {away:.3g} m away from the device, more than {self.lost:g} m: it was"
+                " thrown, or left behind"
+            )
         else:
             if self.inside:
                 self._leave_bodies()
@@ -264,7 +327,9 @@ class MovingScene:
     def response(self) -> ToolResponse:
         """Measure what the tool answers to a push (`nodes.environment.bodies.tool`)."""
         period = float(self.model.opt.timestep) * self.steps
-        return measure_response(self._mujoco, self.model, self.tool, self._speeds, period, self.steps)
+        return measure_response(
+            self._mujoco, self.model, self.tool, self._speeds, period, self.steps
+        )
 
     @property
     def damping(self) -> float:

@@ -29,10 +29,11 @@ class MujocoParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     """Parameters of an environment with things that move.
 
     scene: MJCF file; ``$(dirname)`` in a launch file is the folder that it stands in.
-    tool: Body of it that the coupling holds to the device; or what that is: ``{mass: 0.05, radius: 0.005}`` adds a ball,
-        ``{body: NAME, damping: 0.5}`` damps a body of the scene to ground.
+    tool: Body of it that the coupling holds to the device; or what that is: ``{mass: 0.05, radius:
+        0.005}`` adds a ball, ``{body: NAME, damping: 0.5}`` damps a body of the scene to ground.
     bodies: ``dynamic``, or ``fixed`` to hold all but the tool where it begins.
-    lost: Distance between device and tool from which the tool is put back to the device, without a force [m].
+    lost: Distance between device and tool from which the tool is put back to the device, without a
+        force [m].
     """
 
     scene: str
@@ -52,11 +53,13 @@ class MujocoEnvironment(Node):
     @classmethod
     def check(cls, setup: Setup) -> None:
         """Read the scene before anything is started."""
-        load_world(convert(setup.parameters, MujocoParameters, setup.name), setup.period, setup.name)
+        load_world(
+            convert(setup.parameters, MujocoParameters, setup.name), setup.period, setup.name
+        )
         if list(setup.axes) != ["x", "y", "z"]:
             raise ParameterError(
-                f"{setup.name}.tool: the tool moves in three axes, but run.axes is [{', '.join(setup.axes)}]; "
-                "name all three, or leave axes out"
+                f"{setup.name}.tool: the tool moves in three axes, but run.axes is"
+                f" [{', '.join(setup.axes)}]; name all three, or leave axes out"
             )
 
     @classmethod
@@ -66,12 +69,15 @@ class MujocoEnvironment(Node):
         return ("x", "y", "z")
 
     @classmethod
-    def plant(cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]) -> dict[str, float]:
+    def plant(
+        cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]
+    ) -> dict[str, float]:
         """Return mass [kg] and damping [N s/m] of the tool, which gives way when the coupling pushes it."""
         del axes
         wanted: MujocoParameters = convert(parameters, MujocoParameters, name)
         version = 0, 0
-        with contextlib.suppress(OSError):  # `load_world` refuses in its own words what cannot be read
+        # `load_world` refuses in its own words what cannot be read
+        with contextlib.suppress(OSError):
             seen = Path(wanted.scene).expanduser().stat()
             version = seen.st_mtime_ns, seen.st_size
         mass, damping = _tool_facts(wanted, name, *version)
@@ -85,12 +91,15 @@ class MujocoEnvironment(Node):
         """Load the scene, measure its contacts, and say what the stability figures have to know."""
         self._rebased = self._driver_rebased = 0
         self._world = load_world(self.store.current, self.setup.period, self.setup.name)
-        self._poses = Poses(poses_file(self.setup.run_dir, self.setup.name), self._world.model.ngeom, make=True)
+        self._poses = Poses(
+            poses_file(self.setup.run_dir, self.setup.name), self._world.model.ngeom, make=True
+        )
         self._every = max(1, round(1.0 / (RATE * self.setup.period)))
         self.events.emit_each(
             "bodies",
-            f"the tool weighs {self._world.mass:.4g} kg (a coupling's plant.tool_mass); {self._world.steps} steps a tick; "
-            f"{response_text(self._world.response())}; its contacts, measured: {contacts_text(self._world.stiffness())}",
+            f"the tool weighs {self._world.mass:.4g} kg (a coupling's plant.tool_mass);"
+            f" {self._world.steps} steps a tick; {response_text(self._world.response())}; its"
+            f" contacts, measured: {contacts_text(self._world.stiffness())}",
             {"tool_mass_kg": self._world.mass, "steps": self._world.steps},
         )
 
@@ -102,13 +111,18 @@ class MujocoEnvironment(Node):
         first = not 0 <= self.counters.answered < seq
         jumped = state.rebased != self._driver_rebased
         inside = world.inside
-        if why := world.follow(seq, state.position, state.force, seq - 1 - state.age, state.delay, first, jumped):
+        if why := world.follow(
+            seq, state.position, state.force, seq - 1 - state.age, state.delay, first, jumped
+        ):
             self._rebased, self._driver_rebased = seq, state.rebased
             if not first:
                 self.events.emit("bodies", f"{why}; the tool begins at the device again")
         if world.inside != inside:
             unfelt = "begins inside of another body: nothing is felt until it is outside"
-            self.events.emit("inside", f"the tool {unfelt if world.inside else 'has come outside: all is felt now'}")
+            self.events.emit(
+                "inside",
+                f"the tool {unfelt if world.inside else 'has come outside: all is felt now'}",
+            )
         at = world.tool_position
         if not simulated:
             note_spent(self.counters.spent, time.monotonic() - begin)
@@ -118,7 +132,9 @@ class MujocoEnvironment(Node):
         # The coupling holds the tool from all sides: no normal, and nothing to clamp.
         held: dict[str, Any] = {"proxy": at, "normal": ZERO, "distance": 0.0, "contact": True}
         held["rebased"] = max(self._rebased, state.rebased)
-        return encode(Proxy(seq=seq, stamp=stamp, position=state.position, delay=state.delay, **held))
+        return encode(
+            Proxy(seq=seq, stamp=stamp, position=state.position, delay=state.delay, **held)
+        )
 
     def report(self) -> dict[str, Any]:
         """Tell how long its ticks took."""
@@ -129,7 +145,8 @@ class MujocoEnvironment(Node):
         answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self._answer)
 
 
-_SHORT = 1e-6  # a period that no scene is too fine for [s]: nothing is stepped, only the mass is read
+# a period that no scene is too fine for [s]: nothing is stepped, only the mass is read
+_SHORT = 1e-6
 
 
 @functools.lru_cache(maxsize=64)  # a launch asks when it is read, and again when it is wired
@@ -142,4 +159,6 @@ def _tool_facts(parameters: MujocoParameters, name: str, *_version: int) -> tupl
 def load_world(parameters: MujocoParameters, period: float, name: str) -> MovingScene:
     """Load the scene of a node of this name."""
     held = parameters.bodies == "fixed"
-    return MovingScene(Path(parameters.scene).expanduser(), parameters.tool, period, name, held, parameters.lost)
+    return MovingScene(
+        Path(parameters.scene).expanduser(), parameters.tool, period, name, held, parameters.lost
+    )

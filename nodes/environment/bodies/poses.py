@@ -1,7 +1,8 @@
 """Where the bodies of a scene are, for pages that draw them: the environment writes it some 60 times a second, a page reads it.
 
-Both map one small file in the run's private directory, sequence-locked as nodes/driver/pointer.py is: the writer counts up
-before and after, and a reader takes the poses only when both counts agree. So drawing costs the loop no message and no waiting.
+Both map one small file in the run's private directory, sequence-locked as nodes/driver/pointer.py
+is: the writer counts up before and after, and a reader takes the poses only when both counts agree.
+So drawing costs the loop no message and no waiting.
 """
 
 from __future__ import annotations

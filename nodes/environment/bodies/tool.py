@@ -1,8 +1,9 @@
 """The tool of a scene: added to it, or given more damping, and what it answers when it is pushed at its port.
 
-A scene is stepped after the force, so the tool answers late, by 1 − 1/(2n) ticks with n steps of Euler's a tick and by a whole
-one with a step that is exact. With a lag only damping of the tool to ground makes a loop certain to be stable, whatever it
-touches (`nodes.stability.worlds.SteppedTool`).
+A scene is stepped after the force, so the tool answers late, by 1 − 1/(2n) ticks with n steps of
+Euler's a tick and by a whole one with a step that is exact. With a lag only damping of the tool to
+ground makes a loop certain to be stable, whatever it touches
+(`nodes.stability.worlds.SteppedTool`).
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ class ToolResponse(NamedTuple):
 
     mass: float  # [kg]
     damping: float  # to ground, along the axis that has least [N s/m]
-    lag: float  # how much later it answers than the lossless mass that answers in the same tick [ticks]
+    # how much later it answers than the lossless mass that answers in the same tick [ticks]
+    lag: float
 
 
 def add_tool(mujoco: Any, spec: Any, tool: ToolParameters, where: str) -> None:
@@ -69,23 +71,27 @@ def add_tool(mujoco: Any, spec: Any, tool: ToolParameters, where: str) -> None:
     if tool.mass is not None:
         if body is not None:
             raise ParameterError(
-                f"{where}.mass: the scene has a body {tool.body!r} already; leave mass out to use it, or give another "
-                f"{where}.body"
+                f"{where}.mass: the scene has a body {tool.body!r} already; leave mass out to use"
+                f" it, or give another {where}.body"
             )
         body = spec.worldbody.add_body(name=tool.body, pos=list(tool.position), gravcomp=1.0)
         for axis in AXES:
             body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=list(axis))
-        body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[tool.radius, 0.0, 0.0], mass=tool.mass)
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[tool.radius, 0.0, 0.0], mass=tool.mass
+        )
     if tool.damping is not None and body is not None:
         for joint in body.joints:
             joint.damping[0] = tool.damping
 
 
-def measure_response(mujoco: Any, model: Any, body: int, dofs: slice, period: float, steps: int) -> ToolResponse:
+def measure_response(
+    mujoco: Any, model: Any, body: int, dofs: slice, period: float, steps: int
+) -> ToolResponse:
     """Push a tool for one tick along each axis and see it move, in a state of its own.
 
-    p = m v + b y holds at every tick for a push p, whatever the integrator, as long as the damper is implicit or exact: mass
-    and damping are its least squares.
+    p = m v + b y holds at every tick for a push p, whatever the integrator, as long as the damper
+    is implicit or exact: mass and damping are its least squares.
 
     Parameters
     ----------
@@ -110,15 +116,25 @@ def measure_response(mujoco: Any, model: Any, body: int, dofs: slice, period: fl
     disabled = model.opt.disableflags
     found = []
     try:
-        # Contacts, joints with dry friction and equalities are what hangs on the tool, or what it touches.
-        model.opt.disableflags = disabled | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_GRAVITY
+        # Contacts, joints with dry friction and equalities are what hangs on the tool, or what it
+        # touches.
+        model.opt.disableflags = (
+            disabled | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_GRAVITY
+        )
         mass = float(model.body_subtreemass[body])
         push = mass * _SPEED / period
-        ways = [_moved(mujoco, model, body, dofs, steps, axis, force) for axis in range(3) for force in (0.0, push)]
+        ways = [
+            _moved(mujoco, model, body, dofs, steps, axis, force)
+            for axis in range(3)
+            for force in (0.0, push)
+        ]
         for still, pushed in zip(ways[::2], ways[1::2], strict=True):
             v, y = (pushed - still).T
-            (inertia, damping), *_ = np.linalg.lstsq(np.column_stack([v, y]), np.full(len(v), push * period), rcond=None)
-            # Of an exact step under a held force, which lags a tick: y = p T/(2 m) (1 − b T/(3 m)) to second order.
+            (inertia, damping), *_ = np.linalg.lstsq(
+                np.column_stack([v, y]), np.full(len(v), push * period), rcond=None
+            )
+            # Of an exact step under a held force, which lags a tick: y = p T/(2 m) (1 − b T/(3 m))
+            # to second order.
             exact = push * period**2 / (2.0 * inertia) * (1.0 - damping * period / (3.0 * inertia))
             found.append((inertia, damping, 1.0 - (y[0] - exact) * inertia / (push * period**2)))
     finally:
@@ -126,12 +142,15 @@ def measure_response(mujoco: Any, model: Any, body: int, dofs: slice, period: fl
     masses, dampings, lags = zip(*found, strict=True)
     least = max(min(dampings), 0.0)
     if model.opt.density == 0.0 and model.opt.viscosity == 0.0:
-        # Without a fluid only its joints damp it to ground; the rest that was measured is between it and other bodies.
+        # Without a fluid only its joints damp it to ground; the rest that was measured is between
+        # it and other bodies.
         least = min(least, float(model.dof_damping[dofs].min()))
     return ToolResponse(float(np.mean(masses)), least, float(max(lags)))
 
 
-def _moved(mujoco: Any, model: Any, body: int, dofs: slice, steps: int, axis: int, force: float) -> Any:
+def _moved(
+    mujoco: Any, model: Any, body: int, dofs: slice, steps: int, axis: int, force: float
+) -> Any:
     """Speed [m/s] and position [m] along an axis at the ticks after a push of one tick [N], shape (ticks, 2)."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -147,7 +166,13 @@ def _moved(mujoco: Any, model: Any, body: int, dofs: slice, steps: int, axis: in
 
 def response_text(found: ToolResponse) -> str:
     """Return what a tool answers in words, and what that does and does not promise."""
-    text = f"pushed, it answers {found.lag:.2f} ticks late, damped to ground by {found.damping:.3g} N s/m"
+    text = (
+        f"pushed, it answers {found.lag:.2f} ticks late, damped to ground by {found.damping:.3g}"
+        " N s/m"
+    )
     if found.damping > 0.0:
         return text
-    return f"{text}: no law is certain to be stable with what it touches until tool.damping gives it some"
+    return (
+        f"{text}: no law is certain to be stable with what it touches until tool.damping gives it"
+        " some"
+    )

@@ -1,8 +1,8 @@
 """Where a proxy without a past begins: at the device, and free of the solids that the device is already inside of.
 
-A half space pushes the device out, because its surface is known to be on one side; the coupling lets that force come by a
-ramp. The nearest surface of a solid may lie on any side of it, and far away. So a solid that the tool is deep inside of is not
-felt until the tool is wholly outside.
+A half space pushes the device out, because its surface is known to be on one side; the coupling
+lets that force come by a ramp. The nearest surface of a solid may lie on any side of it, and far
+away. So a solid that the tool is deep inside of is not felt until the tool is wholly outside.
 """
 
 from __future__ import annotations
@@ -35,7 +35,9 @@ def place(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
     for n in range(shapes):
         mode = t.LAST + shapes + n
         away, _, _, _ = shape_gap(scene, memory, n, x, y, z)
-        unfelt = away < -scene[t.RADIUS] - _SHALLOW or (memory[mode] == t.UNFELT and away < -t.TOUCH)
+        unfelt = away < -scene[t.RADIUS] - _SHALLOW or (
+            memory[mode] == t.UNFELT and away < -t.TOUCH
+        )
         if scene[t.ROWS + t.ROW * n + t.KIND] == t.PLANE or memory[mode] == t.HELD:
             unfelt = False
         memory[mode] = t.FELT

@@ -1,7 +1,8 @@
 """Convex shapes that are a few floats: how far a point is, and when a moving one hits.
 
-The distance to a convex shape along a straight line is a convex function, so Newton's method from outside never steps over the
-first hit, and converges quadratically: one distance a shape is all that its sweep needs.
+The distance to a convex shape along a straight line is a convex function, so Newton's method from
+outside never steps over the first hit, and converges quadratically: one distance a shape is all
+that its sweep needs.
 """
 
 from __future__ import annotations
@@ -91,7 +92,15 @@ def _from_box(scene: Table, at: int, px: float, py: float, pz: float) -> Vector4
 
 
 def core(
-    scene: Table, row: int, face: float, x: float, y: float, z: float, nx: float, ny: float, nz: float
+    scene: Table,
+    row: int,
+    face: float,
+    x: float,
+    y: float,
+    z: float,
+    nx: float,
+    ny: float,
+    nz: float,
 ) -> tuple[bool, float, float, float]:
     """Whether the part at a normal that a point pulls to is round, and the centre of its curvature beside the point [m]."""
     kind, at = scene[row + t.KIND], row + t.GIVEN
@@ -113,13 +122,17 @@ def core(
         if away > t.LIP:
             return True, x - away * ox, y - away * oy, z - away * oz
     if kind == t.MESH and scene[t.RADIUS] > t.LIP:
-        qx, qy, qz, inside = nearest_on_triangle(scene, int(scene[row + t.TRIANGLES]) + t.TRIANGLE * int(face), x, y, z)
+        qx, qy, qz, inside = nearest_on_triangle(
+            scene, int(scene[row + t.TRIANGLES]) + t.TRIANGLE * int(face), x, y, z
+        )
         if not inside:
             return True, qx, qy, qz
     return False, 0.0, 0.0, 0.0
 
 
-def convex_hit(scene: Table, row: int, x: float, y: float, z: float, sx: float, sy: float, sz: float) -> Vector4:
+def convex_hit(
+    scene: Table, row: int, x: float, y: float, z: float, sx: float, sy: float, sz: float
+) -> Vector4:
     """Part of a straight step that the tool can go before it hits a convex shape, and the normal there; 2.0 for no hit."""
     part, nx, ny, nz = 0.0, 0.0, 0.0, 1.0
     for _ in range(_STEPS):

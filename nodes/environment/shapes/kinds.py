@@ -17,7 +17,18 @@ from nodes.environment.state import SHAPES
 from nodes.environment.surfaces import Surface, parse_surface
 from nodes.parameters.store import ParameterError
 
-__all__ = ["Ball", "Box", "Capsule", "Cylinder", "FrictionParameters", "Mesh", "OrientedPlane", "Shape", "Touchable", "Union"]
+__all__ = [
+    "Ball",
+    "Box",
+    "Capsule",
+    "Cylinder",
+    "FrictionParameters",
+    "Mesh",
+    "OrientedPlane",
+    "Shape",
+    "Touchable",
+    "Union",
+]
 
 TOOL_RADIUS: Final = 1e-5  # radius of the tool where none is given [m]
 Size = Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
@@ -35,7 +46,8 @@ class FrictionParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     dynamic : float or None
         Coefficient while it slides; None for the static one.
     viscous : float
-        By how long a sliding proxy trails [s]: a viscous friction of this times the coupling's stiffness.
+        By how long a sliding proxy trails [s]: a viscous friction of this times the coupling's
+        stiffness.
     """
 
     static: Coefficient = 0.0
@@ -53,8 +65,8 @@ class Touchable(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
     Attributes
     ----------
     tool_radius : float
-        Radius of the ball that touches; 0 for a point, which is caught by steps of nanometres between solids that are meant
-        to be flush [m].
+        Radius of the ball that touches; 0 for a point, which is caught by steps of nanometres
+        between solids that are meant to be flush [m].
     """
 
     kernel_module: ClassVar[str] = "nodes.environment.shapes.kernel"
@@ -87,8 +99,15 @@ class Touchable(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def numbers(self, period: float) -> Numbers:
         """Describe the surface by numbers: the scene, and the memory of a proxy that has touched nothing yet."""
         solids = self.solids("surface")
-        repairs = tuple(repair for solid in solids if solid.mesh is not None for repair in solid.mesh.repairs)
-        return Numbers(SHAPES, scene.scene_table(solids, self.tool_radius, period), scene.new_memory(len(solids)), repairs)
+        repairs = tuple(
+            repair for solid in solids if solid.mesh is not None for repair in solid.mesh.repairs
+        )
+        return Numbers(
+            SHAPES,
+            scene.scene_table(solids, self.tool_radius, period),
+            scene.new_memory(len(solids)),
+            repairs,
+        )
 
     def pushes(self) -> tuple[Axis, ...]:
         """Tell along which axes it can push."""
@@ -110,7 +129,9 @@ class Shape(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def rubs(self) -> Friction:
         """Friction as the geometry takes it."""
         given = self.friction
-        return Friction(given.static, given.static if given.dynamic is None else given.dynamic, given.viscous)
+        return Friction(
+            given.static, given.static if given.dynamic is None else given.dynamic, given.viscous
+        )
 
 
 class OrientedPlane(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -188,7 +209,10 @@ class _Rod(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def solids(self, where: str) -> list[Solid]:
         """Make the solid between the two ends."""
         if math.dist(self.start, self.end) < 1e-6:
-            raise ParameterError(f"{where}.end: {list(self.end)} is the start: the axis has no direction; a ball is a sphere")
+            raise ParameterError(
+                f"{where}.end: {list(self.end)} is the start: the axis has no direction; a ball is"
+                " a sphere"
+            )
         make = scene.capsule if type(self).kind == "capsule" else scene.cylinder
         return [make(self.start, self.end, self.radius, self.rubs)]
 
@@ -227,7 +251,8 @@ class Mesh(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
     Attributes
     ----------
     file : str
-        An ``.stl`` or ``.obj`` file; ``$(dirname)`` in a launch file is the folder that it stands in.
+        An ``.stl`` or ``.obj`` file; ``$(dirname)`` in a launch file is the folder that it stands
+        in.
     scale : float
         Metres per unit of the file: 0.001 for millimetres.
     position : tuple of float, shape (3,)
@@ -255,8 +280,14 @@ class Mesh(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
         file = Path(self.file).expanduser()
         corners = read_triangles(file, f"{where}.file")
         with np.errstate(over="ignore", invalid="ignore"):
-            corners = self.scale * corners @ np.array(scene.rotation(self.rotation)).T + self.position
-        return [scene.mesh(prepare_mesh(corners, self.sides == "both", f"{where}.file: {file}"), self.rubs)]
+            corners = (
+                self.scale * corners @ np.array(scene.rotation(self.rotation)).T + self.position
+            )
+        return [
+            scene.mesh(
+                prepare_mesh(corners, self.sides == "both", f"{where}.file: {file}"), self.rubs
+            )
+        ]
 
 
 class Union(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -278,8 +309,12 @@ class Union(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):
             at = f"{where}.shapes[{i}]"
             shape = parse_surface(data, at)
             if not isinstance(shape, Shape):
-                raise ParameterError(f"{at}.kind: {shape.kind!r} is no shape that can be part of a union")
+                raise ParameterError(
+                    f"{at}.kind: {shape.kind!r} is no shape that can be part of a union"
+                )
             if "tool_radius" in data:
-                raise ParameterError(f"{at}.tool_radius: the tool has one radius; set it on the union")
+                raise ParameterError(
+                    f"{at}.tool_radius: the tool has one radius; set it on the union"
+                )
             found += shape.solids(at)
         return found

@@ -24,7 +24,8 @@ class PreparedMesh(NamedTuple):
     corners: Corners  # triangles in the order of the tree [m], shape (n, 3, 3)
     normals: NDArray[np.float64]  # outward normals, shape (n, 3)
     neighbours: NDArray[np.int64]  # triangle across each edge, −1 for none, shape (n, 3)
-    # Nodes of the tree in heap order, the root at 1: lower and upper corner [m], shape (2 * leaves, 6).
+    # Nodes of the tree in heap order, the root at 1: lower and upper corner [m], shape (2 * leaves,
+    # 6).
     boxes: NDArray[np.float64]
     leaves: int  # leaves of the tree
     closed: bool  # whether it is the border of a solid
@@ -41,7 +42,10 @@ def prepare_mesh(corners: Corners, both_sides: bool, where: str) -> PreparedMesh
     if not SMALLEST <= extent <= LARGEST:
         small = "its scale is too small, or its unit is not m"
         hint = "a file in millimetres takes scale: 0.001" if extent > LARGEST else small
-        raise ParameterError(f"{where}: the mesh is {extent:.4g} m wide, expected {SMALLEST:g} to {LARGEST:g} m; {hint}")
+        raise ParameterError(
+            f"{where}: the mesh is {extent:.4g} m wide, expected {SMALLEST:g} to {LARGEST:g} m;"
+            f" {hint}"
+        )
     # Corners at the same place are one: STL tells each triangle's own, to single precision.
     corner, ids = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     ids = ids.reshape(-1, 3).astype(np.int64)
@@ -53,11 +57,13 @@ def prepare_mesh(corners: Corners, both_sides: bool, where: str) -> PreparedMesh
     flat = good & (twice_area <= _SLIVER * longest)
     if flat.any():
         raise ParameterError(
-            f"{where}: triangle {int(np.flatnonzero(flat)[0])} is flat: its corners lie on a line ({int(flat.sum())} such); "
-            "clean the mesh"
+            f"{where}: triangle {int(np.flatnonzero(flat)[0])} is flat: its corners lie on a line"
+            f" ({int(flat.sum())} such); clean the mesh"
         )
     if not good.all():
-        repairs.append(f"{where}: {int((~good).sum())} triangles of fewer than three corners left out")
+        repairs.append(
+            f"{where}: {int((~good).sum())} triangles of fewer than three corners left out"
+        )
     corners, ids, across, twice_area = corners[good], ids[good], across[good], twice_area[good]
     if not len(corners):
         raise ParameterError(f"{where}: no triangle has an area")
@@ -65,7 +71,9 @@ def prepare_mesh(corners: Corners, both_sides: bool, where: str) -> PreparedMesh
         corners = np.concatenate([corners, corners[:, ::-1]])
         # Corners of their own for the back, so that no triangle is its own neighbour.
         ids = np.concatenate([ids, ids[:, ::-1] + len(corner)])
-        normals = np.concatenate([across, -across]) / np.concatenate([twice_area, twice_area])[:, None]
+        normals = (
+            np.concatenate([across, -across]) / np.concatenate([twice_area, twice_area])[:, None]
+        )
     else:
         _refuse_open(ids, where)
         normals = across / twice_area[:, None]
@@ -75,7 +83,15 @@ def prepare_mesh(corners: Corners, both_sides: bool, where: str) -> PreparedMesh
     order, leaves = _order(corners)
     corners, ids, normals = corners[order], ids[order], normals[order]
     boxes = _boxes(corners, leaves)
-    return PreparedMesh(np.ascontiguousarray(corners), normals, _neighbours(ids), boxes, leaves, not both_sides, tuple(repairs))
+    return PreparedMesh(
+        np.ascontiguousarray(corners),
+        normals,
+        _neighbours(ids),
+        boxes,
+        leaves,
+        not both_sides,
+        tuple(repairs),
+    )
 
 
 def _edges(ids: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -87,19 +103,23 @@ def _refuse_open(ids: NDArray[np.int64], where: str) -> None:
     there = _edges(ids).ravel()
     back = _edges(ids[:, ::-1]).ravel()
     named, times = np.unique(there, return_counts=True)
-    undirected = np.minimum(ids, np.roll(ids, -1, axis=1)) * (int(ids.max()) + 1) + np.maximum(ids, np.roll(ids, -1, axis=1))
+    undirected = np.minimum(ids, np.roll(ids, -1, axis=1)) * (int(ids.max()) + 1) + np.maximum(
+        ids, np.roll(ids, -1, axis=1)
+    )
     _, shared = np.unique(undirected, return_counts=True)
     if lonely := int((shared == 1).sum()):
         raise ParameterError(
-            f"{where}: the mesh is open: {lonely} edges have one triangle only, so it has no inside; close it, or set "
-            "sides: both to feel it as a sheet"
+            f"{where}: the mesh is open: {lonely} edges have one triangle only, so it has no"
+            " inside; close it, or set sides: both to feel it as a sheet"
         )
     if many := int((shared > 2).sum()):
-        raise ParameterError(f"{where}: {many} edges have more than two triangles; split the mesh into solids")
+        raise ParameterError(
+            f"{where}: {many} edges have more than two triangles; split the mesh into solids"
+        )
     if (times > 1).any() or not np.array_equal(np.sort(named), np.unique(back)):
         raise ParameterError(
-            f"{where}: faces disagree about where outside is: {int((times > 1).sum())} edges are passed twice in one "
-            "direction; orient the faces alike"
+            f"{where}: faces disagree about where outside is: {int((times > 1).sum())} edges are"
+            " passed twice in one direction; orient the faces alike"
         )
 
 

@@ -27,7 +27,10 @@ def read_triangles(path: Path, where: str) -> NDArray[np.float64]:
         if not path.is_file():
             raise ParameterError(f"{where}: {path} is no file")
         if size > LARGEST:
-            raise ParameterError(f"{where}: {path} has {size / 1e6:.0f} MB, more than {LARGEST / 1e6:.0f}; decimate the mesh")
+            raise ParameterError(
+                f"{where}: {path} has {size / 1e6:.0f} MB, more than {LARGEST / 1e6:.0f}; decimate"
+                " the mesh"
+            )
         data = path.read_bytes()
     except OSError as error:
         raise ParameterError(f"{where}: {path} cannot be read: {error.strerror}") from error
@@ -46,11 +49,16 @@ def _stl(data: bytes) -> NDArray[np.float64]:
     count = int.from_bytes(data[80:_HEADER], "little") if len(data) >= _HEADER else 0
     # A binary file may begin with "solid", too: its length tells it apart.
     if count and len(data) == _HEADER + _RECORD * count:
-        records = np.frombuffer(data, dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")], offset=_HEADER)
+        records = np.frombuffer(
+            data,
+            dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")],
+            offset=_HEADER,
+        )
         return records["corners"].astype(np.float64)
     if not data.lstrip()[:5].lower() == b"solid":
         raise ValueError(
-            f"is no STL file, or is cut off: {len(data)} bytes, where {count} triangles take {_HEADER + _RECORD * count}"
+            f"is no STL file, or is cut off: {len(data)} bytes, where {count} triangles take"
+            f" {_HEADER + _RECORD * count}"
         )
     numbers = []
     for line, text in enumerate(data.decode("utf-8", errors="replace").splitlines(), 1):
@@ -58,7 +66,10 @@ def _stl(data: bytes) -> NDArray[np.float64]:
         if words and words[0].lower() == "vertex":
             numbers.append(_numbers(words[1:4], line))
     if len(numbers) % 3 or b"endsolid" not in data.lower():
-        raise ValueError(f"is cut off: {len(numbers)} corners" + (", and no endsolid" if len(numbers) % 3 == 0 else ""))
+        raise ValueError(
+            f"is cut off: {len(numbers)} corners"
+            + (", and no endsolid" if len(numbers) % 3 == 0 else "")
+        )
     return np.array(numbers, dtype=np.float64).reshape(-1, 3, 3)
 
 

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from math import sqrt
 
-from nodes.environment.shapes.tables import LIP, NEIGHBOURS, PATCH, RADIUS, SEEN, TRIANGLE, TRIANGLES, Memory, Table
+from nodes.environment.shapes.tables import (
+    LIP,
+    NEIGHBOURS,
+    PATCH,
+    RADIUS,
+    SEEN,
+    TRIANGLE,
+    TRIANGLES,
+    Memory,
+    Table,
+)
 from nodes.environment.shapes.triangle import nearest_on_triangle
 
 _SHALLOW = 1.0718

@@ -12,15 +12,17 @@ _SLACK = 1e-13
 def step_between(memory: Memory, count: int, vx: float, vy: float, vz: float) -> Vector:
     """Find the step nearest to a wanted one that stays on the free side of all planes touched.
 
-    It is the v that minimises |step − v|² subject to n·step ≥ −gap for each plane. In three dimensions at most three planes
-    carry it, so each one, pair and triple is tried, and the first that satisfies the conditions of Karush, Kuhn and Tucker is
-    the answer. The multipliers, which are the normal parts of the deflection [m], are written beside the planes.
+    It is the v that minimises |step − v|² subject to n·step ≥ −gap for each plane. In three
+    dimensions at most three planes carry it, so each one, pair and triple is tried, and the first
+    that satisfies the conditions of Karush, Kuhn and Tucker is the answer. The multipliers, which
+    are the normal parts of the deflection [m], are written beside the planes.
     """
     best, bi, bj, bk = 1e300, -1, -1, -1
     for size in range(4):
         if best <= _SLACK or count < size:
             break
-        # Loops over nothing count as one turn with −1, so that each function is called at one place: they are compiled into it.
+        # Loops over nothing count as one turn with −1, so that each function is called at one
+        # place: they are compiled into it.
         for i in range(-1 if size < 1 else 0, 0 if size < 1 else count):
             for j in range(-1 if size < 2 else i + 1, 0 if size < 2 else count):
                 for k in range(-1 if size < 3 else j + 1, 0 if size < 3 else count):

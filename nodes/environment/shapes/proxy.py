@@ -1,12 +1,14 @@
 """The proxy on shapes: where the tool would be if they were solid, with friction (Zilles, Salisbury 1995; Melder, Harwin).
 
-The proxy goes from where it was towards the device, straight until it hits, then along what it touches, and so on until
-nothing lets it come nearer: all in one call, not one constraint a tick. It never begins from the nearest point, so it does not
-change sides in thin walls. It sticks while the deflection stays within the cone of friction, and slides until it is back on it.
+The proxy goes from where it was towards the device, straight until it hits, then along what it
+touches, and so on until nothing lets it come nearer: all in one call, not one constraint a tick. It
+never begins from the nearest point, so it does not change sides in thin walls. It sticks while the
+deflection stays within the cone of friction, and slides until it is back on it.
 
-Over the shallow edges of a mesh, which stand for a smooth surface, a proxy that only ever descends would hang on to its
-triangle until the device has left the room under it: every edge would brake by a jump. There the proxy looks at its neighbours
-as well, and takes the nearest, so that its energy depends on where the device is, not on how it came there.
+Over the shallow edges of a mesh, which stand for a smooth surface, a proxy that only ever descends
+would hang on to its triangle until the device has left the room under it: every edge would brake by
+a jump. There the proxy looks at its neighbours as well, and takes the nearest, so that its energy
+depends on where the device is, not on how it came there.
 """
 
 from __future__ import annotations
@@ -26,8 +28,11 @@ from nodes.environment.shapes.triangle import triangle_gap
 _STILL = 1e-14  # a shorter step is none [m]
 _MOST_ROUNDS = 200
 
-_TRUSTED = 50  # rounds in which a leap may lead away from the device, as deep in a round part; then it is a circle
-_FAR = 1e3  # a device that says it is further away than this is lost [m]: it touches nothing, and its proxy waits for it
+# rounds in which a leap may lead away from the device, as deep in a round part; then it is a circle
+_TRUSTED = 50
+# a device that says it is further away than this is lost [m]: it touches nothing, and its proxy
+# waits for it
+_FAR = 1e3
 _WAITS = 0.05  # a device that comes back from there further away from its proxy is met anew [m]
 _FACING = 0.2  # cosine from which on the centre of a round part shows the way
 
@@ -44,7 +49,9 @@ def meet(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
         if memory[t.PLACED] == t.ON:
             memory[t.PLACED] = t.LOST
         memory[t.PROXY], memory[t.PROXY + 1], memory[t.PROXY + 2] = x, y, z
-        memory[t.NORMAL] = memory[t.NORMAL + 1] = memory[t.NORMAL + 2] = memory[t.DISTANCE] = memory[t.IN_CONTACT] = 0.0
+        memory[t.NORMAL] = memory[t.NORMAL + 1] = memory[t.NORMAL + 2] = memory[
+            t.DISTANCE
+        ] = memory[t.IN_CONTACT] = 0.0
         return
     if memory[t.PLACED] == t.LOST:
         memory[t.PLACED] = t.ON if _away(memory, x, y, z) < _WAITS * _WAITS else t.NEVER
@@ -80,18 +87,24 @@ def _away(memory: Memory, x: float, y: float, z: float) -> float:
 
 def _go_back(memory: Memory) -> None:
     """Be again where the last search of a patch began."""
-    memory[t.AT], memory[t.AT + 1], memory[t.AT + 2] = memory[t.BACK], memory[t.BACK + 1], memory[t.BACK + 2]
+    memory[t.AT], memory[t.AT + 1], memory[t.AT + 2] = (
+        memory[t.BACK],
+        memory[t.BACK + 1],
+        memory[t.BACK + 2],
+    )
     for k in range(t.CONTACT):
         memory[t.CONTACTS + k] = memory[t.BACK + 3 + k]
     memory[t.TOUCHED] = 1.0
 
 
-def _descend(scene: Table, memory: Memory, dx: float, dy: float, dz: float, rough: bool) -> bool:
+# Long: one compiled function: a call across it would cost what it saves.
+def _descend(scene: Table, memory: Memory, dx: float, dy: float, dz: float, rough: bool) -> bool:  # noqa: C901, PLR0915
     """Bring the proxy as near as it can come, descending all the way; whether something holds it."""
     x, y, z = memory[t.AT], memory[t.AT + 1], memory[t.AT + 2]
     count, sliding, slid, idle = int(memory[t.TOUCHED]), memory[t.SLIDING] == 1.0, 0.0, 0
     covered, nx, ny, nz, shape, face = 1.0, 0.0, 0.0, 1.0, -1.0, -1.0
-    # Where the last leap began, how far from the device that was (squared; −1 for none under way), and whether to leap now.
+    # Where the last leap began, how far from the device that was (squared; −1 for none under way),
+    # and whether to leap now.
     bx, by, bz, had_slid, before_leap, leaping = x, y, z, 0.0, -1.0, True
     for turn in range(_MOST_ROUNDS):
         memory[t.ROUNDS] += 1.0
@@ -118,7 +131,8 @@ def _descend(scene: Table, memory: Memory, dx: float, dy: float, dz: float, roug
         held = carrying > 0
         if held and before_leap >= 0.0:
             if turn > _TRUSTED and vx * vx + vy * vy + vz * vz > before_leap:
-                # It goes in circles: what the leap led to is not the round part that it was made for. Again, without a leap.
+                # It goes in circles: what the leap led to is not the round part that it was made
+                # for. Again, without a leap.
                 x, y, z, slid = bx, by, bz, had_slid
                 count, covered, shape, before_leap, leaping = 0, 1.0, -1.0, -1.0, False
                 continue
@@ -130,7 +144,10 @@ def _descend(scene: Table, memory: Memory, dx: float, dy: float, dz: float, roug
                 cone = 0.0
                 for i in range(count):
                     at = t.CONTACTS + t.CONTACT * i
-                    cone += memory[at + t.SHARE] * scene[t.ROWS + t.ROW * int(memory[at + t.SHAPE]) + t.DYNAMIC]
+                    cone += (
+                        memory[at + t.SHARE]
+                        * scene[t.ROWS + t.ROW * int(memory[at + t.SHAPE]) + t.DYNAMIC]
+                    )
             left = length - cone - behind * slid
             if left <= _STILL:
                 length = 0.0
@@ -195,7 +212,15 @@ def _around(
 
 
 def _along_crease(
-    scene: Table, memory: Memory, count: int, x: float, y: float, z: float, sx: float, sy: float, sz: float
+    scene: Table,
+    memory: Memory,
+    count: int,
+    x: float,
+    y: float,
+    z: float,
+    sx: float,
+    sy: float,
+    sz: float,
 ) -> Vector:
     """Between two surfaces: the step along their crease by Newton's method, which knows how both bend along it."""
     tx = ty = tz = 0.0
@@ -264,12 +289,16 @@ def _touching(scene: Table, memory: Memory, count: int, x: float, y: float, z: f
         shape, face = memory[at + t.SHAPE], memory[at + t.FACE]
         if face >= 0.0:
             first = int(scene[t.ROWS + t.ROW * int(shape) + t.TRIANGLES])
-            away, nx, ny, nz = triangle_gap(scene, first + t.TRIANGLE * int(face), scene[t.RADIUS], x, y, z)
+            away, nx, ny, nz = triangle_gap(
+                scene, first + t.TRIANGLE * int(face), scene[t.RADIUS], x, y, z
+            )
             if away <= t.TOUCH:
                 kept = _write(memory, kept, nx, ny, nz, away, shape, face)
     shapes = int(scene[t.SHAPES])
     for n in range(shapes):
-        solid = scene[t.ROWS + t.ROW * n + t.KIND] != t.MESH and memory[t.LAST + shapes + n] == t.FELT
+        solid = (
+            scene[t.ROWS + t.ROW * n + t.KIND] != t.MESH and memory[t.LAST + shapes + n] == t.FELT
+        )
         if solid and kept < t.MOST:
             away, nx, ny, nz = gap(scene, t.ROWS + t.ROW * n, x, y, z)
             if away <= t.TOUCH:
@@ -277,10 +306,17 @@ def _touching(scene: Table, memory: Memory, count: int, x: float, y: float, z: f
     return kept
 
 
-def _write(memory: Memory, i: int, nx: float, ny: float, nz: float, away: float, shape: float, face: float) -> int:
+def _write(
+    memory: Memory, i: int, nx: float, ny: float, nz: float, away: float, shape: float, face: float
+) -> int:
     at = t.CONTACTS + t.CONTACT * i
     memory[at], memory[at + 1], memory[at + 2] = nx, ny, nz
-    memory[at + t.GAP], memory[at + t.SHAPE], memory[at + t.FACE], memory[at + t.SHARE] = away, shape, face, 0.0
+    memory[at + t.GAP], memory[at + t.SHAPE], memory[at + t.FACE], memory[at + t.SHARE] = (
+        away,
+        shape,
+        face,
+        0.0,
+    )
     return i + 1
 
 
@@ -305,13 +341,17 @@ def _add(
     away = 0.0
     if face >= 0.0:
         first = int(scene[t.ROWS + t.ROW * int(shape) + t.TRIANGLES])
-        found, _, _, _ = triangle_gap(scene, first + t.TRIANGLE * int(face), scene[t.RADIUS], x, y, z)
+        found, _, _, _ = triangle_gap(
+            scene, first + t.TRIANGLE * int(face), scene[t.RADIUS], x, y, z
+        )
         if found <= t.TOUCH:
             away = found
     return _write(memory, min(count, t.MOST - 1), nx, ny, nz, away, shape, face)
 
 
-def _other_patch(scene: Table, memory: Memory, dx: float, dy: float, dz: float) -> tuple[bool, float, float, float]:
+def _other_patch(
+    scene: Table, memory: Memory, dx: float, dy: float, dz: float
+) -> tuple[bool, float, float, float]:
     """On a smooth mesh without friction: whether a triangle over a shallow edge is nearer, and where the proxy would be."""
     carrier, carriers = 0, 0
     for i in range(int(memory[t.TOUCHED])):
@@ -337,7 +377,11 @@ def _answer(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
     for i in range(int(memory[t.TOUCHED])):
         at = t.CONTACTS + t.CONTACT * i
         share = memory[at + t.SHARE]
-        nx, ny, nz = nx + share * memory[at], ny + share * memory[at + 1], nz + share * memory[at + 2]
+        nx, ny, nz = (
+            nx + share * memory[at],
+            ny + share * memory[at + 1],
+            nz + share * memory[at + 2],
+        )
     length = sqrt(nx * nx + ny * ny + nz * nz)
     if length == 0.0:
         # Held, but by nothing at its very end: on the way between two of many constraints.
@@ -358,4 +402,9 @@ def _answer(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
         if nx == 0.0 and ny == 0.0 and nz == 0.0:
             away = 0.0  # nothing that is felt
         memory[t.IN_CONTACT] = 0.0
-    memory[t.NORMAL], memory[t.NORMAL + 1], memory[t.NORMAL + 2], memory[t.DISTANCE] = nx, ny, nz, away
+    memory[t.NORMAL], memory[t.NORMAL + 1], memory[t.NORMAL + 2], memory[t.DISTANCE] = (
+        nx,
+        ny,
+        nz,
+        away,
+    )

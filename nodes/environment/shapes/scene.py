@@ -45,21 +45,31 @@ def sphere(centre: Vector, radius: float, friction: Friction = SLIPPERY) -> Soli
     return Solid(t.SPHERE, (*centre, radius), friction)
 
 
-def box(centre: Vector, size: Vector, turn: Vector = (0.0, 0.0, 0.0), friction: Friction = SLIPPERY) -> Solid:
+def box(
+    centre: Vector, size: Vector, turn: Vector = (0.0, 0.0, 0.0), friction: Friction = SLIPPERY
+) -> Solid:
     """Make a box with edges of these lengths, turned by roll, pitch and yaw [rad]."""
     axes = zip(*rotation(turn), strict=True)
-    return Solid(t.BOX, (*centre, *(number for axis in axes for number in axis), *(0.5 * side for side in size)), friction)
+    return Solid(
+        t.BOX,
+        (*centre, *(number for axis in axes for number in axis), *(0.5 * side for side in size)),
+        friction,
+    )
 
 
 def capsule(start: Vector, end: Vector, radius: float, friction: Friction = SLIPPERY) -> Solid:
     """Make all that is within a radius of a straight line."""
-    return Solid(t.CAPSULE, (*start, *_direction(start, end), _length(start, end), radius), friction)
+    return Solid(
+        t.CAPSULE, (*start, *_direction(start, end), _length(start, end), radius), friction
+    )
 
 
 def cylinder(start: Vector, end: Vector, radius: float, friction: Friction = SLIPPERY) -> Solid:
     """Make a cylinder between the centres of its ends."""
     middle = tuple(0.5 * (a + b) for a, b in zip(start, end, strict=True))
-    return Solid(t.CYLINDER, (*middle, *_direction(start, end), 0.5 * _length(start, end), radius), friction)
+    return Solid(
+        t.CYLINDER, (*middle, *_direction(start, end), 0.5 * _length(start, end), radius), friction
+    )
 
 
 def mesh(prepared: PreparedMesh, friction: Friction = SLIPPERY) -> Solid:
@@ -77,7 +87,11 @@ def unit(vector: Sequence[float]) -> Vector:
 def rotation(turn: Vector) -> tuple[Vector, Vector, Vector]:
     """Rows of the matrix that turns by roll, pitch and yaw [rad], about fixed x, then y, then z, as in URDF."""
     (a, b, c), (d, e, f) = (tuple(map(cos, turn)), tuple(map(sin, turn)))
-    return ((c * b, c * e * d - f * a, c * e * a + f * d), (f * b, f * e * d + c * a, f * e * a - c * d), (-e, b * d, b * a))
+    return (
+        (c * b, c * e * d - f * a, c * e * a + f * d),
+        (f * b, f * e * d + c * a, f * e * a - c * d),
+        (-e, b * d, b * a),
+    )
 
 
 def scene_table(solids: Sequence[Solid], tool_radius: float, period: float) -> array[float]:
@@ -96,7 +110,14 @@ def scene_table(solids: Sequence[Solid], tool_radius: float, period: float) -> a
             begin, found = float(len(rows) + len(behind)), solid.mesh
             count = len(found.corners)
             tree = begin + 12 * count
-            numbers = (begin, count, tree, found.leaves, tree + found.boxes.size, float(found.closed))
+            numbers = (
+                begin,
+                count,
+                tree,
+                found.leaves,
+                tree + found.boxes.size,
+                float(found.closed),
+            )
             triangles = np.concatenate([found.corners.reshape(-1, 9), found.normals], axis=1)
             for part in (triangles, found.boxes, found.neighbours.astype(float)):
                 behind.frombytes(part.tobytes())
@@ -108,12 +129,15 @@ class KnownShapes(NamedTuple):
     """What tells the shapes of a scene from others, whatever their friction."""
 
     common: tuple[float, ...]  # tool and period
-    shapes: tuple[tuple[float | bytes, ...], ...]  # kind and numbers of each; of a mesh a digest of its triangles
+    # kind and numbers of each; of a mesh a digest of its triangles
+    shapes: tuple[tuple[float | bytes, ...], ...]
 
 
 def identity_of(table: array[float]) -> KnownShapes:
     """Compute the identity of a scene; a large mesh takes milliseconds, which the loop's thread has not."""
-    return KnownShapes(tuple(table[: t.ROWS]), tuple(_shape(table, n) for n in range(int(table[t.SHAPES]))))
+    return KnownShapes(
+        tuple(table[: t.ROWS]), tuple(_shape(table, n) for n in range(int(table[t.SHAPES])))
+    )
 
 
 def _shape(table: array[float], n: int) -> tuple[float | bytes, ...]:
@@ -128,8 +152,8 @@ def _shape(table: array[float], n: int) -> tuple[float | bytes, ...]:
 def matched(before: KnownShapes, after: KnownShapes) -> dict[int, int]:
     """Return which shape of one scene each shape of another is, each taken once: the same one, wherever it stands in the list.
 
-    Of those that are left, one is taken to be the shape of its kind at its place where both scenes have as many, or the only
-    one of its kind that was left.
+    Of those that are left, one is taken to be the shape of its kind at its place where both scenes
+    have as many, or the only one of its kind that was left.
     """
     left = list(range(len(before.shapes)))
     found: dict[int, int] = {}
@@ -150,7 +174,11 @@ def matched(before: KnownShapes, after: KnownShapes) -> dict[int, int]:
     for n in new:
         kind = after.shapes[n][0]
         alike = [m for m in left if before.shapes[m][0] == kind]
-        if n not in found and len(alike) == 1 and sum(after.shapes[m][0] == kind for m in new if m not in found) == 1:
+        if (
+            n not in found
+            and len(alike) == 1
+            and sum(after.shapes[m][0] == kind for m in new if m not in found) == 1
+        ):
             take(n, alike[0])
     return found
 
@@ -160,7 +188,12 @@ def new_memory(solids: int) -> array[float]:
     return array("d", [0.0]) * (t.LAST + 2 * solids)
 
 
-def carry_over(before: KnownShapes, memory: Sequence[float], after: KnownShapes, to_memory: MutableSequence[float]) -> None:
+def carry_over(
+    before: KnownShapes,
+    memory: Sequence[float],
+    after: KnownShapes,
+    to_memory: MutableSequence[float],
+) -> None:
     """Begin the proxy of another scene where that of one is [m]; shapes that it pressed on go on holding it.
 
     What becomes of it is decided at the next tick (nodes/environment/shapes/beginning.py).

@@ -1,6 +1,7 @@
 """The bounding-volume tree of a mesh: which of its triangles a step hits first, and which is nearest.
 
-The tree is complete and stands in heap order, the root at 1 and the children of k at 2k and 2k + 1, so that walking it needs no
+The tree is complete and stands in heap order, the root at 1 and the children of k at 2k and 2k + 1,
+so that walking it needs no
 stack: after a node comes the one to its right, above all that end with it.
 """
 
@@ -38,7 +39,9 @@ def mesh_hit(
                 continue
             j = k - leaves
             for i in range(j * count // leaves, (j + 1) * count // leaves):
-                part, nx, ny, nz = triangle_hit(scene, triangles + t.TRIANGLE * i, radius, x, y, z, sx, sy, sz)
+                part, nx, ny, nz = triangle_hit(
+                    scene, triangles + t.TRIANGLE * i, radius, x, y, z, sx, sy, sz
+                )
                 if part < best:
                     best, bx, by, bz, face = part, nx, ny, nz, float(i)
                     ex, ey, ez = x + part * sx, y + part * sy, z + part * sz
@@ -49,7 +52,9 @@ def mesh_hit(
         k += 1
 
 
-def mesh_gap(scene: Table, row: int, memory: Memory, last: int, x: float, y: float, z: float) -> Vector4:
+def mesh_gap(
+    scene: Table, row: int, memory: Memory, last: int, x: float, y: float, z: float
+) -> Vector4:
     """Distance of the tool from where it touches a mesh [m], negative inside, and the normal; `last`: the nearest before."""
     count, leaves = int(scene[row + t.COUNT]), int(scene[row + t.LEAVES])
     triangles, tree = int(scene[row + t.TRIANGLES]), int(scene[row + t.TREE])
@@ -74,7 +79,8 @@ def mesh_gap(scene: Table, row: int, memory: Memory, last: int, x: float, y: flo
                 away = (x - px) * (x - px) + (y - py) * (y - py) + (z - pz) * (z - pz)
                 if away <= best:
                     height = height_above(scene, at, x, y, z)
-                    # Of triangles that share the nearest point, the one that is seen the least from its edge tells the side.
+                    # Of triangles that share the nearest point, the one that is seen the least from
+                    # its edge tells the side.
                     if away < best * (1.0 - 1e-9) or abs(height) > abs(side):
                         face, side = i, height
                         qx, qy, qz = px, py, pz

@@ -1,7 +1,8 @@
 """One triangle: the nearest point on it, and when a moving point or ball hits it.
 
-A triangle stands in the scene table as three corners and its outward normal. It is hit from the side of its normal only; a
-surface that is felt from both sides has each triangle twice, back to back.
+A triangle stands in the scene table as three corners and its outward normal. It is hit from the
+side of its normal only; a surface that is felt from both sides has each triangle twice, back to
+back.
 """
 
 from __future__ import annotations
@@ -11,7 +12,9 @@ from math import sqrt
 from nodes.environment.shapes.tables import EDGE, LIP, SKIN, TOLERANCE, TOUCH, Table, Vector4
 
 
-def nearest_on_triangle(scene: Table, at: int, x: float, y: float, z: float) -> tuple[float, float, float, bool]:
+def nearest_on_triangle(
+    scene: Table, at: int, x: float, y: float, z: float
+) -> tuple[float, float, float, bool]:
     """Nearest point of a triangle [m], and whether it lies inside of its edges (Ericson 2005, 5.1.5)."""
     ax, ay, az = scene[at], scene[at + 1], scene[at + 2]
     bx, by, bz = scene[at + 3] - ax, scene[at + 4] - ay, scene[at + 5] - az
@@ -48,7 +51,11 @@ def nearest_on_triangle(scene: Table, at: int, x: float, y: float, z: float) -> 
 
 def height_above(scene: Table, at: int, x: float, y: float, z: float) -> float:
     """Height of a point above the plane of a triangle [m]."""
-    return (x - scene[at]) * scene[at + 9] + (y - scene[at + 1]) * scene[at + 10] + (z - scene[at + 2]) * scene[at + 11]
+    return (
+        (x - scene[at]) * scene[at + 9]
+        + (y - scene[at + 1]) * scene[at + 10]
+        + (z - scene[at + 2]) * scene[at + 11]
+    )
 
 
 def _within(scene: Table, at: int, x: float, y: float, z: float, lip: float) -> bool:
@@ -80,7 +87,15 @@ def triangle_gap(scene: Table, at: int, radius: float, x: float, y: float, z: fl
 
 
 def triangle_hit(
-    scene: Table, at: int, radius: float, x: float, y: float, z: float, sx: float, sy: float, sz: float
+    scene: Table,
+    at: int,
+    radius: float,
+    x: float,
+    y: float,
+    z: float,
+    sx: float,
+    sy: float,
+    sz: float,
 ) -> Vector4:
     """Part of a straight step that a tool can go before it hits a triangle, and the normal there; 2.0 when it does not."""
     nx, ny, nz = scene[at + 9], scene[at + 10], scene[at + 11]
@@ -95,7 +110,8 @@ def triangle_hit(
         if _within(scene, at, x + part * sx, y + part * sy, z + part * sz, EDGE):
             return part, nx, ny, nz
         if radius <= LIP:
-            # At an edge the way may lead past the skin of both sides: what is hit is the triangle itself.
+            # At an edge the way may lead past the skin of both sides: what is hit is the triangle
+            # itself.
             if after < EDGE:
                 through = min(-before / closing, 1.0)
                 if _within(scene, at, x + through * sx, y + through * sy, z + through * sz, EDGE):
@@ -108,7 +124,17 @@ def triangle_hit(
     return _rim_hit(scene, at, radius, x, y, z, sx, sy, sz)
 
 
-def _rim_hit(scene: Table, at: int, radius: float, x: float, y: float, z: float, sx: float, sy: float, sz: float) -> Vector4:
+def _rim_hit(
+    scene: Table,
+    at: int,
+    radius: float,
+    x: float,
+    y: float,
+    z: float,
+    sx: float,
+    sy: float,
+    sz: float,
+) -> Vector4:
     """When a moving ball hits an edge or a corner."""
     best, bx, by, bz = 2.0, 0.0, 0.0, 1.0
     for k in range(3):
@@ -122,14 +148,22 @@ def _rim_hit(scene: Table, at: int, radius: float, x: float, y: float, z: float,
         ex, ey, ez = ex / length, ey / length, ez / length
         along, going = px * ex + py * ey + pz * ez, sx * ex + sy * ey + sz * ez
         part, nx, ny, nz = _ball_hit(
-            radius, px - along * ex, py - along * ey, pz - along * ez, sx - going * ex, sy - going * ey, sz - going * ez
+            radius,
+            px - along * ex,
+            py - along * ey,
+            pz - along * ez,
+            sx - going * ex,
+            sy - going * ey,
+            sz - going * ez,
         )
         if part < best and 0.0 <= along + part * going <= length:
             best, bx, by, bz = part, nx, ny, nz
     return best, bx, by, bz
 
 
-def _ball_hit(radius: float, px: float, py: float, pz: float, sx: float, sy: float, sz: float) -> Vector4:
+def _ball_hit(
+    radius: float, px: float, py: float, pz: float, sx: float, sy: float, sz: float
+) -> Vector4:
     """When a point that moves from p by s comes within a radius of the origin."""
     speed, coming = sx * sx + sy * sy + sz * sz, px * sx + py * sy + pz * sz
     if coming >= 0.0:

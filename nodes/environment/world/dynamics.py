@@ -1,20 +1,24 @@
 """Integrators of a mass, a spring and a damper to ground, on one axis: what the coupling pushes, one tick at a time.
 
-Whether a world is passive as the loop sees it depends on its integrator (THEORY.md §18). With F[k] the
-force on the device, −F[k] on the world and y[k] its position, passive means Σ F[k]·(y[k−1] − y[k]) ≥ −E₀: the energy that the
-world gives the coupling is bounded by what was stored in it before. So y[k] must answer F[k] *in the same tick*:
+Whether a world is passive as the loop sees it depends on its integrator (THEORY.md §18). With F[k]
+the force on the device, −F[k] on the world and y[k] its position, passive means Σ F[k]·(y[k−1] −
+y[k]) ≥ −E₀: the energy that the world gives the coupling is bounded by what was stored in it
+before. So y[k] must answer F[k] *in the same tick*:
 
 ==============  ==============================================================================  =======================
-integrator      rule                                                                            lag behind the second
+integrator      rule                                                                            lag
+behind the second
 ==============  ==============================================================================  =======================
-implicit        backward Euler; adds damping of its own                                         −½ tick
-lossless        Z(s) at s = 2(1 − w)/(T(1 + w)); the trapezoidal rule; neither adds nor loses   0
-semi_implicit   velocity, then position, n sub-steps; the damper is implicit, as in MuJoCo      1 − 1/(2n) ticks
-exact           the differential equation itself under the held force                           1 tick
+implicit        backward Euler; adds damping of its own                                         −½
+tick lossless        Z(s) at s = 2(1 − w)/(T(1 + w)); the trapezoidal rule; neither adds nor loses
+0 semi_implicit   velocity, then position, n sub-steps; the damper is implicit, as in MuJoCo      1
+− 1/(2n) ticks exact           the differential equation itself under the held force
+1 tick
 ==============  ==============================================================================  =======================
 
-The last two are *stepped*: F[k] is held from when it acts on the device and moves y[k + 1] first. They are not passive in this
-sense, however small the step is: only damping of the world itself makes a loop with them provable.
+The last two are *stepped*: F[k] is held from when it acts on the device and moves y[k + 1] first.
+They are not passive in this sense, however small the step is: only damping of the world itself
+makes a loop with them provable.
 """
 
 from __future__ import annotations
@@ -31,12 +35,15 @@ class BodyMotion(Protocol):
     Attributes
     ----------
     compliance : float
-        How far the force of the present tick moves it against that force, in the same tick [m/N]; 0 for a stepped one.
+        How far the force of the present tick moves it against that force, in the same tick [m/N]; 0
+        for a stepped one.
     """
 
     compliance: float
 
-    def __init__(self, body: tuple[float, float, float], period: float, steps: int, at: tuple[float, float]) -> None: ...
+    def __init__(
+        self, body: tuple[float, float, float], period: float, steps: int, at: tuple[float, float]
+    ) -> None: ...
 
     def free(self) -> float:
         """Return where it is at the present tick if the force of this tick were zero [m]."""
@@ -54,7 +61,9 @@ class BodyMotion(Protocol):
 class Implicit:
     """Backward Euler: y = y₋₁ + T v, m (v − v₋₁)/T + c v + k y = −F."""
 
-    def __init__(self, body: tuple[float, float, float], period: float, steps: int, at: tuple[float, float]) -> None:
+    def __init__(
+        self, body: tuple[float, float, float], period: float, steps: int, at: tuple[float, float]
+    ) -> None:
         del steps
         mass, damping, stiffness = body
         self._period = period
@@ -82,7 +91,9 @@ class Lossless:
     With g = T/2 and ξ = ∫u: ξ = ξ₋₁ + g (u + u₋₁), and y = ξ + g u.
     """
 
-    def __init__(self, body: tuple[float, float, float], period: float, steps: int, at: tuple[float, float]) -> None:
+    def __init__(
+        self, body: tuple[float, float, float], period: float, steps: int, at: tuple[float, float]
+    ) -> None:
         del steps
         mass, damping, stiffness = body
         self._g, self._stiffness = 0.5 * period, stiffness
@@ -99,7 +110,9 @@ class Lossless:
     def _speed(self, push: float) -> float:
         if self._massless:
             return (push - self._stiffness * (self._xi + self._g * self._u)) / self._impedance
-        return (push + self._push + self._carried * self._u - 2.0 * self._stiffness * self._xi) / self._impedance
+        return (
+            push + self._push + self._carried * self._u - 2.0 * self._stiffness * self._xi
+        ) / self._impedance
 
     def free(self) -> float:
         """Return where it is without this tick's force [m]."""
@@ -121,12 +134,15 @@ class Stepped:
 
     compliance = 0.0
 
-    def __init__(self, body: tuple[float, float, float], period: float, steps: int, at: tuple[float, float]) -> None:
+    def __init__(
+        self, body: tuple[float, float, float], period: float, steps: int, at: tuple[float, float]
+    ) -> None:
         self._mass, self._damping, self._stiffness = body
         self._period, self._steps = period, steps
         self._y, self._v = at
         self._acting = 0.0  # force on the device at the present instant [N]
-        self._coming: deque[tuple[float, float]] = deque()  # forces handed over, and when they act from the present tick on
+        # forces handed over, and when they act from the present tick on
+        self._coming: deque[tuple[float, float]] = deque()
 
     def hand_over(self, force: float, after: float) -> None:
         """Note a force on the device and when it takes effect, from the present tick on [ticks]."""
@@ -194,4 +210,6 @@ INTEGRATORS: dict[str, type[BodyMotion]] = {
 
 def lag_of(integrator: str, steps: int) -> float:
     """Return how much later than the trapezoidal rule one answers a force [ticks]."""
-    return {"implicit": -0.5, "lossless": 0.0, "semi_implicit": 1.0 - 0.5 / steps, "exact": 1.0}[integrator]
+    return {"implicit": -0.5, "lossless": 0.0, "semi_implicit": 1.0 - 0.5 / steps, "exact": 1.0}[
+        integrator
+    ]

@@ -20,7 +20,8 @@ from nodes.environment.world.dynamics import INTEGRATORS, BodyMotion, Stepped, l
 from nodes.parameters.checked import NonNegative
 from nodes.parameters.store import ParameterError, convert
 
-GAP: Final = 0.1  # longest time without a state that the world catches up with [s]; it stands still for the rest
+# longest time without a state that the world catches up with [s]; it stands still for the rest
+GAP: Final = 0.1
 SOFTEST: Final = 1e-3  # least force that moves an implicit world by 1 m within one tick [N/m]
 LIGHTEST: Final = 1e-6  # least mass of a stepped world [kg]
 
@@ -31,10 +32,12 @@ class WorldParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     mass: Mass [kg].
     stiffness: Spring to ground [N/m].
     damping: Viscous damper to ground [N s/m].
-    integrator: ``implicit`` (backward Euler) and ``lossless`` answer a force in the same tick and are passive
-        whatever the body is; ``semi_implicit`` and ``exact`` step under the held force, which moves the body a tick later.
+    integrator: ``implicit`` (backward Euler) and ``lossless`` answer a force in the same tick and
+        are passive whatever the body is; ``semi_implicit`` and ``exact`` step under the held force,
+        which moves the body a tick later.
     steps: Sub-steps a tick of ``semi_implicit``.
-    position: Rest of the spring, where the body is at first [m]; None for where the device is at the first tick.
+    position: Rest of the spring, where the body is at first [m]; None for where the device is at
+        the first tick.
     """
 
     mass: NonNegative = 0.0
@@ -69,39 +72,50 @@ def check_world(parameters: WorldParameters, period: float, name: str) -> None:
     """
     mass, damping, stiffness = parameters.body
     if not math.isfinite(mass + damping + stiffness):
-        raise ParameterError(f"{name}: mass, damping and stiffness must be finite, got {mass}, {damping}, {stiffness}")
+        raise ParameterError(
+            f"{name}: mass, damping and stiffness must be finite, got {mass}, {damping},"
+            f" {stiffness}"
+        )
     if parameters.integrator in ("implicit", "lossless"):
         held = mass / period**2 + damping / period + stiffness
         if held < SOFTEST:
             raise ParameterError(
-                f"{name}: a force of {held:g} N moves this body by 1 m within one tick, expected at least {SOFTEST:g} N; raise "
-                f"{name}.mass, stiffness or damping"
+                f"{name}: a force of {held:g} N moves this body by 1 m within one tick, expected at"
+                f" least {SOFTEST:g} N; raise {name}.mass, stiffness or damping"
             )
         return
     if mass < LIGHTEST:
         raise ParameterError(
-            f"{name}.mass: {mass:g} kg, expected at least {LIGHTEST:g} kg for integrator {parameters.integrator}; a body "
-            "without mass needs integrator implicit or lossless"
+            f"{name}.mass: {mass:g} kg, expected at least {LIGHTEST:g} kg for integrator"
+            f" {parameters.integrator}; a body without mass needs integrator implicit or lossless"
         )
     h = period / parameters.steps
-    # Semi-implicit Euler with an implicit damper: (m + h c)(z − 1)² + … has a root outside iff h² k > 4 m + 2 h c.
-    if parameters.integrator == "semi_implicit" and h * h * stiffness >= 4.0 * mass + 2.0 * h * damping:
+    # Semi-implicit Euler with an implicit damper: (m + h c)(z − 1)² + … has a root outside iff h² k
+    # > 4 m + 2 h c.
+    if (
+        parameters.integrator == "semi_implicit"
+        and h * h * stiffness >= 4.0 * mass + 2.0 * h * damping
+    ):
         least = math.ceil(period * _steps_factor(mass, damping, stiffness))
         raise ParameterError(
-            f"{name}.steps: {parameters.steps} sub-steps a tick are unstable for {mass:g} kg on {stiffness:g} N/m, with or "
-            f"without a coupling; expected at least {least}"
+            f"{name}.steps: {parameters.steps} sub-steps a tick are unstable for {mass:g} kg on"
+            f" {stiffness:g} N/m, with or without a coupling; expected at least {least}"
         )
 
 
 def _steps_factor(mass: float, damping: float, stiffness: float) -> float:
     """Return the sub-steps per second above which h² k < 4 m + 2 h c."""
-    return stiffness / (damping + math.sqrt(damping * damping + 4.0 * mass * stiffness)) * (1.0 + 1e-9)
+    return (
+        stiffness / (damping + math.sqrt(damping * damping + 4.0 * mass * stiffness)) * (1.0 + 1e-9)
+    )
 
 
 class BodyPlace(NamedTuple):
     """Where the world is at a tick."""
 
-    proxy: Vector  # where it would be without this tick's force; the device's position along axes that are not computed [m]
+    # where it would be without this tick's force; the device's position along axes that are not
+    # computed [m]
+    proxy: Vector
     compliance: float  # how far this tick's force moves it [m/N]
 
 
@@ -117,13 +131,21 @@ class FeltWorld:
 
     def set(self, parameters: WorldParameters) -> None:
         """Use other parameters from now on; the body stays where it is and as fast."""
-        states = [motion.state() for motion in self._motions] if self._tick >= 0 else [(0.0, 0.0)] * len(self._axes)
+        states = (
+            [motion.state() for motion in self._motions]
+            if self._tick >= 0
+            else [(0.0, 0.0)] * len(self._axes)
+        )
         kind = INTEGRATORS[parameters.integrator]
         self._parameters = parameters
-        self._motions: list[BodyMotion] = [kind(parameters.body, self._period, parameters.steps, at) for at in states]
+        self._motions: list[BodyMotion] = [
+            kind(parameters.body, self._period, parameters.steps, at) for at in states
+        ]
         self.compliance = self._motions[0].compliance
 
-    def follow(self, tick: int, position: Vector, force: Vector, since: int, delay: float) -> BodyPlace:
+    def follow(
+        self, tick: int, position: Vector, force: Vector, since: int, delay: float
+    ) -> BodyPlace:
         """Go on to a tick.
 
         Parameters
@@ -145,13 +167,16 @@ class FeltWorld:
             Where the body is.
         """
         if self._tick < 0:
-            self._rest = position if self._parameters.position is None else self._parameters.position
+            self._rest = (
+                position if self._parameters.position is None else self._parameters.position
+            )
             self._tick = tick
         begin = max(self._tick, tick - self._most)
         for i, motion in zip(self._axes, self._motions, strict=True):
             if isinstance(motion, Stepped) and tick > self._tick:
                 motion.hand_over(force[i], max(since + delay - begin, 0.0))
-            # The force of a tick whose answer was late or lost is the one that was on the device meanwhile.
+            # The force of a tick whose answer was late or lost is the one that was on the device
+            # meanwhile.
             for _ in range(begin, tick):
                 motion.close(force[i])
         self._tick = tick
@@ -172,10 +197,14 @@ class WorldEnvironment(Node):
     @classmethod
     def check(cls, setup: Setup) -> None:
         """Refuse a body that cannot be moved before anything is started."""
-        check_world(convert(setup.parameters, WorldParameters, setup.name), setup.period, setup.name)
+        check_world(
+            convert(setup.parameters, WorldParameters, setup.name), setup.period, setup.name
+        )
 
     @classmethod
-    def plant(cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]) -> dict[str, float]:
+    def plant(
+        cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]
+    ) -> dict[str, float]:
         """Return a stepped body as a tool of the coupling; of one that answers in the same tick only that it does."""
         del axes
         wanted: WorldParameters = convert(parameters, WorldParameters, name)
@@ -183,7 +212,12 @@ class WorldEnvironment(Node):
             return {"tool_lag": 0.0}
         mass, damping, stiffness = wanted.body
         lag = lag_of(wanted.integrator, wanted.steps)
-        return {"tool_mass": mass, "tool_damping": damping, "tool_stiffness": stiffness, "tool_lag": lag}
+        return {
+            "tool_mass": mass,
+            "tool_damping": damping,
+            "tool_stiffness": stiffness,
+            "tool_lag": lag,
+        }
 
     def make_counters(self) -> SpentCounters:
         """Make its counters."""
@@ -211,14 +245,24 @@ class WorldEnvironment(Node):
         if state.safety == "fault" and not simulated:
             return None
         begin = 0.0 if simulated else time.monotonic()
-        at = self._world.follow(state.seq, state.position, state.force, state.seq - 1 - state.age, state.delay)
+        at = self._world.follow(
+            state.seq, state.position, state.force, state.seq - 1 - state.age, state.delay
+        )
         if not simulated:
             note_spent(self.counters.spent, time.monotonic() - begin)
         stamp = state.stamp if simulated else self.clock.now()
         # The coupling holds the body from both sides: no normal, and nothing to clamp.
-        met: dict[str, Any] = {"proxy": at.proxy, "normal": ZERO, "distance": 0.0, "contact": True, "compliance": at.compliance}
+        met: dict[str, Any] = {
+            "proxy": at.proxy,
+            "normal": ZERO,
+            "distance": 0.0,
+            "contact": True,
+            "compliance": at.compliance,
+        }
         met["rebased"] = state.rebased
-        return encode(Proxy(seq=state.seq, stamp=stamp, position=state.position, delay=state.delay, **met))
+        return encode(
+            Proxy(seq=state.seq, stamp=stamp, position=state.position, delay=state.delay, **met)
+        )
 
     def report(self) -> dict[str, Any]:
         """Return how long its ticks took."""
@@ -235,7 +279,10 @@ def described(parameters: WorldParameters) -> str:
     integrator, steps = parameters.integrator, parameters.steps
     body = f"{mass:g} kg, {stiffness:g} N/m, {damping:g} N s/m"
     if not issubclass(INTEGRATORS[integrator], Stepped):
-        return f"{body}, {integrator}: answers a force in the same tick, and is passive whatever its numbers are"
+        return (
+            f"{body}, {integrator}: answers a force in the same tick, and is passive whatever its"
+            " numbers are"
+        )
     lag = lag_of(integrator, steps)
     late = "1 tick" if lag == 1.0 else f"{lag:.3g} ticks"
     sub_steps = f", {steps} sub-steps a tick" if integrator == "semi_implicit" else ""

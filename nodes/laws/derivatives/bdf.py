@@ -1,9 +1,10 @@
 """Lubich's convolution quadrature: the generating function of a BDF of order p, to the power α, as taps.
 
-T^−α (Σ_{j=1..p} (1 − w)^j / j)^α = Σ c_m w^m (Lubich 1986): p-th order accuracy at low frequency, phase right up to a large
-part of Nyquist. It pays with the gain there, (Σ 2^j/j)^α·T^−α: 13.9^α times that of GL for p = 6, and in the loop that is
-stiffness lost. Starting weights are left out: they depend on the time since start, and the loop has none. It breaks for p > 6,
-where the series no longer decays, and when cut shorter than p⌈α⌉ + 1 taps, its exact length at whole orders.
+T^−α (Σ_{j=1..p} (1 − w)^j / j)^α = Σ c_m w^m (Lubich 1986): p-th order accuracy at low frequency,
+phase right up to a large part of Nyquist. It pays with the gain there, (Σ 2^j/j)^α·T^−α: 13.9^α
+times that of GL for p = 6, and in the loop that is stiffness lost. Starting weights are left out:
+they depend on the time since start, and the loop has none. It breaks for p > 6, where the series no
+longer decays, and when cut shorter than p⌈α⌉ + 1 taps, its exact length at whole orders.
 """
 
 from __future__ import annotations
@@ -18,22 +19,29 @@ def lubich(order: float, taps: int, period: float, degree: int) -> CompiledLaw:
     """D^α as the power α of the backward differentiation formula of degree p."""
     if not 2 <= degree <= 6:
         raise ValueError(
-            f"degree = {degree}: Lubich's quadrature takes BDF 2 to 6; beyond 6 the BDF is not zero-stable and "
-            "the taps grow without bound, and 1 is gl"
+            f"degree = {degree}: Lubich's quadrature takes BDF 2 to 6; beyond 6 the BDF is not"
+            " zero-stable and the taps grow without bound, and 1 is gl"
         )
     least = degree * math.ceil(order) + 1
     if taps < least:
         raise ValueError(
-            f"taps = {taps}: BDF{degree} of order {order:g} needs at least {least} (p⌈α⌉ + 1, its length at whole "
-            "orders); take more taps, a lower p, or gl"
+            f"taps = {taps}: BDF{degree} of order {order:g} needs at least {least} (p⌈α⌉ + 1, its"
+            " length at whole orders); take more taps, a lower p, or gl"
         )
-    # Sums are rounded once (fsum): the built-in sum rounds otherwise from Python 3.12 on, and taps would differ.
-    # Power of a polynomial a_0 + a_1 w + ...: c_m = Σ_j ((α+1) j/m − 1) a_j c_{m−j} / a_0 (Euler; J. C. P. Miller).
-    polynomial = [math.fsum((-1.0) ** i * math.comb(j, i) / j for j in range(max(i, 1), degree + 1)) for i in range(degree + 1)]
+    # Sums are rounded once (fsum): the built-in sum rounds otherwise from Python 3.12 on, and taps
+    # would differ. Power of a polynomial a_0 + a_1 w + ...: c_m = Σ_j ((α+1) j/m − 1) a_j c_{m−j} /
+    # a_0 (Euler; J. C. P. Miller).
+    polynomial = [
+        math.fsum((-1.0) ** i * math.comb(j, i) / j for j in range(max(i, 1), degree + 1))
+        for i in range(degree + 1)
+    ]
     lead = polynomial[0]
     series = [lead**order]
     for m in range(1, taps):
-        terms = (((order + 1.0) * j / m - 1.0) * polynomial[j] * series[m - j] for j in range(1, min(degree, m) + 1))
+        terms = (
+            ((order + 1.0) * j / m - 1.0) * polynomial[j] * series[m - j]
+            for j in range(1, min(degree, m) + 1)
+        )
         series.append(math.fsum(terms) / lead)
     gain = float(period) ** -order
     return CompiledLaw(tuple(gain * c for c in series))

@@ -1,13 +1,16 @@
 """Sum of exponentials: GL's memory of N ticks carried by O(log N) states.
 
-D^β = D·I^{1−β}, and the weights of GL's fractional sum I^{1−β} are moments of a positive density on (0, 1),
+D^β = D·I^{1−β}, and the weights of GL's fractional sum I^{1−β} are moments of a positive density on
+(0, 1),
 
-    g_m = (sin πβ/π) ∫ t^{m−β} (1−t)^{β−1} dt = (sin πβ/π) ∫ e^{−s(m+1−β)} (1−e^{−s})^{β−1} ds, s > 0.
+    g_m = (sin πβ/π) ∫ t^{m−β} (1−t)^{β−1} dt = (sin πβ/π) ∫ e^{−s(m+1−β)} (1−e^{−s})^{β−1} ds, s >
+    0.
 
-With s = e^y the trapezium rule converges exponentially fast in its step, so a handful of exponentials per decade of memory
-gives every g_m alike; the first taps stay exact. All rates slower than the memory are put on the slowest pole. The difference D
-leaves no leak: beyond N ticks it goes over to a first difference instead. ``taps`` is the memory N, at least 8 (below that
-there is nothing to save) and at most 10⁶ (the slowest pole then lies 10⁻⁷ from the unit circle).
+With s = e^y the trapezium rule converges exponentially fast in its step, so a handful of
+exponentials per decade of memory gives every g_m alike; the first taps stay exact. All rates slower
+than the memory are put on the slowest pole. The difference D leaves no leak: beyond N ticks it goes
+over to a first difference instead. ``taps`` is the memory N, at least 8 (below that there is
+nothing to save) and at most 10⁶ (the slowest pole then lies 10⁻⁷ from the unit circle).
 """
 
 from __future__ import annotations
@@ -29,8 +32,8 @@ def exponentials(order: float, taps: int, period: float) -> CompiledLaw:
     """D^α with GL's weights up to a memory of N ticks, as a sum of exponentials."""
     if taps < MIN_MEMORY:
         raise ValueError(
-            f"taps = {taps}: a sum of exponentials needs a memory of at least {MIN_MEMORY} ticks; use gl, which is "
-            "exact and cheaper at this length"
+            f"taps = {taps}: a sum of exponentials needs a memory of at least {MIN_MEMORY} ticks;"
+            " use gl, which is exact and cheaper at this length"
         )
     whole, fraction = split(order)
     if fraction == 0.0:
@@ -42,10 +45,20 @@ def exponentials(order: float, taps: int, period: float) -> CompiledLaw:
     count = math.ceil((high - low) / _STEP)
     rates = [math.exp(high - i * _STEP) for i in range(count + 1)]
     poles = [math.exp(-s) for s in rates]
-    weights = [density * _STEP * s * math.exp(-s * (1.0 - fraction)) * (-math.expm1(-s)) ** (fraction - 1.0) for s in rates]
+    weights = [
+        density
+        * _STEP
+        * s
+        * math.exp(-s * (1.0 - fraction))
+        * (-math.expm1(-s)) ** (fraction - 1.0)
+        for s in rates
+    ]
     # Rates below the slowest: Σ of the geometric rest of the trapezium rule, whose terms go as s^β.
     weights[-1] /= -math.expm1(-fraction * _STEP)
     exact = coefficients(fraction - 1.0, _HEAD)
-    head = [exact[0]] + [exact[m] - math.fsum(w * p**m for w, p in zip(weights, poles, strict=True)) for m in range(1, _HEAD)]
+    head = [exact[0]] + [
+        exact[m] - math.fsum(w * p**m for w, p in zip(weights, poles, strict=True))
+        for m in range(1, _HEAD)
+    ]
     residues = [gain * w * p for w, p in zip(weights, poles, strict=True)]
     return parallel([gain * h for h in head], poles, residues, whole + 1, period)

@@ -1,8 +1,8 @@
 """Grünwald–Letnikov: the binomial series of (1 − z⁻¹)^α, cut after n + 1 taps (paper, eq. 5).
 
-The Gamma-ratio form printed in the paper overflows from m = 171 on; the recursion has no such limit. What the cut
-leaves is a leak, D(1) ≈ (nT)^−α/Γ(1−α): positive for α < 1, negative for 1 < α < 2. It holds at all orders and
-lengths; its phase is that of a pure delay αT/2.
+The Gamma-ratio form printed in the paper overflows from m = 171 on; the recursion has no such
+limit. What the cut leaves is a leak, D(1) ≈ (nT)^−α/Γ(1−α): positive for α < 1, negative for 1 < α
+< 2. It holds at all orders and lengths; its phase is that of a pure delay αT/2.
 """
 
 from __future__ import annotations

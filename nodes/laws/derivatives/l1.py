@@ -1,9 +1,10 @@
 """L1: the deflection taken as straight between samples, and Caputo's integral done exactly on it.
 
-D^β x[k] ≈ T^−β/Γ(2−β) Σ_m ((m+1)^{1−β} − m^{1−β}) (x[k−m] − x[k−m−1]) (Oldham & Spanier 1974): exact for a ramp,
-error O(T^{2−β}), and without a leak by construction. For α = k + β > 1 it follows k backward differences. For α just
-above a whole number it subtracts the oldest sample, x[k] − x[k−n] for β → 0, so there the memory has to outlast the
-contact. It breaks when the k differences leave it less than one interval to integrate over (n + 1 < k + 2).
+D^β x[k] ≈ T^−β/Γ(2−β) Σ_m ((m+1)^{1−β} − m^{1−β}) (x[k−m] − x[k−m−1]) (Oldham & Spanier 1974):
+exact for a ramp, error O(T^{2−β}), and without a leak by construction. For α = k + β > 1 it follows
+k backward differences. For α just above a whole number it subtracts the oldest sample, x[k] −
+x[k−n] for β → 0, so there the memory has to outlast the contact. It breaks when the k differences
+leave it less than one interval to integrate over (n + 1 < k + 2).
 """
 
 from __future__ import annotations
@@ -20,14 +21,19 @@ def l1(order: float, taps: int, period: float) -> CompiledLaw:
     least = whole + 2 if fraction > 0.0 else whole + 1
     if taps < least:
         raise ValueError(
-            f"taps = {taps}: L1 of order {order:g} needs at least {least}: {whole} differences and one interval; take "
-            "more taps or a lower order"
+            f"taps = {taps}: L1 of order {order:g} needs at least {least}: {whole} differences and"
+            " one interval; take more taps or a lower order"
         )
     if fraction == 0.0:
         return difference(whole, period)
     intervals = taps - whole - 1
     gain = float(period) ** -fraction / math.gamma(2.0 - fraction)
-    power = 1.0 - fraction  # (m+1)^γ − m^γ, γ = 1 − β, by expm1: the plain difference loses digits at large m
-    weights = [1.0] + [m**power * math.expm1(power * math.log1p(1.0 / m)) for m in range(1, intervals)]
-    series = [weights[0]] + [weights[m] - weights[m - 1] for m in range(1, intervals)] + [-weights[-1]]
+    # (m+1)^γ − m^γ, γ = 1 − β, by expm1: the plain difference loses digits at large m
+    power = 1.0 - fraction
+    weights = [1.0] + [
+        m**power * math.expm1(power * math.log1p(1.0 / m)) for m in range(1, intervals)
+    ]
+    series = (
+        [weights[0]] + [weights[m] - weights[m - 1] for m in range(1, intervals)] + [-weights[-1]]
+    )
     return differenced([gain * c for c in series], whole, period)

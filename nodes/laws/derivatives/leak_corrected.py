@@ -1,9 +1,10 @@
 """Grünwald–Letnikov with the leak moved into the last tap, so that D(1) = 0: a held offset gives no force.
 
-A clear win for α > 1 with a short memory, where the leak would make the wall softer than its K; for α < 1 it makes a
-constant exact (as if it had been there for ever) but everything slower than the memory less accurate than plain GL.
-It breaks when the vector is shorter than the differences it stands for (n + 1 <= ⌈α⌉): then the correction is no
-longer the small remainder of a series but most of the answer.
+A clear win for α > 1 with a short memory, where the leak would make the wall softer than its K; for
+α < 1 it makes a constant exact (as if it had been there for ever) but everything slower than the
+memory less accurate than plain GL. It breaks when the vector is shorter than the differences it
+stands for (n + 1 <= ⌈α⌉): then the correction is no longer the small remainder of a series but most
+of the answer.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ def gl_leak_corrected(order: float, taps: int, period: float) -> CompiledLaw:
     least = math.ceil(order) + 1
     if taps < least:
         raise ValueError(
-            f"taps = {taps}: leak-corrected GL of order {order:g} needs at least {least}; below that the correction "
-            "replaces the derivative. Take more taps, or plain gl"
+            f"taps = {taps}: leak-corrected GL of order {order:g} needs at least {least}; below"
+            " that the correction replaces the derivative. Take more taps, or plain gl"
         )
     series = coefficients(order, taps)
     series[-1] = -math.fsum(series[:-1])

@@ -1,10 +1,11 @@
 """Least squares with fixed stable poles: choose where the states are, fit what they weigh.
 
-With the poles fixed (n of them, evenly spread over the logarithm of the rate, from one tick to ten thousand), the
-response is linear in the residues, so the best fit to (jω)^β in relative error is one linear system, and stability
-cannot be lost. The fit runs up to half of Nyquist; asking for more buys phase there with gain at Nyquist. One
-difference is built in, so there is no leak. It breaks with one or two poles (wrong by half everywhere), and with more
-than fourteen it gains nothing but gain at Nyquist; both are refused.
+With the poles fixed (n of them, evenly spread over the logarithm of the rate, from one tick to ten
+thousand), the response is linear in the residues, so the best fit to (jω)^β in relative error is
+one linear system, and stability cannot be lost. The fit runs up to half of Nyquist; asking for more
+buys phase there with gain at Nyquist. One difference is built in, so there is no leak. It breaks
+with one or two poles (wrong by half everywhere), and with more than fourteen it gains nothing but
+gain at Nyquist; both are refused.
 """
 
 from __future__ import annotations
@@ -27,8 +28,9 @@ def least_squares(order: float, taps: int, period: float) -> CompiledLaw:
     poles_wanted = taps - 1
     if not MIN_POLES <= poles_wanted <= MAX_POLES:
         raise ValueError(
-            f"taps = {taps}: the least-squares fit takes {MIN_POLES + 1} to {MAX_POLES + 1} (n + 1 for n poles); fewer "
-            "are wrong by half over the whole band (use gl), more buy only gain at Nyquist (use exponentials)"
+            f"taps = {taps}: the least-squares fit takes {MIN_POLES + 1} to {MAX_POLES + 1} (n + 1"
+            " for n poles); fewer are wrong by half over the whole band (use gl), more buy only"
+            " gain at Nyquist (use exponentials)"
         )
     whole, fraction = split(order)
     if fraction == 0.0:
@@ -45,7 +47,13 @@ def least_squares(order: float, taps: int, period: float) -> CompiledLaw:
     system = np.concatenate([relative.real, relative.imag])
     target = np.concatenate([np.ones(_POINTS), np.zeros(_POINTS)])
     scale = np.linalg.norm(system, axis=0)
-    solution = np.linalg.lstsq(system / scale, target, rcond=None)[0] / scale * period ** (1.0 - fraction)
+    solution = (
+        np.linalg.lstsq(system / scale, target, rcond=None)[0] / scale * period ** (1.0 - fraction)
+    )
     return parallel(
-        [float(c) for c in solution[:2]], [float(p) for p in poles], [float(r) for r in solution[2:]], whole + 1, period
+        [float(c) for c in solution[:2]],
+        [float(p) for p in poles],
+        [float(r) for r in solution[2:]],
+        whole + 1,
+        period,
     )

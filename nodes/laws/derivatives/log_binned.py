@@ -1,11 +1,12 @@
 """Log-binned long memory: GL's weights averaged over bins that grow with age, so that a long past costs few numbers.
 
-The newest 16 taps stay as they are; older ones share one value per bin, eight bins to every doubling of age (the idea
-of Ford & Simpson's nested meshes, 2001). The sum of the weights, so the leak, stays GL's. With its own running sums
-it would need 16 + 8 log₂(n/16) multiplies; the loop renders it with the kernel for taps, so there it costs what GL of
-the same length costs. For 1 < α < 2 the bins hold D^β and a difference follows, which leaves no leak. It breaks for α
-> 2, where the differences turn every edge of a bin into a click as an old corner of the motion passes it, and below
-17 + k taps, where there is nothing to bin; both are refused.
+The newest 16 taps stay as they are; older ones share one value per bin, eight bins to every
+doubling of age (the idea of Ford & Simpson's nested meshes, 2001). The sum of the weights, so the
+leak, stays GL's. With its own running sums it would need 16 + 8 log₂(n/16) multiplies; the loop
+renders it with the kernel for taps, so there it costs what GL of the same length costs. For 1 < α <
+2 the bins hold D^β and a difference follows, which leaves no leak. It breaks for α > 2, where the
+differences turn every edge of a bin into a click as an old corner of the motion passes it, and
+below 17 + k taps, where there is nothing to bin; both are refused.
 """
 
 from __future__ import annotations
@@ -38,13 +39,13 @@ def log_binned(order: float, taps: int, period: float) -> CompiledLaw:
     whole, fraction = split(order)
     if whole > 1 and fraction > 0.0:
         raise ValueError(
-            f"order = {order:g}: log-binned memory takes orders up to 2; beyond, the edges of the bins show in the "
-            "differences. Use exponentials, or gl"
+            f"order = {order:g}: log-binned memory takes orders up to 2; beyond, the edges of the"
+            " bins show in the differences. Use exponentials, or gl"
         )
     if taps <= _EXACT + whole:
         raise ValueError(
-            f"taps = {taps}: log-binned memory of order {order:g} starts at {_EXACT + whole + 1}; use gl, which is the "
-            "same below that"
+            f"taps = {taps}: log-binned memory of order {order:g} starts at {_EXACT + whole + 1};"
+            " use gl, which is the same below that"
         )
     if fraction == 0.0:
         return difference(whole, period)

@@ -1,9 +1,10 @@
 """Oustaloup's recursive filter made discrete: poles and zeros alternating evenly over a logarithmic band.
 
-s^β ≈ ω_h^β Π (s + ω'_i)/(s + ω_i) between ω_b and ω_h (Oustaloup et al. 2000), n pairs, here from Nyquist down half a decade
-per pair, to at most five decades; more pairs then make it smoother. Two ways to z: Tustin's map of each factor, and matched
-poles and zeros (e^{−ωT}), with the gain matched in the middle of the band. Below ω_b it leaks ω_b^β. It breaks at one pair,
-which covers no band at all, and is not checked beyond 200; its ripple and its gain at Nyquist do not go away with n.
+s^β ≈ ω_h^β Π (s + ω'_i)/(s + ω_i) between ω_b and ω_h (Oustaloup et al. 2000), n pairs, here from
+Nyquist down half a decade per pair, to at most five decades; more pairs then make it smoother. Two
+ways to z: Tustin's map of each factor, and matched poles and zeros (e^{−ωT}), with the gain matched
+in the middle of the band. Below ω_b it leaks ω_b^β. It breaks at one pair, which covers no band at
+all, and is not checked beyond 200; its ripple and its gain at Nyquist do not go away with n.
 """
 
 from __future__ import annotations
@@ -31,12 +32,15 @@ def oustaloup_matched(order: float, taps: int, period: float) -> CompiledLaw:
     return _oustaloup(order, taps, period, lambda x: math.exp(-x))
 
 
-def _oustaloup(order: float, taps: int, period: float, to_z: Callable[[float], float]) -> CompiledLaw:
+def _oustaloup(
+    order: float, taps: int, period: float, to_z: Callable[[float], float]
+) -> CompiledLaw:
     pairs = taps - 1
     if not MIN_PAIRS <= pairs <= MAX_PAIRS:
         raise ValueError(
-            f"taps = {taps}: Oustaloup's filter takes {MIN_PAIRS + 1} to {MAX_PAIRS + 1} (n + 1 for n pairs of pole "
-            "and zero); fewer cover no band, more are not checked: use al_alaoui_cfe or exponentials there"
+            f"taps = {taps}: Oustaloup's filter takes {MIN_PAIRS + 1} to {MAX_PAIRS + 1} (n + 1 for"
+            " n pairs of pole and zero); fewer cover no band, more are not checked: use"
+            " al_alaoui_cfe or exponentials there"
         )
     whole, fraction = split(order)
     if fraction == 0.0:
@@ -47,9 +51,13 @@ def _oustaloup(order: float, taps: int, period: float, to_z: Callable[[float], f
     poles = [to_z(low * span ** ((i + 0.5 + 0.5 * fraction) / pairs)) for i in range(pairs)]
     middle = math.sqrt(low * math.pi)
     z = cmath.exp(1j * middle)
-    gain = (middle / period) ** fraction / abs(math.prod((z - a) / (z - p) for a, p in zip(zeros, poles, strict=True)))
+    gain = (middle / period) ** fraction / abs(
+        math.prod((z - a) / (z - p) for a, p in zip(zeros, poles, strict=True))
+    )
     residues = [
-        gain * (p - zeros[i]) * math.prod((p - zeros[j]) / (p - poles[j]) for j in range(pairs) if j != i)
+        gain
+        * (p - zeros[i])
+        * math.prod((p - zeros[j]) / (p - poles[j]) for j in range(pairs) if j != i)
         for i, p in enumerate(poles)
     ]
     return parallel([gain], poles, residues, whole, period)

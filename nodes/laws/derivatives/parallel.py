@@ -1,10 +1,11 @@
 """Integer part split off, and what is left as parallel sections with simple real poles.
 
-Recursive approximations of s^α are good for 0 < α < 1 and bad beyond (a continued fraction of Tustin's map is even
-unstable for α > 1), so α = k + β is realised as k backward differences of D^β. The loop renders taps and parallel
-sections side by side, not one after the other, so the differences are multiplied in here, by partial fractions. All
-poles of the realisations in this package are real: pairs of them share one second-order section, slow with fast,
-because two poles near z = 1 in one direct form would lose half the digits.
+Recursive approximations of s^α are good for 0 < α < 1 and bad beyond (a continued fraction of
+Tustin's map is even unstable for α > 1), so α = k + β is realised as k backward differences of D^β.
+The loop renders taps and parallel sections side by side, not one after the other, so the
+differences are multiplied in here, by partial fractions. All poles of the realisations in this
+package are real: pairs of them share one second-order section, slow with fast, because two poles
+near z = 1 in one direct form would lose half the digits.
 """
 
 from __future__ import annotations
@@ -46,13 +47,18 @@ def differenced(taps: Sequence[float], times: int, period: float) -> CompiledLaw
 
 
 def parallel(
-    direct: Sequence[float], poles: Sequence[float], residues: Sequence[float], times: int, period: float
+    direct: Sequence[float],
+    poles: Sequence[float],
+    residues: Sequence[float],
+    times: int,
+    period: float,
 ) -> CompiledLaw:
     """Realise [Σ d_m w^m + Σ r_i w/(1 − p_i w)]·((1 − w)/T)^k, w = z⁻¹, as taps and sections.
 
-    From tick k + 1 on, the differences of a geometric sequence are geometric again, with amplitude multiplied by
-    (p − 1)^k p^−k; what the first ticks differ by goes into the taps. A pole too close to zero for that division
-    (|p| < 0.01) is written out as taps: it is gone within nine of them.
+    From tick k + 1 on, the differences of a geometric sequence are geometric again, with amplitude
+    multiplied by (p − 1)^k p^−k; what the first ticks differ by goes into the taps. A pole too
+    close to zero for that division (|p| < 0.01) is written out as taps: it is gone within nine of
+    them.
     """
     binomial = difference(times, period).taps
     head = list(direct)
@@ -79,9 +85,12 @@ def parallel(
 
 
 def _paired(terms: list[tuple[float, float]], taps: list[float]) -> list[Section]:
-    # A w/(1 − pw) = (A/p)/(1 − pw) − A/p: in this form two of them add up to one section with b0 and b1 only.
+    # A w/(1 − pw) = (A/p)/(1 − pw) − A/p: in this form two of them add up to one section with b0
+    # and b1 only.
     large = sorted(term for term in terms if abs(term[0]) >= _PAIRED)
-    sections: list[Section] = [(0.0, gain, -pole, 0.0) for pole, gain in terms if abs(pole) < _PAIRED]
+    sections: list[Section] = [
+        (0.0, gain, -pole, 0.0) for pole, gain in terms if abs(pole) < _PAIRED
+    ]
     while len(large) > 1:
         (p, a), (q, b) = large.pop(0), large.pop()
         a, b = a / p, b / q

@@ -1,14 +1,16 @@
 """A fractional relaxation with its whole memory, as a sum of exponentials.
 
-The arm of a fractional solid, A + τ^α D^α A = E τ^α D^α x with Grünwald and Letnikov's D^α = ((1 − w)/T)^α, answers a step x
-with E s_m, where Σ s_m w^m = c (1 − w)^(α−1) / (1 + c (1 − w)^α), c = (τ/T)^α. For 0 < α < 1 this function is analytic but for
-a cut along w > 1, so s_m = ∫ t^m μ(t) dt over (0, 1) with a positive density: the jump across the cut (Gorenflo & Mainardi,
-"Fractional calculus", 1997, have it for continuous time). With t = e^−s and r = (1 − t)/t,
+The arm of a fractional solid, A + τ^α D^α A = E τ^α D^α x with Grünwald and Letnikov's D^α = ((1 −
+w)/T)^α, answers a step x with E s_m, where Σ s_m w^m = c (1 − w)^(α−1) / (1 + c (1 − w)^α), c =
+(τ/T)^α. For 0 < α < 1 this function is analytic but for a cut along w > 1, so s_m = ∫ t^m μ(t) dt
+over (0, 1) with a positive density: the jump across the cut (Gorenflo & Mainardi, "Fractional
+calculus", 1997, have it for continuous time). With t = e^−s and r = (1 − t)/t,
 
     μ(t) dt = (1/π) sin(πα) u / (1 + 2 u cos(πα) + u²) (s/r) d ln s,   u = c r^α.
 
-Gauss's rule of two nodes in each cell of ln s makes exponentials of it, with positive weights: the sum relaxes to nothing, as
-the solid does, and stays passive where that is. The first answers are exact.
+Gauss's rule of two nodes in each cell of ln s makes exponentials of it, with positive weights: the
+sum relaxes to nothing, as the solid does, and stays passive where that is. The first answers are
+exact.
 """
 
 from __future__ import annotations
@@ -36,7 +38,9 @@ def relaxation(order: float, time: float, period: float) -> CompiledLaw:
         return CompiledLaw((0.0,), ((pole, -pole, -pole, 0.0),))
     poles, weights = exponentials(order, share)
     exact = step_answer(order, share, _HEAD)
-    fitted = [math.fsum(w * p**m for w, p in zip(weights, poles, strict=True)) for m in range(_HEAD)]
+    fitted = [
+        math.fsum(w * p**m for w, p in zip(weights, poles, strict=True)) for m in range(_HEAD)
+    ]
     direct = [exact[0], *(a - b for a, b in zip(exact[1:], fitted[1:], strict=True))]
     return parallel(direct, poles, [w * p for w, p in zip(weights, poles, strict=True)], 1, 1.0)
 
@@ -66,7 +70,10 @@ def exponentials(order: float, share: float) -> tuple[list[float], list[float]]:
         below = [_below(s, order, share) for s in ends]
         rates = [math.sqrt(fast * slow) for fast, slow in itertools.pairwise(ends)]
         # Over ln r, d ln s is r t/s of it: (s/r) of that is t.
-        masses = [(fast - slow) * math.exp(-s) for (fast, slow), s in zip(itertools.pairwise(below), rates, strict=True)]
+        masses = [
+            (fast - slow) * math.exp(-s)
+            for (fast, slow), s in zip(itertools.pairwise(below), rates, strict=True)
+        ]
         _two_nodes(rates, masses, poles, weights)
     # What is slower: t is 1 there.
     slowest = math.exp(top - count * _CELL)
@@ -80,7 +87,9 @@ def _below(rate: float, order: float, share: float) -> float:
     return math.atan2(u * math.sin(angle), 1.0 + u * math.cos(angle)) / angle
 
 
-def _two_nodes(rates: list[float], masses: list[float], poles: list[float], weights: list[float]) -> None:
+def _two_nodes(
+    rates: list[float], masses: list[float], poles: list[float], weights: list[float]
+) -> None:
     """Add two exponentials that have the moments of a cell up to the third."""
     total = math.fsum(masses)
     mean = math.fsum(s * m for s, m in zip(rates, masses, strict=True)) / total

@@ -29,11 +29,19 @@ EXPLAINED = 1e-5  # a residual below this is explained even where the encoder is
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("file", type=Path, help="recording of a launch")
-    parser.add_argument("assignments", nargs="*", metavar="name:=value", help="law:=NAME or a description, and its parameters")
+    parser.add_argument(
+        "assignments",
+        nargs="*",
+        metavar="name:=value",
+        help="law:=NAME or a description, and its parameters",
+    )
     parser.add_argument(
         "--model",
-        help="the device: declared (as the virtual device was), identified (from this recording), a recording to identify it "
-        "from, or a YAML file of a device (default: declared where there is one, else identified)",
+        help=(
+            "the device: declared (as the virtual device was), identified (from this recording), a"
+            " recording to identify it from, or a YAML file of a device (default: declared where"
+            " there is one, else identified)"
+        ),
     )
     parser.add_argument("--out", type=Path, metavar="PNG", help="also draw both runs")
     add_json(parser)
@@ -71,7 +79,10 @@ def run(arguments: argparse.Namespace) -> int:
         "lockstep": recorded.lockstep,
         "ticks": len(recorded.position),
         "ticks_recorded": recorded.recorded_ticks,
-        "nudges": {"ticks": int(np.count_nonzero(nudge)), "largest_m": float(np.max(np.abs(nudge)))},
+        "nudges": {
+            "ticks": int(np.count_nonzero(nudge)),
+            "largest_m": float(np.max(np.abs(nudge))),
+        },
         "hand": None if external is None else "spring" if device.hand else "force",
         "law": described,
         "left_out": list(recorded.left_out),
@@ -79,9 +90,15 @@ def run(arguments: argparse.Namespace) -> int:
     for name, felt in (("self", same), ("model", alone)):
         off = float(np.max(np.abs(felt.measured - recorded.position)))
         figures[f"{name}_error_m"] = off
-        figures[f"{name}_error_steps"] = None if device.resolution is None else off / device.resolution
+        figures[f"{name}_error_steps"] = (
+            None if device.resolution is None else off / device.resolution
+        )
     for name, felt in (("recorded", same), ("predicted", other)):
-        figures[name] = {"settled": felt.settled, "peak_force_n": felt.peak_force, "rest_m": felt.rest}
+        figures[name] = {
+            "settled": felt.settled,
+            "peak_force_n": felt.peak_force,
+            "rest_m": felt.rest,
+        }
     if arguments.out is not None:
         _draw(arguments.out, recorded, same, other)
         figures["plot"] = str(arguments.out)
@@ -111,7 +128,11 @@ def _prepared(arguments: argparse.Namespace) -> tuple[RecordedScene, Any, str]:
         found = identify(read(source))
         device, noise = _modelled(found, arguments.file), found.residual
         name = name or "identified"
-        if source == arguments.file and not found.held and noise < max(found.encoder.value or 0.0, EXPLAINED):
+        if (
+            source == arguments.file
+            and not found.held
+            and noise < max(found.encoder.value or 0.0, EXPLAINED)
+        ):
             # The model explains the recording to an encoder step: nothing else moved the device.
             return rebuild(arguments.file, device), None, name
     recorded = rebuild(arguments.file, device)
@@ -128,9 +149,14 @@ def _modelled(found: Any, recording: Path) -> DeviceModel:
 
     position, velocity = initial_state(read(recording, found.axis), found)
     load = 0.0 if found.load.value is None or found.held else found.load.value
-    start: dict[str, Any] = {"position": position, "velocity": velocity, "gravity": -load / found.mass.known()[0]}
+    start: dict[str, Any] = {
+        "position": position,
+        "velocity": velocity,
+        "gravity": -load / found.mass.known()[0],
+    }
     if found.held and found.stiffness.value:
-        # The hand holds on to where it is going; the way itself is in the force that the model lacks.
+        # The hand holds on to where it is going; the way itself is in the force that the model
+        # lacks.
         start["hand"] = {"stiffness": found.stiffness.value, "path": [(0.0, 0.0)]}
     return msgspec.convert({**device_parameters(found), **start}, DeviceModel)
 
@@ -143,28 +169,39 @@ def at_most(metres: float) -> str:
 def _text(figures: dict[str, Any]) -> list[str]:
     def error(name: str) -> str:
         steps = figures[f"{name}_error_steps"]
-        return at_most(figures[f"{name}_error_m"]) + ("" if steps is None else f" = {steps:.3g} encoder steps")
+        return at_most(figures[f"{name}_error_m"]) + (
+            "" if steps is None else f" = {steps:.3g} encoder steps"
+        )
 
     lines = [
-        f"{figures['recording']}: device {figures['model']}, {'lockstep' if figures['lockstep'] else 'real time'}",
+        (
+            f"{figures['recording']}: device {figures['model']},"
+            f" {'lockstep' if figures['lockstep'] else 'real time'}"
+        ),
         f"  the recorded law replayed differs from what was recorded by at most {error('self')}",
     ]
     if figures["ticks"] < figures["ticks_recorded"]:
         whole = figures["ticks_recorded"]
-        lines.append(f"  only the first {figures['ticks']} of {whole} ticks: the driver slept through the next one")
+        lines.append(
+            f"  only the first {figures['ticks']} of {whole} ticks: the driver slept through the"
+            " next one"
+        )
     nudges = figures["nudges"]
     if nudges["ticks"]:
         lines.append(
-            f"  the model was nudged at {nudges['ticks']} ticks, by at most {nudges['largest_m'] * 1e6:.2g} µm; "
-            f"without that it differs by {error('model')}"
+            f"  the model was nudged at {nudges['ticks']} ticks, by at most"
+            f" {nudges['largest_m'] * 1e6:.2g} µm; without that it differs by {error('model')}"
         )
     for name in ("recorded", "predicted"):
         row = figures[name]
         state = "settles" if row["settled"] else "does not settle"
         lines.append(
-            f"  {name:9} {state}, peak {row['peak_force_n']:.4g} N, rests at {row['rest_m']:.6g} m (± {error('model')})"
+            f"  {name:9} {state}, peak {row['peak_force_n']:.4g} N, rests at {row['rest_m']:.6g} m"
+            f" (± {error('model')})"
         )
-    lines.append("  predicted for " + ", ".join(f"{key} {value}" for key, value in figures["law"].items()))
+    lines.append(
+        "  predicted for " + ", ".join(f"{key} {value}" for key, value in figures["law"].items())
+    )
     if figures["hand"] == "force":
         yielding = "one that yields needs hand: {stiffness: K} in --model's YAML"
         lines.append(f"  the hand is replayed as its recorded force; {yielding}")

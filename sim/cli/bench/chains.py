@@ -21,9 +21,21 @@ LIMIT = 0.01  # share of lost ticks up to which a machine carries a launch
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--scenario", default="floor_drop", help="launch file of one chain (default: %(default)s)")
-    parser.add_argument("--most", type=whole(1, 64), default=16, help="most chains that are tried (default: %(default)s)")
-    parser.add_argument("--seconds", type=SECONDS, default=3.0, help="length of each launch (default: %(default)s s)")
+    parser.add_argument(
+        "--scenario", default="floor_drop", help="launch file of one chain (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--most",
+        type=whole(1, 64),
+        default=16,
+        help="most chains that are tried (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--seconds",
+        type=SECONDS,
+        default=3.0,
+        help="length of each launch (default: %(default)s s)",
+    )
     declare(parser, rate=500.0)
     add_answer(parser, run, files=False)
 
@@ -41,20 +53,37 @@ def several(scenario: str, chains: int, folder: Path) -> str:
     spec = launch_file.read(scenario, {})
     loggers = [name for name, node in spec.nodes.items() if node.kind == "logger"]
     path = folder / f"chains_{chains}.yaml"
-    included = [{"launch": scenario, "namespace": f"c{i}", "without": loggers} for i in range(chains)]
-    path.write_text(json.dumps({"summary": f"{chains} chains", "include": included}), encoding="utf-8")
+    included = [
+        {"launch": scenario, "namespace": f"c{i}", "without": loggers} for i in range(chains)
+    ]
+    path.write_text(
+        json.dumps({"summary": f"{chains} chains", "include": included}), encoding="utf-8"
+    )
     return str(path)
 
 
-def measure(scenario: str, most: int, seconds: float, rate: float, tick: Tick, progress: Progress) -> list[dict[str, Any]]:
+def measure(
+    scenario: str, most: int, seconds: float, rate: float, tick: Tick, progress: Progress
+) -> list[dict[str, Any]]:
     """Launch more and more chains; return a row for each launch."""
     rows = []
     with tempfile.TemporaryDirectory(prefix="haptic-") as name:
         for chains in counts(most):
-            words = (f"run.duration:={seconds}", f"run.rate:={rate}", "run.pace:=realtime", "--tick", tick)
+            words = (
+                f"run.duration:={seconds}",
+                f"run.rate:={rate}",
+                "run.pace:=realtime",
+                "--tick",
+                tick,
+            )
             figures = launch(several(scenario, chains, Path(name)), *words)
             load = figures["load"] or {}
-            rows.append({"chains": chains, **{key: load.get(key) for key in ("lost", "busy", "tick_cost_us", "cause")}})
+            rows.append(
+                {
+                    "chains": chains,
+                    **{key: load.get(key) for key in ("lost", "busy", "tick_cost_us", "cause")},
+                }
+            )
             progress.step(f"{chains} chains")
     return rows
 
@@ -62,15 +91,37 @@ def measure(scenario: str, most: int, seconds: float, rate: float, tick: Tick, p
 def run(arguments: argparse.Namespace) -> int:
     """Run the benchmark."""
     path, rate = arguments.scenario, arguments.rate
-    tick = choose("compiled", kernel_modules(launch_file.read(path, {})), lambda text: print(text, file=sys.stderr))
-    rows = measure(path, arguments.most, arguments.seconds, rate, tick, Progress(len(counts(arguments.most))))
-    carried = max((row["chains"] for row in rows if row["lost"] is not None and row["lost"] <= LIMIT), default=0)
-    figures = {"machine": machine(), "scenario": path, "rate_hz": rate, "tick": tick, "carried": carried, "rows": rows}
+    tick = choose(
+        "compiled",
+        kernel_modules(launch_file.read(path, {})),
+        lambda text: print(text, file=sys.stderr),
+    )
+    rows = measure(
+        path, arguments.most, arguments.seconds, rate, tick, Progress(len(counts(arguments.most)))
+    )
+    carried = max(
+        (row["chains"] for row in rows if row["lost"] is not None and row["lost"] <= LIMIT),
+        default=0,
+    )
+    figures = {
+        "machine": machine(),
+        "scenario": path,
+        "rate_hz": rate,
+        "tick": tick,
+        "carried": carried,
+        "rows": rows,
+    }
     lines = [
         figures["machine"],
-        f"{path}, {rate:g} Hz, {tick} tick: carries {carried} chains (up to {LIMIT:.0%} of ticks lost)",
+        (
+            f"{path}, {rate:g} Hz, {tick} tick: carries {carried} chains (up to {LIMIT:.0%} of"
+            " ticks lost)"
+        ),
     ]
     for row in rows:
         lost, busy, cost = (row[key] or 0.0 for key in ("lost", "busy", "tick_cost_us"))
-        lines.append(f"{row['chains']:4} chains  {lost:7.2%} lost  {busy:4.0%} of their processors  {cost:5.0f} µs a tick")
+        lines.append(
+            f"{row['chains']:4} chains  {lost:7.2%} lost  {busy:4.0%} of their processors "
+            f" {cost:5.0f} µs a tick"
+        )
     return report(arguments, figures, lines)

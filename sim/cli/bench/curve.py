@@ -1,8 +1,8 @@
 """What encryption costs: response over tcp with CURVE against ipc, in one run.
 
-The loop's own environment and coupling, each in its process: one pair of them answers over ipc, as on one machine, one pair
-over tcp on loopback with CURVE, as on two. This process is the driver of both in turn, tick by tick, so that whatever else
-the machine does meets both.
+The loop's own environment and coupling, each in its process: one pair of them answers over ipc, as
+on one machine, one pair over tcp on loopback with CURVE, as on two. This process is the driver of
+both in turn, tick by tick, so that whatever else the machine does meets both.
 """
 
 import argparse
@@ -41,17 +41,24 @@ PATIENCE_MS = 5000  # longest wait for an answer [ms]
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     declare(parser, rate=500.0)
-    parser.add_argument("--rounds", type=ROUNDS, default=10, help="rounds of each kind (default: %(default)s)")
-    parser.add_argument("--ticks", type=whole(1, 10**8), default=250, help="ticks of a round (default: %(default)s)")
+    parser.add_argument(
+        "--rounds", type=ROUNDS, default=10, help="rounds of each kind (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--ticks", type=whole(1, 10**8), default=250, help="ticks of a round (default: %(default)s)"
+    )
     add_answer(parser, run, files=False)
 
 
 class _Loop:
     """Two nodes over tcp, and this process as their driver."""
 
-    def __init__(self, context: Context, folder: Path, name: str, key: str, period: float, stack: ExitStack) -> None:
+    def __init__(
+        self, context: Context, folder: Path, name: str, key: str, period: float, stack: ExitStack
+    ) -> None:
         state, proxy, force = (
-            f"tcp://127.0.0.1:{free_ports(1)}#{key}" if key else f"ipc://{folder}/{name}{hop}" for hop in range(3)
+            f"tcp://127.0.0.1:{free_ports(1)}#{key}" if key else f"ipc://{folder}/{name}{hop}"
+            for hop in range(3)
         )
         quietest = realtime.quietest_processor()
         scheduling = Scheduling(cpus=[quietest], aside=sorted(os.sched_getaffinity(0) - {quietest}))
@@ -59,10 +66,21 @@ class _Loop:
         stack.callback(self._publisher.close, 0)
         self._inbox = Subscription(context, [force], [topics.FORCE])
         stack.callback(self._inbox.close)
-        law = {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}}, "stability": "off"}
+        law = {
+            "law": "pd",
+            "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}},
+            "stability": "off",
+        }
         surface = {"surface": {"kind": "plane", "axis": "z", "position": 0.0, "normal": 1}}
         for kind, factory, place, topic, source, parameters in (
-            ("environment", "nodes.environment.node:Environment", proxy, topics.DEVICE_STATE, state, surface),
+            (
+                "environment",
+                "nodes.environment.node:Environment",
+                proxy,
+                topics.DEVICE_STATE,
+                state,
+                surface,
+            ),
             ("coupling", "nodes.coupling.node:Coupling", force, topics.PROXY, proxy, law),
         ):
             setup = Setup(
@@ -164,12 +182,22 @@ def measure(rate: float, rounds: int, ticks: int) -> dict[str, Any]:
         for _ in range(rounds):
             for name, found in _round(loops, ticks, period).items():
                 responses[name].append(found)
-    ratios = sorted(statistics.median(curve) / statistics.median(ipc) for ipc, curve in zip(*responses.values(), strict=True))
-    figures: dict[str, Any] = {"rate_hz": rate, "rounds": rounds, "ticks_per_round": ticks, "response_us": {}}
+    ratios = sorted(
+        statistics.median(curve) / statistics.median(ipc)
+        for ipc, curve in zip(*responses.values(), strict=True)
+    )
+    figures: dict[str, Any] = {
+        "rate_hz": rate,
+        "rounds": rounds,
+        "ticks_per_round": ticks,
+        "response_us": {},
+    }
     for name, lists in responses.items():
         values = sorted(value for one in lists for value in one)
         shares = {"p50": 0.5, "p99": 0.99}
-        figures["response_us"][name] = {key: round(quantile(values, part) * 1e6, 1) for key, part in shares.items()}
+        figures["response_us"][name] = {
+            key: round(quantile(values, part) * 1e6, 1) for key, part in shares.items()
+        }
     figures["ratio"] = round(statistics.median(ratios), 4)
     figures["ratio_of_rounds"] = [round(ratio, 4) for ratio in ratios]
     return figures
@@ -181,10 +209,10 @@ def run(arguments: argparse.Namespace) -> int:
     ipc, curve = found["response_us"]["ipc"], found["response_us"]["curve"]
     spread = found["ratio_of_rounds"]
     text = (
-        f"three hops at {found['rate_hz']:g} Hz, {found['rounds']} rounds of {found['ticks_per_round']} "
-        f"ticks, the two in turn\n"
-        f"  ipc              p50 {ipc['p50']:.0f} µs, p99 {ipc['p99']:.0f} µs\n"
-        f"  tcp with CURVE   p50 {curve['p50']:.0f} µs, p99 {curve['p99']:.0f} µs\n"
-        f"  ratio            {found['ratio']:.3f} (median of the rounds, which gave {spread[0]:.3f} to {spread[-1]:.3f})"
+        f"three hops at {found['rate_hz']:g} Hz, {found['rounds']} rounds of"
+        f" {found['ticks_per_round']} ticks, the two in turn\n  ipc              p50"
+        f" {ipc['p50']:.0f} µs, p99 {ipc['p99']:.0f} µs\n  tcp with CURVE   p50 {curve['p50']:.0f}"
+        f" µs, p99 {curve['p99']:.0f} µs\n  ratio            {found['ratio']:.3f} (median of the"
+        f" rounds, which gave {spread[0]:.3f} to {spread[-1]:.3f})"
     )
     return report(arguments, found, text)

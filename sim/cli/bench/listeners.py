@@ -20,8 +20,12 @@ LISTENERS = 4
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--rounds", type=ROUNDS, default=5, help="rounds of without and with (default 5)")
-    parser.add_argument("--seconds", type=SECONDS, default=4.0, help="length of each half of a round (default 4 s)")
+    parser.add_argument(
+        "--rounds", type=ROUNDS, default=5, help="rounds of without and with (default 5)"
+    )
+    parser.add_argument(
+        "--seconds", type=SECONDS, default=4.0, help="length of each half of a round (default 4 s)"
+    )
     declare(parser, rate=500.0)
     add_answer(parser, run, files=False)
 
@@ -40,7 +44,11 @@ def _listen(launch: Running, count: int, label: str) -> list[subprocess.Popen[by
         for path in paths
     ]
     for path in paths:
-        wait_for(lambda path=path: path.exists() and path.stat().st_size > 20_000, f"{path.name} grows", 30.0)  # type: ignore[misc]
+        wait_for(
+            lambda path=path: path.exists() and path.stat().st_size > 20_000,  # type: ignore[misc]
+            f"{path.name} grows",
+            30.0,
+        )
     return listeners
 
 
@@ -76,10 +84,13 @@ def measure(rounds: int, seconds: float, rate: float, progress: Progress) -> dic
     found = {label: responses_in(states, spans) for label, spans in halves.items()}
     quiet, busy = found["without"]["p99_us"], found["with"]["p99_us"]
     middle = {
-        f"{label}_us": {name: statistics.median(one[f"{name}_us"]) for name in ("p50", "p99")} for label, one in found.items()
+        f"{label}_us": {name: statistics.median(one[f"{name}_us"]) for name in ("p50", "p99")}
+        for label, one in found.items()
     }
     return middle | {
-        "p99_ratio": statistics.median(with_ / without for with_, without in zip(busy, quiet, strict=True)),
+        "p99_ratio": statistics.median(
+            with_ / without for with_, without in zip(busy, quiet, strict=True)
+        ),
         "spread_without": max(quiet) / min(quiet),
         "missed": {label: one["missed"] for label, one in found.items()},
         "lost_by_own_logger": gaps,
@@ -93,11 +104,12 @@ def run(arguments: argparse.Namespace) -> int:
     figures["machine"] = machine()
     without, with_ = figures["without_us"], figures["with_us"]
     text = (
-        f"{figures['machine']}\n"
-        f"response without listeners p50 {without['p50']:.0f} µs, p99 {without['p99']:.0f} µs; with four extra loggers, one "
-        f"stopped and one killed, p50 {with_['p50']:.0f} µs, p99 {with_['p99']:.0f} µs\n"
-        f"p99 with/without {figures['p99_ratio']:.2f}; rounds without listeners differ by {figures['spread_without']:.2f}; "
-        f"missed {figures['missed']['without']} without, {figures['missed']['with']} with; "
-        f"lost by the launch's own logger {figures['lost_by_own_logger']}"
+        f"{figures['machine']}\nresponse without listeners p50 {without['p50']:.0f} µs, p99"
+        f" {without['p99']:.0f} µs; with four extra loggers, one stopped and one killed, p50"
+        f" {with_['p50']:.0f} µs, p99 {with_['p99']:.0f} µs\np99 with/without"
+        f" {figures['p99_ratio']:.2f}; rounds without listeners differ by"
+        f" {figures['spread_without']:.2f}; missed {figures['missed']['without']} without,"
+        f" {figures['missed']['with']} with; lost by the launch's own logger"
+        f" {figures['lost_by_own_logger']}"
     )
     return report(arguments, figures, text)

@@ -1,7 +1,7 @@
 """The running loop, plain and compiled, against bare ones: lockstep throughput, response, start-up, memory, CPU.
 
-Beside the ordinary launch the cases of sim/measure/bare.py, in turns with it: what a guard and a cross-fade cost, and
-whether a device behind its own servo loop misses more than the virtual one.
+Beside the ordinary launch the cases of sim/measure/bare.py, in turns with it: what a guard and a
+cross-fade cost, and whether a device behind its own servo loop misses more than the virtual one.
 """
 
 import argparse
@@ -25,39 +25,74 @@ from sim.measure.stopwatch import Progress
 RATES = (500, 4000, 8000)
 
 # The compiled ticks of the loop.
-KERNELS = ("nodes.environment.kernel", "nodes.coupling.kernel", "nodes.driver.kernel", "sim.device.kernel")
+KERNELS = (
+    "nodes.environment.kernel",
+    "nodes.coupling.kernel",
+    "nodes.driver.kernel",
+    "sim.device.kernel",
+)
 # The loops compared; a bare one carries a logger when ours does.
 NAMES = {
     "compiled": "compiled",
     "plain": "plain",
     "bare": "bare pyzmq + msgpack",
     "c": "bare C",
-    **{f"{tick} {case}": f"{tick}, {label}" for case, label in bare.CASES.items() for tick in ("compiled", "plain")},
+    **{
+        f"{tick} {case}": f"{tick}, {label}"
+        for case, label in bare.CASES.items()
+        for tick in ("compiled", "plain")
+    },
 }
-Launches = Mapping[str, tuple[str, ...]]  # arguments of each case, and of the ordinary launch, see sim/measure/bare.py
+# arguments of each case, and of the ordinary launch, see sim/measure/bare.py
+Launches = Mapping[str, tuple[str, ...]]
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--rounds", type=ROUNDS, default=3, help="interleaved rounds of each (default 3)")
-    parser.add_argument("--ticks", type=whole(1, 10**8), default=20000, help="ticks of a lockstep round (default 20000)")
-    parser.add_argument("--seconds", type=SECONDS, default=10.0, help="length of a real-time round (default 10 s)")
     parser.add_argument(
-        "--rates", type=COUNT, nargs="+", default=RATES, metavar="HZ", help="of the real-time rounds (default 500 4000 8000)"
+        "--rounds", type=ROUNDS, default=3, help="interleaved rounds of each (default 3)"
+    )
+    parser.add_argument(
+        "--ticks",
+        type=whole(1, 10**8),
+        default=20000,
+        help="ticks of a lockstep round (default 20000)",
+    )
+    parser.add_argument(
+        "--seconds", type=SECONDS, default=10.0, help="length of a real-time round (default 10 s)"
+    )
+    parser.add_argument(
+        "--rates",
+        type=COUNT,
+        nargs="+",
+        default=RATES,
+        metavar="HZ",
+        help="of the real-time rounds (default 500 4000 8000)",
     )
     parser.add_argument(
         "--cases",
         nargs="*",
         choices=bare.CASES,
         default=list(bare.CASES),
-        help=f"beside the ordinary launch (default all; stand_in at {bare.SERVO_RATE} Hz, where that is a rate)",
+        help=(
+            f"beside the ordinary launch (default all; stand_in at {bare.SERVO_RATE} Hz, where that"
+            " is a rate)"
+        ),
     )
     parser.add_argument(
         "--scenes",
         action="store_true",
-        help="scenes in three axes against the floor at 500 Hz, in place of that: missed, response, the environment's time",
+        help=(
+            "scenes in three axes against the floor at 500 Hz, in place of that: missed, response,"
+            " the environment's time"
+        ),
     )
-    parser.add_argument("--finest", type=whole(2, 7), default=7, help="of --scenes: a ball of 20·4ⁿ triangles (default 7)")
+    parser.add_argument(
+        "--finest",
+        type=whole(2, 7),
+        default=7,
+        help="of --scenes: a ball of 20·4ⁿ triangles (default 7)",
+    )
     add_answer(parser, run, files=False)
 
 
@@ -73,7 +108,9 @@ def _loops(tick: Tick, launches: Launches) -> dict[str, Callable[[int, str, bool
         return measure
 
     def bare(program: Sequence[str]) -> Callable[[int, str, bool], float]:
-        return lambda ticks, core, logger: float(bare_loop(ticks, core, logger=logger, program=program)["ticks_per_s"])
+        return lambda ticks, core, logger: float(
+            bare_loop(ticks, core, logger=logger, program=program)["ticks_per_s"]
+        )
 
     loops = {"plain": ours("plain"), "bare": bare(BARE)}
     if tick == "compiled":
@@ -109,7 +146,11 @@ def _rows(rates: Sequence[int], tick: Tick, launches: Launches) -> list[tuple[st
 
 
 def lockstep(
-    rounds: int, ticks: int, loops: Mapping[str, Callable[[int, str, bool], float]], tick: Tick, progress: Progress
+    rounds: int,
+    ticks: int,
+    loops: Mapping[str, Callable[[int, str, bool], float]],
+    tick: Tick,
+    progress: Progress,
 ) -> dict[str, Any]:
     """Time lockstep against the bare loops, round by round."""
     core = str(quietest_processor())
@@ -121,7 +162,9 @@ def lockstep(
             loop, _, logger = name.partition("_")
             found[name].append(loops[loop](ticks, core, bool(logger)))
             progress.step(f"lockstep, {name.replace('_', ' ')}")
-    figures: dict[str, Any] = {f"{name}_ticks_per_s": statistics.median(rates) for name, rates in found.items()}
+    figures: dict[str, Any] = {
+        f"{name}_ticks_per_s": statistics.median(rates) for name, rates in found.items()
+    }
     ratios = [bare / ours for bare, ours in zip(found["bare"], found[tick], strict=True)]
     figures["lockstep_ticks_per_s"] = figures[f"{tick}_ticks_per_s"]
     figures["ratio"] = statistics.median(ratios)
@@ -130,20 +173,29 @@ def lockstep(
 
 
 def realtime(
-    rounds: int, seconds: float, rates: Sequence[int], tick: Tick, launches: Launches, progress: Progress
+    rounds: int,
+    seconds: float,
+    rates: Sequence[int],
+    tick: Tick,
+    launches: Launches,
+    progress: Progress,
 ) -> dict[str, Any]:
     """Measure response and missed ticks at several rates, interleaved with the bare loops."""
     core = str(quietest_processor())
     fifo = 50 if fifo_granted() else 0
     programs = _programs()
-    found: dict[tuple[str, int], list[dict[str, Any]]] = {row: [] for row in _rows(rates, tick, launches)}
+    found: dict[tuple[str, int], list[dict[str, Any]]] = {
+        row: [] for row in _rows(rates, tick, launches)
+    }
     pairs = list(found)
     for k in range(rounds):
         for name, rate in pairs[k % len(pairs) :] + pairs[: k % len(pairs)]:
             if name in programs:
                 # Whatever the launch asks the machine for, the yardstick gets as well.
                 with awake() if rate >= AWAKE_RATE else contextlib.nullcontext():
-                    run = bare_loop(round(seconds * rate), core, fifo, float(rate), True, programs[name])
+                    run = bare_loop(
+                        round(seconds * rate), core, fifo, float(rate), True, programs[name]
+                    )
             else:
                 one, _, case = name.partition(" ")
                 words = (f"rate:={rate}", f"duration:={seconds}", "stiffness:=500", "--tick", one)
@@ -162,8 +214,12 @@ def realtime(
             figures.setdefault(f"{prefix}missed_share", {})[key] = share
     slow = found[tick, rates[0]]
     nodes = slow[0]["nodes"]
-    figures["memory_mb"] = {n: statistics.median(r["nodes"][n]["memory"] for r in slow) / 1e6 for n in nodes}
-    figures["cpu_share"] = {n: statistics.median(r["nodes"][n]["cpu"] for r in slow) / seconds for n in nodes}
+    figures["memory_mb"] = {
+        n: statistics.median(r["nodes"][n]["memory"] for r in slow) / 1e6 for n in nodes
+    }
+    figures["cpu_share"] = {
+        n: statistics.median(r["nodes"][n]["cpu"] for r in slow) / seconds for n in nodes
+    }
     figures["startup_s"] = statistics.median(r["startup_s"] for r in slow)
     figures["rate_error"] = max(abs(r["rate_hz"] / rates[0] - 1.0) for r in slow)
     figures["rates_hz"] = list(rates)
@@ -174,48 +230,80 @@ def realtime(
 def text(figures: dict[str, Any]) -> str:
     """Write the figures for people."""
     low, high = figures["ratio_range"]
-    lines = [figures["machine"] + (", SCHED_FIFO granted" if figures["fifo"] else ", no SCHED_FIFO")]
+    lines = [
+        figures["machine"] + (", SCHED_FIFO granted" if figures["fifo"] else ", no SCHED_FIFO")
+    ]
     for key, label in (("", "without a logger"), ("_with_logger", "with one")):
         rates = {name: figures.get(f"{name}{key}_ticks_per_s") for name in NAMES if " " not in name}
-        found = ", ".join(f"{NAMES[name]} {rate:.0f}" for name, rate in rates.items() if rate is not None)
+        found = ", ".join(
+            f"{NAMES[name]} {rate:.0f}" for name, rate in rates.items() if rate is not None
+        )
         lines.append(f"lockstep   {label}, ticks/s: {found}")
-    cases = {label: figures.get(f"{name}_ticks_per_s") for name, label in NAMES.items() if " " in name}
-    if found := ", ".join(f"{label} {rate:.0f}" for label, rate in cases.items() if rate is not None):
+    cases = {
+        label: figures.get(f"{name}_ticks_per_s") for name, label in NAMES.items() if " " in name
+    }
+    if found := ", ".join(
+        f"{label} {rate:.0f}" for label, rate in cases.items() if rate is not None
+    ):
         lines.append(f"           without a logger, ticks/s: {found}")
     lines += [
         f"           bare/ours {figures['ratio']:.2f} ({low:.2f} to {high:.2f})",
-        f"start-up   {figures['startup_s']:.2f} s from the command to the first tick; "
-        f"mean rate at {figures['rates_hz'][0]} Hz off by at most {figures['rate_error']:.1e}",
+        (
+            f"start-up   {figures['startup_s']:.2f} s from the command to the first tick; "
+            f"mean rate at {figures['rates_hz'][0]} Hz off by at most {figures['rate_error']:.1e}"
+        ),
     ]
     for rate in figures["rates_hz"]:
         key = f"{rate}_hz"
         for name, label in NAMES.items():
             if key in figures.get(f"{name}_response_us", {}):
-                response, missed = figures[f"{name}_response_us"][key], figures[f"{name}_missed_share"][key]
+                response, missed = (
+                    figures[f"{name}_response_us"][key],
+                    figures[f"{name}_missed_share"][key],
+                )
                 lines.append(
-                    f"{rate:5} Hz   {label:32} response p50 {response['p50']:4.0f} µs, p99 {response['p99']:4.0f} µs, "
-                    f"max {response['max']:5.0f} µs, missed {missed:.3%}"
+                    f"{rate:5} Hz   {label:32} response p50 {response['p50']:4.0f} µs, p99"
+                    f" {response['p99']:4.0f} µs, max {response['max']:5.0f} µs, missed"
+                    f" {missed:.3%}"
                 )
     memory = ", ".join(f"{name} {value:.0f} MB" for name, value in figures["memory_mb"].items())
     cpu = ", ".join(f"{name} {value:.1%}" for name, value in figures["cpu_share"].items())
-    return "\n".join([*lines, f"memory     {memory}", f"CPU {figures['rates_hz'][0]} Hz {cpu} of a core, start-up included"])
+    return "\n".join(
+        [
+            *lines,
+            f"memory     {memory}",
+            f"CPU {figures['rates_hz'][0]} Hz {cpu} of a core, start-up included",
+        ]
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the benchmark."""
     if arguments.scenes:
-        idle(arguments, "--scenes are launched at 500 Hz, without lockstep rounds and cases", "ticks", "rates", "cases")
+        idle(
+            arguments,
+            "--scenes are launched at 500 Hz, without lockstep rounds and cases",
+            "ticks",
+            "rates",
+            "cases",
+        )
         return _run_scenes(arguments)
     idle(arguments, "it is of --scenes", "finest")
     rounds = arguments.rounds
     tick = choose("compiled", KERNELS, lambda text: print(text, file=sys.stderr))
     # Like the bare loop in C, the stand-in needs a compiler.
     stands_in = bare.SERVO_RATE in arguments.rates and c_loop() is not None
-    with bare.launches([case for case in arguments.cases if case != "stand_in" or stands_in]) as launches:
+    with bare.launches(
+        [case for case in arguments.cases if case != "stand_in" or stands_in]
+    ) as launches:
         loops = _loops(tick, launches)
-        progress = Progress(rounds * (len(_names(loops)) + len(_rows(arguments.rates, tick, launches))))
+        progress = Progress(
+            rounds * (len(_names(loops)) + len(_rows(arguments.rates, tick, launches)))
+        )
         figures = lockstep(rounds, arguments.ticks, loops, tick, progress)
-        figures.update(realtime(rounds, arguments.seconds, arguments.rates, tick, launches, progress))
+        figures.update(
+            realtime(rounds, arguments.seconds, arguments.rates, tick, launches, progress)
+        )
     figures["machine"] = machine()
     return report(arguments, figures, text(figures))
 

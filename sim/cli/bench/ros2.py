@@ -14,8 +14,12 @@ WITH, WITHOUT = "with", "without"
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--rounds", type=ROUNDS, default=5, help="rounds of with and without (default 5)")
-    parser.add_argument("--seconds", type=SECONDS, default=4.0, help="length of each launch (default 4 s)")
+    parser.add_argument(
+        "--rounds", type=ROUNDS, default=5, help="rounds of with and without (default 5)"
+    )
+    parser.add_argument(
+        "--seconds", type=SECONDS, default=4.0, help="length of each launch (default 4 s)"
+    )
     add_answer(parser, run, files=False)
 
 
@@ -28,8 +32,13 @@ def measure(rounds: int, seconds: float, progress: Progress) -> dict[str, Any]:
             found[half].append(launch("ros2_wall", f"duration:={seconds}", *words))
             progress.step(f"{half} ROS 2")
     figures: dict[str, Any] = {
-        half: {name: statistics.median(one["response_us"][name] for one in runs) for name in ("p50", "p99")}
-        | {"missed": sum(one["missed"] + one["overruns"] for one in runs)}
+        half: (
+            {
+                name: statistics.median(one["response_us"][name] for one in runs)
+                for name in ("p50", "p99")
+            }
+            | {"missed": sum(one["missed"] + one["overruns"] for one in runs)}
+        )
         for half, runs in found.items()
     }
     for name in ("p50", "p99"):
@@ -47,8 +56,13 @@ def run(arguments: argparse.Namespace) -> int:
     lines = [figures["machine"]]
     for half in (WITHOUT, WITH):
         own = figures[half]
-        lines.append(f"response {half:7} p50 {own['p50']:.0f} µs, p99 {own['p99']:.0f} µs, missed {own['missed']} ticks")
+        lines.append(
+            f"response {half:7} p50 {own['p50']:.0f} µs, p99 {own['p99']:.0f} µs, missed"
+            f" {own['missed']} ticks"
+        )
     for name in ("p50", "p99"):
         low, high = figures[f"{name}_ratio_range"]
-        lines.append(f"{name} with/without {figures[f'{name}_ratio']:.2f} ({low:.2f} to {high:.2f})")
+        lines.append(
+            f"{name} with/without {figures[f'{name}_ratio']:.2f} ({low:.2f} to {high:.2f})"
+        )
     return report(arguments, figures, lines)

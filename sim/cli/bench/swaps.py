@@ -1,7 +1,8 @@
 """Swap laws and set parameters of a running loop, thousands of times: receipts, missed ticks, force steps at rest.
 
-A machine misses ticks by itself. Whether the swaps do is told by comparison within one run: blocks of requests alternate
-with idle blocks of the same length, and each missed tick is counted to the block it fell into.
+A machine misses ticks by itself. Whether the swaps do is told by comparison within one run: blocks
+of requests alternate with idle blocks of the same length, and each missed tick is counted to the
+block it fell into.
 """
 
 import argparse
@@ -25,7 +26,8 @@ from sim.measure.measured_launch import Running, machine
 LAWS = ("pd", "pd_alpha", "multi_term")
 SETTLED = 2500  # ticks until the drop has come to rest to the last bit that matters
 MEMORY = 12  # ticks that the longest of the laws looks back, and some more
-STILL = 1e-17  # positions that differ by no more are at rest [m]: some fifty units of the last place of 1 mm
+# positions that differ by no more are at rest [m]: some fifty units of the last place of 1 mm
+STILL = 1e-17
 
 
 @dataclass
@@ -50,11 +52,25 @@ class Asked:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--swaps", type=COUNT, default=1000, help="swaps of laws (default %(default)s)")
-    parser.add_argument("--sets", type=COUNT, default=1000, help="sets of parameters (default %(default)s)")
-    parser.add_argument("--duration", type=SECONDS, default=60.0, help="time for all [s], half of it idle (default 60)")
+    parser.add_argument(
+        "--swaps", type=COUNT, default=1000, help="swaps of laws (default %(default)s)"
+    )
+    parser.add_argument(
+        "--sets", type=COUNT, default=1000, help="sets of parameters (default %(default)s)"
+    )
+    parser.add_argument(
+        "--duration",
+        type=SECONDS,
+        default=60.0,
+        help="time for all [s], half of it idle (default 60)",
+    )
     declare(parser, rate=500.0)
-    parser.add_argument("--blocks", type=COUNT, default=20, help="busy blocks, each with an idle one (default %(default)s)")
+    parser.add_argument(
+        "--blocks",
+        type=COUNT,
+        default=20,
+        help="busy blocks, each with an idle one (default %(default)s)",
+    )
     add_answer(parser, run, files=False)
 
 
@@ -62,8 +78,11 @@ def _ask_all(ask: Callable[..., Any], swaps: int, sets: int, blocks: int, durati
     """Make the requests: within a block evenly spaced, as far as the answers come in time."""
     asked = Asked()
     total = swaps + sets
-    # Evenly mixed, whatever the proportion: request k is a swap when the share of swaps passes a whole number.
-    plan = ["swap" if (k + 1) * swaps // total > k * swaps // total else "set" for k in range(total)]
+    # Evenly mixed, whatever the proportion: request k is a swap when the share of swaps passes a
+    # whole number.
+    plan = [
+        "swap" if (k + 1) * swaps // total > k * swaps // total else "set" for k in range(total)
+    ]
     spacing = duration / (2 * total)
     swapped = 0
     for block in range(blocks):
@@ -79,7 +98,10 @@ def _ask_all(ask: Callable[..., Any], swaps: int, sets: int, blocks: int, durati
                 else:
                     # Damping is not felt at rest: a set of it must not make the force step either.
                     law, damping = LAWS[k % len(LAWS)], 2.5 + 0.5 * (len(asked.answers) % 3)
-                    found = ask("param.set", values={f"laws.{law}.damping": damping} if law == "pd" else {"ramp": k % 4})
+                    found = ask(
+                        "param.set",
+                        values={f"laws.{law}.damping": damping} if law == "pd" else {"ramp": k % 4},
+                    )
                 asked.answers.append(found)
             except ControlError as error:
                 asked.refused.append(str(error))
@@ -104,7 +126,9 @@ def _equal_at_rest(ask: Callable[..., Any]) -> None:
     ask("param.set", values={"figures": False})
 
 
-def measure(swaps: int, sets: int, blocks: int, duration: float, rate: float = 500.0) -> dict[str, Any]:
+def measure(
+    swaps: int, sets: int, blocks: int, duration: float, rate: float = 500.0
+) -> dict[str, Any]:
     """Run one launch and change it all the time."""
     with Running("floor_drop", "duration:=0", f"rate:={rate}", "height:=0.001") as launch:
 
@@ -121,18 +145,30 @@ def measure(swaps: int, sets: int, blocks: int, duration: float, rate: float = 5
 
 def _quantiles(values: list[float], unit: float) -> dict[str, float]:
     ordered = sorted(values) or [math.nan]
-    return {name: round(quantile(ordered, share) * unit, 3) for name, share in (("p50", 0.5), ("p99", 0.99), ("max", 1.0))}
+    return {
+        name: round(quantile(ordered, share) * unit, 3)
+        for name, share in (("p50", 0.5), ("p99", 0.99), ("max", 1.0))
+    }
 
 
 def _steps_at_rest(states: list[DeviceState], receipts: list[Receipt]) -> list[float]:
     """Force steps of those changes that came while the mass rested; a machine that stalls lets it fall in between."""
     position = {state.seq: state.position[2] for state in states}
-    # A tick that was left out is not known to have been at rest (and infinity less itself is not small either).
-    recent = [[position.get(one.seq - age, math.inf) for age in range(1, MEMORY + 1)] for one in receipts]
-    return [one.force_step for one, part in zip(receipts, recent, strict=True) if max(part) - min(part) <= STILL]
+    # A tick that was left out is not known to have been at rest (and infinity less itself is not
+    # small either).
+    recent = [
+        [position.get(one.seq - age, math.inf) for age in range(1, MEMORY + 1)] for one in receipts
+    ]
+    return [
+        one.force_step
+        for one, part in zip(receipts, recent, strict=True)
+        if max(part) - min(part) <= STILL
+    ]
 
 
-def _figures(recording: Recording, summary: dict[str, Any], asked: Asked, before: int) -> dict[str, Any]:
+def _figures(
+    recording: Recording, summary: dict[str, Any], asked: Asked, before: int
+) -> dict[str, Any]:
     states = recording.messages(DEVICE_STATE)
     receipts = [receipt for receipt in recording.messages(RECEIPT) if receipt.revision > before]
     known = {receipt.revision for receipt in receipts}
@@ -142,10 +178,13 @@ def _figures(recording: Recording, summary: dict[str, Any], asked: Asked, before
     for block in asked.blocks:
         part = [state for state in states if block.began <= state.stamp < block.ended]
         first, last = part[0], part[-1]
-        # A driver that was itself held up has left ticks out; they are the machine's or ours as well.
+        # A driver that was itself held up has left ticks out; they are the machine's or ours as
+        # well.
         missed = last.missed - first.missed + last.overruns - first.overruns
         responses = [state.response for state in part if state.response > 0.0]
-        blocks[block.busy].append({"ticks": last.seq - first.seq, "missed": missed, "responses": responses})
+        blocks[block.busy].append(
+            {"ticks": last.seq - first.seq, "missed": missed, "responses": responses}
+        )
     figures: dict[str, Any] = {
         "machine": machine(),
         "rate_hz": summary["rate_hz"],
@@ -165,7 +204,9 @@ def _figures(recording: Recording, summary: dict[str, Any], asked: Asked, before
             "ticks": sum(block["ticks"] for block in blocks[busy]),
             "missed": sum(block["missed"] for block in blocks[busy]),
             "blocks_with_missed": sum(block["missed"] > 0 for block in blocks[busy]),
-            "response_us": _quantiles([value for block in blocks[busy] for value in block["responses"]], 1e6),
+            "response_us": _quantiles(
+                [value for block in blocks[busy] for value in block["responses"]], 1e6
+            ),
         }
     pairs = list(zip(blocks[True], blocks[False], strict=True))
     figures["missed"] = figures["busy"]["missed"] + figures["idle"]["missed"]
@@ -179,23 +220,33 @@ def text(figures: dict[str, Any]) -> str:
     """Tell the figures to people."""
     lines = [
         f"{figures['machine']}, {figures['rate_hz']:.1f} Hz, {figures['ticks']} ticks",
-        f"  requests {figures['requests']}, receipts {figures['receipts']}, refused {figures['refused']}, "
-        f"lost {figures['lost']}; answered in p50 {figures['answer_ms']['p50']:.1f}, p99 {figures['answer_ms']['p99']:.1f} ms",
-        f"  largest force step {figures['force_step_max_n']:.2g} N, of {figures['at_rest']} changes at rest"
-        if figures["at_rest"]
-        else "  largest force step not measured: no change at rest",
+        (
+            f"  requests {figures['requests']}, receipts {figures['receipts']}, refused"
+            f" {figures['refused']}, lost {figures['lost']}; answered in p50"
+            f" {figures['answer_ms']['p50']:.1f}, p99 {figures['answer_ms']['p99']:.1f} ms"
+        ),
+        (
+            f"  largest force step {figures['force_step_max_n']:.2g} N, of {figures['at_rest']}"
+            " changes at rest"
+            if figures["at_rest"]
+            else "  largest force step not measured: no change at rest"
+        ),
     ]
     for label in ("busy", "idle"):
         part = figures[label]
         lines.append(
-            f"  {label}  {part['ticks']} ticks, missed {part['missed']} "
-            f"(in {part['blocks_with_missed']} of {figures['blocks']} blocks), "
-            f"response p50 {part['response_us']['p50']:.0f}, p99 {part['response_us']['p99']:.0f} µs"
+            f"  {label}  {part['ticks']} ticks, missed {part['missed']} (in"
+            f" {part['blocks_with_missed']} of {figures['blocks']} blocks), response p50"
+            f" {part['response_us']['p50']:.0f}, p99 {part['response_us']['p99']:.0f} µs"
         )
     return "\n".join(lines)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the benchmark."""
-    figures = measure(arguments.swaps, arguments.sets, arguments.blocks, arguments.duration, arguments.rate)
-    return report(arguments, figures, text(figures), held=figures["requests"] == figures["receipts"])
+    figures = measure(
+        arguments.swaps, arguments.sets, arguments.blocks, arguments.duration, arguments.rate
+    )
+    return report(
+        arguments, figures, text(figures), held=figures["requests"] == figures["receipts"]
+    )

@@ -28,7 +28,13 @@ from sim.measure.measured_launch import HAPTIC, Running, machine, responses_in
 from sim.measure.page_pictures import take
 from sim.measure.stopwatch import Progress
 
-BROWSER = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync"]
+BROWSER = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-sync",
+]
 
 COMPILED = 180.0  # how long another law may take until it is played beside the launch [s]
 # In the page: when, since the browser set out for it, its scene, plots and laws are there [ms].
@@ -51,21 +57,39 @@ SWITCH = """name => new Promise((done) => {
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--rounds", type=ROUNDS, default=4, help="rounds of without and with (default 4)")
-    parser.add_argument("--seconds", type=SECONDS, default=4.0, help="length of each half of a round (default 4 s)")
-    declare(parser, rate=500.0)
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="take one of the page while the wall is pushed (PNG)")
     parser.add_argument(
-        "--pictures", type=Path, metavar="FOLDER", help="take those of the project's pages instead of measuring (PNG)"
+        "--rounds", type=ROUNDS, default=4, help="rounds of without and with (default 4)"
     )
-    parser.add_argument("--minutes", type=positive, default=30.0, help="of ticks for the memory (default 30)")
+    parser.add_argument(
+        "--seconds", type=SECONDS, default=4.0, help="length of each half of a round (default 4 s)"
+    )
+    declare(parser, rate=500.0)
+    parser.add_argument(
+        "--picture",
+        type=Path,
+        metavar="FILE",
+        help="take one of the page while the wall is pushed (PNG)",
+    )
+    parser.add_argument(
+        "--pictures",
+        type=Path,
+        metavar="FOLDER",
+        help="take those of the project's pages instead of measuring (PNG)",
+    )
+    parser.add_argument(
+        "--minutes", type=positive, default=30.0, help="of ticks for the memory (default 30)"
+    )
     add_answer(parser, run, files=False)
 
 
 def _drag(page: Any, seconds: float, picture: Path | None = None) -> None:
     """Drag the hand into the wall and out of it, 60 times a second; hold still for a picture."""
     box = page.locator("#scene").bounding_box()
-    middle, y, until = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2, time.monotonic() + seconds
+    middle, y, until = (
+        box["x"] + box["width"] / 2,
+        box["y"] + box["height"] / 2,
+        time.monotonic() + seconds,
+    )
     page.mouse.move(middle, y)
     page.mouse.down()
     while (now := time.monotonic()) < until:
@@ -79,11 +103,19 @@ def _drag(page: Any, seconds: float, picture: Path | None = None) -> None:
 
 
 def _with_page(
-    launch: Running, browser: Any, seconds: float, delays: dict[str, list[float]], picture: Path | None
+    launch: Running,
+    browser: Any,
+    seconds: float,
+    delays: dict[str, list[float]],
+    picture: Path | None,
 ) -> tuple[float, float]:
     """Open a page, drag for a while, switch a law twice; when the dragging began and ended."""
     view = subprocess.Popen(
-        [*HAPTIC, "view", "--json"], cwd=launch.folder, env=launch.environment, stdout=subprocess.PIPE, text=True
+        [*HAPTIC, "view", "--json"],
+        cwd=launch.folder,
+        env=launch.environment,
+        stdout=subprocess.PIPE,
+        text=True,
     )
     try:
         assert view.stdout is not None  # noqa: S101  # it is a pipe
@@ -92,7 +124,8 @@ def _with_page(
         page.add_init_script(FIRST)
         page.goto(url)
         delays["first_picture_s"].append(page.wait_for_function("window.shown").json_value() / 1e3)
-        # All that a page may cost at once: it is dragged, heard, and another law is played beside the launch.
+        # All that a page may cost at once: it is dragged, heard, and another law is played beside
+        # the launch.
         page.locator("#sound").click()
         page.evaluate("haptic.beside.choose('multi_term')")
         # The first time on a machine the loop in one process is compiled.
@@ -112,12 +145,23 @@ def _with_page(
         view.communicate(timeout=30.0)
 
 
-def loop_cost(rounds: int, seconds: float, rate: float, progress: Progress, picture: Path | None = None) -> dict[str, Any]:
+def loop_cost(
+    rounds: int, seconds: float, rate: float, progress: Progress, picture: Path | None = None
+) -> dict[str, Any]:
     """Run one launch and open a page in every second half of a round."""
     halves: dict[str, list[tuple[float, float]]] = {"without": [], "with": []}
-    delays: dict[str, list[float]] = {"first_picture_s": [], "switch_s": [], "hand_to_picture_s": [], "hand_to_force_s": []}
+    delays: dict[str, list[float]] = {
+        "first_picture_s": [],
+        "switch_s": [],
+        "hand_to_picture_s": [],
+        "hand_to_force_s": [],
+    }
     # As ``haptic view`` opens one: a browser, too, keeps off the processor of the loop.
-    with Running("touch_wall", f"rate:={rate}") as launch, off(launch.run.processors), browsing() as browser:
+    with (
+        Running("touch_wall", f"rate:={rate}") as launch,
+        off(launch.run.processors),
+        browsing() as browser,
+    ):
         for _ in range(rounds):
             began = time.monotonic()
             time.sleep(seconds)
@@ -130,7 +174,10 @@ def loop_cost(rounds: int, seconds: float, rate: float, progress: Progress, pict
         states = recording.messages(DEVICE_STATE)
         lost = recording.topics[DEVICE_STATE].gaps - (overruns(recording) or 0)
     found: dict[str, Any] = {"rate_hz": rate, "lost": lost}
-    without, with_ = (found.setdefault(label, responses_in(states, halves[label])) for label in ("without", "with"))
+    without, with_ = (
+        found.setdefault(label, responses_in(states, halves[label]))
+        for label in ("without", "with")
+    )
     for name in ("p50", "p99"):
         pairs = zip(with_[f"{name}_us"], without[f"{name}_us"], strict=True)
         found[f"{name}_ratio"] = statistics.median(a / b for a, b in pairs)
@@ -140,14 +187,19 @@ def loop_cost(rounds: int, seconds: float, rate: float, progress: Progress, pict
 
 def memory(minutes: float, rate: float) -> dict[str, float]:
     """Feed what a view keeps with minutes of ticks, as fast as it takes them."""
-    live = LiveRun(Facts("run", "scenario", "", 1.0 / rate, "realtime", "on_arrival", ["x"], "driver"))
+    live = LiveRun(
+        Facts("run", "scenario", "", 1.0 / rate, "realtime", "on_arrival", ["x"], "driver")
+    )
     live.tick(0.0)
     after = 0.0
     for seq in range(round(60.0 * minutes * rate)):
         x = 0.02 * math.sin(0.01 * seq)
         stamp = seq / rate
         messages: tuple[tuple[str, Message], ...] = (
-            (DEVICE_STATE, DeviceState(seq=seq, stamp=stamp, position=(x, 0.0, 0.0), response=1.5e-4)),
+            (
+                DEVICE_STATE,
+                DeviceState(seq=seq, stamp=stamp, position=(x, 0.0, 0.0), response=1.5e-4),
+            ),
             (PROXY, Proxy(seq=seq, stamp=stamp, position=(x, 0.0, 0.0), proxy=(x, 0.0, 0.0))),
             (FORCE, Force(seq=seq, stamp=stamp, force=(-x, 0.0, 0.0))),
         )
@@ -157,13 +209,20 @@ def memory(minutes: float, rate: float) -> dict[str, float]:
             live.tick(stamp)
         if seq == round(60.0 * rate):
             after = memory_bytes() / 1e6
-    return {"after_one_minute_mb": after or memory_bytes() / 1e6, "at_the_end_mb": memory_bytes() / 1e6}
+    return {
+        "after_one_minute_mb": after or memory_bytes() / 1e6,
+        "at_the_end_mb": memory_bytes() / 1e6,
+    }
 
 
 @contextlib.contextmanager
 def browsing() -> Iterator[Any]:
     """Start a browser for the length of a with block."""
-    path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    path = (
+        shutil.which("chromium")
+        or shutil.which("chromium-browser")
+        or shutil.which("google-chrome")
+    )
     try:
         from playwright.sync_api import sync_playwright
     except ImportError as error:
@@ -181,30 +240,61 @@ def browsing() -> Iterator[Any]:
 def run(arguments: argparse.Namespace) -> int:
     """Run the benchmark."""
     if arguments.pictures is not None:
-        idle(arguments, "--pictures measures nothing", "rounds", "seconds", "rate", "picture", "minutes")
+        idle(
+            arguments,
+            "--pictures measures nothing",
+            "rounds",
+            "seconds",
+            "rate",
+            "picture",
+            "minutes",
+        )
         with browsing() as browser:
-            taken = take(browser, arguments.pictures, lambda name: print(name, file=sys.stderr, flush=True))
-        return report(arguments, {"pictures": [str(path) for path in taken]}, [str(path) for path in taken])
+            taken = take(
+                browser, arguments.pictures, lambda name: print(name, file=sys.stderr, flush=True)
+            )
+        return report(
+            arguments, {"pictures": [str(path) for path in taken]}, [str(path) for path in taken]
+        )
     progress, load = Progress(2 * arguments.rounds), [os.getloadavg()[0]]
-    figures = loop_cost(arguments.rounds, arguments.seconds, arguments.rate, progress, arguments.picture)
+    figures = loop_cost(
+        arguments.rounds, arguments.seconds, arguments.rate, progress, arguments.picture
+    )
     load.append(os.getloadavg()[0])
-    figures |= {"memory": memory(arguments.minutes, arguments.rate), "machine": machine(), "load_1min": load}
-    lines = [f"{figures['machine']}; load {load[0]:.1f} before, {load[1]:.1f} after, this one's own included"]
-    for label, text in (("without", "no page"), ("with", "page open, dragged, with sound and A | B")):
+    figures |= {
+        "memory": memory(arguments.minutes, arguments.rate),
+        "machine": machine(),
+        "load_1min": load,
+    }
+    lines = [
+        f"{figures['machine']}; load {load[0]:.1f} before, {load[1]:.1f} after, this one's own"
+        " included"
+    ]
+    for label, text in (
+        ("without", "no page"),
+        ("with", "page open, dragged, with sound and A | B"),
+    ):
         half = figures[label]
         lines.append(
-            f"{text}: response p50 {statistics.median(half['p50_us']):.0f} µs, p99 {statistics.median(half['p99_us']):.0f} µs, "
-            f"missed {half['missed']} of {half['ticks']}"
+            f"{text}: response p50 {statistics.median(half['p50_us']):.0f} µs, p99"
+            f" {statistics.median(half['p99_us']):.0f} µs, missed {half['missed']} of"
+            f" {half['ticks']}"
         )
     lines.append(
-        f"with/without: p50 {figures['p50_ratio']:.2f} (rounds without differ by {figures['p50_spread']:.2f}), "
-        f"p99 {figures['p99_ratio']:.2f} ({figures['p99_spread']:.2f}); messages lost by the recording {figures['lost']}"
+        f"with/without: p50 {figures['p50_ratio']:.2f} (rounds without differ by"
+        f" {figures['p50_spread']:.2f}), p99 {figures['p99_ratio']:.2f}"
+        f" ({figures['p99_spread']:.2f}); messages lost by the recording {figures['lost']}"
     )
-    kept, switch, hand = figures["memory"], figures["switch_s"] * 1e3, figures["hand_to_picture_s"] * 1e3
+    kept, switch, hand = (
+        figures["memory"],
+        figures["switch_s"] * 1e3,
+        figures["hand_to_picture_s"] * 1e3,
+    )
     force = figures["hand_to_force_s"] * 1e3
     lines.append(
-        f"first picture {figures['first_picture_s']:.2f} s after the URL; from the hand to the force {force:.0f} ms, "
-        f"to the picture {hand:.0f} ms; a switch is shown in {switch:.0f} ms; memory {kept['after_one_minute_mb']:.1f} MB "
-        f"after one minute, {kept['at_the_end_mb']:.1f} MB after {arguments.minutes:g}"
+        f"first picture {figures['first_picture_s']:.2f} s after the URL; from the hand to the"
+        f" force {force:.0f} ms, to the picture {hand:.0f} ms; a switch is shown in {switch:.0f}"
+        f" ms; memory {kept['after_one_minute_mb']:.1f} MB after one minute,"
+        f" {kept['at_the_end_mb']:.1f} MB after {arguments.minutes:g}"
     )
     return report(arguments, figures, lines)

@@ -28,17 +28,28 @@ from sim.results import fresh
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("law", help="kind, preset or YAML mapping, e.g. '{kind: pd, stiffness: 1000, damping: 3}'")
+    parser.add_argument(
+        "law", help="kind, preset or YAML mapping, e.g. '{kind: pd, stiffness: 1000, damping: 3}'"
+    )
     declare(parser, gain=None)
     declare_law(parser)
     parser.add_argument(
         "--every-delay",
         type=interval,
         metavar="LOW..HIGH",
-        help="certify the loop for every sequence of delays of this range, at most a tick wide [ticks]",
+        help=(
+            "certify the loop for every sequence of delays of this range, at most a tick wide"
+            " [ticks]"
+        ),
     )
-    parser.add_argument("--resolution", type=positive, help="of the device's encoder: tells the friction for rest [m]")
-    parser.add_argument("--friction", type=not_negative, help="of the device: tells the stiffness for rest [N]")
+    parser.add_argument(
+        "--resolution",
+        type=positive,
+        help="of the device's encoder: tells the friction for rest [m]",
+    )
+    parser.add_argument(
+        "--friction", type=not_negative, help="of the device: tells the stiffness for rest [N]"
+    )
     shared.add_device(parser)
     add_answer(parser, run)
 
@@ -50,10 +61,14 @@ def run(arguments: argparse.Namespace) -> int:
     compiled, derivative = compile_law(law, period), without_spring(law, period)
     if compiled.evaluate is not None:
         raise UsageError(
-            f"{law.kind}: has code of its own, so no transfer function and no poles to analyse; drop it: "
-            "haptic study kmax --method simulation"
+            f"{law.kind}: has code of its own, so no transfer function and no poles to analyse;"
+            " drop it: haptic study kmax --method simulation"
         )
-    limits, edge, boundary = tolerance(compiled, device), edge_of(derivative, device), asdict(k_max(derivative, device))
+    limits, edge, boundary = (
+        tolerance(compiled, device),
+        edge_of(derivative, device),
+        asdict(k_max(derivative, device)),
+    )
     worlds = world_limits(derivative, device)
     figures = law_figures(compiled, device) | {
         "tolerance": limits and asdict(limits),
@@ -66,12 +81,16 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.resolution is not None:
         friction = arguments.friction or figures["rest"]["friction_bound_n"]
         nominal = compiled.taps[0] - derivative.taps[0]
-        figures["rest"]["map"] = rest_map(compiled, nominal, device, arguments.resolution, friction, arguments.out / "rest.png")
+        figures["rest"]["map"] = rest_map(
+            compiled, nominal, device, arguments.resolution, friction, arguments.out / "rest.png"
+        )
     figures["loop"] = shared.head(law, device)
     return report(arguments, figures, _text(figures), plot=_draw(arguments, compiled, device))
 
 
-def _every_delay(arguments: argparse.Namespace, law: CompiledLaw, device: Plant) -> dict[str, Any] | None:
+def _every_delay(
+    arguments: argparse.Namespace, law: CompiledLaw, device: Plant
+) -> dict[str, Any] | None:
     if arguments.every_delay is None:
         return None
     try:
@@ -82,7 +101,11 @@ def _every_delay(arguments: argparse.Namespace, law: CompiledLaw, device: Plant)
 
 
 def _rest(
-    arguments: argparse.Namespace, law: CompiledLaw, derivative: CompiledLaw, device: Plant, limit: float
+    arguments: argparse.Namespace,
+    law: CompiledLaw,
+    derivative: CompiledLaw,
+    device: Plant,
+    limit: float,
 ) -> dict[str, Any] | None:
     if arguments.resolution is None:
         if arguments.friction is not None:
@@ -92,7 +115,9 @@ def _rest(
     found: dict[str, Any] = {**asdict(needed), "text": needed.text()}
     if arguments.friction is not None:
         # Above K_max friction stops small motions only.
-        stiffest = min(stiffest_at_rest(derivative, arguments.resolution, arguments.friction), limit)
+        stiffest = min(
+            stiffest_at_rest(derivative, arguments.resolution, arguments.friction), limit
+        )
         found["limit_cycle_free"] = needed.free(arguments.friction)
         found["k_rest_n_per_m"] = stiffest if stiffest > 0.0 else None
     return found
@@ -107,25 +132,42 @@ def _text(figures: dict[str, Any]) -> list[str]:
         figures["loop"],
         f"H(1)            {shown(figures['h1_n_per_m'], 'N/m')}",
         f"H(-1)           {shown(figures['h_nyquist_n_per_m'], 'N/m')}",
-        f"f min, H(1)     {shown(figures['f_min_n_s_per_m'], 'N s/m')} at {figures['f_min_rad_per_s']:.5g} rad/s",
+        (
+            f"f min, H(1)     {shown(figures['f_min_n_s_per_m'], 'N s/m')} at"
+            f" {figures['f_min_rad_per_s']:.5g} rad/s"
+        ),
         f"f(w_N), H(1)    {shown(figures['f_nyquist_n_s_per_m'], 'N s/m')}",
         f"passive from b  {shown(figures['damping_needed_n_s_per_m'], 'N s/m')}",
         f"passive scale   {shown(figures['passive_scale'], '')}",
         f"pole radius     {figures['pole_radius']:.9f} ({verdict})",
-        f"K_max           {shown(figures['k_max_n_per_m'], 'N/m')} nominal, "
-        f"{shown(figures['h1_max_n_per_m'], 'N/m')} felt ({figures['method']})",
+        (
+            f"K_max           {shown(figures['k_max_n_per_m'], 'N/m')} nominal, "
+            f"{shown(figures['h1_max_n_per_m'], 'N/m')} felt ({figures['method']})"
+        ),
     ]
     for key, label in (("any_world", "K_max any world"), ("any_hand_any_world", "any hand, world")):
-        lines.append(f"{label} {shown(figures[f'k_max_{key}_n_per_m'], 'N/m', 'none certified')} (THEORY.md §18)")
+        lines.append(
+            f"{label} {shown(figures[f'k_max_{key}_n_per_m'], 'N/m', 'none certified')} (THEORY.md"
+            " §18)"
+        )
     lines += _beyond(figures)
     limits = figures["tolerance"]
     if limits is not None:
         lines += [
-            f"mass            {shown(limits['mass_min_kg'], 'kg', 'stable down to 1e-4 of it, no limit found')} .. "
-            f"{shown(limits['mass_max_kg'], 'kg', 'stable up to 1e4 of it, no limit found')}",
+            (
+                "mass           "
+                f" {shown(limits['mass_min_kg'], 'kg', 'stable down to 1e-4 of it, no limit found')} .. "
+                f"{shown(limits['mass_max_kg'], 'kg', 'stable up to 1e4 of it, no limit found')}"
+            ),
             f"damping from    {shown(limits['damping_min_n_s_per_m'], 'N s/m', '0 N s/m')}",
-            f"hand up to      {shown(limits['hand_stiffness_max_n_per_m'], 'N/m', '1e6 N/m, no limit found')}",
-            f"delay up to     {shown(limits['delay_max_ticks'], 'ticks', '100 ticks more, no limit found')}",
+            (
+                "hand up to     "
+                f" {shown(limits['hand_stiffness_max_n_per_m'], 'N/m', '1e6 N/m, no limit found')}"
+            ),
+            (
+                "delay up to    "
+                f" {shown(limits['delay_max_ticks'], 'ticks', '100 ticks more, no limit found')}"
+            ),
         ]
     return lines
 
@@ -136,15 +178,18 @@ def _beyond(figures: dict[str, Any]) -> list[str]:
     edge, jitter, still = figures["edge"], figures["every_delay"], figures["rest"]
     if edge is not None:
         lines.append(
-            f"at the edge     rings at {edge['omega_rad_per_s'] / (2.0 * math.pi):.5g} Hz, where f = {edge['f_n_s_per_m']:.5g} "
-            f"N s/m: 2(b R - f)/T = {edge['k_exact_n_per_m']:.6g} N/m, R = {edge['damping_factor']:.5g} (THEORY.md §9)"
+            f"at the edge     rings at {edge['omega_rad_per_s'] / (2.0 * math.pi):.5g} Hz, where f"
+            f" = {edge['f_n_s_per_m']:.5g} N s/m: 2(b R - f)/T = {edge['k_exact_n_per_m']:.6g} N/m,"
+            f" R = {edge['damping_factor']:.5g} (THEORY.md §9)"
         )
     if jitter is not None:
         low, high = jitter["delay_ticks"]
         row = {
             True: f"stable: a common norm shrinks over each of {jitter['words']} words of delays",
-            False: f"UNSTABLE: {', '.join(f'{d:.4g}' for d in jitter['growing'])} ticks, repeated, grow by "
-            f"{jitter['growth']:.6f} per tick",
+            False: (
+                f"UNSTABLE: {', '.join(f'{d:.4g}' for d in jitter['growing'])} ticks, repeated,"
+                f" grow by {jitter['growth']:.6f} per tick"
+            ),
             None: "not decided: no norm found, and no sequence that grows",
         }[jitter["stable"]]
         lines.append(f"every delay     of {low:g}..{high:g} ticks: {row} (THEORY.md §10)")
@@ -152,7 +197,10 @@ def _beyond(figures: dict[str, Any]) -> list[str]:
         lines.append(f"rest            {still['text']}")
         if "k_rest_n_per_m" in still:
             stiffest = still["k_rest_n_per_m"]
-            lines.append(f"stiffest rest   {'none' if stiffest is None else f'{stiffest:.6g} N/m'} with the declared friction")
+            lines.append(
+                f"stiffest rest   {'none' if stiffest is None else f'{stiffest:.6g} N/m'} with the"
+                " declared friction"
+            )
         lines.append(f"rest map        {still['map']['plot']}")
     return lines
 
@@ -161,12 +209,18 @@ def _beyond(figures: dict[str, Any]) -> list[str]:
 def _draw(arguments: argparse.Namespace, law: CompiledLaw, device: Plant) -> Path:
     period, theta = device.period, np.linspace(0.0, np.pi, 801)
     figure = new_figure(6.4, 4.0)
-    axes = figure.add_subplot(xlabel=OMEGA, ylabel=r"$f(\omega)$  [N s/m]", title=f"effective damping of {arguments.law}")
+    axes = figure.add_subplot(
+        xlabel=OMEGA, ylabel=r"$f(\omega)$  [N s/m]", title=f"effective damping of {arguments.law}"
+    )
     spring = 0.5 * period * law.h1
     axes.plot(theta / np.pi, effective_damping(law, period, theta / period), label="without delay")
     whole = int(device.delay)
     if whole:
-        axes.plot(theta / np.pi, effective_damping(law, period, theta / period, whole), label=f"late by {whole} T")
+        axes.plot(
+            theta / np.pi,
+            effective_damping(law, period, theta / period, whole),
+            label=f"late by {whole} T",
+        )
     limit = device.damping - spring
     threshold(axes, limit, f"b − H(1)T/2 = {limit:.3g} N s/m: passive below")
     axes.legend()

@@ -27,9 +27,14 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--parts",
         default=",".join(PARTS),
-        help="which comparisons, separated by commas (default: %(default)s); rates starts real processes",
+        help=(
+            "which comparisons, separated by commas (default: %(default)s); rates starts real"
+            " processes"
+        ),
     )
-    parser.add_argument("--quick", action="store_true", help="fewer lengths, rates and rounds: a first look")
+    parser.add_argument(
+        "--quick", action="store_true", help="fewer lengths, rates and rounds: a first look"
+    )
     add_spread(parser, "none; times are of this machine in any case")
     add_answer(parser, run)
 
@@ -45,7 +50,8 @@ def run(arguments: argparse.Namespace) -> int:
     from sim.measure.stopwatch import machine
 
     start = time.monotonic()
-    # What is done of a run that is stopped; figures of time are of one machine, so a finished run leaves none.
+    # What is done of a run that is stopped; figures of time are of one machine, so a finished run
+    # leaves none.
     diary = arguments.out / ("chart.quick.part" if arguments.quick else "chart.part")
 
     def beside(jobs: list[Callable[[], Any]], step: Callable[[str, int], None]) -> list[Any]:
@@ -53,16 +59,27 @@ def run(arguments: argparse.Namespace) -> int:
 
     groups, failures = _measured(parts, arguments.quick, diary, beside)
     seconds, where = time.monotonic() - start, machine()
-    files = [*save(groups, where, seconds, arguments.out), *(draw(group, arguments.out) for group in groups)]
+    files = [
+        *save(groups, where, seconds, arguments.out),
+        *(draw(group, arguments.out) for group in groups),
+    ]
     read = fresh(arguments.out / "chart.md")
     read.write_text(page(groups, where, seconds))
     lines = conclusions(groups)
-    figures = as_json(groups, where, seconds) | {"conclusions": lines, "page": str(read), "failures": failures}
+    figures = as_json(groups, where, seconds) | {
+        "conclusions": lines,
+        "page": str(read),
+        "failures": failures,
+    }
     figures["files"] = [*map(str, files)]
-    return report(arguments, figures, [*lines, *failures, f"{read} ({seconds:.0f} s)"], held=not failures)
+    return report(
+        arguments, figures, [*lines, *failures, f"{read} ({seconds:.0f} s)"], held=not failures
+    )
 
 
-def _measured(parts: list[str], quick: bool, diary: Path, beside: Runner) -> tuple[list[Group], list[str]]:
+def _measured(
+    parts: list[str], quick: bool, diary: Path, beside: Runner
+) -> tuple[list[Group], list[str]]:
     """Measure each part, or take it from the diary of a run that was stopped; and say which parts are missing."""
     from sim.chart.derivatives import derivative_groups, derivative_steps
     from sim.chart.equal_demand import demand_groups, demand_steps
@@ -75,8 +92,11 @@ def _measured(parts: list[str], quick: bool, diary: Path, beside: Runner) -> tup
     from sim.measure.measured_launch import MeasurementError
     from sim.measure.stopwatch import Progress
 
-    makers: dict[str, tuple[Callable[[Callable[[str], None], bool], list[Group]], Callable[[bool], int], int]] = {
-        # The weight is about how many tenths of a second one step takes, so that the bar moves evenly.
+    makers: dict[
+        str, tuple[Callable[[Callable[[str], None], bool], list[Group]], Callable[[bool], int], int]
+    ] = {
+        # The weight is about how many tenths of a second one step takes, so that the bar moves
+        # evenly.
         "derivatives": (partial(derivative_groups, spread=beside), derivative_steps, 1),
         "demand": (partial(demand_groups, spread=beside), demand_steps, 1),
         "integrators": (integrator_groups, integrator_steps, 1),

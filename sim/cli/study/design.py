@@ -26,7 +26,17 @@ from sim.cli import arguments as shared
 from sim.cli.answers import add_answer, idle, report
 from sim.cli.sweeps import SPREAD, add_spread, spread
 from sim.design.demand import CONVENTIONS, Demand, Robust
-from sim.design.families import Tuned, best_pd, certificate, certified, compare, designed, fir, latest_delay, to_yaml
+from sim.design.families import (
+    Tuned,
+    best_pd,
+    certificate,
+    certified,
+    compare,
+    designed,
+    fir,
+    latest_delay,
+    to_yaml,
+)
 from sim.design.hands import judge_grasps
 from sim.design.landing import best_pd_windowed, drops, prove_over
 from sim.design.passive import Passive, certain_damping, stiffest_passive
@@ -34,12 +44,20 @@ from sim.design.recorded_loop import Measured, replayed_radius
 from sim.experiments.terms import RESOLUTION
 from sim.results import fresh
 
-_REPLAYED = 2000  # ticks of a recording that are replayed; a decay of 0.99 per tick is down to rounding by then
+# ticks of a recording that are replayed; a decay of 0.99 per tick is down to rounding by then
+_REPLAYED = 2000
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    declare(parser, mass=Interval(0.05, 0.2), damping=Interval(1.0, 1.0), delay=Interval(1.0, 1.0), rate=500.0, taps=4)
+    declare(
+        parser,
+        mass=Interval(0.05, 0.2),
+        damping=Interval(1.0, 1.0),
+        delay=Interval(1.0, 1.0),
+        rate=500.0,
+        taps=4,
+    )
     # A recording may say both.
     parser.set_defaults(delay=None, rate=None)
     parser.add_argument(
@@ -53,35 +71,70 @@ def add(parser: argparse.ArgumentParser) -> None:
         dest="world",
         choices=("wall", "any_world", "any_hand"),
         default="wall",
-        help="what is behind the coupling: a wall and the hand given; any passive world and the device given; any hand and any "
-        "passive world (default: %(default)s)",
+        help=(
+            "what is behind the coupling: a wall and the hand given; any passive world and the"
+            " device given; any hand and any passive world (default: %(default)s)"
+        ),
     )
     shared.add_grasp(parser, "judge the law in every grasp of a box too")
-    parser.add_argument("--radius", type=positive, default=0.99, help="pole radius allowed (default: %(default)s)")
-    parser.add_argument("--nyquist", type=positive, default=1e4, help="|H(-1)| allowed [N/m] (default: 10000)")
-    parser.add_argument("--from-run", type=Path, metavar="RECORDING", help="take rate, delay and jitter from a recording")
-    parser.add_argument("--effort", type=whole(1, 1000), default=1, help="multiplies the search (default: %(default)s)")
+    parser.add_argument(
+        "--radius", type=positive, default=0.99, help="pole radius allowed (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--nyquist", type=positive, default=1e4, help="|H(-1)| allowed [N/m] (default: 10000)"
+    )
+    parser.add_argument(
+        "--from-run",
+        type=Path,
+        metavar="RECORDING",
+        help="take rate, delay and jitter from a recording",
+    )
+    parser.add_argument(
+        "--effort",
+        type=whole(1, 1000),
+        default=1,
+        help="multiplies the search (default: %(default)s)",
+    )
     parser.add_argument(
         "--land",
         action=argparse.BooleanOptionalAction,
         default=True,
-        help="demand that every drop settles too, from 5 to 20 mm and 3 %% beyond the masses, under all contact conventions; "
-        "without it a law is stiffer, and may not survive a landing",
+        help=(
+            "demand that every drop settles too, from 5 to 20 mm and 3 %% beyond the masses, under"
+            " all contact conventions; without it a law is stiffer, and may not survive a landing"
+        ),
     )
     parser.add_argument(
         "--every-delay",
         action="store_true",
-        help="demand a certificate for every sequence of delays of the range, at most a tick wide; not only for constant ones",
+        help=(
+            "demand a certificate for every sequence of delays of the range, at most a tick wide;"
+            " not only for constant ones"
+        ),
     )
-    parser.add_argument("--resolution", type=positive, help="of the device's encoder, with --friction [m]")
     parser.add_argument(
-        "--friction", type=positive, help="of the device: |H(-1)| <= 2 friction/resolution, no chatter at rest [N]"
+        "--resolution", type=positive, help="of the device's encoder, with --friction [m]"
+    )
+    parser.add_argument(
+        "--friction",
+        type=positive,
+        help="of the device: |H(-1)| <= 2 friction/resolution, no chatter at rest [N]",
     )
     text = "against best PD (bare, filtered, windowed), every PDα and the paper's optimum"
     parser.add_argument("--compare", action="store_true", help=text)
-    parser.add_argument("--delays", type=not_negative, nargs="+", default=[0.0, 1.0, 2.0], help="of --compare [ticks]")
     parser.add_argument(
-        "--margins", type=not_negative, nargs="+", default=[0.0, 0.5], help="delay margins of --compare [ticks]"
+        "--delays",
+        type=not_negative,
+        nargs="+",
+        default=[0.0, 1.0, 2.0],
+        help="of --compare [ticks]",
+    )
+    parser.add_argument(
+        "--margins",
+        type=not_negative,
+        nargs="+",
+        default=[0.0, 0.5],
+        help="delay margins of --compare [ticks]",
     )
     add_spread(parser)
     add_answer(parser, run)
@@ -90,7 +143,9 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Design, or compare."""
     if not 1 <= arguments.taps <= 12:
-        raise UsageError(f"--taps {arguments.taps}: between 1 and 12; the search is over each of them")
+        raise UsageError(
+            f"--taps {arguments.taps}: between 1 and 12; the search is over each of them"
+        )
     if arguments.compare and arguments.taps < 2:
         raise UsageError(f"--taps {arguments.taps} --compare: PD and PDα have at least 2 taps")
     if arguments.every_delay and arguments.compare:
@@ -98,7 +153,18 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.radius > 1.0:
         raise UsageError(f"--radius {arguments.radius:g}: above 1 is unstable")
     if arguments.world != "wall":
-        unused = ("hand", "grasp", "radius", "from-run", "effort", "every-delay", "resolution", "friction", "margins", *SPREAD)
+        unused = (
+            "hand",
+            "grasp",
+            "radius",
+            "from-run",
+            "effort",
+            "every-delay",
+            "resolution",
+            "friction",
+            "margins",
+            *SPREAD,
+        )
         idle(arguments, f"--for {arguments.world} is a condition on frequencies", *unused)
         if arguments.compare:
             idle(arguments, "--compare takes --delays", "delay")
@@ -106,11 +172,20 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.mass[0] > 0.0:
         raise UsageError(f"--mass {arguments.mass[0]:g}..{arguments.mass[1]:g}: must be positive")
     if arguments.compare:
-        idle(arguments, "--compare takes --delays and --margins, and --rate", "delay", "from-run", "effort", "grasp")
+        idle(
+            arguments,
+            "--compare takes --delays and --margins, and --rate",
+            "delay",
+            "from-run",
+            "effort",
+            "grasp",
+        )
     else:
         idle(arguments, "it is of --compare", "delays", "margins", *SPREAD)
     demand, measured = _demand(arguments)
-    return _compare(arguments, demand) if arguments.compare else _design(arguments, demand, measured)
+    return (
+        _compare(arguments, demand) if arguments.compare else _design(arguments, demand, measured)
+    )
 
 
 def _demand(arguments: argparse.Namespace) -> tuple[Demand, Measured | None]:
@@ -164,22 +239,33 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
     passive = None
     if demand.damping > 0.0:
         _say("passive")
-        passive = stiffest_passive(arguments.taps, demand.period, demand.damping, demand.delay, demand.nyquist)
-    figures: dict[str, Any] = {"demand": _wanted(demand), "designed": None, "passive": None, "best_pd": _row(pd, demand)}
+        passive = stiffest_passive(
+            arguments.taps, demand.period, demand.damping, demand.delay, demand.nyquist
+        )
+    figures: dict[str, Any] = {
+        "demand": _wanted(demand),
+        "designed": None,
+        "passive": None,
+        "best_pd": _row(pd, demand),
+    }
     lines = [_describe(demand)]
     if measured is not None:
         figures |= _replayed(arguments.from_run, demand, law, measured)
         lines.append(
-            f"recorded delay {measured.median:.4g} ticks, jitter {measured.jitter:.4g} ticks, {measured.unanswered} of "
-            f"{len(measured.delays)} ticks not answered in time; pole radius when the first {_REPLAYED} are replayed one by "
-            f"one: {figures['replayed_radius']}"
+            f"recorded delay {measured.median:.4g} ticks, jitter {measured.jitter:.4g} ticks,"
+            f" {measured.unanswered} of {len(measured.delays)} ticks not answered in time; pole"
+            f" radius when the first {_REPLAYED} are replayed one by one:"
+            f" {figures['replayed_radius']}"
         )
     if law.found is not None and law.law is not None:
         result, said = _designed(arguments, demand, law, pd)
         plot = _draw(arguments.out / "design.png", demand, law, pd, passive)
         figures |= {"designed": result, "plot": str(plot)}
         if not result["lands"]:
-            lines[:0] = ["This law does NOT survive a landing: a drop on a floor does not settle; without --no-land it would"]
+            lines[:0] = [
+                "This law does NOT survive a landing: a drop on a floor does not settle; without"
+                " --no-land it would"
+            ]
         lines += [*said, str(plot)]
         if arguments.grasp is not None:
             judged = judge_grasps(law.found.law, demand, arguments.grasp)
@@ -188,14 +274,19 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
         if arguments.friction is not None:
             lines += _at_rest(arguments, law.found, demand, result)
     else:
-        lines.append("no law of this length keeps the demand: allow a larger radius, a narrower range, more taps or --no-land")
+        lines.append(
+            "no law of this length keeps the demand: allow a larger radius, a narrower range, more"
+            " taps or --no-land"
+        )
     if passive is not None:
         figures["passive"] = _passive_row(passive, demand, arguments.out)
         lines.append(_passive_line(passive, demand, figures["passive"]))
     return report(arguments, figures, lines, held=law.found is not None)
 
 
-def _designed(arguments: argparse.Namespace, demand: Demand, law: Tuned, pd: Tuned) -> tuple[dict[str, Any], list[str]]:
+def _designed(
+    arguments: argparse.Namespace, demand: Demand, law: Tuned, pd: Tuned
+) -> tuple[dict[str, Any], list[str]]:
     """Write the designed law down; its figures, and what is said of it."""
     assert law.found is not None  # noqa: S101  # the caller looked
     assert law.law is not None  # noqa: S101  # the caller looked
@@ -204,7 +295,9 @@ def _designed(arguments: argparse.Namespace, demand: Demand, law: Tuned, pd: Tun
     every, landing = certificate(law.found.law, demand), prove_over(law.found.law, demand)
     result = _row(law, demand) | {"yaml": str(path), "lands": lands, "every_delay": every}
     result["landing_proof"] = asdict(landing)
-    comment = "\n".join([_describe(demand), *([] if lands else ["it does NOT survive a landing"]), landing.text()])
+    comment = "\n".join(
+        [_describe(demand), *([] if lands else ["it does NOT survive a landing"]), landing.text()]
+    )
     path.write_text(to_yaml(law.law, comment=comment), encoding="utf-8")
     proofs: dict[Any, str] = {True: "certified", False: "NOT stable", None: "not decided"}
     proof = proofs.get(every, "the range is wider than a tick")
@@ -217,14 +310,20 @@ def _designed(arguments: argparse.Namespace, demand: Demand, law: Tuned, pd: Tun
     ]
 
 
-def _at_rest(arguments: argparse.Namespace, found: Robust, demand: Demand, figures: dict[str, Any]) -> list[str]:
+def _at_rest(
+    arguments: argparse.Namespace, found: Robust, demand: Demand, figures: dict[str, Any]
+) -> list[str]:
     """Friction that the law asks for at the heaviest, least damped device, and the map of its K about this one."""
-    device = Plant(demand.period, demand.mass[1], demand.damping, demand.delay[1], demand.stiffness[0])
+    device = Plant(
+        demand.period, demand.mass[1], demand.damping, demand.delay[1], demand.stiffness[0]
+    )
     # A proof takes a law that is passive at every delay of the range.
     passive = certain_damping(found.taps, demand.period, *demand.delay) <= demand.damping
     needed = replace(rest(found.law, device, arguments.resolution), certain=passive)
     free, path = needed.free(arguments.friction), arguments.out / "design_rest.png"
-    drawn = rest_map(found.law, found.h1_n_per_m, device, arguments.resolution, arguments.friction, path)
+    drawn = rest_map(
+        found.law, found.h1_n_per_m, device, arguments.resolution, arguments.friction, path
+    )
     figures["rest"] = asdict(needed) | {"map": drawn, "limit_cycle_free": free}
     stops = "stops" if free is True else "need not stop"
     return [f"with {arguments.friction:g} N a motion {stops}: {needed.text()}", str(path)]
@@ -234,8 +333,15 @@ def _replayed(path: Path, demand: Demand, law: Tuned, measured: Measured) -> dic
     """Replay the recorded delays on the lightest and the heaviest device: jitter is not a constant delay."""
     worst = math.inf
     if law.found is not None:
-        devices = [Plant(demand.period, m, demand.damping, 0.0, hand) for m in demand.mass for hand in demand.stiffness]
-        worst = max(replayed_radius(law.found.law, device, measured.delays[:_REPLAYED]) for device in devices)
+        devices = [
+            Plant(demand.period, m, demand.damping, 0.0, hand)
+            for m in demand.mass
+            for hand in demand.stiffness
+        ]
+        worst = max(
+            replayed_radius(law.found.law, device, measured.delays[:_REPLAYED])
+            for device in devices
+        )
     return {
         "from_run": str(path),
         "delay_median_ticks": measured.median,
@@ -248,9 +354,10 @@ def _replayed(path: Path, demand: Demand, law: Tuned, measured: Measured) -> dic
 def _describe(demand: Demand) -> str:
     mass, delay = demand.mass, demand.delay
     return (
-        f"m {mass[0]:g}..{mass[1]:g} kg, b {_span(demand.dampings)} N s/m, delay {delay[0]:.4g}..{delay[1]:.4g} ticks at "
-        f"{1.0 / demand.period:g} Hz, pole radius <= {demand.radius:g}, |H(-1)| <= {demand.nyquist:g} N/m, "
-        f"hand {demand.stiffness[0]:g}..{demand.stiffness[1]:g} N/m"
+        f"m {mass[0]:g}..{mass[1]:g} kg, b {_span(demand.dampings)} N s/m, delay"
+        f" {delay[0]:.4g}..{delay[1]:.4g} ticks at {1.0 / demand.period:g} Hz, pole radius <="
+        f" {demand.radius:g}, |H(-1)| <= {demand.nyquist:g} N/m, hand"
+        f" {demand.stiffness[0]:g}..{demand.stiffness[1]:g} N/m"
     )
 
 
@@ -279,19 +386,29 @@ def _passive_row(passive: Passive, demand: Demand, out: Path) -> dict[str, Any]:
     """Write the passive law down; its figures."""
     path = fresh(out / "passive.yaml")
     comment = f"passive for any mass and hand: {_describe(demand)}"
-    path.write_text(to_yaml(fir(passive.taps, demand.period), "passive", comment=comment), encoding="utf-8")
+    path.write_text(
+        to_yaml(fir(passive.taps, demand.period), "passive", comment=comment), encoding="utf-8"
+    )
     law = CompiledLaw(tuple(passive.taps.tolist()))
     loops = itertools.product(demand.mass, demand.delay, demand.stiffness)
-    radius = max(pole_radius(law, Plant(demand.period, mass, demand.damping, delay, hand)) for mass, delay, hand in loops)
+    radius = max(
+        pole_radius(law, Plant(demand.period, mass, demand.damping, delay, hand))
+        for mass, delay, hand in loops
+    )
     figures = asdict(passive)
-    return {"pole_radius": radius, "taps_n_per_m": figures.pop("taps").tolist(), **figures, "yaml": str(path)}
+    return {
+        "pole_radius": radius,
+        "taps_n_per_m": figures.pop("taps").tolist(),
+        **figures,
+        "yaml": str(path),
+    }
 
 
 def _passive_line(passive: Passive, demand: Demand, row: dict[str, Any]) -> str:
     return (
-        f"passive        H(1) {passive.h1_n_per_m:9.2f} N/m  H(-1) {passive.h_nyquist_n_per_m:9.1f} N/m  "
-        f"radius {row['pole_radius']:.6f}  "
-        f"K T/b {passive.ratio:.4f} (bound {passive.bound_n_per_m * demand.period / demand.damping:.4f})  {row['yaml']}"
+        f"passive        H(1) {passive.h1_n_per_m:9.2f} N/m  H(-1) {passive.h_nyquist_n_per_m:9.1f}"
+        f" N/m  radius {row['pole_radius']:.6f}  K T/b {passive.ratio:.4f} (bound"
+        f" {passive.bound_n_per_m * demand.period / demand.damping:.4f})  {row['yaml']}"
     )
 
 
@@ -299,29 +416,49 @@ def _line(row: dict[str, Any]) -> str:
     if row["law"] is None:
         return f"{row['family']:13}  keeps the demand with no stiffness at all"
     limit, dropped = row["stable_up_to_delay_ticks"], row["drops_settled"]
-    tuning = ", ".join(f"{key} {row['law'][key]:.5g}" for key in ("stiffness", "damping", "order") if key in row["law"])
+    tuning = ", ".join(
+        f"{key} {row['law'][key]:.5g}"
+        for key in ("stiffness", "damping", "order")
+        if key in row["law"]
+    )
     return (
-        f"{row['family']:13}  H(1) {row['h1_n_per_m']:9.2f} N/m  H(-1) {row['h_nyquist_n_per_m']:9.1f} N/m  "
-        f"radius {row['pole_radius']:.6f}  stable up to {'100 ticks, and on' if limit is None else f'{limit:.3f} ticks'}  "
-        f"drops settled {sum(dropped.values())}/{len(dropped)}  "
-        f"{tuning or 'taps ' + ', '.join(f'{tap:.6g}' for tap in row['taps_n_per_m'])}"
+        f"{row['family']:13}  H(1) {row['h1_n_per_m']:9.2f} N/m  H(-1)"
+        f" {row['h_nyquist_n_per_m']:9.1f} N/m  radius {row['pole_radius']:.6f}  stable up to"
+        f" {'100 ticks, and on' if limit is None else f'{limit:.3f} ticks'}  drops settled"
+        f" {sum(dropped.values())}/{len(dropped)} "
+        f" {tuning or 'taps ' + ', '.join(f'{tap:.6g}' for tap in row['taps_n_per_m'])}"
     )
 
 
 def _compare(arguments: argparse.Namespace, demand: Demand) -> int:
     rows, lines = [], []
-    cases = [replace(demand, delay=(delay, delay + margin)) for margin in arguments.margins for delay in arguments.delays]
-    jobs = [partial(_tuned, case, arguments.taps, arguments.resolution or RESOLUTION) for case in cases]
+    cases = [
+        replace(demand, delay=(delay, delay + margin))
+        for margin in arguments.margins
+        for delay in arguments.delays
+    ]
+    jobs = [
+        partial(_tuned, case, arguments.taps, arguments.resolution or RESOLUTION) for case in cases
+    ]
     done = spread(arguments, jobs)
     for case, (laws, windowed) in zip(cases, done, strict=True):
         lines += [_describe(case), *(f"  {_line(law)}" for law in laws)]
         rows.append(_verdict(case, laws, lines) | {"pd_windowed": windowed})
-        tuned = "no stiffness" if windowed is None else "K {stiffness:.0f} N/m, B {damping:.3g} N s/m".format(**windowed)
-        lines.append(f"  pd_windowed has no poles, so no radius: {tuned} by its drops alone, all of which settle")
+        tuned = (
+            "no stiffness"
+            if windowed is None
+            else "K {stiffness:.0f} N/m, B {damping:.3g} N s/m".format(**windowed)
+        )
+        lines.append(
+            f"  pd_windowed has no poles, so no radius: {tuned} by its drops alone, all of which"
+            " settle"
+        )
     return report(arguments, {"demand": _wanted(demand), "cases": rows}, lines)
 
 
-def _tuned(case: Demand, taps: int, resolution: float) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
+def _tuned(
+    case: Demand, taps: int, resolution: float
+) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
     """Tune every law to one demand; and PD with a windowed velocity, by its drops."""
     _say(_describe(case))
     laws = [_row(one, case) for one in compare(case, taps, _say)]
@@ -335,7 +472,10 @@ def _verdict(demand: Demand, laws: list[dict[str, Any]], lines: list[str]) -> di
     rival = max(known, key=lambda family: known[family]) if known else None
     gain = None if mine is None or rival is None else mine / known[rival]
     if gain is None:
-        lines.append("  nothing to compare: " + ("only the designed law keeps the demand" if mine else "no law does"))
+        lines.append(
+            "  nothing to compare: "
+            + ("only the designed law keeps the demand" if mine else "no law does")
+        )
     else:
         # A search for laws that land ends somewhere on a ragged edge.
         verb = "stiffer than" if gain > 1.005 else "no stiffer than"
@@ -355,17 +495,31 @@ def _draw(path: Path, demand: Demand, law: Tuned, pd: Tuned, passive: Passive | 
     whole = round(demand.delay[1])
     for name, taps in named:
         compiled = CompiledLaw(tuple(taps.tolist()))
-        device, hands = Plant(demand.period, demand.mass[0], demand.damping, demand.delay[1]), set(demand.stiffness)
-        radii = [max(pole_radius(compiled, replace(device, mass=m, stiffness=k)) for k in hands) for m in masses.tolist()]
+        device, hands = (
+            Plant(demand.period, demand.mass[0], demand.damping, demand.delay[1]),
+            set(demand.stiffness),
+        )
+        radii = [
+            max(pole_radius(compiled, replace(device, mass=m, stiffness=k)) for k in hands)
+            for m in masses.tolist()
+        ]
         label = f"{name}, H(1) = {compiled.h1:.0f} N/m"
         left.semilogx(masses, radii, label=label)
-        needed = 0.5 * demand.period * compiled.h1 + effective_damping(compiled, demand.period, theta / demand.period, whole)
+        needed = 0.5 * demand.period * compiled.h1 + effective_damping(
+            compiled, demand.period, theta / demand.period, whole
+        )
         right.plot(theta / np.pi, needed, label=label)
     plain_log(left.xaxis, float(masses[0]), float(masses[-1]))
     threshold(left, demand.radius, f"{demand.radius:g}: demanded at most")
     left.axvspan(*demand.mass, alpha=0.1, lw=0)
-    left.set(xlabel="mass  [kg]", ylabel="pole radius  [1]", title=f"loop with a delay of {demand.delay[1]:.3g} T")
+    left.set(
+        xlabel="mass  [kg]",
+        ylabel="pole radius  [1]",
+        title=f"loop with a delay of {demand.delay[1]:.3g} T",
+    )
     threshold(right, demand.damping, f"b = {demand.damping:g} N s/m of the device")
-    right.set(xlabel=OMEGA, ylabel="damping needed  [N s/m]", title=f"passivity at a delay of {whole} T")
+    right.set(
+        xlabel=OMEGA, ylabel="damping needed  [N s/m]", title=f"passivity at a delay of {whole} T"
+    )
     left.legend()
     return save_figure(figure, path, fresh)

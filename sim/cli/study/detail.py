@@ -19,12 +19,23 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("scenario", help="name of a launch file with a shape in three axes, or the path of one")
-    parser.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
     parser.add_argument(
-        "--fraction", type=not_negative, default=0.01, help="part of the largest force that is no difference (default: 0.01)"
+        "scenario", help="name of a launch file with a shape in three axes, or the path of one"
     )
-    parser.add_argument("--resolution", type=positive, help="encoder step [m] (default: the scene's device, or a Touch X's)")
+    parser.add_argument(
+        "assignments", nargs="*", metavar="name:=value", help="arguments of the launch file"
+    )
+    parser.add_argument(
+        "--fraction",
+        type=not_negative,
+        default=0.01,
+        help="part of the largest force that is no difference (default: 0.01)",
+    )
+    parser.add_argument(
+        "--resolution",
+        type=positive,
+        help="encoder step [m] (default: the scene's device, or a Touch X's)",
+    )
     add_answer(parser, run)
 
 
@@ -53,7 +64,8 @@ def run(arguments: argparse.Namespace) -> int:
         parts = {spec.kind: (name, spec.parameters) for name, spec in launch.nodes.items()}
         if not {"environment", "mujoco"} & set(parts) or "coupling" not in parts:
             raise UsageError(
-                f"{launch.scenario}: has no node of kind environment with a shape or of kind mujoco, and a coupling"
+                f"{launch.scenario}: has no node of kind environment with a shape or of kind"
+                " mujoco, and a coupling"
             )
         name, given = parts["coupling"]
         coupling = convert(given, CouplingParameters, name)
@@ -68,8 +80,8 @@ def run(arguments: argparse.Namespace) -> int:
             surface = parse_surface(given.get("surface", {"kind": "free"}), f"{name}.surface")
             if not isinstance(surface, Touchable):
                 raise UsageError(
-                    f"{name}.surface.kind: {surface.kind!r} has one level of detail; take a shape in three axes, "
-                    "e.g. mesh_pebble"
+                    f"{name}.surface.kind: {surface.kind!r} has one level of detail; take a shape"
+                    " in three axes, e.g. mesh_pebble"
                 )
             solids = surface.solids(f"{name}.surface")
             with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
@@ -82,18 +94,29 @@ def run(arguments: argparse.Namespace) -> int:
         raise
     except ValueError as error:
         raise UsageError(f"{launch.scenario}: {error}") from error
-    result: dict[str, Any] = {"scenario": launch.scenario, **asdict(found), "needs": found.coarsest.name}
+    result: dict[str, Any] = {
+        "scenario": launch.scenario,
+        **asdict(found),
+        "needs": found.coarsest.name,
+    }
     picture = draw(arguments.out / f"detail_{launch.scenario}.png", launch.scenario, found)
-    return report(arguments, result, _text(launch.scenario, stiffness, resolution, found), plot=picture)
+    return report(
+        arguments, result, _text(launch.scenario, stiffness, resolution, found), plot=picture
+    )
 
 
 def _text(scenario: str, stiffness: float, resolution: float, found: Detail) -> str:
     lines = [
-        f"{scenario}: H(1) {stiffness:.4g} N/m, encoder step {1e6 * resolution:.3g} µm: force step "
-        f"{1e3 * found.force_step_n:.3g} mN; largest force {found.largest_n:.3g} N; no difference up to "
-        f"{1e3 * found.limit_n:.3g} mN",
+        (
+            f"{scenario}: H(1) {stiffness:.4g} N/m, encoder step {1e6 * resolution:.3g} µm: force"
+            f" step {1e3 * found.force_step_n:.3g} mN; largest force {found.largest_n:.3g} N; no"
+            f" difference up to {1e3 * found.limit_n:.3g} mN"
+        ),
         "",
-        f"{'level':30}{'shapes':>8}{'triangles':>11}{'force differs [mN]':>20}{'proxy [µm]':>12}{'places':>8}{'µs a call':>18}",
+        (
+            f"{'level':30}{'shapes':>8}{'triangles':>11}{'force differs [mN]':>20}"
+            f"{'proxy [µm]':>12}{'places':>8}{'µs a call':>18}"
+        ),
         f"{'':49}{'max':>10}{'rms':>10}{'':20}{'median':>9}{'p99':>9}",
     ]
     lines += [
@@ -122,20 +145,36 @@ def draw(path: Path, scenario: str, found: Detail) -> Path:
     figure = style.new_figure(8.6, 1.4 + 0.32 * len(levels))
     differs, costs = figure.subplots(1, 2, sharey=True, width_ratios=(1.6, 1.0))
     style.name_rows(differs, [level.name for level in levels])
-    # What differs by nothing, or by rounding alone, has no place on a logarithmic axis: it stands at its end.
+    # What differs by nothing, or by rounding alone, has no place on a logarithmic axis: it stands
+    # at its end.
     least = 1e-3 * (1e3 * found.limit_n)
     for axes, low, high, names, scale in (
         (differs, "rms_n", "force_n", ("rms", "largest"), 1e3),
         (costs, "call_us", "call_p99_us", ("median", "p99"), 1.0),
     ):
-        for key, name, colour, mark in zip((low, high), names, style.COLOURS, style.MARKERS, strict=False):
-            values = np.maximum([scale * getattr(level, key) for level in levels], least if axes is differs else 0.0)
+        for key, name, colour, mark in zip(
+            (low, high), names, style.COLOURS, style.MARKERS, strict=False
+        ):
+            values = np.maximum(
+                [scale * getattr(level, key) for level in levels], least if axes is differs else 0.0
+            )
             axes.plot(values, range(len(levels)), mark, color=colour, label=name, clip_on=False)
         style.legend_above(axes)
-    differs.set(xscale="log", xlabel="the force differs by, at the left end less than that  [mN]", xlim=(least, None))
+    differs.set(
+        xscale="log",
+        xlabel="the force differs by, at the left end less than that  [mN]",
+        xlim=(least, None),
+    )
     # One call that the machine has interrupted would push all others to the left.
-    apart = max(level.call_p99_us for level in levels) > 20.0 * min(level.call_us for level in levels)
+    apart = max(level.call_p99_us for level in levels) > 20.0 * min(
+        level.call_us for level in levels
+    )
     costs.set(xscale="log" if apart else "linear", xlabel="time of a call  [µs]")
     figure.suptitle(f"{scenario} needs: {found.coarsest.name}", fontsize=9.5, x=0.01, ha="left")
-    style.threshold(differs, 1e3 * found.limit_n, f"no difference: up to {1e3 * found.limit_n:.3g} mN", vertical=True)
+    style.threshold(
+        differs,
+        1e3 * found.limit_n,
+        f"no difference: up to {1e3 * found.limit_n:.3g} mN",
+        vertical=True,
+    )
     return style.save_figure(figure, path, fresh)

@@ -10,7 +10,15 @@ from typing import Any
 from messages.errors import UsageError
 from nodes.cli.quantities import COUNT, Interval, declare, not_negative, whole
 from nodes.laws.parse import parse_law
-from nodes.recording.figure_style import COLOURS, INK, MARKERS, new_figure, save_figure, styled, threshold
+from nodes.recording.figure_style import (
+    COLOURS,
+    INK,
+    MARKERS,
+    new_figure,
+    save_figure,
+    styled,
+    threshold,
+)
 from nodes.recording.writer import RecordError
 from nodes.stability.k_max import edge_of, k_max, without_spring
 from nodes.stability.plant import Plant
@@ -22,8 +30,20 @@ from sim.cli.sweeps import SPREAD, add_spread, spread
 LAWS: dict[str, dict[str, Any]] = {
     "pd": {"kind": "pd", "stiffness": 1.0},
     "pd_filtered 100 Hz": {"kind": "pd_filtered", "stiffness": 1.0, "cutoff": 100.0},
-    "pd_alpha 0.5": {"kind": "pd_alpha", "stiffness": 1.0, "order": 0.5, "taps": 20, "gains": "paper"},
-    "pd_alpha 1.5": {"kind": "pd_alpha", "stiffness": 1.0, "order": 1.5, "taps": 4, "gains": "paper"},
+    "pd_alpha 0.5": {
+        "kind": "pd_alpha",
+        "stiffness": 1.0,
+        "order": 0.5,
+        "taps": 20,
+        "gains": "paper",
+    },
+    "pd_alpha 1.5": {
+        "kind": "pd_alpha",
+        "stiffness": 1.0,
+        "order": 1.5,
+        "taps": 4,
+        "gains": "paper",
+    },
     "paper_optimum": {"kind": "paper_optimum"},
 }
 
@@ -38,9 +58,16 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     declare(parser, gain=Interval(1.0, 40.0))
     parser.add_argument(
-        "--drops", type=COUNT, help="of random devices instead: how often the interval of a swing holds the true K_max"
+        "--drops",
+        type=COUNT,
+        help="of random devices instead: how often the interval of a swing holds the true K_max",
     )
-    parser.add_argument("--points", type=whole(2, 100_000), default=24, help="gains, in geometric steps (default: %(default)s)")
+    parser.add_argument(
+        "--points",
+        type=whole(2, 100_000),
+        default=24,
+        help="gains, in geometric steps (default: %(default)s)",
+    )
     parser.add_argument(
         "--device-damping",
         type=not_negative,
@@ -60,26 +87,44 @@ def run(arguments: argparse.Namespace) -> int:
         return _predict(arguments)
     idle(arguments, "there is no RECORDING; the device's damping is --damping", "device-damping")
     if arguments.drops is not None:
-        idle(arguments, "--drops draws its devices and gains at random", "gain", "points", "mass", "damping", "delay", "hand")
+        idle(
+            arguments,
+            "--drops draws its devices and gains at random",
+            "gain",
+            "points",
+            "mass",
+            "damping",
+            "delay",
+            "hand",
+        )
         return _drops(arguments)
     low, high = arguments.gain
     if not 0.0 < low < high:
         raise UsageError(f"--gain {low:g}..{high:g}: needs 0 < LOW < HIGH")
     device, period = shared.device(arguments), 1.0 / arguments.rate
     gains = [low * (high / low) ** (i / (arguments.points - 1)) for i in range(arguments.points)]
-    found = spread(arguments, [partial(_ring, name, gain, device) for name in LAWS for gain in gains], 4)
+    found = spread(
+        arguments, [partial(_ring, name, gain, device) for name in LAWS for gain in gains], 4
+    )
     rows = [row for row in found if row is not None]
     if not rows:
-        raise UsageError(f"--gain {low:g}..{high:g}: no law rings at a limit here; take lower gains")
+        raise UsageError(
+            f"--gain {low:g}..{high:g}: no law rings at a limit here; take lower gains"
+        )
     ratios = [row["k_simple_n_per_m"] / row["k_max_n_per_m"] for row in rows]
     exact = max(abs(row["k_exact_n_per_m"] / row["k_max_n_per_m"] - 1.0) for row in rows)
-    figures = {"points": rows, "ratio_min": min(ratios), "ratio_max": max(ratios), "exact_error": exact}
+    figures = {
+        "points": rows,
+        "ratio_min": min(ratios),
+        "ratio_max": max(ratios),
+        "exact_error": exact,
+    }
     text = (
-        f"m {device.mass:g} kg, b {device.damping:g} N s/m, hand {device.stiffness:g} N/m, delay {device.delay:g} ticks, "
-        f"{arguments.rate:g} Hz; B {low:g} .. {high:g}\n"
-        f"K_max = 2(b R - f(w_c))/T to {exact:.1e} over {len(rows)} loops; without R the ratio is {min(ratios):.3f} .. "
-        f"{max(ratios):.3f} (THEORY.md §9)\n"
-        "pd_windowed is left out: no taps, so no f(w); its K_max is by drops (study kmax --method simulation)"
+        f"m {device.mass:g} kg, b {device.damping:g} N s/m, hand {device.stiffness:g} N/m, delay"
+        f" {device.delay:g} ticks, {arguments.rate:g} Hz; B {low:g} .. {high:g}\nK_max = 2(b R -"
+        f" f(w_c))/T to {exact:.1e} over {len(rows)} loops; without R the ratio is"
+        f" {min(ratios):.3f} .. {max(ratios):.3f} (THEORY.md §9)\npd_windowed is left out: no taps,"
+        " so no f(w); its K_max is by drops (study kmax --method simulation)"
     )
     return report(arguments, figures, text, plot=_draw(arguments, rows, device.damping, period))
 
@@ -88,22 +133,32 @@ def _ring(name: str, gain: float, device: Plant) -> dict[str, Any] | None:
     """Find where a law rings on a device; None where it has no limit."""
     derivative = without_spring(parse_law({**LAWS[name], "damping": gain}), device.period)
     limit, edge = k_max(derivative, device).k_max_n_per_m, edge_of(derivative, device)
-    return None if limit is None or edge is None else {"law": name, "gain": gain, "k_max_n_per_m": limit, **asdict(edge)}
+    return (
+        None
+        if limit is None or edge is None
+        else {"law": name, "gain": gain, "k_max_n_per_m": limit, **asdict(edge)}
+    )
 
 
 def _drops(arguments: argparse.Namespace) -> int:
     from sim.paper.swing import counted, dropped
 
     named = [list(LAWS)[number % len(LAWS)] for number in range(arguments.drops)]
-    jobs = [partial(dropped, number, name, LAWS[name], 1.0 / arguments.rate) for number, name in enumerate(named)]
+    jobs = [
+        partial(dropped, number, name, LAWS[name], 1.0 / arguments.rate)
+        for number, name in enumerate(named)
+    ]
     rows = spread(arguments, jobs)
     laws = {name: counted([row for row in rows if row["law"] == name]) for name in LAWS}
-    lines = [f"{'law':20} {'drops':>6} {'told':>6} {'hold K_max':>11} {'worst miss':>11} {'median width':>13}"]
+    lines = [
+        f"{'law':20} {'drops':>6} {'told':>6} {'hold K_max':>11} {'worst miss':>11}"
+        f" {'median width':>13}"
+    ]
     for name, one in {**laws, "all": counted(rows)}.items():
         if one["told"]:
             lines.append(
-                f"{name:20} {one['drops']:6d} {one['told']:6d} {one['hold']:11d} {100.0 * one['worst_miss']:9.2f} % "
-                f"{100.0 * one['median_width']:11.2f} %"
+                f"{name:20} {one['drops']:6d} {one['told']:6d} {one['hold']:11d}"
+                f" {100.0 * one['worst_miss']:9.2f} % {100.0 * one['median_width']:11.2f} %"
             )
     return report(arguments, {**counted(rows), "laws": laws, "rows": rows}, lines)
 
@@ -112,9 +167,16 @@ def _predict(arguments: argparse.Namespace) -> int:
     from sim.paper.swing import CannotTellError, recorded_swing
 
     try:
-        swing = recorded_swing(arguments.recording, arguments.device_damping, arguments.hand or None)
+        swing = recorded_swing(
+            arguments.recording, arguments.device_damping, arguments.hand or None
+        )
     except CannotTellError as error:
-        return report(arguments, {"k_max_n_per_m": None, "why": str(error)}, f"cannot tell: {error}", held=False)
+        return report(
+            arguments,
+            {"k_max_n_per_m": None, "why": str(error)},
+            f"cannot tell: {error}",
+            held=False,
+        )
     except (RecordError, ValueError, OSError) as error:
         raise UsageError(str(error)) from error
     low, high = swing.k_max_n_per_m
@@ -122,22 +184,27 @@ def _predict(arguments: argparse.Namespace) -> int:
     known = (
         f"with the damping of {damping[0]:g} N s/m"
         if damping[0] == damping[1]
-        else f"with a damping between none and the {damping[1]:.3g} N s/m that the decay shows (--device-damping narrows it)"
+        else (
+            f"with a damping between none and the {damping[1]:.3g} N s/m that the decay shows"
+            " (--device-damping narrows it)"
+        )
     )
     hand = swing.hand_n_per_m
     held = f"held by a hand of {hand:g} N/m" if hand else "with no hand on it (--hand tells one)"
     text = (
-        f"K_max {low:.5g} .. {high:.5g} N/m: the swing's mass is {mass[0]:.4g} .. {mass[1]:.4g} kg, {known}, {held} "
-        f"(THEORY.md §9)\n"
-        f"measured at K = {k:.6g} N/m, {100.0 * k / high:.0f} to {100.0 * k / low if low else math.inf:.0f} % of it: swings at "
-        f"{swing.omega_rad_per_s / (2.0 * math.pi):.5g} Hz, x {swing.decay_per_tick:.5f} per tick; rings at "
-        f"{swing.edge.omega_rad_per_s / (2.0 * math.pi):.5g} Hz at the edge"
+        f"K_max {low:.5g} .. {high:.5g} N/m: the swing's mass is {mass[0]:.4g} .. {mass[1]:.4g} kg,"
+        f" {known}, {held} (THEORY.md §9)\nmeasured at K = {k:.6g} N/m, {100.0 * k / high:.0f} to"
+        f" {100.0 * k / low if low else math.inf:.0f} % of it: swings at"
+        f" {swing.omega_rad_per_s / (2.0 * math.pi):.5g} Hz, x {swing.decay_per_tick:.5f} per tick;"
+        f" rings at {swing.edge.omega_rad_per_s / (2.0 * math.pi):.5g} Hz at the edge"
     )
     return report(arguments, asdict(swing), text)
 
 
 @styled
-def _draw(arguments: argparse.Namespace, rows: list[dict[str, Any]], damping: float, period: float) -> Path:
+def _draw(
+    arguments: argparse.Namespace, rows: list[dict[str, Any]], damping: float, period: float
+) -> Path:
     figure = new_figure(10.0, 4.2)
     left, right = figure.subplots(1, 2)
     for i, name in enumerate(LAWS):
@@ -148,9 +215,18 @@ def _draw(arguments: argparse.Namespace, rows: list[dict[str, Any]], damping: fl
         hertz = [row["omega_rad_per_s"] / (2.0 * math.pi) for row in mine]
         right.plot(hertz, [row["k_simple_n_per_m"] / row["k_max_n_per_m"] for row in mine], **look)
     span = sorted(row["f_n_s_per_m"] for row in rows)
-    left.plot(span, [2.0 * (damping - f) / period for f in span], color=INK, ls="-", lw=0.8, label="$2(b-f)/T$")
+    left.plot(
+        span,
+        [2.0 * (damping - f) / period for f in span],
+        color=INK,
+        ls="-",
+        lw=0.8,
+        label="$2(b-f)/T$",
+    )
     left.set(
-        xlabel=r"$f(\omega_c)$  [N s/m]", ylabel=r"$K_\mathrm{max}$  [N/m]", title="the smaller f where it rings, the stiffer"
+        xlabel=r"$f(\omega_c)$  [N s/m]",
+        ylabel=r"$K_\mathrm{max}$  [N/m]",
+        title="the smaller f where it rings, the stiffer",
     )
     right.set(
         xlabel=r"$\omega_c/2\pi$  [Hz]",
@@ -162,6 +238,8 @@ def _draw(arguments: argparse.Namespace, rows: list[dict[str, Any]], damping: fl
     threshold(right, 1.0, "1: as predicted")
     left.legend()
     figure.suptitle(
-        f"m = {arguments.mass:g} kg, b = {damping:g} N s/m, d = {arguments.delay:g}, {arguments.rate:g} Hz", fontsize=9
+        f"m = {arguments.mass:g} kg, b = {damping:g} N s/m, d = {arguments.delay:g},"
+        f" {arguments.rate:g} Hz",
+        fontsize=9,
     )
     return save_figure(figure, arguments.out / "edge.png")

@@ -31,7 +31,11 @@ def run(arguments: argparse.Namespace) -> int:
 
     cases, steps = boundaries(), (2, 3, 4, 5, 7, 10, 20, 50)
     jobs: list[partial[Any]] = [partial(both_sides, case) for case in cases]
-    jobs += [partial(traps), *(partial(euler_bias, n) for n in steps), *(partial(find) for find in BEYOND)]
+    jobs += [
+        partial(traps),
+        *(partial(euler_bias, n) for n in steps),
+        *(partial(find) for find in BEYOND),
+    ]
     done = spread(arguments, jobs)
     beyond: list[BeyondEdge] = done[-len(BEYOND) :]
     found: list[FailureEdge] = [edge for edge in done[: len(cases)] if edge is not None]
@@ -44,17 +48,30 @@ def run(arguments: argparse.Namespace) -> int:
         "euler_bias": [{"substeps": n, "found": a, "predicted": b} for n, (a, b) in bias.items()],
     }
     saved = save("failures", figures, claims, _draw(found, bias), arguments.out)
-    lines = [f"{'boundary':64} {'K [N/m]':>9}  pole radius − 1 at K ∓ {100.0 * MARGIN:g} %  simulated"]
+    lines = [
+        f"{'boundary':64} {'K [N/m]':>9}  pole radius − 1 at K ∓ {100.0 * MARGIN:g} %  simulated"
+    ]
     for edge in found:
-        simulated = " / ".join("settled" if s else "not" for s in (edge.settled_inside, edge.settled_outside))
-        lines.append(
-            f"{edge.name:64.64} {edge.stiffness:9.1f}  {edge.inside - 1.0:+.1e} / {edge.outside - 1.0:+.1e}"
-            f"        {simulated}{'' if edge.agreed else '   DISAGREE'}"
+        simulated = " / ".join(
+            "settled" if s else "not" for s in (edge.settled_inside, edge.settled_outside)
         )
-    lines += ["", f"{'beyond a rigid device at one rate':48} {'boundary':>26}  from both sides, by a second method"]
+        lines.append(
+            f"{edge.name:64.64} {edge.stiffness:9.1f}  {edge.inside - 1.0:+.1e} /"
+            f" {edge.outside - 1.0:+.1e}        {simulated}{'' if edge.agreed else '   DISAGREE'}"
+        )
+    lines += [
+        "",
+        (
+            f"{'beyond a rigid device at one rate':48} {'boundary':>26}  from both sides, by a"
+            " second method"
+        ),
+    ]
     for one in beyond:
         sides = " / ".join("settled" if s else "not" for s in (one.inside, one.outside))
-        at = f"{one.quantity.partition(' [')[0]} {one.value:.5g} {one.quantity.partition('[')[2].rstrip(']')}"
+        at = (
+            f"{one.quantity.partition(' [')[0]} {one.value:.5g}"
+            f" {one.quantity.partition('[')[2].rstrip(']')}"
+        )
         lines.append(
             f"{one.name:48.48} {at:>26}  ∓ {100.0 * abs(one.margin):g} %: {sides} ({one.methods})"
             f"{'' if one.agreed else '   DISAGREE'}"
@@ -70,8 +87,16 @@ def _draw(edges: list[FailureEdge], bias: dict[int, tuple[float, float]]) -> Fig
     figure = new_figure(11.5, 5.0)
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     for row, edge in enumerate(edges):
-        for radius, settled in ((edge.inside, edge.settled_inside), (edge.outside, edge.settled_outside)):
-            left.plot(radius - 1.0, row, "o" if settled else "x", color=COLOURS[0] if settled else COLOURS[1])
+        for radius, settled in (
+            (edge.inside, edge.settled_inside),
+            (edge.outside, edge.settled_outside),
+        ):
+            left.plot(
+                radius - 1.0,
+                row,
+                "o" if settled else "x",
+                color=COLOURS[0] if settled else COLOURS[1],
+            )
     threshold(left, 0.0, "pole radius 1", vertical=True)
     left.set_xscale("symlog", linthresh=1e-5)
     left.set_yticks(range(len(edges)), [edge.name for edge in edges], fontsize=7)
@@ -82,8 +107,18 @@ def _draw(edges: list[FailureEdge], bias: dict[int, tuple[float, float]]) -> Fig
     left.set_title("just inside and outside: ● simulation settled, × it did not")
     counts = sorted(bias)
     right.plot(counts, [bias[n][1] for n in counts], color=GREY, label=r"$1/(1-1/n_\mathrm{sub})$")
-    right.plot(counts, [bias[n][0] for n in counts], "o", color=COLOURS[1], label="semi-implicit Euler, heavy device")
-    right.set(xscale="log", xlabel="sub-steps per tick  [1]", ylabel=r"$K_\mathrm{max}$ over the exact one  [1]")
+    right.plot(
+        counts,
+        [bias[n][0] for n in counts],
+        "o",
+        color=COLOURS[1],
+        label="semi-implicit Euler, heavy device",
+    )
+    right.set(
+        xscale="log",
+        xlabel="sub-steps per tick  [1]",
+        ylabel=r"$K_\mathrm{max}$ over the exact one  [1]",
+    )
     right.set_xticks(counts, [str(n) for n in counts])
     right.minorticks_off()
     right.set_title("what an integrator adds to $K_\\mathrm{max}$")

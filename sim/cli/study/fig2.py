@@ -27,20 +27,33 @@ def run(arguments: argparse.Namespace) -> int:
     figure = new_figure(10.0, 4.2)
     share = theta / theta[-1]
     for axes, name, terms in zip(figure.subplots(1, 2), "ab", (low, high), strict=True):
-        axes.set(xlabel=OMEGA, ylabel=r"$f(\omega)$ over $f(\omega_\mathrm{N})$  [1]", ylim=(-2.5, 1.2))
+        axes.set(
+            xlabel=OMEGA, ylabel=r"$f(\omega)$ over $f(\omega_\mathrm{N})$  [1]", ylim=(-2.5, 1.2)
+        )
         for i, term in enumerate(terms):
             axes.plot(share, term.curve, color=COLOURS[i], ls=LINES[i], label=f"α = {term.order:g}")
             axes.plot(share, term.unlimited, color=COLOURS[i], ls="-", lw=0.6, alpha=0.7)
             axes.plot(term.zero, 0.0, color=COLOURS[i], marker=MARKERS[i])
         axes.axhline(0.0, color=GREY, lw=0.8)
-        axes.set_title(f"({name}) f of one term, {arguments.taps} taps (thick), unlimited memory (thin)")
+        axes.set_title(
+            f"({name}) f of one term, {arguments.taps} taps (thick), unlimited memory (thin)"
+        )
         axes.legend()
     curves = [
-        {"figure": name, "order": t.order, "zero": t.zero, "f": t.curve.tolist(), "f_unlimited": t.unlimited.tolist()}
+        {
+            "figure": name,
+            "order": t.order,
+            "zero": t.zero,
+            "f": t.curve.tolist(),
+            "f_unlimited": t.unlimited.tolist(),
+        }
         for name, terms in (("a", low), ("b", high))
         for t in terms
     ]
     figures = {"taps": arguments.taps, "frequency_nyquist": share.tolist(), "curves": curves}
     saved = save("fig2", figures, claims, figure, arguments.out)
-    head = f"figure 2: f of one term, f(ω_N) = 1; {arguments.taps} taps (the paper prints no n), and unlimited memory"
+    head = (
+        f"figure 2: f of one term, f(ω_N) = 1; {arguments.taps} taps (the paper prints no n), and"
+        " unlimited memory"
+    )
     return report(arguments, saved, [head, table(claims), saved["plot"], saved["data"]])

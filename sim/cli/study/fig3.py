@@ -26,11 +26,15 @@ def run(arguments: argparse.Namespace) -> int:
     claims = claims_3(arguments.taps, 1.0 / arguments.rate)
     share = curves["theta"] / curves["theta"][-1]
     figure = new_figure(6.4, 4.2)
-    axes = figure.add_subplot(xlabel=OMEGA, ylabel=r"$f(\omega)$, each term 1 at $\omega_\mathrm{N}$  [1]")
+    axes = figure.add_subplot(
+        xlabel=OMEGA, ylabel=r"$f(\omega)$, each term 1 at $\omega_\mathrm{N}$  [1]"
+    )
     axes.plot(share, curves["optimum"], color=COLOURS[0], ls="-", label="paper's optimum")
     axes.plot(share, curves["pd"], color=COLOURS[1], ls="--", label="PD")
     for i, label in enumerate((r"$1.69\,D^{1.50}$", r"$1.32\,D^{3.47}$")):
-        axes.plot(share, curves["terms"][i], color=COLOURS[2 + i], ls=("-.", ":")[i], lw=1.0, label=label)
+        axes.plot(
+            share, curves["terms"][i], color=COLOURS[2 + i], ls=("-.", ":")[i], lw=1.0, label=label
+        )
     for level in (-1.0, 0.0):
         axes.axhline(level, color=GREY, lw=0.8)
     axes.set_title(f"f of the paper's optimum, {arguments.taps} taps per term")
@@ -39,5 +43,8 @@ def run(arguments: argparse.Namespace) -> int:
     figures = {"taps": arguments.taps, "frequency_nyquist": share.tolist()}
     figures |= {f"f_{name}": curves[name].tolist() for name in ("optimum", "pd", "terms")}
     saved = save("fig3", figures, claims, figure, arguments.out)
-    head = f"figure 3: f of the paper's optimum beside PD, {arguments.taps} taps per term; seconds as at {arguments.rate:g} Hz"
+    head = (
+        f"figure 3: f of the paper's optimum beside PD, {arguments.taps} taps per term; seconds as"
+        f" at {arguments.rate:g} Hz"
+    )
     return report(arguments, saved, [head, table(claims), saved["plot"], saved["data"]])

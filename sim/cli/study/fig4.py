@@ -21,10 +21,24 @@ if TYPE_CHECKING:
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     declare(parser, mass=0.1, damping=1.0, rate=500.0, gain=Interval(0.5, 60.0))
-    parser.add_argument("--points", type=whole(2, 100_000), default=24, help="gains, in geometric steps (default: %(default)s)")
-    parser.add_argument("--resolution", type=positive, default=2.3e-5, help="Touch X's resolution [m]")
-    parser.add_argument("--friction", type=not_negative, default=0.06, help="its friction [N], a remembered figure")
-    parser.add_argument("--horizon", type=whole(1, 10**8), default=2500, help="of a drop [ticks] (default: %(default)s)")
+    parser.add_argument(
+        "--points",
+        type=whole(2, 100_000),
+        default=24,
+        help="gains, in geometric steps (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--resolution", type=positive, default=2.3e-5, help="Touch X's resolution [m]"
+    )
+    parser.add_argument(
+        "--friction", type=not_negative, default=0.06, help="its friction [N], a remembered figure"
+    )
+    parser.add_argument(
+        "--horizon",
+        type=whole(1, 10**8),
+        default=2500,
+        help="of a drop [ticks] (default: %(default)s)",
+    )
     add_sweep(parser)
     add_answer(parser, run)
 
@@ -75,15 +89,20 @@ def run(arguments: argparse.Namespace) -> int:
             claims = claims_4(setting, curves, spread_of_conventions(setting, everything))
         except ValueError as error:
             raise UsageError(
-                f"--horizon {arguments.horizon} --points {arguments.points}: too little settles to judge the claims ({error}); "
-                "give a longer horizon or more points"
+                f"--horizon {arguments.horizon} --points {arguments.points}: too little settles to"
+                f" judge the claims ({error}); give a longer horizon or more points"
             ) from error
     figures = as_json(setting, curves) | {"complete": complete, "ledger": str(ledger)}
     saved = save("fig4", figures, claims, _draw(setting, curves), arguments.out)
-    text = table(claims) if claims else f"interrupted: what was found is in {ledger}, and the same command goes on there"
+    text = (
+        table(claims)
+        if claims
+        else f"interrupted: what was found is in {ledger}, and the same command goes on there"
+    )
     head = (
-        f"figure 4: drop of {setting.mass:g} kg, {setting.damping:g} N s/m, {arguments.rate:g} Hz, {arguments.points} gains B "
-        f"of {setting.gains[0]:g} to {setting.gains[-1]:g} N s/m, {setting.criterion.ticks} ticks"
+        f"figure 4: drop of {setting.mass:g} kg, {setting.damping:g} N s/m, {arguments.rate:g} Hz,"
+        f" {arguments.points} gains B of {setting.gains[0]:g} to {setting.gains[-1]:g} N s/m,"
+        f" {setting.criterion.ticks} ticks"
     )
     report(arguments, saved, [head, text, saved["plot"], saved["data"]])
     return 0 if complete else 130
@@ -108,7 +127,9 @@ def _draw(setting: Setting, curves: list[Curve]) -> Figure:
             if curve.touch:
                 stiffness.plot(gains, felt, **color, marker="x", ls="none")
                 continue
-            stiffness.plot(gains, nominal, **color, ls="-", marker=MARKERS[i], ms=3.5, label=curve.law)
+            stiffness.plot(
+                gains, nominal, **color, ls="-", marker=MARKERS[i], ms=3.5, label=curve.law
+            )
             stiffness.plot(gains, felt, **color, ls="--", lw=0.9)
             frequency.plot(gains, swings, **color, ls="-", marker=MARKERS[i], ms=3.5)
         stiffness.set(xscale="log", yscale="log", ylabel="largest stiffness that settles  [N/m]")

@@ -8,7 +8,16 @@ from typing import Any
 
 from messages.errors import UsageError
 from nodes.cli.quantities import SECONDS, declare, not_negative, positive, whole
-from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, new_figure, save_figure, styled, threshold
+from nodes.recording.figure_style import (
+    COLOURS,
+    GREY,
+    LINES,
+    MARKERS,
+    new_figure,
+    save_figure,
+    styled,
+    threshold,
+)
 from sim.cli.answers import add_answer, report
 from sim.cli.sweeps import add_spread, spread
 from sim.device.model import DeviceModel
@@ -21,15 +30,36 @@ LEAST = 1e-6  # where what is less is drawn, in mJ and mm: a nanojoule, a nanome
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     declare(parser, mass=0.1, damping=1.0, gain=3.0, rate=500.0)
-    parser.add_argument("--height", type=positive, default=0.01, help="height of the drop [m] (default: %(default)s)")
-    parser.add_argument("--next-tick", action="store_true", help="forces take effect one tick later")
     parser.add_argument(
-        "--guard-damping", type=not_negative, default=10.0, help="largest damper of the guard [N s/m] (default: %(default)s)"
+        "--height",
+        type=positive,
+        default=0.01,
+        help="height of the drop [m] (default: %(default)s)",
     )
-    parser.add_argument("--low", type=positive, default=500.0, help="softest wall [N/m] (default: %(default)s)")
-    parser.add_argument("--high", type=positive, default=16000.0, help="stiffest wall [N/m] (default: %(default)s)")
-    parser.add_argument("--points", type=whole(1, 100_000), default=21, help="walls between them (default: %(default)s)")
-    parser.add_argument("--duration", type=SECONDS, default=6.0, help="length of a drop [s] (default: %(default)s)")
+    parser.add_argument(
+        "--next-tick", action="store_true", help="forces take effect one tick later"
+    )
+    parser.add_argument(
+        "--guard-damping",
+        type=not_negative,
+        default=10.0,
+        help="largest damper of the guard [N s/m] (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--low", type=positive, default=500.0, help="softest wall [N/m] (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--high", type=positive, default=16000.0, help="stiffest wall [N/m] (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--points",
+        type=whole(1, 100_000),
+        default=21,
+        help="walls between them (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--duration", type=SECONDS, default=6.0, help="length of a drop [s] (default: %(default)s)"
+    )
     add_spread(parser)
     add_answer(parser, run)
 
@@ -38,13 +68,23 @@ def run(arguments: argparse.Namespace) -> int:
     """Compare, draw and tell."""
     if arguments.points < 2 or not arguments.low < arguments.high:
         raise UsageError(
-            f"--low {arguments.low:g} --high {arguments.high:g} --points {arguments.points}: expected a range and 2 points"
+            f"--low {arguments.low:g} --high {arguments.high:g} --points {arguments.points}:"
+            " expected a range and 2 points"
         )
     ratio = (arguments.high / arguments.low) ** (1.0 / (arguments.points - 1))
     walls = [arguments.low * ratio**i for i in range(arguments.points)]
-    device = DeviceModel(mass=arguments.mass, damping=arguments.damping, gravity=9.81, position=arguments.height)
-    told = (1.0 / arguments.rate, arguments.guard_damping, arguments.next_tick, round(arguments.duration * arguments.rate))
-    found = spread(arguments, [partial(compare, device, wall, arguments.gain, *told) for wall in walls])
+    device = DeviceModel(
+        mass=arguments.mass, damping=arguments.damping, gravity=9.81, position=arguments.height
+    )
+    told = (
+        1.0 / arguments.rate,
+        arguments.guard_damping,
+        arguments.next_tick,
+        round(arguments.duration * arguments.rate),
+    )
+    found = spread(
+        arguments, [partial(compare, device, wall, arguments.gain, *told) for wall in walls]
+    )
     drops = [drop for pair in found for drop in pair]
     lines = [
         "            ----- without the guard -----   ------ with the guard -------",
@@ -70,13 +110,17 @@ def _draw(arguments: argparse.Namespace, drops: list[Drop]) -> Path:
         chosen = [drop for drop in drops if drop.guarded is guarded]
         stiffness = [drop.stiffness for drop in chosen]
         # Zero has no place on a logarithmic axis.
-        panels[0].plot(stiffness, [max(drop.energy_max_j * 1e3, LEAST) for drop in chosen], label=label, **look)
+        panels[0].plot(
+            stiffness, [max(drop.energy_max_j * 1e3, LEAST) for drop in chosen], label=label, **look
+        )
         panels[1].plot(stiffness, [max(drop.unrest_m * 1e3, LEAST) for drop in chosen], **look)
         felt = [float("nan") if drop.felt_n_per_m is None else drop.felt_n_per_m for drop in chosen]
         panels[2].plot(stiffness, felt, **look)
     nominal = [drop.stiffness for drop in drops]
     panels[2].plot(nominal, nominal, ls=":", color=GREY, label="felt = nominal")
-    for axes, label in zip(panels, ("given out  [mJ]", "unrest  [mm]", "felt stiffness  [N/m]"), strict=True):
+    for axes, label in zip(
+        panels, ("given out  [mJ]", "unrest  [mm]", "felt stiffness  [N/m]"), strict=True
+    ):
         axes.set(xscale="log", yscale="log", ylabel=label)
         if axes.get_legend_handles_labels()[0]:
             axes.legend()
@@ -84,7 +128,8 @@ def _draw(arguments: argparse.Namespace, drops: list[Drop]) -> Path:
     threshold(panels[1], LEAST, "at rest")
     panels[2].set_xlabel("nominal stiffness K  [N/m]")
     panels[0].set_title(
-        f"Drop of {arguments.mass:g} kg from {arguments.height * 1e3:g} mm, PD with B = {arguments.gain:g} N s/m, "
-        f"{arguments.rate:g} Hz, forces {'at the next tick' if arguments.next_tick else 'on arrival'}"
+        f"Drop of {arguments.mass:g} kg from {arguments.height * 1e3:g} mm, PD with B ="
+        f" {arguments.gain:g} N s/m, {arguments.rate:g} Hz, forces"
+        f" {'at the next tick' if arguments.next_tick else 'on arrival'}"
     )
     return save_figure(figure, arguments.out / "guard.png", fresh)

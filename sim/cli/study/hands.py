@@ -28,7 +28,10 @@ def run(arguments: argparse.Namespace) -> int:
     delays = sorted({*(step for step in steps if step <= arguments.longest), arguments.longest})
     rows = over_delay(plant, arguments.stiffness, arguments.gain, delays)
     head = [
-        f"         stiffest spring that is passive for any two hands   of it is felt     guard, K {arguments.stiffness:g} N/m",
+        (
+            "         stiffest spring that is passive for any two hands   of it is felt     guard,"
+            f" K {arguments.stiffness:g} N/m"
+        ),
         " delay   one law  a law each  with damper        K    N/m  drag N s/m     N/m  drag N s/m",
     ]
     lines = [_line(row, plant.period) for row in rows]
@@ -42,7 +45,8 @@ def _line(row: HandsAtDelay, period: float) -> str:
 
     linear = row.linear
     return (
-        f"{1e3 * row.delay_ticks * period:4.0f} ms{cell(row.one_law_n_per_m, 10)}{cell(row.law_each_n_per_m, 12)}"
+        f"{1e3 * row.delay_ticks * period:4.0f}"
+        f" ms{cell(row.one_law_n_per_m, 10)}{cell(row.law_each_n_per_m, 12)}"
         f"{cell(row.damper_n_s_per_m, 13, '.2f')}{cell(row.damped_n_per_m, 9)}"
         f"{cell(linear.stiffness_n_per_m if linear else None, 7)}"
         f"{cell(linear.drag_n_s_per_m if linear else None, 12, '.2f')}"
@@ -70,8 +74,15 @@ def _draw(arguments: argparse.Namespace, rows: list[HandsAtDelay], period: float
         ),
     )
     for i, (label, stiff, slow) in enumerate(curves):
-        look: Any = {"color": COLOURS[i], "marker": MARKERS[i], "ls": LINES[i % len(LINES)], "ms": 3.5}
-        stiffness.plot(delays, [float("nan") if y is None else y for y in stiff], label=label, **look)
+        look: Any = {
+            "color": COLOURS[i],
+            "marker": MARKERS[i],
+            "ls": LINES[i % len(LINES)],
+            "ms": 3.5,
+        }
+        stiffness.plot(
+            delays, [float("nan") if y is None else y for y in stiff], label=label, **look
+        )
         if slow is not None:
             drag.plot(delays, [float("nan") if y is None else y for y in slow], **look)
     stiffness.set(yscale="log", ylabel="stiffness for any two hands  [N/m]")

@@ -12,11 +12,24 @@ from sim.cli.answers import add_answer, report
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("recording", type=Path, help="of a launch, best of haptic launch identify")
-    parser.add_argument("--axis", choices=("x", "y", "z"), help="which axis (default: the one that was pushed hardest)")
+    parser.add_argument(
+        "--axis",
+        choices=("x", "y", "z"),
+        help="which axis (default: the one that was pushed hardest)",
+    )
     hand = parser.add_mutually_exclusive_group()
-    hand.add_argument("--held", dest="held", action="store_true", default=None, help="a hand held the device")
-    hand.add_argument("--free", dest="held", action="store_false", help="no hand did (default: finds out)")
-    parser.add_argument("--window", type=whole(20, 5000), default=100, help="length of a window [ticks] (default: %(default)s)")
+    hand.add_argument(
+        "--held", dest="held", action="store_true", default=None, help="a hand held the device"
+    )
+    hand.add_argument(
+        "--free", dest="held", action="store_false", help="no hand did (default: finds out)"
+    )
+    parser.add_argument(
+        "--window",
+        type=whole(20, 5000),
+        default=100,
+        help="length of a window [ticks] (default: %(default)s)",
+    )
     add_answer(parser, run, files=False)
 
 
@@ -37,4 +50,6 @@ def run(arguments: argparse.Namespace) -> int:
     except ValueError as error:
         raise RefusedError(f"{arguments.recording}: {error}") from error
     held = found.mass.value is not None and not found.refuted
-    return report(arguments, {"recording": str(arguments.recording), **figures(found)}, text(found), held=held)
+    return report(
+        arguments, {"recording": str(arguments.recording), **figures(found)}, text(found), held=held
+    )

@@ -33,18 +33,29 @@ _PRESSING = 100.0  # stiffness of the hand that presses where none is given [N/m
 class _Found(KMax):
     """What a simulation found."""
 
-    searched: tuple[float, float] = (math.nan, math.nan)  # softest and stiffest K that were tried [N/m]
+    # softest and stiffest K that were tried [N/m]
+    searched: tuple[float, float] = (math.nan, math.nan)
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--law", default="pd", help="kind, preset or YAML mapping (default: %(default)s)")
+    parser.add_argument(
+        "--law", default="pd", help="kind, preset or YAML mapping (default: %(default)s)"
+    )
     declare(parser, gain=Interval())
-    parser.add_argument("--points", type=whole(2, 100_000), default=41, help="of a range of gains (default: %(default)s)")
+    parser.add_argument(
+        "--points",
+        type=whole(2, 100_000),
+        default=41,
+        help="of a range of gains (default: %(default)s)",
+    )
     parser.add_argument(
         "--method",
         choices=("closed_form", "pole_radius", "simulation", "lockstep"),
-        help="default: the closed form where there is one, else the pole radius; lockstep drops it through real processes",
+        help=(
+            "default: the closed form where there is one, else the pole radius; lockstep drops it"
+            " through real processes"
+        ),
     )
     parser.add_argument(
         "--scene",
@@ -58,9 +69,17 @@ def add(parser: argparse.ArgumentParser) -> None:
         default="penetration",
         help="what feeds the law outside contact in a simulated drop (default: %(default)s)",
     )
-    parser.add_argument("--horizon", type=whole(1, 10**8), default=2500, help="ticks of a simulated run (default: %(default)s)")
     parser.add_argument(
-        "--grid", type=whole(2, 10**6), default=257, help="stiffnesses that lockstep bisects, K_max/2 to 2 K_max (default: 257)"
+        "--horizon",
+        type=whole(1, 10**8),
+        default=2500,
+        help="ticks of a simulated run (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--grid",
+        type=whole(2, 10**6),
+        default=257,
+        help="stiffnesses that lockstep bisects, K_max/2 to 2 K_max (default: 257)",
     )
     declare_law(parser)
     shared.add_device(parser)
@@ -94,18 +113,29 @@ def run(arguments: argparse.Namespace) -> int:
         if isinstance(found, _Found):
             text = f"K_max    above {found.searched[1]:.6g} N/m (nominal), where the search ends"
     else:
-        felt = f"{found.h1_max_n_per_m:.6g} N/m (felt)" if found.h1_max_n_per_m is not None else "none: the law is not linear"
-        text = f"K_max    {found.k_max_n_per_m:.6g} N/m (nominal)\nH(1)_max {felt}\nmethod   {found.method}"
+        felt = (
+            f"{found.h1_max_n_per_m:.6g} N/m (felt)"
+            if found.h1_max_n_per_m is not None
+            else "none: the law is not linear"
+        )
+        text = (
+            f"K_max    {found.k_max_n_per_m:.6g} N/m (nominal)\nH(1)_max {felt}\nmethod  "
+            f" {found.method}"
+        )
     figures = {"loop": loop} | _figures(found) | {"stable_n_per_m": stable}
     lines = [loop, text]
     if arguments.grasp is not None:
-        grasped, line = _grasped(arguments, shared.law(arguments, arguments.law, gain), device, found)
+        grasped, line = _grasped(
+            arguments, shared.law(arguments, arguments.law, gain), device, found
+        )
         figures |= grasped
         lines.append(line)
     return report(arguments, figures, lines, held=found.k_max_n_per_m is not None)
 
 
-def _grasped(arguments: argparse.Namespace, law: Law, device: Plant, found: KMax) -> tuple[dict[str, Any], str]:
+def _grasped(
+    arguments: argparse.Namespace, law: Law, device: Plant, found: KMax
+) -> tuple[dict[str, Any], str]:
     """Find K_max in the worst grasp of a box, by poles, up to ten times the one without a hand."""
     from nodes.stability.k_max import with_spring
     from sim.design.hands import k_max_over
@@ -120,7 +150,10 @@ def _grasped(arguments: argparse.Namespace, law: Law, device: Plant, found: KMax
     limit = k_max_over(lambda k: with_spring(derivative, k), device, arguments.grasp, 10.0 * top)
     box = arguments.grasp
     text = "no stiffness is stable" if limit is None else f"{limit:.6g} N/m (nominal)"
-    return {"k_max_grasp_n_per_m": limit, "grasp": asdict(box)}, f"K_max    {text} in the worst {box.text()}"
+    return {
+        "k_max_grasp_n_per_m": limit,
+        "grasp": asdict(box),
+    }, f"K_max    {text} in the worst {box.text()}"
 
 
 def _refuse_idle(arguments: argparse.Namespace, several: bool) -> None:
@@ -173,7 +206,9 @@ def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Plant) 
         # Not at the guess itself: what is found must be decided by the runs.
         grid = (guess * steps * (steps[1] / steps[0]) ** (1 / 3)).tolist()
         bar = Progress(2 + math.ceil(math.log2(arguments.grid - 1)))
-        found = same_k_max(law, _scene(arguments, device), Criterion(ticks=arguments.horizon), grid, bar.step)
+        found = same_k_max(
+            law, _scene(arguments, device), Criterion(ticks=arguments.horizon), grid, bar.step
+        )
     except (ValueError, MeasurementError) as error:
         raise UsageError(str(error)) from error
     both = found.launched_n_per_m, found.one_process_n_per_m
@@ -197,7 +232,10 @@ def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Plant) 
     lines = [
         loop,
         f"K_max    {said[0]} (nominal), by {found.launches} launches in lockstep",
-        f"         {said[1]} in one process: {'the same' if same else 'NOT the same'}, on steps of {ratio - 1.0:.2%}",
+        (
+            f"         {said[1]} in one process: {'the same' if same else 'NOT the same'}, on steps"
+            f" of {ratio - 1.0:.2%}"
+        ),
     ]
     return report(arguments, figures, lines, held=same and launched is not None)
 
@@ -222,8 +260,12 @@ def _simulated(arguments: argparse.Namespace, law: Law, device: Plant) -> _Found
     from sim.experiments.k_max_simulated import at_stiffness, simulated_k_max
 
     scene = _scene(arguments, device)
-    found = simulated_k_max(at_stiffness(law, device.period), scene, Criterion(ticks=arguments.horizon))
-    return _Found(found.k_max_n_per_m, found.h1_max_n_per_m, "simulation", (), found.searched_n_per_m)
+    found = simulated_k_max(
+        at_stiffness(law, device.period), scene, Criterion(ticks=arguments.horizon)
+    )
+    return _Found(
+        found.k_max_n_per_m, found.h1_max_n_per_m, "simulation", (), found.searched_n_per_m
+    )
 
 
 def _nothing(found: KMax) -> str:
@@ -261,13 +303,23 @@ def _boundary(arguments: argparse.Namespace, device: Plant) -> int:
     for point in points:
         k, h1 = point["k_max_n_per_m"], point["h1_max_n_per_m"]
         least = point.get("at_least_n_per_m")
-        missing = "-" if "at_least_n_per_m" not in point else "no limit" if least is None else f"> {least:.6g}"
+        missing = (
+            "-"
+            if "at_least_n_per_m" not in point
+            else "no limit"
+            if least is None
+            else f"> {least:.6g}"
+        )
         lines.append(
-            f"{point['gain']:10.4g}  {missing if k is None else f'{k:.6g}':>12}  {'-' if h1 is None else f'{h1:.6g}':>12}"
+            f"{point['gain']:10.4g}  {missing if k is None else f'{k:.6g}':>12} "
+            f" {'-' if h1 is None else f'{h1:.6g}':>12}"
         )
     figures: dict[str, Any] = {"loop": loop}
     if without_end:
-        lines.append(f"no end was found at {len(without_end)} of {len(points)} gains: the stiffest is not known")
+        lines.append(
+            f"no end was found at {len(without_end)} of {len(points)} gains: the stiffest is not"
+            " known"
+        )
     else:
         felt = all(point["h1_max_n_per_m"] is not None for point in stable)
         key, name = ("h1_max_n_per_m", "H(1)") if felt else ("k_max_n_per_m", "K_max")
@@ -282,11 +334,19 @@ def _draw(arguments: argparse.Namespace, points: list[dict[str, Any]]) -> Path:
     figure = new_figure(6.4, 4.0)
     axes = figure.add_subplot(xlabel="gain B  [N s/m]", ylabel="stiffness  [N/m]")
     gains = [point["gain"] for point in points]
-    for key, label, style in (("k_max_n_per_m", "nominal K", "--"), ("h1_max_n_per_m", "felt, H(1)", "-")):
-        axes.plot(gains, [float("nan") if point[key] is None else point[key] for point in points], ls=style, label=label)
+    for key, label, style in (
+        ("k_max_n_per_m", "nominal K", "--"),
+        ("h1_max_n_per_m", "felt, H(1)", "-"),
+    ):
+        axes.plot(
+            gains,
+            [float("nan") if point[key] is None else point[key] for point in points],
+            ls=style,
+            label=label,
+        )
     axes.set_title(
-        f"Stability boundary: {arguments.law}, m = {arguments.mass:g} kg, b = {arguments.damping:g} N s/m, "
-        f"d = {arguments.delay:g}, {arguments.rate:g} Hz"
+        f"Stability boundary: {arguments.law}, m = {arguments.mass:g} kg, b = {arguments.damping:g}"
+        f" N s/m, d = {arguments.delay:g}, {arguments.rate:g} Hz"
     )
     label_ends(axes)
     return save_figure(figure, arguments.out / "kmax.png", fresh)

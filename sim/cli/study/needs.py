@@ -23,15 +23,23 @@ _ROUNDING = 1e-15  # positions are a few centimetres in double precision [m]
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("scenario", help="name of a launch file, or the path of one")
-    parser.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
     parser.add_argument(
-        "--rounds", type=whole(0, 10_000), default=5, help="interleaved rounds of timing; 0 times nothing (default: 5)"
+        "assignments", nargs="*", metavar="name:=value", help="arguments of the launch file"
+    )
+    parser.add_argument(
+        "--rounds",
+        type=whole(0, 10_000),
+        default=5,
+        help="interleaved rounds of timing; 0 times nothing (default: 5)",
     )
     parser.add_argument(
         "--tolerance",
         choices=("model", "jnd"),
         default="model",
-        help="a change that counts: the launch file's tolerance, or what a hand notices (default: model)",
+        help=(
+            "a change that counts: the launch file's tolerance, or what a hand notices (default:"
+            " model)"
+        ),
     )
     add_spread(parser)
     add_answer(parser, run)
@@ -45,7 +53,9 @@ def run(arguments: argparse.Namespace) -> int:
     from sim.measure.stopwatch import Progress
     from sim.scene.from_launch import from_launch
 
-    launch = launch_file.read(arguments.scenario, launch_file.parse_assignments(arguments.assignments))
+    launch = launch_file.read(
+        arguments.scenario, launch_file.parse_assignments(arguments.assignments)
+    )
     felt = arguments.tolerance == "jnd"
     tolerance = tolerances(launch.model.tolerance, felt)
     timed = arguments.rounds, Progress(arguments.rounds).step, partial(spread, arguments), tolerance
@@ -67,8 +77,9 @@ def run(arguments: argparse.Namespace) -> int:
     text = _text(launch.scenario, launch.model, found, felt)
     if (told := figures["rest"]) is not None:
         text += (
-            f"\nrest: {1e6 * told['resolution_m']:.3g} µm of encoder and {told['friction_n']:.3g} N of friction"
-            f"{'' if told['declared'] else ' (a Touch X: the scene has none)'}; {told['text']}\n{told['map']['plot']}"
+            f"\nrest: {1e6 * told['resolution_m']:.3g} µm of encoder and {told['friction_n']:.3g} N"
+            f" of friction{'' if told['declared'] else ' (a Touch X: the scene has none)'};"
+            f" {told['text']}\n{told['map']['plot']}"
         )
     return report(arguments, figures, text, held=not (found.superfluous or found.missing))
 
@@ -106,8 +117,11 @@ def _text(name: str, model: Any, found: Needs, felt: bool) -> str:
     lines = [
         f"{name}: for {', '.join(model.outcome)}; tolerance {100 * model.tolerance:g} %"
         + (", and what a hand notices of force and stiffness" if felt else ""),
-        f"settles in {now.settling_s:.3g} s, peak {now.peak_force_n:.3g} N, at rest {now.rest_force_n:.3g} N, swing at rest "
-        f"{_micrometres(now.limit_cycle_m)} µm{stiffest}{timed}",
+        (
+            f"settles in {now.settling_s:.3g} s, peak {now.peak_force_n:.3g} N, at rest"
+            f" {now.rest_force_n:.3g} N, swing at rest {_micrometres(now.limit_cycle_m)}"
+            f" µm{stiffest}{timed}"
+        ),
         "",
         f"{'term':24} {'switched':34} {'moves':>9}  {'of which most':14} {'costs µs':>14}  verdict",
     ]
@@ -115,11 +129,16 @@ def _text(name: str, model: Any, found: Needs, felt: bool) -> str:
         moved = "∞" if f.moved == float("inf") else f"{100 * f.moved:.3g} %"
         cost = "" if f.cost_us is None else f"{f.cost_us:+.2f} ± {f.cost_spread_us:.2f}"
         lines.append(f"{f.term:24} {f.switched:34} {moved:>9}  {f.most:14} {cost:>14}  {f.verdict}")
-    missing, superfluous = (", ".join(names) or "nothing" for names in (found.missing, found.superfluous))
+    missing, superfluous = (
+        ", ".join(names) or "nothing" for names in (found.missing, found.superfluous)
+    )
     lines += ["", f"superfluous: {superfluous}", f"missing: {missing}"]
     if found.left_out:
         told = ", ".join(f"{f.term} ({f.most} by {100 * f.moved:.3g} %)" for f in found.left_out)
         lines.append(f"left out on purpose although it matters: {told}")
     for one in THRESHOLDS:
-        lines.append(f"a hand notices {100 * one.low:.0f} to {100 * one.high:.0f} % of {one.quantity} ({one.source})")
+        lines.append(
+            f"a hand notices {100 * one.low:.0f} to {100 * one.high:.0f} % of {one.quantity}"
+            f" ({one.source})"
+        )
     return "\n".join(lines)

@@ -16,7 +16,8 @@ from sim.cli.answers import add_answer, given, report
 from sim.cli.sweeps import add_sweep, swept
 from sim.results import fresh
 
-KNOWN = (0.0, 5.0, 20.0, 50.0)  # how far the numbers of the joint may be off in either direction [%]
+# how far the numbers of the joint may be off in either direction [%]
+KNOWN = (0.0, 5.0, 20.0, 50.0)
 VARIED = ("share", "frequency", "loss")  # the numbers of a joint
 WORLDS = {"any_world": "any world, this rigid device", "any_hand": "any hand and any world"}
 LAWS = "price.yaml"
@@ -25,10 +26,27 @@ LAWS = "price.yaml"
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     shared.add_device(parser, delay=1.2, hand=500.0)
-    parser.add_argument("--share", type=positive, default=0.3, help="of the mass behind the joint (default: %(default)s)")
-    parser.add_argument("--frequency", type=positive, default=40.0, help="of the joint [Hz] (default: %(default)s)")
-    parser.add_argument("--loss", type=positive, default=0.03, help="damping ratio of the joint (default: %(default)s)")
-    parser.add_argument("--jitter", type=not_negative, default=0.2, help="of the delay, above it [ticks] (default: 0.2)")
+    parser.add_argument(
+        "--share",
+        type=positive,
+        default=0.3,
+        help="of the mass behind the joint (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--frequency", type=positive, default=40.0, help="of the joint [Hz] (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--loss",
+        type=positive,
+        default=0.03,
+        help="damping ratio of the joint (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--jitter",
+        type=not_negative,
+        default=0.2,
+        help="of the delay, above it [ticks] (default: 0.2)",
+    )
     text = "how far off the joint's numbers may be, as factors [%%] (default: 0 5 20 50)"
     parser.add_argument("--known", type=not_negative, nargs="*", default=KNOWN, help=text)
     text = "which of the joint's numbers are off by that, in every combination (default: all three)"
@@ -36,7 +54,10 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--land",
         action=argparse.BooleanOptionalAction,
-        help="only laws that land, certified for every sequence of delays; or only by poles, in seconds (default: both)",
+        help=(
+            "only laws that land, certified for every sequence of delays; or only by poles, in"
+            " seconds (default: both)"
+        ),
     )
     declare(parser, taps=2)
     add_sweep(parser)
@@ -51,7 +72,12 @@ def study_price(job: Mapping[str, Any]) -> dict[str, Any]:
     from sim.design.landing import drops
 
     period = 1.0 / job["rate"]
-    device = ((job["mass"] / 1.1, job["mass"] * 1.1), job["damping"], (job["delay"], job["delay"] + job["jitter"]), period)
+    device = (
+        (job["mass"] / 1.1, job["mass"] * 1.1),
+        job["damping"],
+        (job["delay"], job["delay"] + job["jitter"]),
+        period,
+    )
     joints = () if job["spread"] is None else possible_joints(job)
     lands = CONVENTIONS if job["lands"] else ()
     asked = Demand(*device, 0.99, 1e4, stiffness=(0.0, job["hand"]), beyond=joints, lands=lands)
@@ -61,10 +87,18 @@ def study_price(job: Mapping[str, Any]) -> dict[str, Any]:
 
     found = (certified(free, asked) if job["lands"] else free(asked)).found
     if found is None:
-        return {"h1_n_per_m": None, "radius": None, "drops_settled": None, "certified": None, "taps_n_per_m": None}
+        return {
+            "h1_n_per_m": None,
+            "radius": None,
+            "drops_settled": None,
+            "certified": None,
+            "taps_n_per_m": None,
+        }
     truth = (0.0, job["share"], job["frequency"], job["loss"])
     ends = itertools.product(asked.delay, asked.stiffness)
-    plants = [FlexiblePlant(job["mass"], job["damping"], delay, hand, *truth) for delay, hand in ends]
+    plants = [
+        FlexiblePlant(job["mass"], job["damping"], delay, hand, *truth) for delay, hand in ends
+    ]
     real = replace(asked, beyond=(truth,))
     settled = drops(found.law, real)
     return {
@@ -80,9 +114,16 @@ def possible_joints(job: Mapping[str, Any]) -> tuple[tuple[float, float, float, 
     """List the joints to design for: as declared, and each varied number off by the factor either way, in all combinations."""
     spread = job["spread"]
     values = [
-        sorted({job[name] / spread, min(job[name] * spread, 0.95) if name == "share" else job[name] * spread})
-        if name in job["vary"]
-        else [job[name]]
+        (
+            sorted(
+                {
+                    job[name] / spread,
+                    min(job[name] * spread, 0.95) if name == "share" else job[name] * spread,
+                }
+            )
+            if name in job["vary"]
+            else [job[name]]
+        )
         for name in VARIED
     ]
     declared = tuple(job[name] for name in VARIED)
@@ -99,20 +140,40 @@ def price_of_worlds(arguments: argparse.Namespace) -> list[dict[str, Any]]:
 
     delay = (arguments.delay, arguments.delay + arguments.jitter)
     rows: list[dict[str, Any]] = []
-    for world, mass in (("any_world", (arguments.mass / 1.1, arguments.mass * 1.1)), ("any_hand", None)):
+    for world, mass in (
+        ("any_world", (arguments.mass / 1.1, arguments.mass * 1.1)),
+        ("any_hand", None),
+    ):
         surroundings = Surroundings(1.0 / arguments.rate, arguments.damping, delay, 1e4, mass)
         design = stiffest_taps(surroundings, arguments.taps).design
-        rows.append({"world": world, "h1_n_per_m": None} if design is None else {"world": world, **margin_figures(design)})
+        rows.append(
+            {"world": world, "h1_n_per_m": None}
+            if design is None
+            else {"world": world, **margin_figures(design)}
+        )
     return rows
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Design for less and less that is known."""
     if not 1 <= arguments.taps <= 12:
-        raise UsageError(f"--taps {arguments.taps}: between 1 and 12; the search is over each of them")
+        raise UsageError(
+            f"--taps {arguments.taps}: between 1 and 12; the search is over each of them"
+        )
     if arguments.share >= 1.0:
         raise UsageError(f"--share {arguments.share:g}: expected a part of the mass, below 1")
-    names = ("mass", "damping", "delay", "jitter", "share", "frequency", "loss", "taps", "rate", "vary")
+    names = (
+        "mass",
+        "damping",
+        "delay",
+        "jitter",
+        "share",
+        "frequency",
+        "loss",
+        "taps",
+        "rate",
+        "vary",
+    )
     device = given(arguments, *names)
     jobs: list[dict[str, Any]] = [
         {**device, "hand": hand, "spread": spread, "lands": lands}
@@ -123,15 +184,23 @@ def run(arguments: argparse.Namespace) -> int:
     rows, ledger = swept(arguments, study_price, jobs, "price")
     priced = [{**job, **row} for job, row in zip(jobs, rows, strict=True)]
     lines = [
-        f"{arguments.mass:g} kg, joint of {arguments.frequency:g} Hz with {100 * arguments.share:g} % of it, delay "
-        f"{arguments.delay:g} to {arguments.delay + arguments.jitter:g} ticks, {arguments.taps} taps, pole radius at most 0.99",
+        (
+            f"{arguments.mass:g} kg, joint of {arguments.frequency:g} Hz with"
+            f" {100 * arguments.share:g} % of it, delay {arguments.delay:g} to"
+            f" {arguments.delay + arguments.jitter:g} ticks, {arguments.taps} taps, pole radius at"
+            " most 0.99"
+        ),
         f"{'known':22} {'hand':24} {'asked':22} {'H(1) [N/m]':>10}  on the device",
         *map(_line, priced),
     ]
     worlds = price_of_worlds(arguments) if arguments.damping > 0.0 else []
     lines += ["the world unknown, the joint left out:", *map(_world_line, worlds)] if worlds else []
     laws = write_laws(arguments.out / LAWS, [*priced, *worlds], 1.0 / arguments.rate)
-    lines += [] if laws is None else [f"haptic param load coupling {laws}   # then: haptic law switch NAME"]
+    lines += (
+        []
+        if laws is None
+        else [f"haptic param load coupling {laws}   # then: haptic law switch NAME"]
+    )
     picture = draw(arguments.out / "price.png", priced)
     figures = {"rows": priced, "worlds": worlds, "yaml": None if laws is None else str(laws)}
     return report(arguments, figures, lines, ledger=ledger, plot=picture)
@@ -150,7 +219,9 @@ def write_laws(path: Path, rows: Sequence[Mapping[str, Any]], period: float) -> 
     from nodes.parameters.yaml_io import write_yaml
 
     laws = {
-        _name(row): {"kind": "fir", "taps": row["taps_n_per_m"], "period": period} for row in rows if row.get("taps_n_per_m")
+        _name(row): {"kind": "fir", "taps": row["taps_n_per_m"], "period": period}
+        for row in rows
+        if row.get("taps_n_per_m")
     }
     if not laws:
         return None
@@ -173,14 +244,19 @@ def _taps(row: Mapping[str, Any]) -> str:
 
 
 def _line(row: Mapping[str, Any]) -> str:
-    known = "believed rigid" if row["spread"] is None else f"joint to {100 * (row['spread'] - 1):.0f} %"
+    known = (
+        "believed rigid" if row["spread"] is None else f"joint to {100 * (row['spread'] - 1):.0f} %"
+    )
     asked = "lands, every sequence" if row["lands"] else "poles alone"
     start = f"{known:22} {_held(row['hand']):24} {asked:22}"
     if row["h1_n_per_m"] is None:
         return f"{start} {'no law':>10}"
     verdict = "stable" if row["radius"] < 1.0 else f"UNSTABLE, pole radius {row['radius']:.3f}"
     proof = "" if row["certified"] else ", NOT certified for every sequence of delays"
-    return f"{start} {row['h1_n_per_m']:10.5g}  {verdict}, {row['drops_settled']} drops settle{proof}; {_taps(row)}"
+    return (
+        f"{start} {row['h1_n_per_m']:10.5g}  {verdict}, {row['drops_settled']} drops settle{proof};"
+        f" {_taps(row)}"
+    )
 
 
 def _held(hand: float) -> str:
@@ -193,14 +269,30 @@ def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
     figure = new_figure(7.0, 4.0)
     axes = figure.subplots()
     for lands, hand in sorted({(row["lands"], row["hand"]) for row in rows}):
-        known = [row for row in rows if (row["lands"], row["hand"]) == (lands, hand) and row["spread"] is not None]
+        known = [
+            row
+            for row in rows
+            if (row["lands"], row["hand"]) == (lands, hand) and row["spread"] is not None
+        ]
         felt = [math.nan if row["h1_n_per_m"] is None else row["h1_n_per_m"] for row in known]
         look: Any = {"marker": "o" if hand == 0.0 else "s", "ls": "-" if lands else ":"}
         label = f"{_held(hand)}, {'lands, every sequence of delays' if lands else 'poles alone'}"
         axes.plot([100.0 * (row["spread"] - 1.0) for row in known], felt, label=label, **look)
-    none = [100.0 * (row["spread"] - 1.0) for row in rows if row["spread"] is not None and row["h1_n_per_m"] is None]
+    none = [
+        100.0 * (row["spread"] - 1.0)
+        for row in rows
+        if row["spread"] is not None and row["h1_n_per_m"] is None
+    ]
     if none:
-        axes.plot(none, [0.0] * len(none), marker="x", ls="", color=BAD, clip_on=False, label="no law found")
+        axes.plot(
+            none,
+            [0.0] * len(none),
+            marker="x",
+            ls="",
+            color=BAD,
+            clip_on=False,
+            label="no law found",
+        )
     axes.set(
         xlabel=f"{', '.join(rows[0]['vary'])} of the joint known to ± [%]",
         ylabel="H(1) of the designed law [N/m]",

@@ -1,7 +1,8 @@
 """Haptic virtual coupling, from Python: ``import haptic``, then tab.
 
-``haptic.launch("floor_drop", stiffness=1500)`` starts the loop in processes of its own, ``haptic.play`` plays it in this one,
-``haptic.k_max`` and ``haptic.poles`` tell what is stable. Everything is loaded when it is first used.
+``haptic.launch("floor_drop", stiffness=1500)`` starts the loop in processes of its own,
+``haptic.play`` plays it in this one, ``haptic.k_max`` and ``haptic.poles`` tell what is stable.
+Everything is loaded when it is first used.
 """
 
 from __future__ import annotations
@@ -64,7 +65,9 @@ _HOME = {name: module for module, names in _NAMES.items() for name in names}
 
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
-        raise AttributeError(f"module 'haptic' has no attribute {name!r}; it has {', '.join(__all__)}")
+        raise AttributeError(
+            f"module 'haptic' has no attribute {name!r}; it has {', '.join(__all__)}"
+        )
     found = getattr(importlib.import_module(_HOME[name]), name)
     globals()[name] = found
     return found

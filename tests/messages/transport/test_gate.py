@@ -62,7 +62,8 @@ class Guarded:
         self.reply.close(linger=0)
 
 
-# -- what nobody can end ------------------------------------------------------------------------------------------------
+# -- what nobody can end
+# ------------------------------------------------------------------------------------------------
 
 VISITED = """
 import sys, threading, time
@@ -101,17 +102,28 @@ print("ended", flush=True)
 
 
 @pytest.mark.parametrize("which", ["hop", "listeners", "open port", "requests"])
-def test_no_listener_however_unruly_ends_the_process(context: Context, place: str, which: str) -> None:
+def test_no_listener_however_unruly_ends_the_process(
+    context: Context, place: str, which: str
+) -> None:
     """ZeroMQ aborts (``!_io_error``) when it writes a heartbeat to a peer that left while its input was stopped."""
-    places = {"hop": place, "listeners": place + "l", "open port": f"tcp://127.0.0.1:{free_ports(1)}", "requests": place + "c"}
+    places = {
+        "hop": place,
+        "listeners": place + "l",
+        "open port": f"tcp://127.0.0.1:{free_ports(1)}",
+        "requests": place + "c",
+    }
     command = [sys.executable, "-c", VISITED, *places.values()]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
         try:
             assert process.stdout is not None
             assert process.stdout.readline() == "ready\n"
             chance = random.Random(22)  # noqa: S311  # misbehaviour, not secrets
             for _ in range(120):
-                assert visit(places[which], chance, requests=which == "requests"), f"ended: {process.poll()}"
+                assert visit(places[which], chance, requests=which == "requests"), (
+                    f"ended: {process.poll()}"
+                )
             with context.socket(zmq.REQ) as asking:
                 connect(asking, places["requests"])
                 asking.send(b"alive?")
@@ -158,13 +170,16 @@ def test_a_listener_that_fills_the_memory_of_an_open_port_is_put_out(
     port.close(0)
 
 
-# -- who --------------------------------------------------------------------------------------------------------------
+# -- who
+# --------------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
 def encrypted(context: Context, me: Identity) -> Iterator[Guarded]:
     port = free_ports(2)
-    made = Guarded(context, f"tcp://127.0.0.1:{port}#{me.public}", f"tcp://127.0.0.1:{port + 1}#{me.public}")
+    made = Guarded(
+        context, f"tcp://127.0.0.1:{port}#{me.public}", f"tcp://127.0.0.1:{port + 1}#{me.public}"
+    )
     yield made
     made.close()
 
@@ -204,7 +219,14 @@ def take_away(how: str, folder: Path) -> None:
         (allowed / "third.key").chmod(0o600)
 
 
-WAYS = ["revoke", "rm -rf", "replace in place", "allow --replace", "open to others", "garbage beside it"]
+WAYS = [
+    "revoke",
+    "rm -rf",
+    "replace in place",
+    "allow --replace",
+    "open to others",
+    "garbage beside it",
+]
 
 
 @pytest.mark.parametrize("how", slowly(WAYS, but=["revoke", "replace in place"]))
@@ -226,7 +248,12 @@ def test_a_key_that_is_taken_away_ends_connections_and_lets_in_nobody(
     assert asking.poll(20_000)
     asking.recv()
     take_away(how, keys.key_dir())
-    wait_for(lambda: any(f"the key {other.public} is not allowed any more" in told for told in encrypted.denied), "it is told")
+    wait_for(
+        lambda: any(
+            f"the key {other.public} is not allowed any more" in told for told in encrypted.denied
+        ),
+        "it is told",
+    )
     wait_for(lambda: not encrypted.listeners(), "nobody is connected")
     drain(listener)
     assert not hears(encrypted, listener)
@@ -241,7 +268,9 @@ def test_a_key_that_is_taken_away_ends_connections_and_lets_in_nobody(
     own.close()
 
 
-def test_the_other_machines_connections_survive_a_revocation(encrypted: Guarded, context: Context, tmp_path: Path) -> None:
+def test_the_other_machines_connections_survive_a_revocation(
+    encrypted: Guarded, context: Context, tmp_path: Path
+) -> None:
     """All are on one address here, the hardest case: they stumble, and are let in again."""
     with as_somebody_else(tmp_path / "other") as other:
         pass
@@ -273,7 +302,10 @@ def test_revoke_on_the_command_line(tmp_path: Path, me: Identity) -> None:
     environment = {**os.environ}
     told = haptic(tmp_path, "keys", "revoke", "robbie", code=2, environment=environment).stderr
     assert "there is: robot" in told
-    assert "no longer allowed" in haptic(tmp_path, "keys", "revoke", "robot", environment=environment).stdout
+    assert (
+        "no longer allowed"
+        in haptic(tmp_path, "keys", "revoke", "robot", environment=environment).stdout
+    )
     assert keys.allowed() == {}
     with pytest.raises(KeyRefusedError, match="none"):
         keys.revoke("../identity")

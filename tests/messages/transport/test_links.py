@@ -64,7 +64,9 @@ class Ear:
 
 
 @pytest.mark.parametrize("size", [MAX_MESSAGE, MAX_MESSAGE + 1])
-def test_a_message_above_the_limit_costs_a_connection_but_not_the_link(context: Context, place: str, size: int) -> None:
+def test_a_message_above_the_limit_costs_a_connection_but_not_the_link(
+    context: Context, place: str, size: int
+) -> None:
     publisher, ear = Publisher(context, place), Ear(context, place)
     wait_for(ear.hears(publisher), "the publisher")
     publisher.send(b"/t", bytes(size))
@@ -76,7 +78,9 @@ def test_a_message_above_the_limit_costs_a_connection_but_not_the_link(context: 
     publisher.close(0)
 
 
-def test_a_publisher_respawned_after_a_message_above_the_limit_is_heard(context: Context, place: str) -> None:
+def test_a_publisher_respawned_after_a_message_above_the_limit_is_heard(
+    context: Context, place: str
+) -> None:
     publisher, ear = Publisher(context, place), Ear(context, place)
     wait_for(ear.hears(publisher), "the publisher")
     publisher.send(b"/t", bytes(MAX_MESSAGE + 1))
@@ -113,8 +117,12 @@ class Impostor:
             client.close()
 
 
-@pytest.mark.parametrize("greeting", [b"HTTP/1.1 200 OK\r\n\r\n" * 20, b"\xff" * 300, b"SSH-2.0-x\r\n"])
-def test_another_service_on_the_port_before_the_node(context: Context, me: Identity, greeting: bytes) -> None:
+@pytest.mark.parametrize(
+    "greeting", [b"HTTP/1.1 200 OK\r\n\r\n" * 20, b"\xff" * 300, b"SSH-2.0-x\r\n"]
+)
+def test_another_service_on_the_port_before_the_node(
+    context: Context, me: Identity, greeting: bytes
+) -> None:
     port = free_ports(1)
     impostor = Impostor(port, greeting)
     endpoint = f"tcp://127.0.0.1:{port}#{me.public}"
@@ -124,7 +132,9 @@ def test_another_service_on_the_port_before_the_node(context: Context, me: Ident
     assert_heard(context, endpoint, ear)
 
 
-def test_a_node_that_ends_in_the_middle_of_a_greeting_is_no_intruder(context: Context, place: str) -> None:
+def test_a_node_that_ends_in_the_middle_of_a_greeting_is_no_intruder(
+    context: Context, place: str
+) -> None:
     """`haptic stop` during the start of a launch was once told as an attack by oneself."""
     name = place.removeprefix("ipc://")
     with socket.socket(socket.AF_UNIX) as server:
@@ -164,7 +174,9 @@ def assert_heard(context: Context, endpoint: str, ear: Ear) -> None:
 
 
 @pytest.mark.parametrize("curve", [False, True])
-def test_a_publisher_without_the_key_in_place_of_a_killed_one(context: Context, me: Identity, curve: bool) -> None:
+def test_a_publisher_without_the_key_in_place_of_a_killed_one(
+    context: Context, me: Identity, curve: bool
+) -> None:
     port = free_ports(1)
     endpoint = f"tcp://127.0.0.1:{port}#{me.public}"
     other = new_context()
@@ -174,14 +186,19 @@ def test_a_publisher_without_the_key_in_place_of_a_killed_one(context: Context, 
             forger.curve_secretkey = zmq.curve_keypair()[1]
         forger.bind(f"tcp://127.0.0.1:{port}")
         ear = Ear(context, endpoint)
-        wait_for(lambda: ear.tended([one for one in ear.denied if "does not have the key" in one]), "who it is not")
+        wait_for(
+            lambda: ear.tended([one for one in ear.denied if "does not have the key" in one]),
+            "who it is not",
+        )
         # Long enough for ZeroMQ to give it up.
         wait_for(lambda: ear.tended(ear.told or len(ear.denied) > 2), "it goes on trying")
     other.term()
     assert_heard(context, endpoint, ear)
 
 
-def test_silence_is_told_with_the_state_of_the_link(context: Context, place: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_silence_is_told_with_the_state_of_the_link(
+    context: Context, place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("messages.transport.links.PATIENCE", 0.1)
     publisher, ear = Publisher(context, place), Ear(context, place)
     wait_for(ear.hears(publisher), "the publisher")
@@ -195,7 +212,9 @@ def test_silence_is_told_with_the_state_of_the_link(context: Context, place: str
     publisher.close(0)
 
 
-def test_who_is_connected_and_starved_is_waited_for(context: Context, place: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_is_connected_and_starved_is_waited_for(
+    context: Context, place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """It once was connected anew each 3 s, so that a loop on a starved machine never met again."""
     monkeypatch.setattr("messages.transport.links.SILENCE", 0.02)
     publisher, ear = Publisher(context, place), Ear(context, place)

@@ -50,10 +50,13 @@ nodes:
 """
 
 
-# -- files ---------------------------------------------------------------------------------------------------------------
+# -- files
+# ---------------------------------------------------------------------------------------------------------------
 
 
-def test_key_files_are_private_whatever_the_umask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_key_files_are_private_whatever_the_umask(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("HAPTIC_KEYS", str(tmp_path / "keys"))
     before = os.umask(0)
     try:
@@ -84,7 +87,14 @@ def test_links_damage_and_strangers_are_refused(me: Identity, tmp_path: Path) ->
     path.unlink()
     with pytest.raises(KeyRefusedError, match="haptic keys new"):
         keys.identity()
-    for text in ("", "x", f"{me.public}\n", f"{me.public}\n{me.public}\n", f"{me.secret} {me.public}", "\xff" * 40):
+    for text in (
+        "",
+        "x",
+        f"{me.public}\n",
+        f"{me.public}\n{me.public}\n",
+        f"{me.secret} {me.public}",
+        "\xff" * 40,
+    ):
         path.unlink(missing_ok=True)
         path.write_text(text, encoding="latin-1")
         path.chmod(0o600)
@@ -121,12 +131,19 @@ def test_keys_on_the_command_line(tmp_path: Path) -> None:
     assert "haptic keys new" in haptic(tmp_path, "keys", "list", environment=environment).stdout
     public = haptic(tmp_path, "keys", "new", environment=environment).stdout.split()[0]
     haptic(tmp_path, "keys", "allow", "10.0.0.2", public, environment=environment)
-    assert f"10.0.0.2      {public}" in haptic(tmp_path, "keys", "list", environment=environment).stdout
+    assert (
+        f"10.0.0.2      {public}"
+        in haptic(tmp_path, "keys", "list", environment=environment).stdout
+    )
     assert "--replace" in haptic(tmp_path, "keys", "new", code=2, environment=environment).stderr
-    assert "name" in haptic(tmp_path, "keys", "allow", "../x", public, code=2, environment=environment).stderr
+    assert (
+        "name"
+        in haptic(tmp_path, "keys", "allow", "../x", public, code=2, environment=environment).stderr
+    )
 
 
-# -- sockets -------------------------------------------------------------------------------------------------------------
+# -- sockets
+# -------------------------------------------------------------------------------------------------------------
 
 
 class Door:
@@ -189,7 +206,9 @@ def test_oneself_and_the_allowed_are_let_in(door: Door, context: Context, tmp_pa
     assert not door.denied
 
 
-def test_an_unknown_key_hears_and_asks_nothing_until_it_is_allowed(door: Door, context: Context, tmp_path: Path) -> None:
+def test_an_unknown_key_hears_and_asks_nothing_until_it_is_allowed(
+    door: Door, context: Context, tmp_path: Path
+) -> None:
     with as_somebody_else(tmp_path / "other") as other:
         listener = Subscription(context, [door.endpoint], [""])
         wait_for(denied(door, other.public), "the refusal, with the key")
@@ -241,7 +260,9 @@ def test_without_a_gate_nobody_is_let_in(context: Context, me: Identity) -> None
     publisher.close(0)
 
 
-def test_a_forger_bound_in_a_nodes_place_is_not_heard(context: Context, me: Identity, tmp_path: Path) -> None:
+def test_a_forger_bound_in_a_nodes_place_is_not_heard(
+    context: Context, me: Identity, tmp_path: Path
+) -> None:
     """The driver's side: it expects the key `me` at an endpoint where somebody else answers."""
     port = free_ports(1)
     told: list[str] = []
@@ -252,7 +273,9 @@ def test_a_forger_bound_in_a_nodes_place_is_not_heard(context: Context, me: Iden
         fake = Publisher(forgeries, f"tcp://127.0.0.1:{port}#{forger.public}")
         gate.start()
     links = Links(context, told.append, told.append)
-    victim = Subscription(context, [f"tcp://127.0.0.1:{port}#{me.public}"], [topics.FORCE], links=links)
+    victim = Subscription(
+        context, [f"tcp://127.0.0.1:{port}#{me.public}"], [topics.FORCE], links=links
+    )
     payload = encode(Force(seq=1, stamp=0.0, force=(0.0, 0.0, 99.0)))
 
     def forged() -> bool:
@@ -326,7 +349,8 @@ def test_a_replayed_request_is_not_heard(door: Door, context: Context, me: Ident
     wire.close()
 
 
-# -- a launch ------------------------------------------------------------------------------------------------------------
+# -- a launch
+# ------------------------------------------------------------------------------------------------------------
 
 
 def test_a_launch_over_curve_turns_strangers_away_and_goes_on(tmp_path: Path, me: Identity) -> None:
@@ -360,7 +384,9 @@ def test_a_launch_over_curve_turns_strangers_away_and_goes_on(tmp_path: Path, me
             figures = launch.finish(signal.SIGINT, code=None)
             assert figures["nodes"]["coupling"]["state"] == "finished"
             # Stale ones come of a busy machine; these would come of a stranger.
-            assert {figures["safety"]["refused"][why] for why in ("future", "replayed", "not_finite")} == {0}
+            assert {
+                figures["safety"]["refused"][why] for why in ("future", "replayed", "not_finite")
+            } == {0}
             assert node.wait(timeout=DEADLINE) == 0
             assert f"unknown key {other.public}" in (tmp_path / "node.txt").read_text()
         finally:
@@ -372,7 +398,9 @@ def test_a_launch_over_curve_turns_strangers_away_and_goes_on(tmp_path: Path, me
 def refused(folder: Path, text: str, environment: dict[str, Any]) -> str:
     scene = folder / "scene.yaml"
     scene.write_text(text)
-    return haptic(folder, "launch", str(scene), code=2, environment={**os.environ, **environment}).stderr
+    return haptic(
+        folder, "launch", str(scene), code=2, environment={**os.environ, **environment}
+    ).stderr
 
 
 def test_a_launch_abroad_without_keys_is_refused_with_what_to_do(tmp_path: Path) -> None:

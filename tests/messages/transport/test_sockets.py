@@ -18,7 +18,14 @@ import pytest
 import zmq
 
 from messages.transport.context import new_context
-from messages.transport.endpoints import EndpointRefusedError, bind, connect, is_open_place, is_remote, split
+from messages.transport.endpoints import (
+    EndpointRefusedError,
+    bind,
+    connect,
+    is_open_place,
+    is_remote,
+    split,
+)
 from messages.transport.open_port import OpenPort
 from messages.transport.sockets import Publisher, Subscription
 from messages.transport.waker import Waker
@@ -98,7 +105,9 @@ def test_a_context_ends_whatever_line_of_a_socket_s_life_a_signal_interrupts() -
 
 
 @pytest.mark.parametrize("wait", [0.0, 0.0003, 0.0021, 0.0179])
-def test_receive_until_waits_until_the_deadline_and_not_in_milliseconds(context: Context, place: str, wait: float) -> None:
+def test_receive_until_waits_until_the_deadline_and_not_in_milliseconds(
+    context: Context, place: str, wait: float
+) -> None:
     publisher, subscription = connected(context, place)
     late = []
     for _ in range(30):
@@ -106,8 +115,8 @@ def test_receive_until_waits_until_the_deadline_and_not_in_milliseconds(context:
         assert subscription.receive_until(deadline) is None
         late.append(time.monotonic() - deadline)
     assert min(late) >= 0.0, "never before the deadline"
-    # The best of thirty shows the resolution of the wait whatever else the machine does: whole milliseconds, as ZeroMQ's
-    # own time-outs are, would be 0.1 to 0.9 ms late every time.
+    # The best of thirty shows the resolution of the wait whatever else the machine does: whole
+    # milliseconds, as ZeroMQ's own time-outs are, would be 0.1 to 0.9 ms late every time.
     assert min(late) < 0.0005
     publisher.send(b"/t", b"x")
     assert subscription.receive_until(time.monotonic() + 20.0) == (b"/t", b"x")
@@ -139,7 +148,9 @@ def test_receive_until_loses_no_wake_up(context: Context, place: str) -> None:
 
 @pytest.mark.parametrize("frames", [1, 3, 4, 5, 9])
 @pytest.mark.parametrize("until", [False, True])
-def test_messages_of_another_number_of_frames(context: Context, place: str, frames: int, until: bool) -> None:
+def test_messages_of_another_number_of_frames(
+    context: Context, place: str, frames: int, until: bool
+) -> None:
     rogue = context.socket(zmq.XPUB)
     bind(rogue, place)
     subscription = Subscription(context, [place], [""])
@@ -152,13 +163,18 @@ def test_messages_of_another_number_of_frames(context: Context, place: str, fram
     rogue.send_multipart((b"/end", b""))
     got = []
     while (b"/end", b"") not in got:
-        found = subscription.receive_until(time.monotonic() + 20.0) if until else subscription.receive(20_000)
+        found = (
+            subscription.receive_until(time.monotonic() + 20.0)
+            if until
+            else subscription.receive(20_000)
+        )
         assert found is not None
         got.append(found)
         if until and found != good:
             # As the nodes do when it is not the topic they expect or its payload is refused.
             subscription.resynchronise()
-    # At most the message next to a wrong one is lost with it, and what comes after is in step again.
+    # At most the message next to a wrong one is lost with it, and what comes after is in step
+    # again.
     assert got.count(good) >= 3 * 2
     if not until:
         # A lone frame is told as no message.
@@ -193,10 +209,14 @@ for line in sys.stdin:
 """
 
 
-def test_a_publisher_started_again_after_a_kill_is_heard_again(context: Context, place: str) -> None:
+def test_a_publisher_started_again_after_a_kill_is_heard_again(
+    context: Context, place: str
+) -> None:
     subscription = Subscription(context, [place], ["/t"])
     for life in ("first", "second", "third"):
-        process = subprocess.Popen([sys.executable, "-c", PUBLISH, place], stdin=subprocess.PIPE, text=True)
+        process = subprocess.Popen(
+            [sys.executable, "-c", PUBLISH, place], stdin=subprocess.PIPE, text=True
+        )
 
         def heard(to: IO[str] | None = process.stdin, life: str = life) -> bool:
             print(life, file=to, flush=True)
@@ -212,7 +232,14 @@ def test_a_publisher_started_again_after_a_kill_is_heard_again(context: Context,
 
 @pytest.mark.parametrize(
     "endpoint",
-    ["tcp://10.0.0.2:5600", "tcp://*:5600", "tcp://0.0.0.0:5600", "tcp://eth0:5600", "tcp://[::]:5600", "tcp://host:1"],
+    [
+        "tcp://10.0.0.2:5600",
+        "tcp://*:5600",
+        "tcp://0.0.0.0:5600",
+        "tcp://eth0:5600",
+        "tcp://[::]:5600",
+        "tcp://host:1",
+    ],
 )
 def test_tcp_off_loopback_needs_a_key(endpoint: str, context: Context) -> None:
     with pytest.raises(EndpointRefusedError, match="haptic keys new"):
@@ -225,9 +252,16 @@ def test_tcp_off_loopback_needs_a_key(endpoint: str, context: Context) -> None:
     assert split(f"{endpoint}#{KEY}") == (endpoint, KEY)
 
 
-@pytest.mark.parametrize("endpoint", ["tcp://127.0.0.1:5600", "tcp://127.8.9.1:1", "tcp://[::1]:5600", "tcp://localhost:2"])
+@pytest.mark.parametrize(
+    "endpoint",
+    ["tcp://127.0.0.1:5600", "tcp://127.8.9.1:1", "tcp://[::1]:5600", "tcp://localhost:2"],
+)
 def test_loopback_is_shared_by_all_users_and_needs_one_too(endpoint: str, context: Context) -> None:
-    for use in (split, lambda place: Publisher(context, place), lambda place: Subscription(context, [place], [""])):
+    for use in (
+        split,
+        lambda place: Publisher(context, place),
+        lambda place: Subscription(context, [place], [""]),
+    ):
         with pytest.raises(EndpointRefusedError, match="haptic keys new"):
             use(endpoint)
     assert split(f"{endpoint}#{KEY}") == (endpoint, KEY)
@@ -254,7 +288,9 @@ def test_what_is_opened_to_all_can_only_be_listened_to(context: Context) -> None
         OpenPort(context, "tcp://10.0.0.2:5600", print)
 
 
-@pytest.mark.parametrize("endpoint", ["udp://127.0.0.1:1", "inproc://x", "nonsense", "tcp://127.0.0.1:5600#abc"])
+@pytest.mark.parametrize(
+    "endpoint", ["udp://127.0.0.1:1", "inproc://x", "nonsense", "tcp://127.0.0.1:5600#abc"]
+)
 def test_other_endpoints_are_refused(endpoint: str) -> None:
     with pytest.raises(ValueError, match=r"ipc://|key"):
         split(endpoint)
@@ -268,8 +304,12 @@ def test_a_taken_address_is_told(context: Context) -> None:
     first.close(linger=0)
 
 
-def test_the_directory_of_the_sockets_is_private(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(Path(place.removeprefix("ipc://")).with_name("haptic")))
+def test_the_directory_of_the_sockets_is_private(
+    place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(
+        "HAPTIC_RUNTIME_DIR", str(Path(place.removeprefix("ipc://")).with_name("haptic"))
+    )
     before = os.umask(0)
     try:
         assert runtime_dir().stat().st_mode & 0o777 == 0o700
@@ -280,7 +320,9 @@ def test_the_directory_of_the_sockets_is_private(place: str, monkeypatch: pytest
         new_run_dir("r")
 
 
-def test_a_hostile_directory_made_before_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hostile_directory_made_before_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     trap = tmp_path / "trap"
     trap.mkdir(mode=0o700)
     (tmp_path / "link").symlink_to(trap)
@@ -297,7 +339,9 @@ def test_a_hostile_directory_made_before_is_refused(tmp_path: Path, monkeypatch:
             runtime_dir()
 
 
-def test_a_wait_without_end_is_ended_from_another_thread_and_by_nobody_else(context: Context, place: str) -> None:
+def test_a_wait_without_end_is_ended_from_another_thread_and_by_nobody_else(
+    context: Context, place: str
+) -> None:
     publisher, subscription = connected(context, place, "/t")
     waker = Waker(context, b"/t")
     subscription.woken_by(waker)
@@ -306,7 +350,8 @@ def test_a_wait_without_end_is_ended_from_another_thread_and_by_nobody_else(cont
     thread.start()
     assert subscription.next_frame() == waker.frame
     thread.join()
-    # Waking is no message: neither for whoever takes whole ones, nor for those who count subscriptions.
+    # Waking is no message: neither for whoever takes whole ones, nor for those who count
+    # subscriptions.
     waker.wake()
     assert subscription.receive(1000) is None
     assert publisher.listeners() == 1

@@ -82,7 +82,9 @@ def test_a_change_is_applied_once_between_two_ticks() -> None:
 
 def test_what_the_loop_does_not_take_up_is_withdrawn_for_good() -> None:
     node = Amplifier()
-    with pytest.raises(ParameterError, match=r"not taken up by the loop within 0\.1 s; nothing was changed"):
+    with pytest.raises(
+        ParameterError, match=r"not taken up by the loop within 0\.1 s; nothing was changed"
+    ):
         node.changes.hand_over(lambda seq: node.applied.append((seq, 0.0)), timeout=0.1)
     node.between_ticks(1)
     assert node.applied == []
@@ -95,8 +97,12 @@ def test_a_node_that_has_finished_refuses_at_once() -> None:
         node.changes.hand_over(lambda seq: seq, timeout=1e6)
 
 
-@pytest.mark.parametrize(("gain", "told"), [(10.5, "limit 10"), (5.5, "limit 5 just now"), (float("nan"), "finite")])
-def test_what_is_refused_on_either_side_changes_nothing_and_the_loop_goes_on(gain: float, told: str) -> None:
+@pytest.mark.parametrize(
+    ("gain", "told"), [(10.5, "limit 10"), (5.5, "limit 5 just now"), (float("nan"), "finite")]
+)
+def test_what_is_refused_on_either_side_changes_nothing_and_the_loop_goes_on(
+    gain: float, told: str
+) -> None:
     node = Amplifier()
     before = node.store.current
     with ticking(node):
@@ -113,7 +119,8 @@ def test_a_change_that_a_scheduled_one_overtakes_is_made_again_from_the_newer_pa
     scheduled = [0]
 
     def schedule(seq: int) -> None:
-        # As a scheduled swap does, the loop itself changes a parameter, at every tick until three attempts are overtaken.
+        # As a scheduled swap does, the loop itself changes a parameter, at every tick until three
+        # attempts are overtaken.
         if 0 < len(made) < 4:
             scheduled.append(seq)
             node.store.accept(msgspec.structs.replace(node.store.current, scheduled=seq))

@@ -68,7 +68,9 @@ def test_forty_ends_in_a_row(context: Context) -> None:
             assert control.stop()
 
 
-def test_a_request_without_an_end_does_not_hold_up_the_node(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_request_without_an_end_does_not_hold_up_the_node(
+    context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(control_thread, "END_TIMEOUT", 0.2)
     begun, release = threading.Event(), threading.Event()
 
@@ -120,7 +122,9 @@ def test_half_a_request_of_one_who_is_gone_costs_nobody_an_answer(context: Conte
         # Only then the node looks at them.
         control.start()
         for _ in range(5):
-            assert "monotonic_s" in call(context, f"ipc://{folder}/n.ctl", "clock", timeout=DEADLINE)
+            assert "monotonic_s" in call(
+                context, f"ipc://{folder}/n.ctl", "clock", timeout=DEADLINE
+            )
         assert control._node.events.refused > 0
         assert control.stop()
 
@@ -130,9 +134,15 @@ def test_descriptors_that_run_out_end_no_loop_with_a_force_on(tmp_path: Path) ->
     with running(tmp_path, "wall_press", "duration:=0") as launch:
         driver = launch.run.nodes["driver"].control
         pid = launch.pid("driver")
-        number, before = len(os.listdir(f"/proc/{pid}/fd")), resource.prlimit(pid, resource.RLIMIT_NOFILE)
+        number, before = (
+            len(os.listdir(f"/proc/{pid}/fd")),
+            resource.prlimit(pid, resource.RLIMIT_NOFILE),
+        )
         resource.prlimit(pid, resource.RLIMIT_NOFILE, (number, before[1]))
-        wait_for(lambda: resource.prlimit(pid, resource.RLIMIT_NOFILE) == (before[1],) * 2, "the node takes what it may")
+        wait_for(
+            lambda: resource.prlimit(pid, resource.RLIMIT_NOFILE) == (before[1],) * 2,
+            "the node takes what it may",
+        )
         with contextlib.ExitStack() as held:
             for _ in range(50):
                 client = held.enter_context(socket.socket(socket.AF_UNIX))
@@ -145,13 +155,18 @@ def test_descriptors_that_run_out_end_no_loop_with_a_force_on(tmp_path: Path) ->
         # Now there is no more to be had.
         resource.prlimit(pid, resource.RLIMIT_NOFILE, (number, number))
         launch.finish(code=1)
-        assert f"[driver] descriptors: of {number} descriptors, the limit (ulimit -n), too few are left" in launch.errors
+        assert (
+            f"[driver] descriptors: of {number} descriptors, the limit (ulimit -n), too few are"
+            " left" in launch.errors
+        )
         assert "SIGABRT" not in launch.errors
         # It ended in order: force down to zero, device closed.
         assert launch.figures["safety"]["soft_stop_ticks"] > 0
 
 
-def test_a_flooded_node_without_a_launcher_ends_by_its_lease(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_flooded_node_without_a_launcher_ends_by_its_lease(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Strangers keep every place that they are given, and keep coming; the lease is the node's own clock."""
     monkeypatch.setenv("HAPTIC_KEYS", str(tmp_path / "keys"))
     me = keys.new_identity()
@@ -176,7 +191,10 @@ def test_a_flooded_node_without_a_launcher_ends_by_its_lease(tmp_path: Path, mon
                 by_hand=True,
                 patience=1.0,
             )
-            wait_for(lambda: b"waiting for its launcher" in (tmp_path / "err").read_bytes(), "the node waits")
+            wait_for(
+                lambda: b"waiting for its launcher" in (tmp_path / "err").read_bytes(),
+                "the node waits",
+            )
             call(context, control, "configure", timeout=DEADLINE, setup=msgspec.to_builtins(setup))
             clients: list[socket.socket] = []
 
@@ -192,7 +210,8 @@ def test_a_flooded_node_without_a_launcher_ends_by_its_lease(tmp_path: Path, mon
             wait_for(keep_coming, "the node ends by its lease")
             for client in clients:
                 client.close()
-            # By its lease, or because so many took the last of its descriptors: in order both times.
+            # By its lease, or because so many took the last of its descriptors: in order both
+            # times.
             assert node.returncode in (0, 1)
             assert "launcher lost: no request for 2 s" in (tmp_path / "err").read_text()
         finally:

@@ -9,7 +9,9 @@ import pytest
 from nodes.base import hang_watchdog
 
 
-def test_what_begins_has_not_stood_however_long_the_wait_before(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_begins_has_not_stood_however_long_the_wait_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A driver that waited long for its start was once taken to hang in its first ticks."""
     clock = [0.0]
     monkeypatch.setattr(hang_watchdog, "time", SimpleNamespace(monotonic=lambda: clock[0]))

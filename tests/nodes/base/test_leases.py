@@ -13,20 +13,30 @@ from nodes.base.leases import Leases
 from nodes.parameters.store import ParameterError
 
 
-def leases_of(path: Path | None = None) -> tuple[Leases, list[tuple[str, Mapping[str, Any]]], dict[str, Any]]:
+def leases_of(
+    path: Path | None = None,
+) -> tuple[Leases, list[tuple[str, Mapping[str, Any]]], dict[str, Any]]:
     """Return the leases of a node, what they had it do, and their operations by the last part of their names."""
     done: list[tuple[str, Mapping[str, Any]]] = []
     leases = Leases("coupling", lambda op, args: done.append((op, args)), path)
-    return leases, done, {name.removeprefix("lease."): run for name, run in leases.operations().items()}
+    return (
+        leases,
+        done,
+        {name.removeprefix("lease."): run for name, run in leases.operations().items()},
+    )
 
 
-def test_a_lease_that_somebody_holds_is_taken_by_nobody_else(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lease_that_somebody_holds_is_taken_by_nobody_else(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The second one replaced it, and put back at its end what the first had only borrowed."""
     leases, _, operations = leases_of()
     take, end = operations["take"], operations["end"]
     asked = {"name": "borrowed", "seconds": 5.0, "then": "law.switch"}
     take(**asked, args={"law": "pd"})
-    with pytest.raises(ParameterError, match=r"coupling: lease 'borrowed' is held by somebody else; .* 5 s after"):
+    with pytest.raises(
+        ParameterError, match=r"coupling: lease 'borrowed' is held by somebody else; .* 5 s after"
+    ):
         take(**asked, args={"law": "trial"})
     # Not even one that has run out, before what was agreed is done.
     now = time.monotonic()
@@ -48,11 +58,17 @@ def test_whoever_held_one_before_neither_renews_nor_ends_that_of_another() -> No
     assert renew(names=["borrowed"], holder="first") == {"run_out": []}
     assert end(names=["borrowed"], holder="first") == {"run_out": []}
     take(**asked, holder="second")
-    assert renew(names=["borrowed"], holder="first") == end(names=["borrowed"], holder="first") == {"run_out": ["borrowed"]}
+    assert (
+        renew(names=["borrowed"], holder="first")
+        == end(names=["borrowed"], holder="first")
+        == {"run_out": ["borrowed"]}
+    )
     assert end(names=["borrowed"], holder="second") == {"run_out": []}
 
 
-def test_a_change_is_made_under_its_own_lease_and_refused_under_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_change_is_made_under_its_own_lease_and_refused_under_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A client that was held up set its law again after the lease had run out, and nothing ever reverted that."""
     leases, done, operations = leases_of()
     take, change, end = (operations[name] for name in ("take", "change", "end"))
@@ -81,7 +97,9 @@ def test_a_change_is_made_under_its_own_lease_and_refused_under_none(monkeypatch
     assert done == [("law.switch", {"law": "trial"})]
 
 
-def test_a_lease_outlives_the_process_of_its_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lease_outlives_the_process_of_its_node(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A coupling that was started again while a law was on trial went on with it for good: its parameters outlive it too."""
     path = tmp_path / "coupling.leases"
     _, _, operations = leases_of(path)
@@ -91,7 +109,9 @@ def test_a_lease_outlives_the_process_of_its_node(tmp_path: Path, monkeypatch: p
     operations["end"](names=["ended"], holder="first")
     again, done, operations = leases_of(path)
     # Its holder goes on with it, another one does not.
-    assert operations["renew"](names=["ended", "borrowed"], holder="first") == {"run_out": ["ended"]}
+    assert operations["renew"](names=["ended", "borrowed"], holder="first") == {
+        "run_out": ["ended"]
+    }
     assert operations["renew"](names=["borrowed"], holder="second") == {"run_out": ["borrowed"]}
     operations["change"](name="borrowed", operation="param.set", args={}, holder="first")
     assert done == [("param.set", {})]

@@ -39,7 +39,9 @@ def coupling(**more: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("policy", ["refuse", "changes", "warn"])
-def test_a_law_that_was_taken_by_force_renders_again(policy: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_law_that_was_taken_by_force_renders_again(
+    policy: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     given = coupling(stability=policy)
     node = started_again(Coupling, tmp_path, UNSTABLE, **given)
     assert node.store.get("laws.pd.stiffness") == 1e6
@@ -59,7 +61,9 @@ def test_a_device_that_was_withdrawn_leaves_nobody_without_a_law(tmp_path: Path)
 
 def test_a_guard_that_was_set_while_it_ran_can_be_taken_away(tmp_path: Path) -> None:
     given = {"parameters": {"device": {"mass": 0.1}}}
-    node = started_again(SimDriver, tmp_path, {"passivity": {"guard": "on", "allowance": 0.01}}, **given)
+    node = started_again(
+        SimDriver, tmp_path, {"passivity": {"guard": "on", "allowance": 0.01}}, **given
+    )
     assert node.driving.guard_on == 1
     node.prepare(node.store.changed({"passivity": None}))(0)
     assert node.driving.guard_on == 0

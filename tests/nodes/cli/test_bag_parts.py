@@ -19,7 +19,9 @@ from tests.support.launching import Running, launch_json, running, typed, wait_f
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("drop")
-    return folder / str(launch_json(folder, "floor_drop", "pace:=lockstep", "duration:=1")["recording"])
+    return folder / str(
+        launch_json(folder, "floor_drop", "pace:=lockstep", "duration:=1")["recording"]
+    )
 
 
 def test_a_cut_holds_the_while_and_no_more(path: Path, tmp_path: Path) -> None:
@@ -60,17 +62,29 @@ def test_a_filter_takes_whole_names_and_patterns(path: Path, tmp_path: Path) -> 
         (["play", "--start-offset", "1000"], "it lasts"),
     ],
 )
-def test_what_cannot_be_is_refused(path: Path, capsys: pytest.CaptureFixture[str], words: list[str], told: str) -> None:
+def test_what_cannot_be_is_refused(
+    path: Path, capsys: pytest.CaptureFixture[str], words: list[str], told: str
+) -> None:
     assert main(["bag", words[0], str(path), *words[1:]]) != 0
     assert told in capsys.readouterr().err
     assert not path.with_suffix(".cut.mcap").exists()
 
 
-def test_play_begins_later_and_under_other_names(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_play_begins_later_and_under_other_names(
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     whole = Recording(path)
     half = whole.wall_duration / 2.0
     times = [entry.log_time for entry in whole.entries([FORCE])]
-    words = ["-r", "inf", "--start-offset", str(half), "--remap", f"{FORCE}:=/replayed/force", "--json"]
+    words = [
+        "-r",
+        "inf",
+        "--start-offset",
+        str(half),
+        "--remap",
+        f"{FORCE}:=/replayed/force",
+        "--json",
+    ]
     assert main(["bag", "play", str(path), *words, "--endpoint", f"ipc://{tmp_path}/p"]) == 0
     published = json.loads(capsys.readouterr().out.splitlines()[-1])["published"]
     assert FORCE not in published
@@ -79,13 +93,27 @@ def test_play_begins_later_and_under_other_names(path: Path, tmp_path: Path, cap
 
 @pytest.fixture(scope="module")
 def wall(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    with running(tmp_path_factory.mktemp("wall"), "ros2_wall", "--without", "ros2", "--debug") as launch:
+    with running(
+        tmp_path_factory.mktemp("wall"), "ros2_wall", "--without", "ros2", "--debug"
+    ) as launch:
         yield launch
 
 
 def test_patterns_choose_what_is_recorded(wall: Running, tmp_path: Path) -> None:
     out = tmp_path / "r.mcap"
-    typed(wall, "bag", "record", "-e", "/(state|force)$", "-x", "force", "--out", str(out), "--duration", "0.3")
+    typed(
+        wall,
+        "bag",
+        "record",
+        "-e",
+        "/(state|force)$",
+        "-x",
+        "force",
+        "--out",
+        str(out),
+        "--duration",
+        "0.3",
+    )
     assert set(Recording(out).topics) == {DEVICE_STATE}
 
 
@@ -93,20 +121,33 @@ def test_a_force_from_outside_reaches_the_device(wall: Running) -> None:
     # From 2.3 s on the hand rests before the wall, and the law gives nothing.
     wait_for(lambda: wall.ticks() > 1300, "the hand to rest")
     words = ("topic", "pub", "/external/wrench", "{force: [0.25, 0, 0]}", "-r", "100", "-t", "300")
-    with beside(*words, cwd=wall.folder, env=wall.environment, stdout=subprocess.DEVNULL) as pushing:
+    with beside(
+        *words, cwd=wall.folder, env=wall.environment, stdout=subprocess.DEVNULL
+    ) as pushing:
         try:
             echo = ("topic", "echo", "/device/state", "--field", "force[0]")
             wait_for(lambda: typed(wall, *echo, "--once").stdout.strip() == "0.25", "the force")
         finally:
             pushing.kill()
-    wait_for(lambda: typed(wall, *echo, "--once").stdout.strip() == "0.0", "the force to be gone when it is not renewed")
+    wait_for(
+        lambda: typed(wall, *echo, "--once").stdout.strip() == "0.0",
+        "the force to be gone when it is not renewed",
+    )
 
 
 def test_what_cannot_be_published_is_refused(wall: Running) -> None:
-    assert "published 1" in typed(wall, "topic", "pub", "/external/target", "[0.005, 0, 0]", "--once").stdout
-    for topic, why in (("/device/state", "each tick has one"), ("/nothing", "there are /external/wrench")):
+    assert (
+        "published 1"
+        in typed(wall, "topic", "pub", "/external/target", "[0.005, 0, 0]", "--once").stdout
+    )
+    for topic, why in (
+        ("/device/state", "each tick has one"),
+        ("/nothing", "there are /external/wrench"),
+    ):
         assert why in typed(wall, "topic", "pub", topic, "[0, 0, 0]", code=2).stderr
-    assert "force" in typed(wall, "topic", "pub", "/external/wrench", "{force: [0, 0]}", code=2).stderr
+    assert (
+        "force" in typed(wall, "topic", "pub", "/external/wrench", "{force: [0, 0]}", code=2).stderr
+    )
 
 
 def test_debug_tells_the_launch_and_its_processes(wall: Running) -> None:

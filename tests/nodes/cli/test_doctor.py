@@ -27,14 +27,31 @@ def test_this_machine_can_run_a_loop_and_each_remedy_belongs_to_a_finding(tmp_pa
         figures = examined(tmp_path, 0, HAPTIC_RUNTIME_DIR=str(runtime_dir))
     assert figures["fine"] is True
     names = {check["name"] for check in figures["checks"]}
-    assert {"SCHED_FIFO", "processors", "timer slack", "wake-ups", "RT throttling", "CPU governor", "kernel"} <= names
-    assert {"compiled tick", "locked memory", "open files", "runtime directory", "ZeroMQ", "Python"} <= names
+    assert {
+        "SCHED_FIFO",
+        "processors",
+        "timer slack",
+        "wake-ups",
+        "RT throttling",
+        "CPU governor",
+        "kernel",
+    } <= names
+    assert {
+        "compiled tick",
+        "locked memory",
+        "open files",
+        "runtime directory",
+        "ZeroMQ",
+        "Python",
+    } <= names
     for check in figures["checks"]:
         assert check["found"]
         assert (check["state"] == "ok") == (check["remedy"] == "")
     wake_up = figures["wake_up_us"]["normal"]
     assert 0.0 < wake_up["p50"] <= max(wake_up.values())
-    granted = next(check["state"] == "ok" for check in figures["checks"] if check["name"] == "SCHED_FIFO")
+    granted = next(
+        check["state"] == "ok" for check in figures["checks"] if check["name"] == "SCHED_FIFO"
+    )
     assert ("fifo" in figures["wake_up_us"]) == granted
 
 
@@ -71,15 +88,18 @@ def test_wake_ups_are_ordered() -> None:
     assert 0.0 < late["p50"] <= late["p99"] <= late["max"]
 
 
-@pytest.mark.parametrize(("counts", "expected"), [((5, 900), 0), ((900, 5), 1), ((7, 7), 1), ((0, 1), 0)])
+@pytest.mark.parametrize(
+    ("counts", "expected"), [((5, 900), 0), ((900, 5), 1), ((7, 7), 1), ((0, 1), 0)]
+)
 def test_the_chain_gets_the_processor_that_devices_interrupt_least(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, counts: tuple[int, int], expected: int
 ) -> None:
     # Timers and calls between processors do not count, and processor 2 is not ours.
     table = tmp_path / "interrupts"
     table.write_text(
-        f"           CPU0       CPU1       CPU2\n 36: {counts[0]} {counts[1]} 0  PCI-MSIX virtio1-req.0\n"
-        " 38: 1 1 0 PCI-MSIX virtio2-input.0\nLOC: 1 99999 5 Local timer interrupts\nERR: 0\n"
+        f"           CPU0       CPU1       CPU2\n 36: {counts[0]} {counts[1]} 0  PCI-MSIX"
+        " virtio1-req.0\n 38: 1 1 0 PCI-MSIX virtio2-input.0\nLOC: 1 99999 5 Local timer"
+        " interrupts\nERR: 0\n"
     )
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     assert realtime.quietest_processor(str(table)) == expected
@@ -98,6 +118,8 @@ def test_an_interpreter_is_judged_by_what_is_known_of_its_build(
     prefix: str, flags: str, found: tuple[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "base_prefix", prefix)
-    monkeypatch.setattr("sysconfig.get_config_var", {"CONFIG_ARGS": flags, "PY_CORE_CFLAGS": ""}.get)
+    monkeypatch.setattr(
+        "sysconfig.get_config_var", {"CONFIG_ARGS": flags, "PY_CORE_CFLAGS": ""}.get
+    )
     python = interpreter()
     assert (python.state, python.found.split(", ")[-1]) == found

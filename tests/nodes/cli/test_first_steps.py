@@ -17,7 +17,9 @@ from tests.support.launching import HAPTIC, Running, haptic, launch_json
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
-    return folder / str(launch_json(folder, "floor_drop", "duration:=0.2", "pace:=lockstep")["recording"])
+    return folder / str(
+        launch_json(folder, "floor_drop", "duration:=0.2", "pace:=lockstep")["recording"]
+    )
 
 
 def test_the_summary_comes_before_the_picture(tmp_path: Path) -> None:
@@ -32,18 +34,24 @@ def test_the_summary_comes_before_the_picture(tmp_path: Path) -> None:
 def test_a_backend_that_is_not_there_does_not_stop_a_plot(recording: Path) -> None:
     out = recording.with_name("backend.png")
     environment = {**os.environ, "MPLBACKEND": "nonsense"}
-    haptic(recording.parent, "bag", "plot", str(recording), "--out", str(out), environment=environment)
+    haptic(
+        recording.parent, "bag", "plot", str(recording), "--out", str(out), environment=environment
+    )
     assert out.stat().st_size > 10_000
 
 
-def test_an_unknown_ending_is_no_directory(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_ending_is_no_directory(
+    recording: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = recording.with_name("x.foo")
     assert main(["bag", "export", str(recording), "--out", str(out)]) == 2
     assert "'foo' is no format" in capsys.readouterr().err
     assert not out.exists()
 
 
-def test_two_loggers_do_not_share_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_loggers_do_not_share_a_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     text = """
 summary: two loggers that record to the same place
 nodes:
@@ -82,7 +90,9 @@ def test_keys_that_cannot_be_written_are_told_in_words(tmp_path: Path) -> None:
     in_the_way = tmp_path / "file"
     in_the_way.write_text("")
     environment = {**os.environ, "HAPTIC_KEYS": str(in_the_way / "keys")}
-    done = subprocess.run([*HAPTIC, "keys", "new"], env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [*HAPTIC, "keys", "new"], env=environment, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 2
     assert "Errno" not in done.stderr
     assert str(in_the_way) in done.stderr

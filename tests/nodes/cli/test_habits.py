@@ -37,7 +37,9 @@ from tests.support.launching import HAPTIC, Running, private_runtime_dir, runnin
 @pytest.fixture(scope="module")
 def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     # Nothing here is a matter of the rate, and each tick of four processes costs.
-    with running(tmp_path_factory.mktemp("launch"), "floor_drop", "duration:=0", "rate:=250") as found:
+    with running(
+        tmp_path_factory.mktemp("launch"), "floor_drop", "duration:=0", "rate:=250"
+    ) as found:
         yield found
 
 
@@ -45,7 +47,8 @@ def told(launch: Running, *words: str, code: int = 0) -> Any:
     return json.loads(typed(launch, *words, "--json", code=code).stdout.splitlines()[-1])
 
 
-# -- topic -----------------------------------------------------------------------------------------------------------
+# -- topic
+# -----------------------------------------------------------------------------------------------------------
 
 
 def test_topic_options_of_ros2(launch: Running) -> None:
@@ -56,12 +59,16 @@ def test_topic_options_of_ros2(launch: Running) -> None:
     assert found["messages"] == 20
 
 
-# -- bag -------------------------------------------------------------------------------------------------------------
+# -- bag
+# -------------------------------------------------------------------------------------------------------------
 
 
 def test_a_topic_that_nobody_publishes_is_an_error(launch: Running, tmp_path: Path) -> None:
     out = tmp_path / "r.mcap"
-    for topic, hint in (("/nosuch", "there are /device/state"), ("/device/stat", "did you mean /device/state?")):
+    for topic, hint in (
+        ("/nosuch", "there are /device/state"),
+        ("/device/stat", "did you mean /device/state?"),
+    ):
         done = typed(launch, "bag", "record", topic, "--out", str(out), "--duration", "0.2", code=2)
         assert f"no topic '{topic}'" in done.stderr
         assert hint in done.stderr
@@ -70,7 +77,16 @@ def test_a_topic_that_nobody_publishes_is_an_error(launch: Running, tmp_path: Pa
 
 def test_topics_are_whole_names(launch: Running, tmp_path: Path) -> None:
     # As a prefix, ZeroMQ's way, /driver/status would be all that begins like it.
-    found = told(launch, "bag", "record", PROXY, "--out-dir", str(tmp_path / "new" / "folder"), "--duration", "0.3")
+    found = told(
+        launch,
+        "bag",
+        "record",
+        PROXY,
+        "--out-dir",
+        str(tmp_path / "new" / "folder"),
+        "--duration",
+        "0.3",
+    )
     path = Path(found["recording"])
     assert path.parent == tmp_path / "new" / "folder"
     assert set(Recording(path).topics) == {PROXY}
@@ -82,10 +98,14 @@ def test_topics_are_whole_names(launch: Running, tmp_path: Path) -> None:
 
 def test_a_launch_refuses_a_logger_of_topics_that_nothing_publishes(tmp_path: Path) -> None:
     scenario = tmp_path / "x.yaml"
-    text = (Path(main.__file__).parents[2] / "launch" / "two_loggers.yaml").read_text(encoding="utf-8")
+    text = (Path(main.__file__).parents[2] / "launch" / "two_loggers.yaml").read_text(
+        encoding="utf-8"
+    )
     assert "[/device/state, /environment/proxy" in text
     for wrong in ("/device", "/nobody/status"):
-        scenario.write_text(text.replace("[/device/state, ", f"[{wrong}, /device/state, "), encoding="utf-8")
+        scenario.write_text(
+            text.replace("[/device/state, ", f"[{wrong}, /device/state, "), encoding="utf-8"
+        )
         with private_runtime_dir() as runtime:
             done = subprocess.run(
                 [*HAPTIC, "launch", str(scenario)],
@@ -105,7 +125,18 @@ def test_play_loops_until_it_is_ended(launch: Running, tmp_path: Path) -> None:
     told(launch, "bag", "record", FORCE, "--out", str(path), "--duration", "0.2")
     once = Recording(path).topics[FORCE].messages
     with subprocess.Popen(
-        [*HAPTIC, "bag", "play", str(path), "-l", "-r", "inf", "--endpoint", f"ipc://{tmp_path}/p", "--json"],
+        [
+            *HAPTIC,
+            "bag",
+            "play",
+            str(path),
+            "-l",
+            "-r",
+            "inf",
+            "--endpoint",
+            f"ipc://{tmp_path}/p",
+            "--json",
+        ],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -113,7 +144,8 @@ def test_play_loops_until_it_is_ended(launch: Running, tmp_path: Path) -> None:
         assert process.stderr is not None
         try:
             assert "publishing" in process.stderr.readline()
-            # It never ends by itself: what has been published when it is interrupted is more than the file holds.
+            # It never ends by itself: what has been published when it is interrupted is more than
+            # the file holds.
             with pytest.raises(subprocess.TimeoutExpired):
                 process.wait(1.0)
             process.send_signal(signal.SIGINT)
@@ -124,14 +156,21 @@ def test_play_loops_until_it_is_ended(launch: Running, tmp_path: Path) -> None:
     assert published > once
 
 
-# -- param describe, launch -s, --out-dir ----------------------------------------------------------------------------
+# -- param describe, launch -s, --out-dir
+# ----------------------------------------------------------------------------
 
 
 def test_param_describe(launch: Running) -> None:
-    found = told(launch, "param", "describe", "coupling", "laws.pd.stiffness", "memory", "stability", "plant")
+    found = told(
+        launch, "param", "describe", "coupling", "laws.pd.stiffness", "memory", "stability", "plant"
+    )
     stiffness = found["parameters"]["laws.pd.stiffness"]
     assert stiffness["unit"] == "N/m"
-    assert (stiffness["type"], stiffness["limits"], stiffness["required"]) == ("number", "above 0", True)
+    assert (stiffness["type"], stiffness["limits"], stiffness["required"]) == (
+        "number",
+        "above 0",
+        True,
+    )
     assert found["parameters"]["memory"]["limits"] == "at least 2, at most 1e+06"
     assert found["parameters"]["memory"]["default"] == 2048
     assert found["parameters"]["stability"]["type"] == "one of changes, off, refuse, warn"
@@ -142,7 +181,10 @@ def test_param_describe(launch: Running) -> None:
     done = typed(launch, "param", "describe", "coupling", "laws.pd.stifness", code=2)
     assert "coupling.laws.pd.stifness: no such parameter" in done.stderr
     assert "did you mean stiffness?" in done.stderr
-    assert "nothing below memory" in typed(launch, "param", "describe", "coupling", "memory.x", code=2).stderr
+    assert (
+        "nothing below memory"
+        in typed(launch, "param", "describe", "coupling", "memory.x", code=2).stderr
+    )
 
 
 def test_every_parameter_of_every_node_is_described(launch: Running) -> None:
@@ -163,7 +205,16 @@ def test_launch_shows_its_arguments_by_s(capsys: pytest.CaptureFixture[str]) -> 
 def test_out_dir_takes_all_recordings_and_the_plot(tmp_path: Path) -> None:
     with private_runtime_dir() as runtime:
         done = subprocess.run(
-            [*HAPTIC, "launch", "two_loggers", "pace:=lockstep", "duration:=0.2", "--out-dir", "there/below", "--json"],
+            [
+                *HAPTIC,
+                "launch",
+                "two_loggers",
+                "pace:=lockstep",
+                "duration:=0.2",
+                "--out-dir",
+                "there/below",
+                "--json",
+            ],
             cwd=tmp_path,
             env={**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime)},
             capture_output=True,
@@ -175,13 +226,18 @@ def test_out_dir_takes_all_recordings_and_the_plot(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["there"]
     there = sorted(path.suffix for path in (tmp_path / "there" / "below").iterdir())
     assert there == [".mcap", ".mcap", ".png"]
-    assert all(path.startswith("there/below/") for path in [*figures["recordings"], figures["plot"]])
+    assert all(
+        path.startswith("there/below/") for path in [*figures["recordings"], figures["plot"]]
+    )
 
 
-# -- HAPTIC_RUN and stop ---------------------------------------------------------------------------------------------
+# -- HAPTIC_RUN and stop
+# ---------------------------------------------------------------------------------------------
 
 
-def test_the_run_may_be_named_once_for_all(launch: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_run_may_be_named_once_for_all(
+    launch: Running, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(launch.environment, "HAPTIC_RUN", "floor_drop")
     assert told(launch, "node", "list")["run"] == launch.run.run
     monkeypatch.setitem(launch.environment, "HAPTIC_RUN", "elsewhere")
@@ -205,7 +261,8 @@ def test_stop_ends_a_launch_in_order(tmp_path: Path) -> None:
         assert told(launch, "stop", "--all") == {"stopped": []}
 
 
-# -- completion ------------------------------------------------------------------------------------------------------
+# -- completion
+# ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -272,7 +329,8 @@ def test_scripts_are_taken_by_their_shells(shell: str, capsys: pytest.CaptureFix
         assert done.stdout.split() == ["play", "plot"]
 
 
-# -- the status line, and colours ------------------------------------------------------------------------------------
+# -- the status line, and colours
+# ------------------------------------------------------------------------------------
 
 
 @given(st.integers(1, 200), st.dictionaries(st.sampled_from(ORDER), st.text(max_size=30)))
@@ -289,14 +347,18 @@ def resize(terminal: int, columns: int) -> None:
     fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
 
 
-def on_terminal(words: list[str], columns: int, environment: dict[str, str], folder: Path, narrow: int = 0) -> str:
+def on_terminal(
+    words: list[str], columns: int, environment: dict[str, str], folder: Path, narrow: int = 0
+) -> str:
     """Run a command with a terminal of so many columns as its standard error; give what it wrote there.
 
     `narrow`: to so many columns it is made narrower when a law is shown, which is marked by a bell.
     """
     ours, theirs = pty.openpty()
     resize(theirs, columns)
-    with subprocess.Popen([*HAPTIC, *words], cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=theirs) as process:
+    with subprocess.Popen(
+        [*HAPTIC, *words], cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=theirs
+    ) as process:
         os.close(theirs)
         written = b""
         while process.poll() is None or select.select([ours], [], [], 0.0)[0]:
@@ -318,15 +380,25 @@ def test_the_status_line_fits_its_terminal(tmp_path: Path, columns: int) -> None
     with private_runtime_dir() as runtime:
         environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime), "TERM": "xterm"}
         words = ["launch", "floor_drop", "duration:=2.4", "--no-plot"]
-        written = on_terminal(words, columns, environment, tmp_path, narrow=40 if columns > 40 else 0)
-    # Where a narrower terminal breaks the line, the cursor stays at the beginning of the first piece: all of them are erased.
+        written = on_terminal(
+            words, columns, environment, tmp_path, narrow=40 if columns > 40 else 0
+        )
+    # Where a narrower terminal breaks the line, the cursor stays at the beginning of the first
+    # piece: all of them are erased.
     for line in written.split(ERASE)[1:-1]:
         assert line.endswith(("\r", "\r\a", "\n"))
     # (One may have been under way.)
     for line in written.partition("\a")[2].split(ERASE)[2:]:
         assert "\n" in line or len(re.sub(r"\x1b\[[0-9;]*m", "", line)) <= 40
-    lines = [re.sub(r"\x1b\[[0-9;]*m", "", line.strip("\r\a").split("\r\n")[0]) for line in written.split(ERASE)]
-    shown = [line for line in lines if "mm" in line and "position" not in line and not line.startswith("[")]
+    lines = [
+        re.sub(r"\x1b\[[0-9;]*m", "", line.strip("\r\a").split("\r\n")[0])
+        for line in written.split(ERASE)
+    ]
+    shown = [
+        line
+        for line in lines
+        if "mm" in line and "position" not in line and not line.startswith("[")
+    ]
     assert shown
     assert max(map(len, shown)) < columns
     # The mass comes to rest on the floor, 1 mm deep.
@@ -350,7 +422,11 @@ def test_colour_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_nothing_is_coloured_in_a_pipe(launch: Running) -> None:
-    for words, code in ((["topic", "list"], 0), (["topic", "echo", "/nosuch"], 2), (["node", "list"], 0)):
+    for words, code in (
+        (["topic", "list"], 0),
+        (["topic", "echo", "/nosuch"], 2),
+        (["node", "list"], 0),
+    ):
         done = launch.haptic(*words, code=code)
         assert "\x1b" not in done.stdout + done.stderr
 
@@ -358,19 +434,35 @@ def test_nothing_is_coloured_in_a_pipe(launch: Running) -> None:
 def test_stop_of_what_is_gone(tmp_path: Path) -> None:
     with private_runtime_dir() as runtime:
         environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime)}
-        done = subprocess.run([*HAPTIC, "stop", "x"], env=environment, capture_output=True, text=True, timeout=60, check=False)
+        done = subprocess.run(
+            [*HAPTIC, "stop", "x"],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
     assert done.returncode == 2
     wait_for(lambda: not list(tmp_path.iterdir()), "nothing written")
 
 
-# -- what a verb starts ------------------------------------------------------------------------------------------------
+# -- what a verb starts
+# ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("asked", "had"), [(None, "1"), ("4", "4")])
-def test_linear_algebra_has_one_thread_unless_somebody_asks_for_more(asked: str | None, had: str) -> None:
-    code = "import os, sys; sys.argv = ['haptic', '--version']\nfrom nodes.cli.command import main\n"
+def test_linear_algebra_has_one_thread_unless_somebody_asks_for_more(
+    asked: str | None, had: str
+) -> None:
+    code = (
+        "import os, sys; sys.argv = ['haptic', '--version']\nfrom nodes.cli.command import main\n"
+    )
     code += "try: main()\nexcept SystemExit: pass\nprint(os.environ['OPENBLAS_NUM_THREADS'])"
-    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    environment = {
+        name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"
+    }
     environment |= {} if asked is None else {"OPENBLAS_NUM_THREADS": asked}
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
     assert done.stdout.splitlines()[-1] == had

@@ -18,7 +18,10 @@ from tests.support.launching import DEADLINE, HAPTIC, haptic, private_runtime_di
 COMMAND = Path(sys.executable).parent / "haptic"
 
 
-@pytest.mark.parametrize("value", ["!!int [1]", "!!bool x", "!!float x", "!!int {a: 1}", "!!seq x", "!!map x", "!!null [1]"])
+@pytest.mark.parametrize(
+    "value",
+    ["!!int [1]", "!!bool x", "!!float x", "!!int {a: 1}", "!!seq x", "!!map x", "!!null [1]"],
+)
 def test_tags_that_do_not_fit_are_refused_where_they_stand(value: str, tmp_path: Path) -> None:
     (tmp_path / "given.yaml").write_text(f"coupling:\n  ramp: {value}\n", encoding="utf-8")
     told = haptic(tmp_path, "launch", "floor_drop", "--params", "given.yaml", code=2).stderr
@@ -50,7 +53,10 @@ def test_no_room_for_the_run_s_directory(tmp_path: Path) -> None:
     """A full disk: /dev/full cannot hold a directory, a tmpfs of no inodes can be mounted where one may."""
     mounted = tmp_path / "full"
     mounted.mkdir()
-    script = f"mount -t tmpfs -o size=4k,nr_inodes=1,mode=700 none {mounted} && exec {COMMAND} launch floor_drop"
+    script = (
+        f"mount -t tmpfs -o size=4k,nr_inodes=1,mode=700 none {mounted} && exec {COMMAND} launch"
+        " floor_drop"
+    )
     done = subprocess.run(
         ["unshare", "-m", "-r", "sh", "-c", script],
         cwd=tmp_path,
@@ -67,7 +73,10 @@ def test_no_room_for_the_run_s_directory(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("more", [{"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}, {"PYTHONOPTIMIZE": "2"}])
+@pytest.mark.parametrize(
+    "more",
+    [{"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}, {"PYTHONOPTIMIZE": "2"}],
+)
 def test_odd_interpreters(more: dict[str, str], tmp_path: Path) -> None:
     with private_runtime_dir() as runtime_dir:
         environment = {**os.environ, **more, "HAPTIC_RUNTIME_DIR": str(runtime_dir)}
@@ -75,7 +84,9 @@ def test_odd_interpreters(more: dict[str, str], tmp_path: Path) -> None:
         done = haptic(tmp_path, *words, environment=environment)
         assert "response  p50" in done.stdout
         assert "Traceback" not in done.stderr
-        assert "usage: haptic" in haptic(tmp_path, "launch", "--help", environment=environment).stdout
+        assert (
+            "usage: haptic" in haptic(tmp_path, "launch", "--help", environment=environment).stdout
+        )
         haptic(tmp_path, "study", "kmax", "--gain", "3", environment=environment)
 
 
@@ -98,7 +109,8 @@ def test_a_launch_that_could_not_record_is_refused_before_it_starts(tmp_path: Pa
 
 
 def test_an_interrupt_while_the_plot_is_drawn_keeps_the_summary(tmp_path: Path) -> None:
-    # matplotlib reads this when it is loaded, and waits for whoever writes it: so long is the plot being drawn.
+    # matplotlib reads this when it is loaded, and waits for whoever writes it: so long is the plot
+    # being drawn.
     settings = tmp_path / "matplotlibrc"
     os.mkfifo(settings)
     writers: list[int] = []
@@ -115,7 +127,11 @@ def test_an_interrupt_while_the_plot_is_drawn_keeps_the_summary(tmp_path: Path) 
         process = subprocess.Popen(
             [*HAPTIC, "launch", "floor_drop", "pace:=lockstep", "--json"],
             cwd=tmp_path,
-            env={**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime_dir), "MATPLOTLIBRC": str(settings)},
+            env={
+                **os.environ,
+                "HAPTIC_RUNTIME_DIR": str(runtime_dir),
+                "MATPLOTLIBRC": str(settings),
+            },
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -150,8 +166,9 @@ def test_an_interrupt_while_the_command_starts_is_quiet(later: float, tmp_path: 
             stderr=subprocess.PIPE,
             text=True,
         )
-        # The interpreter's own start is not ours to quieten; the command begins by giving up its handler.
-        # Looked at without a pause; should a busy machine hide that moment, the signal comes later, and must be met as quietly.
+        # The interpreter's own start is not ours to quieten; the command begins by giving up its
+        # handler. Looked at without a pause; should a busy machine hide that moment, the signal
+        # comes later, and must be met as quietly.
         until = time.monotonic() + 3.0
         while not catches_interrupts(process.pid) and time.monotonic() < until:
             pass
@@ -170,18 +187,41 @@ def test_an_interrupt_while_the_command_starts_is_quiet(later: float, tmp_path: 
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("study", "kmax", "--gain", "3", "--rate", "0.5"), "argument --rate: 0.5: must be between 1 and 100000"),
-        (("study", "price", "--mass", "1e7"), "argument --mass: 1e7: must be between 1e-06 and 1e+06"),
-        (("study", "edge", "--delay", "1e4"), "argument --delay: 1e4: must be between 1e-09 and 1000, or 0"),
-        (("study", "coverage", "--seed", "-1"), "argument --seed: -1: must be between 0 and 4294967295"),
+        (
+            ("study", "kmax", "--gain", "3", "--rate", "0.5"),
+            "argument --rate: 0.5: must be between 1 and 100000",
+        ),
+        (
+            ("study", "price", "--mass", "1e7"),
+            "argument --mass: 1e7: must be between 1e-06 and 1e+06",
+        ),
+        (
+            ("study", "edge", "--delay", "1e4"),
+            "argument --delay: 1e4: must be between 1e-09 and 1000, or 0",
+        ),
+        (
+            ("study", "coverage", "--seed", "-1"),
+            "argument --seed: -1: must be between 0 and 4294967295",
+        ),
         (("study", "guard", "--points", "1e3"), "argument --points: '1e3' is not a whole number"),
-        (("study", "price", "--frequency", "1e300"), "argument --frequency: 1e300: must be between 1e-12 and 1e+12"),
+        (
+            ("study", "price", "--frequency", "1e300"),
+            "argument --frequency: 1e300: must be between 1e-12 and 1e+12",
+        ),
         (("bench", "ros2", "--rounds", "0"), "argument --rounds: 0: must be between 1 and 10000"),
-        (("bag", "play", "none.mcap", "--rate", "5e-324"), "argument --rate/-r: 5e-324: must be between 1e-12 and 1e+12"),
-        (("device", "info", "touch_driver", "touch:=1", "touch.library:=a"), "touch.library:=a: touch:=1 is given too"),
+        (
+            ("bag", "play", "none.mcap", "--rate", "5e-324"),
+            "argument --rate/-r: 5e-324: must be between 1e-12 and 1e+12",
+        ),
+        (
+            ("device", "info", "touch_driver", "touch:=1", "touch.library:=a"),
+            "touch.library:=a: touch:=1 is given too",
+        ),
     ],
 )
-def test_numbers_and_words_that_fit_nothing_are_refused(words: tuple[str, ...], told: str, tmp_path: Path) -> None:
+def test_numbers_and_words_that_fit_nothing_are_refused(
+    words: tuple[str, ...], told: str, tmp_path: Path
+) -> None:
     refused = haptic(tmp_path, *words, code=2).stderr
     assert told in refused
     assert "Traceback" not in refused

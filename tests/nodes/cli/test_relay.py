@@ -34,7 +34,11 @@ def plotjuggler(endpoint: str) -> Iterator[zmq.Socket[bytes]]:
 def relaying(environment: Mapping[str, str], *words: str) -> Iterator[subprocess.Popen[str]]:
     """Run a relay beside the block; it is gone at its end, whatever happened."""
     with subprocess.Popen(
-        [*HAPTIC, "relay", *words, "--json"], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*HAPTIC, "relay", *words, "--json"],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     ) as process:
         try:
             yield process
@@ -56,8 +60,9 @@ Series = dict[str, list[tuple[float, float]]]
 def take(socket: zmq.Socket[bytes], series: Series) -> str:
     """Take one message as PlotJuggler 3.10 and later do, with protocol msgpack and ``stamp`` used as timestamp.
 
-    From its source (DataStreamZMQ, nlohmann_parsers): the first of several frames is the topic, the second the payload, a third
-    would be the time. Maps and arrays become series named by their path; numbers and booleans are values, texts are left out.
+    From its source (DataStreamZMQ, nlohmann_parsers): the first of several frames is the topic, the
+    second the payload, a third would be the time. Maps and arrays become series named by their
+    path; numbers and booleans are values, texts are left out.
     """
     frames = socket.recv_multipart()
     assert len(frames) == 2
@@ -108,10 +113,21 @@ def test_the_address_stays_from_launch_to_launch(tmp_path: Path) -> None:
     endpoint = f"ipc://{tmp_path}/r"
     with private_runtime_dir() as runtime:
         environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime)}
-        with relaying(environment, endpoint, "--topics", FORCE) as relay, plotjuggler(endpoint) as socket:
+        with (
+            relaying(environment, endpoint, "--topics", FORCE) as relay,
+            plotjuggler(endpoint) as socket,
+        ):
             for _ in range(2):
                 subprocess.run(
-                    [*HAPTIC, "launch", "floor_drop", "duration:=1", "--without", "logger", "--no-plot"],
+                    [
+                        *HAPTIC,
+                        "launch",
+                        "floor_drop",
+                        "duration:=1",
+                        "--without",
+                        "logger",
+                        "--no-plot",
+                    ],
                     cwd=tmp_path,
                     env=environment,
                     capture_output=True,
@@ -127,5 +143,7 @@ def test_the_address_stays_from_launch_to_launch(tmp_path: Path) -> None:
 def test_what_is_refused(launch: Running, capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["relay", "tcp://0.0.0.0:9872"]) == 2
     assert "nothing is published for other machines" in capsys.readouterr().err
-    done = launch.haptic("relay", f"ipc://{launch.folder}/q", "--once", "--topics", "/device/stat", code=2)
+    done = launch.haptic(
+        "relay", f"ipc://{launch.folder}/q", "--once", "--topics", "/device/stat", code=2
+    )
     assert "did you mean /device/state?" in done.stderr

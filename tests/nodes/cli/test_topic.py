@@ -27,7 +27,15 @@ from nodes.cli.topic import Spread
 from nodes.launcher.runs import RunInfo, new_run_dir, write_run
 from nodes.recording.reader import Recording
 from sim.measure.rig import full_pipe
-from tests.support.launching import DEADLINE, HAPTIC, Running, private_runtime_dir, running, typed, wait_for
+from tests.support.launching import (
+    DEADLINE,
+    HAPTIC,
+    Running,
+    private_runtime_dir,
+    running,
+    typed,
+    wait_for,
+)
 from tests.support.setups import setup_of
 
 RATE = 250.0
@@ -37,7 +45,9 @@ SLACK = 0.5
 
 @pytest.fixture(scope="module")
 def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    with running(tmp_path_factory.mktemp("launch"), "floor_drop", "duration:=0", f"rate:={RATE:g}") as found:
+    with running(
+        tmp_path_factory.mktemp("launch"), "floor_drop", "duration:=0", f"rate:={RATE:g}"
+    ) as found:
         yield found
 
 
@@ -45,7 +55,8 @@ def told(launch: Running, *words: str, code: int = 0) -> Any:
     return json.loads(typed(launch, *words, "--json", code=code).stdout.splitlines()[-1])
 
 
-# -- list, info, echo ------------------------------------------------------------------------------------------------
+# -- list, info, echo
+# ------------------------------------------------------------------------------------------------
 
 
 def test_list(launch: Running) -> None:
@@ -78,14 +89,15 @@ def test_echo(launch: Running) -> None:
     assert text[-1] == "---"
     assert [line.split(":")[0] for line in text[:-1]] == list(states[0])
     words = ("topic", "echo", DEVICE_STATE, "-n", "1", "--field", "position[2]")
-    # Between where the drop began and the deepest a spring of 1000 N/m lets it; while the other nodes are kept from a busy
-    # machine's processors it falls through, and comes back.
+    # Between where the drop began and the deepest a spring of 1000 N/m lets it; while the other
+    # nodes are kept from a busy machine's processors it falls through, and comes back.
     wait_for(lambda: -0.01 < float(typed(launch, *words).stdout) <= 0.01, "the floor holds it")
     done = typed(launch, "topic", "echo", DEVICE_STATE, "-n", "1", "--field", "speed", code=2)
     assert "--field speed: no such field; there are seq, stamp, position" in done.stderr
 
 
-# -- hz, bw, delay ---------------------------------------------------------------------------------------------------
+# -- hz, bw, delay
+# ---------------------------------------------------------------------------------------------------
 
 
 def test_hz(launch: Running) -> None:
@@ -103,8 +115,11 @@ def test_hz(launch: Running) -> None:
 def test_bw(launch: Running) -> None:
     found = told(launch, "topic", "bw", FORCE, "-n", "50")
     size = found["size_bytes"]
-    assert found["bandwidth_bytes_per_s"] == pytest.approx(found["rate_hz"] * size["mean"], rel=1e-12)
-    # seq and revision are the only numbers of the message that MessagePack shortens, to 1 byte from at most 9.
+    assert found["bandwidth_bytes_per_s"] == pytest.approx(
+        found["rate_hz"] * size["mean"], rel=1e-12
+    )
+    # seq and revision are the only numbers of the message that MessagePack shortens, to 1 byte from
+    # at most 9.
     whole = encode(Force(seq=0, stamp=1.5, force=(0.5, 0.5, 0.5), law="pd", revision=0))
     assert len(FORCE) + len(whole) <= size["min"] <= size["max"] <= len(FORCE) + len(whole) + 16
 
@@ -131,7 +146,10 @@ def test_a_silent_topic_is_told_by_the_exit_code(launch: Running) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_prints_the_figures_so_far(launch: Running, number: int) -> None:
     with subprocess.Popen(
-        [*HAPTIC, "topic", "hz", DEVICE_STATE], env=launch.environment, stdout=subprocess.PIPE, text=True
+        [*HAPTIC, "topic", "hz", DEVICE_STATE],
+        env=launch.environment,
+        stdout=subprocess.PIPE,
+        text=True,
     ) as process:
         assert process.stdout is not None
         first = process.stdout.readline()
@@ -149,14 +167,18 @@ def test_unknown_topics(launch: Running, verb: str) -> None:
     assert "there are /device/state, " in typed(launch, "topic", verb, "zzz", code=2).stderr
 
 
-def test_no_launch_no_topics(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_launch_no_topics(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     with private_runtime_dir() as runtime_dir:
         monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(runtime_dir))
         assert main.main(["topic", "list"]) == 2
     assert "nothing is running" in capsys.readouterr().err
 
 
-def test_lockstep_has_no_delay(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lockstep_has_no_delay(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     with private_runtime_dir() as runtime_dir:
         monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(runtime_dir))
         path = new_run_dir("quick")
@@ -168,7 +190,10 @@ def test_lockstep_has_no_delay(capsys: pytest.CaptureFixture[str], monkeypatch: 
             publish=f"ipc://{path}/driver.pub",
             control=f"ipc://{path}/driver.ctl",
         )
-        write_run(path, RunInfo(run="quick", scenario="quick", launcher=os.getpid(), nodes={"driver": driver}))
+        write_run(
+            path,
+            RunInfo(run="quick", scenario="quick", launcher=os.getpid(), nodes={"driver": driver}),
+        )
         assert main.main(["topic", "delay", DEVICE_STATE]) == 2
     assert "stamps are simulated time in lockstep" in capsys.readouterr().err
 
@@ -178,22 +203,29 @@ def test_spread_is_that_of_the_statistics_module(values: list[float]) -> None:
     spread = Spread()
     for value in values:
         spread.add(value)
-    # Welford's recurrence is stable: some tens of roundings of the largest value, squared for the variance.
+    # Welford's recurrence is stable: some tens of roundings of the largest value, squared for the
+    # variance.
     largest = max(map(abs, values))
     assert spread.count == len(values)
     assert (spread.low, spread.high) == (min(values), max(values))
     assert spread.mean == pytest.approx(statistics.fmean(values), abs=1e-14 * len(values) * largest)
-    assert spread.deviation**2 == pytest.approx(statistics.pvariance(values), abs=1e-14 * len(values) * largest**2)
+    assert spread.deviation**2 == pytest.approx(
+        statistics.pvariance(values), abs=1e-14 * len(values) * largest**2
+    )
 
 
-# -- bag record ------------------------------------------------------------------------------------------------------
+# -- bag record
+# ------------------------------------------------------------------------------------------------------
 
 
 def test_record_for_a_while(launch: Running) -> None:
     path = launch.folder / "while.mcap"
     found = told(launch, "bag", "record", "--duration", "1", "--out", str(path))
     recording = Recording(path)
-    assert found == {"recording": str(path), "messages": sum(topic.messages for topic in recording.topics.values())}
+    assert found == {
+        "recording": str(path),
+        "messages": sum(topic.messages for topic in recording.topics.values()),
+    }
     assert recording.complete
     assert recording.manifest["run"] == launch.run.run
     # It came late, and from then on has everything.
@@ -213,7 +245,8 @@ def test_the_duration_begins_with_the_first_message(tmp_path: Path) -> None:
         for pid in nodes:
             os.kill(pid, signal.SIGSTOP)
         with subprocess.Popen(
-            [*HAPTIC, "bag", "record", "--duration", "0.3", "--out", str(path)], env=launch.environment
+            [*HAPTIC, "bag", "record", "--duration", "0.3", "--out", str(path)],
+            env=launch.environment,
         ) as process:
             wait_for(path.exists, "the recorder listens")
             with pytest.raises(subprocess.TimeoutExpired):
@@ -235,7 +268,9 @@ def recording_into(launch: Running, path: Path) -> Iterator[subprocess.Popen[str
         text=True,
     ) as process:
         try:
-            wait_for(lambda: path.exists() and path.stat().st_size and ticks_in(path), "the first flush")
+            wait_for(
+                lambda: path.exists() and path.stat().st_size and ticks_in(path), "the first flush"
+            )
             yield process
         finally:
             process.kill()
@@ -263,19 +298,28 @@ def test_who_ends_a_recorder_that_only_begins_gets_a_complete_recording(launch: 
     path = launch.folder / "begun.mcap"
     reading, writing = full_pipe()
     words = [*HAPTIC, "bag", "record", "--out", str(path), "--json"]
-    with subprocess.Popen(words, env=launch.environment, stdout=subprocess.PIPE, stderr=writing, text=True) as process:
+    with subprocess.Popen(
+        words, env=launch.environment, stdout=subprocess.PIPE, stderr=writing, text=True
+    ) as process:
         try:
             os.close(writing)
-            wait_for(lambda: "pipe_write" in Path(f"/proc/{process.pid}/wchan").read_text(), "the first line")
+            wait_for(
+                lambda: "pipe_write" in Path(f"/proc/{process.pid}/wchan").read_text(),
+                "the first line",
+            )
             process.send_signal(signal.SIGINT)
             # Until it has room.
-            threading.Thread(target=lambda: [None for _ in iter(lambda: os.read(reading, 65536), b"")]).start()
+            threading.Thread(
+                target=lambda: [None for _ in iter(lambda: os.read(reading, 65536), b"")]
+            ).start()
             out, _ = process.communicate(timeout=30)
         finally:
             process.kill()
     assert process.returncode == 0
     assert Recording(path).complete
-    assert json.loads(out)["messages"] == sum(topic.messages for topic in Recording(path).topics.values())
+    assert json.loads(out)["messages"] == sum(
+        topic.messages for topic in Recording(path).topics.values()
+    )
 
 
 def test_a_killed_recorder_loses_at_most_half_a_second(launch: Running) -> None:
@@ -297,7 +341,14 @@ def test_a_killed_recorder_loses_at_most_half_a_second(launch: Running) -> None:
 
 
 def test_a_full_disk_ends_the_logger_and_not_the_loop(tmp_path: Path) -> None:
-    mount = ["unshare", "--mount", "sh", "-c", 'mount -t tmpfs -o size=64k tmpfs "$0" && exec "$@"', str(tmp_path)]
+    mount = [
+        "unshare",
+        "--mount",
+        "sh",
+        "-c",
+        'mount -t tmpfs -o size=64k tmpfs "$0" && exec "$@"',
+        str(tmp_path),
+    ]
     if subprocess.run([*mount, "true"], capture_output=True, check=False).returncode != 0:
         pytest.skip("mounting a small tmpfs in a private namespace needs root")
     script = """
@@ -314,7 +365,9 @@ def test_a_full_disk_ends_the_logger_and_not_the_loop(tmp_path: Path) -> None:
             check=False,
         )
     assert "Traceback" not in done.stderr
-    assert re.search(r"\[logger\] recording: .*: No space left on device after \d+ bytes", done.stderr)
+    assert re.search(
+        r"\[logger\] recording: .*: No space left on device after \d+ bytes", done.stderr
+    )
     figures, info = map(json.loads, done.stdout.splitlines())
     assert figures["ticks"] == 3000
     assert info["recovered"] is True

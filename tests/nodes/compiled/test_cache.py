@@ -24,7 +24,9 @@ from nodes.compiled.message_fields import NotCompilableError
 TINY = "tests.support.tiny_kernel"
 SOURCES = {"nodes/arithmetic.py": cache.digest_of(cache.ROOT / "nodes" / "arithmetic.py")}
 ENTRY = cache.CacheEntry(kind="o", content=b"machine code")
-needs_root = pytest.mark.skipif(os.getuid() != 0, reason="only root can give a file to another user")
+needs_root = pytest.mark.skipif(
+    os.getuid() != 0, reason="only root can give a file to another user"
+)
 
 
 @pytest.fixture
@@ -77,15 +79,21 @@ def _pipe(path: Path) -> None:
 
 @pytest.mark.parametrize("steps", range(4), ids=["entry", "folder", "haptic-nodes", "base"])
 @pytest.mark.parametrize(
-    "spoil", [_open_to_others, pytest.param(_of_another_user, marks=needs_root), _link], ids=lambda spoil: spoil.__name__
+    "spoil",
+    [_open_to_others, pytest.param(_of_another_user, marks=needs_root), _link],
+    ids=lambda spoil: spoil.__name__,
 )
-def test_nothing_is_loaded_that_somebody_else_could_have_written(kept: Path, spoil: Callable[[Path], None], steps: int) -> None:
+def test_nothing_is_loaded_that_somebody_else_could_have_written(
+    kept: Path, spoil: Callable[[Path], None], steps: int
+) -> None:
     spoil([kept, *kept.parents][steps])
     if spoil is _link and steps == 3:
         # What leads to the folder may be a link of one's own, as /home often is.
         assert obtain(TINY)(41) == 42
         return
-    with pytest.raises(NotCompilableError, match=r"remove it|may write there|Too many levels|Not a directory"):
+    with pytest.raises(
+        NotCompilableError, match=r"remove it|may write there|Too many levels|Not a directory"
+    ):
         obtain(TINY)
     told: list[str] = []
     assert choose("compiled", [TINY], told.append) == "plain"
@@ -121,7 +129,11 @@ def test_half_a_library_counts_as_none_and_is_healed(kept: Path, kind: str) -> N
     whole = kept.read_bytes()
     bit = len(whole) // 2
     kept.write_bytes(
-        {"half": whole[:bit], "empty": b"", "one bit": whole[:bit] + bytes([whole[bit] ^ 1]) + whole[bit + 1 :]}[kind]
+        {
+            "half": whole[:bit],
+            "empty": b"",
+            "one bit": whole[:bit] + bytes([whole[bit] ^ 1]) + whole[bit + 1 :],
+        }[kind]
     )
     assert build.find(TINY) is None
     with pytest.raises(NotCompilableError, match="is not compiled on this machine"):
@@ -167,8 +179,9 @@ def test_every_source_counts_near_and_far(module: str, needs: str) -> None:
 
 def test_sources_are_those_that_are_loaded() -> None:
     code = (
-        "import sys; import sim.population.virtual; from nodes.compiled import cache;"
-        "print(*{m.__file__ for n, m in sys.modules.items() if n.split('.')[0] in ('messages', 'nodes', 'sim')})"
+        "import sys; import sim.population.virtual; from nodes.compiled import"
+        " cache;print(*{m.__file__ for n, m in sys.modules.items() if n.split('.')[0] in"
+        " ('messages', 'nodes', 'sim')})"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {str(Path(file).relative_to(cache.ROOT)) for file in done.stdout.split()}
@@ -192,7 +205,9 @@ print(compiled()(fir)((2.0, 1.0), (1.0, 3.0), 0))
 
 def scene(folder: Path) -> subprocess.CompletedProcess[str]:
     """Compile a function of the one-process loop, in a process of its own."""
-    return subprocess.run([sys.executable, "-c", SCENE], capture_output=True, text=True, check=False, cwd=folder)
+    return subprocess.run(
+        [sys.executable, "-c", SCENE], capture_output=True, text=True, check=False, cwd=folder
+    )
 
 
 @pytest.mark.slow
@@ -200,7 +215,8 @@ def test_the_one_process_loop_reads_no_pickle_of_others(place: Path, tmp_path: P
     first = scene(tmp_path)
     assert first.stdout == "5.0\n", first.stderr
     (entry,) = place.glob("nodes.arithmetic.*.numba")
-    # Somebody who cannot know what to write before it, and somebody else's file that is as it should be.
+    # Somebody who cannot know what to write before it, and somebody else's file that is as it
+    # should be.
     entry.write_bytes(pickle.dumps(Evil()))
     assert scene(tmp_path).stdout == "5.0\n"
     healed = cache.read(entry.name)
@@ -229,7 +245,8 @@ def test_the_servo_loop_of_a_device_is_not_taken_from_others(place: Path) -> Non
     assert servo_library(TouchDevice.SERVO).servo_size() == ctypes.sizeof(TouchServo)
 
 
-# -- what may go wrong while compiling -------------------------------------------------------------------------------
+# -- what may go wrong while compiling
+# -------------------------------------------------------------------------------
 
 
 def test_two_that_compile_at_once_do_no_harm(kept: Path) -> None:
@@ -279,7 +296,9 @@ def test_who_waited_for_an_entry_finds_it(place: Path, monkeypatch: pytest.Monke
     os.close(folder)
 
 
-def test_without_a_linker_the_object_file_runs(place: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_without_a_linker_the_object_file_runs(
+    place: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     build.build([TINY])
     found = build.find(TINY)
@@ -289,7 +308,9 @@ def test_without_a_linker_the_object_file_runs(place: Path, monkeypatch: pytest.
 
 
 @pytest.mark.parametrize("trouble", ["a full disk", "a file in its place"])
-def test_where_nothing_can_be_kept_one_line_says_so(place: Path, trouble: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_nothing_can_be_kept_one_line_says_so(
+    place: Path, trouble: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     if trouble == "a full disk":
         limits = resource.getrlimit(resource.RLIMIT_FSIZE)
         cache.write("other.tick", ENTRY, SOURCES)
@@ -319,7 +340,10 @@ def test_in_a_folder_that_cannot_be_written_to_one_line_says_so(tmp_path: Path) 
         if setpriv is None:
             pytest.skip("root writes anywhere, and there is no setpriv")
         without = [setpriv, "--bounding-set=-dac_override,-dac_read_search"]
-    program = f"from nodes.compiled.choose_tick import choose; print(choose('compiled', ['{TINY}'], print))"
+    program = (
+        f"from nodes.compiled.choose_tick import choose; print(choose('compiled', ['{TINY}'],"
+        " print))"
+    )
     done = subprocess.run(
         [*without, sys.executable, "-c", program],
         cwd=cache.ROOT,

@@ -44,16 +44,22 @@ def test_plain_and_auto_never_wait_for_the_compiler(empty_cache: Path) -> None:
     assert not list(empty_cache.rglob("*.tick"))
 
 
-def test_a_compilation_that_failed_is_said_at_every_rate_and_by_the_doctor(empty_cache: Path) -> None:
+def test_a_compilation_that_failed_is_said_at_every_rate_and_by_the_doctor(
+    empty_cache: Path,
+) -> None:
     """The doctor said "built …, auto takes it", and a launch below 1 kHz nothing."""
     failed = cache.CacheEntry(kind="failed", content=f"{KERNEL}: no such type".encode())
     cache.write(f"{KERNEL}.tick", failed, {})
     told: list[str] = []
     assert choose("auto", [KERNEL], told.append, scarce=False) == "plain"
-    assert told == [f"using the plain tick; the compiled one is not available: {KERNEL}: no such type"]
+    assert told == [
+        f"using the plain tick; the compiled one is not available: {KERNEL}: no such type"
+    ]
     found = CHECKS["compiled tick"]()
     assert found.state == "limited"
-    assert f"cannot be compiled here: {KERNEL}: no such type; auto takes the plain tick" in found.found
+    assert (
+        f"cannot be compiled here: {KERNEL}: no such type; auto takes the plain tick" in found.found
+    )
 
 
 def test_a_folder_in_the_place_of_an_entry_lets_the_plain_tick_run(empty_cache: Path) -> None:
@@ -69,7 +75,9 @@ def test_a_folder_in_the_place_of_an_entry_lets_the_plain_tick_run(empty_cache: 
     assert "must be a file of user" in CHECKS["compiled tick"]().found
 
 
-def test_what_cannot_be_compiled_is_said_and_the_plain_tick_runs(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_compiled_is_said_and_the_plain_tick_runs(
+    empty_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # numba as it is where its compiler fails: decorated functions stay what they are.
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
     told: list[str] = []
@@ -77,7 +85,10 @@ def test_what_cannot_be_compiled_is_said_and_the_plain_tick_runs(empty_cache: Pa
     assert "compiling 1 kernel, once for this version: about 10 s (an estimate" in told[0]
     assert KERNEL in told[1]
     # A node, on another machine too, loads what is there and never compiles.
-    with pytest.raises(NotCompilableError, match=r"environment\.kernel is not compiled on this machine; `haptic launch"):
+    with pytest.raises(
+        NotCompilableError,
+        match=r"environment\.kernel is not compiled on this machine; `haptic launch",
+    ):
         obtain(KERNEL)
 
 
@@ -99,14 +110,25 @@ def test_the_message_says_what_compiling_took_here_last_time(empty_cache: Path) 
     cache.write(f"{TINY}.seconds", cache.CacheEntry(kind="seconds", content=b"77.0"), {})
     (cache.folder() / f"{TINY}.tick").unlink()
     assert choose("compiled", [TINY], told.append) == "compiled"
-    assert told[1] == "compiling 1 kernel, once for this version: about 77 s (as it took here last time)"
+    assert (
+        told[1]
+        == "compiling 1 kernel, once for this version: about 77 s (as it took here last time)"
+    )
 
 
 def test_a_change_of_what_builds_and_keeps_kernels_compiles_none() -> None:
     used = set(cache.sources_of("nodes.compiled.machine_code"))
-    assert used == {"nodes/__init__.py", "nodes/compiled/__init__.py", "nodes/compiled/machine_code.py"}
+    assert used == {
+        "nodes/__init__.py",
+        "nodes/compiled/__init__.py",
+        "nodes/compiled/machine_code.py",
+    }
     for module in KERNELS:
-        elsewhere = {"nodes/compiled/build.py", "nodes/compiled/cache.py", "nodes/compiled/choose_tick.py"}
+        elsewhere = {
+            "nodes/compiled/build.py",
+            "nodes/compiled/cache.py",
+            "nodes/compiled/choose_tick.py",
+        }
         assert not elsewhere & set(cache.sources_of(module))
 
 
@@ -144,7 +166,9 @@ def background(base: Path) -> dict[int, str]:
     return found
 
 
-def test_what_a_launch_lacked_is_compiled_in_the_background(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_launch_lacked_is_compiled_in_the_background(
+    empty_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     told: list[str] = []
     compile_later([TINY], told.append)
     assert not told
@@ -152,7 +176,14 @@ def test_what_a_launch_lacked_is_compiled_in_the_background(empty_cache: Path, m
     # As two launches that end together do.
     compile_later([TINY], told.append)
     compile_later([TINY], told.append)
-    assert told == ["the plain tick ran; the compiled one is being made in the background, for the next launch"] * 2
+    assert (
+        told
+        == [
+            "the plain tick ran; the compiled one is being made in the background, for the next"
+            " launch"
+        ]
+        * 2
+    )
     wait_for(lambda: find(TINY), "it is compiled")
     assert obtain(TINY)(41) == 42
     compile_later([TINY], told.append)
@@ -160,7 +191,9 @@ def test_what_a_launch_lacked_is_compiled_in_the_background(empty_cache: Path, m
     assert choose("auto", [TINY], told.append) == "compiled"
 
 
-def test_what_fails_in_the_background_is_not_tried_at_each_launch(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_fails_in_the_background_is_not_tried_at_each_launch(
+    empty_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("HAPTIC_COMPILE", "background")
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
     told: list[str] = []
@@ -177,12 +210,23 @@ def test_what_fails_in_the_background_is_not_tried_at_each_launch(empty_cache: P
     assert choose("compiled", [TINY], told.append) == "compiled"
 
 
-def test_a_launch_says_which_tick_ran_and_has_the_other_made(empty_cache: Path, tmp_path: Path) -> None:
+def test_a_launch_says_which_tick_ran_and_has_the_other_made(
+    empty_cache: Path, tmp_path: Path
+) -> None:
     variables = {"HAPTIC_COMPILE": "background"}
-    with running(tmp_path, "floor_drop", "pace:=lockstep", "duration:=0.02", environment=variables, ready=False) as launch:
+    with running(
+        tmp_path,
+        "floor_drop",
+        "pace:=lockstep",
+        "duration:=0.02",
+        environment=variables,
+        ready=False,
+    ) as launch:
         figures = launch.finish()
         # It forks one for each kernel that it compiles just now.
-        (process, line), *_ = sorted(background(empty_cache).items(), key=lambda found: os.getpgid(found[0]) != found[0])
+        (process, line), *_ = sorted(
+            background(empty_cache).items(), key=lambda found: os.getpgid(found[0]) != found[0]
+        )
         try:
             assert {*line.split()[-4:]} == {
                 "nodes.driver.kernel",
@@ -196,5 +240,9 @@ def test_a_launch_says_which_tick_ran_and_has_the_other_made(empty_cache: Path, 
         finally:
             os.killpg(process, signal.SIGKILL)
     assert figures["tick"] == "plain"
-    assert figures["tick_by_node"] == {"driver": "plain", "environment": "plain", "coupling": "plain"}
+    assert figures["tick_by_node"] == {
+        "driver": "plain",
+        "environment": "plain",
+        "coupling": "plain",
+    }
     assert (tmp_path / "stderr.txt").read_text(encoding="utf-8").count("for the next launch") == 1

@@ -134,7 +134,10 @@ def test_ticks_left_out_are_bridged_with_the_same_bits(tmp_path: Path, law: str)
         at += missing + 1
         ticks += [at, at + 1, at + 2]
         at += 2
-    runs = {tick: answered(tmp_path, tick, law, "lockstep", one_by_one(ticks)) for tick in ("plain", "compiled")}
+    runs = {
+        tick: answered(tmp_path, tick, law, "lockstep", one_by_one(ticks))
+        for tick in ("plain", "compiled")
+    }
     (plain, one), (compiled, other) = runs["plain"], runs["compiled"]
     assert [force.seq for force in compiled] == ticks
     assert [force.force for force in compiled] == [force.force for force in plain]
@@ -156,7 +159,8 @@ def test_of_messages_that_are_too_late_the_newest_is_answered(tmp_path: Path, ti
         force_of(late)
 
     forces, node = answered(tmp_path, tick, "pd", "realtime", feed)
-    # How many had arrived when it looked is the machine's to say; each was answered or left out, and those are counted.
+    # How many had arrived when it looked is the machine's to say; each was answered or left out,
+    # and those are counted.
     assert len(forces) + node.counters.skipped == late + 1
     assert node.counters.gaps == node.counters.skipped
     assert node.status().received == len(forces) + node.counters.skipped
@@ -181,7 +185,10 @@ def test_both_ticks_take_and_refuse_the_same(tmp_path: Path) -> None:
             if seq in (9, 10, 12):
                 # A message of one frame, twice in a row, and once alone.
                 proxies._hop(topic)
-            proxies.send_hop(topic, padded(seq, sizes[seq]) if seq in sizes else encode(proxy_of(seq, 0.002 * seq)))
+            proxies.send_hop(
+                topic,
+                padded(seq, sizes[seq]) if seq in sizes else encode(proxy_of(seq, 0.002 * seq)),
+            )
             if sizes.get(seq, 0) <= MAX_PAYLOAD:
                 force_of(seq)
 
@@ -189,7 +196,12 @@ def test_both_ticks_take_and_refuse_the_same(tmp_path: Path) -> None:
     for tick in ("plain", "compiled"):
         forces, node = answered(tmp_path, tick, "pd", "lockstep", feed)
         assert [force.seq for force in forces] == [seq for seq in range(20) if seq not in (3, 5, 7)]
-        runs[tick] = [force.force for force in forces], node.events.refused, node.counters.gaps, node.received
+        runs[tick] = (
+            [force.force for force in forces],
+            node.events.refused,
+            node.counters.gaps,
+            node.received,
+        )
         assert (node.events.refused, node.counters.gaps) == (6, 3)
     assert runs["compiled"] == runs["plain"]
 
@@ -206,7 +218,9 @@ def test_swaps_and_fades_stay_compiled_with_the_same_bits(tmp_path: Path) -> Non
     for tick in ("plain", "compiled"):
         node: list[Coupling] = []
 
-        def feed(proxies: Publisher, force_of: Callable[[int], Force], node: list[Coupling] = node) -> None:
+        def feed(
+            proxies: Publisher, force_of: Callable[[int], Force], node: list[Coupling] = node
+        ) -> None:
             for seq in ticks:
                 proxies.send_hop(topics.PROXY.encode(), encode(proxy_of(seq, 0.002 * seq)))
                 force_of(seq)
@@ -215,8 +229,12 @@ def test_swaps_and_fades_stay_compiled_with_the_same_bits(tmp_path: Path) -> Non
                     node[0]._switch_law(law, ramp=11)
 
         forces, made = answered(tmp_path, tick, "pd", "lockstep", feed, schedule, node)
-        runs[tick], nodes[tick] = [(force.force, force.law, force.revision) for force in forces], made
+        runs[tick], nodes[tick] = (
+            [(force.force, force.law, force.revision) for force in forces],
+            made,
+        )
     assert runs["compiled"] == runs["plain"]
     assert {law for _, law, _ in runs["plain"]} == {"pd", "pd_filtered", "stiff"}
-    # Plain are the first tick, those of the three scheduled swaps and no other; a request is taken up between two ticks.
+    # Plain are the first tick, those of the three scheduled swaps and no other; a request is taken
+    # up between two ticks.
     assert nodes["compiled"].ticks_compiled == len(ticks) - 4

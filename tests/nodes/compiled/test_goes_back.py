@@ -46,7 +46,15 @@ PD = {"kind": "pd", "stiffness": 500.0, "damping": 3.0}
 
 
 def state_of(seq: int, **changes: Any) -> DeviceState:
-    return DeviceState(**{"seq": seq, "stamp": 0.002 * seq, "position": (0.0, 0.0, -1e-3), "force": (0.0, 0.0, 0.0), **changes})
+    return DeviceState(
+        **{
+            "seq": seq,
+            "stamp": 0.002 * seq,
+            "position": (0.0, 0.0, -1e-3),
+            "force": (0.0, 0.0, 0.0),
+            **changes,
+        }
+    )
 
 
 def proxy_of(seq: int, depth: float = -1e-3) -> Proxy:
@@ -76,10 +84,16 @@ def environment(sent: Sequence[Message | bytes], plain: int, **surface: Any) -> 
     return Case(Environment, {"surface": surface or {"kind": "plane"}}, sent, plain)
 
 
-def coupling(sent: Sequence[Message | bytes], plain: int, ask: Callable[[Any], Any] = lambda _: None, **more: Any) -> Case:
+def coupling(
+    sent: Sequence[Message | bytes],
+    plain: int,
+    ask: Callable[[Any], Any] = lambda _: None,
+    **more: Any,
+) -> Case:
     laws = {"pd": PD, "soft": {**PD, "stiffness": 400.0}, "own": {"kind": "excitation"}}
     parameters = {"law": "pd", "laws": laws, "memory": 16, "stability": "off", **more}
-    return Case(Coupling, parameters, sent, min(plain + 1, TICKS), ask)  # its first tick is plain, too
+    # its first tick is plain, too
+    return Case(Coupling, parameters, sent, min(plain + 1, TICKS), ask)
 
 
 STATES = [state_of(seq) for seq in range(TICKS)]
@@ -87,14 +101,22 @@ BALL = {"kind": "sphere", "position": [0.0, 0.0, -0.02], "radius": 0.0195}
 PROXIES = [proxy_of(seq) for seq in range(TICKS)]
 CASES = {
     ("environment", "a surface of another package"): environment(STATES, TICKS),
-    ("environment", "shapes that come into a scene begun without any"): environment(STATES, TICKS - 6)._replace(
-        ask=lambda node: node.changes.change(lambda: node.store.changed({"surface": BALL}), node.prepare)
+    ("environment", "shapes that come into a scene begun without any"): (
+        environment(STATES, TICKS - 6)._replace(
+            ask=lambda node: node.changes.change(
+                lambda: node.store.changed({"surface": BALL}), node.prepare
+            )
+        )
     ),
     ("environment", "a driver in a fault"): environment(
         [*STATES[:4], *(state_of(seq, safety="fault") for seq in range(4, 7)), *STATES[7:]], 3
     ),
     ("environment", "a jump of the device"): environment(
-        [*STATES[:5], *(state_of(seq, rebased=5) for seq in range(5, 9)), *(state_of(seq, rebased=9) for seq in range(9, 12))],
+        [
+            *STATES[:5],
+            *(state_of(seq, rebased=5) for seq in range(5, 9)),
+            *(state_of(seq, rebased=9) for seq in range(9, 12)),
+        ],
         2,
     ),
     ("coupling", "the first tick, and a jump"): coupling(
@@ -104,14 +126,20 @@ CASES = {
         PROXIES, 2, schedule=[{"at": 0.006, "law": "soft"}, {"at": 0.012, "law": "pd", "ramp": 3}]
     ),
     ("coupling", "a law with code of its own"): coupling(PROXIES, TICKS, law="own"),
-    ("coupling", "a force that is not finite"): coupling([*PROXIES[:6], proxy_of(6, -1e306), *PROXIES[7:]], 1),
+    ("coupling", "a force that is not finite"): coupling(
+        [*PROXIES[:6], proxy_of(6, -1e306), *PROXIES[7:]], 1
+    ),
     ("all", "a message that is refused, or comes once more"): coupling(
         [*PROXIES[:4], b"no message", PROXIES[4], PROXIES[4], *PROXIES[5:]], 0
     ),
-    ("all", "a request, between two ticks"): coupling(PROXIES, 0, lambda node: node._switch_law("soft", ramp=4)),
+    ("all", "a request, between two ticks"): coupling(
+        PROXIES, 0, lambda node: node._switch_law("soft", ramp=4)
+    ),
 }
 STAYS = {
-    "a hard surface, and one for both sides": environment(STATES, 0, kind="anchor", position=[0.0, 0.0, 0.01]),
+    "a hard surface, and one for both sides": environment(
+        STATES, 0, kind="anchor", position=[0.0, 0.0, 0.01]
+    ),
     "shapes": environment(STATES, 0, **BALL),
     "a driver that lets its force in, or has stopped": environment(
         [*STATES[:4], state_of(4, safety="ramp"), state_of(5, safety="stopped"), *STATES[6:]], 0
@@ -119,7 +147,9 @@ STAYS = {
     "nothing to touch": environment(STATES, 0, kind="free"),
     "a gap": coupling([*PROXIES[:3], *PROXIES[6:]], 0),
     "a gap longer than the memory": coupling([*PROXIES[:6], proxy_of(40), proxy_of(41)], 0),
-    "a recursive law": coupling(PROXIES, 0, law="filtered", laws={"filtered": {**PD, "kind": "pd_filtered", "cutoff": 60.0}}),
+    "a recursive law": coupling(
+        PROXIES, 0, law="filtered", laws={"filtered": {**PD, "kind": "pd_filtered", "cutoff": 60.0}}
+    ),
 }
 
 
@@ -150,7 +180,9 @@ def played(place: Path, case: Case) -> tuple[Node, int]:
     def work() -> None:
         try:
             for message in case.sent:
-                feed.send_hop(heard.encode(), message if isinstance(message, bytes) else encode(message))
+                feed.send_hop(
+                    heard.encode(), message if isinstance(message, bytes) else encode(message)
+                )
                 if isinstance(message, bytes):
                     wait_for(lambda: node.events.refused, "the refusal")
                 else:
@@ -176,7 +208,12 @@ def played(place: Path, case: Case) -> tuple[Node, int]:
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled_before() -> None:
-    kernels = [Coupling.kernel_module, Driver.kernel_module, Environment.kernel_module, Touchable.kernel_module]
+    kernels = [
+        Coupling.kernel_module,
+        Driver.kernel_module,
+        Environment.kernel_module,
+        Touchable.kernel_module,
+    ]
     assert choose("compiled", kernels, print) == "compiled"
 
 
@@ -204,7 +241,8 @@ def test_gaps_without_an_end_are_still_a_count(tmp_path: Path) -> None:
     assert Decoder(NodeStatus).decode(encode(node.status())).gaps == MAX_COUNT
 
 
-# -- the driver, whose ticks are compiled whatever happens: what makes them come back in between -------------------------
+# -- the driver, whose ticks are compiled whatever happens: what makes them come back in between
+# -------------------------
 
 ANSWERED = answers_but()
 SILENT = range(20, 70)
@@ -221,13 +259,20 @@ def in_lockstep(script: Script, silence: int) -> Script:
 
 DRIVER_CASES = {
     "a change of what the safety does, a refusal": (
-        # To damping, to nothing, back to active; two of four refusals are told: at powers of two, as all that repeats.
-        driver([*answers_but(*SILENT), *(answer(seq, -3_000.0) for seq in (80, 90, 100))], watchdog=5, damping_ticks=20),
+        # To damping, to nothing, back to active; two of four refusals are told: at powers of two,
+        # as all that repeats.
+        driver(
+            [*answers_but(*SILENT), *(answer(seq, -3_000.0) for seq in (80, 90, 100))],
+            watchdog=5,
+            damping_ticks=20,
+        ),
         3 + 2,
     ),
     "a call of the device that fails": (
         driver(ANSWERED)._replace(
-            hand=lambda: HandInC(DeviceLimits(peak_force=8.0, hold=10.0, workspace=BOX), moving, [30, 60])
+            hand=lambda: HandInC(
+                DeviceLimits(peak_force=8.0, hold=10.0, workspace=BOX), moving, [30, 60]
+            )
         ),
         2,
     ),
@@ -235,7 +280,12 @@ DRIVER_CASES = {
 }
 DRIVER_STAYS = {
     "late answers, lost ticks, and silence shorter than the watchdog": driver(
-        [answer(seq, 2_300.0 if seq % 4 == 0 else 500.0) for seq in range(120) if seq not in (40, 41, 42)], {70: 9_000}
+        [
+            answer(seq, 2_300.0 if seq % 4 == 0 else 500.0)
+            for seq in range(120)
+            if seq not in (40, 41, 42)
+        ],
+        {70: 9_000},
     ),
     "next_tick": driver(ANSWERED)._replace(apply="next_tick"),
     "the guard, and limits of peak and slew": driver(
@@ -250,12 +300,16 @@ DRIVER_STAYS = {
 
 
 @pytest.mark.parametrize("row", DRIVER_CASES)
-def test_what_brings_a_driver_back_does_and_its_ticks_stay_compiled(row: str, tmp_path: Path) -> None:
+def test_what_brings_a_driver_back_does_and_its_ticks_stay_compiled(
+    row: str, tmp_path: Path
+) -> None:
     script, times = DRIVER_CASES[row]
     _, node = assert_alike(script, tmp_path)
     assert node.ticks_compiled == node.driving.ticks == 120
     _, usual = scripted(
-        in_lockstep(driver(ANSWERED), 0) if script.pace == "lockstep" else driver(ANSWERED), "compiled", tmp_path
+        in_lockstep(driver(ANSWERED), 0) if script.pace == "lockstep" else driver(ANSWERED),
+        "compiled",
+        tmp_path,
     )
     assert node.entered - usual.entered == times
 
@@ -263,7 +317,8 @@ def test_what_brings_a_driver_back_does_and_its_ticks_stay_compiled(row: str, tm
 @pytest.mark.parametrize("row", DRIVER_STAYS)
 def test_nothing_else_brings_a_driver_back(row: str, tmp_path: Path) -> None:
     _, node = assert_alike(DRIVER_STAYS[row], tmp_path)
-    # Once without a tick, to begin with; once until the first force, which is a change of the safety; once for all the rest.
+    # Once without a tick, to begin with; once until the first force, which is a change of the
+    # safety; once for all the rest.
     assert node.entered == 3
     assert node.ticks_compiled == node.driving.ticks
 

@@ -48,7 +48,10 @@ def padded(message: Message, size: int) -> bytes:
 Frames = Callable[[bytes, Message], tuple[bytes, ...]]
 GOOD: dict[str, Frames] = {
     "as it is": lambda topic, message: (topic, encode(message)),
-    "with a field of a later version": lambda topic, message: (topic, changed(message, later=[1, {"a": None}])),
+    "with a field of a later version": lambda topic, message: (
+        topic,
+        changed(message, later=[1, {"a": None}]),
+    ),
     "as long as may be": lambda topic, message: (topic, padded(message, MAX_PAYLOAD)),
     "its fields in another order": lambda topic, message: (
         topic,
@@ -62,19 +65,29 @@ BAD: dict[str, Frames] = {
     "no map": lambda topic, _: (topic, b"\x93\x01\x02\x03"),
     "what MessagePack does not have": lambda topic, _: (topic, b"\xc1" * 40),
     "a million nested lists": lambda topic, _: (topic, b"\x91" * 60_000),
-    "a stamp that is not a number": lambda topic, message: (topic, changed(message, stamp=math.nan)),
+    "a stamp that is not a number": lambda topic, message: (
+        topic,
+        changed(message, stamp=math.nan),
+    ),
     "a stamp without an end": lambda topic, message: (topic, changed(message, stamp=-math.inf)),
     "a tick before the first": lambda topic, message: (topic, changed(message, seq=-1)),
     "a tick after the last": lambda topic, message: (topic, changed(message, seq=MAX_COUNT + 1)),
     "a tick that is a word": lambda topic, message: (topic, changed(message, seq="now")),
     "a topic that begins alike": lambda topic, message: (topic + b"s", encode(message)),
     "a topic of 5000 letters": lambda topic, message: (topic + b"x" * 5000, encode(message)),
-    **{f"{size} bytes": (lambda topic, message, size=size: (topic, padded(message, size))) for size in TOO_LONG},  # type: ignore[misc]
+    **{
+        f"{size} bytes": lambda topic, message, size=size: (topic, padded(message, size))  # type: ignore[misc]
+        for size in TOO_LONG
+    },
 }
 
 
 def message_of(kind: str, seq: int, stamp: float) -> Message:
-    return Force(seq=seq, stamp=0.0, force=(0.0, 0.0, 1.0)) if kind == "driver" else question(kind, seq, stamp)
+    return (
+        Force(seq=seq, stamp=0.0, force=(0.0, 0.0, 1.0))
+        if kind == "driver"
+        else question(kind, seq, stamp)
+    )
 
 
 def script_of(kind: str, coming: list[tuple[float, float, int, Frames]], pace: str) -> Script:
@@ -93,7 +106,8 @@ def script_of(kind: str, coming: list[tuple[float, float, int, Frames]], pace: s
 def with_one_refused(kind: str, made: Frames, pace: str) -> Script:
     """Put what is to be refused between the messages of two ticks, 20 times; then a stream without it."""
     coming = [(float(seq), 500.0, seq, GOOD["as it is"]) for seq in range(32)]
-    # In lockstep a driver that was answered asks at once; so the bad one comes right before the good one.
+    # In lockstep a driver that was answered asks at once; so the bad one comes right before the
+    # good one.
     coming += [(float(seq), 400.0, seq, made) for seq in range(4, 24)]
     return script_of(kind, coming, pace)
 
@@ -106,7 +120,9 @@ def without_texts(outcome: Outcome) -> Outcome:
 @pytest.mark.parametrize("pace", ["realtime", "lockstep"])
 @pytest.mark.parametrize("kind", ALL)
 @pytest.mark.parametrize("bad", BAD)
-def test_what_is_refused_is_refused_alike_and_costs_no_other_message(bad: str, kind: str, pace: str, tmp_path: Path) -> None:
+def test_what_is_refused_is_refused_alike_and_costs_no_other_message(
+    bad: str, kind: str, pace: str, tmp_path: Path
+) -> None:
     outcome, node = assert_alike(with_one_refused(kind, BAD[bad], pace), tmp_path)
     assert node.events.refused == 20
     assert {name for name, *_ in outcome.events} <= {"refused", "safety", "eased"}
@@ -129,7 +145,9 @@ def test_what_is_taken_is_taken_alike(good: str, kind: str, pace: str, tmp_path:
 
 @pytest.mark.parametrize("kind", ALL)
 @pytest.mark.parametrize("frames", ["one", "three", "one, of another topic"])
-def test_messages_of_one_frame_and_of_three_cost_themselves_only(frames: str, kind: str, tmp_path: Path) -> None:
+def test_messages_of_one_frame_and_of_three_cost_themselves_only(
+    frames: str, kind: str, tmp_path: Path
+) -> None:
     made: Frames = {
         "one": lambda topic, _: (topic,),
         "three": lambda topic, message: (topic, encode(message), b"more"),
@@ -160,9 +178,17 @@ def test_ticks_that_jump_make_no_count_that_cannot_be_told(kind: str, tmp_path: 
         assert node.status().gaps == MAX_COUNT
 
 
-ANY = {**GOOD, **{name: made for name, made in BAD.items() if "bytes" not in name and "million" not in name}}
+ANY = {
+    **GOOD,
+    **{name: made for name, made in BAD.items() if "bytes" not in name and "million" not in name},
+}
 coming = st.lists(
-    st.tuples(st.integers(0, 30), st.integers(0, 9_000), st.integers(-6, 3), st.sampled_from([*["as it is"] * 12, *ANY])),
+    st.tuples(
+        st.integers(0, 30),
+        st.integers(0, 9_000),
+        st.integers(-6, 3),
+        st.sampled_from([*["as it is"] * 12, *ANY]),
+    ),
     max_size=60,
 )
 
@@ -172,7 +198,10 @@ coming = st.lists(
 def test_late_repeated_overtaken_and_damaged_messages_in_any_order(
     kind: str, stream: list[tuple[int, int, int, str]], tmp_path: Path
 ) -> None:
-    made = [(float(place), float(late), max(place + step, 0), ANY[name]) for place, late, step, name in stream]
+    made = [
+        (float(place), float(late), max(place + step, 0), ANY[name])
+        for place, late, step, name in stream
+    ]
     assert_alike(script_of(kind, made, "realtime"), tmp_path)
 
 

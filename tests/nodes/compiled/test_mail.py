@@ -24,18 +24,26 @@ from tests.support.launching import launch_json
 from tests.support.setups import setup_of
 
 RATE = 1000.0
-TICKS = {"driver": "/device/state", "environment": "/environment/proxy", "coupling": "/coupling/force"}
+TICKS = {
+    "driver": "/device/state",
+    "environment": "/environment/proxy",
+    "coupling": "/coupling/force",
+}
 
 
 @pytest.fixture(scope="module")
 def figures(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, object], Recording]:
     folder = tmp_path_factory.mktemp("mail")
-    found = launch_json(folder, "floor_drop", f"rate:={RATE:g}", "duration:=3", "tick:=compiled", "stiffness:=500")
+    found = launch_json(
+        folder, "floor_drop", f"rate:={RATE:g}", "duration:=3", "tick:=compiled", "stiffness:=500"
+    )
     return found, Recording(folder / str(found["recording"]))
 
 
 @pytest.mark.parametrize("node", TICKS)
-def test_a_status_says_where_the_node_is_now(figures: tuple[dict[str, object], Recording], node: str) -> None:
+def test_a_status_says_where_the_node_is_now(
+    figures: tuple[dict[str, object], Recording], node: str
+) -> None:
     recording = figures[1]
     newest, behind, ticks = 0, [], []
     for entry in recording.entries([TICKS[node], f"/{node}/status"]):
@@ -47,12 +55,14 @@ def test_a_status_says_where_the_node_is_now(figures: tuple[dict[str, object], R
     # Every half second of three.
     assert len(ticks) >= 4
     assert ticks == sorted(set(ticks))
-    # Messages leave in batches of 2 ms, and a status after one: two batches and the tick under way. A machine that stands still
-    # in between may delay some.
+    # Messages leave in batches of 2 ms, and a status after one: two batches and the tick under way.
+    # A machine that stands still in between may delay some.
     assert statistics.median(behind) <= 2 * 0.002 * RATE + 1
 
 
-def test_all_that_was_told_was_sent_and_counted(figures: tuple[dict[str, object], Recording]) -> None:
+def test_all_that_was_told_was_sent_and_counted(
+    figures: tuple[dict[str, object], Recording],
+) -> None:
     found, recording = figures
     assert found["tick"] == "compiled"
     for node, account in accounts(recording).items():
@@ -65,7 +75,11 @@ def told_during(place: Path, kernel: Callable[[Coupling, CouplingState], None]) 
     context = new_context()
     source = f"ipc://{place}/proxy"
     parameters = {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 500.0, "damping": 3.0}}}
-    node = Coupling(setup_of(name="coupling", tick="compiled", sources={topics.PROXY: source}, parameters=parameters))
+    node = Coupling(
+        setup_of(
+            name="coupling", tick="compiled", sources={topics.PROXY: source}, parameters=parameters
+        )
+    )
 
     def ticks(address: int) -> int:
         struct: Any = CouplingState
@@ -95,7 +109,8 @@ def test_what_is_told_leaves_in_its_order(tmp_path: Path) -> None:
     def sent_in_between(node: Coupling, state: CouplingState) -> None:
         node.events.emit_each(OtherKind("test.kind"), "0")
         node.events.emit_each(OtherKind("test.kind"), "1")
-        # As the kernel does when it has sent it: what is told now must not leave before what waits for the loop.
+        # As the kernel does when it has sent it: what is told now must not leave before what waits
+        # for the loop.
         assert b"0" in ctypes.string_at(state.mail_payload, state.mail_size)
         state.mail = 0
         node.events.emit_each(OtherKind("test.kind"), "2")

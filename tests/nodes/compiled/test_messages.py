@@ -21,7 +21,15 @@ from messages.codec import Decoder, MessageRefusedError, encode
 from messages.types import MAX_COUNT, DeviceState, Force, Message, Proxy
 from nodes.compiled.kernels.encode import make_encode
 from nodes.compiled.kernels.scan import make_scan
-from nodes.compiled.message_fields import FLAG, TEXT, VECTOR, WHOLE, NotCompilableError, fields_of, key_blocks
+from nodes.compiled.message_fields import (
+    FLAG,
+    TEXT,
+    VECTOR,
+    WHOLE,
+    NotCompilableError,
+    fields_of,
+    key_blocks,
+)
 
 TYPES = (DeviceState, Proxy, Force)
 
@@ -53,7 +61,11 @@ def scanner(message: type[Message]) -> Callable[[bytes], dict[str, Any] | None]:
 
 def numbers(message: Message) -> dict[str, Any]:
     """Give what the plain tick reads: all but the texts."""
-    return {name: value for name, value in msgspec.structs.asdict(message).items() if not isinstance(value, str)}
+    return {
+        name: value
+        for name, value in msgspec.structs.asdict(message).items()
+        if not isinstance(value, str)
+    }
 
 
 def assert_read_alike(message: type[Message], payload: bytes) -> bool:
@@ -64,7 +76,9 @@ def assert_read_alike(message: type[Message], payload: bytes) -> bool:
     expected = numbers(Decoder(message).decode(payload))
     assert found == expected
     # Equality does not know the sign of zero.
-    assert repr(found) == repr({name: int(v) if isinstance(v, bool) else v for name, v in expected.items()})
+    assert repr(found) == repr(
+        {name: int(v) if isinstance(v, bool) else v for name, v in expected.items()}
+    )
     return True
 
 
@@ -111,7 +125,9 @@ def test_what_the_nodes_send_is_read(message: Message) -> None:
 @cache
 def encoder(message: type[Message]) -> Callable[[Message], bytes]:
     write: Any = make_encode(message)
-    compiled = numba.njit(lambda at, keys, reals, wholes, text, size: write(at, keys, reals, wholes, text, size))
+    compiled = numba.njit(
+        lambda at, keys, reals, wholes, text, size: write(at, keys, reals, wholes, text, size)
+    )
     keys = ctypes.create_string_buffer(key_blocks(message))
 
     def made(value: Message) -> bytes:
@@ -125,7 +141,10 @@ def encoder(message: type[Message]) -> Callable[[Message], bytes]:
                 banks[0][field.slot : field.slot + 3] = given_value
             else:
                 banks[int(field.kind in (WHOLE, FLAG))][field.slot] = given_value
-        out, told = ctypes.create_string_buffer(1024), ctypes.create_string_buffer(text, len(text) + 16)
+        out, told = (
+            ctypes.create_string_buffer(1024),
+            ctypes.create_string_buffer(text, len(text) + 16),
+        )
         at = ctypes.addressof(out)
         end = compiled(at, ctypes.addressof(keys), *banks, ctypes.addressof(told), len(text))
         return out.raw[: end - at]
@@ -150,7 +169,11 @@ def test_every_width_of_an_integer_is_written_as_msgspec_does() -> None:
 
 
 def as_map(entries: list[tuple[bytes, bytes]], wide: bool = False) -> bytes:
-    head = b"\xde" + struct.pack(">H", len(entries)) if wide or len(entries) > 15 else bytes([0x80 | len(entries)])
+    head = (
+        b"\xde" + struct.pack(">H", len(entries))
+        if wide or len(entries) > 15
+        else bytes([0x80 | len(entries)])
+    )
     return head + b"".join(key + value for key, value in entries)
 
 
@@ -172,13 +195,22 @@ real_codes = st.one_of(
     whole_codes,
 )
 anything = st.recursive(
-    st.one_of(st.none(), st.booleans(), st.integers(-(2**63), 2**64 - 1), st.floats(), st.text(), st.binary()),
-    lambda inner: st.one_of(st.lists(inner, max_size=4), st.dictionaries(st.text(max_size=4), inner, max_size=4)),
+    st.one_of(
+        st.none(),
+        st.booleans(),
+        st.integers(-(2**63), 2**64 - 1),
+        st.floats(),
+        st.text(),
+        st.binary(),
+    ),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=4), st.dictionaries(st.text(max_size=4), inner, max_size=4)
+    ),
     max_leaves=8,
 ).map(msgpack.packb)
-keys = st.sampled_from([field.name for field in fields_of(Force)] + ["x", "Seq", "forces", "stam", "stämp", ""]).map(
-    msgpack.packb
-)
+keys = st.sampled_from(
+    [field.name for field in fields_of(Force)] + ["x", "Seq", "forces", "stam", "stämp", ""]
+).map(msgpack.packb)
 codes = st.one_of(
     whole_codes,
     real_codes,
@@ -192,7 +224,9 @@ codes = st.one_of(
 @settings(max_examples=400)
 @given(
     st.permutations(["seq", "stamp", "force", "law", "revision"]),
-    st.tuples(whole_codes, real_codes, st.tuples(real_codes, real_codes, real_codes), names, whole_codes),
+    st.tuples(
+        whole_codes, real_codes, st.tuples(real_codes, real_codes, real_codes), names, whole_codes
+    ),
     st.lists(st.tuples(keys, codes), max_size=4),
     st.booleans(),
     st.data(),
@@ -202,7 +236,13 @@ def test_in_any_order_with_any_width_and_unknown_keys(
 ) -> None:
     """Each message is refused by both, left to msgspec, or read alike."""
     seq, stamp, force, law, revision = values
-    known = {"seq": seq, "stamp": stamp, "force": b"\x93" + b"".join(force), "law": msgpack.packb(law), "revision": revision}
+    known = {
+        "seq": seq,
+        "stamp": stamp,
+        "force": b"\x93" + b"".join(force),
+        "law": msgpack.packb(law),
+        "revision": revision,
+    }
     entries = [(msgpack.packb(name), known[name]) for name in order]
     for entry in more:
         entries.insert(data.draw(st.integers(0, len(entries))), entry)
@@ -221,13 +261,26 @@ def test_a_damaged_payload_is_never_read_otherwise(message: Message, data: Any) 
     payload = bytearray(encode(message))
     for _ in range(data.draw(st.integers(1, 3))):
         payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
-    damaged = bytes(payload[: data.draw(st.integers(0, len(payload)))] if data.draw(st.booleans()) else payload)
+    damaged = bytes(
+        payload[: data.draw(st.integers(0, len(payload)))] if data.draw(st.booleans()) else payload
+    )
     assert_read_alike(type(message), damaged)
 
 
 def test_just_inside_and_just_outside_of_what_is_read() -> None:
     def force(**changed: Any) -> bytes:
-        return bytes(msgpack.packb({"seq": 1, "stamp": 2.0, "force": [1.0, 2.0, 3.0], "law": "pd", "revision": 0, **changed}))
+        return bytes(
+            msgpack.packb(
+                {
+                    "seq": 1,
+                    "stamp": 2.0,
+                    "force": [1.0, 2.0, 3.0],
+                    "law": "pd",
+                    "revision": 0,
+                    **changed,
+                }
+            )
+        )
 
     def read(payload: bytes) -> bool:
         return scanner(Force)(payload) is not None
@@ -259,7 +312,10 @@ def test_just_inside_and_just_outside_of_what_is_read() -> None:
     assert not read(force(unknown=msgpack.ExtType(1, b"")))
     for depth, skipped in ((10, True), (2000, False)):
         nested = b"\x91" * depth + b"\xc0"
-        entries = [(msgpack.packb(name), msgpack.packb(value)) for name, value in msgpack.unpackb(force()).items()]
+        entries = [
+            (msgpack.packb(name), msgpack.packb(value))
+            for name, value in msgpack.unpackb(force()).items()
+        ]
         assert read(as_map([*entries, (msgpack.packb("unknown"), nested)])) == skipped
 
 

@@ -1,7 +1,8 @@
 """Every rule of time on a scripted clock: ticks that are late, lost or jumped over, interpreted and compiled alike to the bit.
 
-Nothing here runs in real time. Time passes as a script says (tests/support/scripted.py), so that what a busy machine does once
-in an hour is played in a millisecond, and played again by the other tick.
+Nothing here runs in real time. Time passes as a script says (tests/support/scripted.py), so that
+what a busy machine does once in an hour is played in a millisecond, and played again by the other
+tick.
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ def compiled_before() -> None:
     assert choose("compiled", KERNELS, print) == "compiled"
 
 
-# -- the driver: each rule of time, and that it acted ------------------------------------------------------------------
+# -- the driver: each rule of time, and that it acted
+# ------------------------------------------------------------------
 
 
 ANSWERED = answers_but()
@@ -55,23 +57,35 @@ class Rule(NamedTuple):
 SILENT = tuple(range(20, 70))
 BEARS = DeviceLimits(peak_force=8.0, hold=10.0, workspace=BOX, latency=0.0)
 RULES = {
-    "nothing unusual": Rule(driver(ANSWERED), lambda s: s.ticks == TICKS and s.missed == s.overruns == 0),
+    "nothing unusual": Rule(
+        driver(ANSWERED), lambda s: s.ticks == TICKS and s.missed == s.overruns == 0
+    ),
     "watchdog, damping, zero": Rule(
         driver(answers_but(*SILENT), watchdog=5, damping_ticks=20),
         lambda s: (s.entered[DAMPING], s.entered[NOTHING], s.missed) == (1, 1, len(SILENT)),
     ),
     "the watchdog's last tick in time": Rule(
-        driver(answers_but(*range(20, 24)), watchdog=5), lambda s: s.entered[DAMPING] == 0 and s.missed == 4
+        driver(answers_but(*range(20, 24)), watchdog=5),
+        lambda s: s.entered[DAMPING] == 0 and s.missed == 4,
     ),
     "the ramp at the start, and after damping": Rule(
-        driver(answers_but(*SILENT), ramp=0.02, recovery=0.04, watchdog=5), lambda s: s.entered[RAMP] == 2
+        driver(answers_but(*SILENT), ramp=0.02, recovery=0.04, watchdog=5),
+        lambda s: s.entered[RAMP] == 2,
     ),
     "a hand that is pushed by the ramp": Rule(
-        driver(answers_but(*SILENT), recovery=0.05, watchdog=5, position=lambda seq: (0.0, 0.0, 1e-3 * max(seq - 69, 0))),
+        driver(
+            answers_but(*SILENT),
+            recovery=0.05,
+            watchdog=5,
+            position=lambda seq: (0.0, 0.0, 1e-3 * max(seq - 69, 0)),
+        ),
         lambda s: s.entered[RAMP] == 1 and s.safety == RAMP,
     ),
     "slew": Rule(
-        driver([answer(seq, force=(0.0, 0.0, 5.0 * (seq // 10 % 2))) for seq in range(TICKS)], slew=500.0),
+        driver(
+            [answer(seq, force=(0.0, 0.0, 5.0 * (seq // 10 % 2))) for seq in range(TICKS)],
+            slew=500.0,
+        ),
         lambda s: s.limited_by[1] > 10,
     ),
     "slew after lost ticks is that of one": Rule(
@@ -82,18 +96,24 @@ RULES = {
         ),
         lambda s: s.overruns == 6 and s.force[2] == 6.0,
     ),
-    "ticks lost": Rule(driver(ANSWERED, {30: 2_000, 50: 1_998, 70: 21_000}), lambda s: s.overruns == 1 + 10),
+    "ticks lost": Rule(
+        driver(ANSWERED, {30: 2_000, 50: 1_998, 70: 21_000}), lambda s: s.overruns == 1 + 10
+    ),
     "lost ticks and no answers": Rule(
-        driver(answers_but(*SILENT), {22: 9_000, 40: 3_000}, watchdog=5), lambda s: s.overruns == 5 and s.entered[DAMPING] == 1
+        driver(answers_but(*SILENT), {22: 9_000, 40: 3_000}, watchdog=5),
+        lambda s: s.overruns == 5 and s.entered[DAMPING] == 1,
     ),
     "hold: the device lets go in a silence": Rule(
-        driver(answers_but(*SILENT), limits={"hold": 6 * T}, watchdog=30), lambda s: s.entered[NOTHING] == 1
+        driver(answers_but(*SILENT), limits={"hold": 6 * T}, watchdog=30),
+        lambda s: s.entered[NOTHING] == 1,
     ),
     "hold: it lets go while the driver is held up": Rule(
-        driver(ANSWERED, {30: 21_000}, limits={"hold": 4 * T}), lambda s: s.entered[NOTHING] == 1 and s.overruns == 10
+        driver(ANSWERED, {30: 21_000}, limits={"hold": 4 * T}),
+        lambda s: s.entered[NOTHING] == 1 and s.overruns == 10,
     ),
     "hold that ends within a tick": Rule(
-        driver(answers_but(*SILENT), {60: 9_000}, limits={"hold": 5.5 * T}, watchdog=30), lambda s: s.entered[NOTHING] == 1
+        driver(answers_but(*SILENT), {60: 9_000}, limits={"hold": 5.5 * T}, watchdog=30),
+        lambda s: s.entered[NOTHING] == 1,
     ),
     "continuous force, two gaps in one window": Rule(
         driver(
@@ -107,19 +127,29 @@ RULES = {
         lambda s: s.limited_by[2] > 0 and s.overruns == 18,
     ),
     "age: answers that are none to five ticks old": Rule(
-        driver([answer(seq, 600.0 + 2000.0 * (seq // 20)) for seq in range(TICKS)], max_age=3, watchdog=20),
-        # On arrival a driver that is answered late waits for it, and leaves ticks out; under next_tick it does not.
+        driver(
+            [answer(seq, 600.0 + 2000.0 * (seq // 20)) for seq in range(TICKS)],
+            max_age=3,
+            watchdog=20,
+        ),
+        # On arrival a driver that is answered late waits for it, and leaves ticks out; under
+        # next_tick it does not.
         lambda s: (
-            s.overruns > 0 if s.next_tick == 0 else s.refused_for[2] > 0 and s.oldest_age >= 3 and s.entered[DAMPING] == 1
+            s.overruns > 0
+            if s.next_tick == 0
+            else s.refused_for[2] > 0 and s.oldest_age >= 3 and s.entered[DAMPING] == 1
         ),
     ),
     "samples that are late, with answers beyond their tick": Rule(
         driver(
-            [answer(seq, 2_200.0 if seq % 4 == 0 else 500.0) for seq in range(TICKS)], dict.fromkeys(range(0, TICKS, 4), 1_500)
+            [answer(seq, 2_200.0 if seq % 4 == 0 else 500.0) for seq in range(TICKS)],
+            dict.fromkeys(range(0, TICKS, 4), 1_500),
         ),
         lambda s: s.missed == 30 and s.overruns == 0,
     ),
-    "every answer late": Rule(driver([answer(seq, 2_100.0) for seq in range(TICKS)]), lambda s: s.entered[DAMPING] == 0),
+    "every answer late": Rule(
+        driver([answer(seq, 2_100.0) for seq in range(TICKS)]), lambda s: s.entered[DAMPING] == 0
+    ),
     "every answer twice": Rule(
         driver(
             [answer(seq, 600.0 if seq % 2 else 2_200.0) for seq in range(TICKS)]
@@ -128,7 +158,8 @@ RULES = {
         lambda s: s.refused_for[1] > 50,
     ),
     "forces for ticks that have not been": Rule(
-        driver([*ANSWERED, *(answer(seq, -3_000.0) for seq in range(10, 40))]), lambda s: s.refused_for[0] == 30
+        driver([*ANSWERED, *(answer(seq, -3_000.0) for seq in range(10, 40))]),
+        lambda s: s.refused_for[0] == 30,
     ),
     "a flood of old forces": Rule(
         driver(
@@ -142,7 +173,11 @@ RULES = {
         lambda s: s.skipped > 500 and s.refused_for[1] > 500,
     ),
     "outside the workspace, and back": Rule(
-        driver(ANSWERED, position=lambda seq: (0.0, 0.0, 0.2 if 30 <= seq < 40 else -1e-3), recovery=0.02),
+        driver(
+            ANSWERED,
+            position=lambda seq: (0.0, 0.0, 0.2 if 30 <= seq < 40 else -1e-3),
+            recovery=0.02,
+        ),
         lambda s: s.entered[FAULT] == 1 and s.missed == 0,
     ),
     "a loop that swings": Rule(
@@ -155,12 +190,14 @@ RULES = {
         lambda s: s.entered[STOPPED] == 1,
     ),
     "a jump of the position": Rule(
-        driver([answer(seq, force=(0.0, 0.0, 2.0 if seq < 30 else -5.0)) for seq in range(TICKS)])._replace(
-            hand=lambda: Hand(BEARS, moving, jumps_at=[30, 70])
-        ),
+        driver(
+            [answer(seq, force=(0.0, 0.0, 2.0 if seq < 30 else -5.0)) for seq in range(TICKS)]
+        )._replace(hand=lambda: Hand(BEARS, moving, jumps_at=[30, 70])),
         lambda s: s.entered[RAMP] == 1 and s.rebased == 70,
     ),
-    "a first force that is not zero": Rule(driver(ANSWERED, ramp=None), lambda s: s.entered[RAMP] == 1),
+    "a first force that is not zero": Rule(
+        driver(ANSWERED, ramp=None), lambda s: s.entered[RAMP] == 1
+    ),
     "a force that stays at its limit": Rule(
         driver(
             [answer(seq, force=(0.0, 0.0, 20.0)) for seq in range(TICKS)],
@@ -168,12 +205,15 @@ RULES = {
             peak_force=7.9,
             stop_after=64,
         ),
-        # Once for coming there, seen by the sample of tick 1, and then every 1 s / 64 while 79 µJ more a tick are given out.
+        # Once for coming there, seen by the sample of tick 1, and then every 1 s / 64 while 79 µJ
+        # more a tick are given out.
         lambda s: s.peaks_count == 1 + (TICKS - 1) // 8,
     ),
     **{
         f"held up in mid-tick, {place}": Rule(
-            driver(ANSWERED, limits={"hold": 5 * T})._replace(stalls={(40, place): 21_000, (70, place): 4_000}),
+            driver(ANSWERED, limits={"hold": 5 * T})._replace(
+                stalls={(40, place): 21_000, (70, place): 4_000}
+            ),
             lambda s: s.entered[NOTHING] == 1 and s.entered[RAMP] == 1,
         )
         for place in ("read", "publish", "answer", "stamped")
@@ -199,7 +239,8 @@ def test_a_driver_keeps_every_rule_of_time_alike(rule: str, apply: str, tmp_path
     s = node.driving
     assert s.seq == TICKS
     assert s.ticks + s.overruns == TICKS
-    # Every tick a state, and one more for where it came to rest; the ticks of the first are those of the script.
+    # Every tick a state, and one more for where it came to rest; the ticks of the first are those
+    # of the script.
     assert len(outcome.sent) == s.ticks + 1
     assert node.ticks_compiled == s.ticks
     if apply == "on_arrival":
@@ -213,7 +254,10 @@ def test_a_driver_keeps_every_rule_of_time_alike(rule: str, apply: str, tmp_path
             if state.rebased == state.seq > 0:
                 assert state.energy == before.energy  # a jump is no motion
                 continue
-            work = sum(f * (x - y) for f, x, y in zip(state.mean_force, state.position, before.position, strict=True))
+            work = sum(
+                f * (x - y)
+                for f, x, y in zip(state.mean_force, state.position, before.position, strict=True)
+            )
             assert state.energy - before.energy == pytest.approx(work, abs=1e-12), state.seq
 
 
@@ -238,8 +282,11 @@ def test_states_are_stamped_in_the_time_of_the_launchers_machine(tmp_path: Path)
     """Plain ticks took this machine's: recordings of a driver elsewhere had positions from hours before their forces."""
     outcome, _ = assert_alike(RULES["nothing unusual"].script, tmp_path)
     stamps = [Decoder(DeviceState).decode(frames[1]).stamp - AHEAD for _, frames in outcome.sent]
-    # A scripted sleep ends one step of the script's grid late: 1 µs. A clock at 6000 s has steps of 1e-12 s.
-    assert stamps == pytest.approx([EPOCH * 1e-9 + seq * T for seq in range(TICKS + 1)], rel=0.0, abs=1.0e-6 + 3e-12)
+    # A scripted sleep ends one step of the script's grid late: 1 µs. A clock at 6000 s has steps of
+    # 1e-12 s.
+    assert stamps == pytest.approx(
+        [EPOCH * 1e-9 + seq * T for seq in range(TICKS + 1)], rel=0.0, abs=1.0e-6 + 3e-12
+    )
 
 
 def test_the_mean_force_of_a_tick_is_split_where_its_answers_came(tmp_path: Path) -> None:
@@ -254,13 +301,15 @@ def test_the_mean_force_of_a_tick_is_split_where_its_answers_came(tmp_path: Path
     script = driver(arrivals, position=lambda seq: (0.0, 0.0, -1e-3 * seq), ticks=7)
     outcome, _ = assert_alike(script, tmp_path)
     states = [Decoder(DeviceState).decode(frames[1]) for _, frames in outcome.sent]
-    # 1 N for 0.6 ms, 2 N until 1 ms, 3 N for the rest, while the device moves by -1 mm; arrivals are 0.5 µs later than a whole
-    # number. A clock at 1000 s has steps of 1e-13 s: 6e-11 of a tick.
+    # 1 N for 0.6 ms, 2 N until 1 ms, 3 N for the rest, while the device moves by -1 mm; arrivals
+    # are 0.5 µs later than a whole number. A clock at 1000 s has steps of 1e-13 s: 6e-11 of a tick.
     mean = (600.5 * 1.0 + 400.0 * 2.0 + 999.5 * 3.0) / 2000.0
     assert states[6].energy - states[5].energy == pytest.approx(-1e-3 * mean, rel=1e-9)
     assert states[6].mean_force == pytest.approx((0.0, 0.0, mean), rel=1e-9)
     # Of tick 4 nothing came in its own time.
-    assert [state.changed_at for state in states[4:7]] == pytest.approx([0.30025, 1.0, 0.30025], abs=1e-9)
+    assert [state.changed_at for state in states[4:7]] == pytest.approx(
+        [0.30025, 1.0, 0.30025], abs=1e-9
+    )
 
 
 def test_who_was_silent_is_not_waited_for_whatever_else_comes(tmp_path: Path) -> None:
@@ -269,15 +318,21 @@ def test_who_was_silent_is_not_waited_for_whatever_else_comes(tmp_path: Path) ->
     script = driver([*(answer(seq) for seq in range(4)), damaged], {6: 1_500}, ticks=9)
     outcome, _ = assert_alike(script, tmp_path)
     # Each wait ends 1 µs after the time that was asked for.
-    assert [(moment - EPOCH) / TICK for moment, _ in outcome.sent][7] == pytest.approx(7.0005, abs=1e-9)
+    assert [(moment - EPOCH) / TICK for moment, _ in outcome.sent][7] == pytest.approx(
+        7.0005, abs=1e-9
+    )
 
 
-def test_an_environment_knows_its_tick_during_and_after_a_fault_of_the_driver(tmp_path: Path) -> None:
+def test_an_environment_knows_its_tick_during_and_after_a_fault_of_the_driver(
+    tmp_path: Path,
+) -> None:
     script = follower("environment", [(seq, 100.0) for seq in range(20)])
     arrivals = []
     for seq, arrival in enumerate(script.arrivals):
         state = Decoder(DeviceState).decode(arrival.frames[1])
-        fault = msgspec.structs.replace(state, safety="fault") if 8 <= seq < 12 or seq >= 17 else state
+        fault = (
+            msgspec.structs.replace(state, safety="fault") if 8 <= seq < 12 or seq >= 17 else state
+        )
         arrivals.append(arrival._replace(frames=(arrival.frames[0], encode(fault))))
         # Refusals are events, and say at which tick.
         arrivals.append(Arrival(arrival.at + 500_000, (arrival.frames[0], b"no message")))
@@ -297,15 +352,24 @@ def test_a_call_that_fails_ends_the_run_of_either_tick(tmp_path: Path) -> None:
             played(failing, tick, tmp_path)
 
 
-# -- the environment and the coupling ---------------------------------------------------------------------------------
+# -- the environment and the coupling
+# ---------------------------------------------------------------------------------
 
 COMING: dict[str, list[tuple[int, float]]] = {
     "in time": [(seq, 100.0) for seq in range(40)],
-    "one stall, then all at once": [(seq, 100.0 if seq < 10 else max(100.0, 2000.0 * (25 - seq))) for seq in range(40)],
-    "two stalls": [(seq, max(100.0, 2000.0 * (12 - seq % 20)) if seq > 5 else 100.0) for seq in range(40)],
-    "late, but nothing newer is there": [(seq, 100.0 + 2500.0 * (seq % 5 == 4)) for seq in range(40)],
+    "one stall, then all at once": [
+        (seq, 100.0 if seq < 10 else max(100.0, 2000.0 * (25 - seq))) for seq in range(40)
+    ],
+    "two stalls": [
+        (seq, max(100.0, 2000.0 * (12 - seq % 20)) if seq > 5 else 100.0) for seq in range(40)
+    ],
+    "late, but nothing newer is there": [
+        (seq, 100.0 + 2500.0 * (seq % 5 == 4)) for seq in range(40)
+    ],
     "at the edge of a period": [(seq, 1_999.0 + seq % 3) for seq in range(40)],
-    "ticks that the driver lost": [(seq + 3 * (seq > 10) + 40 * (seq > 20), 100.0) for seq in range(40)],
+    "ticks that the driver lost": [
+        (seq + 3 * (seq > 10) + 40 * (seq > 20), 100.0) for seq in range(40)
+    ],
     "a driver that is started again": [(seq % 23, 100.0) for seq in range(40)],
     "a driver that is started again, in a stall": [
         (seq % 23, max(100.0, 2000.0 * (26 - seq)) if seq > 18 else 100.0) for seq in range(40)
@@ -317,14 +381,18 @@ COMING: dict[str, list[tuple[int, float]]] = {
     ],
     "asked again": [(seq // 2, 100.0) for seq in range(40)],
     "asked again, in a stall": [(seq // 2, max(100.0, 2000.0 * (20 - seq))) for seq in range(40)],
-    "jumps to the end of all ticks": [(seq, 100.0) for seq in (0, 1, MAX_COUNT - 1, MAX_COUNT, 0, 1, MAX_COUNT)],
+    "jumps to the end of all ticks": [
+        (seq, 100.0) for seq in (0, 1, MAX_COUNT - 1, MAX_COUNT, 0, 1, MAX_COUNT)
+    ],
 }
 
 
 @pytest.mark.parametrize("pace", ["realtime", "lockstep"])
 @pytest.mark.parametrize("coming", COMING)
 @pytest.mark.parametrize("kind", KINDS)
-def test_who_follows_a_driver_follows_alike(kind: str, coming: str, pace: str, tmp_path: Path) -> None:
+def test_who_follows_a_driver_follows_alike(
+    kind: str, coming: str, pace: str, tmp_path: Path
+) -> None:
     outcome, node = assert_alike(follower(kind, COMING[coming], pace), tmp_path)
     assert len(outcome.sent) + node.counters.skipped == len(COMING[coming])
     if "stall" in coming and pace == "realtime":
@@ -333,17 +401,26 @@ def test_who_follows_a_driver_follows_alike(kind: str, coming: str, pace: str, t
         assert node.counters.skipped == 0
 
 
-# -- in every order ---------------------------------------------------------------------------------------------------
+# -- in every order
+# ---------------------------------------------------------------------------------------------------
 
 micros = st.integers(0, 9_000)
-lates = st.dictionaries(st.integers(0, 40), st.integers(0, 3_000).map(lambda tens: 10 * tens), max_size=6)
+lates = st.dictionaries(
+    st.integers(0, 40), st.integers(0, 3_000).map(lambda tens: 10 * tens), max_size=6
+)
 stalls = st.dictionaries(
     st.tuples(st.integers(0, 40), st.sampled_from(["read", "publish", "answer", "stamped"])),
     st.integers(0, 3_000).map(lambda tens: 10 * tens),
     max_size=4,
 )
 answers = st.lists(
-    st.tuples(st.integers(0, 40), st.integers(-2_500, 9_000), st.integers(-6, 1), st.floats(-9.0, 9.0), st.booleans()),
+    st.tuples(
+        st.integers(0, 40),
+        st.integers(-2_500, 9_000),
+        st.integers(-6, 1),
+        st.floats(-9.0, 9.0),
+        st.booleans(),
+    ),
     max_size=60,
 )
 quick = settings(max_examples=60)
@@ -386,13 +463,20 @@ def test_a_driver_does_the_same_in_whatever_order(
         ramp=None,
     )
     limits = msgspec.structs.replace(BEARS, hold=7 * T, latency=0.4 * T)
-    script = script._replace(apply=apply, stalls=held, hand=lambda: Hand(limits, moving, jumps_at=jumps))
+    script = script._replace(
+        apply=apply, stalls=held, hand=lambda: Hand(limits, moving, jumps_at=jumps)
+    )
     assert_alike(script, tmp_path)
 
 
 @quick
-@given(kind=st.sampled_from(sorted(KINDS)), coming=st.lists(st.tuples(st.integers(-2, 4), micros, st.booleans()), max_size=40))
-def test_who_follows_does_the_same_in_whatever_order(kind: str, coming: list[tuple[int, int, bool]], tmp_path: Path) -> None:
+@given(
+    kind=st.sampled_from(sorted(KINDS)),
+    coming=st.lists(st.tuples(st.integers(-2, 4), micros, st.booleans()), max_size=40),
+)
+def test_who_follows_does_the_same_in_whatever_order(
+    kind: str, coming: list[tuple[int, int, bool]], tmp_path: Path
+) -> None:
     seq, ticks, cut = 0, [], []
     for step, late, whole in coming:
         seq = max(seq + step, 0)

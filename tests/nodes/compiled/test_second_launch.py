@@ -1,8 +1,9 @@
 """A launch that lacked compiled ticks has them made, and the next one runs them; here of sources in which one rule was changed.
 
-So it shows two things at once, with real launches and a real compiler: that whoever never asked for compiled ticks has them
-from the second launch on, and that a rule of the tick stands in one place: changed there, the interpreter, the compiled nodes,
-the scene in one process and the replay of a recording all keep the new one, to the bit.
+So it shows two things at once, with real launches and a real compiler: that whoever never asked for
+compiled ticks has them from the second launch on, and that a rule of the tick stands in one place:
+changed there, the interpreter, the compiled nodes, the scene in one process and the replay of a
+recording all keep the new one, to the bit.
 """
 
 from __future__ import annotations
@@ -28,10 +29,19 @@ from tests.nodes.compiled.test_choose import background
 from tests.support import ROOT
 from tests.support.launching import private_runtime_dir, wait_for
 
-RULE = ("nodes/driver/safety.py", "share = s.regained / s.ramp_ticks", "share = (s.regained / s.ramp_ticks) ** 2")
+RULE = (
+    "nodes/driver/safety.py",
+    "share = s.regained / s.ramp_ticks",
+    "share = (s.regained / s.ramp_ticks) ** 2",
+)
 """The ramp by which a force is let in grows with the square of the time."""
 
-KERNELS = ("nodes.driver.kernel", "nodes.environment.kernel", "nodes.coupling.kernel", "sim.device.kernel")
+KERNELS = (
+    "nodes.driver.kernel",
+    "nodes.environment.kernel",
+    "nodes.coupling.kernel",
+    "sim.device.kernel",
+)
 WORDS = ("floor_drop", "duration:=0.6", "--params", "slow.yaml")
 RAMP = 500
 
@@ -86,7 +96,9 @@ def changed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Changed]:
     assert text.count(before) == 1
     (sources / path).write_text(text.replace(before, after), encoding="utf-8")
     runs.mkdir()
-    (runs / "slow.yaml").write_text(f"driver: {{safety: {{ramp: {RAMP * 0.002}}}}}", encoding="utf-8")
+    (runs / "slow.yaml").write_text(
+        f"driver: {{safety: {{ramp: {RAMP * 0.002}}}}}", encoding="utf-8"
+    )
     with private_runtime_dir() as runtime:
         variables = {
             "PYTHONPATH": str(sources),
@@ -102,9 +114,12 @@ def changed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Changed]:
 def keep_what_is_compiled(changed: Changed) -> None:
     """Put what is compiled of the sources as they are into the copy's cache: half a minute less for the compiler.
 
-    What the rule touches counts as absent there, by its digest; were it taken, the rule would be the old one.
+    What the rule touches counts as absent there, by its digest; were it taken, the rule would be
+    the old one.
     """
-    there = Path(changed.run("-c", "from nodes.compiled.cache import folder; print(folder())").stdout.strip())
+    there = Path(
+        changed.run("-c", "from nodes.compiled.cache import folder; print(folder())").stdout.strip()
+    )
     there.mkdir(mode=0o700, parents=True)
     for path in (folder() / f"{kernel}.tick" for kernel in KERNELS):
         if path.exists():
@@ -112,11 +127,16 @@ def keep_what_is_compiled(changed: Changed) -> None:
 
 
 def forces_of(place: Path, figures: dict[str, Any]) -> list[float]:
-    return [float(state.force[2]) for state in Recording(place / figures["recording"]).messages(DEVICE_STATE)][1:]
+    return [
+        float(state.force[2])
+        for state in Recording(place / figures["recording"]).messages(DEVICE_STATE)
+    ][1:]
 
 
 @pytest.mark.slow
-def test_the_second_launch_runs_compiled_and_every_player_keeps_the_changed_rule(changed: Changed) -> None:
+def test_the_second_launch_runs_compiled_and_every_player_keeps_the_changed_rule(
+    changed: Changed,
+) -> None:
     first, said = changed.launch("pace:=lockstep")
     assert first["tick"] == "plain"
     assert said.count("for the next launch") == 1
@@ -132,20 +152,32 @@ def test_the_second_launch_runs_compiled_and_every_player_keeps_the_changed_rule
     for words in ((), ("pace:=lockstep",)):
         second, said = changed.launch(*words)
         assert second["tick"] == "compiled"
-        assert second["tick_by_node"] == dict.fromkeys(("driver", "environment", "coupling"), "compiled")
+        assert second["tick_by_node"] == dict.fromkeys(
+            ("driver", "environment", "coupling"), "compiled"
+        )
         assert second["ticks_compiled"]["driver"] == second["ticks"]
         assert "for the next launch" not in said
         assert "plain tick" not in said
 
-    forces = {"interpreted nodes": forces_of(changed.folder, first), "compiled nodes": forces_of(changed.folder, second)}
+    forces = {
+        "interpreted nodes": forces_of(changed.folder, first),
+        "compiled nodes": forces_of(changed.folder, second),
+    }
     forces |= json.loads(changed.run("-c", PLAYED, str(changed.folder / first["recording"])).stdout)
     expected = forces["interpreted nodes"]
     assert len(expected) == 300
-    assert all(row == expected for row in forces.values()), [name for name, row in forces.items() if row != expected]
+    assert all(row == expected for row in forces.values()), [
+        name for name, row in forces.items() if row != expected
+    ]
 
-    # Until the first force the motion is that of the old rule: there the new force is the old one times its share of the ramp.
+    # Until the first force the motion is that of the old rule: there the new force is the old one
+    # times its share of the ramp.
     given = launch_file.parse_assignments(["duration:=0.6"])
-    old = from_launch(launch_file.read("floor_drop", given, (changed.folder / "slow.yaml",))).play().force.tolist()
+    old = (
+        from_launch(launch_file.read("floor_drop", given, (changed.folder / "slow.yaml",)))
+        .play()
+        .force.tolist()
+    )
     touched = next(tick for tick, force in enumerate(old) if force)
     assert 1 < touched < RAMP - 1
     # A product of three numbers.

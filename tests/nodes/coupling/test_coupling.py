@@ -17,7 +17,14 @@ from hypothesis import strategies as st
 
 from messages.types import Proxy
 from nodes import arithmetic
-from nodes.coupling.law_on_axis import UNROLLED_TAPS, History, LawOnAxis, shares_of, sum_of_taps, weighted_taps
+from nodes.coupling.law_on_axis import (
+    UNROLLED_TAPS,
+    History,
+    LawOnAxis,
+    shares_of,
+    sum_of_taps,
+    weighted_taps,
+)
 from nodes.coupling.node import Coupling
 from nodes.coupling.renderer import ActiveLaw, Renderer
 from nodes.coupling.state import LEAVING
@@ -44,13 +51,16 @@ def filled(values: list[float], length: int) -> History:
     return history
 
 
-# -- taps ------------------------------------------------------------------------------------------------------------------
+# -- taps
+# ------------------------------------------------------------------------------------------------------------------
 
 finite = st.floats(-1e6, 1e6)
 
 
 @given(st.lists(finite, max_size=80), st.lists(finite, max_size=90))
-def test_taps_written_out_and_added_by_numpy_have_the_bits_of_the_kernel(taps: list[float], values: list[float]) -> None:
+def test_taps_written_out_and_added_by_numpy_have_the_bits_of_the_kernel(
+    taps: list[float], values: list[float]
+) -> None:
     history = filled(values, 80)
     found = sum_of_taps(tuple(taps), history)(history.head)
     expected = arithmetic.fir(taps, history.values, history.head)
@@ -76,7 +86,8 @@ def test_a_law_longer_than_the_history_is_refused_at_the_edge() -> None:
         LawOnAxis(CompiledLaw((1.0,) * 9), History(8))
 
 
-# -- history ---------------------------------------------------------------------------------------------------------------
+# -- history
+# ---------------------------------------------------------------------------------------------------------------
 
 
 def test_a_bridge_is_a_straight_line_up_to_the_next_deflection() -> None:
@@ -157,10 +168,13 @@ def test_a_snapshot_of_a_history_that_goes_on_all_the_time_has_an_end() -> None:
     assert copy.pushes == 100
     # Five have taken the place of the oldest, and one more may be under way.
     assert copy.known == 64 - 1 - 5
-    assert [copy.values[copy.head + age] for age in range(copy.known)] == [100.0 - age for age in range(copy.known)]
+    assert [copy.values[copy.head + age] for age in range(copy.known)] == [
+        100.0 - age for age in range(copy.known)
+    ]
 
 
-# -- recursive sections ----------------------------------------------------------------------------------------------------
+# -- recursive sections
+# ----------------------------------------------------------------------------------------------------
 
 
 def test_a_warmed_up_law_is_where_it_would_be_had_it_run_all_along() -> None:
@@ -193,13 +207,14 @@ def test_what_lies_before_the_history_is_forgotten_as_the_poles_decay() -> None:
         along.force(history.head)
     late = LawOnAxis(RECURSIVE, history)
     late.warm_up(history.snapshot())
-    # 63 known values, the largest pole has radius 0.7702: what is left of the force before them is below 0.7702^62 times
-    # the largest force of a section, some 300 N/m · 4 mm · a few.
+    # 63 known values, the largest pole has radius 0.7702: what is left of the force before them is
+    # below 0.7702^62 times the largest force of a section, some 300 N/m · 4 mm · a few.
     assert abs(late.present() - along.present()) < 0.7702**62 * 10.0
 
 
 def test_sections_see_the_ticks_that_were_bridged() -> None:
-    # A law whose sections are the first-order difference equation y = x + 0.5 y₋₁: fed a line, it has a closed form.
+    # A law whose sections are the first-order difference equation y = x + 0.5 y₋₁: fed a line, it
+    # has a closed form.
     law = CompiledLaw((0.0,), ((1.0, 0.0, -0.5, 0.0),))
     renderer = Renderer([2], 32)
     renderer.fallback = ActiveLaw("fallback", "{}", CompiledLaw((0.0,)), renderer.histories)
@@ -217,19 +232,30 @@ def test_sections_see_the_ticks_that_were_bridged() -> None:
         assert found == pytest.approx(expected, rel=1e-12)
 
 
-# -- fades and swaps -------------------------------------------------------------------------------------------------------
+# -- fades and swaps
+# -------------------------------------------------------------------------------------------------------
 
 
 def proxy_at(z: float, seq: int = 0) -> Proxy:
     """Meet a floor at z = 0."""
     surface = (0.0, 0.0, 0.0 if z < 0.0 else z)
-    return Proxy(seq=seq, stamp=0.0, position=(0.0, 0.0, z), proxy=surface, normal=(0.0, 0.0, 1.0), distance=z, contact=z < 0.0)
+    return Proxy(
+        seq=seq,
+        stamp=0.0,
+        position=(0.0, 0.0, z),
+        proxy=surface,
+        normal=(0.0, 0.0, 1.0),
+        distance=z,
+        contact=z < 0.0,
+    )
 
 
 def renderer_with(*taps: float) -> Renderer:
     renderer = Renderer([2], 64)
     renderer.law = ActiveLaw("first", '{"law":"first"}', CompiledLaw(taps), renderer.histories)
-    renderer.fallback = ActiveLaw("fallback", '{"law":"fallback"}', CompiledLaw((0.0, 0.0)), renderer.histories)
+    renderer.fallback = ActiveLaw(
+        "fallback", '{"law":"fallback"}', CompiledLaw((0.0, 0.0)), renderer.histories
+    )
     return renderer
 
 
@@ -249,11 +275,20 @@ def test_a_fade_is_the_kernels_and_ends_after_its_ramp() -> None:
     assert forces[3:] == [new] * 3
 
 
-@given(st.lists(st.tuples(st.floats(100.0, 5000.0), st.integers(0, 30), st.integers(1, 12)), min_size=1, max_size=14))
+@given(
+    st.lists(
+        st.tuples(st.floats(100.0, 5000.0), st.integers(0, 30), st.integers(1, 12)),
+        min_size=1,
+        max_size=14,
+    )
+)
 @settings(max_examples=60)
-def test_a_swap_during_a_fade_does_not_make_the_force_jump(swaps: list[tuple[float, int, int]]) -> None:
-    # Held at 1 mm every law's force is constant, so a fade's largest step is the whole difference over its ramp; a hard
-    # swap's is the difference itself. More than LEAVING laws are joined, which must not show either.
+def test_a_swap_during_a_fade_does_not_make_the_force_jump(
+    swaps: list[tuple[float, int, int]],
+) -> None:
+    # Held at 1 mm every law's force is constant, so a fade's largest step is the whole difference
+    # over its ramp; a hard swap's is the difference itself. More than LEAVING laws are joined,
+    # which must not show either.
     renderer = renderer_with(1000.0)
     before = renderer.render(proxy_at(-0.001))[2]
     present = before
@@ -271,10 +306,15 @@ def test_a_swap_during_a_fade_does_not_make_the_force_jump(swaps: list[tuple[flo
 
 @pytest.mark.parametrize("counts", [(1, 3, 2), (30, 3, 70)])
 def test_laws_of_taps_are_joined_exactly(counts: tuple[int, ...]) -> None:
-    laws = [(tuple(deflections(count, 7 + count)), weight) for count, weight in zip(counts, (0.5, 0.2, 0.3), strict=True)]
+    laws = [
+        (tuple(deflections(count, 7 + count)), weight)
+        for count, weight in zip(counts, (0.5, 0.2, 0.3), strict=True)
+    ]
     history = filled(deflections(100), 80)
     joined = arithmetic.fir(weighted_taps(laws), history.values, history.head)
-    apart = sum(weight * arithmetic.fir(taps, history.values, history.head) for taps, weight in laws)
+    apart = sum(
+        weight * arithmetic.fir(taps, history.values, history.head) for taps, weight in laws
+    )
     # Sums of 100 products of size 1e-6 in another order.
     assert joined == pytest.approx(apart, abs=100 * 1e-6 * 2**-52)
 
@@ -282,7 +322,10 @@ def test_laws_of_taps_are_joined_exactly(counts: tuple[int, ...]) -> None:
 def test_shares_add_up_and_the_least_are_joined() -> None:
     history = History(8)
     sections = ((1.0, 0.0, -0.5, 0.0),)
-    laws = [LawOnAxis(CompiledLaw((1.0,), sections if k % 2 else ()), history) for k in range(3 * LEAVING)]
+    laws = [
+        LawOnAxis(CompiledLaw((1.0,), sections if k % 2 else ()), history)
+        for k in range(3 * LEAVING)
+    ]
     shares = [(laws[0], 1.0)]
     for law in laws[1:]:
         shares = shares_of(shares, law, 0.1)
@@ -327,9 +370,13 @@ def test_taps_that_overflow_at_the_present_deflection_are_not_swapped_in() -> No
     assert renderer.law.name == "first"
 
 
-def test_a_failed_law_is_replaced_within_the_tick_whose_deflection_it_kept_from_the_history() -> None:
+def test_a_failed_law_is_replaced_within_the_tick_whose_deflection_it_kept_from_the_history() -> (
+    None
+):
     renderer = renderer_with(1000.0)
-    renderer.fallback = ActiveLaw("fallback", "{}", CompiledLaw((5.0 / T, -5.0 / T)), renderer.histories)
+    renderer.fallback = ActiveLaw(
+        "fallback", "{}", CompiledLaw((5.0 / T, -5.0 / T)), renderer.histories
+    )
     renderer.law = law_of(renderer, 1000.0, evaluate=broken)
     assert renderer.watched
     due = renderer.due()
@@ -345,7 +392,9 @@ def test_a_failed_law_is_replaced_within_the_tick_whose_deflection_it_kept_from_
 
 def test_a_fallback_that_overflows_renders_nothing() -> None:
     renderer = renderer_with(1000.0)
-    renderer.fallback = ActiveLaw("fallback", "{}", CompiledLaw((1e308, -1e308)), renderer.histories)
+    renderer.fallback = ActiveLaw(
+        "fallback", "{}", CompiledLaw((1e308, -1e308)), renderer.histories
+    )
     assert renderer.fall_back(proxy_at(-1e3), renderer.due()) == (0.0, 0.0, 0.0)
 
 
@@ -361,7 +410,8 @@ def test_a_law_that_fades_out_is_watched_until_it_is_gone() -> None:
     assert watched == [True, True, True, False]
 
 
-# -- budget ----------------------------------------------------------------------------------------------------------------
+# -- budget
+# ----------------------------------------------------------------------------------------------------------------
 
 
 def test_sleeping_and_computing_overrun_and_waiting_for_the_interpreter_is_excused() -> None:
@@ -377,8 +427,14 @@ def test_sleeping_and_computing_overrun_and_waiting_for_the_interpreter_is_excus
         pass
     assert "computed for" in budget.overrun()
     assert "budget 5000 µs" in budget.overrun(excused=True)
-    # One alone may be the machine's; just within a second the next one is the law's, just beyond it is alone again.
-    assert [budget.again(seconds) for seconds in (3.0, 4.0, 5.002, 6.0)] == [False, True, False, True]
+    # One alone may be the machine's; just within a second the next one is the law's, just beyond it
+    # is alone again.
+    assert [budget.again(seconds) for seconds in (3.0, 4.0, 5.002, 6.0)] == [
+        False,
+        True,
+        False,
+        True,
+    ]
 
 
 class Slow(Law, frozen=True, kw_only=True):
@@ -401,7 +457,11 @@ def test_a_law_is_tried_with_the_budget_that_it_comes_with(monkeypatch: pytest.M
     monkeypatch.setattr("nodes.laws.parse.load_law", {"slow": Slow, "pd": PD}.get)
     monkeypatch.setattr("nodes.laws.parse.law_names", lambda: ["pd", "slow"])
     laws = {"slow": {"kind": "slow"}, "pd": {"kind": "pd", "stiffness": 500.0, "damping": 3.0}}
-    node = Coupling(setup_of(name="coupling", period=0.1, parameters={"law": "pd", "laws": laws, "stability": "off"}))
+    node = Coupling(
+        setup_of(
+            name="coupling", period=0.1, parameters={"law": "pd", "laws": laws, "stability": "off"}
+        )
+    )
     node.configure()
     # 20 ms within 50 ms; not within 10 ms, and 100 ms are no reason to refuse it.
     node.prepare(node.store.changed({"law": "slow"}))

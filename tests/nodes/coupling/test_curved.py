@@ -22,7 +22,11 @@ LAWS: dict[str, Law] = {
     "pd": PD(stiffness=800.0, damping=2.0),
     "pd_alpha": PDAlpha(stiffness=800.0, damping=2.0, order=1.2, taps=10, gains="physical"),
     "multi_term": MultiTerm(
-        stiffness=800.0, damping=2.0, terms=(Term(gain=1.0, order=1.2), Term(gain=0.5, order=0.8)), taps=10, gains="physical"
+        stiffness=800.0,
+        damping=2.0,
+        terms=(Term(gain=1.0, order=1.2), Term(gain=0.5, order=0.8)),
+        taps=10,
+        gains="physical",
     ),
 }
 
@@ -65,7 +69,8 @@ def test_a_history_in_the_worlds_axes_pushes_along_a_curved_way(name: str) -> No
     # Rounding of forces of some newtons, through deflections that are differences of positions.
     assert along[-1] == pytest.approx(-DEPTH * float(taps @ np.sin(ages)), abs=1e-9)
     assert across[-1] == pytest.approx(DEPTH * float(taps @ np.cos(ages)), abs=1e-9)
-    # It pushes on: a damping of −B d/(r − d) on the way, which for a spring and damper is exact as the period goes to 0.
+    # It pushes on: a damping of −B d/(r − d) on the way, which for a spring and damper is exact as
+    # the period goes to 0.
     assert along[-1] > 0.0
     if name == "pd":
         assert along[-1] == pytest.approx(2.0 * DEPTH * SPEED / (RADIUS - DEPTH), rel=TURN**2)
@@ -131,7 +136,10 @@ def test_a_frame_may_change_while_a_law_renders() -> None:
 def test_axes_that_turn_need_all_three(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     given = tmp_path / "given.yaml"
     given.write_text("coupling: {frame: surface}", encoding="utf-8")
-    assert main(["launch", "floor_drop", "--params", str(given), "pace:=lockstep", "duration:=0.1"]) == 2
+    assert (
+        main(["launch", "floor_drop", "--params", str(given), "pace:=lockstep", "duration:=0.1"])
+        == 2
+    )
     told = capfd.readouterr().err
     assert "coupling.frame" in told
     assert "run.axes is [z]" in told

@@ -46,7 +46,9 @@ def drop(law: str, height: float, **coupling: Any) -> Any:
 def dropped(law: str, height: float) -> Launch:
     """Read the drop of the paper, without the driver's own ramp."""
     launch = launch_file.read("floor_drop", {"law": law, "height": height, "duration": 0.6})
-    return with_values(launch, "driver", {"safety": {**launch.nodes["driver"].parameters["safety"], "ramp": 0.0}})
+    return with_values(
+        launch, "driver", {"safety": {**launch.nodes["driver"].parameters["safety"], "ramp": 0.0}}
+    )
 
 
 def gain_at_rest(law: CompiledLaw) -> float:
@@ -76,13 +78,17 @@ def test_a_drop_that_begins_inside_the_floor_begins_softly(law: str, height: flo
 @pytest.mark.parametrize("law", ["pd", "pd_alpha", "multi_term"])
 def test_a_drop_that_begins_free_has_the_bits_of_one_without_easing(law: str) -> None:
     for height in (0.0, 0.01):
-        eased_, hard = (drop(law, height, ease=ease).play(200, interpreted=True) for ease in (EASE, 0.0))
+        eased_, hard = (
+            drop(law, height, ease=ease).play(200, interpreted=True) for ease in (EASE, 0.0)
+        )
         assert np.array_equal(eased_.force, hard.force)
         assert np.array_equal(eased_.measured, hard.measured)
 
 
 def test_without_easing_a_beginning_is_no_velocity_all_the_same() -> None:
-    assert drop("pd", -0.002, ease=0.0).play(10, interpreted=True).force[0] == pytest.approx(2.0, rel=1e-12)
+    assert drop("pd", -0.002, ease=0.0).play(10, interpreted=True).force[0] == pytest.approx(
+        2.0, rel=1e-12
+    )
 
 
 @pytest.mark.parametrize("law", ["pd", "pd_alpha", "multi_term", "designed_d0"])
@@ -115,7 +121,9 @@ def test_an_eased_force_lies_between_what_was_felt_and_what_is_asked(
 
 
 @given(st.floats(-1.9, 1.9), st.floats(0.0, 0.98), st.floats(-0.1, 0.1))
-def test_a_section_that_is_settled_stays_where_it_is(angle: float, radius: float, value: float) -> None:
+def test_a_section_that_is_settled_stays_where_it_is(
+    angle: float, radius: float, value: float
+) -> None:
     coefficients = [300.0, -120.0, -radius * angle, radius * radius]
     state = [0.0, 0.0]
     settle(coefficients, state, value)
@@ -125,7 +133,8 @@ def test_a_section_that_is_settled_stays_where_it_is(angle: float, radius: float
     assert state[0] == pytest.approx(rest, rel=1e-9, abs=1e-12)
 
 
-# -- surfaces that are changed while they are touched ----------------------------------------------------------------------
+# -- surfaces that are changed while they are touched
+# ----------------------------------------------------------------------
 
 SURFACES = st.one_of(
     st.builds(
@@ -134,15 +143,27 @@ SURFACES = st.one_of(
         st.floats(0.01, 0.05),
     ),
     st.builds(
-        lambda at, size, turn: {"kind": "box", "position": list(at), "size": list(size), "rotation": list(turn)},
+        lambda at, size, turn: {
+            "kind": "box",
+            "position": list(at),
+            "size": list(size),
+            "rotation": list(turn),
+        },
         st.tuples(*3 * [st.floats(-0.02, 0.02)]),
         st.tuples(*3 * [st.floats(0.01, 0.08)]),
         st.tuples(*3 * [st.floats(-1.0, 1.0)]),
     ),
     st.builds(lambda at: {"kind": "plane", "axis": "z", "position": at}, st.floats(-0.02, 0.02)),
-    st.builds(lambda at: {"kind": "anchor", "position": list(at)}, st.tuples(*3 * [st.floats(-0.02, 0.02)])),
     st.builds(
-        lambda at, turn: {"kind": "oriented_plane", "position": [0.0, 0.0, at], "normal": [*turn, 1.0]},
+        lambda at: {"kind": "anchor", "position": list(at)},
+        st.tuples(*3 * [st.floats(-0.02, 0.02)]),
+    ),
+    st.builds(
+        lambda at, turn: {
+            "kind": "oriented_plane",
+            "position": [0.0, 0.0, at],
+            "normal": [*turn, 1.0],
+        },
         st.floats(-0.02, 0.02),
         st.tuples(*2 * [st.floats(-0.5, 0.5)]),
     ),
@@ -180,8 +201,8 @@ def couplings(surface: dict[str, Any], law: str) -> CouplingParameters:
 def unexplained(found: SpatialTrace, changes: Sequence[int]) -> float:
     """Return the largest change of force per tick beyond ramp and motion, of pd in the world's axes [N].
 
-    What is asked is computed from the trace by the law's own equation, with no velocity over a jump; the ramp may add its
-    share of each jump's step, as long as it lasts.
+    What is asked is computed from the trace by the law's own equation, with no velocity over a
+    jump; the ramp may add its share of each jump's step, as long as it lasts.
     """
     deflection = np.where(found.contact[:, None], found.proxy - found.position, 0.0)
     before = np.vstack([deflection[:1], deflection[:-1]])
@@ -192,7 +213,8 @@ def unexplained(found: SpatialTrace, changes: Sequence[int]) -> float:
     asked = np.where((along < 0.0)[:, None], asked - along[:, None] * found.normal, asked)
     worst, felt, share = 0.0, np.zeros(3), np.zeros(3)
     for k, force in enumerate(found.force):
-        # A jump that leaves the deflection as it is (free air before and after) is none, and its easing goes on.
+        # A jump that leaves the deflection as it is (free air before and after) is none, and its
+        # easing goes on.
         if k == 0 or (k in changes and (deflection[k] != deflection[k - 1]).any()):
             share = np.abs(felt - asked[k]) / RAMP
             moved = np.zeros(3)
@@ -214,22 +236,39 @@ def test_no_change_of_a_surface_makes_a_force_that_no_motion_made(
     surfaces: list[dict[str, Any]], start: tuple[float, float, float], gaps: list[int], seed: int
 ) -> None:
     """Random surfaces, starts, ways and live changes, one into the easing of another."""
-    path = np.array(start) + wander(np.random.default_rng(seed), 240, 2e-4, (0.02, 0.02, 0.02), (0.0, 0.0, 0.0))
+    path = np.array(start) + wander(
+        np.random.default_rng(seed), 240, 2e-4, (0.02, 0.02, 0.02), (0.0, 0.0, 0.0)
+    )
     path += np.array(start) - path[0]
     ticks = np.cumsum(gaps)[: len(surfaces) - 1].tolist()
     changes = list(zip(ticks, surfaces[1:], strict=False))
     found = play(with_surface(surfaces[0], frame="world"), len(path), path=path, changes=changes)
-    jumps = [tick for tick, one, other in zip(ticks, surfaces, surfaces[1:], strict=False) if one != other]
+    jumps = [
+        tick
+        for tick, one, other in zip(ticks, surfaces, surfaces[1:], strict=False)
+        if one != other
+    ]
     assert unexplained(found, jumps) <= EPSILON
 
 
 @pytest.mark.parametrize("law", ["pd_alpha", "multi_term", "designed_d0"])
 @pytest.mark.parametrize("frame", ["world", "surface"])
-def test_a_surface_that_moves_under_a_hand_at_rest_is_felt_by_the_ramp_alone(law: str, frame: str) -> None:
+def test_a_surface_that_moves_under_a_hand_at_rest_is_felt_by_the_ramp_alone(
+    law: str, frame: str
+) -> None:
     """Pressed 3 mm deep for a while, then it comes 10 mm nearer: 40 N and more at once, before."""
-    path = np.concatenate([np.linspace([0.0, 0.0, 0.04], [0.0, 0.0, 0.027], 100), np.tile([0.0, 0.0, 0.027], (1400, 1))])
-    ball, moved = ({"kind": "sphere", "position": [0.0, 0.0, z], "radius": 0.03} for z in (0.0, 0.01))
-    found = play(with_surface(ball, law=law, frame=frame), len(path), path=path, changes=[(1200, moved)])
+    path = np.concatenate(
+        [
+            np.linspace([0.0, 0.0, 0.04], [0.0, 0.0, 0.027], 100),
+            np.tile([0.0, 0.0, 0.027], (1400, 1)),
+        ]
+    )
+    ball, moved = (
+        {"kind": "sphere", "position": [0.0, 0.0, z], "radius": 0.03} for z in (0.0, 0.01)
+    )
+    found = play(
+        with_surface(ball, law=law, frame=frame), len(path), path=path, changes=[(1200, moved)]
+    )
     force = found.force[:, 2]
     step = np.abs(np.diff(force[1100:])).max()
     gain = gain_at_rest(LawBook("coupling", PERIOD).compile(couplings(ball, law), law))
@@ -238,61 +277,92 @@ def test_a_surface_that_moves_under_a_hand_at_rest_is_felt_by_the_ramp_alone(law
     assert step <= 1.02 * (gain * 0.013 - force[1199]) / RAMP
 
 
-@pytest.mark.parametrize(("radius", "moved"), [(0.022, 0.01), (0.022, 0.1), (0.022, -0.02), (0.037, -0.02), (0.037, 0.05)])
-def test_a_surface_that_asks_for_more_than_the_driver_gives_comes_by_the_whole_ramp(radius: float, moved: float) -> None:
+@pytest.mark.parametrize(
+    ("radius", "moved"),
+    [(0.022, 0.01), (0.022, 0.1), (0.022, -0.02), (0.037, -0.02), (0.037, 0.05)],
+)
+def test_a_surface_that_asks_for_more_than_the_driver_gives_comes_by_the_whole_ramp(
+    radius: float, moved: float
+) -> None:
     """Eased in full, 80 N were at the driver's 7.9 N after a tenth of the ramp; from 12 N they fell in its last part."""
-    path = np.concatenate([np.linspace([0.0, 0.0, 0.04], [0.0, 0.0, 0.02], 100), np.tile([0.0, 0.0, 0.02], (300, 1))])
+    path = np.concatenate(
+        [np.linspace([0.0, 0.0, 0.04], [0.0, 0.0, 0.02], 100), np.tile([0.0, 0.0, 0.02], (300, 1))]
+    )
     launch = with_surface({"kind": "sphere", "radius": radius})
     limits = {**launch.nodes["driver"].parameters["safety"], "peak_force": 7.9, "slew": 4000.0}
     launch = with_values(launch, "driver", {"safety": limits})
     changes = [(250, {"kind": "sphere", "radius": radius + moved})]
     force = play(launch, len(path), path=path, changes=changes).force[:, 2]
     deep = radius + TOOL_RADIUS - 0.02
-    before, after = (min(max(STIFFNESS * deflection, 0.0), 7.9) for deflection in (deep, deep + moved))
+    before, after = (
+        min(max(STIFFNESS * deflection, 0.0), 7.9) for deflection in (deep, deep + moved)
+    )
     line = before + (after - before) * np.minimum(np.arange(1, 151) / RAMP, 1.0)
     # The skin of a surface is 0.1 nm.
     assert force[250:] == pytest.approx(line, abs=1e-6)
 
 
 def test_a_solid_that_moves_onto_a_free_device_is_not_felt_until_it_is_outside() -> None:
-    path = np.concatenate([np.tile([0.0, 0.0, 0.04], (50, 1)), np.linspace([0.0, 0.0, 0.04], [0.0, 0.0, 0.08], 300)])
+    path = np.concatenate(
+        [np.tile([0.0, 0.0, 0.04], (50, 1)), np.linspace([0.0, 0.0, 0.04], [0.0, 0.0, 0.08], 300)]
+    )
     path = np.concatenate([path, np.linspace([0.0, 0.0, 0.08], [0.0, 0.0, 0.058], 150)])
-    ball, moved = ({"kind": "sphere", "position": [0.0, 0.0, z], "radius": 0.03} for z in (0.0, 0.03))
+    ball, moved = (
+        {"kind": "sphere", "position": [0.0, 0.0, z], "radius": 0.03} for z in (0.0, 0.03)
+    )
     found = play(with_surface(ball), len(path), path=path, changes=[(20, moved)])
     assert not found.force[:350].any()
     assert found.force[-1, 2] > 1.0
 
 
-# -- the node ------------------------------------------------------------------------------------------------------------
+# -- the node
+# ------------------------------------------------------------------------------------------------------------
 
 PD = {"kind": "pd", "stiffness": STIFFNESS, "damping": 0.0}
 
 
 def coupling(**given_: Any) -> Coupling:
-    node = Coupling(setup_of(name="coupling", parameters={"law": "pd", "laws": {"pd": PD}, "stability": "off", **given_}))
+    node = Coupling(
+        setup_of(
+            name="coupling",
+            parameters={"law": "pd", "laws": {"pd": PD}, "stability": "off", **given_},
+        )
+    )
     node.configure()
     return node
 
 
 def force_at(node: Coupling, seq: int, depth: float, **given_: Any) -> float:
     """Answer a tick at a depth behind a floor [m]; the force along z [N]."""
-    contact: dict[str, Any] = {"normal": (0.0, 0.0, 1.0), "distance": -depth, "contact": depth > 0.0}
+    contact: dict[str, Any] = {
+        "normal": (0.0, 0.0, 1.0),
+        "distance": -depth,
+        "contact": depth > 0.0,
+    }
     place = (0.0, 0.0, -depth)
     proxy = (0.0, 0.0, 0.0) if depth > 0.0 else place
-    payload = node._answer(Proxy(seq=seq, stamp=0.0, position=place, proxy=proxy, **contact, **given_))
+    payload = node._answer(
+        Proxy(seq=seq, stamp=0.0, position=place, proxy=proxy, **contact, **given_)
+    )
     node.counters.seq = node.counters.answered = seq
     return Decoder(Force).decode(payload).force[2]
 
 
-def test_a_jump_has_the_ramp_that_its_message_asks_for_and_the_next_one_begins_where_that_is() -> None:
+def test_a_jump_has_the_ramp_that_its_message_asks_for_and_the_next_one_begins_where_that_is() -> (
+    None
+):
     node = coupling()
     assert force_at(node, 0, 0.0) == 0.0
-    assert [force_at(node, k, 0.01, rebased=1, ease=4) for k in range(1, 6)] == pytest.approx([2.0, 4.0, 6.0, 8.0, 8.0])
+    assert [force_at(node, k, 0.01, rebased=1, ease=4) for k in range(1, 6)] == pytest.approx(
+        [2.0, 4.0, 6.0, 8.0, 8.0]
+    )
     # Lost ticks are no motion either: the message after them tells of the jump.
     assert force_at(node, 9, 0.02, rebased=8, ease=4) == pytest.approx(8.0 + 2.0)
     assert force_at(node, 10, 0.02, rebased=8, ease=4) == pytest.approx(8.0 + 4.0)
     # In the middle of it another one, to nothing.
-    assert [force_at(node, k, 0.0, rebased=11, ease=3) for k in range(11, 15)] == pytest.approx([8.0, 4.0, 0.0, 0.0])
+    assert [force_at(node, k, 0.0, rebased=11, ease=3) for k in range(11, 15)] == pytest.approx(
+        [8.0, 4.0, 0.0, 0.0]
+    )
 
 
 def test_a_coupling_that_is_started_again_begins_at_rest_from_nothing() -> None:
@@ -339,4 +409,6 @@ def test_conventions_that_are_changed_while_they_act_are_a_jump() -> None:
     node.store.accept(changed)
     rest = 800.0 * 0.007
     found = [force_at(node, k, 0.007) for k in range(3, 8)]
-    assert found == pytest.approx([pulls + (rest - pulls) * share for share in (0.25, 0.5, 0.75, 1.0, 1.0)])
+    assert found == pytest.approx(
+        [pulls + (rest - pulls) * share for share in (0.25, 0.5, 0.75, 1.0, 1.0)]
+    )

@@ -1,6 +1,7 @@
 """A change that makes the loop unstable is refused, with the limit and the last value that would be taken.
 
-The oracle is the pole radius of the closed loop, which other tests hold against closed forms and simulation.
+The oracle is the pole radius of the closed loop, which other tests hold against closed forms and
+simulation.
 """
 
 from __future__ import annotations
@@ -24,12 +25,15 @@ T = 0.002
 
 def parameters(**more: Any) -> CouplingParameters:
     laws = {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}, "optimum": "paper_optimum"}
-    made: CouplingParameters = convert({"law": "pd", "laws": laws, **more}, CouplingParameters, "coupling")
+    made: CouplingParameters = convert(
+        {"law": "pd", "laws": laws, **more}, CouplingParameters, "coupling"
+    )
     return made
 
 
 def test_the_stability_policy_refuses_warns_or_is_silent_at_the_edge() -> None:
-    # The edge is found by bisection on the figures, which other tests hold against closed forms, and crossed by 0.1 %.
+    # The edge is found by bisection on the figures, which other tests hold against closed forms,
+    # and crossed by 0.1 %.
     book = LawBook("coupling", T)
     plant = {"mass": 0.1, "damping": 1.0}
 
@@ -53,13 +57,16 @@ def test_the_stability_policy_refuses_warns_or_is_silent_at_the_edge() -> None:
     (started,) = judgement.at_start(at(1.001 * high, "changes"), 0.0, "nothing can break")
     for policy in ("refuse", "changes"):
         with pytest.raises(ParameterError, match=r"set coupling\.stability to warn") as raised:
-            judgement.at_start(at(1.001 * high, policy), 0.0, "nothing can break" if policy == "refuse" else "")
+            judgement.at_start(
+                at(1.001 * high, policy), 0.0, "nothing can break" if policy == "refuse" else ""
+            )
         for text in (warned, started, str(raised.value)):
             assert "coupling.laws.pd: pole radius 1.0" in text
             assert "limit: < 1" in text
     assert warned.endswith("started anyway: coupling.stability is warn")
     assert started.endswith("started anyway: nothing can break")
-    # The measured delay counts, unless the plant declares one; that of the device itself comes on top of either.
+    # The measured delay counts, unless the plant declares one; that of the device itself comes on
+    # top of either.
     with pytest.raises(ParameterError, match=r"at a delay of 3 ticks"):
         judgement.at_start(at(0.999 * low, "refuse"), 3.0)
     plant["delay"] = 0.0
@@ -84,20 +91,32 @@ def stable(law: dict[str, Any]) -> bool:
         ({"stiffness": 500.0}, {"stiffness": 1300.0}, "stiffness", "largest"),
         ({"damping": 3.0}, {"damping": 1e6}, "damping", "largest"),
         # Stiff enough to need its damper: it can also be taken away.
-        ({"stiffness": 1000.0, "damping": 3.0}, {"stiffness": 1000.0, "damping": 0.0}, "damping", "smallest"),
+        (
+            {"stiffness": 1000.0, "damping": 3.0},
+            {"stiffness": 1000.0, "damping": 0.0},
+            "damping",
+            "smallest",
+        ),
     ],
 )
 def test_a_refusal_names_the_last_value_that_would_be_taken(
     before: dict[str, float], asked: dict[str, float], path: str, side: str
 ) -> None:
     usual = {"kind": "pd", "stiffness": 500.0, "damping": 3.0}
-    now, wanted = (parameters(laws={"pd": {**usual, **more}}, plant={"mass": 0.1, "damping": 1.0}) for more in (before, asked))
+    now, wanted = (
+        parameters(laws={"pd": {**usual, **more}}, plant={"mass": 0.1, "damping": 1.0})
+        for more in (before, asked)
+    )
     book = LawBook("coupling", T)
     judgement = Judgement("coupling", T, book)
     with pytest.raises(ParameterError) as raised:
         judgement.of_change(now, wanted, "pd", book.compile(wanted, "pd"), 1.0, force=False)
     text = str(raised.value)
-    told = re.search(rf"the {side} coupling\.laws\.pd\.{path} that would be taken is ([-+.e\d]+)", text, re.IGNORECASE)
+    told = re.search(
+        rf"the {side} coupling\.laws\.pd\.{path} that would be taken is ([-+.e\d]+)",
+        text,
+        re.IGNORECASE,
+    )
     assert told is not None, text
     value = float(told[1])
     described = {**usual, **asked}
@@ -105,7 +124,9 @@ def test_a_refusal_names_the_last_value_that_would_be_taken(
     # Told in three digits, rounded to the safe side: by at most 1 %.
     outwards = 1.011 if side == "largest" else 0.989
     assert not stable({**described, path: value * outwards})
-    verdict, warning = judgement.of_change(now, wanted, "pd", book.compile(wanted, "pd"), 1.0, force=True)
+    verdict, warning = judgement.of_change(
+        now, wanted, "pd", book.compile(wanted, "pd"), 1.0, force=True
+    )
     assert verdict is not None
     assert not verdict.stable
     assert "the loop is unstable" in warning
@@ -133,7 +154,9 @@ def test_a_refused_switch_says_how_stiff_the_other_law_may_be_or_how_much_of_its
         value, law = float(told[1]), book.description(wanted, name)
         for factor, holds in ((1.0, True), (1.011, False)):
             changed = (
-                {"stiffness": factor * value} if name == "hard" else {"taps": [factor * value * tap for tap in law["taps"]]}
+                {"stiffness": factor * value}
+                if name == "hard"
+                else {"taps": [factor * value * tap for tap in law["taps"]]}
             )
             assert stable({**law, **changed}) is holds
 
@@ -141,11 +164,17 @@ def test_a_refused_switch_says_how_stiff_the_other_law_may_be_or_how_much_of_its
 def test_a_fallback_is_judged_too_and_a_damper_alone_is_stable() -> None:
     book = LawBook("coupling", T)
     judgement = Judgement("coupling", T, book)
-    # Without a spring one pole is at z = 1; PD without K is stable up to B = 2m/T − b at no delay (Jury, THEORY.md §3).
-    soft, hard = (parameters(fallback={"damping": damping}, plant={"mass": 0.1, "damping": 1.0}) for damping in (20.0, 1e4))
+    # Without a spring one pole is at z = 1; PD without K is stable up to B = 2m/T − b at no delay
+    # (Jury, THEORY.md §3).
+    soft, hard = (
+        parameters(fallback={"damping": damping}, plant={"mass": 0.1, "damping": 1.0})
+        for damping in (20.0, 1e4)
+    )
     assert judgement.at_start(soft, 0.0) == []
     assert "coupling.fallback: pole radius" in judgement.at_start(hard, 0.0, "made up")[0]
-    with pytest.raises(ParameterError, match=r"coupling\.fallback: pole radius .*nothing was changed"):
+    with pytest.raises(
+        ParameterError, match=r"coupling\.fallback: pole radius .*nothing was changed"
+    ):
         judgement.refuse_fallback(soft, hard, 0.0, force=False)
     judgement.refuse_fallback(soft, hard, 0.0, force=True)
 
@@ -153,12 +182,19 @@ def test_a_fallback_is_judged_too_and_a_damper_alone_is_stable() -> None:
 def test_two_devices_on_one_law_are_judged_for_any_two_hands() -> None:
     """A spring between two devices of 1 N s/m: 236.07 N/m where one is a tick later (THEORY.md §18)."""
     judgement = Judgement("coupling", T, LawBook("coupling", T))
-    plant = {"mass": 0.1, "damping": 1.0, "partner_mass": 0.1, "partner_damping": 1.0, "partner_later": 1.0}
+    plant = {
+        "mass": 0.1,
+        "damping": 1.0,
+        "partner_mass": 0.1,
+        "partner_damping": 1.0,
+        "partner_later": 1.0,
+    }
     for stiffness, certified in ((236.0, True), (236.2, False)):
         laws = {"pd": {"kind": "pd", "stiffness": stiffness, "damping": 0.0}}
         (text,) = judgement.of_moving_world(parameters(laws=laws, plant=plant), 0.0)
         assert text.startswith(
-            f"coupling.laws.pd: {'' if certified else 'not '}certified with a second device of 1 N s/m at 1 ticks"
+            f"coupling.laws.pd: {'' if certified else 'not '}certified with a second device of 1 N"
+            " s/m at 1 ticks"
         )
         assert "in any passive hand: H(1) up to 236.1 N/m" in text
     assert judgement.of_moving_world(parameters(plant={"mass": 0.1, "damping": 1.0}), 0.0) == []

@@ -17,12 +17,15 @@ from tests.support import FIXTURES
 T = 0.002
 
 
-# -- law book --------------------------------------------------------------------------------------------------------------
+# -- law book
+# --------------------------------------------------------------------------------------------------------------
 
 
 def parameters(**more: Any) -> CouplingParameters:
     laws = {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}, "optimum": "paper_optimum"}
-    made: CouplingParameters = convert({"law": "pd", "laws": laws, **more}, CouplingParameters, "coupling")
+    made: CouplingParameters = convert(
+        {"law": "pd", "laws": laws, **more}, CouplingParameters, "coupling"
+    )
     return made
 
 
@@ -35,7 +38,9 @@ def check(**more: Any) -> None:
 def test_a_bare_preset_is_a_law() -> None:
     check(law="optimum")
     book = LawBook("coupling", T)
-    assert book.description(parameters(), "optimum") == book.description(parameters(), "paper_optimum")
+    assert book.description(parameters(), "optimum") == book.description(
+        parameters(), "paper_optimum"
+    )
     assert book.names(parameters()) == ["pd", "optimum", *preset_names()]
 
 
@@ -43,17 +48,35 @@ def test_a_bare_preset_is_a_law() -> None:
     ("more", "told"),
     [
         ({"law": "nix"}, "coupling.law: no law is named 'nix'; there is: pd, optimum, "),
-        ({"laws": {"pd": 3}}, "coupling.laws.pd: expected a mapping with kind and parameters, got 3"),
-        ({"laws": {"pd": {"kind": "pd", "damping": 1.0}}}, "coupling.laws.pd.stiffness: is missing"),
+        (
+            {"laws": {"pd": 3}},
+            "coupling.laws.pd: expected a mapping with kind and parameters, got 3",
+        ),
+        (
+            {"laws": {"pd": {"kind": "pd", "damping": 1.0}}},
+            "coupling.laws.pd.stiffness: is missing",
+        ),
         ({"laws": {"pd": {"kind": "pdd"}}}, "coupling.laws.pd.kind: 'pdd' is not an installed law"),
-        ({"schedule": [{"at": 1.0, "law": "nix"}]}, "coupling.schedule[0].law: no law is named 'nix'"),
+        (
+            {"schedule": [{"at": 1.0, "law": "nix"}]},
+            "coupling.schedule[0].law: no law is named 'nix'",
+        ),
         (
             {"schedule": [{"at": 2.0, "law": "pd"}, {"at": 1.0, "law": "pd", "ramp": 501}]},
-            "coupling.schedule[0].at: 2 s is tick 1000, but the swap before it is over at tick 1001 only",
+            (
+                "coupling.schedule[0].at: 2 s is tick 1000, but the swap before it is over at tick"
+                " 1001 only"
+            ),
         ),
-        ({"schedule": [{"at": 1.0, "law": "pd"}, {"at": 1.0, "law": "optimum"}]}, "is over at tick 501 only"),
+        (
+            {"schedule": [{"at": 1.0, "law": "pd"}, {"at": 1.0, "law": "optimum"}]},
+            "is over at tick 501 only",
+        ),
         ({"stability": "refuse"}, "coupling.stability: refuse needs coupling.plant"),
-        ({"memory": 3, "law": "optimum"}, "coupling.laws.optimum: 4 taps, but coupling.memory is 3"),
+        (
+            {"memory": 3, "law": "optimum"},
+            "coupling.laws.optimum: 4 taps, but coupling.memory is 3",
+        ),
         ({"laws": {"a.b": "paper_optimum"}}, "coupling.laws: expected a name that matches"),
         ({"laws": {"x" * 65: "paper_optimum"}}, "coupling.laws: expected a name that matches"),
     ],
@@ -91,7 +114,11 @@ def test_laws_that_cannot_be_rendered_are_listed_and_do_not_stop_the_others() ->
 def test_receipts_of_long_laws_stay_short_and_readable() -> None:
     book = LawBook("coupling", T)
     long = parameters(laws={"long": {"kind": "fir", "taps": [1.25] * 2000}}, law="long")
-    assert msgspec.json.decode(book.text(long, "long")) == {"law": "long", "kind": "fir", "taps": "2000 values"}
+    assert msgspec.json.decode(book.text(long, "long")) == {
+        "law": "long",
+        "kind": "fir",
+        "taps": "2000 values",
+    }
     assert len(book.text(long, "long")) < MAX_TEXT
     described = msgspec.json.decode(book.text(parameters(), "pd"))
     assert described == {"law": "pd", "kind": "pd", "stiffness": 1000.0, "damping": 3.0}
@@ -103,12 +130,20 @@ INSTALLED = FIXTURES / "installed"
 @pytest.mark.parametrize(
     ("law", "told"),
     [
-        ({"kind": "absent"}, "coupling.laws.pd.kind: 'absent': the law cannot be imported: ModuleNotFoundError"),
+        (
+            {"kind": "absent"},
+            "coupling.laws.pd.kind: 'absent': the law cannot be imported: ModuleNotFoundError",
+        ),
         ({"kind": "uncompilable"}, "coupling.laws.pd: cannot be compiled: KeyError: 0.002"),
-        ({"kind": "stiffening", "stiffness": 1.0, "qubic": 1.0}, "coupling.laws.pd.qubic: law kind stiffening has no such"),
+        (
+            {"kind": "stiffening", "stiffness": 1.0, "qubic": 1.0},
+            "coupling.laws.pd.qubic: law kind stiffening has no such",
+        ),
     ],
 )
-def test_laws_of_another_package_break_with_a_path(law: dict[str, Any], told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_laws_of_another_package_break_with_a_path(
+    law: dict[str, Any], told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.syspath_prepend(str(INSTALLED))
     with pytest.raises(ParameterError) as raised:
         check(laws={"pd": law})

@@ -17,7 +17,9 @@ from nodes.parameters.yaml_io import write_yaml
 from nodes.recording.reader import Recording
 from tests.support.launching import Running, running, typed, wait_for
 
-LARGEST = re.compile(r"largest coupling\.laws\.(\w+)\.stiffness that would be taken is ([-+.e\d]+)", re.IGNORECASE)
+LARGEST = re.compile(
+    r"largest coupling\.laws\.(\w+)\.stiffness that would be taken is ([-+.e\d]+)", re.IGNORECASE
+)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +38,8 @@ def test_an_unstable_change_is_refused_where_it_is_typed(press: Running) -> None
     assert "nothing was changed" in told.stderr
     assert press.call("coupling", "param.dump") == before
 
-    # Just inside: what it says would be taken, is; in percents beyond it is not. The delay may move between two commands.
+    # Just inside: what it says would be taken, is; in percents beyond it is not. The delay may move
+    # between two commands.
     def limit() -> float:
         told = typed(press, "param", "set", "coupling", "laws.pd.stiffness", "1e9", code=1).stderr
         found = LARGEST.search(told)
@@ -44,7 +47,9 @@ def test_an_unstable_change_is_refused_where_it_is_typed(press: Running) -> None
         return float(found[2])
 
     def beyond_is_refused() -> bool:
-        done = typed(press, "param", "set", "coupling", "laws.pd.stiffness", str(1.1 * limit()), code=None)
+        done = typed(
+            press, "param", "set", "coupling", "laws.pd.stiffness", str(1.1 * limit()), code=None
+        )
         typed(press, "param", "set", "coupling", "laws.pd.stiffness", "1000.0")
         return done.returncode == 1
 
@@ -52,26 +57,40 @@ def test_an_unstable_change_is_refused_where_it_is_typed(press: Running) -> None
     largest = limit()
     taken = typed(press, "param", "set", "coupling", "laws.pd.stiffness", str(0.9 * largest))
     assert re.search(r"laws\.pd\.stiffness 1000\.0 → \d+", taken.stdout), taken.stdout
-    assert re.search(r"pole radius 0\.\d+ → 0\.9\d+ \(stable below 1\) at a delay of", taken.stdout), taken.stdout
+    assert re.search(
+        r"pole radius 0\.\d+ → 0\.9\d+ \(stable below 1\) at a delay of", taken.stdout
+    ), taken.stdout
     typed(press, "param", "set", "coupling", "laws.pd.stiffness", "1000")
 
 
 def test_a_file_and_a_switch_are_refused_as_well(press: Running) -> None:
-    (press.folder / "hard.yaml").write_text(write_yaml({"coupling": {"laws": {"pd": {"stiffness": 1e7}}}}))
+    (press.folder / "hard.yaml").write_text(
+        write_yaml({"coupling": {"laws": {"pd": {"stiffness": 1e7}}}})
+    )
     assert LARGEST.search(typed(press, "param", "load", "coupling", "hard.yaml", code=1).stderr)
-    # A law that is not active is judged when it is set; what was taken by force is judged again when it is switched to.
+    # A law that is not active is judged when it is set; what was taken by force is judged again
+    # when it is switched to.
     hard = "{kind: pd, stiffness: 2e5, damping: 2.0}"
-    assert "coupling.laws.hard: pole radius" in typed(press, "param", "set", "coupling", "laws.hard", hard, code=1).stderr
-    assert "UNSTABLE" in typed(press, "param", "set", "coupling", "laws.hard", hard, "--force").stdout
+    assert (
+        "coupling.laws.hard: pole radius"
+        in typed(press, "param", "set", "coupling", "laws.hard", hard, code=1).stderr
+    )
+    assert (
+        "UNSTABLE" in typed(press, "param", "set", "coupling", "laws.hard", hard, "--force").stdout
+    )
     told = typed(press, "law", "switch", "hard", "--json", code=1)
     found = LARGEST.search(json.loads(told.stdout.splitlines()[-1])["error"])
     assert found is not None
     assert found[1] == "hard"
     assert press.call("coupling", "law.list")["active"] == "pd"
-    receipt = json.loads(typed(press, "law", "switch", "multi_term", "--json").stdout.splitlines()[-1])
+    receipt = json.loads(
+        typed(press, "law", "switch", "multi_term", "--json").stdout.splitlines()[-1]
+    )
     assert receipt["stability"]["stable"] is True
     # Judged before, told after: the measured delay moved in between by less than a tenth of a tick.
-    assert receipt["stability"]["pole_radius"] == pytest.approx(receipt["is"]["pole_radius"], rel=0.01)
+    assert receipt["stability"]["pole_radius"] == pytest.approx(
+        receipt["is"]["pole_radius"], rel=0.01
+    )
     assert receipt["changed"] == {"law": ["pd", "multi_term"]}
     typed(press, "law", "switch", "pd")
 
@@ -99,7 +118,8 @@ def test_a_forced_one_saturates_and_ends_safely(press: Running) -> None:
     figures = press.finish(signal.SIGINT, code=0)
     recording = Recording(press.folder / figures["recording"])
     states = recording.messages(DEVICE_STATE)
-    # The device's own limit, and slew between two ticks (data sheet of the Touch X; the launch file says so too).
+    # The device's own limit, and slew between two ticks (data sheet of the Touch X; the launch file
+    # says so too).
     assert max(abs(state.force[0]) for state in states) <= 7.9
     # The hand's spring and twice the workspace bound where a device that is pushed at 7.9 N can go.
     assert max(abs(state.position[0]) for state in states) < 0.2
@@ -114,19 +134,25 @@ def test_a_forced_one_saturates_and_ends_safely(press: Running) -> None:
     assert event.data["energy_j"] > 0.0
     assert SAFETY[int(event.data["after"])] == "stopped"
     assert "haptic node rearm, or launch again" in event.reason
-    # From nothing, by the whole ramp: each tick at most a 75th of the largest force, until it is active.
+    # From nothing, by the whole ramp: each tick at most a 75th of the largest force, until it is
+    # active.
     ramp = round(SafetyParameters().recovery / 0.002)
     back = [state for state in states if again < state.seq <= again + ramp]
     assert any(state.safety == "ramp" for state in back)
     # One more for the tick in which it was asked, and the rounding of a quotient.
-    assert all(abs(state.force[0]) <= 7.9 * (state.seq - again + 1) / ramp * (1.0 + 1e-12) for state in back)
+    assert all(
+        abs(state.force[0]) <= 7.9 * (state.seq - again + 1) / ramp * (1.0 + 1e-12)
+        for state in back
+    )
     assert figures["safety"]["entered"]["stopped"] == 2
 
 
 def test_a_watched_file_that_would_be_unstable_is_refused(tmp_path: Path) -> None:
     scenario = tmp_path / "press.yaml"
     text = (Path(__file__).parents[3] / "launch" / "wall_press.yaml").read_text(encoding="utf-8")
-    scenario.write_text(text.replace("    kind: coupling\n", "    kind: coupling\n    watch: coupling.yaml\n"))
+    scenario.write_text(
+        text.replace("    kind: coupling\n", "    kind: coupling\n    watch: coupling.yaml\n")
+    )
     (tmp_path / "coupling.yaml").write_text("laws: {pd: {stiffness: 900.0}}\n")
     with running(tmp_path, f"./{scenario.name}", "duration:=0") as launch:
         assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == 900.0
@@ -135,14 +161,20 @@ def test_a_watched_file_that_would_be_unstable_is_refused(tmp_path: Path) -> Non
         assert "running parameters are untouched" in launch.errors
         assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == 900.0
         (tmp_path / "coupling.yaml").write_text("stability: warn\nlaws: {pd: {stiffness: 1.0e5}}\n")
-        wait_for(lambda: launch.call("coupling", "param.get", name="laws.pd.stiffness") == 1e5, "the file's own wish")
+        wait_for(
+            lambda: launch.call("coupling", "param.get", name="laws.pd.stiffness") == 1e5,
+            "the file's own wish",
+        )
 
 
 def test_a_device_that_answers_later_is_judged_first(press: Running) -> None:
     typed(press, "param", "set", "driver", "device.delay", "0.5")
     assert press.call("coupling", "param.get", name="plant.device_delay") == 0.5
     # 1000 N/m are stable at half a tick more and not at twenty: refused, and both are as before.
-    assert "the loop is unstable" in typed(press, "param", "set", "driver", "device.delay", "20", code=1).stderr
+    assert (
+        "the loop is unstable"
+        in typed(press, "param", "set", "driver", "device.delay", "20", code=1).stderr
+    )
     assert press.call("coupling", "param.get", name="plant.device_delay") == 0.5
     assert press.call("driver", "param.get", name="device.delay") == 0.5
     # What the driver refuses is as before for the judge, too.

@@ -15,11 +15,14 @@ from tests.support import slowly
 from tests.support.held import HELD, receipts, recorded
 from tests.support.launching import launch_json, running
 
-# -- schedules -----------------------------------------------------------------------------------------------------------
+# -- schedules
+# -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("ramp", slowly([0, 100], but=[100]))
-def test_scheduled_swaps_are_recorded_and_have_the_bits_of_one_process(tmp_path: Path, ramp: int) -> None:
+def test_scheduled_swaps_are_recorded_and_have_the_bits_of_one_process(
+    tmp_path: Path, ramp: int
+) -> None:
     figures = launch_json(tmp_path, "floor_swap", "pace:=lockstep", f"ramp:={ramp}")
     recording = recorded(tmp_path, figures)
     found = receipts(recording)
@@ -27,14 +30,18 @@ def test_scheduled_swaps_are_recorded_and_have_the_bits_of_one_process(tmp_path:
         (1000, "switch", "schedule", 0),
         (2000, "switch", "schedule", ramp),
     ]
-    # PDα is leak-corrected: the same H(1) as PD, at rest no step but rounding of 1 N. Multi-term is softer by its leak.
+    # PDα is leak-corrected: the same H(1) as PD, at rest no step but rounding of 1 N. Multi-term is
+    # softer by its leak.
     assert found[0].force_step < 1e-13
     assert found[1].force_step == pytest.approx(216.423 * 0.000981, rel=1e-4)
     forces: list[Force] = recording.messages("/coupling/force")
     trace = from_launch(read("floor_swap", {"pace": "lockstep", "ramp": ramp})).play()
-    assert [force.force[2].hex() for force in forces[: len(trace.force)]] == [value.hex() for value in trace.force.tolist()]
+    assert [force.force[2].hex() for force in forces[: len(trace.force)]] == [
+        value.hex() for value in trace.force.tolist()
+    ]
     if ramp:
-        # Faded, the force never changes by more per tick than it would within a law: no jump to be felt.
+        # Faded, the force never changes by more per tick than it would within a law: no jump to be
+        # felt.
         steps = [abs(b.force[2] - a.force[2]) for a, b in itertools.pairwise(forces[1900:2300])]
         assert max(steps) < 0.02
 
@@ -54,15 +61,25 @@ SCHEDULED = (
 
 @pytest.mark.parametrize("ramp", [0, 40])
 def test_a_scheduled_recursive_law_has_the_bits_of_one_process(tmp_path: Path, ramp: int) -> None:
-    # Long before the history is full, and when the swap replays less than all: memory is shorter than the run.
-    text = SCHEDULED.replace("fifo: 0", "fifo: 0, pace: lockstep").replace("law: recursive}", f"law: recursive, ramp: {ramp}}}")
-    (tmp_path / "recursive.yaml").write_text(text.replace("      fallback:", "      memory: 300\n      fallback:"))
+    # Long before the history is full, and when the swap replays less than all: memory is shorter
+    # than the run.
+    text = SCHEDULED.replace("fifo: 0", "fifo: 0, pace: lockstep").replace(
+        "law: recursive}", f"law: recursive, ramp: {ramp}}}"
+    )
+    (tmp_path / "recursive.yaml").write_text(
+        text.replace("      fallback:", "      memory: 300\n      fallback:")
+    )
     figures = launch_json(tmp_path, "./recursive.yaml")
-    forces = {force.seq: force.force[2] for force in recorded(tmp_path, figures).messages("/coupling/force")}
+    forces = {
+        force.seq: force.force[2]
+        for force in recorded(tmp_path, figures).messages("/coupling/force")
+    }
     scene = from_launch(read(str(tmp_path / "recursive.yaml"), {}))
     assert scene.swaps[0].law.sections
     expected = scene.play().force.tolist()
-    assert [forces[seq].hex() for seq in range(len(expected))] == [value.hex() for value in expected]
+    assert [forces[seq].hex() for seq in range(len(expected))] == [
+        value.hex() for value in expected
+    ]
 
 
 @pytest.mark.slow
@@ -78,5 +95,6 @@ def test_a_scheduled_law_runs_along_and_follows_a_change_before_its_time(tmp_pat
     ticks = [force.seq for force in recording.messages("/coupling/force")]
     assert found[-1].seq == min(seq for seq in ticks if seq >= 1000)
     assert json.loads(found[-1].after)["damping"] == 2.0
-    # D^0.8 of 1 mm that have been held for 2 s is near zero however it is realised: well below the 0.56 N of the spring.
+    # D^0.8 of 1 mm that have been held for 2 s is near zero however it is realised: well below the
+    # 0.56 N of the spring.
     assert found[-1].force_step < 0.3

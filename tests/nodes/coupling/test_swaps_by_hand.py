@@ -13,7 +13,8 @@ from nodes.cli.main import main
 from tests.support.held import HELD, receipts, recorded
 from tests.support.launching import Running, private_runtime_dir, running, wait_for
 
-# -- the watched file ----------------------------------------------------------------------------------------------------
+# -- the watched file
+# ----------------------------------------------------------------------------------------------------
 
 
 def test_saving_the_watched_file_changes_the_running_law_all_or_nothing(tmp_path: Path) -> None:
@@ -52,22 +53,32 @@ def test_saving_the_watched_file_changes_the_running_law_all_or_nothing(tmp_path
             assert now(launch, "laws.pd.stiffness") == 530.0
             file.write("0.0}}\n")
         wait_for(lambda: now(launch, "laws.pd.stiffness") == 540.0, "the slowly saved stiffness")
-        wait_for(lambda: "coupling.yaml: laws.pd.stiffness 530.0 → 540.0 from tick " in launch.errors, "its report")
+        wait_for(
+            lambda: "coupling.yaml: laws.pd.stiffness 530.0 → 540.0 from tick " in launch.errors,
+            "its report",
+        )
         figures = launch.finish(signal.SIGINT, code=0)
     found = receipts(recorded(tmp_path, figures))
     assert [json.loads(receipt.after)["stiffness"] for receipt in found] == [530.0, 540.0]
-    refused = [event for event in recorded(tmp_path, figures).messages("/coupling/event") if event.kind == "refused"]
+    refused = [
+        event
+        for event in recorded(tmp_path, figures).messages("/coupling/event")
+        if event.kind == "refused"
+    ]
     assert len(refused) == 4
     assert all("the running parameters are untouched" in event.reason for event in refused)
 
 
-# -- the command line ----------------------------------------------------------------------------------------------------
+# -- the command line
+# ----------------------------------------------------------------------------------------------------
 
 
 class Verbs:
     """The command ``haptic`` within this process: the same code, without half a second of start-up each time."""
 
-    def __init__(self, runtime_dir: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def __init__(
+        self, runtime_dir: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
         monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(runtime_dir))
         self._capsys = capsys
 
@@ -97,11 +108,21 @@ def test_the_command_line_beside_a_running_loop(
         answered = haptic.answered
         assert "pd_alpha" in launch.haptic("law", "list").stdout
 
-        assert set(answered("node", "list")["nodes"]) == {"driver", "environment", "coupling", "logger"}
+        assert set(answered("node", "list")["nodes"]) == {
+            "driver",
+            "environment",
+            "coupling",
+            "logger",
+        }
         assert answered("node", "info", "/coupling")["status"]["state"] == "running"
-        assert answered("param", "list", "coupling")["nodes"]["coupling"]["laws.pd.stiffness"] == 1000.0
+        assert (
+            answered("param", "list", "coupling")["nodes"]["coupling"]["laws.pd.stiffness"]
+            == 1000.0
+        )
         assert haptic("param", "get", "/coupling", "laws.pd.stiffness")[0] == "1000.0\n"
-        changed = answered("param", "set", "coupling", "laws.pd.stiffness", "1500", "laws.pd.damping", "4")
+        changed = answered(
+            "param", "set", "coupling", "laws.pd.stiffness", "1500", "laws.pd.damping", "4"
+        )
         assert changed["receipt"]["action"] == "set"
         assert changed["values"] == {"laws.pd.stiffness": 1500, "laws.pd.damping": 4}
         haptic("param", "dump", "coupling", "-o", "dump.yaml")
@@ -114,7 +135,9 @@ def test_the_command_line_beside_a_running_loop(
         assert answered("law", "show")["taps_n_per_m"] == [2000.0, -1000.0]
         switched = answered("law", "switch", "pd_alpha", "--ramp", "10")
         assert (switched["from"], switched["to"], switched["ramp"]) == ("designed", "pd_alpha", 10)
-        assert {"h1_n_per_m", "h_nyquist_n_per_m", "pole_radius", "f_min_n_s_per_m"} <= set(switched["is"])
+        assert {"h1_n_per_m", "h_nyquist_n_per_m", "pole_radius", "f_min_n_s_per_m"} <= set(
+            switched["is"]
+        )
         assert switched["was"]["taps_n_per_m"] == [2000.0, -1000.0]
         assert answered("param", "get", "coupling", "ramp")["value"] == 0
         assert answered("param", "load", "coupling", "dump.yaml")["receipt"]["to"] == "pd"
@@ -135,7 +158,9 @@ def test_the_command_line_beside_a_running_loop(
             assert haptic(*asked.split(), code=1)[1].startswith("haptic: ")
 
 
-def test_laws_are_shown_without_a_running_loop(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_laws_are_shown_without_a_running_loop(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     with private_runtime_dir() as runtime_dir:
         haptic = Verbs(runtime_dir, monkeypatch, capsys)
 
@@ -152,8 +177,17 @@ def test_laws_are_shown_without_a_running_loop(monkeypatch: pytest.MonkeyPatch, 
         launched = shown("--launch", "floor_drop")
         for key in ("taps_n_per_m", "h1_n_per_m", "pole_radius", "rate_hz", "law"):
             assert launched[key] == by_flags[key]
-        assert shown("multi_term", "--launch", "floor_drop", "stiffness:=1200")["stiffness"] == 1200.0
-        assert len(shown("paper_optimum", "--rate", "250", "--delay", "1", "--mass", "0.2")["taps_n_per_m"]) == 4
+        assert (
+            shown("multi_term", "--launch", "floor_drop", "stiffness:=1200")["stiffness"] == 1200.0
+        )
+        assert (
+            len(
+                shown("paper_optimum", "--rate", "250", "--delay", "1", "--mass", "0.2")[
+                    "taps_n_per_m"
+                ]
+            )
+            == 4
+        )
         assert "pole radius" in haptic("law", "show", "paper_optimum")[0]
         for words in (("nix", "--rate", "500"), ("pd", "--rate", "0"), ("pd", "--rate", "500"), ()):
             haptic("law", "show", *words, code=2)

@@ -45,12 +45,19 @@ def made(axes: list[int], law: CompiledLaw) -> Renderer:
 @given(
     st.sampled_from([[0], [0, 1, 2]]),
     st.sampled_from(LAWS),
-    st.lists(st.tuples(st.integers(1, 60), st.sampled_from(LAWS), st.sampled_from([0, 1, 7, 30])), max_size=4),
+    st.lists(
+        st.tuples(st.integers(1, 60), st.sampled_from(LAWS), st.sampled_from([0, 1, 7, 30])),
+        max_size=4,
+    ),
     st.floats(1e-6, 1e-2),
     st.integers(0, 2**32 - 1),
 )
 def test_the_force_is_that_of_where_the_proxy_went(
-    axes: list[int], law: CompiledLaw, swaps: list[tuple[int, CompiledLaw, int]], compliance: float, seed: int
+    axes: list[int],
+    law: CompiledLaw,
+    swaps: list[tuple[int, CompiledLaw, int]],
+    compliance: float,
+    seed: int,
 ) -> None:
     """Taps, sections, swaps during swaps: a second renderer is given the place that the first one left its proxy at."""
     rng = np.random.default_rng(seed)
@@ -64,17 +71,27 @@ def test_the_force_is_that_of_where_the_proxy_went(
                     renderer.swap(incoming, ramp)
         free = rng.normal(0.0, 1e-3, 3)
         position, zero = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        place: dict[str, Any] = {"seq": tick, "stamp": 0.0, "position": position, "normal": zero, "contact": True}
+        place: dict[str, Any] = {
+            "seq": tick,
+            "stamp": 0.0,
+            "position": position,
+            "normal": zero,
+            "contact": True,
+        }
         force = yielding.render(Proxy(**place, proxy=tuple(free.tolist()), compliance=compliance))
         left = free - compliance * np.array(force)
         same = rigid.render(Proxy(**place, proxy=tuple(left.tolist())))
         # What a newest deflection of 1 mm does to the force, and 80 ticks of rounding of it.
-        assert force == pytest.approx(same, abs=1e-9 * 1e-3 * max(sum(map(abs, one.taps)) + 1e3 for one in LAWS))
+        assert force == pytest.approx(
+            same, abs=1e-9 * 1e-3 * max(sum(map(abs, one.taps)) + 1e3 for one in LAWS)
+        )
         for one, other in zip(yielding.histories, rigid.histories, strict=True):
             assert one.values[one.head] == pytest.approx(other.values[other.head], abs=1e-15)
 
 
-def test_a_proxy_without_compliance_and_a_law_that_grows_by_itself_are_rendered_as_they_come() -> None:
+def test_a_proxy_without_compliance_and_a_law_that_grows_by_itself_are_rendered_as_they_come() -> (
+    None
+):
     """A negative compliance is none; a newest tap so negative that no equilibrium exists answers the proxy as it was sent."""
     zero = (0.0, 0.0, 0.0)
     for law, compliance, expected in (
@@ -82,5 +99,12 @@ def test_a_proxy_without_compliance_and_a_law_that_grows_by_itself_are_rendered_
         (CompiledLaw((-500.0, 100.0)), 0.01, -0.5),
         (CompiledLaw((500.0, -100.0)), 0.002, 0.25),
     ):
-        met = Proxy(seq=0, stamp=0.0, position=zero, proxy=(1e-3, 0.0, 0.0), contact=True, compliance=compliance)
+        met = Proxy(
+            seq=0,
+            stamp=0.0,
+            position=zero,
+            proxy=(1e-3, 0.0, 0.0),
+            contact=True,
+            compliance=compliance,
+        )
         assert made([0], law).render(met) == pytest.approx((expected, 0.0, 0.0), abs=1e-15)

@@ -21,7 +21,8 @@ from tests.support.launching import launch_json
 from tests.support.safety import state_of
 
 STIFF = 6000.0  # beyond what PD bears here without the guard [N/m]
-NORMAL = np.array([-0.3, 0.1, 0.95]) / np.linalg.norm([-0.3, 0.1, 0.95])  # of launch/rough_plane.yaml
+# of launch/rough_plane.yaml
+NORMAL = np.array([-0.3, 0.1, 0.95]) / np.linalg.norm([-0.3, 0.1, 0.95])
 
 
 def _rubbed(friction: float) -> Any:
@@ -56,7 +57,8 @@ def _chatter(trace: SpatialTrace) -> float:
 
 def test_a_rubbing_surface_does_not_pay_for_an_unstable_normal() -> None:
     smooth, rough = _chatter(play(_rubbed(0.0))), _chatter(play(_rubbed(0.3)))
-    # With one account friction fed the normal: 52 mm/s against 22. Friction itself may not add to what is left.
+    # With one account friction fed the normal: 52 mm/s against 22. Friction itself may not add to
+    # what is left.
     assert rough < 1.2 * smooth
 
 
@@ -64,8 +66,15 @@ def test_a_rubbing_surface_does_not_pay_for_an_unstable_normal() -> None:
 def test_a_launch_of_it_has_the_bits_of_one_process(tmp_path: Path) -> None:
     launch = _rubbed(0.3)
     text = yaml.safe_load((ROOT / "launch" / "rough_plane.yaml").read_text(encoding="utf-8"))
-    nodes = {name: {"kind": spec.kind, "parameters": spec.parameters} for name, spec in launch.nodes.items()}
-    own = {"summary": text["summary"], "run": {"duration": 2.0, "pace": "lockstep", "axes": ["x", "y", "z"]}, "nodes": nodes}
+    nodes = {
+        name: {"kind": spec.kind, "parameters": spec.parameters}
+        for name, spec in launch.nodes.items()
+    }
+    own = {
+        "summary": text["summary"],
+        "run": {"duration": 2.0, "pace": "lockstep", "axes": ["x", "y", "z"]},
+        "nodes": nodes,
+    }
     (tmp_path / "rubbed.yaml").write_text(yaml.safe_dump(own), encoding="utf-8")
     ended = launch_json(tmp_path, "./rubbed.yaml", "run.tick:=compiled")
     states = Recording(tmp_path / ended["recording"]).messages("/device/state")
@@ -107,7 +116,9 @@ def test_both_accounts_hold_the_bound_of_one_axis_each(data: st.DataObject) -> N
 
 @given(seed=st.integers(0, 10_000), loss=st.floats(0.0, 0.9), late=st.integers(0, 12))
 @settings(max_examples=40)
-def test_partners_together_give_out_no_more_than_was_put_in(seed: int, loss: float, late: int) -> None:
+def test_partners_together_give_out_no_more_than_was_put_in(
+    seed: int, loss: float, late: int
+) -> None:
     """Whatever both laws ask for and both hands do, a network that loses and delays makes no energy."""
     rng = np.random.default_rng(seed)
     sides = [state_of((0,)), state_of((0,))]
@@ -123,7 +134,11 @@ def test_partners_together_give_out_no_more_than_was_put_in(seed: int, loss: flo
         # What nobody can know when a force is chosen: by how much the step changes.
         explained += float(np.maximum(forces * (moved - steps), 0.0).sum())
         for n, s in enumerate(sides):
-            s.before[0], s.position[0], s.acted[0] = positions[n], positions[n] + moved[n], forces[n]
+            s.before[0], s.position[0], s.acted[0] = (
+                positions[n],
+                positions[n] + moved[n],
+                forces[n],
+            )
             count_step(s)
             if rng.random() >= loss:
                 under_way[1 - n].append((k + int(rng.integers(late + 1)), s.guard_surplus))
@@ -131,7 +146,8 @@ def test_partners_together_give_out_no_more_than_was_put_in(seed: int, loss: flo
         for n, s in enumerate(sides):
             arrived = [credit for at, credit in under_way[n] if at <= k]
             under_way[n] = [one for one in under_way[n] if one[0] > k]
-            # Sums that overtake each other are taken as the environment takes them: only what is newer counts.
+            # Sums that overtake each other are taken as the environment takes them: only what is
+            # newer counts.
             s.got_credit = max([s.got_credit, *arrived])
             s.wanted[0] = rng.normal(scale=3.0)
             guarded(s, 0.0)
@@ -152,7 +168,9 @@ def test_credit_is_given_out_once_and_a_sum_that_begins_anew_gives_nothing() -> 
         return float(s.wanted[0])
 
     assert force(0.5) == 0.0  # the first sum is where a partner stands, not what it gave to us
-    assert force(0.501) == pytest.approx(1.0, rel=1e-12)  # 1 mJ over a step of 1 mm; rounding of 0.501 − 0.5
-    assert force(0.501) == pytest.approx(1.0, rel=1e-12)  # nothing moved: it is still there, and no more than that
+    # 1 mJ over a step of 1 mm; rounding of 0.501 − 0.5
+    assert force(0.501) == pytest.approx(1.0, rel=1e-12)
+    # nothing moved: it is still there, and no more than that
+    assert force(0.501) == pytest.approx(1.0, rel=1e-12)
     assert force(0.2) == pytest.approx(1.0, rel=1e-12)  # the partner was started again
     assert force(0.201) == 2.0  # and has put in 1 mJ more: 2 mJ in store

@@ -1,6 +1,7 @@
 """What every device must do, whichever it is: one contract over all that are registered, each on its stand-in.
 
-A check is a test of a bench; the table of the contract (nodes/driver/DEVICES.md) names the same checks.
+A check is a test of a bench; the table of the contract (nodes/driver/DEVICES.md) names the same
+checks.
 """
 
 from __future__ import annotations
@@ -26,13 +27,47 @@ HERE = (0.01, -0.02, 0.03)
 FORCE = (0.5, -0.25, 1.0)
 CALLS = {
     "touch_driver": (
-        *("hdInitDevice", "hdEnable", "hdDisable", "hdGetDoublev", "hdGetIntegerv", "hdGetString", "hdSetDoublev"),
-        *("hdSetSchedulerRate", "hdScheduleAsynchronous", "hdStartScheduler", "hdCheckCalibration", "hdUpdateCalibration"),
+        *(
+            "hdInitDevice",
+            "hdEnable",
+            "hdDisable",
+            "hdGetDoublev",
+            "hdGetIntegerv",
+            "hdGetString",
+            "hdSetDoublev",
+        ),
+        *(
+            "hdSetSchedulerRate",
+            "hdScheduleAsynchronous",
+            "hdStartScheduler",
+            "hdCheckCalibration",
+            "hdUpdateCalibration",
+        ),
     ),
     "force_dimension_driver": (
-        *("dhdOpenID", "dhdClose", "dhdStop", "dhdGetSerialNumber", "dhdGetSystemName", "dhdGetVersionStr", "dhdGetStatus"),
-        *("dhdEnableForce", "dhdSetGravityCompensation", "dhdSetEffectorMass", "dhdSetBaseAngleXDeg", "dhdGetMaxForce"),
-        *("dhdEnableExpertMode", "dhdSetWatchdog", "dhdGetPosition", "dhdGetLinearVelocity", "dhdGetOrientationFrame"),
+        *(
+            "dhdOpenID",
+            "dhdClose",
+            "dhdStop",
+            "dhdGetSerialNumber",
+            "dhdGetSystemName",
+            "dhdGetVersionStr",
+            "dhdGetStatus",
+        ),
+        *(
+            "dhdEnableForce",
+            "dhdSetGravityCompensation",
+            "dhdSetEffectorMass",
+            "dhdSetBaseAngleXDeg",
+            "dhdGetMaxForce",
+        ),
+        *(
+            "dhdEnableExpertMode",
+            "dhdSetWatchdog",
+            "dhdGetPosition",
+            "dhdGetLinearVelocity",
+            "dhdGetOrientationFrame",
+        ),
         *("dhdGetGripperGap", "dhdHasWrist", "dhdGetButtonMask", "dhdSetForce"),
     ),
     "inverse3_driver": ("session", "state"),
@@ -58,7 +93,8 @@ def checks(module: ModuleType) -> set[str]:
 @pytest.fixture(params=sorted(real_devices()))
 def stand(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
     with bench(request.param, tmp_path) as made:
-        made.world.state.peak = 100.0  # what the driver asks of its device is looked at, not what the arm bears
+        # what the driver asks of its device is looked at, not what the arm bears
+        made.world.state.peak = 100.0
         if request.param != "inverse3_driver":
             made.world.state.peak = 7.9
         yield made
@@ -121,7 +157,8 @@ def test_silence_ends_the_force_within_hold(stand: Bench) -> None:
     # Nobody writes any more: this thread could be stopped as well.
     # A tick without a position has no force either.
     wait_for(lambda: device.let_go > lets and without_force(stand), "it lets go")
-    # When the force went, by the servo loop's own clock: the newest command is the last one of a force.
+    # When the force went, by the servo loop's own clock: the newest command is the last one of a
+    # force.
     silence = time.monotonic() - device._box.commanded_at
     assert silence >= device.limits.hold * 0.5
     stand.press(device, FORCE)
@@ -147,7 +184,9 @@ def test_unplugged_it_says_so_and_ends_safely(stand: Bench) -> None:
 
     wait_for(says, "it says so")
     assert told[0].startswith(device.TITLE)
-    assert re.search(r"communication error|no device found|unplugged|closed the connection", told[0])
+    assert re.search(
+        r"communication error|no device found|unplugged|closed the connection", told[0]
+    )
     device.close()
 
 
@@ -164,8 +203,8 @@ def test_a_read_that_blocks_holds_up_nobody(stand: Bench) -> None:
         return math.isnan(position[0])
 
     wait_for(blocked, "the position counts as unknown")
-    # The driver's own call did not wait, or it had a position; and the hand is not held by the force of before: it ends within
-    # the same read.
+    # The driver's own call did not wait, or it had a position; and the hand is not held by the
+    # force of before: it ends within the same read.
     blocked_at = device._box.ticks
     wait_for(lambda: without_force(stand), "the device lets go")
     assert device._box.ticks - blocked_at <= 1
@@ -178,7 +217,11 @@ def test_a_read_that_blocks_holds_up_nobody(stand: Bench) -> None:
 def test_a_failed_read_is_no_zero(stand: Bench) -> None:
     stand.world.state.position[:] = HERE
     device = stand.opened()
-    stand.world.fail({"touch_driver": "hdGetDoublev", "force_dimension_driver": "dhdGetPosition"}.get(stand.kind, "state"))
+    stand.world.fail(
+        {"touch_driver": "hdGetDoublev", "force_dimension_driver": "dhdGetPosition"}.get(
+            stand.kind, "state"
+        )
+    )
     seen: list[tuple[float, ...]] = []
 
     def ends() -> bool:
@@ -236,7 +279,8 @@ def test_every_call_may_fail(stand: Bench) -> None:
                 device.close()
                 stand.world.fail("")
             wait_for(lambda: without_force(stand), f"no force after {call} has failed {moment}")
-            if stand.kind != "inverse3_driver":  # its service counts sessions, which end by themselves
+            # its service counts sessions, which end by themselves
+            if stand.kind != "inverse3_driver":
                 assert stand.world.state.open == 0, (call, moment)
                 assert stand.world.state.forces == 0, (call, moment)
     assert failures

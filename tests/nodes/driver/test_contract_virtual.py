@@ -1,6 +1,7 @@
 """The contract over the virtual device, of one axis and of three: the same checks as over real ones (test_contract.py).
 
-It lives in the driver's ticks, so time passes with them here. Its stand-in that misbehaves on command is `faulty_driver`'s.
+It lives in the driver's ticks, so time passes with them here. Its stand-in that misbehaves on
+command is `faulty_driver`'s.
 """
 
 from __future__ import annotations
@@ -77,7 +78,9 @@ def virtual(request: pytest.FixtureRequest, tmp_path: Path) -> VirtualBench:
     parameters = msgspec.convert({"device": device, "hold": HOLD}, SimDriverParameters)
     sim = SimDevice(parameters.device, setup_of(axes=axes), HOLD)
     order = tmp_path / "order"
-    return VirtualBench(FaultyDevice(sim, str(order)), sim, ["xyz".index(axis) for axis in axes], order)
+    return VirtualBench(
+        FaultyDevice(sim, str(order)), sim, ["xyz".index(axis) for axis in axes], order
+    )
 
 
 def start(virtual: VirtualBench) -> Vector:
@@ -111,7 +114,9 @@ def test_limits_are_read_and_kept(virtual: VirtualBench) -> None:
     found = virtual.device.read_position(1)
     for axis in virtual.axes:
         # No damping: ½ F/m T² of what the motor gives, and a sum with 0.01 m.
-        assert found[axis] - start(virtual)[axis] == pytest.approx(0.5 * PEAK / 0.1 * PERIOD**2, rel=1e-12)
+        assert found[axis] - start(virtual)[axis] == pytest.approx(
+            0.5 * PEAK / 0.1 * PERIOD**2, rel=1e-12
+        )
     virtual.push(math.nan, 1)
     assert all(map(math.isfinite, virtual.device.read_position(2)))
     assert not any(virtual.acting())
@@ -191,7 +196,9 @@ def test_closed_twice_is_closed(virtual: VirtualBench) -> None:
 def test_the_wrong_device_first(virtual: VirtualBench) -> None:
     del virtual
     wrong = {"device": {"mass": 0.1}, "preset": "touch_z"}
-    with pytest.raises(ParameterError, match=r"preset is 'touch_z', expected none or one of touch_x, "):
+    with pytest.raises(
+        ParameterError, match=r"preset is 'touch_z', expected none or one of touch_x, "
+    ):
         convert(wrong, SimDriverParameters, "driver")
 
 
@@ -216,7 +223,9 @@ def test_no_registered_device_is_left_out() -> None:
     """A new device fails here until it has a bench, its calls and a column; a new kind of driver until it is named."""
     kinds, broken = NODES.all()
     assert not broken
-    drivers = {name for name, kind in kinds.items() if isinstance(kind, type) and issubclass(kind, Driver)}
+    drivers = {
+        name for name, kind in kinds.items() if isinstance(kind, type) and issubclass(kind, Driver)
+    }
     real = {name for name in drivers if issubclass(kinds[name], HardwareDriver)}
     assert drivers - real == set(VIRTUAL)
     assert real == set(test_contract.CALLS)

@@ -63,15 +63,23 @@ class _Vague(ScriptedDriver):
         raise RuntimeError("vendor library: connection reset")
 
 
-def test_a_condition_that_raises_is_told_once_and_ends_the_driver(monkeypatch: pytest.MonkeyPatch) -> None:
-    driver = _Vague(setup_of(name="driver", kind="vague", axes=["x", "y", "z"], parameters={"safety": {"hang": None}}))
+def test_a_condition_that_raises_is_told_once_and_ends_the_driver(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    driver = _Vague(
+        setup_of(
+            name="driver", kind="vague", axes=["x", "y", "z"], parameters={"safety": {"hang": None}}
+        )
+    )
     told: list[tuple[str, str]] = []
     monkeypatch.setattr(driver.events, "emit", lambda kind, text, **_: told.append((kind, text)))
     driver.configure()
     driver.state = "running"
     for _ in range(3):
         driver.look_after()
-    expected = "driver: condition() of the device failed: RuntimeError: vendor library: connection reset"
+    expected = (
+        "driver: condition() of the device failed: RuntimeError: vendor library: connection reset"
+    )
     assert driver.stop_reason == expected
     assert driver.failing
     assert driver.stopping
@@ -100,7 +108,9 @@ def test_whatever_a_node_does_beside_its_loop_the_control_thread_goes_on() -> No
         return duty
 
     node = SimpleNamespace(
-        setup=SimpleNamespace(name="driver", scheduling=SimpleNamespace(), control="ipc:///nowhere"),
+        setup=SimpleNamespace(
+            name="driver", scheduling=SimpleNamespace(), control="ipc:///nowhere"
+        ),
         events=SimpleNamespace(emit=lambda kind, text: told.append(f"{kind}: {text}")),
         failing=False,
         stop=lambda reason: told.append(f"stop: {reason}"),
@@ -141,15 +151,20 @@ class Bad(SimDriver):
 '''
 
 
-def test_a_launch_whose_device_cannot_tell_its_condition_ends_softly_with_its_reason(tmp_path: Path) -> None:
+def test_a_launch_whose_device_cannot_tell_its_condition_ends_softly_with_its_reason(
+    tmp_path: Path,
+) -> None:
     package = tmp_path / "package"
     (package / "vague-1.0.dist-info").mkdir(parents=True)
     (package / "vague.py").write_text(BAD)
-    (package / "vague-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: vague\nVersion: 1.0\n")
-    (package / "vague-1.0.dist-info" / "entry_points.txt").write_text("[haptic.nodes]\nvague = vague:Bad\n")
+    (package / "vague-1.0.dist-info" / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: vague\nVersion: 1.0\n"
+    )
+    (package / "vague-1.0.dist-info" / "entry_points.txt").write_text(
+        "[haptic.nodes]\nvague = vague:Bad\n"
+    )
     scene = tmp_path / "vague.yaml"
-    scene.write_text(
-        """
+    scene.write_text("""
 summary: A hand rests in a wall, and its device cannot tell its condition
 run: {rate: 500.0, duration: 0.0, axes: [x]}
 nodes:
@@ -162,11 +177,15 @@ nodes:
   coupling:
     kind: coupling
     parameters: {law: pd, laws: {pd: {kind: pd, stiffness: 500.0, damping: 5.0}}}
-"""
-    )
-    with running(tmp_path, str(scene), environment={"PYTHONPATH": str(package)}, ready=False) as launch:
+""")
+    with running(
+        tmp_path, str(scene), environment={"PYTHONPATH": str(package)}, ready=False
+    ) as launch:
         figures = launch.finish(code=1)
-        assert "condition() of the device failed: RuntimeError: vendor library: connection reset" in launch.errors
+        assert (
+            "condition() of the device failed: RuntimeError: vendor library: connection reset"
+            in launch.errors
+        )
         assert "Traceback" not in launch.errors
         assert "unreachable" not in launch.errors
     # 7.5 N, or what it has become, at most 2 N a tick.

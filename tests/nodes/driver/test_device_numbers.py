@@ -60,7 +60,9 @@ def test_numbers_of_numpy_are_plain_numbers_in_every_message(given: Any) -> None
 def read(device: Arm) -> tuple[int, list[float], DeviceCalls]:
     """Read a position as compiled ticks do: by its address."""
     calls = DeviceCalls(device, lambda: ZERO, Jumps(device))
-    function = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int64, ctypes.c_int64, ctypes.POINTER(ctypes.c_double))
+    function = ctypes.CFUNCTYPE(
+        ctypes.c_int, ctypes.c_int64, ctypes.c_int64, ctypes.POINTER(ctypes.c_double)
+    )
     out = (ctypes.c_double * 6)(*[7.0] * 6)
     status = function(calls.calls.read)(calls.calls.context, 0, out)
     return status, list(out), calls
@@ -77,9 +79,13 @@ def test_a_device_s_own_error_is_the_one_that_is_told() -> None:
         calls.raise_error()
 
 
-@pytest.mark.parametrize("given", [None, (0.0, 0.0), np.zeros(4), ("x", 0.0, 0.0), np.zeros((3, 2)).tolist(), 1.0])
+@pytest.mark.parametrize(
+    "given", [None, (0.0, 0.0), np.zeros(4), ("x", 0.0, 0.0), np.zeros((3, 2)).tolist(), 1.0]
+)
 def test_what_is_no_position_is_told_with_the_device_s_name(given: Any) -> None:
     status, _, calls = read(Arm(given))
     assert status == -1
-    with pytest.raises(TypeError, match=r"Arm: read_position\(\) gave .*, expected three numbers in metres"):
+    with pytest.raises(
+        TypeError, match=r"Arm: read_position\(\) gave .*, expected three numbers in metres"
+    ):
         calls.raise_error()

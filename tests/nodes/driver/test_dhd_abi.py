@@ -1,6 +1,7 @@
 """DHD as its driver takes it: against the vendor's own library and header where `HAPTIC_DHD` names them, else the stand-in's.
 
-``HAPTIC_DHD=/opt/sdk/lib/.../libdrd.a HAPTIC_DHD_HEADER=/opt/sdk/include/dhdc.h pytest tests/nodes/driver/test_dhd_abi.py``
+``HAPTIC_DHD=/opt/sdk/lib/.../libdrd.a HAPTIC_DHD_HEADER=/opt/sdk/include/dhdc.h pytest
+tests/nodes/driver/test_dhd_abi.py``
 """
 
 from __future__ import annotations
@@ -13,7 +14,11 @@ from pathlib import Path
 import pytest
 
 from nodes.driver.forcedimension.dhd import FUNCTIONS, load_library
-from nodes.driver.forcedimension.driver import ForceDimensionDevice, ForceDimensionDriverParameters, ForceDimensionParameters
+from nodes.driver.forcedimension.driver import (
+    ForceDimensionDevice,
+    ForceDimensionDriverParameters,
+    ForceDimensionParameters,
+)
 from sim.stand_ins.world import World, archive, library
 
 REAL = os.environ.get("HAPTIC_DHD", "")
@@ -75,7 +80,9 @@ def test_the_vendors_library_has_all_and_says_that_no_device_is_there() -> None:
     assert library.dhdGetPosition(x, x, x, b"\xff") < 0
     assert x.value == 7.0
     assert library.dhdErrorGetLast() != 0
-    device = ForceDimensionDevice(ForceDimensionDriverParameters(force_dimension=ForceDimensionParameters(library=REAL)))
+    device = ForceDimensionDevice(
+        ForceDimensionDriverParameters(force_dimension=ForceDimensionParameters(library=REAL))
+    )
     with pytest.raises(OSError, match="no device found"):
         device.connect()
     device.close()
@@ -106,20 +113,33 @@ def cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize("form", ["so", "a"])
-@pytest.mark.parametrize("name", ["dhdSetWatchdog", "dhdErrorGetLast", "dhdJointAnglesToInertiaMatrix"])
-def test_a_library_that_lacks_a_function_is_refused_by_its_name(form: str, name: str, tmp_path: Path, cached: Path) -> None:
+@pytest.mark.parametrize(
+    "name", ["dhdSetWatchdog", "dhdErrorGetLast", "dhdJointAnglesToInertiaMatrix"]
+)
+def test_a_library_that_lacks_a_function_is_refused_by_its_name(
+    form: str, name: str, tmp_path: Path, cached: Path
+) -> None:
     """As one of another version is: the stand-in with one function under another name."""
     del cached
     renamed = f"-D{name}={name}_of_old"
-    path = archive("dhd", tmp_path, renamed) if form == "a" else library("dhd", tmp_path, renamed)[0]
-    with pytest.raises(OSError, match=rf"^{re.escape(str(path))} has no {name}: it is not Force Dimension's library"):
+    path = (
+        archive("dhd", tmp_path, renamed) if form == "a" else library("dhd", tmp_path, renamed)[0]
+    )
+    with pytest.raises(
+        OSError,
+        match=rf"^{re.escape(str(path))} has no {name}: it is not Force Dimension's library",
+    ):
         load_library(str(path))
 
 
-def test_what_cannot_be_linked_or_loaded_is_refused_in_one_line(tmp_path: Path, cached: Path) -> None:
+def test_what_cannot_be_linked_or_loaded_is_refused_in_one_line(
+    tmp_path: Path, cached: Path
+) -> None:
     del cached
     needs = archive("dhd", tmp_path, "-Dusleep=libusb_of_old")
-    with pytest.raises(OSError, match="it needs libusb_of_old, which nothing here has; ") as refused:
+    with pytest.raises(
+        OSError, match="it needs libusb_of_old, which nothing here has; "
+    ) as refused:
         load_library(str(needs))
     assert "\n" not in str(refused.value)
     text = tmp_path / "libtext.a"
@@ -129,7 +149,9 @@ def test_what_cannot_be_linked_or_loaded_is_refused_in_one_line(tmp_path: Path, 
     shared = tmp_path / "libtext.so"
     shared.write_text("no library", encoding="ascii")
     for path in (shared, tmp_path / "libnone.so"):
-        with pytest.raises(OSError, match=rf"{path.name} cannot be loaded .*install the Force Dimension SDK"):
+        with pytest.raises(
+            OSError, match=rf"{path.name} cannot be loaded .*install the Force Dimension SDK"
+        ):
             load_library(str(path))
 
 

@@ -19,9 +19,11 @@ def test_a_swing_is_told_with_its_size_and_frequency(frequency: float) -> None:
     samples = [1e-3 * math.sin(2.0 * math.pi * frequency * k * T) for k in range(125)]
     found = ending(samples, 0.0, T)
     assert found.motion == "swinging"
-    # Sampled every 2 ms a crossing is late by up to one tick: over the n half periods seen, T in n/(2f).
+    # Sampled every 2 ms a crossing is late by up to one tick: over the n half periods seen, T in
+    # n/(2f).
     assert found.frequency_hz == pytest.approx(frequency, rel=2.0 * T / (125 * T - 1.0 / frequency))
-    # At 180 Hz a sample is at most 65° from a crest: cos 65° of it at worst, in 125 samples much nearer.
+    # At 180 Hz a sample is at most 65° from a crest: cos 65° of it at worst, in 125 samples much
+    # nearer.
     assert 1.8e-3 < found.swing_m <= 2e-3
 
 

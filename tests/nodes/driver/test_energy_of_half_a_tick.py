@@ -25,9 +25,15 @@ def energies(latency: float) -> tuple[float, float]:
     work, part, whole = 0.0, latency % 1.0, int(latency)
     weight = -9.81 * M
     for k in range(1499):
-        older, newer = (float(trace.force[j]) if j >= 0 else 0.0 for j in (k - whole - 1, k - whole))
+        older, newer = (
+            float(trace.force[j]) if j >= 0 else 0.0 for j in (k - whole - 1, k - whole)
+        )
         start, speed = float(trace.position[k]), float(trace.velocity[k])
-        middle, _ = advance(start, speed, weight + older, coefficients(M, B, 0.0, part * T)) if part else (start, 0.0)
+        middle, _ = (
+            advance(start, speed, weight + older, coefficients(M, B, 0.0, part * T))
+            if part
+            else (start, 0.0)
+        )
         work += older * (middle - start) + newer * (float(trace.position[k + 1]) - middle)
     return account, work
 
@@ -42,5 +48,6 @@ def test_whole_ticks_are_exact(latency: float) -> None:
 def test_half_a_tick_is_not() -> None:
     account, work = energies(0.5)
     off = abs(account - work)
-    # The motion within a tick bends by a T²/8, which the force's step is multiplied with: above rounding, below the energy.
+    # The motion within a tick bends by a T²/8, which the force's step is multiplied with: above
+    # rounding, below the energy.
     assert 1e-6 < off < 0.02 * abs(work)

@@ -65,7 +65,9 @@ def test_the_drivers_own_limits_come_after_it() -> None:
     assert answered(port, 200) == 1.2
 
 
-@pytest.mark.parametrize("bad", [[0.0, 0.0], [math.nan, 0.0, 0.0], ["x", 0.0, 0.0], [0.0, 0.0, math.inf]])
+@pytest.mark.parametrize(
+    "bad", [[0.0, 0.0], [math.nan, 0.0, 0.0], ["x", 0.0, 0.0], [0.0, 0.0, math.inf]]
+)
 def test_nonsense_is_refused(port: Port, bad: list[Any]) -> None:
     with pytest.raises(ParameterError, match=r"driver\.external\.force"):
         give(port.s, ALLOWED, "driver", bad)
@@ -75,7 +77,10 @@ def test_nonsense_is_refused(port: Port, bad: list[Any]) -> None:
 def test_along_an_axis_that_nobody_computes_there_is_none() -> None:
     """Neither one from outside, nor one of a message; and it changes nothing along those that are."""
     alone, beside = (Port(axes=(0, 1), peak_force=5.0, continuous_force=3.0) for _ in range(2))
-    with pytest.raises(ParameterError, match=r"driver\.external\.force: 0\.5 N along z, .*\[x, y\]: nothing would be felt"):
+    with pytest.raises(
+        ParameterError,
+        match=r"driver\.external\.force: 0\.5 N along z, .*\[x, y\]: nothing would be felt",
+    ):
         give(alone.s, ALLOWED, "driver", [0.5, 0.0, 0.5])
     assert give(alone.s, ALLOWED, "driver", [0.5, 0.0, 0.0])["force_n"] == (0.5, 0.0, 0.0)
     give(beside.s, ALLOWED, "driver", [0.5, 0.0, 0.0])

@@ -31,7 +31,8 @@ def test_slew_is_shared_by_all_forces_of_one_tick() -> None:
     assert port.force[2] == 0.2
     port.answer(force(3, 10.0), 5)
     assert port.force[2] == 0.7
-    # The slew of tick 5 is used up; late answers in the same tick cannot take another step, nor one back.
+    # The slew of tick 5 is used up; late answers in the same tick cannot take another step, nor one
+    # back.
     port.answer(force(4, 10.0), 5)
     port.answer(force(5, -10.0), 5)
     assert port.force[2] == 0.7
@@ -62,7 +63,8 @@ def test_continuous_force_comes_down_at_the_slew_and_stays_at_its_limit() -> Non
         heat = keep * heat + (1.0 - keep) * handed[-1] ** 2
         assert heat <= limit**2 * (1.0 + 1e-12)  # the last bits of 2000 sums
     assert max(handed) > 2.0 * limit  # short forces are still large
-    assert handed[-1] == pytest.approx(limit, rel=1e-3)  # and after ten time constants the limit is used, not less
+    # and after ten time constants the limit is used, not less
+    assert handed[-1] == pytest.approx(limit, rel=1e-3)
     assert max(abs(b - a) for a, b in pairwise(handed)) <= slew * (1.0 + 1e-12)
     assert port.limited["continuous"] > 0
 
@@ -79,11 +81,18 @@ def test_continuous_force_also_counts_ticks_without_an_answer() -> None:
     assert port.state == "active"
 
 
-@pytest.mark.parametrize(("slew", "watchdog", "tau"), [(50.0, 20, 3.0), (50.0, 2, 0.1), (100.0, 10, 1.0), (20_000.0, 10, 0.5)])
-def test_continuous_force_holds_through_gap_after_gap(slew: float, watchdog: int, tau: float) -> None:
+@pytest.mark.parametrize(
+    ("slew", "watchdog", "tau"),
+    [(50.0, 20, 3.0), (50.0, 2, 0.1), (100.0, 10, 1.0), (20_000.0, 10, 0.5)],
+)
+def test_continuous_force_holds_through_gap_after_gap(
+    slew: float, watchdog: int, tau: float
+) -> None:
     """With room for one gap alone it was exceeded by up to 20 %: each tick of the way down may be followed by another one."""
     limit, keep = 1.75, math.exp(-T / tau)
-    port = Port(continuous_force=limit, thermal_time=tau, slew=slew, peak_force=7.9, watchdog=watchdog)
+    port = Port(
+        continuous_force=limit, thermal_time=tau, slew=slew, peak_force=7.9, watchdog=watchdog
+    )
     heat, tick = 0.0, 0
     for _ in range(1500):
         port.answer(force(tick, 7.9), tick)
@@ -92,7 +101,8 @@ def test_continuous_force_holds_through_gap_after_gap(slew: float, watchdog: int
         heat = keep**held * heat + (1.0 - keep**held) * port.force[2] ** 2
         assert heat <= limit**2 * (1.0 + 1e-12)  # the last bits of 1500 sums
         tick += held
-    # It is used all the same: of the limit at least so much as is left when every tick is followed by a gap.
+    # It is used all the same: of the limit at least so much as is left when every tick is followed
+    # by a gap.
     assert heat > 0.8 * limit**2
 
 
@@ -112,7 +122,8 @@ def test_continuous_force_holds_through_a_gap_in_which_the_device_holds_its_forc
             tick += passed
 
 
-# -- the end ----------------------------------------------------------------------------------------------------------
+# -- the end
+# ----------------------------------------------------------------------------------------------------------
 
 
 @given(start=st.floats(-7.9, 7.9), slew=st.one_of(st.none(), st.floats(5.3, 1e5)))
@@ -124,16 +135,21 @@ def test_soft_stop_ends_at_zero_within_slew_and_time(start: float, slew: float |
     assert len(steps) * T <= STOP_TIME + T  # rounding the number of steps up
     most = slew * T if slew is not None else abs(start) / 10.0
     for before, after in pairwise([port.force, *steps]):
-        assert all(abs(b - a) <= most * (1.0 + 1e-9) + 1e-12 for a, b in zip(before, after, strict=True))
+        assert all(
+            abs(b - a) <= most * (1.0 + 1e-9) + 1e-12 for a, b in zip(before, after, strict=True)
+        )
 
 
 def test_soft_stop_without_force_is_one_zero() -> None:
     assert soft_stop(ZERO, math.inf, T) == [ZERO]
 
 
-# -- no sequence of messages whatever ---------------------------------------------------------------------------------
+# -- no sequence of messages whatever
+# ---------------------------------------------------------------------------------
 
-anything = st.one_of(st.floats(-20.0, 20.0), st.sampled_from([1e308, -1e308, math.nan, math.inf, 5e-324, 0.0]))
+anything = st.one_of(
+    st.floats(-20.0, 20.0), st.sampled_from([1e308, -1e308, math.nan, math.inf, 5e-324, 0.0])
+)
 vectors = st.tuples(anything, anything, anything)
 places = st.one_of(st.just(0.0), st.floats(-0.2, 0.2), st.just(math.nan))
 messages = st.tuples(st.integers(-12, 2), vectors)
@@ -202,7 +218,9 @@ def test_no_sequence_of_messages_gets_past_a_limit(
         most = slew * T * (1.0 + 1e-9)  # sums of a handful of steps
         for axis in range(3):
             assert sum(abs(b[axis] - a[axis]) for a, b in pairwise(handed)) <= most
-        heat = keep * heat + (1.0 - keep) * max(sum(v * v for v in vector) for vector in handed[1:] or handed)
+        heat = keep * heat + (1.0 - keep) * max(
+            sum(v * v for v in vector) for vector in handed[1:] or handed
+        )
         if continuous is not None and max(gaps, default=0) <= watchdog:
             # Gaps in which the device holds its force are provided for, as many as there may be.
             assert heat <= continuous**2 * (1.0 + 1e-9)

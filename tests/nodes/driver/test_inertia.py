@@ -29,7 +29,9 @@ def test_a_push_along_an_axis_moves_what_the_other_axes_leave() -> None:
         assert least <= along[axis] <= matrix[axis, axis]
 
 
-@pytest.mark.parametrize("wrong", [[[0.0] * 3] * 3, [[float("nan")] * 3] * 3, np.diag([0.1, -0.1, 0.1]).tolist()])
+@pytest.mark.parametrize(
+    "wrong", [[[0.0] * 3] * 3, [[float("nan")] * 3] * 3, np.diag([0.1, -0.1, 0.1]).tolist()]
+)
 def test_what_is_no_inertia_is_refused(wrong: list[list[float]]) -> None:
     with pytest.raises(ValueError, match="inertia is not"):
         masses_along(wrong)
@@ -62,8 +64,11 @@ def test_a_running_device_tells_its_masses_to_whoever_judges_a_loop(tmp_path: Pa
         def told() -> dict[str, float]:
             return commander.inertia() or {}
 
-        # The stand-in is half as heavy again towards the operator, and twice as heavy 0.1 m to the right of ours.
-        wait_for(lambda: told().get("greatest_kg") == pytest.approx(0.15), "the masses of this pose")
+        # The stand-in is half as heavy again towards the operator, and twice as heavy 0.1 m to the
+        # right of ours.
+        wait_for(
+            lambda: told().get("greatest_kg") == pytest.approx(0.15), "the masses of this pose"
+        )
         assert told()["here_kg"] == pytest.approx([0.15, 0.1, 0.1])
         stand.world.state.position[1] = 0.1
         wait_for(lambda: told()["greatest_kg"] == pytest.approx(0.3), "the masses of another pose")
@@ -71,8 +76,13 @@ def test_a_running_device_tells_its_masses_to_whoever_judges_a_loop(tmp_path: Pa
         stand.world.state.position[1] = 0.0
         wait_for(lambda: told()["here_kg"][2] == pytest.approx(0.1), "the first pose again")  # type: ignore[index]
         info = launch.haptic("node", "info", "driver")
-        assert "mass: 0.15, 0.1, 0.1 kg along x, y, z where it stands; 0.1 to 0.3 kg in all poses" in info.stdout
-        figures = json.loads(launch.haptic("node", "info", "driver", "--json").stdout.splitlines()[-1])
+        assert (
+            "mass: 0.15, 0.1, 0.1 kg along x, y, z where it stands; 0.1 to 0.3 kg in all poses"
+            in info.stdout
+        )
+        figures = json.loads(
+            launch.haptic("node", "info", "driver", "--json").stdout.splitlines()[-1]
+        )
         assert figures["inertia"]["greatest_kg"] == pytest.approx(0.3)
         # A tuning that pushes along z identifies 0.1 kg: elsewhere it is up to 0.2 kg more.
         assert PushedLaunch(launch.run).poses() == pytest.approx((0.0, 0.2), abs=1e-12)

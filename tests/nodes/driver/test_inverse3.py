@@ -33,13 +33,17 @@ def test_a_cold_start_is_waited_for_and_says_why(tmp_path: Path) -> None:
         begun = time.monotonic()
         device.open()
         assert device.facts["serial"] == "04BA"
-        # As long as it is cold one line stands for all attempts; another says that the wait is over.
+        # As long as it is cold one line stands for all attempts; another says that the wait is
+        # over.
         assert len(said) == 2, said
-        assert said[0].startswith("Inverse3: waits up to 30 s for the Inverse Service at ws://localhost:")
+        assert said[0].startswith(
+            "Inverse3: waits up to 30 s for the Inverse Service at ws://localhost:"
+        )
         assert "no Inverse3 is connected; a cold start takes up to 25 s" in said[0]
         assert said[1].startswith("Inverse3: is there after ")
         # It was there not before the service had it, whose clock began before ours.
-        assert 0.0 < float(said[1].split()[-2]) <= time.monotonic() - begun + 0.05  # the line gives tenths
+        # the line gives tenths
+        assert 0.0 < float(said[1].split()[-2]) <= time.monotonic() - begun + 0.05
         device.close()
 
 
@@ -65,7 +69,10 @@ def test_a_launch_waits_for_a_cold_start(stand: Bench, tmp_path: Path) -> None:
     stand.world.state.position[2] = -0.002
     stand.world.state.unplugged = 1
     with running(tmp_path, scene, *SOFT, "duration:=0", ready=False) as launch:
-        wait_for(lambda: "[driver] device_waits: Inverse3: waits up to 100 s" in launch.errors, "why it waits")
+        wait_for(
+            lambda: "[driver] device_waits: Inverse3: waits up to 100 s" in launch.errors,
+            "why it waits",
+        )
         stand.world.state.unplugged = 0
         wait_for(lambda: stand.world.force()[2] == pytest.approx(0.3, abs=1e-9), "2 mm of 150 N/m")
         assert "device_waits: Inverse3: is there after" in launch.errors
@@ -85,7 +92,10 @@ def test_a_service_that_takes_forces_under_another_name_is_refused_loudly(tmp_pa
             return bool(told)
 
         wait_for(refused, "it says that no force acts")
-        assert "takes no forces (0 N act while a force is asked for): it must be of version 3.5" in told[0]
+        assert (
+            "takes no forces (0 N act while a force is asked for): it must be of version 3.5"
+            in told[0]
+        )
         assert "takes no forces" in device.condition()
 
 
@@ -94,7 +104,10 @@ def test_what_another_session_adds_is_told(stand: Bench) -> None:
     stand.press(device, (0.0, 0.0, 1.0))
     assert device.condition() == ""
     stand.world.state.other[2] = 0.5
-    wait_for(lambda: "another session of the Inverse Service adds" in device.condition(), "the other session")
+    wait_for(
+        lambda: "another session of the Inverse Service adds" in device.condition(),
+        "the other session",
+    )
     assert "+0.50 N" in device.condition()
     stand.world.state.other[2] = 0.0
     wait_for(lambda: device.condition() == "", "nobody adds any more")
@@ -104,10 +117,15 @@ def test_what_another_session_adds_is_told(stand: Bench) -> None:
 def test_an_emergency_brake_is_told_and_ends_nothing(stand: Bench, events: bool) -> None:
     device = stand.opened() if events else stand.opened(events_port=0)
     stand.press(device, (0.0, 0.0, 1.0))
-    why = "emergency brake of the Inverse3 is on" if events else "lets no force act (0 N while a force is asked for)"
+    why = (
+        "emergency brake of the Inverse3 is on"
+        if events
+        else "lets no force act (0 N while a force is asked for)"
+    )
 
     def told() -> bool:
-        # A person leans on the wall all the while. It once ended the run as a service of the wrong version.
+        # A person leans on the wall all the while. It once ended the run as a service of the wrong
+        # version.
         device.write_force((0.0, 0.0, 1.0), 0, 0.0)
         device.read_position(0)
         return why in device.condition()
@@ -137,7 +155,9 @@ def test_a_service_that_answers_slowly_has_old_samples_counted_as_none(stand: Be
     wait_for(lambda: not math.isnan(device.read_position(0)[0]), "positions are back")
 
 
-def test_surplus_answers_make_no_position_older(stand: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_surplus_answers_make_no_position_older(
+    stand: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Each state came twice: after 16 s the position was 17.6 s old, and the state ``active``."""
     monkeypatch.setattr("nodes.driver.haply.driver.SURPLUS_BURST", math.inf)
     device = stand.device(deadline=0.1)
@@ -149,7 +169,8 @@ def test_surplus_answers_make_no_position_older(stand: Bench, monkeypatch: pytes
     moved, seen = device.ticks, 0
     while device.read_position(0)[2] != pytest.approx(0.01, abs=1e-12):
         seen = device.ticks - moved
-        # One answer that was under way and its copy; the rest is time in which this thread was not run.
+        # One answer that was under way and its copy; the rest is time in which this thread was not
+        # run.
         assert seen < 500, "the position is older by each surplus answer"
 
 
@@ -162,7 +183,9 @@ def test_a_service_that_goes_on_with_surplus_answers_is_given_up(stand: Bench) -
     stand.world.fail("")
     assert not math.isnan(device.read_position(0)[0])
     stand.world.fail("twice")
-    wait_for(lambda: "more states than it is asked for" in device.condition(), "it is given up", 30.0)
+    wait_for(
+        lambda: "more states than it is asked for" in device.condition(), "it is given up", 30.0
+    )
     assert SURPLUS_BURST <= device.facts["surplus_answers"] <= 2 * SURPLUS_BURST
     with pytest.raises(OSError, match="goes on sending more states than it is asked for"):
         device.read_position(0)
@@ -191,9 +214,15 @@ def test_fifteen_hundred_buttons_are_thirty_two(stand: Bench) -> None:
     assert not math.isnan(device.read_position(0)[0])
 
 
-def test_whatever_ends_the_exchange_ends_forces_and_is_told(stand: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_whatever_ends_the_exchange_ends_forces_and_is_told(
+    stand: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     device = stand.opened()
     monkeypatch.setattr("nodes.driver.haply.driver.buttons", lambda _: 1 / 0)
-    wait_for(lambda: "ZeroDivisionError: division by zero" in device.condition(), "it is told", 10.0)
-    with pytest.raises(OSError, match="the exchange with the Inverse Service failed: ZeroDivisionError"):
+    wait_for(
+        lambda: "ZeroDivisionError: division by zero" in device.condition(), "it is told", 10.0
+    )
+    with pytest.raises(
+        OSError, match="the exchange with the Inverse Service failed: ZeroDivisionError"
+    ):
         device.read_position(0)

@@ -29,7 +29,9 @@ LAW_DAMPING = 3.0
 PERIOD = 0.002
 
 
-def scene(folder: Path, run: dict[str, Any] | None = None, chain: dict[str, Any] | None = None, **arm: Any) -> str:
+def scene(
+    folder: Path, run: dict[str, Any] | None = None, chain: dict[str, Any] | None = None, **arm: Any
+) -> str:
     """Write a launch file with the logging arm, held 1 mm inside a floor of 1000 N/m unless told otherwise."""
     more = chain or {}
     safety = {"damping": DAMPING, **arm.pop("safety", {})}
@@ -37,14 +39,29 @@ def scene(folder: Path, run: dict[str, Any] | None = None, chain: dict[str, Any]
         "summary": "for a test",
         "run": {"duration": 0.0, **(run or {})},
         "nodes": {
-            "driver": {"kind": "logging_arm", "parameters": {"diary": str(folder / "diary"), "safety": safety, **arm}},
-            "environment": {"kind": "environment", "parameters": {"surface": {"kind": "plane", "axis": "z"}}, **more},
-            "coupling": {
-                "kind": "coupling",
-                "parameters": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": STIFFNESS, "damping": LAW_DAMPING}}},
+            "driver": {
+                "kind": "logging_arm",
+                "parameters": {"diary": str(folder / "diary"), "safety": safety, **arm},
+            },
+            "environment": {
+                "kind": "environment",
+                "parameters": {"surface": {"kind": "plane", "axis": "z"}},
                 **more,
             },
-            "logger": {"kind": "logger", "required": False, "parameters": {"path": "run.mcap", "overwrite": True}, **more},
+            "coupling": {
+                "kind": "coupling",
+                "parameters": {
+                    "law": "pd",
+                    "laws": {"pd": {"kind": "pd", "stiffness": STIFFNESS, "damping": LAW_DAMPING}},
+                },
+                **more,
+            },
+            "logger": {
+                "kind": "logger",
+                "required": False,
+                "parameters": {"path": "run.mcap", "overwrite": True},
+                **more,
+            },
         },
     }
     path = folder / "enemy.yaml"
@@ -56,7 +73,10 @@ def diary(folder: Path) -> list[tuple[float, str, float]]:
     """Read what the arm has logged so far: whole lines only."""
     path = folder / "diary"
     text = path.read_text() if path.exists() else ""
-    return [(when, call, value) for when, call, value in map(json.loads, text.splitlines()[: text.count("\n")])]
+    return [
+        (when, call, value)
+        for when, call, value in map(json.loads, text.splitlines()[: text.count("\n")])
+    ]
 
 
 def forces(folder: Path) -> list[float]:
@@ -64,7 +84,8 @@ def forces(folder: Path) -> list[float]:
     return [value for _, call, value in diary(folder) if call == "write_force"]
 
 
-# -- the compiled tick under a driver that exists -------------------------------------------------------------------------
+# -- the compiled tick under a driver that exists
+# -------------------------------------------------------------------------
 
 
 @pytest.mark.realtime
@@ -76,16 +97,21 @@ def test_a_driver_that_is_not_virtual_has_the_compiled_tick_too(tmp_path: Path) 
         figures = launch.finish()
     assert figures["tick"] == "compiled"
     compiled = figures["ticks_compiled"]
-    assert min(compiled[node] for node in ("driver", "environment", "coupling")) > 0.8 * (figures["ticks"] - figures["missed"])
+    assert min(compiled[node] for node in ("driver", "environment", "coupling")) > 0.8 * (
+        figures["ticks"] - figures["missed"]
+    )
     # 1 mm into 1000 N/m, at rest: after a ramp of 0.15 s at 500 Hz, because the arm begins there.
     assert forces(tmp_path).count(1.0) > 0.8 * (figures["ticks"] - figures["missed"] - 75)
 
 
-# -- a reader that pauses or goes away ---------------------------------------------------------------------------------
+# -- a reader that pauses or goes away
+# ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("reader", ["paused", "gone"])
-def test_the_force_goes_down_and_the_launch_ends_whoever_reads_what_is_printed(tmp_path: Path, reader: str) -> None:
+def test_the_force_goes_down_and_the_launch_ends_whoever_reads_what_is_printed(
+    tmp_path: Path, reader: str
+) -> None:
     reading, writing = full_pipe()
     if reader == "gone":
         os.close(reading)
@@ -94,15 +120,20 @@ def test_the_force_goes_down_and_the_launch_ends_whoever_reads_what_is_printed(t
         with running(tmp_path, path, environment=INSTALLED, stderr=writing) as launch:
             wait_for(lambda: forces(tmp_path)[-1:] == [1.0], "the arm is pressed")
             os.kill(launch.pid("coupling"), signal.SIGKILL)
-            # Damping of an arm that stands still is zero too, but the launch must go on to say so on its topics.
-            wait_for(lambda: launch.call("driver", "progress")["safety"] == "zero", "the watchdog bites")
+            # Damping of an arm that stands still is zero too, but the launch must go on to say so
+            # on its topics.
+            wait_for(
+                lambda: launch.call("driver", "progress")["safety"] == "zero", "the watchdog bites"
+            )
             assert abs(forces(tmp_path)[-1]) == 0.0
             ticks = launch.wait_ticks(20)
             figures = launch.finish(signal.SIGINT, code=1)
             assert (figures["exit_reason"], figures["ticks"] >= ticks) == ("SIGINT", True)
             assert figures["nodes"]["driver"]["state"] == "finished"
         assert [call for _, call, _ in diary(tmp_path)][-2:] == ["close", "closed"]
-        told = [event.reason for event in Recording(tmp_path / "run.mcap").messages("/driver/event")]
+        told = [
+            event.reason for event in Recording(tmp_path / "run.mcap").messages("/driver/event")
+        ]
         assert any(reason.startswith("damping → zero") for reason in told)
     finally:
         os.close(writing)
@@ -110,7 +141,8 @@ def test_the_force_goes_down_and_the_launch_ends_whoever_reads_what_is_printed(t
             os.close(reading)
 
 
-# -- ticks that are lost ------------------------------------------------------------------------------------------------
+# -- ticks that are lost
+# ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.realtime
@@ -139,13 +171,16 @@ def test_damping_knows_the_time_that_passed_while_the_driver_was_held_up(tmp_pat
             wait_for(lambda begun=begun: time.monotonic() - begun > 25 * PERIOD, "ticks pass")  # type: ignore[misc]
             os.kill(driver, signal.SIGCONT)
             wait_for(
-                lambda overruns=overruns: launch.call("driver", "progress")["overruns"] > overruns + 10,  # type: ignore[misc]
+                lambda overruns=overruns: (
+                    launch.call("driver", "progress")["overruns"] > overruns + 10
+                ),  # type: ignore[misc]
                 "they are lost",
             )
             launch.wait_ticks(5)
         launch.finish(signal.SIGINT, code=1)
     damped = [value for _, call, value in diary(tmp_path)[seen:] if call == "write_force"]
-    # b·v; of a sample that is read a little after its time a little more, where one period for 25 ticks gave 25 times that.
+    # b·v; of a sample that is read a little after its time a little more, where one period for 25
+    # ticks gave 25 times that.
     assert max(map(abs, damped)) <= 3.0 * DAMPING * speed
     assert max(map(abs, damped)) >= 0.5 * DAMPING * speed
 
@@ -153,7 +188,9 @@ def test_damping_knows_the_time_that_passed_while_the_driver_was_held_up(tmp_pat
 def test_the_soft_stop_begins_at_the_force_that_is_on_the_device(tmp_path: Path) -> None:
     # Slewing all the time, under next_tick the force decided last has not been handed over yet.
     slew = 0.3
-    path = scene(tmp_path, run={"apply": "next_tick"}, swing=0.004, speed=0.5, safety={"slew": slew / PERIOD})
+    path = scene(
+        tmp_path, run={"apply": "next_tick"}, swing=0.004, speed=0.5, safety={"slew": slew / PERIOD}
+    )
     with running(tmp_path, path, environment=INSTALLED) as launch:
         wait_for(lambda: len(forces(tmp_path)) > 200, "forces are written")
         launch.finish(signal.SIGINT)
@@ -182,15 +219,24 @@ def test_a_coupling_started_again_has_its_parameters_and_no_jump(tmp_path: Path)
     with running(tmp_path, scene(tmp_path, chain=AGAIN), environment=INSTALLED) as launch:
         wait_for(lambda: forces(tmp_path)[-1:] == [1.0], "the arm is pressed")
         launch.call("coupling", "param.set", values={"laws.pd.stiffness": 700.0})
-        launch.call("environment", "param.set", values={"surface": {"kind": "plane", "axis": "z", "position": 0.001}})
-        wait_for(lambda: forces(tmp_path)[-1:] == [pytest.approx(1.4, abs=1e-9)], "they are in place")
+        launch.call(
+            "environment",
+            "param.set",
+            values={"surface": {"kind": "plane", "axis": "z", "position": 0.001}},
+        )
+        wait_for(
+            lambda: forces(tmp_path)[-1:] == [pytest.approx(1.4, abs=1e-9)], "they are in place"
+        )
         for _ in range(2):
             for node in ("environment", "coupling"):
                 killed(launch, node)
             assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == 700.0
-            wait_for(lambda: forces(tmp_path)[-1:] == [pytest.approx(1.4, abs=1e-9)], "forces flow again")
+            wait_for(
+                lambda: forces(tmp_path)[-1:] == [pytest.approx(1.4, abs=1e-9)], "forces flow again"
+            )
         launch.finish(signal.SIGINT)
-    # Held still, the arm is felt as a spring: from a history of zeros the damper alone would give 3 N.
+    # Held still, the arm is felt as a spring: from a history of zeros the damper alone would give 3
+    # N.
     assert max(forces(tmp_path)[len(forces(tmp_path)) // 2 :]) <= 1.4 + 1e-9
     told = Recording(tmp_path / "run.mcap").messages("/coupling/event")
     assert [event.kind for event in told].count("resumed") == 2
@@ -205,18 +251,24 @@ def test_a_logger_started_again_leaves_alone_what_was_recorded(tmp_path: Path) -
             killed(launch, "logger")
         launch.wait_ticks(50)
         figures = launch.finish(signal.SIGINT)
-        told = json.loads(launch.haptic("bag", "info", "run.mcap", "--json").stdout.splitlines()[-1])
+        told = json.loads(
+            launch.haptic("bag", "info", "run.mcap", "--json").stdout.splitlines()[-1]
+        )
     assert [Path(path).name for path in told["parts"]] == ["run.mcap", "run.2.mcap", "run.3.mcap"]
     assert told["recovered"] is True
     whole = Recording(tmp_path / "run.mcap")
     seen = [state.seq for state in whole.messages("/device/state")]
     assert seen == sorted(seen)
     assert (seen[0] <= 100, seen[-1]) == (True, figures["nodes"]["driver"]["seq"])
-    alone = [Recording(tmp_path / name).topics["/device/state"].messages for name in ("run.2.mcap", "run.3.mcap")]
+    alone = [
+        Recording(tmp_path / name).topics["/device/state"].messages
+        for name in ("run.2.mcap", "run.3.mcap")
+    ]
     assert len(seen) > sum(alone) + 100
 
 
-# -- positions that are none ---------------------------------------------------------------------------------------------
+# -- positions that are none
+# ---------------------------------------------------------------------------------------------
 
 
 WRONG = (1.7e308, -1.7e308, None, 0.11)
@@ -233,13 +285,19 @@ def test_positions_outside_the_workspace_are_a_fault_and_no_data(tmp_path: Path)
     path = scene(tmp_path, glitches=glitches)
     with running(tmp_path, path, environment=INSTALLED) as launch:
         over = glitches[-1][1] + 0.3
-        wait_for(lambda: diary(tmp_path)[-1][0] - diary(tmp_path)[1][0] > over, "the glitches are over")
+        wait_for(
+            lambda: diary(tmp_path)[-1][0] - diary(tmp_path)[1][0] > over, "the glitches are over"
+        )
         wait_for(lambda: forces(tmp_path)[-1] == 1.0, "forces flow again")
         figures = launch.finish(signal.SIGINT)
     # At tick 0 the history is empty, as it is in one process; from then on the arm stands still.
     first = 1.0 + LAW_DAMPING * 0.001 / PERIOD
-    assert all(math.isfinite(force) and 0.0 <= force <= first + 1e-9 for force in forces(tmp_path)[:10])
-    assert all(math.isfinite(force) and 0.0 <= force <= 1.0 + 1e-9 for force in forces(tmp_path)[10:])
+    assert all(
+        math.isfinite(force) and 0.0 <= force <= first + 1e-9 for force in forces(tmp_path)[:10]
+    )
+    assert all(
+        math.isfinite(force) and 0.0 <= force <= 1.0 + 1e-9 for force in forces(tmp_path)[10:]
+    )
     assert figures["safety"]["entered"]["fault"] >= len(WRONG)
     recording = Recording(tmp_path / "run.mcap")
     states = recording.messages("/device/state")
@@ -249,7 +307,8 @@ def test_positions_outside_the_workspace_are_a_fault_and_no_data(tmp_path: Path)
     assert not any(event.kind == "fallback" for event in recording.messages("/coupling/event"))
 
 
-# -- what goes on pushing while nobody answers ------------------------------------------------------------------------------
+# -- what goes on pushing while nobody answers
+# ------------------------------------------------------------------------------
 
 PUSHED = """
 summary: Something pushes against a floor
@@ -303,8 +362,10 @@ def test_what_has_sunk_in_meets_a_force_that_grows_by_the_ramp_and_is_not_thrown
         depth = -min(state.position[2] for state in after)
         assert depth > 0.03
         for state in after:
-            assert abs(state.force[2]) <= 40.0 * max(state.seq - last, 0) / recovery * (1.0 + 1e-15)  # two roundings
-        # What takes energy is who pushes, on the way out, and the speed of that way; a tick or two of acceleration beyond it.
+            # two roundings
+            assert abs(state.force[2]) <= 40.0 * max(state.seq - last, 0) / recovery * (1.0 + 1e-15)
+        # What takes energy is who pushes, on the way out, and the speed of that way; a tick or two
+        # of acceleration beyond it.
         speed = 1.5 * RETURN_SPEED
         given = max(state.energy for state in after) - after[0].energy
         assert given <= strength * depth + 0.5 * 0.2 * speed**2 + 1.0 * speed * depth

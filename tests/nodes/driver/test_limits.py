@@ -15,10 +15,15 @@ from nodes.parameters.store import ParameterError, convert
 from tests.support.safety import Port, T
 from tests.support.setups import setup_of
 
-# -- the device's limits ----------------------------------------------------------------------------------------------
+# -- the device's limits
+# ----------------------------------------------------------------------------------------------
 
 TOUCH = DeviceLimits(
-    peak_force=7.9, continuous_force=1.75, slew=2000.0, silence=0.05, workspace=((-0.08, 0.08), (-0.06, 0.06), (-0.06, 0.06))
+    peak_force=7.9,
+    continuous_force=1.75,
+    slew=2000.0,
+    silence=0.05,
+    workspace=((-0.08, 0.08), (-0.06, 0.06), (-0.06, 0.06)),
 )
 
 
@@ -46,12 +51,19 @@ def test_no_launch_file_raises_a_limit_of_the_device_and_each_attempt_is_told() 
         "workspace[2]",
         "continuous_force",
     ]
-    assert limits.overruled[0] == "driver.safety.peak_force: 20 N, limit 7.9 N of the device, which holds"
-    assert Port(TOUCH, peak_force=20.0).limits.overruled == ("safety.peak_force: 20 N, limit 7.9 N of the device, which holds",)
+    assert (
+        limits.overruled[0]
+        == "driver.safety.peak_force: 20 N, limit 7.9 N of the device, which holds"
+    )
+    assert Port(TOUCH, peak_force=20.0).limits.overruled == (
+        "safety.peak_force: 20 N, limit 7.9 N of the device, which holds",
+    )
 
 
 def test_a_modest_launch_file_lowers_the_limits_and_nothing_is_told() -> None:
-    modest = SafetyParameters(peak_force=7.9, continuous_force=1.0, slew=2000.0, watchdog=25, damping_ticks=5)
+    modest = SafetyParameters(
+        peak_force=7.9, continuous_force=1.0, slew=2000.0, watchdog=25, damping_ticks=5
+    )
     limits = lower(modest, TOUCH, T)
     assert (limits.peak, limits.continuous, limits.watchdog, limits.overruled) == (7.9, 1.0, 25, ())
     # Left out, the device's own limits hold.
@@ -97,11 +109,15 @@ def test_an_empty_workspace_is_refused_before_anything_is_started() -> None:
         )
 
     Driver.check(setup(1e-3))
-    with pytest.raises(ParameterError, match=r"^arm\.safety\.workspace\[2\]: 0 to 0 m, .*low to high"):
+    with pytest.raises(
+        ParameterError, match=r"^arm\.safety\.workspace\[2\]: 0 to 0 m, .*low to high"
+    ):
         Driver.check(setup(0.0))
 
 
 def test_a_device_that_exists_is_not_made_to_wait() -> None:
     setup = setup_of(name="arm", kind="driver", period=T, pace="lockstep")
-    with pytest.raises(ParameterError, match=r"^arm: pace lockstep waits for each force, however long"):
+    with pytest.raises(
+        ParameterError, match=r"^arm: pace lockstep waits for each force, however long"
+    ):
         Driver.check(setup)

@@ -62,7 +62,9 @@ def test_power_is_the_same_on_both_sides(stand: Bench) -> None:
         return any(stand.world.force())
 
     wait_for(arrives, "the force")
-    assert np.linalg.norm(stand.world.force()) == pytest.approx(2.0 * np.linalg.norm(force), rel=1e-12)
+    assert np.linalg.norm(stand.world.force()) == pytest.approx(
+        2.0 * np.linalg.norm(force), rel=1e-12
+    )
     # Work of a move: in newtons and metres of the scene, and of the arm.
     assert np.array(stand.world.force()) @ move == pytest.approx(force @ scene, rel=1e-12)
 
@@ -70,16 +72,21 @@ def test_power_is_the_same_on_both_sides(stand: Bench) -> None:
 def test_limits_hold_in_every_direction() -> None:
     box = ((-0.1, 0.1), (-0.2, 0.2), (-0.05, 0.15))
     limits = DeviceLimits(peak_force=6.0, continuous_force=2.0, hold=0.05, workspace=box)
-    quarter = limits_in_scene(limits, m := Mapping(rotation=(0.0, 0.0, 90.0), scale=2.0), matrix(m, UPRIGHT))
+    quarter = limits_in_scene(
+        limits, m := Mapping(rotation=(0.0, 0.0, 90.0), scale=2.0), matrix(m, UPRIGHT)
+    )
     assert (quarter.peak_force, quarter.continuous_force, quarter.hold) == (3.0, 1.0, 0.05)
     assert quarter.workspace == ((-0.4, 0.4), (-0.2, 0.2), (-0.1, 0.3))
     askew = Mapping(rotation=(0.0, 0.0, 45.0))
     turn = np.array(matrix(askew, UPRIGHT))
     lowered = limits_in_scene(limits, askew, matrix(askew, UPRIGHT))
-    # A force on all axes of the scene, each at its limit, is at most the limit on each axis of the device.
+    # A force on all axes of the scene, each at its limit, is at most the limit on each axis of the
+    # device.
     corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1) * lowered.peak_force
     assert np.abs(turn.T @ corners).max() == pytest.approx(6.0, rel=10 * EPSILON)
-    assert limits_in_scene(limits, c := Mapping(clutch=0, reach=0.3), matrix(c, UPRIGHT)).workspace[0] == (-0.4, 0.4)
+    assert limits_in_scene(limits, c := Mapping(clutch=0, reach=0.3), matrix(c, UPRIGHT)).workspace[
+        0
+    ] == (-0.4, 0.4)
 
 
 def test_the_clutch_holds_the_scene_and_the_force_comes_back_by_a_ramp(stand: Bench) -> None:
@@ -127,7 +134,10 @@ def test_the_centre_is_where_the_handle_stands(stand: Bench) -> None:
     device = stand.opened({"recentre": True, "centre": [0.0, 0.0, 0.1], "scale": 3.0})
     assert device.read_position(0) == pytest.approx((0.0, 0.0, 0.1), abs=1e-12)
     stand.world.state.position[0] = 0.04
-    wait_for(lambda: device.read_position(0) == pytest.approx((0.03, 0.0, 0.1), abs=1e-12), "three times as far")
+    wait_for(
+        lambda: device.read_position(0) == pytest.approx((0.03, 0.0, 0.1), abs=1e-12),
+        "three times as far",
+    )
     device.recentre()
     assert device.read_position(0) == pytest.approx((0.0, 0.0, 0.1), abs=1e-12)
 
@@ -157,7 +167,8 @@ def test_the_workspace_moves_with_the_centre(stand: Bench, monkeypatch: pytest.M
 
 
 def test_the_handle_turns_with_the_scene(stand: Bench) -> None:
-    # The handle is turned by 90° about the device's own first axis; the columns of a turn, row by row.
+    # The handle is turned by 90° about the device's own first axis; the columns of a turn, row by
+    # row.
     stand.world.state.turn[:] = [1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0]
     stand.world.state.buttons = 3
     device = stand.opened()
@@ -174,7 +185,9 @@ def test_weights_are_told_to_the_library_before_forces_are_on(tmp_path: Path) ->
         w = stand.world.state
         w.tool_mass = -1.0
         for carries, tool, base in ((True, None, (0.0, 0.0)), (False, 0.08, (90.0, -30.0))):
-            device = stand.device(gravity_compensation=carries, tool_mass=tool, base_angles=list(base))
+            device = stand.device(
+                gravity_compensation=carries, tool_mass=tool, base_angles=list(base)
+            )
             device.connect()
             assert w.forces == 0
             device.open()
@@ -185,7 +198,10 @@ def test_weights_are_told_to_the_library_before_forces_are_on(tmp_path: Path) ->
 
 
 def test_the_gripper_and_the_buttons_of_each_kind_are_in_the_handle(tmp_path: Path) -> None:
-    for kind, gripper, pressed in (("force_dimension_driver", 0.012, 5), ("inverse3_driver", 0.0, 1)):
+    for kind, gripper, pressed in (
+        ("force_dimension_driver", 0.012, 5),
+        ("inverse3_driver", 0.0, 1),
+    ):
         folder = tmp_path / kind
         folder.mkdir()
         with bench(kind, folder) as stand:

@@ -12,7 +12,9 @@ from tests.support.mutations import MUTATIONS, Mutation, copy_sources, survives
 
 def test_every_mutation_changes_a_rule_that_stands_there_once() -> None:
     for mutation in MUTATIONS:
-        assert (ROOT / mutation.file).read_text(encoding="utf-8").count(mutation.old) == 1, mutation.name
+        assert (ROOT / mutation.file).read_text(encoding="utf-8").count(mutation.old) == 1, (
+            mutation.name
+        )
         assert all((ROOT / test).exists() for test in mutation.tests), mutation.name
     assert len({mutation.name for mutation in MUTATIONS}) == len(MUTATIONS)
 

@@ -25,7 +25,9 @@ def test_a_force_button_that_is_off_is_told_while_the_law_pushes(tmp_path: Path)
         with running(tmp_path, through(stand, tmp_path), *SOFT, "duration:=0") as launch:
 
             def told() -> str:
-                info = json.loads(launch.haptic("node", "info", "driver", "--json").stdout.splitlines()[-1])
+                info = json.loads(
+                    launch.haptic("node", "info", "driver", "--json").stdout.splitlines()[-1]
+                )
                 return str(info["force"]["why"])
 
             wait_for(lambda: "N are handed to the device" in told(), "a force")
@@ -33,7 +35,10 @@ def test_a_force_button_that_is_off_is_told_while_the_law_pushes(tmp_path: Path)
             stand.world.state.buttons = 5
             stand.world.state.cause = 1
             wait_for(lambda: "FORCE button is off: press it" in told(), "the device's own reason")
-            wait_for(lambda: "device_force: the device's FORCE button is off" in launch.errors, "the event")
+            wait_for(
+                lambda: "device_force: the device's FORCE button is off" in launch.errors,
+                "the event",
+            )
             # What a launch's status line is made of.
             assert "FORCE button is off" in launch.call("driver", "progress")["condition"]
             stand.world.state.cause = 0
@@ -44,7 +49,12 @@ def test_a_force_button_that_is_off_is_told_while_the_law_pushes(tmp_path: Path)
 
 @pytest.mark.parametrize(
     ("safety", "words"),
-    [(IDLE, "does it run"), (FAULT, "outside its workspace"), (STOPPED, "rearm"), (ACTIVE, "nothing is touched")],
+    [
+        (IDLE, "does it run"),
+        (FAULT, "outside its workspace"),
+        (STOPPED, "rearm"),
+        (ACTIVE, "nothing is touched"),
+    ],
 )
 def test_every_state_of_the_driver_has_words(safety: int, words: str) -> None:
     s = DriverState()
@@ -65,7 +75,9 @@ CAUSES = {
 
 
 @pytest.mark.parametrize("cause", CAUSES)
-def test_every_cause_of_a_device_is_told_in_the_same_words_everywhere(cause: int, tmp_path: Path) -> None:
+def test_every_cause_of_a_device_is_told_in_the_same_words_everywhere(
+    cause: int, tmp_path: Path
+) -> None:
     with bench("force_dimension_driver", tmp_path) as stand:
         device = stand.device()
         device.connect()
@@ -96,4 +108,7 @@ def test_limits_and_axes_that_keep_a_force_away_are_told() -> None:
 
 def test_the_page_says_what_the_device_says() -> None:
     state = DeviceState(seq=1, stamp=0.0, position=(0.0, 0.0, 0.0), force=(0.0, 0.0, 1.0))
-    assert explain(state, None, None, 0.0, device="nobody holds it") == ("stop", "No force, or another one: nobody holds it.")
+    assert explain(state, None, None, 0.0, device="nobody holds it") == (
+        "stop",
+        "No force, or another one: nobody holds it.",
+    )

@@ -31,7 +31,8 @@ def _log(outcome: Any) -> list[Write]:
     return [Write((at - EPOCH) * 1e-9, force) for at, force in outcome.log]
 
 
-# -- starts ------------------------------------------------------------------------------------------------------------
+# -- starts
+# ------------------------------------------------------------------------------------------------------------
 
 
 def test_a_first_force_that_is_not_zero_comes_by_a_ramp_by_default() -> None:
@@ -41,13 +42,18 @@ def test_a_first_force_that_is_not_zero_comes_by_a_ramp_by_default() -> None:
     for k in range(ramp + 5):
         assert port.answer(force(k, 3.0), k)
         seen.append(port.force[2])
-    # One part in `ramp` more in each tick, the first included: a closed form, exact to a rounding of it.
-    assert seen[:ramp] == pytest.approx([3.0 * min((k + 1) / ramp, 1.0) for k in range(ramp)], rel=4e-16)
+    # One part in `ramp` more in each tick, the first included: a closed form, exact to a rounding
+    # of it.
+    assert seen[:ramp] == pytest.approx(
+        [3.0 * min((k + 1) / ramp, 1.0) for k in range(ramp)], rel=4e-16
+    )
     assert seen[ramp:] == [3.0] * 5
     assert port.changes() == ["waiting → ramp", "ramp → active"]
 
 
-def test_a_run_that_begins_in_free_air_has_no_ramp_and_a_contact_no_motion_is_missing_from() -> None:
+def test_a_run_that_begins_in_free_air_has_no_ramp_and_a_contact_no_motion_is_missing_from() -> (
+    None
+):
     port = Port(ramp=None)
     port.answer(force(0, 0.0), 0)
     assert port.state == "active"
@@ -64,7 +70,8 @@ def test_a_ramp_that_is_asked_for_is_that_of_the_first_force_whatever_it_is() ->
     assert Port(ramp=0.0).s.start_ticks == 0
 
 
-# -- jumps -------------------------------------------------------------------------------------------------------------
+# -- jumps
+# -------------------------------------------------------------------------------------------------------------
 
 
 def _jumping(at: int, before: float, after: float, ticks: int = 130, **more: Any) -> Script:
@@ -77,8 +84,12 @@ def _jumping(at: int, before: float, after: float, ticks: int = 130, **more: Any
     return script._replace(hand=lambda: Hand(limits, place, jumps_at=[at]))
 
 
-@pytest.mark.parametrize(("before", "after"), [(-2.0, -7.0), (2.0, -5.0), (0.0, 4.0), (-3.0, 0.0), (1.5, 1.5)])
-def test_a_jump_goes_from_what_is_felt_to_what_is_asked_by_the_ramp(before: float, after: float, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("before", "after"), [(-2.0, -7.0), (2.0, -5.0), (0.0, 4.0), (-3.0, 0.0), (1.5, 1.5)]
+)
+def test_a_jump_goes_from_what_is_felt_to_what_is_asked_by_the_ramp(
+    before: float, after: float, tmp_path: Path
+) -> None:
     outcome, _ = played(_jumping(20, before, after), "plain", tmp_path)
     given = [force[2] for seq, force, _ in outcome.given if seq >= 20][:80]
     ramp = round(0.15 / T)
@@ -106,7 +117,10 @@ def test_what_answers_a_position_before_the_jump_changes_nothing(tmp_path: Path)
     """An answer that is a tick old by then is for the place before: its force is not what is to be felt after it."""
     answers = [answer(seq, force=(0.0, 0.0, 2.0)) for seq in range(20)]
     # Of tick 20 the answer comes late in tick 21, at which the device jumps, and is another force.
-    answers += [answer(20, 2_500.0, (0.0, 0.0, 7.0)), *(answer(seq, force=(0.0, 0.0, 1.0)) for seq in range(22, 60))]
+    answers += [
+        answer(20, 2_500.0, (0.0, 0.0, 7.0)),
+        *(answer(seq, force=(0.0, 0.0, 1.0)) for seq in range(22, 60)),
+    ]
     script = _jumping(21, 2.0, 1.0, ticks=60)._replace(arrivals=answers)
     outcome, _ = played(script, "plain", tmp_path)
     assert [force[2] for seq, force, _ in outcome.given if seq == 21] == [2.0]
@@ -117,12 +131,13 @@ def test_the_guard_acts_after_the_ramp_of_a_jump(tmp_path: Path) -> None:
     script = _jumping(20, -1.0, -6.0, moves=1e-4, guard={"stiffness": 500.0})
     outcome, _ = played(script, "plain", tmp_path)
     states = [Decoder(DeviceState).decode(frames[1]) for _, frames in outcome.sent]
-    # The bound of nodes/driver/passivity.py: force times the change of the step, 0.1 mm at the start and at the jump, where the
-    # ramp has made at most two steps of 75 from 1 N towards 6 N.
+    # The bound of nodes/driver/passivity.py: force times the change of the step, 0.1 mm at the
+    # start and at the jump, where the ramp has made at most two steps of 75 from 1 N towards 6 N.
     assert 0.0 < max(state.guard for state in states) <= 1e-4 * (1.0 + 2.0 * 5.0 / 75.0)
 
 
-# -- a force that stays at its limit ------------------------------------------------------------------------------------
+# -- a force that stays at its limit
+# ------------------------------------------------------------------------------------
 
 
 def _pressed(energy: Any, ticks: int) -> Port:
@@ -135,7 +150,9 @@ def _pressed(energy: Any, ticks: int) -> Port:
     return port
 
 
-def test_a_force_that_stays_at_its_limit_and_gives_out_energy_stops_the_driver_within_a_second() -> None:
+def test_a_force_that_stays_at_its_limit_and_gives_out_energy_stops_the_driver_within_a_second() -> (
+    None
+):
     """It counted once, as one that came there: a tool was thrown 1.7 km with 40 N, and no stop said anything."""
     port = _pressed(lambda k: 1e-3 * k, 2000)
     assert port.state == "stopped"
@@ -181,7 +198,8 @@ def test_a_rearmed_driver_counts_swings_from_zero() -> None:
     assert port.state == "stopped"
 
 
-# -- a driver that is held up in the middle of a tick ------------------------------------------------------------------
+# -- a driver that is held up in the middle of a tick
+# ------------------------------------------------------------------
 
 TAKEN_DOWN: Mapping[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "slew": ({"slew": 10.0, "watchdog": 5}, {}),
@@ -193,13 +211,17 @@ TAKEN_DOWN: Mapping[str, tuple[dict[str, Any], dict[str, Any]]] = {
 @pytest.mark.parametrize("apply", ["on_arrival", "next_tick"])
 @pytest.mark.parametrize("held_up", [60_000, 200_000, 900_000])
 @pytest.mark.parametrize("why", TAKEN_DOWN)
-def test_no_force_of_before_comes_back_while_it_is_taken_down(why: str, held_up: int, apply: str, tmp_path: Path) -> None:
+def test_no_force_of_before_comes_back_while_it_is_taken_down(
+    why: str, held_up: int, apply: str, tmp_path: Path
+) -> None:
     """39 of 40 tries wrote 1.9 to 2.8 N again, for up to a period, after the device had let go of them."""
     safety, more = TAKEN_DOWN[why]
     answers = [answer(seq, force=(0.0, 0.0, 3.0)) for seq in range(80)]
     moves = lambda seq: (0.0, 0.0, 1e-5 * max(seq - 78, 0))  # noqa: E731
     for tick in range(82, 102, 3):
-        script = driver(answers, {tick: held_up}, moves, {"hold": HOLD}, ticks=120, ramp=None, **more, **safety)
+        script = driver(
+            answers, {tick: held_up}, moves, {"hold": HOLD}, ticks=120, ramp=None, **more, **safety
+        )
         outcome, _ = played(script._replace(apply=apply), "plain", tmp_path)
         assert broken(_log(outcome), Promise(T, 3.0, hold=HOLD)) == [], tick
 
@@ -212,11 +234,14 @@ def test_a_driver_that_is_held_up_anywhere_in_a_tick_writes_no_force_that_is_old
 ) -> None:
     answers = [answer(seq, force=(0.0, 0.0, 3.0 + 0.01 * seq)) for seq in range(300)]
     script = driver(answers, None, lambda _: (0.0, 0.0, 0.0), {"hold": HOLD}, ticks=300, max_age=2)
-    outcome, _ = played(script._replace(apply=apply, stalls={(50, place): held_up}), "plain", tmp_path)
+    outcome, _ = played(
+        script._replace(apply=apply, stalls={(50, place): held_up}), "plain", tmp_path
+    )
     log = _log(outcome)
     held = [(before, after) for before, after in pairwise(log) if after.at - before.at > 3 * T]
     for before, after in held:
-        # Never one for a position of long ago; where the device let go the force is a part of it, and begins anew.
+        # Never one for a position of long ago; where the device let go the force is a part of it,
+        # and begins anew.
         if after.at - before.at < HOLD:
             answered = (after.force[2] - 3.0) / 0.01
             assert after.at / T - answered < 2 + 1 + 1e-6, (before, after)
@@ -225,22 +250,29 @@ def test_a_driver_that_is_held_up_anywhere_in_a_tick_writes_no_force_that_is_old
     assert held or held_up < 8_000 or apply == "next_tick"
 
 
-# -- in every order ----------------------------------------------------------------------------------------------------
+# -- in every order
+# ----------------------------------------------------------------------------------------------------
 
 LENGTH = 220
 spans = st.lists(st.tuples(st.integers(20, 200), st.integers(1, 60)), max_size=2)
 places = st.sampled_from(["read", "publish", "answer", "stamped"])
 stalls = st.dictionaries(
-    st.tuples(st.integers(0, LENGTH), places), st.sampled_from([300, 1_500, 5_000, 30_000, 52_000, 130_000]), max_size=4
+    st.tuples(st.integers(0, LENGTH), places),
+    st.sampled_from([300, 1_500, 5_000, 30_000, 52_000, 130_000]),
+    max_size=4,
 )
-lates = st.dictionaries(st.integers(1, LENGTH), st.sampled_from([400, 1_990, 2_000, 30_000, 49_000, 51_000]), max_size=3)
+lates = st.dictionaries(
+    st.integers(1, LENGTH), st.sampled_from([400, 1_990, 2_000, 30_000, 49_000, 51_000]), max_size=3
+)
 levels = st.lists(st.floats(-9.0, 9.0), min_size=1, max_size=12)
 
 
 class Course(Hand):
     """A hand that jumps, leaves its workspace, and notes when it jumped or was back."""
 
-    def __init__(self, limits: DeviceLimits, jumps_at: list[int], outside: list[tuple[int, int]]) -> None:
+    def __init__(
+        self, limits: DeviceLimits, jumps_at: list[int], outside: list[tuple[int, int]]
+    ) -> None:
         super().__init__(limits, self._course, jumps_at=jumps_at)
         self._outside = outside
         self._was_outside = False
@@ -282,7 +314,11 @@ def _feels_no_push(
     def is_silent(seq: int) -> bool:
         return any(first <= seq < first + count for first, count in silent)
 
-    answers = [answer(seq, force=(0.0, 0.1, asked[seq * len(asked) // LENGTH])) for seq in range(LENGTH) if not is_silent(seq)]
+    answers = [
+        answer(seq, force=(0.0, 0.1, asked[seq * len(asked) // LENGTH]))
+        for seq in range(LENGTH)
+        if not is_silent(seq)
+    ]
     limits = DeviceLimits(peak_force=PEAK, hold=HOLD, workspace=BOX, latency=0.0)
     made: list[Course] = []
 
@@ -293,7 +329,8 @@ def _feels_no_push(
     script = driver(answers, late, ticks=LENGTH, watchdog=5, damping_ticks=10, ramp=None, slew=slew)
     outcome, _ = played(script._replace(hand=hand, apply=apply, stalls=held), "plain", tmp_path)
     bounds = Promise(T, PEAK, math.inf if slew is None else slew * T, HOLD)
-    # Under next_tick what is handed over as the tick begins was decided before its position was read.
+    # Under next_tick what is handed over as the tick begins was decided before its position was
+    # read.
     later = T if apply == "next_tick" else 0.0
     assert broken(_log(outcome), bounds, [at + later for at in made[0].begins]) == []
 
@@ -301,7 +338,9 @@ def _feels_no_push(
 @seed(int(commit()[:12], 16))
 @settings(max_examples=60)
 @HAPPENINGS
-def test_whatever_happens_to_a_driver_its_device_feels_no_push(tmp_path: Path, **happens: Any) -> None:
+def test_whatever_happens_to_a_driver_its_device_feels_no_push(
+    tmp_path: Path, **happens: Any
+) -> None:
     _feels_no_push(tmp_path=tmp_path, **happens)
 
 

@@ -1,6 +1,7 @@
 """Limits, ages, holds and delays of a driver, recomputed from the log of its device and from what was scripted alone.
 
-Plain and compiled ticks are made of the same rules: that they are alike says nothing about a rule that is wrong.
+Plain and compiled ticks are made of the same rules: that they are alike says nothing about a rule
+that is wrong.
 """
 
 from __future__ import annotations
@@ -34,9 +35,12 @@ def _still(_: int) -> tuple[float, float, float]:
     return 0.0, 0.0, 0.0
 
 
-# -- age ---------------------------------------------------------------------------------------------------------------
+# -- age
+# ---------------------------------------------------------------------------------------------------------------
 
-lates = st.dictionaries(st.integers(1, LENGTH), st.sampled_from([300, 2_100, 9_000, 21_000, 40_000]), max_size=5)
+lates = st.dictionaries(
+    st.integers(1, LENGTH), st.sampled_from([300, 2_100, 9_000, 21_000, 40_000]), max_size=5
+)
 stalls = st.dictionaries(
     st.tuples(st.integers(1, LENGTH), st.sampled_from(["read", "publish", "answer", "stamped"])),
     st.sampled_from([1_500, 9_000, 21_000, 60_000]),
@@ -60,31 +64,52 @@ def _ages(outcome: Any) -> list[float]:
 
 
 @pytest.mark.parametrize("apply", APPLY)
-def test_what_waits_for_the_next_tick_is_not_handed_over_when_that_comes_too_late(apply: str, tmp_path: Path) -> None:
+def test_what_waits_for_the_next_tick_is_not_handed_over_when_that_comes_too_late(
+    apply: str, tmp_path: Path
+) -> None:
     """Under ``next_tick`` nothing else came after a stall of ten ticks, and what had waited was handed over, ten ticks old."""
-    arrivals = [answer(seq, force=(0.0, 0.0, 1.0 + NAMED * seq)) for seq in range(LENGTH) if not 70 <= seq < 90]
+    arrivals = [
+        answer(seq, force=(0.0, 0.0, 1.0 + NAMED * seq))
+        for seq in range(LENGTH)
+        if not 70 <= seq < 90
+    ]
     script = driver(arrivals, {70: 21_000}, _still, ticks=100, watchdog=100, max_age=5)
     outcome, _ = played(script._replace(apply=apply), "plain", tmp_path)
     assert max(_ages(outcome)) <= 6.0
 
 
 @settings(max_examples=40)
-@given(late=lates, held=stalls, oldest=st.integers(0, 6), after=st.integers(100, 9_000), apply=st.sampled_from(APPLY))
+@given(
+    late=lates,
+    held=stalls,
+    oldest=st.integers(0, 6),
+    after=st.integers(100, 9_000),
+    apply=st.sampled_from(APPLY),
+)
 def test_no_answer_is_older_than_it_may_be_when_the_device_gets_it(
-    late: dict[int, int], held: dict[tuple[int, str], int], oldest: int, after: int, apply: str, tmp_path: Path
+    late: dict[int, int],
+    held: dict[tuple[int, str], int],
+    oldest: int,
+    after: int,
+    apply: str,
+    tmp_path: Path,
 ) -> None:
     arrivals = [answer(seq, float(after), (0.0, 0.0, 1.0 + NAMED * seq)) for seq in range(LENGTH)]
     script = driver(arrivals, late, _still, ticks=LENGTH, watchdog=50, max_age=oldest)
     outcome, _ = played(script._replace(apply=apply, stalls=held), "plain", tmp_path)
-    # By the clock an answer may come in the whole of the last tick that takes it; one that waits for the next tick, there.
+    # By the clock an answer may come in the whole of the last tick that takes it; one that waits
+    # for the next tick, there.
     assert max(_ages(outcome), default=0.0) <= oldest + 1 + 1e-3
 
 
-# -- hold ----------------------------------------------------------------------------------------------------------------
+# -- hold
+# ----------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("hold", [3.0, 6.0])
-def test_the_driver_takes_a_force_to_be_gone_in_the_tick_in_which_the_device_lets_go(hold: float, tmp_path: Path) -> None:
+def test_the_driver_takes_a_force_to_be_gone_in_the_tick_in_which_the_device_lets_go(
+    hold: float, tmp_path: Path
+) -> None:
     arrivals = [answer(seq, force=(0.0, 0.0, 2.0)) for seq in range(20)]
     script = driver(arrivals, None, _still, {"hold": hold * T}, ticks=60, watchdog=50)
     outcome, _ = played(script, "plain", tmp_path)
@@ -95,7 +120,9 @@ def test_the_driver_takes_a_force_to_be_gone_in_the_tick_in_which_the_device_let
 
 
 @pytest.mark.parametrize("hold", [3.0, 5.5, 6.0, 12.0])
-def test_what_acted_while_the_driver_was_held_up_is_what_the_device_held(hold: float, tmp_path: Path) -> None:
+def test_what_acted_while_the_driver_was_held_up_is_what_the_device_held(
+    hold: float, tmp_path: Path
+) -> None:
     arrivals = [answer(seq, force=(0.0, 0.0, 2.0)) for seq in range(20)]
     script = driver(arrivals, {20: 20_000}, _still, {"hold": hold * T}, ticks=60, watchdog=50)
     outcome, _ = played(script, "plain", tmp_path)
@@ -103,32 +130,44 @@ def test_what_acted_while_the_driver_was_held_up_is_what_the_device_held(hold: f
     states = _states(outcome)
     before, after = next((a, b) for a, b in pairwise(states) if b.seq - a.seq > 5)
     told = after.mean_force[2] * (after.seq - before.seq)
-    # The device's own: 2 N from tick 19 on, by the write of that tick, until it let go or was read again.
+    # The device's own: 2 N from tick 19 on, by the write of that tick, until it let go or was read
+    # again.
     held = 2.0 * (min(newest + hold, float(after.seq)) - before.seq)
     # The driver knows the tick of the write, not the place in it: a tick at most, to the safe side.
     assert held - 2.0 < told <= held + 1e-9
 
 
-# -- delay and limits ----------------------------------------------------------------------------------------------------
+# -- delay and limits
+# ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("apply", APPLY)
 @pytest.mark.parametrize("after", [300, 1_700, 2_600, 4_500])
-def test_the_delay_that_is_told_is_the_time_from_sample_to_write(after: int, apply: str, tmp_path: Path) -> None:
+def test_the_delay_that_is_told_is_the_time_from_sample_to_write(
+    after: int, apply: str, tmp_path: Path
+) -> None:
     arrivals = [answer(seq, float(after), (0.0, 0.0, 1.0 + NAMED * seq)) for seq in range(60)]
-    outcome, _ = played(driver(arrivals, None, _still, ticks=60)._replace(apply=apply), "plain", tmp_path)
+    outcome, _ = played(
+        driver(arrivals, None, _still, ticks=60)._replace(apply=apply), "plain", tmp_path
+    )
     told = [state.delay for state in _states(outcome)][10:]
     measured = _ages(outcome)[10:]
-    # A driver that waits for answers that come late has fewer ticks, and not every state of them a write of its own.
-    pairs = zip(told, measured, strict=True) if len(told) == len(measured) else product(told, measured)
+    # A driver that waits for answers that come late has fewer ticks, and not every state of them a
+    # write of its own.
+    pairs = (
+        zip(told, measured, strict=True) if len(told) == len(measured) else product(told, measured)
+    )
     # Waits end a microsecond late: 5e-4 ticks.
     assert all(abs(one - other) <= 1.1e-3 for one, other in pairs)
 
 
 def test_an_answer_that_comes_a_tick_late_is_told_with_its_age(tmp_path: Path) -> None:
-    # Few answers, each in the tick after its own: nothing is behind, so the driver does not wait for them.
+    # Few answers, each in the tick after its own: nothing is behind, so the driver does not wait
+    # for them.
     arrivals = [answer(seq, 2_300.0, (0.0, 0.0, 1.0 + NAMED * seq)) for seq in range(0, 24, 8)]
-    outcome, _ = played(driver(arrivals, None, _still, ticks=30, watchdog=50, max_age=5), "plain", tmp_path)
+    outcome, _ = played(
+        driver(arrivals, None, _still, ticks=30, watchdog=50, max_age=5), "plain", tmp_path
+    )
     measured = _ages(outcome)
     assert len(measured) == 3
     told = {state.delay for state in _states(outcome) if state.delay > 0.0}
@@ -170,13 +209,16 @@ def test_the_motor_s_heat_has_room_for_the_way_down_whatever_is_lost_on_it(
     Of 250 random settings these are the four in which it would most.
     """
     limit = 1.75
-    port = Port(continuous_force=limit, thermal_time=thermal, slew=slew, peak_force=peak, watchdog=watchdog)
+    port = Port(
+        continuous_force=limit, thermal_time=thermal, slew=slew, peak_force=peak, watchdog=watchdog
+    )
     keep = math.exp(-T / thermal)
     heat = worst = 0.0
     tick = 0
     for _ in range(400):
         port.answer(force(tick, peak), tick)
-        # Ticks are lost once the motor is warm, as many as the watchdog lets pass, before each step of the way down.
+        # Ticks are lost once the motor is warm, as many as the watchdog lets pass, before each step
+        # of the way down.
         held = 1 + (watchdog if heat > near * limit**2 else 0)
         heat = keep**held * heat + (1.0 - keep**held) * port.force[2] ** 2
         tick += held

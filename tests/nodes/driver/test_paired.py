@@ -37,20 +37,27 @@ def test_two_hands_are_coupled_and_judged_at_the_measured_delay(tmp_path: Path) 
         def places() -> Any:
             return launch.call("driver", "places")
 
-        # The first is led 30 mm, against the grip of the second, which follows: springs of 300, 500 and 100 N/m in a row. The
-        # first goes to 0.03·300/(300 + 500·100/600) m, the second to 500/600 of that.
+        # The first is led 30 mm, against the grip of the second, which follows: springs of 300, 500
+        # and 100 N/m in a row. The first goes to 0.03·300/(300 + 500·100/600) m, the second to
+        # 500/600 of that.
         first = 0.03 * 300.0 / (300.0 + 500.0 * 100.0 / 600.0)
 
         def arrives() -> bool:
             found = places()
-            return bool(abs(found["first_m"][0] - first) < 1e-3 and abs(found["second_m"][0] - first * 500.0 / 600.0) < 1e-3)
+            return bool(
+                abs(found["first_m"][0] - first) < 1e-3
+                and abs(found["second_m"][0] - first * 500.0 / 600.0) < 1e-3
+            )
 
         wait_for(arrives, "the second follows the first")
-        # Judged at the delay of this loop: what is far too stiff for half the mass is refused, with the limit.
+        # Judged at the delay of this loop: what is far too stiff for half the mass is refused, with
+        # the limit.
         refused = typed(launch, "param", "set", "coupling", "laws.pd.stiffness", "50000", code=1)
         assert "unstable" in refused.stderr
         assert re.search(
-            r"mass 0.145 kg, .* coupled to 0.145 kg, .* at a delay of \d.*would be taken is \d{3,4}; ", refused.stderr
+            r"mass 0.145 kg, .* coupled to 0.145 kg, .* at a delay of \d.*would be taken is"
+            r" \d{3,4}; ",
+            refused.stderr,
         )
 
 
@@ -85,13 +92,20 @@ class _Broken(_Recorded):
 def test_a_pair_pushes_one_and_pulls_the_other() -> None:
     box = ((-0.1, 0.2), (-0.1, 0.1), (0.0, 0.1))
     first = _Recorded((0.03, 0.0, 0.01), peak_force=8.0, hold=0.05, workspace=box, latency=0.001)
-    second = _Recorded((0.01, 0.02, 0.0), peak_force=3.0, hold=0.03, workspace=((-0.1, 0.1), *box[1:]))
+    second = _Recorded(
+        (0.01, 0.02, 0.0), peak_force=3.0, hold=0.03, workspace=((-0.1, 0.1), *box[1:])
+    )
     pair = PairedDevice(first, second)
     assert pair.read_position(0) == pytest.approx((0.02, -0.02, 0.01), abs=1e-15)
     pair.write_force((1.0, 2.0, -3.0), 0, 0.0)
     assert (first.calls, second.calls) == ([(1.0, 2.0, -3.0)], [(-1.0, -2.0, 3.0)])
     limits = pair.limits
-    assert (limits.peak_force, limits.hold, limits.lets_go, limits.latency) == (3.0, 0.05, 0.03, None)
+    assert (limits.peak_force, limits.hold, limits.lets_go, limits.latency) == (
+        3.0,
+        0.05,
+        0.03,
+        None,
+    )
     assert limits.workspace[0] == pytest.approx((-0.2, 0.3), abs=1e-15)
     # Where one does not know its place, neither is pushed.
     second.place = (float("nan"), 0.0, 0.0)
@@ -114,15 +128,24 @@ def test_a_pair_pushes_one_and_pulls_the_other() -> None:
 def _paired(second: dict[str, Any], pair: dict[str, Any], **first: Any) -> PairedDriver:
     """Make the driver of two virtual devices, with the safety of each and of the pair."""
     members = {
-        name: {"kind": "sim_driver", "parameters": {"device": {"mass": 0.1}, "hold": hold, "safety": safety}}
+        name: {
+            "kind": "sim_driver",
+            "parameters": {"device": {"mass": 0.1}, "hold": hold, "safety": safety},
+        }
         for name, hold, safety in (("first", 0.05, first), ("second", 0.03, second))
     }
-    return PairedDriver(setup_of(kind="paired_driver", parameters={"safety": {"hang": None, **pair}, **members}))
+    return PairedDriver(
+        setup_of(kind="paired_driver", parameters={"safety": {"hang": None, **pair}, **members})
+    )
 
 
 def test_the_limits_of_each_hold_for_the_pair(monkeypatch: pytest.MonkeyPatch) -> None:
     box = [[-0.1, 0.1]] * 3
-    driver = _paired({"peak_force": 2.0, "workspace": box}, {"peak_force": 7.9, "workspace": [[-0.2, 0.2]] * 3}, slew=500.0)
+    driver = _paired(
+        {"peak_force": 2.0, "workspace": box},
+        {"peak_force": 7.9, "workspace": [[-0.2, 0.2]] * 3},
+        slew=500.0,
+    )
     driver.configure()
     s = driver.driving
     assert (s.peak, s.slew) == (2.0, 500.0 * 0.002)
@@ -134,13 +157,17 @@ def test_the_limits_of_each_hold_for_the_pair(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(SimDriverParameters, "_limit", lambda _: None)
     with pytest.raises(ParameterError, match=r"^driver\.second: the device declares no workspace"):
         _paired({}, {"peak_force": 7.9, "workspace": [[-0.2, 0.2]] * 3}, workspace=box).configure()
-    _paired({}, {"peak_force": 7.9, "workspace": box, "without": ["workspace"]}, workspace=box).configure()
+    _paired(
+        {}, {"peak_force": 7.9, "workspace": box, "without": ["workspace"]}, workspace=box
+    ).configure()
 
 
 def written(start: str) -> Any:
     """Find what the page writes, by its first line."""
     page = (ROOT / "nodes" / "driver" / "DEVICES.md").read_text(encoding="utf-8")
-    (text,) = (text for text in re.findall(r"```yaml\n(.*?)```", page, re.DOTALL) if text.startswith(start))
+    (text,) = (
+        text for text in re.findall(r"```yaml\n(.*?)```", page, re.DOTALL) if text.startswith(start)
+    )
     return yaml.safe_load(text)
 
 
@@ -156,7 +183,9 @@ def two(tmp_path: Path, stack: ExitStack, kinds: tuple[str, str]) -> list[Bench]
 @pytest.mark.slow
 @needs_cc
 @pytest.mark.parametrize(
-    "kinds", [("force_dimension_driver", "force_dimension_driver"), ("inverse3_driver", "touch_driver")], ids="+".join
+    "kinds",
+    [("force_dimension_driver", "force_dimension_driver"), ("inverse3_driver", "touch_driver")],
+    ids="+".join,
 )
 def test_two_chains_of_real_devices_in_one_launch(kinds: tuple[str, str], tmp_path: Path) -> None:
     content = written("summary: Two devices at two walls")
@@ -171,15 +200,30 @@ def test_two_chains_of_real_devices_in_one_launch(kinds: tuple[str, str], tmp_pa
             # The wall stands at 20 mm: one device 1 mm, the other 2 mm behind it.
             left.world.state.position[0], right.world.state.position[0] = 0.021, 0.022
             left.world.state.buttons, right.world.state.buttons = 1, 0
-            wait_for(lambda: left.world.force()[0] == pytest.approx(-1.0, abs=1e-9), "its own force")
-            wait_for(lambda: right.world.force()[0] == pytest.approx(-2.0, abs=1e-9), "its own force")
-            nodes = json.loads(typed(launch, "node", "list", "--json").stdout.splitlines()[-1])["nodes"]
-            assert {f"{name}/{node}" for name in ("left", "right") for node in ("driver", "coupling")} <= set(nodes)
+            wait_for(
+                lambda: left.world.force()[0] == pytest.approx(-1.0, abs=1e-9), "its own force"
+            )
+            wait_for(
+                lambda: right.world.force()[0] == pytest.approx(-2.0, abs=1e-9), "its own force"
+            )
+            nodes = json.loads(typed(launch, "node", "list", "--json").stdout.splitlines()[-1])[
+                "nodes"
+            ]
+            assert {
+                f"{name}/{node}" for name in ("left", "right") for node in ("driver", "coupling")
+            } <= set(nodes)
             assert len({node["pid"] for node in nodes.values()}) == len(nodes)
             topics = set(json.loads(typed(launch, "topic", "list", "--json").stdout)["topics"])
-            assert {"/left/device/state", "/right/device/state", "/left/device/handle", "/right/device/handle"} <= topics
+            assert {
+                "/left/device/state",
+                "/right/device/state",
+                "/left/device/handle",
+                "/right/device/handle",
+            } <= topics
             for name, pressed in (("left", 1), ("right", 0)):
-                told = typed(launch, "topic", "echo", f"/{name}/device/handle", "--once", "--json").stdout
+                told = typed(
+                    launch, "topic", "echo", f"/{name}/device/handle", "--once", "--json"
+                ).stdout
                 assert json.loads(told.splitlines()[-1])["buttons"] == pressed
             # One is unplugged: each chain's driver ends forces by itself, and the launch ends both.
             left.world.state.unplugged = 1
@@ -214,10 +258,19 @@ def test_two_devices_of_different_kinds_on_one_law(kinds: tuple[str, str], tmp_p
         first.world.state.position[0] = second.world.state.position[0] = 0.05
         with running(tmp_path, str(path), "duration:=0") as launch:
             first.world.state.position[0] = 0.054
-            wait_for(lambda: first.world.force()[0] == pytest.approx(-2.0, abs=1e-9), "4 mm of 500 N/m")
-            wait_for(lambda: second.world.force()[0] == pytest.approx(2.0, abs=1e-9), "the opposite")
-            refused = typed(launch, "param", "set", "coupling", "laws.pd.stiffness", "50000", code=1)
-            assert re.search(r"mass 0.1 kg, damping 1 N s/m, coupled to 0.1 kg, 1 N s/m at a delay of \d", refused.stderr)
+            wait_for(
+                lambda: first.world.force()[0] == pytest.approx(-2.0, abs=1e-9), "4 mm of 500 N/m"
+            )
+            wait_for(
+                lambda: second.world.force()[0] == pytest.approx(2.0, abs=1e-9), "the opposite"
+            )
+            refused = typed(
+                launch, "param", "set", "coupling", "laws.pd.stiffness", "50000", code=1
+            )
+            assert re.search(
+                r"mass 0.1 kg, damping 1 N s/m, coupled to 0.1 kg, 1 N s/m at a delay of \d",
+                refused.stderr,
+            )
             # One has no position any more: neither is pushed.
             second.world.state.nan = 1
             for stand in stands:
@@ -232,8 +285,12 @@ def test_two_devices_of_different_kinds_on_one_law(kinds: tuple[str, str], tmp_p
             else:
 
                 def told() -> bool:
-                    info = json.loads(typed(launch, "node", "info", "driver", "--json").stdout.splitlines()[-1])
-                    return "first: the emergency brake of the Inverse3 is on" in info["force"]["why"]
+                    info = json.loads(
+                        typed(launch, "node", "info", "driver", "--json").stdout.splitlines()[-1]
+                    )
+                    return (
+                        "first: the emergency brake of the Inverse3 is on" in info["force"]["why"]
+                    )
 
                 wait_for(told, "whose brake it is")
 
@@ -248,14 +305,22 @@ def test_a_pair_is_judged_as_the_two_devices_that_it_is() -> None:
     ]
     assert edges[0] == pytest.approx(edges[1], rel=1e-9)
     assert edges[0] is not None
-    assert _exact(0.9999 * edges[0], 1.0, light, heavy) < 1.0 < _exact(1.0001 * edges[0], 1.0, light, heavy)
+    assert (
+        _exact(0.9999 * edges[0], 1.0, light, heavy)
+        < 1.0
+        < _exact(1.0001 * edges[0], 1.0, light, heavy)
+    )
 
 
 def _exact(stiffness: float, damping: float, first: Plant, second: Plant) -> float:
     """Largest pole of PD between two devices, neither simplified."""
     one, other = held_plant(first), held_plant(second)
-    numerator = np.polyadd(np.polymul(one.numerator, other.denominator), np.polymul(other.numerator, one.denominator))
-    late = np.polymul(np.polymul(one.denominator, other.denominator), [1.0, *[0.0] * (one.whole + 1)])
+    numerator = np.polyadd(
+        np.polymul(one.numerator, other.denominator), np.polymul(other.numerator, one.denominator)
+    )
+    late = np.polymul(
+        np.polymul(one.denominator, other.denominator), [1.0, *[0.0] * (one.whole + 1)]
+    )
     per_tick = damping / first.period
     law = [stiffness + per_tick, -per_tick]
     poles = np.roots(np.polyadd(np.polymul(late, [1.0, 0.0]), np.polymul(numerator, law)))
@@ -268,7 +333,10 @@ def test_two_launches_with_a_device_each(tmp_path: Path) -> None:
     folders = [tmp_path / name for name in ("a", "b")]
     for folder in folders:
         folder.mkdir()
-    with bench("touch_driver", folders[0]) as left, bench("force_dimension_driver", folders[1]) as right:
+    with (
+        bench("touch_driver", folders[0]) as left,
+        bench("force_dimension_driver", folders[1]) as right,
+    ):
         for stand in (left, right):
             stand.world.state.position[2] = -0.001
         with (
@@ -276,12 +344,20 @@ def test_two_launches_with_a_device_each(tmp_path: Path) -> None:
             running(folders[1], through(right, folders[1]), *SOFT, "duration:=0") as other,
         ):
             # 1 mm into a floor of 150 N/m, on each by itself.
-            wait_for(lambda: left.world.force()[2] == pytest.approx(0.15, abs=1e-9), "its own force")
-            wait_for(lambda: right.world.force()[2] == pytest.approx(0.15, abs=1e-9), "its own force")
+            wait_for(
+                lambda: left.world.force()[2] == pytest.approx(0.15, abs=1e-9), "its own force"
+            )
+            wait_for(
+                lambda: right.world.force()[2] == pytest.approx(0.15, abs=1e-9), "its own force"
+            )
             one.interrupt()
             wait_for(lambda: not any(left.world.force()), "the first launch ends")
-            wait_for(lambda: right.world.force()[2] == pytest.approx(0.15, abs=1e-9), "the other goes on")
-            assert json.loads(typed(other, "node", "list", "--json").stdout.splitlines()[-1])["nodes"]["driver"]
+            wait_for(
+                lambda: right.world.force()[2] == pytest.approx(0.15, abs=1e-9), "the other goes on"
+            )
+            assert json.loads(typed(other, "node", "list", "--json").stdout.splitlines()[-1])[
+                "nodes"
+            ]["driver"]
 
 
 @pytest.mark.parametrize(
@@ -289,7 +365,10 @@ def test_two_launches_with_a_device_each(tmp_path: Path) -> None:
     [
         ({"kind": "coupling"}, "driver.second.kind: 'coupling' drives no single device"),
         ({"kind": "sim_drivr"}, "driver.second.kind: 'sim_drivr' is no installed kind of driver"),
-        ({"kind": "sim_driver", "parameters": {"device": {"mas": 0.1}}}, "driver.second.device.mas"),
+        (
+            {"kind": "sim_driver", "parameters": {"device": {"mas": 0.1}}},
+            "driver.second.device.mas",
+        ),
         (None, "driver.second: "),
     ],
 )
@@ -304,18 +383,30 @@ def test_a_member_that_is_no_device_is_refused_before_anything_starts(
         del parameters["second"]
     path = tmp_path / "wrong.yaml"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    done = subprocess.run([*HAPTIC, "launch", str(path), *device], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [*HAPTIC, "launch", str(path), *device],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 2
     assert told in done.stderr
     assert "Traceback" not in done.stderr
 
 
-# -- devices that stand apart -------------------------------------------------------------------------------------------
+# -- devices that stand apart
+# -------------------------------------------------------------------------------------------
 
 
-def _aligned(step: float = 1e-3, apart: float = math.inf) -> tuple[_Recorded, _Recorded, PairedDevice]:
+def _aligned(
+    step: float = 1e-3, apart: float = math.inf
+) -> tuple[_Recorded, _Recorded, PairedDevice]:
     box = ((-0.1, 0.1),) * 3
-    first, second = _Recorded((0.03, 0.0, 0.0), workspace=box), _Recorded((0.0, 0.0, -0.04), workspace=box)
+    first, second = (
+        _Recorded((0.03, 0.0, 0.0), workspace=box),
+        _Recorded((0.0, 0.0, -0.04), workspace=box),
+    )
     return first, second, PairedDevice(first, second, alignment=Alignment(step=step, apart=apart))
 
 
@@ -323,7 +414,8 @@ def test_devices_that_start_apart_count_as_together_and_are_brought_there_evenly
     """30 mm apart, 30 N were asked for at tick 0."""
     first, _, pair = _aligned()
     path = [pair.read_position(seq) for seq in range(60)]
-    # 50 mm in a straight line, a millimetre a tick: each part exact to a rounding of 30 or 40 mm, each tick.
+    # 50 mm in a straight line, a millimetre a tick: each part exact to a rounding of 30 or 40 mm,
+    # each tick.
     shares = [min(seq / 50.0, 1.0) for seq in range(60)]
     assert path == [pytest.approx((0.03 * s, 0.0, 0.04 * s), abs=60 * 1e-17) for s in shares]
     # A motion is felt at once, and ticks that are left out count.
@@ -338,7 +430,9 @@ def test_an_offset_may_stay_and_devices_too_far_apart_may_be_refused() -> None:
     assert pair.read_position(500) == pytest.approx((0.001, 0.0, 0.0), abs=1e-17)
     # At the edge, both sides: the larger part decides.
     assert _aligned(apart=0.04)[2].read_position(0) == (0.0, 0.0, 0.0)
-    with pytest.raises(OSError, match=r"stand \(0.03, 0, 0.04\) m apart, limit apart: 0.0399 m; move them together"):
+    with pytest.raises(
+        OSError, match=r"stand \(0.03, 0, 0.04\) m apart, limit apart: 0.0399 m; move them together"
+    ):
         _aligned(apart=0.0399)[2].read_position(0)
 
 
@@ -372,9 +466,13 @@ def test_two_hands_that_start_apart_feel_no_step(tmp_path: Path) -> None:
     path.write_text(yaml.safe_dump(scene))
     with running(tmp_path, str(path), "duration:=0.5", ready=False) as launch:
         launch.finish()
-        assert "the devices stand 0.03 m apart without a motion, and are brought together at 0.05 m/s" in launch.errors
+        assert (
+            "the devices stand 0.03 m apart without a motion, and are brought together at 0.05 m/s"
+            in launch.errors
+        )
     states = list(Recording(tmp_path / "run.mcap").messages("/device/state"))
     forces = [state.force[0] for state in states]
     assert forces[0] == 0.0
-    # K·v·T + B·Δv, of 500 N/m and 1 N s/m; the hands move meanwhile, at no more than the offset does.
+    # K·v·T + B·Δv, of 500 N/m and 1 N s/m; the hands move meanwhile, at no more than the offset
+    # does.
     assert max(abs(b - a) for a, b in pairwise(forces)) < 2.0 * (500.0 * 0.05 * 0.002 + 1.0 * 0.05)

@@ -60,7 +60,11 @@ class Guard:
 
     def observe(self, acting: float, before: float, position: float) -> None:
         """Count a step."""
-        self.s.acted[self._axis], self.s.before[self._axis], self.s.position[self._axis] = acting, before, position
+        self.s.acted[self._axis], self.s.before[self._axis], self.s.position[self._axis] = (
+            acting,
+            before,
+            position,
+        )
         count_step(self.s)
 
     def control(self, force: float) -> float:
@@ -70,7 +74,8 @@ class Guard:
         return float(self.s.wanted[self._axis])
 
 
-# -- the kernels at their edges ---------------------------------------------------------------------------------------
+# -- the kernels at their edges
+# ---------------------------------------------------------------------------------------
 
 
 def test_energy_is_exact_in_samples() -> None:
@@ -90,7 +95,8 @@ def test_what_is_in_store_may_leave_to_the_last_bit_and_no_more() -> None:
 def test_absorbing_forces_pass_and_a_debt_is_taken_back_with_at_most_the_damper() -> None:
     assert control(-1.0, 2.0, -0.25, 7.0) == 2.0
     assert control(0.0, 2.0, -0.25, 7.0) == 2.0
-    assert control(0.5, 2.0, -0.25, 7.0) == 2.0 + 7.0 * 0.25  # 2 N would take all back at once: the damper's limit holds
+    # 2 N would take all back at once: the damper's limit holds
+    assert control(0.5, 2.0, -0.25, 7.0) == 2.0 + 7.0 * 0.25
     assert control(0.5, 2.0, -0.25, 8.0) == 2.0 + 2.0
     assert control(0.5, 2.0, -0.25, 9.0) == 2.0 + 2.0  # no more than is owed
     assert control(0.5, -2.0, 0.25, 9.0) == -4.0
@@ -129,7 +135,10 @@ def test_a_running_driver_takes_a_guard_up_and_keeps_the_launch_files(tmp_path: 
         launch.call("driver", "param.set", values={"passivity": guard})
         assert launch.call("driver", "param.get", name="passivity")["damping"] == 10.0
         taken_up = launch.call("driver", "progress")["tick"]
-        wait_for(lambda: launch.call("driver", "progress")["tick"] > taken_up + 250, "the mass to be thrown up again")
+        wait_for(
+            lambda: launch.call("driver", "progress")["tick"] > taken_up + 250,
+            "the mass to be thrown up again",
+        )
         assert launch.finish(signal.SIGINT, code=None)["guard"]["lowered"] > 0
     with running(tmp_path, "floor_guarded", "duration:=0") as launch:
         with pytest.raises(ControlError, match="own guard is fixed"):
@@ -137,7 +146,8 @@ def test_a_running_driver_takes_a_guard_up_and_keeps_the_launch_files(tmp_path: 
         launch.finish(signal.SIGINT, code=None)
 
 
-# -- several axes -----------------------------------------------------------------------------------------------------
+# -- several axes
+# -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("scenario", ["sphere_feel", "rough_plane"])
@@ -176,10 +186,13 @@ def test_no_more_leaves_in_space_than_the_change_of_a_step_explains(data: st.Dat
         energy = s.guard_energy[0]
         assert energy == pytest.approx(after if np.any(wanted) else max(after, 0.0), abs=1e-14)
         force = np.array(s.wanted[:])
-        assert force == pytest.approx(wanted * (np.linalg.norm(force) / np.linalg.norm(wanted)), abs=1e-12)
+        assert force == pytest.approx(
+            wanted * (np.linalg.norm(force) / np.linalg.norm(wanted)), abs=1e-12
+        )
 
 
-# -- the bound --------------------------------------------------------------------------------------------------------
+# -- the bound
+# --------------------------------------------------------------------------------------------------------
 
 
 @given(
@@ -197,7 +210,8 @@ def test_one_tick_gives_out_no_more_than_force_times_the_change_of_displacement(
     assert before >= energy
     force = control(before, law, step, rate)
     after = observe(before, force, following)
-    slack = 1e-12 * (abs(before) + abs(force) * (abs(step) + abs(following)))  # a few roundings of its own terms
+    # a few roundings of its own terms
+    slack = 1e-12 * (abs(before) + abs(force) * (abs(step) + abs(following)))
     assert after <= max(before, 0.0) + force * (following - step) + slack
     assert force * law >= 0.0
     assert (force == 0.0) or (law != 0.0)
@@ -229,7 +243,8 @@ def test_over_a_whole_run_only_the_changes_of_displacement_add_up(
         last = taken
 
 
-# -- in the loop ------------------------------------------------------------------------------------------------------
+# -- in the loop
+# ------------------------------------------------------------------------------------------------------
 
 
 def scene(
@@ -239,9 +254,17 @@ def scene(
     resolution: float | None = None,
     latency: float = 0.0,
 ) -> Scene:
-    device = DeviceModel(mass=mass, damping=1.0, gravity=9.81, position=0.01, resolution=resolution, delay=latency)
+    device = DeviceModel(
+        mass=mass, damping=1.0, gravity=9.81, position=0.01, resolution=resolution, delay=latency
+    )
     return Scene(
-        device=device, surface=SceneSurface("plane"), period=T, raw=False, clamp=True, next_tick=next_tick, passivity=guard
+        device=device,
+        surface=SceneSurface("plane"),
+        period=T,
+        raw=False,
+        clamp=True,
+        next_tick=next_tick,
+        passivity=guard,
     )
 
 
@@ -257,8 +280,15 @@ def given_out(trace: Trace, delay: float = 0.0) -> Any:
     return np.concatenate(([0.0], np.cumsum(acting * np.diff(trace.measured))))
 
 
-@given(ratio=st.floats(0.1, 0.5), damping=st.floats(0.0, 5.0), mass=st.floats(0.05, 0.5), credit=st.booleans())
-def test_a_dropped_mass_never_gains_more_than_one_tick_allows(ratio: float, damping: float, mass: float, credit: bool) -> None:
+@given(
+    ratio=st.floats(0.1, 0.5),
+    damping=st.floats(0.0, 5.0),
+    mass=st.floats(0.05, 0.5),
+    credit=st.booleans(),
+)
+def test_a_dropped_mass_never_gains_more_than_one_tick_allows(
+    ratio: float, damping: float, mass: float, credit: bool
+) -> None:
     stiffness = ratio * mass / T**2
     guard = PassivityParameters(stiffness=stiffness if credit else None)
     trace = run(scene(guard, mass), PD(stiffness=stiffness, damping=damping).compile(T), 1500)
@@ -273,13 +303,16 @@ def test_a_dropped_mass_never_gains_more_than_one_tick_allows(ratio: float, damp
 
 
 @pytest.mark.parametrize("next_tick", [False, True])
-def test_an_unstable_wall_throws_the_mass_up_without_the_guard_and_lets_it_lie_with_it(next_tick: bool) -> None:
+def test_an_unstable_wall_throws_the_mass_up_without_the_guard_and_lets_it_lie_with_it(
+    next_tick: bool,
+) -> None:
     law = PD(stiffness=2000.0 if next_tick else 5000.0, damping=3.0).compile(T)
     wild = run(scene(None, next_tick=next_tick), law, 3000)
     calm = run(scene(ON, next_tick=next_tick), law, 3000)
     lively = float(np.ptp(wild.position[-500:]))
     quiet = float(np.ptp(calm.position[-500:]))
-    assert given_out(wild, next_tick).max() > 0.1  # it goes on giving: 119 mJ after 6 s here, 40 mJ per second
+    # it goes on giving: 119 mJ after 6 s here, 40 mJ per second
+    assert given_out(wild, next_tick).max() > 0.1
     assert given_out(calm, next_tick).max() < 0.006
     assert lively > 2e-3
     assert quiet < 0.1 * lively
@@ -296,7 +329,9 @@ def test_a_device_that_is_late_is_guarded_as_one() -> None:
     # Falsely reassuring: the same run, forces taken to act when they are handed over.
     assert given_out(wild, 0.0).max() < 0.1
     assert given_out(calm, 1.0).max() < 0.01
-    assert float(np.ptp(calm.position[-500:])) < 0.5e-3 < 20e-3 < float(np.ptp(wild.position[-500:]))
+    assert (
+        float(np.ptp(calm.position[-500:])) < 0.5e-3 < 20e-3 < float(np.ptp(wild.position[-500:]))
+    )
 
 
 @pytest.mark.parametrize("latency", [0.0, 0.25, 1.0, 2.75])
@@ -307,7 +342,9 @@ def test_what_goes_through_a_line_comes_out_late_and_whole(latency: float) -> No
     for force in handed:
         acted.append(through(line, force, part))
         # All that was handed over has acted or is on its way.
-        assert sum(acted) + backlog(line, part) == pytest.approx(sum(handed[: len(acted)]), abs=1e-15)
+        assert sum(acted) + backlog(line, part) == pytest.approx(
+            sum(handed[: len(acted)]), abs=1e-15
+        )
     whole, part = int(latency), latency - int(latency)
     expected = np.convolve(handed, [*[0.0] * whole, 1.0 - part, part])[: len(handed)]
     assert acted == pytest.approx(expected, abs=1e-15)
@@ -345,7 +382,8 @@ def test_guarded_runs_compiled_and_interpreted_give_the_same_bits() -> None:
 
 
 def test_credit_of_dissipated_energy_does_not_feed_an_instability() -> None:
-    # A mass on a two-sided coupling: a second of damping gives credit; then the law is swapped for one that pumps.
+    # A mass on a two-sided coupling: a second of damping gives credit; then the law is swapped for
+    # one that pumps.
     from nodes.laws import CompiledLaw
     from sim.scene.loop import PlannedSwap
 
@@ -354,35 +392,64 @@ def test_credit_of_dissipated_energy_does_not_feed_an_instability() -> None:
     calm = PD(stiffness=500.0, damping=1.0).compile(T)
     pump = CompiledLaw((500.0 - 1.0 / T, 1.0 / T))  # negative damping
     worst = {}
-    for name, guard in {"none": None, "plain": PassivityParameters(), "spring": PassivityParameters(stiffness=500.0)}.items():
-        place = Scene(device=device, surface=SceneSurface("anchor"), period=T, raw=False, clamp=False, passivity=guard)
+    for name, guard in {
+        "none": None,
+        "plain": PassivityParameters(),
+        "spring": PassivityParameters(stiffness=500.0),
+    }.items():
+        place = Scene(
+            device=device,
+            surface=SceneSurface("anchor"),
+            period=T,
+            raw=False,
+            clamp=False,
+            passivity=guard,
+        )
         trace = run(place, calm, 1500, [PlannedSwap(250, pump)])
         worst[name] = float(np.abs(trace.position[250:]).max())
     assert worst["none"] > 1e3
-    # The plain observer hands the 50 mJ of the first half second back, which is 14 mm of this spring and a little more;
-    # with no more in store than the spring holds, the motion that was left at the swap stays what it was.
+    # The plain observer hands the 50 mJ of the first half second back, which is 14 mm of this
+    # spring and a little more; with no more in store than the spring holds, the motion that was
+    # left at the swap stays what it was.
     assert 10e-3 < worst["plain"] < 20e-3
     assert worst["spring"] < 4e-3
 
 
-# -- four processes ---------------------------------------------------------------------------------------------------
+# -- four processes
+# ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("apply", "latency"),
-    [*(pytest.param("on_arrival", latency, marks=pytest.mark.slow) for latency in (0.0, 1.0)), ("next_tick", 0.3)],
+    [
+        *(pytest.param("on_arrival", latency, marks=pytest.mark.slow) for latency in (0.0, 1.0)),
+        ("next_tick", 0.3),
+    ],
 )
-def test_lockstep_equals_one_process_and_publishes_its_energy(tmp_path: Path, apply: str, latency: float) -> None:
-    words = {"pace": "lockstep", "duration": 0.6, "apply": apply, "height": 0.002, "latency": latency}
-    figures = launch_json(tmp_path, "floor_guarded", *(f"{name}:={value}" for name, value in words.items()))
+def test_lockstep_equals_one_process_and_publishes_its_energy(
+    tmp_path: Path, apply: str, latency: float
+) -> None:
+    words = {
+        "pace": "lockstep",
+        "duration": 0.6,
+        "apply": apply,
+        "height": 0.002,
+        "latency": latency,
+    }
+    figures = launch_json(
+        tmp_path, "floor_guarded", *(f"{name}:={value}" for name, value in words.items())
+    )
     recording = Recording(tmp_path / figures["recording"])
     state = recording.arrays("/device/state")
     trace = from_launch(launch_file.read("floor_guarded", words)).play()
     assert np.array_equal(state["position"][:-1, 2], trace.measured)
     assert np.array_equal(state["force"][1:, 2], trace.force)
     energy = given_out(trace, latency + (apply == "next_tick"))
-    # Whole ticks: the very sum. A fraction is taken as its share of an even motion, in another order of two additions.
-    assert state["energy"][:-1] == pytest.approx(energy, rel=0.0, abs=0.0 if latency % 1.0 == 0.0 else 1e-12)
+    # Whole ticks: the very sum. A fraction is taken as its share of an even motion, in another
+    # order of two additions.
+    assert state["energy"][:-1] == pytest.approx(
+        energy, rel=0.0, abs=0.0 if latency % 1.0 == 0.0 else 1e-12
+    )
     assert figures["energy_max_j"] == max(energy.max(), state["energy"][-1])
     assert figures["guard"]["lowered"] > 0
     assert state["guard"].any()
@@ -398,7 +465,8 @@ def test_study_guard_answers_with_what_it_costs(tmp_path: Path) -> None:
     # Below K_max the guard changes nothing but the way to rest; both walls are felt as K.
     assert soft["felt_n_per_m"] == pytest.approx(1000.0, rel=1e-6)
     assert soft_guarded["felt_n_per_m"] == pytest.approx(1000.0, rel=1e-6)
-    # Above it the mass never lies still without the guard; with it, it falls no deeper than g T² between two pushes.
+    # Above it the mass never lies still without the guard; with it, it falls no deeper than g T²
+    # between two pushes.
     assert stiff["felt_n_per_m"] is None
     assert stiff["energy_max_j"] > 0.05
     assert stiff_guarded["energy_max_j"] < 2e-3
@@ -411,12 +479,17 @@ def test_study_guard_answers_with_what_it_costs(tmp_path: Path) -> None:
 @pytest.mark.parametrize("apply", ["on_arrival", "next_tick"])
 def test_a_beginning_in_contact_comes_by_the_ramp_under_a_guard_too(law: str, apply: str) -> None:
     """What the guard takes away comes back by the ramp: it was back at once, 15.7 N for 3.2 N without a guard."""
-    launch = launch_file.read("floor_drop", {"law": law, "height": -0.02, "duration": 0.5, "apply": apply})
+    launch = launch_file.read(
+        "floor_drop", {"law": law, "height": -0.02, "duration": 0.5, "apply": apply}
+    )
     driver = launch.nodes["driver"]
     parameters = {**driver.parameters, "passivity": {"stiffness": 1000.0}}
     watched = msgspec.structs.replace(driver, parameters=parameters)
     bare = play(launch, 250).force[:, 2]
-    force = play(msgspec.structs.replace(launch, nodes={**launch.nodes, "driver": watched}), 250).force[:, 2]
-    # 20 N asked at first, over a ramp of 75 ticks in the driver and one in the coupling: no rise is steeper than one of them.
+    force = play(
+        msgspec.structs.replace(launch, nodes={**launch.nodes, "driver": watched}), 250
+    ).force[:, 2]
+    # 20 N asked at first, over a ramp of 75 ticks in the driver and one in the coupling: no rise is
+    # steeper than one of them.
     assert np.diff(force).max() < 2.0 * 20.0 / 75.0
     assert force.max() < 1.1 * bare.max()

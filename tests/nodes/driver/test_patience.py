@@ -14,10 +14,24 @@ T = 0.002
 DEADLINE = 10.0
 
 
-def waits(unanswered: int, safety: int = ACTIVE, since: int = 1000, max_age: int = 5, hold: float = math.inf) -> float:
+def waits(
+    unanswered: int,
+    safety: int = ACTIVE,
+    since: int = 1000,
+    max_age: int = 5,
+    hold: float = math.inf,
+) -> float:
     """Return how many periods tick 1000 waits for its answer, when a force was written last in the tick before it."""
     s = state_of(DriverState)
-    s.unanswered, s.safety, s.since, s.seq, s.watchdog, s.max_age, s.period = unanswered, safety, since, 1000, 10, max_age, T
+    s.unanswered, s.safety, s.since, s.seq, s.watchdog, s.max_age, s.period = (
+        unanswered,
+        safety,
+        since,
+        1000,
+        10,
+        max_age,
+        T,
+    )
     s.written, s.device_hold_ticks = 999, hold
     return (patience(s, DEADLINE, DEADLINE + T) - DEADLINE) / T
 
@@ -28,7 +42,15 @@ CLOSE = 1e-9
 
 @pytest.mark.parametrize(
     ("unanswered", "periods"),
-    [(0, 1), (BEHIND - 1, 1), (BEHIND, 2), (2 * BEHIND - 1, 2), (2 * BEHIND, 3), (5 * BEHIND, 6), (10**9, 6)],
+    [
+        (0, 1),
+        (BEHIND - 1, 1),
+        (BEHIND, 2),
+        (2 * BEHIND - 1, 2),
+        (2 * BEHIND, 3),
+        (5 * BEHIND, 6),
+        (10**9, 6),
+    ],
 )
 def test_it_waits_longer_the_more_ticks_were_not_answered_and_never_longer_than_a_force_may_be_old(
     unanswered: int, periods: int

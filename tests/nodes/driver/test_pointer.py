@@ -35,7 +35,15 @@ def test_a_hand_that_the_launch_promises_is_waited_for_and_no_other(tmp_path: Pa
 
     def awaited(**changed: object) -> Path:
         return awaited_pointer(
-            setup_of(**{"run_dir": str(tmp_path), "control": "ipc:///c", "parameters": {"pointer": {}}, **changed}), given_up
+            setup_of(
+                **{
+                    "run_dir": str(tmp_path),
+                    "control": "ipc:///c",
+                    "parameters": {"pointer": {}},
+                    **changed,
+                }
+            ),
+            given_up,
         )
 
     others: list[dict[str, object]] = [

@@ -11,7 +11,8 @@ from nodes.driver.passivity import PassivityParameters
 from nodes.driver.safety import REGAIN, RETURN_SPEED, let_go
 from tests.support.safety import UP, Port, T, force
 
-# -- watchdog --------------------------------------------------------------------------------------------------------
+# -- watchdog
+# --------------------------------------------------------------------------------------------------------
 
 
 def test_nothing_is_handed_over_before_the_first_force() -> None:
@@ -35,7 +36,10 @@ def test_watchdog_holds_for_n_minus_1_ticks_and_damps_at_n(watchdog: int) -> Non
     assert port.state == "damping"
     assert port.events[-1] == (
         "safety",
-        f"active → damping at tick {7 + watchdog}: no fresh force for {watchdog} ticks, limit {watchdog}",
+        (
+            f"active → damping at tick {7 + watchdog}: no fresh force for {watchdog} ticks, limit"
+            f" {watchdog}"
+        ),
     )
 
 
@@ -64,7 +68,8 @@ def test_damping_lasts_its_ticks_and_then_the_force_is_zero(damping_ticks: int) 
 def test_silence_counts_ticks_that_the_driver_itself_left_out() -> None:
     port = Port(watchdog=10, damping_ticks=0)
     port.answer(force(0), 0)
-    # The driver was held up from tick 1 to tick 500: the first tick it sees again is over the watchdog at once.
+    # The driver was held up from tick 1 to tick 500: the first tick it sees again is over the
+    # watchdog at once.
     assert port.missed(500, ZERO) == ZERO
     assert port.state == "zero"
 
@@ -80,11 +85,21 @@ def test_forces_resume_by_themselves_with_the_ramp() -> None:
     assert port.force == ZERO
     port.answer(force(5), 5)
     assert port.force[2] == 0.25
-    assert port.changes() == ["waiting → ramp", "ramp → active", "active → damping", "damping → zero", "zero → ramp"]
+    assert port.changes() == [
+        "waiting → ramp",
+        "ramp → active",
+        "active → damping",
+        "damping → zero",
+        "zero → ramp",
+    ]
 
 
-@pytest.mark.parametrize(("away", "first"), [(1, 0.85), (3, 0.65), (9, 0.05), (10, 0.05), (500, 0.05)])
-def test_a_force_that_was_away_comes_back_by_a_ramp_as_long_as_the_gap_asks_for(away: int, first: float) -> None:
+@pytest.mark.parametrize(
+    ("away", "first"), [(1, 0.85), (3, 0.65), (9, 0.05), (10, 0.05), (500, 0.05)]
+)
+def test_a_force_that_was_away_comes_back_by_a_ramp_as_long_as_the_gap_asks_for(
+    away: int, first: float
+) -> None:
     """Of 20 ticks, five for each tick without force: what remains is the share it begins with, and each tick adds 1/20."""
     port = Port(watchdog=2, damping_ticks=3, recovery=20 * T)
     port.answer(force(0), 0)
@@ -123,7 +138,8 @@ def test_after_a_fault_and_after_the_device_let_go_the_whole_ramp_is_due() -> No
     for tick in range(3, 30):
         port.answer(force(tick), tick)
     assert port.force == UP
-    # Less than the watchdog, but the device has a deadline of its own: it held no force since tick 35.
+    # Less than the watchdog, but the device has a deadline of its own: it held no force since tick
+    # 35.
     let_go(port.s, 45, 35.0)
     port.answer(force(45), 45)
     assert port.force[2] == 0.05
@@ -139,7 +155,8 @@ def test_the_guard_judges_what_the_ramp_lets_through() -> None:
     port.answer(force(0), 0)
     for tick in range(1, 9):
         port.missed(tick, ZERO)
-    # It moves out by 1 mm a tick, and 0.5 mJ are in store: 0.5 N of the 0.8 N that the ramp lets through.
+    # It moves out by 1 mm a tick, and 0.5 mJ are in store: 0.5 N of the 0.8 N that the ramp lets
+    # through.
     port.s.guard_energy[0], port.s.guard_step[2] = -5e-4, 1e-3
     port.answer(force(9, 8.0), 9)
     assert port.force[2] == pytest.approx(0.5, rel=1e-12)  # a quotient
@@ -152,12 +169,22 @@ def test_the_ramp_is_of_the_largest_force_not_of_what_is_cut_from_it() -> None:
     assert port.force[2] == 0.2
 
 
-def test_a_ramp_that_pushes_too_fast_goes_back_and_a_hand_that_pushes_in_does_not_hold_it_up() -> None:
+def test_a_ramp_that_pushes_too_fast_goes_back_and_a_hand_that_pushes_in_does_not_hold_it_up() -> (
+    None
+):
     port = Port(ramp=100 * T)
     for tick in range(20):
         port.answer(force(tick), tick)
     assert port.force[2] == 0.2
-    speeds = [(0.125, 0.21), (0.1875, 0.215), (0.25, 0.215), (0.375, 0.205), (9.0, 0.155), (-1.0, 0.165), (0.0, 0.175)]
+    speeds = [
+        (0.125, 0.21),
+        (0.1875, 0.215),
+        (0.25, 0.215),
+        (0.375, 0.205),
+        (9.0, 0.155),
+        (-1.0, 0.165),
+        (0.0, 0.175),
+    ]
     for tick, (speed, share) in enumerate(speeds, 20):
         port.moves((0.0, 0.0, speed))
         port.answer(force(tick), tick)
@@ -176,7 +203,14 @@ def test_a_ramp_that_pushes_too_fast_goes_back_and_a_hand_that_pushes_in_does_no
     ],
 )
 def test_a_hand_that_has_sunk_in_comes_out_and_is_not_shaken(
-    mass: float, damping: float, spring: float, path: float, stiffness: float, law_damping: float, depth: float, speed: float
+    mass: float,
+    damping: float,
+    spring: float,
+    path: float,
+    stiffness: float,
+    law_damping: float,
+    depth: float,
+    speed: float,
 ) -> None:
     """A device in a hand with a spring to a point below the surface, in steps of a hundredth of a tick."""
     port = Port(watchdog=1, damping_ticks=0, recovery=0.15, peak_force=40.0)
@@ -186,7 +220,9 @@ def test_a_hand_that_has_sunk_in_comes_out_and_is_not_shaken(
     tick, before, fastest = 100, depth, speed
     while port.state != "active":
         velocity, before = (depth - before) / T, depth
-        wanted = min(max(-stiffness * depth - law_damping * velocity, 0.0), 40.0) if depth < 0.0 else 0.0
+        wanted = (
+            min(max(-stiffness * depth - law_damping * velocity, 0.0), 40.0) if depth < 0.0 else 0.0
+        )
         port.moves((0.0, 0.0, velocity))
         port.answer(force(tick, wanted), tick)
         for _ in range(100):
@@ -201,7 +237,8 @@ def test_a_hand_that_has_sunk_in_comes_out_and_is_not_shaken(
 def test_a_force_that_is_late_does_not_hurry_the_ramp() -> None:
     port = Port(ramp=4 * T)
     port.answer(force(10), 10)
-    # Three answers in one tick: one step of the ramp, not three, nor one for each tick that had no answer.
+    # Three answers in one tick: one step of the ramp, not three, nor one for each tick that had no
+    # answer.
     for seq in (11, 12, 13):
         assert port.answer(force(seq), 13)
     assert port.force[2] == 2 / 4
@@ -212,7 +249,8 @@ def test_a_force_that_is_late_does_not_hurry_the_ramp() -> None:
     assert port.force[2] == 0.02
 
 
-# -- what is refused --------------------------------------------------------------------------------------------------
+# -- what is refused
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -232,7 +270,9 @@ def test_forces_are_refused_by_age_order_and_future(seq: int, tick: int, why: st
     port.answer(force(10), 10)
     assert port.answer(force(seq, 3.0), tick) is (why is None)
     assert port.force[2] == (3.0 if why is None else 1.0)
-    assert {key for key, count in port.refused.items() if count} == (set() if why is None else {why})
+    assert {key for key, count in port.refused.items() if count} == (
+        set() if why is None else {why}
+    )
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
@@ -244,7 +284,8 @@ def test_a_force_that_is_not_finite_is_refused_even_behind_the_codec(value: floa
     assert port.refused["not_finite"] == 1
 
 
-# -- where there is no force -----------------------------------------------------------------------------------------
+# -- where there is no force
+# -----------------------------------------------------------------------------------------
 
 
 def test_outside_the_workspace_there_is_no_force_and_back_inside_it_grows_again() -> None:
@@ -262,7 +303,13 @@ def test_outside_the_workspace_there_is_no_force_and_back_inside_it_grows_again(
     assert port.force == ZERO
     port.answer(force(5), 5)
     assert port.force[2] == 0.5
-    assert port.changes() == ["waiting → ramp", "ramp → active", "active → fault", "fault → zero", "zero → ramp"]
+    assert port.changes() == [
+        "waiting → ramp",
+        "ramp → active",
+        "active → fault",
+        "fault → zero",
+        "zero → ramp",
+    ]
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])

@@ -23,7 +23,12 @@ FORCE = (0.5, -0.25, 1.0)
 def test_a_force_that_was_off_for_want_of_a_position_comes_back_by_a_ramp() -> None:
     """Each second without one costs five of ramp; the times are so long that a slow machine does not matter."""
     code: Any = servo_library(Path(mailbox.__file__).with_name("mailbox.c"))
-    code.device_write.argtypes = [ctypes.c_int64, ctypes.POINTER(ctypes.c_double), ctypes.c_int64, ctypes.c_double]
+    code.device_write.argtypes = [
+        ctypes.c_int64,
+        ctypes.POINTER(ctypes.c_double),
+        ctypes.c_int64,
+        ctypes.c_double,
+    ]
     box: Any = Mailbox()
     box.turn[:] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
     box.deadline, box.peak, box.recovery = 1e9, 8.0, 10_000.0
@@ -47,10 +52,17 @@ def test_a_force_that_was_off_for_want_of_a_position_comes_back_by_a_ramp() -> N
 
 
 @needs_cc
-def test_a_force_that_was_decided_before_the_device_let_go_is_not_played_and_the_next_comes_by_a_ramp() -> None:
+def test_a_force_that_was_decided_before_the_device_let_go_is_not_played_and_the_next_comes_by_a_ramp() -> (
+    None
+):
     """A process may be stopped between its last look at the clock and the write: only the servo loop can know then."""
     code: Any = servo_library(Path(mailbox.__file__).with_name("mailbox.c"))
-    code.device_write.argtypes = [ctypes.c_int64, ctypes.POINTER(ctypes.c_double), ctypes.c_int64, ctypes.c_double]
+    code.device_write.argtypes = [
+        ctypes.c_int64,
+        ctypes.POINTER(ctypes.c_double),
+        ctypes.c_int64,
+        ctypes.c_double,
+    ]
     box: Any = Mailbox()
     box.turn[:] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
     # The times are so long that a slow machine does not matter.
@@ -83,7 +95,9 @@ def test_a_force_that_was_decided_before_the_device_let_go_is_not_played_and_the
 
 
 @needs_cc
-@pytest.mark.parametrize(("kind", "call"), [("force_dimension_driver", "dhdGetPosition"), ("inverse3_driver", "state")])
+@pytest.mark.parametrize(
+    ("kind", "call"), [("force_dimension_driver", "dhdGetPosition"), ("inverse3_driver", "state")]
+)
 def test_on_a_device_too(kind: str, call: str, tmp_path: Path) -> None:
     with bench(kind, tmp_path) as stand:
         device = stand.opened()
@@ -96,7 +110,10 @@ def test_on_a_device_too(kind: str, call: str, tmp_path: Path) -> None:
             return float(stand.world.force()[2])
 
         # Until the whole ramp is owed, so that there is a second to see it.
-        wait_for(lambda: pushed() == 0.0 and device._box.owed == device._box.recovery, "no position, no force")
+        wait_for(
+            lambda: pushed() == 0.0 and device._box.owed == device._box.recovery,
+            "no position, no force",
+        )
         stand.world.fail("")
         came = 0.0
 

@@ -31,7 +31,8 @@ def swung(port: Port, times: int, apart: int, gained: float, both: bool = False)
         (6, 10, -1e-3, False, "active"),
         (6, 200, 1e-9, False, "stopped"),  # 5 times 0.4 s are 2 s
         (6, 201, 1e-9, False, "active"),
-        (3, 10, 1e-9, True, "stopped"),  # from one side to the other is a swing too, with no tick in between
+        # from one side to the other is a swing too, with no tick in between
+        (3, 10, 1e-9, True, "stopped"),
     ],
 )
 def test_a_force_that_swings_at_its_limit_and_gives_out_energy_stops_the_driver(
@@ -40,7 +41,9 @@ def test_a_force_that_swings_at_its_limit_and_gives_out_energy_stops_the_driver(
     port = Port(peak_force=8.0)
     swung(port, times, apart, gained, both)
     assert port.state == state
-    assert [kind for kind, _ in port.events if kind == "stopped"] == ["stopped"] * (state == "stopped")
+    assert [kind for kind, _ in port.events if kind == "stopped"] == ["stopped"] * (
+        state == "stopped"
+    )
 
 
 def test_a_stop_is_for_good_and_damps_first() -> None:
@@ -81,9 +84,13 @@ def test_a_stop_ends_only_when_somebody_asks_and_then_by_the_whole_ramp() -> Non
         port.answer(force(tick, 4.0), tick)
         shares.append(port.force[2] / 4.0)
         tick += 1
-    assert shares == pytest.approx([min((n + 1) / 20, 1.0) for n in range(25)], abs=1e-15)  # quotients
+    # quotients
+    assert shares == pytest.approx([min((n + 1) / 20, 1.0) for n in range(25)], abs=1e-15)
     assert port.changes()[-2:] == ["zero → ramp", "ramp → active"]
-    assert any(kind == "rearmed" and reason.startswith("stopped → zero at tick") for kind, reason in port.events)
+    assert any(
+        kind == "rearmed" and reason.startswith("stopped → zero at tick")
+        for kind, reason in port.events
+    )
     # It swings again, from where it is now: six times anew, not once.
     for n in range(1, 7):
         assert port.state == "active"

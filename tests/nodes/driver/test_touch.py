@@ -31,7 +31,9 @@ def fake(tmp_path: Path) -> Iterator[Bench]:
 
 
 def connected(path: Path | str, **parameters: Any) -> TouchDevice:
-    device = TouchDevice(TouchDriverParameters(touch=TouchParameters(library=str(path), **parameters)))
+    device = TouchDevice(
+        TouchDriverParameters(touch=TouchParameters(library=str(path), **parameters))
+    )
     device.connect()
     return device
 
@@ -56,7 +58,13 @@ def test_calibration_comes_before_forces(fake: Bench) -> None:
 
 @needs_cc
 @pytest.mark.parametrize(
-    ("code", "name"), [(0x0200, "warm motors"), (0x0302, "communication error"), (0x0600, "invalid licence"), (0x0999, "error")]
+    ("code", "name"),
+    [
+        (0x0200, "warm motors"),
+        (0x0302, "communication error"),
+        (0x0600, "invalid licence"),
+        (0x0999, "error"),
+    ],
 )
 def test_a_fault_of_the_device_ends_forces_and_is_told(fake: Bench, code: int, name: str) -> None:
     device = fake.opened()
@@ -101,7 +109,9 @@ def test_a_refused_rate_and_a_missing_calibration(fake: Bench) -> None:
     fake.world.state.manual = 1
     device = fake.device(calibration_time=0.0)
     device.connect()
-    with pytest.raises(OSError, match=r"not calibrated within 0 s \(0x5002\): put the stylus into its inkwell"):
+    with pytest.raises(
+        OSError, match=r"not calibrated within 0 s \(0x5002\): put the stylus into its inkwell"
+    ):
         device.open()
     assert fake.world.state.forces == 0
     device.close()
@@ -109,13 +119,18 @@ def test_a_refused_rate_and_a_missing_calibration(fake: Bench) -> None:
 
 
 def test_a_missing_library_is_told_with_what_to_do() -> None:
-    with pytest.raises(OSError, match=r"libHD\.so\.none cannot be loaded .*install OpenHaptics .* kind sim_driver"):
+    with pytest.raises(
+        OSError, match=r"libHD\.so\.none cannot be loaded .*install OpenHaptics .* kind sim_driver"
+    ):
         connected("libHD.so.none")
 
 
 @needs_cc
 def test_a_missing_device_and_a_wrong_library_are_told(fake: Bench, tmp_path: Path) -> None:
-    with pytest.raises(OSError, match=r"device absent cannot be opened: communication error \(0x0302\); is it plugged in"):
+    with pytest.raises(
+        OSError,
+        match=r"device absent cannot be opened: communication error \(0x0302\); is it plugged in",
+    ):
         connected(fake.parameters["library"], name="absent")
     wrong = tmp_path / "wrong.so"
     subprocess.run(["cc", "-shared", "-o", wrong, "-x", "c", os.devnull], check=True)
@@ -127,9 +142,14 @@ def test_no_launch_file_raises_the_limits_of_the_device() -> None:
     from nodes.driver.device import DeviceLimits
 
     device = DeviceLimits(peak_force=7.9, silence=0.1, hold=0.05)
-    limits = lower(SafetyParameters(peak_force=100.0, watchdog=1000), device, 0.002, "driver.safety")
+    limits = lower(
+        SafetyParameters(peak_force=100.0, watchdog=1000), device, 0.002, "driver.safety"
+    )
     assert (limits.peak, limits.watchdog) == (7.9, 50)
-    assert limits.overruled[0] == "driver.safety.peak_force: 100 N, limit 7.9 N of the device, which holds"
+    assert (
+        limits.overruled[0]
+        == "driver.safety.peak_force: 100 N, limit 7.9 N of the device, which holds"
+    )
 
 
 def scenario(folder: Path, library: str) -> str:
@@ -139,14 +159,20 @@ def scenario(folder: Path, library: str) -> str:
         "nodes": {
             "driver": {
                 "kind": "touch_driver",
-                "parameters": {"touch": {"library": library, "calibration_time": 0.1}, "safety": {"peak_force": 50.0}},
+                "parameters": {
+                    "touch": {"library": library, "calibration_time": 0.1},
+                    "safety": {"peak_force": 50.0},
+                },
             },
             # The stand-in holds the arm at z = 22 mm, 1 mm inside this wall.
             "environment": {
                 "kind": "environment",
                 "parameters": {"surface": {"kind": "plane", "axis": "z", "position": 0.023}},
             },
-            "coupling": {"kind": "coupling", "parameters": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 500.0}}}},
+            "coupling": {
+                "kind": "coupling",
+                "parameters": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 500.0}}},
+            },
             "logger": {"kind": "logger", "parameters": {"path": "run.mcap"}},
         },
     }
@@ -161,11 +187,18 @@ def test_a_whole_launch_on_the_stand_in(fake: Bench, tmp_path: Path) -> None:
     figures = launch_json(tmp_path, scenario(tmp_path, fake.parameters["library"]))
     assert figures["exit_reason"] == "done"
     assert figures["final"]["position_m"] == pytest.approx(0.022, abs=1e-12)
-    assert figures["safety"]["told"] == ["driver.safety.peak_force: 50 N, limit 7.9 N of the device, which holds"]
+    assert figures["safety"]["told"] == [
+        "driver.safety.peak_force: 50 N, limit 7.9 N of the device, which holds"
+    ]
     recording = Recording(tmp_path / "run.mcap")
     assert recording.complete
-    # On a busy machine forces may stop coming now and then; where they do come, they are K times 1 mm.
-    pressing = {round(state.force[2], 9) for state in recording.messages("/device/state") if state.safety == "active"}
+    # On a busy machine forces may stop coming now and then; where they do come, they are K times 1
+    # mm.
+    pressing = {
+        round(state.force[2], 9)
+        for state in recording.messages("/device/state")
+        if state.safety == "active"
+    }
     assert 0.5 in pressing
     assert pressing <= {0.0, 0.5}
 
@@ -179,9 +212,14 @@ def test_a_launch_without_the_library_fails_with_the_reason(tmp_path: Path) -> N
 
 
 @needs_cc
-def test_a_launch_with_an_uncalibrated_device_fails_with_the_remedy(fake: Bench, tmp_path: Path) -> None:
+def test_a_launch_with_an_uncalibrated_device_fails_with_the_remedy(
+    fake: Bench, tmp_path: Path
+) -> None:
     fake.world.state.manual = 1
     with running(tmp_path, scenario(tmp_path, fake.parameters["library"]), ready=False) as launch:
         launch.finish(code=1)
-        assert "[driver] ended: Touch: not calibrated within 0.1 s (0x5002): put the stylus into its inkwell" in launch.errors
+        assert (
+            "[driver] ended: Touch: not calibrated within 0.1 s (0x5002): put the stylus into its"
+            " inkwell" in launch.errors
+        )
         assert "Traceback" not in launch.errors

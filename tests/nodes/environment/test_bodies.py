@@ -21,7 +21,9 @@ from nodes.stability.k_max import k_max
 from nodes.stability.plant import Plant
 from tests.support.launching import launch_json
 
-pytest.importorskip("mujoco", reason="things that move need MuJoCo: pip install 'haptic-nodes[mujoco]'")
+pytest.importorskip(
+    "mujoco", reason="things that move need MuJoCo: pip install 'haptic-nodes[mujoco]'"
+)
 
 PERIOD, GAIN = 0.002, 2.0
 TOOL = """<body name="tool" pos="0 0 0.1" gravcomp="1"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>
@@ -30,7 +32,9 @@ TOOL = """<body name="tool" pos="0 0 0.1" gravcomp="1"><joint type="slide" axis=
 
 def scene(folder: Path, bodies: str, option: str = 'timestep="0.0005"') -> Path:
     path = folder / "scene.xml"
-    path.write_text(f"<mujoco><option {option}/><worldbody>{bodies}</worldbody></mujoco>", encoding="ascii")
+    path.write_text(
+        f"<mujoco><option {option}/><worldbody>{bodies}</worldbody></mujoco>", encoding="ascii"
+    )
     return path
 
 
@@ -67,7 +71,8 @@ def test_the_stiffness_that_is_told_is_the_one_that_is_felt(contact: str, tmp_pa
             felt.advance(tick)
         heights.append(felt.tool_position[2])
     assert told.geom == "floor"
-    # In MuJoCo a contact grows stiffer with depth, and this one is pressed through other geoms: by up to a percent.
+    # In MuJoCo a contact grows stiffer with depth, and this one is pressed through other geoms: by
+    # up to a percent.
     assert told.stiffness == pytest.approx(1.0 / (heights[0] - heights[1]), rel=0.02)
 
 
@@ -89,19 +94,40 @@ def test_after_a_long_fault_the_scene_does_not_make_up_for_all_of_it(tmp_path: P
     ("bodies", "told"),
     [
         ("", "environment.tool: no body 'tool' in .*its bodies are none"),
-        ('<body name="tool"><freejoint/><geom size="0.01"/></body>', "must be a child of the world with three slide joints"),
+        (
+            '<body name="tool"><freejoint/><geom size="0.01"/></body>',
+            "must be a child of the world with three slide joints",
+        ),
         (TOOL.replace('"0 1 0"', '"1 0 0"'), "three slide joints"),
         (TOOL.replace('axis="0 0 1"', 'axis="0 0 1" range="0 1"'), "without limits"),
         (TOOL.replace('mass="0.05"', 'mass="1e-9"'), "weighs 1e-09 kg"),
         # MuJoCo warns, and takes the mass of water.
         (TOOL.replace('mass="0.05"', 'mass="nan"'), "environment.scene: .*contains a 'NaN'"),
-        (TOOL.replace('mass="0.05"', 'mass="inf"'), "body 'tool' weighs inf kg, expected at most 1e.06 kg"),
-        (TOOL + '<body name="b"><geom size="0.1" mass="1e300"/></body>', "body 'b' weighs 1e.300 kg"),
-        (TOOL + '<body name="b"><geom size="0.1" mass="1e6"/><geom size="0.1" mass="1"/></body>', "body 'b' weighs 1e.06 kg"),
-        (TOOL + '<body><joint damping="1e300"/><geom size="0.1"/></body>', "a number of dof_damping is 1e.300"),
-        (TOOL.replace('size="0.005"', 'size="5"'), "a geom of body 'tool' reaches 5 m, .* MJCF is in metres"),
+        (
+            TOOL.replace('mass="0.05"', 'mass="inf"'),
+            "body 'tool' weighs inf kg, expected at most 1e.06 kg",
+        ),
+        (
+            TOOL + '<body name="b"><geom size="0.1" mass="1e300"/></body>',
+            "body 'b' weighs 1e.300 kg",
+        ),
+        (
+            TOOL + '<body name="b"><geom size="0.1" mass="1e6"/><geom size="0.1" mass="1"/></body>',
+            "body 'b' weighs 1e.06 kg",
+        ),
+        (
+            TOOL + '<body><joint damping="1e300"/><geom size="0.1"/></body>',
+            "a number of dof_damping is 1e.300",
+        ),
+        (
+            TOOL.replace('size="0.005"', 'size="5"'),
+            "a geom of body 'tool' reaches 5 m, .* MJCF is in metres",
+        ),
         ('<geom type="sph"/>', "environment.scene: .*invalid keyword: 'sph'"),
-        ('</worldbody><asset><texture name="t" type="2d" file="no.png"/></asset><worldbody>', "environment.scene: .*no.png"),
+        (
+            '</worldbody><asset><texture name="t" type="2d" file="no.png"/></asset><worldbody>',
+            "environment.scene: .*no.png",
+        ),
     ],
 )
 def test_a_scene_without_a_tool_is_refused(bodies: str, told: str, tmp_path: Path) -> None:
@@ -119,7 +145,9 @@ def test_a_scene_without_a_tool_is_refused(bodies: str, told: str, tmp_path: Pat
         ('gravity="0 0 inf"', "a number of gravity is inf"),
     ],
 )
-def test_an_option_that_no_step_can_be_made_with_is_refused(option: str, told: str, tmp_path: Path) -> None:
+def test_an_option_that_no_step_can_be_made_with_is_refused(
+    option: str, told: str, tmp_path: Path
+) -> None:
     """A step of 0 s ended in a traceback."""
     with pytest.raises(ParameterError, match=told):
         world(tmp_path, TOOL, option)
@@ -130,7 +158,9 @@ def test_the_heaviest_body_is_taken(tmp_path: Path) -> None:
 
 
 def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ParameterError, match=r"environment.scene: .*none.xml cannot be read: No such file"):
+    with pytest.raises(
+        ParameterError, match=r"environment.scene: .*none.xml cannot be read: No such file"
+    ):
         MovingScene(tmp_path / "none.xml", "tool", PERIOD, "environment")
     os.mkfifo(tmp_path / "pipe.xml")
     for odd in (tmp_path / "pipe.xml", Path("/dev/zero")):
@@ -138,7 +168,9 @@ def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
             MovingScene(odd, "tool", PERIOD, "environment")
     with open(tmp_path / "huge.xml", "wb") as file:
         file.truncate(10_000_000_000)
-    with pytest.raises(ParameterError, match=r"^environment.scene: \S*huge.xml has 10000 MB, more than 64"):
+    with pytest.raises(
+        ParameterError, match=r"^environment.scene: \S*huge.xml has 10000 MB, more than 64"
+    ):
         MovingScene(tmp_path / "huge.xml", "tool", PERIOD, "environment")
     with pytest.raises(ParameterError, match="at most 1000; raise option timestep"):
         world(tmp_path, TOOL, 'timestep="1e-6"')
@@ -155,7 +187,9 @@ def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         pytest.param("stack_boxes", "upper", marks=pytest.mark.slow),
     ],
 )
-def test_a_launch_repeats_to_the_bit_from_its_recording(scenario: str, moved: str, tmp_path: Path) -> None:
+def test_a_launch_repeats_to_the_bit_from_its_recording(
+    scenario: str, moved: str, tmp_path: Path
+) -> None:
     """The forces that a recording holds lead the scene the same way again: nothing else comes in."""
     figures = launch_json(tmp_path, scenario, "pace:=lockstep", "duration:=1.6", "apply:=next_tick")
     recording = Recording(tmp_path / figures["recording"])
@@ -176,11 +210,15 @@ def test_a_launch_repeats_to_the_bit_from_its_recording(scenario: str, moved: st
     certain = [one.reason for one in recording.messages(event("coupling")) if one.kind == "world"]
     assert len(certain) == 2
     assert all("it takes damping of the tool of at least" in one for one in certain)
-    told = next(one.reason for one in recording.messages(event("environment")) if one.kind == "bodies")
+    told = next(
+        one.reason for one in recording.messages(event("environment")) if one.kind == "bodies"
+    )
     assert re.search(r"weighs 0.05 kg .* contacts, measured: \w+(, \w+)* 2.94e\+03 N/m", told)
 
 
-@pytest.mark.parametrize(("mass", "tool", "damping"), [(0.15, 0.05, 3.0), (0.1, 0.5, 1.0), (0.3, 0.02, 0.0)])
+@pytest.mark.parametrize(
+    ("mass", "tool", "damping"), [(0.15, 0.05, 3.0), (0.1, 0.5, 1.0), (0.3, 0.02, 0.0)]
+)
 def test_the_figures_know_the_tool(mass: float, tool: float, damping: float) -> None:
     """K_max of a spring and damper between both against the eigenvalues of two bodies and the last deflection."""
     free = np.zeros((5, 5))
@@ -191,7 +229,9 @@ def test_the_figures_know_the_tool(mass: float, tool: float, damping: float) -> 
 
     def radius(stiffness: float) -> float:
         # The force is held during a tick: of the deflection now and of the one before.
-        pull = np.array([-(stiffness + GAIN / PERIOD), 0.0, stiffness + GAIN / PERIOD, 0.0, -GAIN / PERIOD])
+        pull = np.array(
+            [-(stiffness + GAIN / PERIOD), 0.0, stiffness + GAIN / PERIOD, 0.0, -GAIN / PERIOD]
+        )
         whole = tick[:, :4] @ np.eye(4, 5) + np.outer(tick[:, 4], pull)
         whole[4] = (-1.0, 0.0, 1.0, 0.0, 0.0)
         return float(np.abs(np.linalg.eigvals(whole)).max())
@@ -199,7 +239,8 @@ def test_the_figures_know_the_tool(mass: float, tool: float, damping: float) -> 
     low, high = 1.0, 1e5
     while high - low > 1e-6 * high:
         middle = 0.5 * (low + high)
-        # Both may drift together: without damping a double pole at 1, which rounding splits by 1e-8.
+        # Both may drift together: without damping a double pole at 1, which rounding splits by
+        # 1e-8.
         low, high = (middle, high) if radius(middle) < 1.0 + 1e-6 else (low, middle)
     law = CompiledLaw((GAIN / PERIOD, -GAIN / PERIOD))
     alone, seen = (

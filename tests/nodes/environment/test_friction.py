@@ -30,7 +30,9 @@ def parts(found: Touched) -> tuple[Array, Array]:
     """Take the normal and the tangential part of the deflection where there is contact [m]."""
     deflection = (found.proxy - found.path)[found.contact]
     normal = np.einsum("ij,ij->i", deflection, found.normal[found.contact])
-    return normal, np.linalg.norm(deflection - normal[:, None] * found.normal[found.contact], axis=1)
+    return normal, np.linalg.norm(
+        deflection - normal[:, None] * found.normal[found.contact], axis=1
+    )
 
 
 SURFACES: dict[str, Solid] = {
@@ -81,18 +83,32 @@ def test_a_viscous_surface_makes_it_trail_by_its_speed() -> None:
 def test_between_two_rough_walls_each_brakes_by_what_presses_on_it() -> None:
     """Drawn along the crease of two walls at right angles, pressed 2 mm on one and 1 mm on the other."""
     rough, smooth = Friction(0.5, 0.5), Friction(0.1, 0.1)
-    walls = [plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), rough), plane((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), smooth)]
+    walls = [
+        plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), rough),
+        plane((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), smooth),
+    ]
     path = np.array([[0.0, 0.01, 0.01], *([1e-4 * k, -1e-3, -2e-3] for k in range(60))])
     behind = path[-1, 0] - led(walls, path).proxy[-1, 0]
     assert behind == pytest.approx(0.5 * (2e-3 + SKIN) + 0.1 * (1e-3 + SKIN), rel=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["sphere", "union"])
-def test_friction_that_is_set_while_the_surface_is_touched_moves_no_proxy_that_it_holds(kind: str) -> None:
+def test_friction_that_is_set_while_the_surface_is_touched_moves_no_proxy_that_it_holds(
+    kind: str,
+) -> None:
     """Stuck 0.4 mm beside the place where it pushed in: a new proxy would begin at the nearest one: a jump."""
-    ball: dict[str, Any] = {"kind": "sphere", "position": [0.0, 0.0, -0.02], "radius": 0.02, "friction": {"static": 0.8}}
-    surface, path = (ball, "") if kind == "sphere" else ({"kind": "union", "shapes": [ball]}, ".shapes[0]")
-    node = Environment(setup_of(name="environment", axes=["x", "y", "z"], parameters={"surface": surface}))
+    ball: dict[str, Any] = {
+        "kind": "sphere",
+        "position": [0.0, 0.0, -0.02],
+        "radius": 0.02,
+        "friction": {"static": 0.8},
+    }
+    surface, path = (
+        (ball, "") if kind == "sphere" else ({"kind": "union", "shapes": [ball]}, ".shapes[0]")
+    )
+    node = Environment(
+        setup_of(name="environment", axes=["x", "y", "z"], parameters={"surface": surface})
+    )
     node.configure()
     for place in ((0.0, 0.0, 0.01), (0.0, 0.0, -1e-3), (4e-4, 0.0, -1e-3)):
         held = node._meet(place)
@@ -109,7 +125,8 @@ def test_friction_that_is_set_while_the_surface_is_touched_moves_no_proxy_that_i
     sets(friction={"static": 0.2})
     slid = node._meet((4e-4, 0.0, -1e-3))[0][0]
     assert 0.0 < slid < 3e-4
-    # Another radius carries the proxy along: pushed out to the new surface, not to the point nearest to the device.
+    # Another radius carries the proxy along: pushed out to the new surface, not to the point
+    # nearest to the device.
     sets(radius=0.0201, friction={"static": 1.5})
     carried = node._meet((4e-4, 0.0, -1e-3))[0]
     assert carried[0] == pytest.approx(slid, rel=0.01)

@@ -16,7 +16,15 @@ from messages.types import DeviceState, Proxy, Vector
 from nodes.environment.node import Environment
 from nodes.environment.shapes.kinds import TOOL_RADIUS
 from nodes.environment.shapes.mesh import prepare_mesh
-from nodes.environment.shapes.scene import Friction, KnownShapes, Solid, identity_of, matched, mesh, scene_table
+from nodes.environment.shapes.scene import (
+    Friction,
+    KnownShapes,
+    Solid,
+    identity_of,
+    matched,
+    mesh,
+    scene_table,
+)
 from nodes.environment.surfaces import parse_surface
 from nodes.environment.touched_surface import TouchedSurface
 from nodes.launcher import launch_file
@@ -33,7 +41,9 @@ BALL: dict[str, Any] = {"kind": "sphere", "radius": 0.03}
 
 
 def environment(surface: dict[str, Any], **given: Any) -> Environment:
-    node = Environment(setup_of(name="environment", axes=["x", "y", "z"], parameters={"surface": surface, **given}))
+    node = Environment(
+        setup_of(name="environment", axes=["x", "y", "z"], parameters={"surface": surface, **given})
+    )
     node.configure()
     return node
 
@@ -50,7 +60,10 @@ def answers(node: Environment, states: list[DeviceState]) -> list[Proxy]:
 
 
 def at(*places: Vector, first: int = 0, rebased: int = 0) -> list[DeviceState]:
-    return [DeviceState(seq=first + k, stamp=0.0, position=place, rebased=rebased) for k, place in enumerate(places)]
+    return [
+        DeviceState(seq=first + k, stamp=0.0, position=place, rebased=rebased)
+        for k, place in enumerate(places)
+    ]
 
 
 @pytest.mark.parametrize("tick", ["plain", "compiled"])
@@ -70,7 +83,9 @@ def test_a_wall_that_is_moved_live_has_the_bits_of_one_process(tick: str, tmp_pa
     moved = {"kind": "plane", "axis": "x", "position": 0.010, "normal": -1}
     ticks = jump + 300
     played = play(launch_file.read(scene, {}), ticks, changes=[(jump, moved)])
-    assert [state.position for state in recording.messages(DEVICE_STATE)[:ticks]] == list(map(tuple, played.position.tolist()))
+    assert [state.position for state in recording.messages(DEVICE_STATE)[:ticks]] == list(
+        map(tuple, played.position.tolist())
+    )
     felt = forces[jump - 1].force[0]
     step = np.abs(np.diff([force.force[0] for force in forces[jump - 1 : ticks]]))
     # 10 N come in 75 ticks; the hand gives way meanwhile, at well under 0.05 m/s.
@@ -82,7 +97,9 @@ def test_a_wall_that_is_moved_live_has_the_bits_of_one_process(tick: str, tmp_pa
 
 
 @pytest.mark.parametrize("tick", slowly(["plain", "compiled"], but=["compiled"]))
-def test_shapes_that_are_begun_in_and_changed_live_have_the_bits_of_one_process(tick: str, tmp_path: Path) -> None:
+def test_shapes_that_are_begun_in_and_changed_live_have_the_bits_of_one_process(
+    tick: str, tmp_path: Path
+) -> None:
     """Out of a small ball, into a large one, which grows by 2 mm while it is pressed."""
     scene = str(FIXTURES / "space.yaml")
     with running(tmp_path, scene, f"--tick={tick}") as launch:
@@ -98,7 +115,9 @@ def test_shapes_that_are_begun_in_and_changed_live_have_the_bits_of_one_process(
     ticks = min(jump + 200, len(proxies))
     grown = {"kind": "union", "shapes": shapes}
     played = play(launch_file.read(scene, {}), ticks, changes=[(jump, grown)])
-    assert [state.position for state in recording.messages(DEVICE_STATE)[:ticks]] == list(map(tuple, played.position.tolist()))
+    assert [state.position for state in recording.messages(DEVICE_STATE)[:ticks]] == list(
+        map(tuple, played.position.tolist())
+    )
     assert [proxy.proxy for proxy in proxies[:ticks]] == list(map(tuple, played.proxy.tolist()))
     told = [one.reason for one in recording.messages(event("environment")) if one.kind == "inside"]
     assert len(told) == 2
@@ -108,7 +127,9 @@ def test_shapes_that_are_begun_in_and_changed_live_have_the_bits_of_one_process(
 
 def parsed(scene: str) -> dict[str, Any]:
     """Return the surface of a scene as its file has it."""
-    surface: dict[str, Any] = copy.deepcopy(launch_file.read(scene, {}).nodes["environment"].parameters["surface"])
+    surface: dict[str, Any] = copy.deepcopy(
+        launch_file.read(scene, {}).nodes["environment"].parameters["surface"]
+    )
     return surface
 
 
@@ -135,16 +156,32 @@ def test_a_device_that_is_re_centred_into_a_solid_is_free_of_it() -> None:
         node,
         [
             *at((0.0, 0.0, 0.04), (0.0, 0.0, 0.029)),
-            *at((0.0, 0.0, 0.02), (0.0, 0.0, 0.029), (0.0, 0.0, 0.031), (0.0, 0.0, 0.029), first=2, rebased=2),
+            *at(
+                (0.0, 0.0, 0.02),
+                (0.0, 0.0, 0.029),
+                (0.0, 0.0, 0.031),
+                (0.0, 0.0, 0.029),
+                first=2,
+                rebased=2,
+            ),
         ],
     )
-    assert [one.contact for one in (free, pressed, jumped, still, out, again)] == [False, True, False, False, False, True]
+    assert [one.contact for one in (free, pressed, jumped, still, out, again)] == [
+        False,
+        True,
+        False,
+        False,
+        False,
+        True,
+    ]
     assert not any(jumped.normal)
 
 
 def test_a_sample_that_is_lost_for_one_tick_frees_nobody() -> None:
     """The proxy waits: it does not begin free inside of the solid that held it, nor at the other side of a thin one."""
-    place = TouchedSurface(parse_surface({"kind": "box", "size": [0.1, 0.1, 0.002]}, "surface"), PERIOD)
+    place = TouchedSurface(
+        parse_surface({"kind": "box", "size": [0.1, 0.1, 0.002]}, "surface"), PERIOD
+    )
     held = [(0.0, 0.0, 0.01), (0.0, 0.0, -0.004)]
     for position in held:
         before = place.meet(position)
@@ -167,7 +204,9 @@ def test_a_solid_that_grows_carries_its_proxy_and_one_that_comes_does_not(deep: 
     place.meet((0.0, 0.0, 0.028))
     grown = {**BALL, "radius": 0.03 + deep}
     came = {"kind": "box", "position": [0.0, 0.0, 0.05 + deep - 0.02], "size": [0.1, 0.1, 0.04]}
-    assert place.take(TouchedSurface(parse_surface({"kind": "union", "shapes": [grown]}, "surface"), PERIOD))
+    assert place.take(
+        TouchedSurface(parse_surface({"kind": "union", "shapes": [grown]}, "surface"), PERIOD)
+    )
     proxy, _, _, contact = place.meet((0.0, 0.0, 0.028))
     assert contact
     assert proxy[2] == pytest.approx(0.03 + deep + TOOL_RADIUS, abs=1e-9)
@@ -179,7 +218,9 @@ def test_a_solid_that_grows_carries_its_proxy_and_one_that_comes_does_not(deep: 
 
 
 def union(*shapes: dict[str, Any]) -> TouchedSurface:
-    return TouchedSurface(parse_surface({"kind": "union", "shapes": list(shapes)}, "surface"), PERIOD)
+    return TouchedSurface(
+        parse_surface({"kind": "union", "shapes": list(shapes)}, "surface"), PERIOD
+    )
 
 
 def box(z: float, x: float = 0.0, **given: Any) -> dict[str, Any]:
@@ -189,10 +230,24 @@ def box(z: float, x: float = 0.0, **given: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("before", "after"),
     [
-        pytest.param([box(0.0), box(0.0, 0.2)], [box(0.0, 0.2), box(0.02)], id="listed the other way round"),
-        pytest.param([box(0.0, 0.2), box(0.0)], [box(0.02)], id="the other one removed, and nothing left to tell"),
-        pytest.param([{**BALL, "position": [0.2, 0.0, 0.0]}, box(0.0)], [box(0.02)], id="another kind removed"),
-        pytest.param([box(0.0)], [{**BALL, "position": [0.2, 0.0, 0.0]}, box(0.02)], id="another kind added before it"),
+        pytest.param(
+            [box(0.0), box(0.0, 0.2)], [box(0.0, 0.2), box(0.02)], id="listed the other way round"
+        ),
+        pytest.param(
+            [box(0.0, 0.2), box(0.0)],
+            [box(0.02)],
+            id="the other one removed, and nothing left to tell",
+        ),
+        pytest.param(
+            [{**BALL, "position": [0.2, 0.0, 0.0]}, box(0.0)],
+            [box(0.02)],
+            id="another kind removed",
+        ),
+        pytest.param(
+            [box(0.0)],
+            [{**BALL, "position": [0.2, 0.0, 0.0]}, box(0.02)],
+            id="another kind added before it",
+        ),
     ],
 )
 def test_parts_of_a_union_are_known_wherever_they_stand_in_its_list(
@@ -277,7 +332,8 @@ def test_a_tool_that_begins_inside_of_a_body_is_not_thrown(bodies: str) -> None:
     scene = {"scene": str(FIXTURES / "inside.xml"), "bodies": bodies, "reach": 0.08}
     found = play(launch_file.read(str(FIXTURES / "mujoco.yaml"), scene), 1000)
     away = np.linalg.norm(found.proxy - found.position, axis=1)
-    # The tool trails the device by what accelerates 50 g, and presses by what the hand's 150 N/m make of some millimetres.
+    # The tool trails the device by what accelerates 50 g, and presses by what the hand's 150 N/m
+    # make of some millimetres.
     assert not found.force[:20].any()
     assert away.max() < 0.01
     assert np.abs(np.diff(found.force, axis=0)).max() < 1.0

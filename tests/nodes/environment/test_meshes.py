@@ -44,12 +44,17 @@ def obj(triangles: Array) -> bytes:
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in points.tolist()]
     for n, (a, b, c) in enumerate(ids.reshape(-1, 3).tolist()):
         lines.append(
-            f"f {a + 1}//1 {b + 1}/1/1 {c + 1}" if n % 2 else f"f {a - len(points)} {b - len(points)} {c - len(points)}"
+            f"f {a + 1}//1 {b + 1}/1/1 {c + 1}"
+            if n % 2
+            else f"f {a - len(points)} {b - len(points)} {c - len(points)}"
         )
     return "\n".join(["# a cube", "vn 0 0 1", *lines, ""]).encode()
 
 
-@pytest.mark.parametrize(("name", "written"), [("a.stl", binary_stl(CUBE)), ("b.STL", text_stl(CUBE)), ("c.obj", obj(CUBE))])
+@pytest.mark.parametrize(
+    ("name", "written"),
+    [("a.stl", binary_stl(CUBE)), ("b.STL", text_stl(CUBE)), ("c.obj", obj(CUBE))],
+)
 def test_each_format_gives_the_triangles(name: str, written: bytes, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(written)
     found = read_triangles(tmp_path / name, "surface.file")
@@ -61,7 +66,9 @@ def test_each_format_gives_the_triangles(name: str, written: bytes, tmp_path: Pa
 
 
 def test_an_obj_face_of_four_corners_is_two_triangles(tmp_path: Path) -> None:
-    (tmp_path / "quad.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n", encoding="ascii")
+    (tmp_path / "quad.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n", encoding="ascii"
+    )
     assert read_triangles(tmp_path / "quad.obj", "file").shape == (2, 3, 3)
 
 
@@ -79,7 +86,9 @@ def test_an_obj_face_of_four_corners_is_two_triangles(tmp_path: Path) -> None:
         ("a.obj", b"v 0 0 0\n", "has no triangles"),
     ],
 )
-def test_a_file_that_is_no_mesh_is_refused(name: str, written: bytes, told: str, tmp_path: Path) -> None:
+def test_a_file_that_is_no_mesh_is_refused(
+    name: str, written: bytes, told: str, tmp_path: Path
+) -> None:
     (tmp_path / name).write_bytes(written)
     with pytest.raises(ParameterError, match=told) as refused:
         read_triangles(tmp_path / name, "environment.surface.file")
@@ -89,7 +98,9 @@ def test_a_file_that_is_no_mesh_is_refused(name: str, written: bytes, told: str,
 def test_a_file_of_ten_gigabytes_is_refused_unread(tmp_path: Path) -> None:
     with open(tmp_path / "huge.stl", "wb") as file:
         file.truncate(10_000_000_000)
-    with pytest.raises(ParameterError, match=f"10000 MB, more than {LARGEST // 1_000_000}; decimate"):
+    with pytest.raises(
+        ParameterError, match=f"10000 MB, more than {LARGEST // 1_000_000}; decimate"
+    ):
         read_triangles(tmp_path / "huge.stl", "file")
     with pytest.raises(ParameterError, match="No such file"):
         read_triangles(tmp_path / "none.stl", "file")
@@ -107,7 +118,9 @@ def test_a_mesh_turned_inside_out_is_turned_back_and_told() -> None:
 
 def test_a_triangle_without_three_corners_is_left_out_and_told() -> None:
     squeezed = np.concatenate([CUBE, CUBE[:1, [0, 0, 1]]])
-    assert prepare_mesh(squeezed, False, "file").repairs == ("file: 1 triangles of fewer than three corners left out",)
+    assert prepare_mesh(squeezed, False, "file").repairs == (
+        "file: 1 triangles of fewer than three corners left out",
+    )
 
 
 @pytest.mark.parametrize(
@@ -116,7 +129,10 @@ def test_a_triangle_without_three_corners_is_left_out_and_told() -> None:
         (CUBE[:-1], "the mesh is open: 3 edges have one triangle only.*sides: both"),
         (np.concatenate([CUBE[:1, ::-1], CUBE[1:]]), "faces disagree about where outside is"),
         (np.concatenate([CUBE, CUBE]), "edges have more than two triangles"),
-        (np.where(np.arange(12)[:, None, None] == 5, np.nan, CUBE), "triangle 5 has a coordinate that is not finite"),
+        (
+            np.where(np.arange(12)[:, None, None] == 5, np.nan, CUBE),
+            "triangle 5 has a coordinate that is not finite",
+        ),
         (1000.0 * CUBE, "the mesh is 20 m wide.*scale: 0.001"),
         (1e-3 * CUBE, "the mesh is 2e-05 m wide.*its scale is too small"),
         (np.array([[[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.02, 0.0, 0.0]]]), "triangle 0 is flat"),
@@ -131,7 +147,9 @@ def test_every_triangle_is_in_its_boxes_and_knows_its_neighbours() -> None:
     prepared = prepare_mesh(icosphere(3, 0.05), False, "file")
     count, leaves = len(prepared.corners), prepared.leaves
     for leaf in range(leaves):
-        mine = prepared.corners[leaf * count // leaves : (leaf + 1) * count // leaves].reshape(-1, 3)
+        mine = prepared.corners[leaf * count // leaves : (leaf + 1) * count // leaves].reshape(
+            -1, 3
+        )
         node = leaves + leaf
         while node:
             assert (prepared.boxes[node, :3] <= mine.min(axis=0)).all()
@@ -149,17 +167,37 @@ def test_every_triangle_is_in_its_boxes_and_knows_its_neighbours() -> None:
         ({"kind": "sphere"}, "surface.radius: is missing"),
         ({"kind": "sphere", "radius": -1.0}, "surface.radius: expected a number above 0, got -1.0"),
         ({"kind": "box", "size": [0.1, 0.1]}, "surface.size"),
-        ({"kind": "oriented_plane", "normal": [0.0, 0.0, 0.0]}, r"surface.normal: \[0.0, 0.0, 0.0\] has no direction"),
-        ({"kind": "capsule", "start": [0.0] * 3, "end": [0.0] * 3, "radius": 0.01}, "surface.end.*has no direction"),
-        ({"kind": "sphere", "radius": 0.1, "friction": {"static": 0.1, "dynamic": 0.2}}, "dynamic is 0.2, expected at most"),
+        (
+            {"kind": "oriented_plane", "normal": [0.0, 0.0, 0.0]},
+            r"surface.normal: \[0.0, 0.0, 0.0\] has no direction",
+        ),
+        (
+            {"kind": "capsule", "start": [0.0] * 3, "end": [0.0] * 3, "radius": 0.01},
+            "surface.end.*has no direction",
+        ),
+        (
+            {"kind": "sphere", "radius": 0.1, "friction": {"static": 0.1, "dynamic": 0.2}},
+            "dynamic is 0.2, expected at most",
+        ),
         ({"kind": "union", "shapes": []}, "surface.shapes: expected a list of length at least 1"),
-        ({"kind": "union", "shapes": [{"kind": "anchor"}]}, r"surface.shapes\[0\].kind: 'anchor' is no shape"),
-        ({"kind": "union", "shapes": [{"kind": "sphere"}]}, r"surface.shapes\[0\].radius: is missing"),
-        ({"kind": "union", "shapes": [{"kind": "sphere", "radius": 0.1, "tool_radius": 0.01}]}, r"shapes\[0\].tool_radius"),
+        (
+            {"kind": "union", "shapes": [{"kind": "anchor"}]},
+            r"surface.shapes\[0\].kind: 'anchor' is no shape",
+        ),
+        (
+            {"kind": "union", "shapes": [{"kind": "sphere"}]},
+            r"surface.shapes\[0\].radius: is missing",
+        ),
+        (
+            {"kind": "union", "shapes": [{"kind": "sphere", "radius": 0.1, "tool_radius": 0.01}]},
+            r"shapes\[0\].tool_radius",
+        ),
         ({"kind": "mesh", "file": "nowhere.obj"}, "surface.file: nowhere.obj cannot be read"),
     ],
 )
-def test_a_surface_that_cannot_be_is_refused_by_its_path(data: dict[str, object], told: str) -> None:
+def test_a_surface_that_cannot_be_is_refused_by_its_path(
+    data: dict[str, object], told: str
+) -> None:
     with pytest.raises(ParameterError, match=told):
         parse_surface(data, "surface").check("surface")
 
@@ -169,7 +207,13 @@ def test_a_surface_that_cannot_be_is_refused_by_its_path(data: dict[str, object]
 def test_a_device_on_a_corner_an_edge_or_a_face_is_met(triangles: Array, tool: float) -> None:
     """Where nothing leads from the surface to the device, and where a step leads along a face, within rounding of it."""
     rng = np.random.default_rng(0)
-    marks = np.concatenate([triangles.reshape(-1, 3), triangles.mean(axis=1), 0.5 * (triangles[:, 0] + triangles[:, 1])])
+    marks = np.concatenate(
+        [
+            triangles.reshape(-1, 3),
+            triangles.mean(axis=1),
+            0.5 * (triangles[:, 0] + triangles[:, 1]),
+        ]
+    )
     scales = np.array([1.0, 1.0, 1.0, 0.9, 1.2, 1.0 - 1e-10, 1.0 + 1e-10])
     path = marks[rng.integers(0, len(marks), 400)] * rng.choice(scales, 400)[:, None]
     path[::40] = (0.0, 0.0, 0.05)
@@ -179,7 +223,9 @@ def test_a_device_on_a_corner_an_edge_or_a_face_is_met(triangles: Array, tool: f
     # Never inside: outside of every face of a convex body, in the plane of at least one.
     prepared = solids[0].mesh
     assert prepared is not None
-    above = np.einsum("tij,ij->ti", found.proxy[:, None] - prepared.corners[None, :, 0], prepared.normals).max(axis=1)
+    above = np.einsum(
+        "tij,ij->ti", found.proxy[:, None] - prepared.corners[None, :, 0], prepared.normals
+    ).max(axis=1)
     assert above.min() > 0.0
 
 
@@ -191,7 +237,13 @@ def test_a_launch_tells_what_was_repaired(tmp_path: Path) -> None:
     (tmp_path / "given.yaml").write_text(
         f"environment: {{surface: {{kind: mesh, file: {tmp_path}/ball.stl}}}}", encoding="utf-8"
     )
-    figures = launch_json(tmp_path, "sphere_feel", "pace:=lockstep", "duration:=0.1", "--params", "given.yaml")
-    (told,) = [one for one in Recording(tmp_path / figures["recording"]).messages(event("environment")) if one.kind == "mesh"]
+    figures = launch_json(
+        tmp_path, "sphere_feel", "pace:=lockstep", "duration:=0.1", "--params", "given.yaml"
+    )
+    (told,) = [
+        one
+        for one in Recording(tmp_path / figures["recording"]).messages(event("environment"))
+        if one.kind == "mesh"
+    ]
     assert "1 triangles of fewer than three corners left out" in told.reason
     assert "ball.stl: all faces looked inwards, and were turned" in told.reason

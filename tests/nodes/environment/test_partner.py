@@ -29,13 +29,16 @@ def presented(partner: Partner, own: float, seq: int) -> float:
     return place[0]
 
 
-def test_a_partner_that_is_first_heard_is_met_at_the_device_and_aligned_at_the_stated_speed() -> None:
+def test_a_partner_that_is_first_heard_is_met_at_the_device_and_aligned_at_the_stated_speed() -> (
+    None
+):
     partner = Partner(T, LIMITS)
     assert partner.present((0.01, 0.0, 0.0), 0) == ((0.01, 0.0, 0.0), False)
     partner.hear(state(7, 0.04))
     # 30 mm apart: nothing at first but one tick of the alignment, and all of it after 0.3 s.
     first = presented(partner, 0.01, 1)
-    assert first == pytest.approx(0.01 + LIMITS.align * T, abs=1e-15)  # sums of a few numbers of this size
+    # sums of a few numbers of this size
+    assert first == pytest.approx(0.01 + LIMITS.align * T, abs=1e-15)
     ticks = round(0.03 / LIMITS.align / T)
     for k in range(2, ticks):
         partner.hear(state(7 + k, 0.04))
@@ -63,7 +66,8 @@ def test_silence_lets_the_device_go_at_its_limit_and_not_before() -> None:
     limit = 20 + round(LIMITS.silence / T)
     assert presented(partner, 0.0, limit) == 0.002
     assert partner.state == HEARD
-    assert presented(partner, 0.0, limit + 1) == pytest.approx(0.002 - LIMITS.align * T, abs=1e-15)  # as above
+    # as above
+    assert presented(partner, 0.0, limit + 1) == pytest.approx(0.002 - LIMITS.align * T, abs=1e-15)
     assert partner.state == SILENT
     for k in range(2, 12):
         presented(partner, 0.0, limit + k)
@@ -83,7 +87,9 @@ def test_what_is_old_or_no_position_does_not_count() -> None:
 
 Steps = st.lists(
     st.tuples(
-        st.sampled_from(("hear", "lose", "jump", "fault", "restart", "late")), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)
+        st.sampled_from(("hear", "lose", "jump", "fault", "restart", "late")),
+        st.floats(-1.0, 1.0),
+        st.floats(-1.0, 1.0),
     ),
     min_size=1,
     max_size=120,
@@ -103,13 +109,20 @@ def test_what_is_presented_moves_no_faster_than_partner_device_and_alignment(
         for _ in range(1 + (lost if what == "lose" else 0)):
             tick, seq = tick + 1, 0 if what == "restart" else seq + 1
             stepped = 0.002 * b
-            mine, theirs = mine + stepped, theirs + 0.002 * a + (math.copysign(1.0, a) if what == "jump" else 0.0)
+            mine, theirs = (
+                mine + stepped,
+                theirs + 0.002 * a + (math.copysign(1.0, a) if what == "jump" else 0.0),
+            )
             known = partner.state
             counted = False
             if what in ("hear", "jump", "restart"):
                 counted = partner.hear(state(seq, theirs))
             elif what == "late":
-                partner.hear(state(max(seq - 3, 0), theirs)) if last is not None and last[0] >= max(seq - 3, 0) else None
+                (
+                    partner.hear(state(max(seq - 3, 0), theirs))
+                    if last is not None and last[0] >= max(seq - 3, 0)
+                    else None
+                )
             elif what == "fault":
                 assert not partner.hear(state(seq, 5.0, safety="fault"))
             where = presented(partner, mine, tick)
@@ -130,12 +143,15 @@ def test_two_chains_feel_each_other_over_a_bad_network(tmp_path: Path) -> None:
     (left,) = tmp_path.glob("recordings/*-left.mcap")
     rows = Recording(left).messages(PROXY)
     assert any(row.contact for row in rows)
-    # The left hand is led 30 mm against the right one's grip: what it feels at the end is the partner, not itself.
+    # The left hand is led 30 mm against the right one's grip: what it feels at the end is the
+    # partner, not itself.
     last = rows[-1]
     assert last.proxy[0] < last.position[0] - 1e-3
 
 
-def test_lockstep_is_refused_with_the_way_out(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_lockstep_is_refused_with_the_way_out(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     typed_in(tmp_path, "launch", "hands_apart", "run.pace:=lockstep", code=2)
     told = capfd.readouterr().err
     assert "run.pace is lockstep" in told
@@ -153,7 +169,11 @@ def test_guards_at_both_ends_hold_hands_that_a_network_would_set_swinging(tmp_pa
         folder.mkdir()
         launch_json(folder, "hands_apart", f"guard:={guard}", *words)
         (right,) = folder.glob("recordings/*-right.mcap")
-        held = [state.position[0] for state in Recording(right).messages(DEVICE_STATE) if 500 < state.seq < 1000]
+        held = [
+            state.position[0]
+            for state in Recording(right).messages(DEVICE_STATE)
+            if 500 < state.seq < 1000
+        ]
         # From 1 to 2 s the left hand rests at 30 mm: whatever moves is the loop's own.
         unrest[guard] = float(np.ptp(held))
     assert unrest["off"] > 1e-3

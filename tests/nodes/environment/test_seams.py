@@ -18,12 +18,17 @@ from tests.support.shapes import Array, box_triangles
 FLUSH = Path(__file__).parents[2] / "fixtures" / "begin" / "flush.obj"
 WIDTH = 0.04
 DEPTH = 3e-3  # deepest that the device is dragged [m]
-STEP = 5e-9  # by how much single precision moves a corner that lies 0.1 m from the origin, at most [m]
+# by how much single precision moves a corner that lies 0.1 m from the origin, at most [m]
+STEP = 5e-9
 
 
 def flush(kind: str, turn: Array, at: Array, friction: Friction) -> list[Solid]:
     """Make two boxes side by side, tops flush at z = 0, turned and moved: as boxes, as meshes, as one mesh."""
-    angles = math.atan2(turn[2, 1], turn[2, 2]), -math.asin(turn[2, 0]), math.atan2(turn[1, 0], turn[0, 0])
+    angles = (
+        math.atan2(turn[2, 1], turn[2, 2]),
+        -math.asin(turn[2, 0]),
+        math.atan2(turn[1, 0], turn[0, 0]),
+    )
     solids, shells = [], []
     for x in (-0.5 * WIDTH, 0.5 * WIDTH):
         middle = np.array([x, 0.0, -0.005])
@@ -31,7 +36,9 @@ def flush(kind: str, turn: Array, at: Array, friction: Friction) -> list[Solid]:
         a, b, c = (at + turn @ middle).tolist()
         solids.append(box((a, b, c), size, angles, friction))
         corners = (np.asarray(box_triangles(size)) + middle) @ turn.T + at
-        shells.append(corners.astype(np.float32).astype(np.float64) if "single" in kind else corners)
+        shells.append(
+            corners.astype(np.float32).astype(np.float64) if "single" in kind else corners
+        )
     if kind == "boxes":
         return solids
     if "one" in kind:
@@ -42,18 +49,29 @@ def flush(kind: str, turn: Array, at: Array, friction: Friction) -> list[Solid]:
 def lag(kind: str, tool: float, coefficient: float, seed: int) -> float:
     """Drag a device over the seam, pressed; how far the proxy is beside it, beyond friction's part of the depth [m]."""
     rng = np.random.default_rng(seed)
-    turn, at = np.array(rotation((rng.uniform(-1, 1), rng.uniform(-1, 1), rng.uniform(-1, 1)))), rng.uniform(-0.05, 0.05, 3)
+    turn, at = (
+        np.array(rotation((rng.uniform(-1, 1), rng.uniform(-1, 1), rng.uniform(-1, 1)))),
+        rng.uniform(-0.05, 0.05, 3),
+    )
     way = np.array([1.0, rng.uniform(-0.4, 0.4), 0.0]) * rng.choice([-1.0, 1.0])
     depth = rng.uniform(2e-4, DEPTH)
-    path = np.linspace(-0.018, 0.018, 160)[:, None] * way + (rng.uniform(-1e-3, 1e-3), rng.uniform(-3e-3, 3e-3), -depth)
+    path = np.linspace(-0.018, 0.018, 160)[:, None] * way + (
+        rng.uniform(-1e-3, 1e-3),
+        rng.uniform(-3e-3, 3e-3),
+        -depth,
+    )
     path = np.concatenate([path[:1] + np.array([0.0, 0.0, depth + 2e-3]), path])
-    found = touch(flush(kind, turn, at, Friction(coefficient, coefficient)), path @ turn.T + at, tool)
+    found = touch(
+        flush(kind, turn, at, Friction(coefficient, coefficient)), path @ turn.T + at, tool
+    )
     beside = ((found.proxy - at) @ turn - path)[20:]
     return float(np.linalg.norm(beside[:, :2], axis=1).max() - coefficient * (depth + tool))
 
 
 @pytest.mark.parametrize("coefficient", [0.0, 0.4])
-@pytest.mark.parametrize("kind", ["boxes", "meshes", "one mesh", "single meshes", "one single mesh"])
+@pytest.mark.parametrize(
+    "kind", ["boxes", "meshes", "one mesh", "single meshes", "one single mesh"]
+)
 def test_a_seam_is_not_felt_by_the_usual_tool(kind: str, coefficient: float) -> None:
     """A ball of radius r meets a step h at a slope of √(2 h/r): that part of the depth is all it lags, until it is over it."""
     room = 1e-9 if "single" not in kind else DEPTH * math.sqrt(2.0 * STEP / TOOL_RADIUS)
@@ -63,7 +81,10 @@ def test_a_seam_is_not_felt_by_the_usual_tool(kind: str, coefficient: float) -> 
 @pytest.mark.parametrize("kind", ["meshes", "one mesh"])
 def test_an_exact_seam_is_not_felt_by_a_point(kind: str) -> None:
     """A hidden side reached 1 nm over its edge while the proxy rests 0.1 nm high: caught 240 of 240 times."""
-    assert max(lag(kind, 0.0, coefficient, seed) for seed in range(25) for coefficient in (0.0, 0.4)) < 1e-9
+    assert (
+        max(lag(kind, 0.0, coefficient, seed) for seed in range(25) for coefficient in (0.0, 0.4))
+        < 1e-9
+    )
 
 
 @pytest.mark.parametrize("tool", [0.0, TOOL_RADIUS])

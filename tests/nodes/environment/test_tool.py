@@ -24,15 +24,21 @@ from nodes.stability.needed import needed_tool_damping
 from nodes.stability.plant import Plant, held_step
 from nodes.stability.worlds import SteppedTool, world_k_max
 
-pytest.importorskip("mujoco", reason="things that move need MuJoCo: pip install 'haptic-nodes[mujoco]'")
+pytest.importorskip(
+    "mujoco", reason="things that move need MuJoCo: pip install 'haptic-nodes[mujoco]'"
+)
 
 T = 0.002
 SLIDES = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
 
 
-def scene(folder: Path, bodies: str, option: str = 'timestep="0.0005" integrator="implicitfast"') -> Path:
+def scene(
+    folder: Path, bodies: str, option: str = 'timestep="0.0005" integrator="implicitfast"'
+) -> Path:
     path = folder / "scene.xml"
-    path.write_text(f"<mujoco><option {option}/><worldbody>{bodies}</worldbody></mujoco>", encoding="ascii")
+    path.write_text(
+        f"<mujoco><option {option}/><worldbody>{bodies}</worldbody></mujoco>", encoding="ascii"
+    )
     return path
 
 
@@ -46,11 +52,17 @@ def scene(folder: Path, bodies: str, option: str = 'timestep="0.0005" integrator
     ],
 )
 @pytest.mark.parametrize("damping", [0.0, 0.7])
-def test_the_answer_of_a_tool_is_measured(option: str, lag: float, damping: float, tmp_path: Path) -> None:
+def test_the_answer_of_a_tool_is_measured(
+    option: str, lag: float, damping: float, tmp_path: Path
+) -> None:
     """1 − 1/(2n) ticks with n steps of Euler's a tick, 1 with a step of fourth order; a floor under it does not matter."""
     floor = '<geom type="plane" size="1 1 1"/>'
-    bodies = f'{floor}<body name="tool" pos="0 0 0.004">{SLIDES}<geom size="0.005" mass="0.05"/></body>'
-    found = MovingScene(scene(tmp_path, bodies, option), ToolParameters(damping=damping), T, "environment").response()
+    bodies = (
+        f'{floor}<body name="tool" pos="0 0 0.004">{SLIDES}<geom size="0.005" mass="0.05"/></body>'
+    )
+    found = MovingScene(
+        scene(tmp_path, bodies, option), ToolParameters(damping=damping), T, "environment"
+    ).response()
     assert found.mass == pytest.approx(0.05, rel=1e-6)
     assert found.damping == pytest.approx(damping, rel=1e-6)
     # An implicit damper slows the first step by up to b T/m, which reads as so many ticks of lag.
@@ -58,25 +70,39 @@ def test_the_answer_of_a_tool_is_measured(option: str, lag: float, damping: floa
     assert ("no law is certain" in response_text(found)) == (damping == 0.0)
 
 
-def test_the_axis_with_least_damping_counts_and_a_damper_between_bodies_does_not(tmp_path: Path) -> None:
-    some = SLIDES.replace('"1 0 0"', '"1 0 0" damping="2"').replace('"0 0 1"', '"0 0 1" damping="0.3"')
-    other = (
-        '<body name="other" pos="1 0 0"><joint type="slide" axis="1 0 0"/><geom size="0.01" mass="50"/><site name="b"/></body>'
+def test_the_axis_with_least_damping_counts_and_a_damper_between_bodies_does_not(
+    tmp_path: Path,
+) -> None:
+    some = SLIDES.replace('"1 0 0"', '"1 0 0" damping="2"').replace(
+        '"0 0 1"', '"0 0 1" damping="0.3"'
     )
-    bodies = f'<body name="tool">{some}<geom size="0.005" mass="0.05"/><site name="a"/></body>{other}'
+    other = (
+        '<body name="other" pos="1 0 0"><joint type="slide" axis="1 0 0"/><geom size="0.01"'
+        ' mass="50"/><site name="b"/></body>'
+    )
+    bodies = (
+        f'<body name="tool">{some}<geom size="0.005" mass="0.05"/><site name="a"/></body>{other}'
+    )
     path = scene(tmp_path, bodies)
     assert MovingScene(path, "tool", T, "environment").response().damping == 0.0  # along y
     damped = ToolParameters(damping=0.4)
-    assert MovingScene(path, damped, T, "environment").response().damping == pytest.approx(0.4, rel=1e-6)
+    assert MovingScene(path, damped, T, "environment").response().damping == pytest.approx(
+        0.4, rel=1e-6
+    )
     between = '<tendon><spatial damping="3"><site site="a"/><site site="b"/></spatial></tendon>'
-    path.write_text(path.read_text().replace("</worldbody>", f"</worldbody>{between}"), encoding="ascii")
+    path.write_text(
+        path.read_text().replace("</worldbody>", f"</worldbody>{between}"), encoding="ascii"
+    )
     assert MovingScene(path, damped, T, "environment").response().damping <= 0.4 * (1.0 + 1e-6)
     assert MovingScene(path, "tool", T, "environment").response().damping == 0.0
 
 
 def test_a_tool_is_added_to_a_scene_that_has_none(tmp_path: Path) -> None:
     path = scene(tmp_path, '<geom name="floor" type="plane" size="1 1 1"/>')
-    added = {"scene": str(path), "tool": {"mass": 0.02, "radius": 0.004, "position": [0.0, 0.01, 0.1], "damping": 0.5}}
+    added = {
+        "scene": str(path),
+        "tool": {"mass": 0.02, "radius": 0.004, "position": [0.0, 0.01, 0.1], "damping": 0.5},
+    }
     parameters = convert(added, MujocoParameters, "environment")
     assert isinstance(parameters.tool, ToolParameters)
     world = MovingScene(path, parameters.tool, T, "environment")
@@ -84,7 +110,10 @@ def test_a_tool_is_added_to_a_scene_that_has_none(tmp_path: Path) -> None:
     assert world.tool_position == (0.0, 0.01, 0.1)
     assert world.damping == 0.5
     assert [pair.geom for pair in world.stiffness()] == ["floor"]
-    assert MujocoEnvironment.plant(added, "environment", ("x", "y", "z")) == {"tool_mass": world.mass, "tool_damping": 0.5}
+    assert MujocoEnvironment.plant(added, "environment", ("x", "y", "z")) == {
+        "tool_mass": world.mass,
+        "tool_damping": 0.5,
+    }
     # Nothing pulls it down, and it rests on the floor where it is pressed.
     world.begin((0.0, 0.0, 0.05))
     for tick in range(1, 200):
@@ -92,16 +121,26 @@ def test_a_tool_is_added_to_a_scene_that_has_none(tmp_path: Path) -> None:
         world.advance(tick)
     assert world.tool_position == pytest.approx((0.0, 0.0, 0.05), abs=1e-12)
     with pytest.raises(
-        ParameterError, match=r"environment.tool: no body 'tool' .* environment.tool: \{mass: 0.05, radius: 0.005\}"
+        ParameterError,
+        match=(
+            r"environment.tool: no body 'tool' .* environment.tool: \{mass: 0.05, radius: 0.005\}"
+        ),
     ):
         MovingScene(path, "tool", T, "environment")
-    with pytest.raises(ParameterError, match=r"environment.tool.mass: the scene has a body 'tool' already"):
+    with pytest.raises(
+        ParameterError, match=r"environment.tool.mass: the scene has a body 'tool' already"
+    ):
         MovingScene(
-            scene(tmp_path, f'<body name="tool">{SLIDES}<geom size="0.01"/></body>'), ToolParameters(mass=1.0), T, "environment"
+            scene(tmp_path, f'<body name="tool">{SLIDES}<geom size="0.01"/></body>'),
+            ToolParameters(mass=1.0),
+            T,
+            "environment",
         )
 
 
-def test_geoms_with_equal_contacts_are_pressed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_geoms_with_equal_contacts_are_pressed_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """40 geoms of two kinds and one that never comes to rest: three presses, and a text that one can read."""
     pressed = []
     press = contacts._press
@@ -112,8 +151,13 @@ def test_geoms_with_equal_contacts_are_pressed_once(tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr(contacts, "_press", counted)
     soft = "".join(f'<geom name="s{i}" pos="{i} 0 -1" size="0.1"/>' for i in range(30))
-    hard = "".join(f'<geom name="h{i}" pos="{i} 0 -2" size="0.1" solref="-20000 -200"/>' for i in range(10))
-    ringing = '<geom name="bell" pos="0 0 -3" size="0.1" priority="1" solref="-3000 0" solimp="0.99 0.99 0.001"/>'
+    hard = "".join(
+        f'<geom name="h{i}" pos="{i} 0 -2" size="0.1" solref="-20000 -200"/>' for i in range(10)
+    )
+    ringing = (
+        '<geom name="bell" pos="0 0 -3" size="0.1" priority="1" solref="-3000 0" solimp="0.99 0.99'
+        ' 0.001"/>'
+    )
     path = scene(tmp_path, soft + hard + ringing)
     found = MovingScene(path, ToolParameters(mass=0.05), T, "environment").stiffness()
     assert len(found) == 41
@@ -126,7 +170,10 @@ def test_geoms_with_equal_contacts_are_pressed_once(tmp_path: Path, monkeypatch:
 
 def test_a_contact_that_grows_stiffer_is_called_curved(tmp_path: Path) -> None:
     """MuJoCo's usual contact grows from 0.9 to 0.95 of its impedance over 1 mm: wider, and from 0.1, it is curved."""
-    path = scene(tmp_path, '<geom name="cushion" type="plane" size="1 1 1" priority="1" solimp="0.1 0.99 0.002"/>')
+    path = scene(
+        tmp_path,
+        '<geom name="cushion" type="plane" size="1 1 1" priority="1" solimp="0.1 0.99 0.002"/>',
+    )
     found = MovingScene(path, ToolParameters(mass=0.05), T, "environment").stiffness()
     assert found[0].stiffness is not None
     assert found[0].pressed is not None
@@ -138,22 +185,32 @@ def random_scene(folder: Path, rng: np.random.Generator) -> Path:
     """Write a tool with one to three bodies on springs, some without dampers, side by side or one on the other."""
     rest, depth = "", 0
     for _ in range(rng.integers(1, 4)):
-        mass, stiffness = 10.0 ** rng.uniform(-3.3, 0.0), 10.0 ** rng.uniform(1.0, 4.0) * (rng.random() < 0.8)
+        mass, stiffness = (
+            10.0 ** rng.uniform(-3.3, 0.0),
+            10.0 ** rng.uniform(1.0, 4.0) * (rng.random() < 0.8),
+        )
         damping = 10.0 ** rng.uniform(-2.0, 1.0) * (rng.random() < 0.5)
-        rest += f'<body><joint type="slide" axis="1 0 0" stiffness="{stiffness}" damping="{damping}"/>'
+        rest += (
+            f'<body><joint type="slide" axis="1 0 0" stiffness="{stiffness}" damping="{damping}"/>'
+        )
         rest += f'<geom size="0.001" mass="{mass}" contype="0" conaffinity="0"/>'
         depth += 1
         if rng.random() < 0.5:
             rest, depth = f"{rest}</body>", depth - 1
     rest += depth * "</body>"
-    ball = f'<geom size="0.005" mass="{10.0 ** rng.uniform(-3.0, -1.0)}" contype="0" conaffinity="0"/>'
+    ball = (
+        f'<geom size="0.005" mass="{10.0 ** rng.uniform(-3.0, -1.0)}" contype="0" conaffinity="0"/>'
+    )
     option = 'timestep="0.0005" integrator="implicitfast" gravity="0 0 0"'
     return scene(folder, f'<body name="tool">{SLIDES}{ball}{rest}</body>', option)
 
 
 def growth(path: Path, damping: float, law: CompiledLaw, plant: Plant, ticks: int = 1200) -> float:
     """Growth of the deflection per tick of a device pushed once, on the tool of a scene; taps only, a whole delay."""
-    world, delay = MovingScene(path, ToolParameters(damping=damping), T, "environment"), int(plant.delay)
+    world, delay = (
+        MovingScene(path, ToolParameters(damping=damping), T, "environment"),
+        int(plant.delay),
+    )
     world.begin((0.0, 0.0, 0.0))
     _, (a11, a12, a21, a22), (g1, g2), _ = held_step(plant)
     x, v, history, sent = 0.0, 0.01, [0.0] * len(law.taps), [0.0] * (delay + 1)
@@ -178,13 +235,19 @@ def unstable(folder: Path, count: int, parts: tuple[float, ...]) -> list[int]:
     """How many of so many random scenes swing at these parts of the certified stiffness; delays of 0 and 1 tick in turn."""
     rng, found = np.random.default_rng(2), [0] * len(parts)
     for i in range(count):
-        plant, gain, damping = Plant(T, 0.1, 1.0, float(i % 2)), (0.0, 0.3)[(i // 2) % 2], (0.5, 1.5, 5.0)[i % 3]
+        plant, gain, damping = (
+            Plant(T, 0.1, 1.0, float(i % 2)),
+            (0.0, 0.3)[(i // 2) % 2],
+            (0.5, 1.5, 5.0)[i % 3],
+        )
         derivative = CompiledLaw((gain / T, -gain / T))
         edge = world_k_max(derivative, plant, SteppedTool(damping)).k_max_n_per_m
         assert edge is not None
         path = random_scene(folder, rng)
         for n, part in enumerate(parts):
-            found[n] += growth(path, damping, with_spring(derivative, part * edge), plant) > 1.0 + 1e-6
+            found[n] += (
+                growth(path, damping, with_spring(derivative, part * edge), plant) > 1.0 + 1e-6
+            )
     return found
 
 
@@ -212,15 +275,21 @@ def test_a_coupling_to_a_tool_tells_what_is_certain_and_what_would_make_it_so() 
     assert parameters.plant.tool_mass == 0.05
     judgement = Judgement("coupling", T, LawBook("coupling", T))
     known, any_hand = judgement.of_moving_world(parameters, 0.0)
-    assert known.startswith("coupling.laws.pd: not certified with a stepped tool without damping to the ground")
+    assert known.startswith(
+        "coupling.laws.pd: not certified with a stepped tool without damping to the ground"
+    )
     assert "in any passive hand" in any_hand
-    needed = needed_tool_damping(CompiledLaw((300.0 + 2.0 / T, -2.0 / T)), Plant(T, 0.15, 3.0, 0.0, 150.0))
+    needed = needed_tool_damping(
+        CompiledLaw((300.0 + 2.0 / T, -2.0 / T)), Plant(T, 0.15, 3.0, 0.0, 150.0)
+    )
     assert needed is not None
     assert f"damping of the tool of at least {needed:.3g} N s/m" in known
     for part, certified in ((1.001, True), (0.999, False)):
         plant = {**given["plant"], "tool_damping": part * needed}
         damped = convert({**given, "plant": plant}, CouplingParameters, "coupling")
         told = judgement.of_moving_world(damped, 0.0)[0]
-        assert told.startswith(f"coupling.laws.pd: {'certified' if certified else 'not certified'} with")
+        assert told.startswith(
+            f"coupling.laws.pd: {'certified' if certified else 'not certified'} with"
+        )
     wall = convert({**given, "plant": {"mass": 0.15}}, CouplingParameters, "coupling")
     assert judgement.of_moving_world(wall, 0.0) == []

@@ -36,7 +36,9 @@ PERIOD = 0.002
 EPS = np.finfo(float).eps
 
 
-def moved(integrator: str, body: tuple[float, float, float], forces: np.ndarray, steps: int = 1) -> np.ndarray:
+def moved(
+    integrator: str, body: tuple[float, float, float], forces: np.ndarray, steps: int = 1
+) -> np.ndarray:
     """Positions of a body that answer forces on the device, the same tick included [m]."""
     motion: BodyMotion = INTEGRATORS[integrator](body, PERIOD, steps, (0.0, 0.0))
     found = []
@@ -48,8 +50,13 @@ def moved(integrator: str, body: tuple[float, float, float], forces: np.ndarray,
     return np.array(found)
 
 
-@pytest.mark.parametrize("body", [(0.01, 0.3, 400.0), (0.2, 0.0, 0.0), (0.0, 2.0, 500.0), (0.0, 3.0, 0.0), (0.05, 0.0, 900.0)])
-def test_implicit_and_trapezoidal_are_the_rules_of_these_names(body: tuple[float, float, float]) -> None:
+@pytest.mark.parametrize(
+    "body",
+    [(0.01, 0.3, 400.0), (0.2, 0.0, 0.0), (0.0, 2.0, 500.0), (0.0, 3.0, 0.0), (0.05, 0.0, 900.0)],
+)
+def test_implicit_and_trapezoidal_are_the_rules_of_these_names(
+    body: tuple[float, float, float],
+) -> None:
     """Against scipy's discretisation of the same admittance, filtered by scipy."""
     mass, damping, stiffness = body
     forces = np.random.default_rng(1).normal(size=400)
@@ -66,11 +73,18 @@ def test_implicit_and_trapezoidal_are_the_rules_of_these_names(body: tuple[float
         speed = lfilter(s, damping * s + stiffness * np.array([1.0, 1.0]), -forces)
     found = moved("lossless", body, forces)
     size = np.abs(found).max()
-    assert found == pytest.approx(PERIOD * np.cumsum(speed), abs=1e-9 * size)  # 400 ticks of rounding
+    # 400 ticks of rounding
+    assert found == pytest.approx(PERIOD * np.cumsum(speed), abs=1e-9 * size)
     # Backward Euler: s = (1 − w)/T in m s² + c s + k.
     d = np.array([1.0, -1.0]) / PERIOD
-    rule = mass * np.convolve(d, d) + damping * np.append(d, 0.0) + stiffness * np.array([1.0, 0.0, 0.0])
-    assert moved("implicit", body, forces) == pytest.approx(lfilter([1.0], rule, -forces), abs=1e-9 * size)
+    rule = (
+        mass * np.convolve(d, d)
+        + damping * np.append(d, 0.0)
+        + stiffness * np.array([1.0, 0.0, 0.0])
+    )
+    assert moved("implicit", body, forces) == pytest.approx(
+        lfilter([1.0], rule, -forces), abs=1e-9 * size
+    )
 
 
 @pytest.mark.parametrize("part", [0.0, 0.3, 1.0, 1.6])
@@ -87,12 +101,19 @@ def test_an_exact_body_is_the_matrix_exponential_of_the_force_that_is_held(part:
         motion.hand_over(force, part)
         motion.close(force)
         for value, duration in ((held[k], late), (held[k + 1], 1.0 - late)):
-            matrix = np.array([[0.0, 1.0, 0.0], [-stiffness / mass, -damping / mass, -value / mass], [0.0, 0.0, 0.0]])
+            matrix = np.array(
+                [
+                    [0.0, 1.0, 0.0],
+                    [-stiffness / mass, -damping / mass, -value / mass],
+                    [0.0, 0.0, 0.0],
+                ]
+            )
             state = (expm(matrix * duration * PERIOD) @ np.append(state, 1.0))[:2]
 
 
 @pytest.mark.parametrize(
-    ("integrator", "steps"), [("implicit", 1), ("lossless", 1), ("semi_implicit", 1), ("semi_implicit", 4), ("exact", 1)]
+    ("integrator", "steps"),
+    [("implicit", 1), ("lossless", 1), ("semi_implicit", 1), ("semi_implicit", 4), ("exact", 1)],
 )
 def test_the_lag_that_is_named_is_the_one_of_a_free_mass(integrator: str, steps: int) -> None:
     """Pushed once, a mass by the trapezoidal rule is at T² (k + ½)/m; another one lags behind that by so many ticks."""
@@ -102,7 +123,9 @@ def test_the_lag_that_is_named_is_the_one_of_a_free_mass(integrator: str, steps:
     assert lag == pytest.approx(lag_of(integrator, steps), abs=1e-9)
 
 
-bodies = st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 10.0), st.floats(0.0, 1e4)).filter(lambda b: max(b) > 1e-3)
+bodies = st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 10.0), st.floats(0.0, 1e4)).filter(
+    lambda b: max(b) > 1e-3
+)
 
 
 @settings(max_examples=60, deadline=None)
@@ -114,7 +137,8 @@ def test_a_body_that_answers_in_the_same_tick_never_gives_out_energy(
     rng = np.random.default_rng(seed)
     forces = rng.normal(size=200)
     if resonant:
-        # Pushed against its own motion, as far as it is known before the tick: what draws most from it.
+        # Pushed against its own motion, as far as it is known before the tick: what draws most from
+        # it.
         forces = np.sin(rng.uniform(0.0, math.pi) * np.arange(200)) * np.sign(rng.normal())
     y = moved(integrator, body, forces)
     works = forces * -np.diff(y, prepend=0.0)
@@ -128,18 +152,24 @@ def test_a_stepped_body_gives_out_energy_that_it_never_got(integrator: str) -> N
     assert float(np.sum(np.array([1.0, -1.0]) * -np.diff(y, prepend=0.0))) < -1e-6
 
 
-def simulated(launch: Any, ticks: int, world: tuple[np.ndarray, np.ndarray], law: Any, late: int) -> np.ndarray:
+def simulated(
+    launch: Any, ticks: int, world: tuple[np.ndarray, np.ndarray], law: Any, late: int
+) -> np.ndarray:
     """Positions of a free device pushed once, on an implicit world y = −(top/below)(w) F: every tick one linear equation."""
     device = launch.nodes["driver"].parameters["device"]
     mass, damping = float(device["mass"]), float(device["damping"])
-    tick = expm(PERIOD * np.array([[0.0, 1.0, 0.0], [0.0, -damping / mass, 1.0 / mass], [0.0, 0.0, 0.0]]))
+    tick = expm(
+        PERIOD * np.array([[0.0, 1.0, 0.0], [0.0, -damping / mass, 1.0 / mass], [0.0, 0.0, 0.0]])
+    )
     top, below = world[0] / world[1][0], world[1] / world[1][0]
     state, found = np.array([0.0, float(device["velocity"])]), []
     x, y, f = np.zeros(ticks + 8), np.zeros(ticks + 8), np.zeros(ticks + 8)
     sections = np.zeros((len(law.sections), 2))
     for k in range(8, ticks + 8):
         found.append(state[0])
-        free = sum(-top[i] * f[k - i] for i in range(1, len(top))) - sum(below[i] * y[k - i] for i in range(1, len(below)))
+        free = sum(-top[i] * f[k - i] for i in range(1, len(top))) - sum(
+            below[i] * y[k - i] for i in range(1, len(below))
+        )
         past = sum(law.taps[i] * x[k - i] for i in range(1, len(law.taps)))
         gain = law.taps[0]
         for (b0, b1, a1, a2), (y1, y2) in zip(law.sections, sections, strict=True):
@@ -150,7 +180,10 @@ def simulated(launch: Any, ticks: int, world: tuple[np.ndarray, np.ndarray], law
         y[k] = free - top[0] * f[k]
         x[k] = y[k] - state[0]
         for i, (b0, b1, a1, a2) in enumerate(law.sections):
-            sections[i] = b0 * x[k] + b1 * x[k - 1] - a1 * sections[i, 0] - a2 * sections[i, 1], sections[i, 0]
+            sections[i] = (
+                b0 * x[k] + b1 * x[k - 1] - a1 * sections[i, 0] - a2 * sections[i, 1],
+                sections[i, 0],
+            )
         state = tick[:2, :2] @ state + tick[:2, 2] * f[k - late]
     return np.array(found)
 
@@ -158,10 +191,20 @@ def simulated(launch: Any, ticks: int, world: tuple[np.ndarray, np.ndarray], law
 @pytest.mark.parametrize("integrator", ["implicit", "lossless"])
 @pytest.mark.parametrize("law", ["pd", "filtered", "multi_term"])
 @pytest.mark.parametrize("apply", ["on_arrival", "next_tick"])
-def test_the_loop_solves_for_the_force_of_the_same_tick(integrator: str, law: str, apply: str) -> None:
+def test_the_loop_solves_for_the_force_of_the_same_tick(
+    integrator: str, law: str, apply: str
+) -> None:
     """Taps and sections, with and without delay, against a simulation that knows force and world as one linear equation."""
-    words = {"integrator": integrator, "body_mass": 0.004, "body_stiffness": 2000.0, "body_damping": 0.2, "law": law}
-    launch = launch_file.read("world_edge", {**words, "stiffness": 600.0, "damping": 0.5, "apply": apply})
+    words = {
+        "integrator": integrator,
+        "body_mass": 0.004,
+        "body_stiffness": 2000.0,
+        "body_damping": 0.2,
+        "law": law,
+    }
+    launch = launch_file.read(
+        "world_edge", {**words, "stiffness": 600.0, "damping": 0.5, "apply": apply}
+    )
     kind: dict[str, dict[str, Any]] = {
         "pd": {"kind": "pd"},
         "filtered": {"kind": "pd_filtered", "cutoff": 80.0},
@@ -171,15 +214,25 @@ def test_the_loop_solves_for_the_force_of_the_same_tick(integrator: str, law: st
     assert (law == "filtered") == bool(compiled.sections)
     d = np.array([1.0, -1.0])
     if integrator == "implicit":
-        world = np.array([1.0]), 0.004 / PERIOD**2 * np.convolve(d, d) + 0.2 / PERIOD * np.append(d, 0.0) + [2000.0, 0.0, 0.0]
+        world = (
+            np.array([1.0]),
+            0.004 / PERIOD**2 * np.convolve(d, d)
+            + 0.2 / PERIOD * np.append(d, 0.0)
+            + [2000.0, 0.0, 0.0],
+        )
     else:
         s, g = np.array([1.0, 1.0]), 0.5 * PERIOD
-        parts = (0.004 / g * np.convolve(d, d), 0.2 * np.convolve(d, s), 2000.0 * g * np.convolve(s, s))
+        parts = (
+            0.004 / g * np.convolve(d, d),
+            0.2 * np.convolve(d, s),
+            2000.0 * g * np.convolve(s, s),
+        )
         # u = (1 − w)(1 + w)/(…) F and y = T u/(1 − w).
         world = PERIOD * np.append(s, 0.0), np.sum(parts, axis=0)
     found = play(launch, 300).position[:, 0]
     expected = simulated(launch, 300, world, compiled, int(apply == "next_tick"))
-    assert found == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())  # 300 ticks of rounding
+    # 300 ticks of rounding
+    assert found == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
 
 
 def growth(launch: Any, ticks: int) -> float:
@@ -191,17 +244,29 @@ def growth(launch: Any, ticks: int) -> float:
 def test_the_worst_world_of_pd_swings_above_the_edge_and_rests_below() -> None:
     """PD, B = 3 N s/m, 0.1 kg, 1 N s/m, T = 2 ms: 3781.87 N/m on a wall, 2244.22 N/m on any passive world that is implicit.
 
-    The worst one is a spring by the trapezoidal rule: at the edge Re{D/H + D P} touches 0 at 16 Hz, and its Im there is that
-    of 1844 N/m.
+    The worst one is a spring by the trapezoidal rule: at the edge Re{D/H + D P} touches 0 at 16 Hz,
+    and its Im there is that of 1844 N/m.
     """
     worst = {"body_stiffness": 1843.766, "integrator": "lossless"}
     for part, swings in ((0.995, False), (1.005, True)):
-        found = growth(launch_file.read("world_edge", {"stiffness": part * 2244.217, **worst}), 4000)
-        # 0.5 % from the edge the pole is 8e-5 from the circle; a swing that is read off peaks is known to 1e-5.
+        found = growth(
+            launch_file.read("world_edge", {"stiffness": part * 2244.217, **worst}), 4000
+        )
+        # 0.5 % from the edge the pole is 8e-5 from the circle; a swing that is read off peaks is
+        # known to 1e-5.
         assert found == pytest.approx(1.0 + (8e-5 if swings else -8e-5), abs=1.5e-5)
-    # A wall holds that stiffness, by far; so does a static spring above 1.6 times the edge, and not at 3400 N/m.
-    assert growth(launch_file.read("world_edge", {"stiffness": 3400.0, "body_stiffness": 1e9}), 4000) < 0.9999
-    assert growth(launch_file.read("world_edge", {"stiffness": 3400.0, "body_stiffness": 5400.0}), 4000) > 1.0001
+    # A wall holds that stiffness, by far; so does a static spring above 1.6 times the edge, and not
+    # at 3400 N/m.
+    assert (
+        growth(launch_file.read("world_edge", {"stiffness": 3400.0, "body_stiffness": 1e9}), 4000)
+        < 0.9999
+    )
+    assert (
+        growth(
+            launch_file.read("world_edge", {"stiffness": 3400.0, "body_stiffness": 5400.0}), 4000
+        )
+        > 1.0001
+    )
 
 
 @pytest.mark.parametrize(
@@ -210,20 +275,33 @@ def test_the_worst_world_of_pd_swings_above_the_edge_and_rests_below() -> None:
         (("integrator:=lossless", "law:=filtered", "apply:=next_tick"), "compiled"),
         pytest.param(("integrator:=implicit", "law:=multi_term"), "plain", marks=pytest.mark.slow),
         pytest.param(("integrator:=semi_implicit", "steps:=3"), "compiled", marks=pytest.mark.slow),
-        pytest.param(("integrator:=exact", "law:=pd_alpha", "apply:=next_tick"), "compiled", marks=pytest.mark.slow),
+        pytest.param(
+            ("integrator:=exact", "law:=pd_alpha", "apply:=next_tick"),
+            "compiled",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
-def test_a_launch_gives_the_bits_of_one_process(words: tuple[str, ...], tick: str, tmp_path: Path) -> None:
-    figures = launch_json(tmp_path, "world_feel", "pace:=lockstep", "duration:=1.2", *words, "--tick", tick)
+def test_a_launch_gives_the_bits_of_one_process(
+    words: tuple[str, ...], tick: str, tmp_path: Path
+) -> None:
+    figures = launch_json(
+        tmp_path, "world_feel", "pace:=lockstep", "duration:=1.2", *words, "--tick", tick
+    )
     assert figures["tick_by_node"]["coupling"] == tick
     recording = Recording(tmp_path / figures["recording"])
     states, proxies, forces = (recording.messages(topic) for topic in (DEVICE_STATE, PROXY, FORCE))
-    alone = play(launch_file.read("world_feel", launch_file.parse_assignments(["pace:=lockstep", *words])), figures["ticks"])
+    alone = play(
+        launch_file.read("world_feel", launch_file.parse_assignments(["pace:=lockstep", *words])),
+        figures["ticks"],
+    )
     assert np.array_equal(alone.position, [state.position for state in states[:-1]])
     assert np.array_equal(alone.proxy, [proxy.proxy for proxy in proxies[:-1]])
     assert np.array_equal(alone.force, [force.force for force in forces[:-1]])
     assert np.abs(alone.force).max() > 0.1
-    assert (proxies[5].compliance > 0.0) == ("integrator:=lossless" in words or "integrator:=implicit" in words)
+    assert (proxies[5].compliance > 0.0) == (
+        "integrator:=lossless" in words or "integrator:=implicit" in words
+    )
 
 
 @pytest.mark.parametrize(
@@ -235,7 +313,10 @@ def test_a_launch_gives_the_bits_of_one_process(words: tuple[str, ...], tick: st
             {"stiffness": 100.0, "integrator": "exact"},
             r"environment.mass: 0 kg, expected at least 1e-06 kg for integrator exact",
         ),
-        ({"mass": 0.001, "stiffness": 1e4, "integrator": "semi_implicit"}, "environment.steps: 1 .* expected at least 4"),
+        (
+            {"mass": 0.001, "stiffness": 1e4, "integrator": "semi_implicit"},
+            "environment.steps: 1 .* expected at least 4",
+        ),
     ],
 )
 def test_a_body_that_cannot_be_moved_is_refused(fields: dict[str, Any], told: str) -> None:
@@ -253,10 +334,17 @@ def test_the_sub_steps_that_a_refusal_asks_for_are_enough_and_one_less_is_not() 
     assert far[1] > 1e3 * far[0]
 
 
-def test_other_parameters_leave_the_body_where_it_is_and_ticks_that_were_lost_are_made_up_for() -> None:
+def test_other_parameters_leave_the_body_where_it_is_and_ticks_that_were_lost_are_made_up_for() -> (
+    None
+):
     zero = (0.0, 0.0, 0.0)
     for integrator in INTEGRATORS:
-        fields: dict[str, Any] = {"mass": 0.1, "stiffness": 50.0, "damping": 1.0, "integrator": integrator}
+        fields: dict[str, Any] = {
+            "mass": 0.1,
+            "stiffness": 50.0,
+            "damping": 1.0,
+            "integrator": integrator,
+        }
         world = FeltWorld(WorldParameters(**fields), PERIOD, ["x"])
         world.follow(0, (0.01, 0.02, 0.0), zero, -1, 0.0)
         for tick in range(1, 50):
@@ -272,7 +360,9 @@ def test_other_parameters_leave_the_body_where_it_is_and_ticks_that_were_lost_ar
         at_once = other.follow(49, zero, (2.0, 0.0, 0.0), 48, 0.0)
         assert at_once.proxy[0] == pytest.approx(at.proxy[0], rel=1e-9)
         # After a second without a state it goes on for a tenth of it.
-        gone = FeltWorld(WorldParameters(**{**fields, "stiffness": 0.0, "damping": 1e-9}), PERIOD, ["x"])
+        gone = FeltWorld(
+            WorldParameters(**{**fields, "stiffness": 0.0, "damping": 1e-9}), PERIOD, ["x"]
+        )
         gone.follow(0, zero, zero, -1, 0.0)
         gone.follow(1, zero, (1.0, 0.0, 0.0), 0, 0.0)
         start = gone.follow(2, zero, zero, 1, 0.0).proxy[0]
@@ -282,32 +372,53 @@ def test_other_parameters_leave_the_body_where_it_is_and_ticks_that_were_lost_ar
 
 def test_a_launch_is_judged_on_the_body_that_it_couples_to() -> None:
     """20 g on 170 N/m under a held force, PD with B 0 and 300 N/m: radius 1.017, where a wall bears 1003 N/m."""
-    words = {"body_mass": 0.02, "body_stiffness": 170.0, "integrator": "exact", "stiffness": 300.0, "damping": 0.0}
+    words = {
+        "body_mass": 0.02,
+        "body_stiffness": 170.0,
+        "integrator": "exact",
+        "stiffness": 300.0,
+        "damping": 0.0,
+    }
     launch = launch_file.read("world_edge", words)
     coupling = convert(launch.nodes["coupling"].parameters, CouplingParameters, "coupling")
     assert coupling.plant is not None
     radius = pole_radius(CompiledLaw((300.0,)), coupling.plant.at(PERIOD, 0.0))
     assert radius == pytest.approx(1.017, abs=5e-4)
-    # Of the swing that the launch plays, once it is nothing but that: a window of 200 ticks ends within 5 % of a peak.
+    # Of the swing that the launch plays, once it is nothing but that: a window of 200 ticks ends
+    # within 5 % of a peak.
     swing = np.abs(play(launch, 800).position[:, 0])
     peaks = swing[400:600].max(), swing[600:].max()
     assert (peaks[1] / peaks[0]) ** (1.0 / 200.0) == pytest.approx(radius, abs=3e-4)
     judgement = Judgement("coupling", PERIOD, LawBook("coupling", PERIOD))
-    assert "a stepped tool without damping to the ground" in judgement.of_moving_world(coupling, 0.0)[0]
+    assert (
+        "a stepped tool without damping to the ground"
+        in judgement.of_moving_world(coupling, 0.0)[0]
+    )
     # A body that answers in the same tick is one of all of them; on a wall the same law is stable.
     launch = launch_file.read("world_edge", {"stiffness": 2244.0})
     coupling = convert(launch.nodes["coupling"].parameters, CouplingParameters, "coupling")
     assert coupling.plant is not None
     assert coupling.plant.at(PERIOD, 0.0).partner is None
-    assert judgement.of_moving_world(coupling, 0.0)[0].startswith("coupling.laws.pd: certified with any passive world")
+    assert judgement.of_moving_world(coupling, 0.0)[0].startswith(
+        "coupling.laws.pd: certified with any passive world"
+    )
     launch = launch_file.read("world_edge", {"stiffness": 2245.0})
     coupling = convert(launch.nodes["coupling"].parameters, CouplingParameters, "coupling")
-    assert judgement.of_moving_world(coupling, 0.0)[0].startswith("coupling.laws.pd: not certified with any passive world")
+    assert judgement.of_moving_world(coupling, 0.0)[0].startswith(
+        "coupling.laws.pd: not certified with any passive world"
+    )
 
 
 LAWS: dict[str, dict[str, Any]] = {
     "pd": {"kind": "pd", "stiffness": 1.0, "damping": 3.0},
-    "pd_alpha": {"kind": "pd_alpha", "stiffness": 1.0, "damping": 0.5, "order": 0.5, "taps": 3, "gains": "paper"},
+    "pd_alpha": {
+        "kind": "pd_alpha",
+        "stiffness": 1.0,
+        "damping": 0.5,
+        "order": 0.5,
+        "taps": 3,
+        "gains": "paper",
+    },
     "multi_term": {"kind": "paper_optimum", "stiffness": 1.0, "damping": 1.0},
     "designed": {"kind": "designed_d0"},
 }
@@ -328,19 +439,28 @@ def test_real_launches_swing_one_percent_above_the_edge_and_rest_one_percent_bel
     found = []
     for part in (0.99, 1.01):
         stiffness = part * worst.k_max_n_per_m
-        words = [f"law:={law}", f"stiffness:={stiffness!r}", f"damping:={LAWS[law].get('damping', 1.0)!r}"]
+        words = [
+            f"law:={law}",
+            f"stiffness:={stiffness!r}",
+            f"damping:={LAWS[law].get('damping', 1.0)!r}",
+        ]
         if law == "designed":
             taps = list(with_spring(derivative, stiffness).taps)
             path = tmp_path / "designed.yaml"
             laws = {"designed": {"kind": "fir", "taps": taps, "period": PERIOD}}
             path.write_text(json.dumps({"coupling": {"laws": laws}}), encoding="utf-8")
             words += ["--params", str(path)]
-        figures = launch_json(tmp_path, "world_edge", "pace:=lockstep", "duration:=12", *body, *words)
+        figures = launch_json(
+            tmp_path, "world_edge", "pace:=lockstep", "duration:=12", *body, *words
+        )
         states = Recording(tmp_path / figures["recording"]).messages(DEVICE_STATE)[1:6001]
         swing = np.abs([state.position[0] for state in states]).reshape(4, -1).max(axis=1)
         found.append(float((swing[3] / swing[1]) ** (1.0 / 3000)))
         if law == "pd_alpha":
-            assert compile_law(parse_law({**LAWS[law], "stiffness": stiffness}), PERIOD) == with_spring(derivative, stiffness)
-    # One percent is 1e-5 to 2e-4 of the pole: read off peaks it is known to 1e-6 over so many ticks.
+            assert compile_law(
+                parse_law({**LAWS[law], "stiffness": stiffness}), PERIOD
+            ) == with_spring(derivative, stiffness)
+    # One percent is 1e-5 to 2e-4 of the pole: read off peaks it is known to 1e-6 over so many
+    # ticks.
     assert found[0] < 1.0 - 5e-6
     assert found[1] > 1.0 + 5e-6

@@ -25,7 +25,9 @@ nodes:
 
 
 def written(folder: Path, surface: str, axes: str = "") -> str:
-    (folder / "scene.yaml").write_text(SCENE.format(surface=surface, axes=f", axes: {axes}" if axes else ""))
+    (folder / "scene.yaml").write_text(
+        SCENE.format(surface=surface, axes=f", axes: {axes}" if axes else "")
+    )
     return "./scene.yaml"
 
 
@@ -49,11 +51,21 @@ def test_a_wall_across_x_without_axes_is_felt(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("surface", "axes", "told"),
     [
-        ("{kind: plane, axis: x}", "[z]", "environment.surface: a plane that pushes along x, but run.axes is [z]"),
-        ("{kind: anchor, position: [0.0, 0.01, 0.0]}", "[x]", "pushes along y, but run.axes is [x]"),
+        (
+            "{kind: plane, axis: x}",
+            "[z]",
+            "environment.surface: a plane that pushes along x, but run.axes is [z]",
+        ),
+        (
+            "{kind: anchor, position: [0.0, 0.01, 0.0]}",
+            "[x]",
+            "pushes along y, but run.axes is [x]",
+        ),
     ],
 )
-def test_a_scene_whose_parts_do_not_meet_is_refused(surface: str, axes: str, told: str, tmp_path: Path) -> None:
+def test_a_scene_whose_parts_do_not_meet_is_refused(
+    surface: str, axes: str, told: str, tmp_path: Path
+) -> None:
     assert told in haptic(tmp_path, "launch", written(tmp_path, surface, axes), code=2).stderr
 
 
@@ -77,8 +89,18 @@ def test_a_surface_of_another_package_that_pushes_elsewhere_is_told(tmp_path: Pa
     info = tmp_path / "site" / "slopes-1.0.dist-info"
     info.mkdir(parents=True)
     (info.parent / "slopes.py").write_text(SLOPE, encoding="utf-8")
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: slopes\nVersion: 1.0\n", encoding="utf-8")
-    (info / "entry_points.txt").write_text("[haptic.surfaces]\nslope = slopes:Slope\n", encoding="utf-8")
-    environment = {**os.environ, "PYTHONPATH": f"{info.parent}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: slopes\nVersion: 1.0\n", encoding="utf-8"
+    )
+    (info / "entry_points.txt").write_text(
+        "[haptic.surfaces]\nslope = slopes:Slope\n", encoding="utf-8"
+    )
+    environment = {
+        **os.environ,
+        "PYTHONPATH": f"{info.parent}{os.pathsep}{os.environ.get('PYTHONPATH', '')}",
+    }
     done = haptic(tmp_path, "launch", written(tmp_path, "{kind: slope}"), environment=environment)
-    assert "[environment] axes: the surface pushes along x, but run.axes is [z]: no force there" in done.stderr
+    assert (
+        "[environment] axes: the surface pushes along x, but run.axes is [z]: no force there"
+        in done.stderr
+    )

@@ -22,7 +22,16 @@ from nodes.launcher import launch_file
 from nodes.launcher.child import Child
 from nodes.launcher.external_child import ByHand
 from nodes.launcher.supervisor import LaunchFailedError, Supervisor
-from tests.support.launching import DEADLINE, HAPTIC, Running, private_runtime_dir, running, typed, typed_in, wait_for
+from tests.support.launching import (
+    DEADLINE,
+    HAPTIC,
+    Running,
+    private_runtime_dir,
+    running,
+    typed,
+    typed_in,
+    wait_for,
+)
 from tests.support.setups import setup_of
 
 if TYPE_CHECKING:
@@ -47,7 +56,10 @@ def start(launch: Running) -> subprocess.Popen[bytes]:
     wait_for(lambda: list(launch.runtime_dir.glob("runs/*/run.json")), "the run")
     with open(launch.folder / "node.txt", "ab") as errors:
         return subprocess.Popen(
-            [*HAPTIC, "node", "start", "coupling"], env=launch.environment, cwd=launch.folder, stderr=errors
+            [*HAPTIC, "node", "start", "coupling"],
+            env=launch.environment,
+            cwd=launch.folder,
+            stderr=errors,
         )
 
 
@@ -71,7 +83,13 @@ def odd_node(context: Context, **answers: object) -> Iterator[Setup]:
         thread = threading.Thread(target=serve)
         thread.start()
         try:
-            yield setup_of(run_dir=str(folder), factory="sim.device.driver:SimDriver", control=control, lease=6.0, by_hand=True)
+            yield setup_of(
+                run_dir=str(folder),
+                factory="sim.device.driver:SimDriver",
+                control=control,
+                lease=6.0,
+                by_hand=True,
+            )
         finally:
             over.set()
             thread.join()
@@ -91,7 +109,9 @@ FINISHED = {"state": "finished", "pid": 1}
         {"status": FINISHED, "report": 7},
     ],
 )
-def test_an_answer_that_is_none_of_the_protocol_ends_the_node_and_is_told(answers: dict[str, Any], context: Context) -> None:
+def test_an_answer_that_is_none_of_the_protocol_ends_the_node_and_is_told(
+    answers: dict[str, Any], context: Context
+) -> None:
     """It ended the thread that watches the node, and the launcher went on without."""
     with odd_node(context, **answers) as setup:
         child = ByHand(setup, 0, 0.5, True, context, lambda _: None)
@@ -118,7 +138,9 @@ def test_times_of_a_device_that_are_none_are_told_with_their_node(context: Conte
     with odd_node(context, device={"opening_s": "soon"}) as setup:
         supervisor = Supervisor(launch_file.read("floor_drop", {}), lambda _: None)
         supervisor.context = context
-        with pytest.raises(LaunchFailedError, match=r"driver: answers device with {'opening_s': 'soon'}"):
+        with pytest.raises(
+            LaunchFailedError, match=r"driver: answers device with {'opening_s': 'soon'}"
+        ):
             supervisor._note_ready(Child(setup, 0, 0.5, True))
 
 
@@ -164,7 +186,9 @@ def test_a_node_that_somebody_has_started_already_is_refused_and_goes_on(tmp_pat
         try:
             wait_for(lambda: launch.ticks() > 0, "the first tick")
             told = typed(launch, "node", "start", "coupling", code=2).stderr
-            assert told.startswith(f"haptic: coupling: process {node.pid} is this node already; end it first")
+            assert told.startswith(
+                f"haptic: coupling: process {node.pid} is this node already; end it first"
+            )
             launch.wait_ticks(50)
             assert launch.pid("coupling") == node.pid
             launch.finish(signal.SIGINT)
@@ -177,7 +201,19 @@ def test_only_nodes_that_are_waited_for_are_started_by_hand(tmp_path: Path) -> N
     with running(tmp_path, "floor_drop", "duration:=0") as launch:
         told = typed(launch, "node", "start", "coupling", code=2).stderr
         assert "by_hand: true" in told
-    assert "HOST:PORT" in typed_in(tmp_path, "node", "start", "coupling", "--bind", "nowhere", code=2).stderr
+    assert (
+        "HOST:PORT"
+        in typed_in(tmp_path, "node", "start", "coupling", "--bind", "nowhere", code=2).stderr
+    )
     environment = {**os.environ, "HAPTIC_KEYS": str(tmp_path / "none")}
-    told = typed_in(tmp_path, "node", "start", "coupling", "--bind", "10.9.8.7:5600", code=2, environment=environment).stderr
+    told = typed_in(
+        tmp_path,
+        "node",
+        "start",
+        "coupling",
+        "--bind",
+        "10.9.8.7:5600",
+        code=2,
+        environment=environment,
+    ).stderr
     assert "haptic keys new" in told

@@ -22,7 +22,14 @@ from nodes.parameters.paths import LocalPath, check_paths, needed
 from nodes.parameters.store import ParameterError
 from nodes.recording.logger import LoggerParameters
 from sim.measure.free_ports import free_ports
-from tests.support.launching import DEADLINE, HAPTIC, haptic, private_runtime_dir, typed_in, wait_for
+from tests.support.launching import (
+    DEADLINE,
+    HAPTIC,
+    haptic,
+    private_runtime_dir,
+    typed_in,
+    wait_for,
+)
 from tests.support.setups import setup_of
 
 if TYPE_CHECKING:
@@ -74,7 +81,13 @@ class Waiting:
     def setup(self, kind: str, **parameters: object) -> dict[str, Any]:
         """Write a setup that is right in everything but perhaps what is tested."""
         made = setup_of(
-            run="r-1", name=self.name, kind=kind, publish=self.publish, control=self.control, lease=5.0, parameters=parameters
+            run="r-1",
+            name=self.name,
+            kind=kind,
+            publish=self.publish,
+            control=self.control,
+            lease=5.0,
+            parameters=parameters,
         )
         found: dict[str, Any] = msgspec.to_builtins(made)
         return found
@@ -105,11 +118,14 @@ def evil(tmp_path: Path) -> tuple[Path, Path]:
     folder.mkdir()
     mark = tmp_path / "executed"
     (folder / "evil.c").write_text(EVIL.format(mark=mark))
-    subprocess.run([compiler, "-shared", "-fPIC", "-o", folder / "evil.so", folder / "evil.c"], check=True)
+    subprocess.run(
+        [compiler, "-shared", "-fPIC", "-o", folder / "evil.so", folder / "evil.c"], check=True
+    )
     return folder / "evil.so", mark
 
 
-# -- who --------------------------------------------------------------------------------------------------------------
+# -- who
+# --------------------------------------------------------------------------------------------------------------
 
 
 def test_another_user_of_this_machine_hands_it_nothing(
@@ -126,7 +142,8 @@ def test_another_user_of_this_machine_hands_it_nothing(
     assert call(context, node.control, "status")["state"] == "unconfigured"
 
 
-# -- what -------------------------------------------------------------------------------------------------------------
+# -- what
+# -------------------------------------------------------------------------------------------------------------
 
 
 def test_it_becomes_only_what_it_was_started_for(
@@ -134,7 +151,13 @@ def test_it_becomes_only_what_it_was_started_for(
 ) -> None:
     node = waiting("coupling")
     with pytest.raises(ControlError, match="--kind touch_driver"):
-        call(context, node.control, "configure", DEADLINE, setup=node.setup("touch_driver", touch={"library": str(evil[0])}))
+        call(
+            context,
+            node.control,
+            "configure",
+            DEADLINE,
+            setup=node.setup("touch_driver", touch={"library": str(evil[0])}),
+        )
     assert not evil[1].exists()
 
 
@@ -162,9 +185,19 @@ def test_a_file_of_mine_is_not_overwritten_from_the_wire(
     precious = tmp_path / "precious"
     precious.write_text("mine")
     node = waiting("logger")
-    for parameters in ({"path": str(precious), "overwrite": True}, {"overwrite": True}, {"path": "../x.mcap"}):
+    for parameters in (
+        {"path": str(precious), "overwrite": True},
+        {"overwrite": True},
+        {"path": "../x.mcap"},
+    ):
         with pytest.raises(ControlError, match="--allow-path"):
-            call(context, node.control, "configure", DEADLINE, setup=node.setup("logger", **parameters))
+            call(
+                context,
+                node.control,
+                "configure",
+                DEADLINE,
+                setup=node.setup("logger", **parameters),
+            )
     assert precious.read_text() == "mine"
 
 
@@ -196,7 +229,9 @@ class _Third(msgspec.Struct, frozen=True, kw_only=True):
         (_Third(model="allowed/x\0/../../etc/passwd"), False),
     ],
 )
-def test_paths_in_parameters(parameters: msgspec.Struct, fits: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_paths_in_parameters(
+    parameters: msgspec.Struct, fits: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "allowed").mkdir()
     (tmp_path / "allowed" / "link").symlink_to("/")
@@ -207,7 +242,9 @@ def test_paths_in_parameters(parameters: msgspec.Struct, fits: bool, tmp_path: P
         check_paths(parameters, [Path("allowed")], "n")
 
 
-def test_what_the_launcher_prints_allows_what_the_launch_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_launcher_prints_allows_what_the_launch_needs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     parameters = LoggerParameters(path="far away/x.mcap", overwrite=True)
     assert needed(parameters) == ["far away", "."]
@@ -220,7 +257,10 @@ def test_what_the_launcher_prints_allows_what_the_launch_needs(tmp_path: Path, m
         control="tcp://10.0.0.2:5601#" + "ab" * 32,
         parameters={"path": "far away/x.mcap"},
     )
-    told = "on 10.0.0.2: haptic node start disk --bind 10.0.0.2:5600 --kind logger --allow-path 'far away'"
+    told = (
+        "on 10.0.0.2: haptic node start disk --bind 10.0.0.2:5600 --kind logger --allow-path 'far"
+        " away'"
+    )
     assert command(setup) == told
 
 
@@ -241,7 +281,8 @@ def test_a_running_node_takes_no_path_from_the_wire_either(tmp_path: Path) -> No
         node.changes.change(lambda: node.store.changed({"path": f"{tmp_path}/x"}), node.prepare)
 
 
-# -- without keys -----------------------------------------------------------------------------------------------------
+# -- without keys
+# -----------------------------------------------------------------------------------------------------
 
 SCENE = """\
 summary: A coupling over tcp on loopback
@@ -256,7 +297,10 @@ nodes:
 def test_who_has_no_keys_is_told_the_one_command_that_is_missing(tmp_path: Path) -> None:
     environment = {**os.environ, "HAPTIC_KEYS": str(tmp_path / "k")}
     (tmp_path / "scene.yaml").write_text(SCENE)
-    for asked in (("launch", "scene.yaml"), ("node", "start", "coupling", "--bind", "127.0.0.1:5994")):
+    for asked in (
+        ("launch", "scene.yaml"),
+        ("node", "start", "coupling", "--bind", "127.0.0.1:5994"),
+    ):
         told = haptic(tmp_path, *asked, code=2, environment=environment).stderr
         assert "haptic keys new" in told
         assert len(told.splitlines()) == 1
@@ -266,6 +310,8 @@ def test_who_has_no_keys_is_told_the_one_command_that_is_missing(tmp_path: Path)
         words = [*HAPTIC, "node", "start", "coupling", "--bind", f"127.0.0.1:{free_ports(2)}"]
         environment["HAPTIC_RUNTIME_DIR"] = str(runtime)
         node = subprocess.Popen(words, env=environment, cwd=tmp_path, stderr=errors)
-        wait_for(lambda: "waiting for its launcher" in (tmp_path / "err").read_text(), "the node waits")
+        wait_for(
+            lambda: "waiting for its launcher" in (tmp_path / "err").read_text(), "the node waits"
+        )
         node.terminate()
         assert node.wait(DEADLINE) == 130

@@ -21,7 +21,14 @@ from nodes.launcher.wiring import wire
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
 from tests.support import slowly
-from tests.support.launching import DEADLINE, HAPTIC, assert_nothing_left, haptic, launch_json, private_runtime_dir
+from tests.support.launching import (
+    DEADLINE,
+    HAPTIC,
+    assert_nothing_left,
+    haptic,
+    launch_json,
+    private_runtime_dir,
+)
 
 PROMISED = {
     "scenario", "ticks", "missed", "rate_hz", "response_us", "age_ticks_max", "recording", "plot", "exit_reason", "final",
@@ -45,12 +52,17 @@ def assert_summary_is_true(figures: dict[str, Any], states: list[Any]) -> None:
     span = states[-1].stamp - states[0].stamp
     # The mean rate is of the deadlines; each end of the recorded span may have been woken late.
     late = states[0].lateness + states[-1].lateness
-    assert (states[-1].seq - states[0].seq) / span == pytest.approx(figures["rate_hz"], rel=late / span + 1e-6)
+    assert (states[-1].seq - states[0].seq) / span == pytest.approx(
+        figures["rate_hz"], rel=late / span + 1e-6
+    )
     final = figures["final"]["position_m"]
     assert final in (*states[-1].position, list(states[-1].position))
 
 
-@pytest.mark.parametrize("scenario", [*slowly(sorted(IN_LOCKSTEP)), *sorted(launch_file.scenarios().keys() - IN_LOCKSTEP)])
+@pytest.mark.parametrize(
+    "scenario",
+    [*slowly(sorted(IN_LOCKSTEP)), *sorted(launch_file.scenarios().keys() - IN_LOCKSTEP)],
+)
 def test_every_scenario_runs_in_real_time(scenario: str, tmp_path: Path) -> None:
     _, arguments = launch_file.read_arguments(launch_file.find(scenario))
     # Some run until they are stopped. One swaps its law, which it does here within the half second.
@@ -63,8 +75,9 @@ def test_every_scenario_runs_in_real_time(scenario: str, tmp_path: Path) -> None
     counts = recording.topics
     ticks = figures["ticks"] + figures["overruns"]
     assert counts[DEVICE_STATE].messages == figures["ticks"] + 1
-    # What the driver itself could not sample is counted as an overrun; nothing else may be missing from the record.
-    # A machine that is busy leaves out the first ticks, too: no gap, for nothing stands before it.
+    # What the driver itself could not sample is counted as an overrun; nothing else may be missing
+    # from the record. A machine that is busy leaves out the first ticks, too: no gap, for nothing
+    # stands before it.
     assert counts[DEVICE_STATE].gaps + counts[DEVICE_STATE].first_seq == figures["overruns"]
     states = recording.messages(DEVICE_STATE)
     assert states[-1].seq == ticks
@@ -77,7 +90,8 @@ def test_every_scenario_runs_in_real_time(scenario: str, tmp_path: Path) -> None
 
 def test_floor_drop_settles_at_weight_over_stiffness(tmp_path: Path) -> None:
     figures = launch_json(tmp_path, "floor_drop", "stiffness:=800", "mass:=0.08", "pace:=lockstep")
-    # 3 s are 60 time constants 2m/(b+B) = 50 ms: what is left of the bounce is below the rounding of a micrometre.
+    # 3 s are 60 time constants 2m/(b+B) = 50 ms: what is left of the bounce is below the rounding
+    # of a micrometre.
     assert figures["final"]["position_m"] == pytest.approx(-0.08 * 9.81 / 800.0, rel=1e-9)
     assert figures["final"]["force_n"] == pytest.approx(0.08 * 9.81, rel=1e-9)
     recording = Recording(tmp_path / figures["recording"])
@@ -91,7 +105,8 @@ def test_wall_press_reaches_the_balance_of_hand_and_wall(tmp_path: Path) -> None
     states = Recording(tmp_path / figures["recording"]).messages(DEVICE_STATE)
     # k_hand (0.03 − x) = K (x − 0.02): two springs in series.
     balance = (300.0 * 0.03 + 1000.0 * 0.02) / 1300.0
-    assert states[-1].position[0] == pytest.approx(balance, abs=1e-6)  # 1 s after the last corner, 8 time constants
+    # 1 s after the last corner, 8 time constants
+    assert states[-1].position[0] == pytest.approx(balance, abs=1e-6)
     assert states[-1].force[0] == pytest.approx(-1000.0 * (balance - 0.02), abs=1e-3)
 
 
@@ -101,15 +116,28 @@ def test_wall_press_reaches_the_balance_of_hand_and_wall(tmp_path: Path) -> None
         (("flor_drop",), "no launch file is named 'flor_drop'; there is: box_edges, floor"),
         (("floor_drop", "stifness:=3"), "no argument 'stifness'; there is: rate"),
         (("floor_swap", "fifo:=0"), "no argument 'fifo'; run.fifo:=0 sets it in any launch file"),
-        (("floor_drop", "stiffness:=soft"), "arguments.stiffness: expected a number, got 'soft' (given as stiffness:=soft)"),
-        (("floor_drop", "rate:=1"), "floor_drop.yaml:3: arguments.rate: 1.0 Hz, limit: at least 50 Hz"),
-        (("floor_drop", "pace:=slow"), "arguments.pace: 'slow', expected one of realtime, lockstep"),
+        (
+            ("floor_drop", "stiffness:=soft"),
+            "arguments.stiffness: expected a number, got 'soft' (given as stiffness:=soft)",
+        ),
+        (
+            ("floor_drop", "rate:=1"),
+            "floor_drop.yaml:3: arguments.rate: 1.0 Hz, limit: at least 50 Hz",
+        ),
+        (
+            ("floor_drop", "pace:=slow"),
+            "arguments.pace: 'slow', expected one of realtime, lockstep",
+        ),
         (("nowhere.yaml",), "nowhere.yaml: no such file"),
         (("floor_drop", "--without", "camera"), "no node 'camera'; there is: driver"),
     ],
 )
 def test_mistakes_are_told_with_path_value_and_limit(
-    words: tuple[str, ...], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    words: tuple[str, ...],
+    told: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main.main(["launch", *words]) == 2
@@ -125,27 +153,39 @@ def test_mistakes_are_told_with_path_value_and_limit(
         ("stiffness:=-5", "coupling.laws.pd.stiffness"),
     ],
 )
-def test_mistakes_that_a_node_would_make_are_told_before_it_starts(word: str, told: str, tmp_path: Path) -> None:
+def test_mistakes_that_a_node_would_make_are_told_before_it_starts(
+    word: str, told: str, tmp_path: Path
+) -> None:
     done = haptic(tmp_path, "launch", "floor_drop", word, code=2)
     assert told in done.stderr
     assert "Traceback" not in done.stderr
     assert list(tmp_path.iterdir()) == []
 
 
-def test_mistakes_are_told_before_anything_is_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mistakes_are_told_before_anything_is_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     done = haptic(tmp_path, "launch", "floor_drop", "mass:=-1", "--tick", "compiled", code=2)
     assert "driver.device.mass: expected a number above 0, got -1.0" in done.stderr
     assert not (tmp_path / "cache").exists()
 
 
-def test_launch_files_are_checked_completely(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_launch_files_are_checked_completely(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     good = launch_file.find("floor_drop").read_text(encoding="utf-8")
     broken = {
         "kind: sim_driver": ("kind: robot", "nodes.driver.kind: 'robot' is not installed"),
-        "kind: plane": ("kind: cone", "environment.surface.kind: 'cone' is not an installed surface"),
+        "kind: plane": (
+            "kind: cone",
+            "environment.surface.kind: 'cone' is not an installed surface",
+        ),
         "rate: $(var rate)": ("rate: $(var speed)", "$(var speed) is not an argument"),
-        "required: false": ("requird: false", "nodes.logger.requird: no such parameter; there is: kind, "),
+        "required: false": (
+            "requird: false",
+            "nodes.logger.requird: no such parameter; there is: kind, ",
+        ),
         "gravity: 9.81": ("gravity: .nan", "not a finite number"),
         "  logger:": ("  Logger!:", "a node's name is lower-case"),
     }
@@ -174,7 +214,8 @@ def test_listing_and_arguments_for_people_and_machines(capsys: pytest.CaptureFix
 
 def test_percentiles_are_those_of_the_values() -> None:
     times = ResponseTimes()
-    values = [(i * 7919 % 1000 + 0.5) * 1e-6 for i in range(1000)]  # a permutation of 0.5 … 999.5 µs
+    # a permutation of 0.5 … 999.5 µs
+    values = [(i * 7919 % 1000 + 0.5) * 1e-6 for i in range(1000)]
     for value in values:
         times.add(value)
     summary = times.summary_us()
@@ -185,7 +226,8 @@ def test_percentiles_are_those_of_the_values() -> None:
 def test_a_publisher_waits_for_every_subscription_of_the_launch(tmp_path: Path) -> None:
     """A logger of three topics must not be counted as three loggers: the first messages would go without the other one."""
     setups = wire(launch_file.read("two_loggers", {}), "r", tmp_path, {})
-    # One by the next hop, one by the logger of everything, three by the logger of the loop's topics.
+    # One by the next hop, one by the logger of everything, three by the logger of the loop's
+    # topics.
     assert {name: setups[name].listeners for name in ("driver", "environment", "coupling")} == {
         "driver": 5,
         "environment": 5,
@@ -198,15 +240,24 @@ def test_a_launch_past_the_edge_is_refused_on_a_real_device_only(tmp_path: Path)
     """What `param set` would refuse; a virtual device cannot break, and its page may go past the edge."""
     content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
     content["nodes"]["driver"] = {"kind": "force_dimension_driver"}
-    content["nodes"]["coupling"]["parameters"]["plant"] = {"mass": 0.15, "damping": 3.0, "stiffness": 150.0}
+    content["nodes"]["coupling"]["parameters"]["plant"] = {
+        "mass": 0.15,
+        "damping": 3.0,
+        "stiffness": 150.0,
+    }
     (tmp_path / "real.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
 
     def wired(scenario: str, stiffness: float) -> bool:
-        return wire(launch_file.read(scenario, {"stiffness": stiffness}), "r", tmp_path, {})["coupling"].virtual
+        return wire(launch_file.read(scenario, {"stiffness": stiffness}), "r", tmp_path, {})[
+            "coupling"
+        ].virtual
 
     real = str(tmp_path / "real.yaml")
     assert not wired(real, 1000.0)
-    with pytest.raises(ParameterError, match=r"laws\.pd: pole radius .* that would be taken is 5800, or set .* to warn"):
+    with pytest.raises(
+        ParameterError,
+        match=r"laws\.pd: pole radius .* that would be taken is 5800, or set .* to warn",
+    ):
         wired(real, 900_000.0)
     assert wired("touch_wall", 900_000.0)
 
@@ -215,10 +266,19 @@ def test_a_launch_past_the_edge_is_refused_on_a_real_device_only(tmp_path: Path)
 def test_files_of_the_user_beside_the_recording_are_not_imported(tmp_path: Path) -> None:
     """Names that a user's own scripts may well have: none of them may take the place of a module that a node imports."""
     for name in ("sim", "messages", "nodes", "yaml", "zmq", "selectors"):
-        (tmp_path / f"{name}.py").write_text(f"raise SystemExit('{name}.py of the user was imported')\n", encoding="utf-8")
+        (tmp_path / f"{name}.py").write_text(
+            f"raise SystemExit('{name}.py of the user was imported')\n", encoding="utf-8"
+        )
     with private_runtime_dir() as runtime_dir:
         done = subprocess.run(
-            [Path(sys.executable).parent / "haptic", "launch", "floor_drop", "pace:=lockstep", "duration:=0.2", "--json"],
+            [
+                Path(sys.executable).parent / "haptic",
+                "launch",
+                "floor_drop",
+                "pace:=lockstep",
+                "duration:=0.2",
+                "--json",
+            ],
             cwd=tmp_path,
             env={**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime_dir)},
             capture_output=True,
@@ -245,11 +305,22 @@ def test_launches_at_once_keep_apart_and_safe(tmp_path: Path) -> None:
             folder = tmp_path / str(number)
             folder.mkdir()
             # Each its own: what it records tells whose forces it rendered.
-            words = ("wall_press", "duration:=1", f"stiffness:={400 + 50 * number}", "--json", "--no-plot")
+            words = (
+                "wall_press",
+                "duration:=1",
+                f"stiffness:={400 + 50 * number}",
+                "--json",
+                "--no-plot",
+            )
             (folder / "limits.yaml").write_text(f"driver: {{safety: {{peak_force: {peak}}}}}\n")
             command = [*HAPTIC, "launch", *words, "--params", "limits.yaml"]
-            with open(folder / "stdout.txt", "wb") as out, open(folder / "stderr.txt", "wb") as told:
-                processes.append(subprocess.Popen(command, cwd=folder, env=environment, stdout=out, stderr=told))
+            with (
+                open(folder / "stdout.txt", "wb") as out,
+                open(folder / "stderr.txt", "wb") as told,
+            ):
+                processes.append(
+                    subprocess.Popen(command, cwd=folder, env=environment, stdout=out, stderr=told)
+                )
         codes = [process.wait(3.0 * DEADLINE) for process in processes]
         assert_nothing_left(runtime)
     errors = [(tmp_path / str(number) / "stderr.txt").read_text() for number in range(LAUNCHES)]
@@ -263,6 +334,14 @@ def test_launches_at_once_keep_apart_and_safe(tmp_path: Path) -> None:
         states = recording.messages(DEVICE_STATE)
         assert states
         assert max(abs(part) for state in states for part in state.force) <= peak * (1.0 + 1e-15)
-        # A machine that is too slow for all of them lets ticks go, and old forces with them; what swings so late is stopped.
-        assert {state.safety for state in states} <= {"waiting", "zero", "ramp", "active", "damping", "stopped"}
+        # A machine that is too slow for all of them lets ticks go, and old forces with them; what
+        # swings so late is stopped.
+        assert {state.safety for state in states} <= {
+            "waiting",
+            "zero",
+            "ramp",
+            "active",
+            "damping",
+            "stopped",
+        }
     assert len(runs) == LAUNCHES

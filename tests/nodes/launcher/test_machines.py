@@ -24,7 +24,13 @@ from nodes.launcher.runs import RunInfo
 from nodes.recording.accounts import accounts, clocks
 from nodes.recording.reader import Recording
 from tests.support import ROOT, slowly
-from tests.support.launching import DEADLINE, HAPTIC, assert_nothing_left, private_runtime_dir, wait_for
+from tests.support.launching import (
+    DEADLINE,
+    HAPTIC,
+    assert_nothing_left,
+    private_runtime_dir,
+    wait_for,
+)
 from tests.support.twohosts import Cable, Host, NoRightsError, two_hosts
 
 AHEAD = 5000.0
@@ -44,7 +50,11 @@ NODES: dict[str, dict[str, Any]] = {
     },
     "coupling": {
         "kind": "coupling",
-        "parameters": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 200.0, "damping": 1.0}}, "stability": "warn"},
+        "parameters": {
+            "law": "pd",
+            "laws": {"pd": {"kind": "pd", "stiffness": 200.0, "damping": 1.0}},
+            "stability": "warn",
+        },
     },
     "logger": {"kind": "logger", "required": False, "parameters": {"path": "far.mcap"}},
 }
@@ -64,7 +74,9 @@ def scene(far: str, run: Mapping[str, Any], spec: Mapping[str, Any]) -> str:
     """Write a launch file, whose YAML may as well be JSON, with one node on the other machine."""
     nodes = {**NODES, far: {**NODES[far], "host": "10.77.0.2", **spec}}
     rate = {"rate": 100.0, "duration": 1.5, "host": "10.77.0.1"}
-    return json.dumps({"summary": f"The {far} on another machine", "run": {**rate, **run}, "nodes": nodes})
+    return json.dumps(
+        {"summary": f"The {far} on another machine", "run": {**rate, **run}, "nodes": nodes}
+    )
 
 
 def test_the_shortest_round_trip_tells_the_offset() -> None:
@@ -82,8 +94,8 @@ def test_the_shortest_round_trip_tells_the_offset() -> None:
 def test_an_old_measurement_loses_worth_at_the_rate_of_drift(gap: float, newer: bool) -> None:
     clock = ClockOffset()
     clock.add(10.000, 15.001, 10.002)
-    # 31 ms, nearly all of it on the way there: off by 14.5 ms, within its bound of 15.5 ms. It is worth more than 1 ms of
-    # long ago when 14.5 ms / 50 ppm = 290 s have passed.
+    # 31 ms, nearly all of it on the way there: off by 14.5 ms, within its bound of 15.5 ms. It is
+    # worth more than 1 ms of long ago when 14.5 ms / 50 ppm = 290 s have passed.
     start = 10.002 + gap
     clock.add(start - 0.031, start - 0.001 + 5.0, start)
     offset, error = clock.best(start)
@@ -107,7 +119,10 @@ class Pair:
         for name in ("near", "far"):
             (runtime / name).mkdir(mode=0o700)
             (folder / name).mkdir()
-            environment = {"HAPTIC_KEYS": str(folder / f"{name}-keys"), "HAPTIC_RUNTIME_DIR": str(runtime / name)}
+            environment = {
+                "HAPTIC_KEYS": str(folder / f"{name}-keys"),
+                "HAPTIC_RUNTIME_DIR": str(runtime / name),
+            }
             self.environments.append({**os.environ, **environment})
             with pytest.MonkeyPatch.context() as patch:
                 patch.setenv("HAPTIC_KEYS", environment["HAPTIC_KEYS"])
@@ -120,8 +135,13 @@ class Pair:
     def start(self, host: int, *words: str) -> subprocess.Popen[bytes]:
         """Start a haptic command on one of them; its output goes to files."""
         name = ("near", "far")[host]
-        with open(self.folder / f"{name}.out", "ab") as out, open(self.folder / f"{name}.err", "ab") as err:
-            return (self.near, self.far)[host].popen([*HAPTIC, *words], self.environments[host], self.folder / name, out, err)
+        with (
+            open(self.folder / f"{name}.out", "ab") as out,
+            open(self.folder / f"{name}.err", "ab") as err,
+        ):
+            return (self.near, self.far)[host].popen(
+                [*HAPTIC, *words], self.environments[host], self.folder / name, out, err
+            )
 
     def errors(self, host: int) -> str:
         """Read what one of them wrote to standard error."""
@@ -136,7 +156,10 @@ class Pair:
 @pytest.fixture
 def pair(tmp_path: Path) -> Iterator[Pair]:
     try:
-        with private_runtime_dir() as runtime, two_hosts(delay=0.002, jitter=0.001, ahead=AHEAD) as (near, far, cable):
+        with (
+            private_runtime_dir() as runtime,
+            two_hosts(delay=0.002, jitter=0.001, ahead=AHEAD) as (near, far, cable),
+        ):
             yield Pair(near, far, cable, tmp_path, runtime)
     except NoRightsError as error:
         pytest.skip(str(error))
@@ -145,15 +168,22 @@ def pair(tmp_path: Path) -> Iterator[Pair]:
 class Launched:
     """A launch on the near machine that waits for one node on the far one."""
 
-    def __init__(self, pair: Pair, node: str, run: Mapping[str, Any], spec: Mapping[str, Any]) -> None:
+    def __init__(
+        self, pair: Pair, node: str, run: Mapping[str, Any], spec: Mapping[str, Any]
+    ) -> None:
         self.pair, self.node = pair, node
         (pair.folder / "far.yaml").write_text(scene(node, run, spec))
-        self.launcher = pair.start(0, "launch", str(pair.folder / "far.yaml"), "--json", "--no-plot")
+        self.launcher = pair.start(
+            0, "launch", str(pair.folder / "far.yaml"), "--json", "--no-plot"
+        )
         self.started: list[subprocess.Popen[bytes]] = []
 
     def start_node(self) -> subprocess.Popen[bytes]:
         """Start the node on the far machine, with the printed command itself."""
-        wait_for(lambda: "haptic node start" in self.errors or self.launcher.poll() is not None, "the command")
+        wait_for(
+            lambda: "haptic node start" in self.errors or self.launcher.poll() is not None,
+            "the command",
+        )
         line = next(line for line in self.errors.splitlines() if "haptic node start" in line)
         where, _, command = line.partition(": haptic ")
         assert where.endswith("on 10.77.0.2")
@@ -168,7 +198,8 @@ class Launched:
     def told(self, text: str, host: int = 0, times: int = 1) -> None:
         """Wait until something was written to standard error."""
         wait_for(
-            lambda: self.pair.errors(host).count(text) >= times or self.launcher.poll() is not None, f"{text!r} to be told"
+            lambda: self.pair.errors(host).count(text) >= times or self.launcher.poll() is not None,
+            f"{text!r} to be told",
         )
         assert self.pair.errors(host).count(text) >= times, self.errors + self.pair.errors(1)
 
@@ -210,7 +241,9 @@ class Launched:
         """Wait for the end of both, and read the figures."""
         assert self.launcher.wait(DEADLINE) == code, self.errors + self.pair.errors(1)
         self.started[-1].wait(DEADLINE)
-        figures: dict[str, Any] = json.loads((self.pair.folder / "near.out").read_text().splitlines()[-1])
+        figures: dict[str, Any] = json.loads(
+            (self.pair.folder / "near.out").read_text().splitlines()[-1]
+        )
         return figures
 
     def close(self) -> None:
@@ -222,7 +255,9 @@ class Launched:
 
 
 @contextlib.contextmanager
-def launched(pair: Pair, node: str = "coupling", run: Mapping[str, Any] | None = None, **spec: object) -> Iterator[Launched]:
+def launched(
+    pair: Pair, node: str = "coupling", run: Mapping[str, Any] | None = None, **spec: object
+) -> Iterator[Launched]:
     """Start a launch with a node on the far machine, and that node."""
     launch = Launched(pair, node, run or {}, spec)
     try:
@@ -266,12 +301,13 @@ def test_a_coupling_on_another_machine_over_a_slow_lossy_cable(pair: Pair) -> No
     coupling = figures["nodes"]["coupling"]
     assert coupling["state"] == "finished"
     assert coupling["denied"] == 0
-    # The true offset is known exactly here; what was measured must lie within its own bound, and no bound can be below half
-    # of the shortest round trip, 2 ms.
+    # The true offset is known exactly here; what was measured must lie within its own bound, and no
+    # bound can be below half of the shortest round trip, 2 ms.
     assert abs(coupling["clock_offset"] + pair.far.ahead) <= coupling["clock_error"]
     assert coupling["clock_error"] >= 0.002
     assert "coupling: is there; its clock is" in errors
-    # The stamps of the far node are in the time of the launcher's host: never before the state they answer.
+    # The stamps of the far node are in the time of the launcher's host: never before the state they
+    # answer.
     recording = Recording(str(pair.folder / "near" / "far.mcap"))
     stamps: dict[str, dict[int, float]] = {}
     for topic in ("/device/state", "/coupling/force"):
@@ -297,11 +333,13 @@ def test_any_other_node_alone_on_another_machine(pair: Pair, node: str) -> None:
     figures, _ = launch(pair, node, rate=50.0, duration=3.0)
     assert figures["exit_reason"] == "done"
     assert figures["ticks"] + figures["overruns"] == 150
-    # 20 ms for a round trip of 4 to 6: a loop that answers a tick late misses all of them, a lost packet or a machine that is
-    # held up costs some.
+    # 20 ms for a round trip of 4 to 6: a loop that answers a tick late misses all of them, a lost
+    # packet or a machine that is held up costs some.
     assert figures["missed"] < 0.9 * figures["ticks"]
     assert figures["safety"]["soft_stop_ticks"] > 0
-    assert figures["recording"] == ("10.77.0.2:" + str(pair.folder / "far/far.mcap") if node == "logger" else "far.mcap")
+    assert figures["recording"] == (
+        "10.77.0.2:" + str(pair.folder / "far/far.mcap") if node == "logger" else "far.mcap"
+    )
     recording = Recording(pair.folder / ("far" if node == "logger" else "near") / "far.mcap")
     assert_all_recorded(figures, recording)
     assert_one_time(recording, node, pair.far.ahead)
@@ -313,7 +351,8 @@ def assert_one_time(recording: Recording, node: str, ahead: float) -> None:
     if node != "logger":
         assert abs(found[node].offset + ahead) <= found[node].error < 0.5
     assert not any(clock.error or clock.offset for name, clock in found.items() if name != node)
-    # A logger does not hear itself; half a second is much for a cable of 3 ms, and nothing beside the difference.
+    # A logger does not hear itself; half a second is much for a cable of 3 ms, and nothing beside
+    # the difference.
     error = found[node].error if node in found else 0.5
     for entry in recording.entries(topics.LOOP):
         assert -error <= entry.log_time - entry.message.stamp < DEADLINE
@@ -357,11 +396,16 @@ def test_a_killed_node_is_taken_back_by_the_same_command(pair: Pair, node: str) 
     told = launch.near("bag", "info", str(recording.path))
     assert_clock_told(told[told.index(f"{node}: clock") :], pair.far.ahead)
     answer = json.loads(launch.near("bag", "info", str(recording.path), "--json"))
-    assert abs(answer["clocks"][node]["offset_s"] + pair.far.ahead) <= answer["clocks"][node]["error_s"]
+    assert (
+        abs(answer["clocks"][node]["offset_s"] + pair.far.ahead)
+        <= answer["clocks"][node]["error_s"]
+    )
 
 
 @pytest.mark.parametrize("node", slowly(["driver", "coupling"], but=["coupling"]))
-def test_a_cut_cable_leaves_the_device_safe_and_ends_what_is_behind_it(pair: Pair, node: str) -> None:
+def test_a_cut_cable_leaves_the_device_safe_and_ends_what_is_behind_it(
+    pair: Pair, node: str
+) -> None:
     with launched(pair, node, {"duration": 0.0}) as launch:
         launch.await_safety("active")
         pair.cable.cut = True
@@ -385,7 +429,8 @@ def test_a_cable_cut_for_a_moment_costs_forces_but_no_node(pair: Pair) -> None:
         figures = launch.finish()
         assert launch.started[0].returncode == 0
     entered = figures["safety"]["entered"]
-    # Once without force, and whatever was damped came back by a ramp: a busy machine damps a tick or some of its own.
+    # Once without force, and whatever was damped came back by a ramp: a busy machine damps a tick
+    # or some of its own.
     assert entered["zero"] == 1
     assert entered["active"] >= 2
     assert entered["ramp"] == entered["damping"] >= 1
@@ -398,7 +443,8 @@ def test_forces_over_a_slow_cable_are_as_old_as_the_cable_makes_them(pair: Pair)
     pair.cable.delay, pair.cable.jitter, pair.cable.loss = 0.03, 0.005, 0.01
     figures, _ = launch(pair)
     assert figures["exit_reason"] == "done"
-    # Never in time within a period of 10 ms, 60 ms late and more, and taken all the same: max_age is 10 ticks.
+    # Never in time within a period of 10 ms, 60 ms late and more, and taken all the same: max_age
+    # is 10 ticks.
     assert figures["missed"] == figures["ticks"]
     assert figures["age_ticks_max"] >= 6
     assert figures["safety"]["entered"]["active"] >= 1
@@ -406,14 +452,21 @@ def test_forces_over_a_slow_cable_are_as_old_as_the_cable_makes_them(pair: Pair)
     recording = Recording(pair.folder / "near" / "far.mcap")
     assert_one_time(recording, "coupling", pair.far.ahead)
     # The driver tells it as delay: a sample's force took effect six periods later or more.
-    told = [state.delay for state in recording.messages(topics.DEVICE_STATE) if state.force_seq >= 0]
+    told = [
+        state.delay for state in recording.messages(topics.DEVICE_STATE) if state.force_seq >= 0
+    ]
     assert max(told) >= 6.0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("node", ["coupling", "driver"] if "HAPTIC_ROUND_TRIP" in os.environ else ["driver"])
-def test_a_launch_starts_over_a_cable_with_a_long_round_trip(pair: Pair, node: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    # A first answer takes six of them: more than the second after which it was once given up, each time anew.
+@pytest.mark.parametrize(
+    "node", ["coupling", "driver"] if "HAPTIC_ROUND_TRIP" in os.environ else ["driver"]
+)
+def test_a_launch_starts_over_a_cable_with_a_long_round_trip(
+    pair: Pair, node: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A first answer takes six of them: more than the second after which it was once given up, each
+    # time anew.
     round_trip = float(os.environ.get("HAPTIC_ROUND_TRIP", "0.2"))
     pair.cable.delay, pair.cable.jitter = round_trip / 2.0, 0.001
     patient = {"watchdog": 1000, "max_age": 1000}
@@ -440,16 +493,28 @@ def test_two_hands_on_two_machines_feel_each_other_over_the_cable(pair: Pair) ->
     for name in far:
         nodes[name] |= {"host": pair.far.address}
     run = {**whole["run"], "rate": 250.0, "duration": 4.0, "host": pair.near.address}
-    apart = {"summary": whole["summary"], "arguments": whole["arguments"], "run": run, "nodes": nodes}
+    apart = {
+        "summary": whole["summary"],
+        "arguments": whole["arguments"],
+        "run": run,
+        "nodes": nodes,
+    }
     (pair.folder / "apart.yaml").write_text(yaml.safe_dump(apart), encoding="utf-8")
     launcher = pair.start(0, "launch", str(pair.folder / "apart.yaml"), "--json", "--no-plot")
     started: list[subprocess.Popen[bytes]] = []
     try:
 
         def commands() -> list[str]:
-            return [line.partition(": haptic ")[2] for line in pair.errors(0).splitlines() if "haptic node start" in line]
+            return [
+                line.partition(": haptic ")[2]
+                for line in pair.errors(0).splitlines()
+                if "haptic node start" in line
+            ]
 
-        wait_for(lambda: len(commands()) == len(far) or launcher.poll() is not None, "a command for each far node")
+        wait_for(
+            lambda: len(commands()) == len(far) or launcher.poll() is not None,
+            "a command for each far node",
+        )
         started = [pair.start(1, *command.split()) for command in commands()]
         assert launcher.wait(DEADLINE) == 0, pair.errors(0) + pair.errors(1)
         assert [process.wait(DEADLINE) for process in started] == [0, 0, 0], pair.errors(1)

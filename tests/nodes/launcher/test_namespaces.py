@@ -37,11 +37,16 @@ def test_a_full_name_is_taken_apart_as_it_was_put_together() -> None:
 
 def unclocked(messages: list[Any]) -> list[Any]:
     """Leave out how long each answer took."""
-    return [msgspec.structs.replace(one, response=0.0) if isinstance(one, DeviceState) else one for one in messages]
+    return [
+        msgspec.structs.replace(one, response=0.0) if isinstance(one, DeviceState) else one
+        for one in messages
+    ]
 
 
 def test_two_chains_do_what_each_does_alone(tmp_path: Path) -> None:
-    figures = launch_json(tmp_path, "two_hands", "pace:=lockstep", "duration:=0.4", "stiffness:=800")
+    figures = launch_json(
+        tmp_path, "two_hands", "pace:=lockstep", "duration:=0.4", "stiffness:=800"
+    )
     alone = launch_json(tmp_path, "floor_drop", "pace:=lockstep", "duration:=0.4", "stiffness:=800")
     left, right = (Recording(tmp_path / path) for path in figures["recordings"])
     assert (left.namespace, right.namespace) == ("left", "right")
@@ -65,7 +70,9 @@ def two_hands(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 def test_verbs_name_nodes_and_topics_with_their_namespace(two_hands: Running) -> None:
     found = json.loads(typed(two_hands, "topic", "list", "--json").stdout)["topics"]
     assert {"/left/device/state", "/right/coupling/force", "/left/driver/status"} <= set(found)
-    assert typed(two_hands, "topic", "echo", "/right/device/state", "--once").stdout.startswith("seq: ")
+    assert typed(two_hands, "topic", "echo", "/right/device/state", "--once").stdout.startswith(
+        "seq: "
+    )
     assert typed(two_hands, "param", "get", "left/coupling", "usual.stiffness").stdout
     refused = typed(two_hands, "law", "switch", "pd_alpha", code=2).stderr
     assert "left/coupling, right/coupling" in refused
@@ -77,17 +84,24 @@ def test_a_verb_takes_one_chain_as_if_it_were_alone(two_hands: Running) -> None:
     found = json.loads(typed(two_hands, "topic", "list", "--json", *run).stdout)["topics"]
     assert set(topics.LOOP) <= set(found)
     assert not any("left" in topic or "right" in topic for topic in found)
-    assert typed(two_hands, "topic", "echo", "/device/state", "--once", *run).stdout.startswith("seq: ")
+    assert typed(two_hands, "topic", "echo", "/device/state", "--once", *run).stdout.startswith(
+        "seq: "
+    )
     # Forced: late ticks of a busy machine count as delay, and what is unstable at that is refused.
     typed(two_hands, "law", "switch", "pd_alpha", "--force", "--run", "/left")
-    told = [typed(two_hands, "law", "list", "--json", "--run", f"/{hand}").stdout for hand in ("left", "right")]
+    told = [
+        typed(two_hands, "law", "list", "--json", "--run", f"/{hand}").stdout
+        for hand in ("left", "right")
+    ]
     assert [json.loads(each)["active"] for each in told] == ["pd_alpha", "pd"]
     refused = typed(two_hands, "topic", "list", "--run", "/middle", code=2).stderr
     assert "no namespace 'middle'; there is: left, right" in refused
 
 
 @pytest.mark.slow
-def test_a_recording_of_several_chains_says_how_to_take_one_out(two_hands: Running, tmp_path: Path) -> None:
+def test_a_recording_of_several_chains_says_how_to_take_one_out(
+    two_hands: Running, tmp_path: Path
+) -> None:
     both, one = tmp_path / "both.mcap", tmp_path / "both.filter.mcap"
     typed(two_hands, "bag", "record", "--duration", "0.3", "--out", str(both))
     remedy = f"haptic bag filter {both} -e ^/left/"
@@ -130,12 +144,27 @@ nodes:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("include:\n  - launch: floor_drop\n  - launch: wall_press\n", "is there twice; give one a namespace"),
-        ("include:\n  - {launch: floor_drop, namespace: a}\n  - {launch: floor_drop_fast, namespace: b}\n", "run.rate"),
+        (
+            "include:\n  - launch: floor_drop\n  - launch: wall_press\n",
+            "is there twice; give one a namespace",
+        ),
+        (
+            (
+                "include:\n  - {launch: floor_drop, namespace: a}\n  - {launch: floor_drop_fast,"
+                " namespace: b}\n"
+            ),
+            "run.rate",
+        ),
         ("include:\n  - {launch: floor_drop, namespace: LEFT}\n", "lower-case"),
-        ("include:\n  - {launch: floor_drop, namespace: abcdefghijklmnopqrstuvwxyz}\n", "longer than 32 letters"),
+        (
+            "include:\n  - {launch: floor_drop, namespace: abcdefghijklmnopqrstuvwxyz}\n",
+            "longer than 32 letters",
+        ),
         (f"include:\n  - {{launch: floor_drop, namespace: {'a' * 33}}}\n", "at most 32"),
-        ("nodes:\n  run: {kind: sim_driver}\n", "'run' is the name of the file that lists a run's nodes"),
+        (
+            "nodes:\n  run: {kind: sim_driver}\n",
+            "'run' is the name of the file that lists a run's nodes",
+        ),
         ('nodes:\n  "driver\\n": {kind: sim_driver}\n', "a node's name is lower-case letters"),
         ("include:\n  - {launch: floor_dorp}\n", "floor_drop"),
         ("include:\n  - {launch: floor_drop, arguments: {stifness: 1}}\n", "stiffness"),
@@ -157,7 +186,9 @@ def test_what_cannot_be_included_is_refused(tmp_path: Path, text: str, told: str
 def test_files_that_include_one_another_for_ever_are_refused_at_once(tmp_path: Path) -> None:
     """Thirty small files, each of which includes the next one twice, are a billion; two that include each other have no end."""
     for i in range(30):
-        entries = f"  - {{launch: f{i + 1}.yaml}}\n  - {{launch: f{i + 1}.yaml, without: [driver]}}\n"
+        entries = (
+            f"  - {{launch: f{i + 1}.yaml}}\n  - {{launch: f{i + 1}.yaml, without: [driver]}}\n"
+        )
         (tmp_path / f"f{i}.yaml").write_text(f"{HEAD}include:\n{entries}")
     (tmp_path / "f30.yaml").write_text(f"{HEAD}nodes:\n  driver: {{kind: sim_driver}}\n")
     with pytest.raises(ParameterError, match="more than 256 launch files"):
@@ -172,16 +203,22 @@ def test_files_that_include_one_another_for_ever_are_refused_at_once(tmp_path: P
 @pytest.mark.parametrize("written", ["x$(var a)$(var a)", "$(dirname)" * 1000])
 def test_text_that_grows_when_it_is_filled_in_is_bounded(tmp_path: Path, written: str) -> None:
     """A kilobyte of arguments in a text makes gigabytes."""
-    text = f"arguments: {{a: {{default: {'z' * 2500}}}}}\nnodes:\n  driver: {{kind: sim_driver, watch: '{written}'}}\n"
-    with pytest.raises(ParameterError, match=r"driver\.watch: \d+ characters once its arguments are filled in, limit 4096"):
+    text = (
+        f"arguments: {{a: {{default: {'z' * 2500}}}}}\nnodes:\n  driver: {{kind: sim_driver, watch:"
+        f" '{written}'}}\n"
+    )
+    with pytest.raises(
+        ParameterError,
+        match=r"driver\.watch: \d+ characters once its arguments are filled in, limit 4096",
+    ):
         read(tmp_path, text)
 
 
 def test_arguments_reach_the_included_file(tmp_path: Path) -> None:
     launch = read(
         tmp_path,
-        "arguments: {hard: {default: 900.0}}\n"
-        "include:\n  - {launch: floor_drop, namespace: left, arguments: {stiffness: $(var hard), rate: 250}}\n",
+        "arguments: {hard: {default: 900.0}}\ninclude:\n  - {launch: floor_drop, namespace: left,"
+        " arguments: {stiffness: $(var hard), rate: 250}}\n",
         hard=1234,
     )
     assert launch.nodes["left/coupling"].parameters["usual"]["stiffness"] == 1234.0

@@ -14,19 +14,44 @@ from tests.support.launching import haptic
 @pytest.mark.parametrize(
     ("before", "after", "told"),
     [
-        ("gravity: 9.81", "gravty: 9.81", "driver.device.gravty: no such parameter; there is: mass, damping, gravity, "),
-        ("gravity: 9.81", "gravity: soft", "driver.device.gravity: expected a number or nothing, got 'soft'"),
+        (
+            "gravity: 9.81",
+            "gravty: 9.81",
+            "driver.device.gravty: no such parameter; there is: mass, damping, gravity, ",
+        ),
+        (
+            "gravity: 9.81",
+            "gravity: soft",
+            "driver.device.gravity: expected a number or nothing, got 'soft'",
+        ),
         ("axis: z", "axis: w", "environment.surface.axis: expected one of x, y, z, got 'w'"),
-        ("apply: $(var apply)", "apply: later", "run.apply: expected one of next_tick, on_arrival, got 'later'"),
-        ("    kind: sim_driver", "    kind: sim_drive", "nodes.driver.kind: 'sim_drive' is not installed; there is: "),
-        ("position: $(var height)", "position: $(var hight)", "nodes.driver.parameters.device.position: $(var hight) is"),
+        (
+            "apply: $(var apply)",
+            "apply: later",
+            "run.apply: expected one of next_tick, on_arrival, got 'later'",
+        ),
+        (
+            "    kind: sim_driver",
+            "    kind: sim_drive",
+            "nodes.driver.kind: 'sim_drive' is not installed; there is: ",
+        ),
+        (
+            "position: $(var height)",
+            "position: $(var hight)",
+            "nodes.driver.parameters.device.position: $(var hight) is",
+        ),
     ],
 )
-def test_a_mistake_in_a_launch_file_is_told_with_its_line(before: str, after: str, told: str, tmp_path: Path) -> None:
+def test_a_mistake_in_a_launch_file_is_told_with_its_line(
+    before: str, after: str, told: str, tmp_path: Path
+) -> None:
     text = launch_file.find("floor_drop").read_text(encoding="utf-8").replace(before, after, 1)
     (tmp_path / "mine.yaml").write_text(text, encoding="utf-8")
     line = next(i for i, words in enumerate(text.splitlines(), 1) if after in words)
-    assert f"haptic: mine.yaml:{line}: {told}" in haptic(tmp_path, "launch", "./mine.yaml", code=2).stderr
+    assert (
+        f"haptic: mine.yaml:{line}: {told}"
+        in haptic(tmp_path, "launch", "./mine.yaml", code=2).stderr
+    )
 
 
 def test_what_was_probably_meant(tmp_path: Path) -> None:
@@ -56,7 +81,9 @@ def test_an_argument_is_blamed_as_it_was_written(tmp_path: Path) -> None:
 
 
 def test_a_file_of_parameters_is_blamed_by_its_own_line(tmp_path: Path) -> None:
-    (tmp_path / "over.yaml").write_text("coupling:\n  laws:\n    pd:\n      stiffness: -5.0\n", encoding="utf-8")
+    (tmp_path / "over.yaml").write_text(
+        "coupling:\n  laws:\n    pd:\n      stiffness: -5.0\n", encoding="utf-8"
+    )
     told = haptic(tmp_path, "launch", "floor_drop", "--params", "over.yaml", code=2).stderr
     assert told.startswith("haptic: over.yaml:4: coupling.laws.pd.stiffness: ")
     assert "given as" not in told
@@ -70,11 +97,16 @@ def test_a_name_that_no_file_can_have_is_refused() -> None:
 
 
 def test_a_directory_is_no_launch_file(tmp_path: Path) -> None:
-    assert "/etc: is a directory, expected a launch file" in haptic(tmp_path, "launch", "/etc", code=2).stderr
+    assert (
+        "/etc: is a directory, expected a launch file"
+        in haptic(tmp_path, "launch", "/etc", code=2).stderr
+    )
 
 
 def test_an_unknown_option_shows_the_usage_of_its_own_verb(tmp_path: Path) -> None:
-    assert haptic(tmp_path, "param", "set", "--jsn", "coupling", "a", "1", code=2).stderr.startswith("usage: haptic param set")
+    assert haptic(
+        tmp_path, "param", "set", "--jsn", "coupling", "a", "1", code=2
+    ).stderr.startswith("usage: haptic param set")
 
 
 @pytest.mark.parametrize("name", ["run.", "run..", "run.[", "run.a]", "run.rate.", "run.[0]"])
@@ -85,7 +117,9 @@ def test_a_name_of_run_without_a_name_is_refused(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["", ".", "a.", "[", "a]"])
 def test_a_parameter_without_a_name_is_refused(name: str, tmp_path: Path) -> None:
-    text = launch_file.find("floor_drop").read_text(encoding="utf-8").replace("gravity:", f"'{name}':")
+    text = (
+        launch_file.find("floor_drop").read_text(encoding="utf-8").replace("gravity:", f"'{name}':")
+    )
     (tmp_path / "mine.yaml").write_text(text, encoding="utf-8")
     told = haptic(tmp_path, "launch", "./mine.yaml", code=2).stderr
     assert f"driver.device.{name}: no such parameter" in told
@@ -105,6 +139,8 @@ def test_what_is_no_node_offers_no_device(node: str, tmp_path: Path) -> None:
 
 
 def test_a_run_ends_within_what_a_counter_holds() -> None:
-    with pytest.raises(ParameterError, match=r"run\.duration: expected a number of at most 1000000000"):
+    with pytest.raises(
+        ParameterError, match=r"run\.duration: expected a number of at most 1000000000"
+    ):
         launch_file.read("floor_drop", {"duration": 1e300})
     assert launch_file.read("floor_drop", {"duration": 1e9, "rate": 20000.0}).run.ticks < 2**53

@@ -1,6 +1,7 @@
 """The plant of a coupling is the device that its launch file describes: filled in, compared, and named where it is unknown.
 
-The oracles are the masses of the launch file added by hand, and the law of the scaled device from THEORY's own units.
+The oracles are the masses of the launch file added by hand, and the law of the scaled device from
+THEORY's own units.
 """
 
 from __future__ import annotations
@@ -35,15 +36,26 @@ TOOL = """<mujoco><worldbody><body name="tool"><joint type="slide" axis="1 0 0"/
 <joint type="slide" axis="0 0 1"/><geom type="sphere" size="0.006" mass="0.005"/></body></worldbody></mujoco>"""
 
 
-def written(folder: Path, coupling: dict[str, Any] | None = None, device: dict[str, Any] | None = None, **nodes: Any) -> str:
+def written(
+    folder: Path,
+    coupling: dict[str, Any] | None = None,
+    device: dict[str, Any] | None = None,
+    **nodes: Any,
+) -> str:
     """Write a launch file of one's own: a device, a wall and a law."""
     content = {
         "summary": "s",
         "run": {"axes": ["x"]},
         "nodes": {
             "driver": {"kind": "sim_driver", "parameters": {"device": device or DEVICE}},
-            "environment": {"kind": "environment", "parameters": {"surface": {"kind": "plane", "axis": "x", "position": 0.02}}},
-            "coupling": {"kind": "coupling", "parameters": {"law": "pd", "laws": {"pd": PD}, **(coupling or {})}},
+            "environment": {
+                "kind": "environment",
+                "parameters": {"surface": {"kind": "plane", "axis": "x", "position": 0.02}},
+            },
+            "coupling": {
+                "kind": "coupling",
+                "parameters": {"law": "pd", "laws": {"pd": PD}, **(coupling or {})},
+            },
             **nodes,
         },
     }
@@ -62,13 +74,23 @@ def plant_of(path: str, **arguments: Any) -> dict[str, Any]:
 def test_a_launch_file_names_its_device_once(tmp_path: Path) -> None:
     assert plant_of(written(tmp_path)) == WHOLE
     # What the file says goes before: here a loop whose delay is known, and a worse device.
-    assert plant_of(written(tmp_path, {"plant": {"delay": 1.0, "damping": 0.0}})) == {**WHOLE, "delay": 1.0, "damping": 0.0}
-    # An arm that is heavier further out, and an axis that is another device: the worst of each value.
+    assert plant_of(written(tmp_path, {"plant": {"delay": 1.0, "damping": 0.0}})) == {
+        **WHOLE,
+        "delay": 1.0,
+        "damping": 0.0,
+    }
+    # An arm that is heavier further out, and an axis that is another device: the worst of each
+    # value.
     arm = {**DEVICE, "mass_by_position": [[0.0, 0.05], [0.1, 0.3]], "axes": {"x": {"damping": 0.5}}}
     assert plant_of(written(tmp_path, device=arm)) == {**WHOLE, "heaviest": 0.4, "damping": 2.5}
-    assert plant_of(written(tmp_path), device="touch_x")["mass"] == pytest.approx(0.035 + 0.1, rel=1e-11)
+    assert plant_of(written(tmp_path), device="touch_x")["mass"] == pytest.approx(
+        0.035 + 0.1, rel=1e-11
+    )
     late = {**DEVICE, "delay": 100.0 + 1e-9}
-    with pytest.raises(ParameterError, match=r"plant\.device_delay: the device answers 100 ticks late, limit 100: .* to null"):
+    with pytest.raises(
+        ParameterError,
+        match=r"plant\.device_delay: the device answers 100 ticks late, limit 100: .* to null",
+    ):
         launch_file.read(written(tmp_path, device=late), {})
     launch = launch_file.read(written(tmp_path, {"plant": None}, device=late), {})
     assert launch.nodes["coupling"].parameters["plant"] is None
@@ -77,7 +99,11 @@ def test_a_launch_file_names_its_device_once(tmp_path: Path) -> None:
 def test_what_an_including_file_changes_is_what_is_judged(tmp_path: Path) -> None:
     inner = written(tmp_path)
     outer = tmp_path / "outer.yaml"
-    included = {"launch": inner, "namespace": "a", "parameters": {"driver": {"device": {"mass": 0.2}}}}
+    included = {
+        "launch": inner,
+        "namespace": "a",
+        "parameters": {"driver": {"device": {"mass": 0.2}}},
+    }
     outer.write_text(json.dumps({"summary": "s", "include": [included]}), encoding="utf-8")
     launch = launch_file.read(str(outer), {})
     assert launch.nodes["a/coupling"].parameters["plant"] == {**WHOLE, "mass": 0.3}
@@ -91,11 +117,21 @@ def test_the_tool_of_a_scene_is_weighed_before_the_start(tmp_path: Path) -> None
     path = written(tmp_path, environment=world)
     assert plant_of(path) == {**WHOLE, "tool_mass": 0.005}
     with pytest.raises(
-        ParameterError, match=r"coupling\.plant\.tool_mass: 0\.05 kg, but the tool of the scene weighs 0\.005 kg"
+        ParameterError,
+        match=r"coupling\.plant\.tool_mass: 0\.05 kg, but the tool of the scene weighs 0\.005 kg",
     ):
-        wire(launch_file.read(written(tmp_path, {"plant": {"tool_mass": 0.05}}, environment=world), {}), "r", tmp_path, {})
+        wire(
+            launch_file.read(
+                written(tmp_path, {"plant": {"tool_mass": 0.05}}, environment=world), {}
+            ),
+            "r",
+            tmp_path,
+            {},
+        )
     # A scene that is saved again is weighed again.
-    (tmp_path / "tool.xml").write_text(TOOL.replace('mass="0.005"', 'mass="0.0075"'), encoding="utf-8")
+    (tmp_path / "tool.xml").write_text(
+        TOOL.replace('mass="0.005"', 'mass="0.0075"'), encoding="utf-8"
+    )
     assert plant_of(written(tmp_path, environment=world))["tool_mass"] == 0.0075
 
 
@@ -110,7 +146,9 @@ def test_the_tool_of_a_scene_is_weighed_before_the_start(tmp_path: Path) -> None
         ({"mass": 0.1, "heaviest": 0.14}, "heaviest", "0.14 kg, but the device has 0.15 kg"),
     ],
 )
-def test_a_plant_that_flatters_the_device_is_refused(plant: dict[str, float], field: str, text: str, tmp_path: Path) -> None:
+def test_a_plant_that_flatters_the_device_is_refused(
+    plant: dict[str, float], field: str, text: str, tmp_path: Path
+) -> None:
     def start(more: dict[str, Any]) -> None:
         wire(launch_file.read(written(tmp_path, more), {}), "r", tmp_path, {})
 
@@ -128,29 +166,47 @@ def test_a_device_drawn_larger_is_lighter_to_the_law() -> None:
     plant = PlantParameters(mass=0.2, damping=1.0, stiffness=50.0, scale=2.0)
     # x = s x_d and m x_d'' = s F, so m/s² x'' = F: the loop of K on m/s² is that of s² K on m.
     assert plant.at(0.002, 0.25) == Plant(0.002, 0.05, 0.25, 0.25, 12.5)
-    assert msgspec.structs.replace(plant, scale=1.0).at(0.002, 0.25) == Plant(0.002, 0.2, 1.0, 0.25, 50.0)
+    assert msgspec.structs.replace(plant, scale=1.0).at(0.002, 0.25) == Plant(
+        0.002, 0.2, 1.0, 0.25, 50.0
+    )
     assert contradictions(plant, {"scale": 2.0}) == {}
     assert contradictions(plant, {"scale": 4.0}) == {"scale": "4"}
 
 
 def test_the_scale_of_a_real_device_reaches_the_judge(tmp_path: Path) -> None:
     driver = {"kind": "force_dimension_driver", "parameters": {"mapping": {"scale": 10.0}}}
-    assert plant_of(written(tmp_path, {"plant": {"mass": 0.2}}, driver=driver)) == {"mass": 0.2, "scale": 10.0}
+    assert plant_of(written(tmp_path, {"plant": {"mass": 0.2}}, driver=driver)) == {
+        "mass": 0.2,
+        "scale": 10.0,
+    }
     # 500 N/m on 0.2 kg are stable, 50 000 N/m as the device feels it are not.
     with pytest.raises(ParameterError, match=r"mass 0\.002 kg.* the loop is unstable"):
-        wire(launch_file.read(written(tmp_path, {"plant": {"mass": 0.2}}, driver=driver), {}), "r", tmp_path, {})
+        wire(
+            launch_file.read(written(tmp_path, {"plant": {"mass": 0.2}}, driver=driver), {}),
+            "r",
+            tmp_path,
+            {},
+        )
 
 
 def test_what_nobody_judges_is_named(tmp_path: Path) -> None:
     def why(coupling: dict[str, Any], **nodes: Any) -> str:
-        setup = wire(launch_file.read(written(tmp_path, coupling, **nodes), {}), "r", tmp_path, {})["coupling"]
+        setup = wire(launch_file.read(written(tmp_path, coupling, **nodes), {}), "r", tmp_path, {})[
+            "coupling"
+        ]
         return load(setup.factory).unjudged(setup)
 
     assert why({}) == ""
     assert why({"stability": "warn"}) == ""
     assert why({"stability": "off"}) == "coupling.stability is off"
-    assert why({}, driver={"kind": "force_dimension_driver"}) == "coupling.plant, the device, is not declared"
-    knock = {"law": "excitation", "laws": {"excitation": {"kind": "excitation", "amplitude": 0.1, "duration": 1.0}}}
+    assert (
+        why({}, driver={"kind": "force_dimension_driver"})
+        == "coupling.plant, the device, is not declared"
+    )
+    knock = {
+        "law": "excitation",
+        "laws": {"excitation": {"kind": "excitation", "amplitude": 0.1, "duration": 1.0}},
+    }
     assert why(knock) == "coupling.laws.excitation has code of its own, which has no poles"
 
 
@@ -172,7 +228,14 @@ def test_a_virtual_device_has_limits_unless_it_is_to_have_none() -> None:
 def coupling(**more: Any) -> Coupling:
     laws = {"pd": PD, "aside": {**PD, "stiffness": 600.0}}
     parameters = {"law": "pd", "laws": laws, "plant": {"mass": 0.1, "damping": 1.0}, **more}
-    node = Coupling(setup_of(name="coupling", kind="coupling", parameters=parameters, plant={"mass": 0.1, "damping": 1.0}))
+    node = Coupling(
+        setup_of(
+            name="coupling",
+            kind="coupling",
+            parameters=parameters,
+            plant={"mass": 0.1, "damping": 1.0},
+        )
+    )
     node.configure()
     return node
 
@@ -180,19 +243,27 @@ def coupling(**more: Any) -> Coupling:
 def test_a_law_that_does_not_render_is_judged_when_it_is_set() -> None:
     node = coupling()
     with pytest.raises(
-        ParameterError, match=r"coupling\.laws\.aside: pole radius .* The largest coupling\.laws\.aside\.stiffness"
+        ParameterError,
+        match=r"coupling\.laws\.aside: pole radius .* The largest coupling\.laws\.aside\.stiffness",
     ):
         node.prepare(node.store.changed({"laws.aside.stiffness": 80_000.0}))
     receipt = node.prepare(node.store.changed({"laws.aside.stiffness": 700.0}))(0)
     assert receipt["stability"]["law"] == "aside"
     assert receipt["stability"]["stable"]
     assert 0.0 < receipt["stability"]["was_pole_radius"] < 1.0
-    assert node.prepare_forced(node.store.changed({"laws.aside.stiffness": 80_000.0}))(1)["stability"]["stable"] is False
+    assert (
+        node.prepare_forced(node.store.changed({"laws.aside.stiffness": 80_000.0}))(1)["stability"][
+            "stable"
+        ]
+        is False
+    )
 
 
 def test_a_plant_that_flatters_the_device_is_refused_while_it_runs() -> None:
     node = coupling()
-    with pytest.raises(ParameterError, match=r"coupling\.plant\.mass: 10 kg, but the device has 0\.1 kg"):
+    with pytest.raises(
+        ParameterError, match=r"coupling\.plant\.mass: 10 kg, but the device has 0\.1 kg"
+    ):
         node.prepare(node.store.changed({"plant.mass": 10.0}))
     node.prepare_forced(node.store.changed({"plant.mass": 10.0}))
     # A page moves a virtual device's own delay, which it tells the judge first.

@@ -33,9 +33,14 @@ def wake_latency() -> int:
         os.close(latency)
 
 
-@pytest.mark.skipif(not os.access(realtime.WAKE_LATENCY, os.R_OK | os.W_OK), reason=f"no rights to {realtime.WAKE_LATENCY}")
+@pytest.mark.skipif(
+    not os.access(realtime.WAKE_LATENCY, os.R_OK | os.W_OK),
+    reason=f"no rights to {realtime.WAKE_LATENCY}",
+)
 @pytest.mark.parametrize("number", slowly([signal.SIGINT, signal.SIGKILL], but=[signal.SIGKILL]))
-def test_a_fast_loop_keeps_processors_awake_until_its_end_whatever_ends_it(tmp_path: Path, number: signal.Signals) -> None:
+def test_a_fast_loop_keeps_processors_awake_until_its_end_whatever_ends_it(
+    tmp_path: Path, number: signal.Signals
+) -> None:
     before = wake_latency()
     with running(tmp_path, "floor_drop", "duration:=0") as launch:
         assert wake_latency() == before
@@ -45,14 +50,18 @@ def test_a_fast_loop_keeps_processors_awake_until_its_end_whatever_ends_it(tmp_p
         wait_for(lambda: wake_latency() == before, "processors may sleep again")
 
 
-def test_where_processors_cannot_be_kept_awake_the_reason_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_processors_cannot_be_kept_awake_the_reason_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(realtime, "WAKE_LATENCY", str(tmp_path / "none"))
         with realtime.awake() as refused:
             assert refused.startswith(f"{tmp_path}/none: No such file or directory; ")
 
 
-@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one processor: nobody can leave it to the loop")
+@pytest.mark.skipif(
+    len(os.sched_getaffinity(0)) < 2, reason="one processor: nobody can leave it to the loop"
+)
 def test_whoever_is_not_in_the_loop_leaves_its_processor_alone(tmp_path: Path) -> None:
     with running(tmp_path, "floor_drop", "duration:=0") as launch:
         chain = set(launch.run.nodes["coupling"].scheduling.cpus)
@@ -65,9 +74,13 @@ def test_whoever_is_not_in_the_loop_leaves_its_processor_alone(tmp_path: Path) -
             with contextlib.suppress(OSError):
                 if (task / "comm").read_text().strip().endswith("IO/1"):
                     assert not chain & os.sched_getaffinity(int(task.name)), "what serves listeners"
-                    assert urgency == 0 or os.sched_getparam(int(task.name)).sched_priority < urgency
+                    assert (
+                        urgency == 0 or os.sched_getparam(int(task.name)).sched_priority < urgency
+                    )
         for task in Path(f"/proc/{launch.pid('logger')}/task").iterdir():
-            assert os.sched_getaffinity(int(task.name)) - chain, f"{(task / 'comm').read_text()} of the logger"
+            assert os.sched_getaffinity(int(task.name)) - chain, (
+                f"{(task / 'comm').read_text()} of the logger"
+            )
         if launch.run.processors:
             assert not chain & os.sched_getaffinity(launch.process.pid)
             recorder = subprocess.Popen(
@@ -77,7 +90,10 @@ def test_whoever_is_not_in_the_loop_leaves_its_processor_alone(tmp_path: Path) -
                 stderr=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
             )
-            wait_for(lambda: not chain & os.sched_getaffinity(recorder.pid), "the recorder leaves the chain's processor")
+            wait_for(
+                lambda: not chain & os.sched_getaffinity(recorder.pid),
+                "the recorder leaves the chain's processor",
+            )
             recorder.send_signal(signal.SIGINT)
             assert recorder.wait(20.0) == 0
 
@@ -101,7 +117,11 @@ nodes:
     ],
 )
 def test_listeners_get_the_processors_that_the_chain_leaves(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, processors: set[int], chain: list[int], rest: list[int]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    processors: set[int],
+    chain: list[int],
+    rest: list[int],
 ) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: processors)
     monkeypatch.setattr(realtime, "quietest_processor", lambda: min(processors))
@@ -134,7 +154,9 @@ def test_on_another_machine_a_listener_leaves_the_quietest_processor_to_the_loop
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {1, 2, 3})
     monkeypatch.setattr(realtime, "quietest_processor", lambda: 2)
     found = here(Scheduling(cpus=[7], fifo=53), kind)
-    assert found == (Scheduling(cpus=[2], aside=[1, 3], fifo=53) if hop else Scheduling(cpus=[1, 3]))
+    assert found == (
+        Scheduling(cpus=[2], aside=[1, 3], fifo=53) if hop else Scheduling(cpus=[1, 3])
+    )
 
 
 def test_a_processor_that_is_the_only_one_is_shared() -> None:

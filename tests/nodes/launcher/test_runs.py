@@ -112,7 +112,9 @@ def test_the_sweep_leaves_what_belongs_to_somebody_else(home: Path) -> None:
 
 
 @pytest.mark.parametrize("base", ["/run/user/1000/haptic", "/run/user/1234567/haptic"])
-def test_a_long_scenario_starts_where_desktops_keep_runs(base: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_scenario_starts_where_desktops_keep_runs(
+    base: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The paths of sockets have 107 bytes; every name of a node has 32 letters to itself."""
     with private_runtime_dir() as folder:
         home = folder / ("d" * (len(base) - len(str(folder)) - 1))
@@ -128,11 +130,19 @@ def test_a_long_scenario_starts_where_desktops_keep_runs(base: str, monkeypatch:
             new_run_dir(names[0])
 
 
-def test_a_run_in_a_short_directory_is_found_by_its_name(home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_in_a_short_directory_is_found_by_its_name(
+    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     deep = home / ("d" * 28)
     environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(deep)}
     done = haptic(
-        tmp_path, "launch", "floor_drop_fast", "pace:=lockstep", "duration:=0.1", "--no-plot", environment=environment
+        tmp_path,
+        "launch",
+        "floor_drop_fast",
+        "pace:=lockstep",
+        "duration:=0.1",
+        "--no-plot",
+        environment=environment,
     )
     assert "done after" in done.stdout
     monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(deep))
@@ -148,7 +158,9 @@ def test_a_run_in_a_short_directory_is_found_by_its_name(home: Path, tmp_path: P
 def test_a_run_in_a_short_directory_is_stopped_by_its_name(tmp_path: Path) -> None:
     """Its directory is not called as the run is: `haptic stop` sent no signal, and gave up after a minute."""
     file = tmp_path / f"{'a' * 64}.yaml"
-    file.write_text((ROOT / "launch" / "free_space.yaml").read_text(encoding="utf-8"), encoding="utf-8")
+    file.write_text(
+        (ROOT / "launch" / "free_space.yaml").read_text(encoding="utf-8"), encoding="utf-8"
+    )
     with running(tmp_path, str(file), "duration:=600") as run:
         assert run.run_dir.name != run.run.run
         with pytest.raises(BlockingIOError):
@@ -159,7 +171,14 @@ def test_a_run_in_a_short_directory_is_stopped_by_its_name(tmp_path: Path) -> No
 
 @pytest.mark.parametrize(
     "scenario",
-    ["two#walls", "a/b", ".hidden", "x\udcff", "it's {run} %s\n", "\N{MATHEMATICAL BOLD SMALL A}" * 99],
+    [
+        "two#walls",
+        "a/b",
+        ".hidden",
+        "x\udcff",
+        "it's {run} %s\n",
+        "\N{MATHEMATICAL BOLD SMALL A}" * 99,
+    ],
     ids=["key", "folder", "hidden", "not UTF-8", "signs", "long"],
 )
 def test_a_run_s_name_is_one_that_files_and_endpoints_bear(scenario: str) -> None:
@@ -173,20 +192,26 @@ def test_a_run_s_name_is_one_that_files_and_endpoints_bear(scenario: str) -> Non
 
 def test_a_launch_file_of_an_odd_long_name_runs(tmp_path: Path) -> None:
     file = tmp_path / f"wall #1, it's {'ü' * 110}.yaml"
-    file.write_text((ROOT / "launch" / "free_space.yaml").read_text(encoding="utf-8"), encoding="utf-8")
+    file.write_text(
+        (ROOT / "launch" / "free_space.yaml").read_text(encoding="utf-8"), encoding="utf-8"
+    )
     figures = launch_json(tmp_path, str(file), "pace:=lockstep", "duration:=0.1")
     assert (figures["ticks"], figures["scenario"]) == (50, file.stem)
     assert (tmp_path / figures["recording"]).is_file()
 
 
-def test_a_runtime_directory_that_no_endpoint_can_name_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_runtime_directory_that_no_endpoint_can_name_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(tmp_path / "a#b"))
     with pytest.raises(RunError, match="a#b: its name has a #"):
         runs_dir()
     assert not (tmp_path / "a#b").exists()
 
 
-def test_nobody_is_told_to_remove_the_directory_of_another_user(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nobody_is_told_to_remove_the_directory_of_another_user(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     owner = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: owner + 1)
     with pytest.raises(RunError, match="set HAPTIC_RUNTIME_DIR to one of your own") as refused:

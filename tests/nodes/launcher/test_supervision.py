@@ -26,13 +26,23 @@ from nodes.launcher.supervisor import INT_TIMEOUT
 from nodes.recording.logger import QUIET_MS
 from nodes.recording.reader import Recording
 from sim.measure.free_ports import free_ports
-from tests.support.launching import DEADLINE, Running, haptic, processes_of, running, typed, wait_for
+from tests.support.launching import (
+    DEADLINE,
+    Running,
+    haptic,
+    processes_of,
+    running,
+    typed,
+    wait_for,
+)
 from tests.support.odd_nodes import odd_nodes as odd_nodes
 from tests.support.odd_nodes import scenario
 
 
 def reapers(launch: Running) -> list[int]:
-    return [number for number, line in processes_of(launch.runtime_dir).items() if "reaper.py" in line]
+    return [
+        number for number, line in processes_of(launch.runtime_dir).items() if "reaper.py" in line
+    ]
 
 
 def reaper(launch: Running) -> int:
@@ -42,7 +52,8 @@ def reaper(launch: Running) -> int:
     return int(found[0])
 
 
-# -- every end leaves nothing behind ----------------------------------------------------------------------------------
+# -- every end leaves nothing behind
+# ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -54,7 +65,9 @@ def reaper(launch: Running) -> int:
         (signal.SIGHUP, False, 0),
     ],
 )
-def test_signals_end_a_launch_in_order(tmp_path: Path, number: signal.Signals, to_group: bool, code: int) -> None:
+def test_signals_end_a_launch_in_order(
+    tmp_path: Path, number: signal.Signals, to_group: bool, code: int
+) -> None:
     with running(tmp_path, scenario(tmp_path, duration=600.0 if code else 0.0)) as launch:
         if to_group:
             os.killpg(launch.process.pid, number)
@@ -67,16 +80,18 @@ def test_signals_end_a_launch_in_order(tmp_path: Path, number: signal.Signals, t
     assert recording.topics["/device/state"].messages == figures["ticks"] + 1
 
 
-def test_a_full_disk_at_the_end_does_not_keep_the_nodes_from_ending_in_order(tmp_path: Path) -> None:
+def test_a_full_disk_at_the_end_does_not_keep_the_nodes_from_ending_in_order(
+    tmp_path: Path,
+) -> None:
     with running(tmp_path, scenario(tmp_path, duration=600.0)) as launch:
         # Read before it is written: /dev/full would never end.
         (launch.run_dir / "end.json").symlink_to("nowhere/end.json")
         (launch.run_dir / "environment.report.json.draft").symlink_to("/dev/full")
         typed(launch, "stop")
         figures = launch.finish(code=1)
-        assert {name: status["state"] for name, status in figures["nodes"].items()} == dict.fromkeys(
-            ("driver", "coupling", "logger"), "finished"
-        )
+        assert {
+            name: status["state"] for name, status in figures["nodes"].items()
+        } == dict.fromkeys(("driver", "coupling", "logger"), "finished")
         said, ended = figures["failures"]
         assert said == f"{launch.run_dir}: No such file or directory"
         assert ended == "environment: ended with exit code 1"
@@ -109,19 +124,31 @@ def test_killed_launcher(tmp_path: Path, victims: tuple[str, ...]) -> None:
         launch.process.wait()
 
 
-def test_reaper_and_launcher_killed_at_once_leave_it_to_the_kernel_and_the_next_launch(tmp_path: Path) -> None:
+def test_reaper_and_launcher_killed_at_once_leave_it_to_the_kernel_and_the_next_launch(
+    tmp_path: Path,
+) -> None:
     with running(tmp_path, scenario(tmp_path)) as launch:
         stale = launch.run_dir
-        # At once: a launcher that finds its reaper gone ends the run in order, and a busy machine leaves it the time to.
+        # At once: a launcher that finds its reaper gone ends the run in order, and a busy machine
+        # leaves it the time to.
         launch.process.send_signal(signal.SIGSTOP)
         os.kill(reaper(launch), signal.SIGKILL)
         launch.process.kill()
         launch.process.wait()
-        wait_for(lambda: not processes_of(launch.runtime_dir), "the parent-death signal ends the nodes")
+        wait_for(
+            lambda: not processes_of(launch.runtime_dir), "the parent-death signal ends the nodes"
+        )
         assert stale.exists()
         # The next launch sweeps up what is older than a minute: here it is made to look so.
         os.utime(stale, (time.time() - 61.0, time.time() - 61.0))
-        haptic(tmp_path, "launch", "free_space", "duration:=0.01", "--no-plot", environment=launch.environment)
+        haptic(
+            tmp_path,
+            "launch",
+            "free_space",
+            "duration:=0.01",
+            "--no-plot",
+            environment=launch.environment,
+        )
         assert not stale.exists()
 
 
@@ -136,7 +163,9 @@ def test_stopped_nodes_are_woken_up_to_end(tmp_path: Path) -> None:
     assert Recording(tmp_path / "run.mcap").complete
 
 
-def test_what_does_not_end_is_killed_in_the_end_and_sooner_when_asked_twice(tmp_path: Path, odd_nodes: dict[str, str]) -> None:
+def test_what_does_not_end_is_killed_in_the_end_and_sooner_when_asked_twice(
+    tmp_path: Path, odd_nodes: dict[str, str]
+) -> None:
     path = scenario(tmp_path, deaf={"kind": "stubborn"})
     with running(tmp_path, path, environment=odd_nodes) as launch:
         begun = time.monotonic()
@@ -144,9 +173,12 @@ def test_what_does_not_end_is_killed_in_the_end_and_sooner_when_asked_twice(tmp_
         wait_for(lambda: not (launch.run_dir / "driver.pub").exists(), "the driver ends")
         figures = launch.finish(signal.SIGINT, code=1)
         assert figures["failures"] == ["deaf: ended with SIGKILL"]
-        # Asked once, the launcher would wait INT_TIMEOUT before it presses at all, and TERM_TIMEOUT before it kills.
+        # Asked once, the launcher would wait INT_TIMEOUT before it presses at all, and TERM_TIMEOUT
+        # before it kills.
         assert time.monotonic() - begun < INT_TIMEOUT
-        assert launch.errors.index("deaf: does not end; SIGTERM") < launch.errors.index("deaf: does not end; SIGKILL")
+        assert launch.errors.index("deaf: does not end; SIGTERM") < launch.errors.index(
+            "deaf: does not end; SIGKILL"
+        )
         assert figures["nodes"]["driver"]["state"] == "finished"
 
 
@@ -157,10 +189,14 @@ def starved(pid: int, threads: str = "") -> Iterator[None]:
     Or only those of its `threads` that have this in their name.
     """
     processor = min(os.sched_getaffinity(0))
-    spin = f"import os\nos.sched_setaffinity(0, {{{processor}}})\nprint(flush=True)\nwhile True: pass"
+    spin = (
+        f"import os\nos.sched_setaffinity(0, {{{processor}}})\nprint(flush=True)\nwhile True: pass"
+    )
     with contextlib.ExitStack() as stack:
         for _ in range(4):
-            hog = stack.enter_context(subprocess.Popen([sys.executable, "-c", spin], stdout=subprocess.PIPE))
+            hog = stack.enter_context(
+                subprocess.Popen([sys.executable, "-c", spin], stdout=subprocess.PIPE)
+            )
             stack.callback(hog.kill)
             assert hog.stdout is not None
             # On a busy machine the process would have ended before they began.
@@ -195,11 +231,19 @@ def test_what_others_keep_from_running_is_waited_for(tmp_path: Path) -> None:
             wait.look(pids[name])
         with starved(logger):
             launch.process.send_signal(signal.SIGINT)
-            # Its own clock: what the launcher would have granted it, had it not been kept from running.
-            wait_for(lambda: waits["logger"].look(logger) > INT_TIMEOUT, "the logger waits for a processor")
-            assert waits["reaper"].look(pids["reaper"]) < 0.5 * INT_TIMEOUT, "it waits for the launcher, not for a processor"
+            # Its own clock: what the launcher would have granted it, had it not been kept from
+            # running.
+            wait_for(
+                lambda: waits["logger"].look(logger) > INT_TIMEOUT,
+                "the logger waits for a processor",
+            )
+            assert waits["reaper"].look(pids["reaper"]) < 0.5 * INT_TIMEOUT, (
+                "it waits for the launcher, not for a processor"
+            )
             # The launcher comes to the logger when all others have ended.
-            wait_for(lambda: "logger: does not get its turn" in launch.errors, "the launcher says so")
+            wait_for(
+                lambda: "logger: does not get its turn" in launch.errors, "the launcher says so"
+            )
             # It once lost most of a recording.
             assert "does not end" not in launch.errors
             assert launch.process.poll() is None
@@ -233,7 +277,9 @@ def test_what_not_even_sigkill_ends_does_not_hold_up_the_end(tmp_path: Path, ice
         launch.process.send_signal(signal.SIGINT)
         # It once waited for ever.
         assert launch.process.wait(DEADLINE) == 1
-        assert launch.figures["failures"][0].startswith("logger: process still there 2 s after SIGKILL")
+        assert launch.figures["failures"][0].startswith(
+            "logger: process still there 2 s after SIGKILL"
+        )
         assert launch.figures["nodes"]["driver"]["state"] == "finished"
         (ice / "freezer.state").write_text("THAWED")
         wait_for(lambda: not (ice / "cgroup.procs").read_text(), "the killed process ends")
@@ -244,13 +290,17 @@ def test_on_every_way_out_the_force_goes_down_to_zero_and_the_device_is_closed(
     tmp_path: Path, odd_nodes: dict[str, str], fails: str
 ) -> None:
     diary = tmp_path / "diary"
-    path = scenario(tmp_path, arm={"kind": "arms", "parameters": {"diary": str(diary), "fails": fails}})
+    path = scenario(
+        tmp_path, arm={"kind": "arms", "parameters": {"diary": str(diary), "fails": fails}}
+    )
     content = msgspec.json.decode(Path(path).read_bytes())
     del content["nodes"]["driver"]
     Path(path).write_bytes(msgspec.json.encode(content))
     with running(tmp_path, path, environment=odd_nodes, ready=False) as launch:
         if fails == "signal":
-            wait_for(lambda: diary.exists() and diary.read_text().count("\n") > 100, "forces are written")
+            wait_for(
+                lambda: diary.exists() and diary.read_text().count("\n") > 100, "forces are written"
+            )
             os.kill(launch.pid("arm"), signal.SIGTERM)
         launch.finish(code=0 if fails == "signal" else 1)
         assert fails != "device" or "[arm] ended: the cable is out; plug it in" in launch.errors
@@ -258,17 +308,21 @@ def test_on_every_way_out_the_force_goes_down_to_zero_and_the_device_is_closed(
     assert (first, last) == ("open", "close")
     pressed = [float(force) for force in forces]
     assert 1.0 in {round(force, 9) for force in pressed}
-    # From wherever it was (a busy machine may have let it go already) it goes down step by step, to zero.
+    # From wherever it was (a busy machine may have let it go already) it goes down step by step, to
+    # zero.
     down = pressed[-10:]
     assert down[-1] == 0.0
     assert all(later <= earlier for earlier, later in pairwise(down))
     assert all(earlier - later <= 0.1 + 1e-9 for earlier, later in pairwise(down))
 
 
-# -- failures at the start --------------------------------------------------------------------------------------------
+# -- failures at the start
+# --------------------------------------------------------------------------------------------
 
 
-def test_a_node_that_cannot_start_fails_the_launch_with_its_reason(tmp_path: Path, odd_nodes: dict[str, str]) -> None:
+def test_a_node_that_cannot_start_fails_the_launch_with_its_reason(
+    tmp_path: Path, odd_nodes: dict[str, str]
+) -> None:
     path = scenario(tmp_path, sensor={"kind": "broken"})
     with running(tmp_path, path, environment=odd_nodes, ready=False) as launch:
         figures = launch.finish(code=1)
@@ -277,9 +331,13 @@ def test_a_node_that_cannot_start_fails_the_launch_with_its_reason(tmp_path: Pat
         assert figures["ticks"] == 0
 
 
-def test_a_driver_that_a_library_ends_in_mid_run_is_not_done(tmp_path: Path, odd_nodes: dict[str, str]) -> None:
+def test_a_driver_that_a_library_ends_in_mid_run_is_not_done(
+    tmp_path: Path, odd_nodes: dict[str, str]
+) -> None:
     driver = {"kind": "arms", "parameters": {"diary": str(tmp_path / "diary"), "fails": "exit"}}
-    with running(tmp_path, scenario(tmp_path, driver=driver), environment=odd_nodes, ready=False) as launch:
+    with running(
+        tmp_path, scenario(tmp_path, driver=driver), environment=odd_nodes, ready=False
+    ) as launch:
         figures = launch.finish(code=1)
         assert figures["exit_reason"].startswith("driver: ended with exit code 0 in mid-run")
 
@@ -300,14 +358,27 @@ def test_a_process_of_its_own_is_what_strangers_listen_to_and_it_comes_back(tmp_
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(hard, 512), hard))
     try:
-        with running(tmp_path, path) as launch, zmq.Context() as context, context.socket(zmq.SUB) as stranger:
+        with (
+            running(tmp_path, path) as launch,
+            zmq.Context() as context,
+            context.socket(zmq.SUB) as stranger,
+        ):
             driver, forwarder = launch.pid("driver"), launch.pid("forwarder")
             limits = Path(f"/proc/{driver}/limits").read_text()
-            assert next(line for line in limits.splitlines() if "open files" in line).split()[3:5] == [str(hard)] * 2
-            inodes = {os.readlink(one) for one in Path(f"/proc/{driver}/fd").glob("*") if one.exists()}
+            assert (
+                next(line for line in limits.splitlines() if "open files" in line).split()[3:5]
+                == [str(hard)] * 2
+            )
+            inodes = {
+                os.readlink(one) for one in Path(f"/proc/{driver}/fd").glob("*") if one.exists()
+            }
             tables = [Path(f"/proc/net/{name}").read_text() for name in ("tcp", "tcp6")]
             listening = [line.split() for table in tables for line in table.splitlines()[1:]]
-            place = next(words[9] for words in listening if words[1].endswith(f":{port:04X}") and words[3] == "0A")
+            place = next(
+                words[9]
+                for words in listening
+                if words[1].endswith(f":{port:04X}") and words[3] == "0A"
+            )
             assert f"socket:[{place}]" not in inodes, "the driver listens to no stranger"
             stranger.linger = 0
             stranger.connect(f"tcp://127.0.0.1:{port}")

@@ -1,7 +1,8 @@
 """One contract for every registered realisation of D^α, and each of the known failures reproduced.
 
-Oracles: Mittag-Leffler functions and Gamma ratios by mpmath, rational approximants by mpmath's Padé and scipy's
-bilinear transform, impulse responses by scipy's lfilter: none of them shares a line with the code under test.
+Oracles: Mittag-Leffler functions and Gamma ratios by mpmath, rational approximants by mpmath's Padé
+and scipy's bilinear transform, impulse responses by scipy's lfilter: none of them shares a line
+with the code under test.
 """
 
 from __future__ import annotations
@@ -23,7 +24,19 @@ from nodes.stability.plant import Plant
 from sim.chart.derivative_errors import largest_pole, lengths_taken
 from sim.device.model import DeviceModel
 from sim.scene.loop import Scene, SceneSurface, run
-from tests.support.realisations import BDF, EPS, KINDS, LENGTH, RECURSIVE, T, apply, at, loop, size, ticks
+from tests.support.realisations import (
+    BDF,
+    EPS,
+    KINDS,
+    LENGTH,
+    RECURSIVE,
+    T,
+    apply,
+    at,
+    loop,
+    size,
+    ticks,
+)
 
 CASES = [
     pytest.param(kind, order, id=f"{kind}-{order}")
@@ -56,12 +69,16 @@ def test_loop_renders_what_taps_and_sections_say(kind: str, order: float) -> Non
 
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=15)
-@given(data=st.data(), left=st.floats(-2.0, 2.0), right=st.floats(-2.0, 2.0), seed=st.integers(0, 99))
+@given(
+    data=st.data(), left=st.floats(-2.0, 2.0), right=st.floats(-2.0, 2.0), seed=st.integers(0, 99)
+)
 def test_linear(kind: str, data: st.DataObject, left: float, right: float, seed: int) -> None:
     law = realise(kind, data.draw(orders_of(kind)), LENGTH[kind], T)
     first, second = np.random.default_rng(seed).uniform(-1.0, 1.0, size=(2, 40))
     both = loop(law, (left * first + right * second).tolist())
-    parts = left * np.array(loop(law, first.tolist())) + right * np.array(loop(law, second.tolist()))
+    parts = left * np.array(loop(law, first.tolist())) + right * np.array(
+        loop(law, second.tolist())
+    )
     # Two evaluations, each rounded 40 times over terms of at most size * (|left| + |right|).
     assert np.max(np.abs(parts - both)) <= 100 * EPS * size(law) * (abs(left) + abs(right) + EPS)
 
@@ -69,7 +86,9 @@ def test_linear(kind: str, data: st.DataObject, left: float, right: float, seed:
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=15)
 @given(data=st.data(), period=st.floats(1e-4, 0.1))
-def test_gain_goes_as_period_to_the_minus_order(kind: str, data: st.DataObject, period: float) -> None:
+def test_gain_goes_as_period_to_the_minus_order(
+    kind: str, data: st.DataObject, period: float
+) -> None:
     order = data.draw(orders_of(kind))
     law, unit = realise(kind, order, LENGTH[kind], period), realise(kind, order, LENGTH[kind], 1.0)
     scale = period**-order
@@ -112,8 +131,11 @@ def test_whole_orders_differentiate_powers_exactly(kind: str, whole: int) -> Non
     law = realise(kind, float(whole), LENGTH[kind], 0.5)
     time = ticks(80, 0.5)
     output = apply(law, time**whole)
-    # D^k t^k = k! once the taps are full, for a difference of any order of accuracy; rounding grows with t^k at the end.
-    assert output[-10:] == pytest.approx(math.factorial(whole), abs=40 * EPS * size(law) * time[-1] ** whole)
+    # D^k t^k = k! once the taps are full, for a difference of any order of accuracy; rounding grows
+    # with t^k at the end.
+    assert output[-10:] == pytest.approx(
+        math.factorial(whole), abs=40 * EPS * size(law) * time[-1] ** whole
+    )
 
 
 @pytest.mark.parametrize(
@@ -130,13 +152,15 @@ def test_order_goes_over_into_whole_orders(kind: str, near: float) -> None:
     law = realise(kind, near, LENGTH[kind], T)
     angle = 0.05 * math.pi
     wanted = (1j * angle / T) ** round(near)
-    # A lag of at most one tick per derivative (half a tick in truth) and, for memories of ~60 ticks, little else.
+    # A lag of at most one tick per derivative (half a tick in truth) and, for memories of ~60
+    # ticks, little else.
     assert abs(at(law, 0.05) / wanted - 1.0) <= round(near) * angle
 
 
 def test_l1_just_above_a_whole_order_subtracts_the_oldest_sample() -> None:
     taps = realise("l1", 1.0 + 1e-12, 10, 1.0).taps
-    # (1 − w)(1 − w⁸): one difference, and eight intervals. b_m = (m+1)^{1−β} − m^{1−β} → 1 but for β ln(m).
+    # (1 − w)(1 − w⁸): one difference, and eight intervals. b_m = (m+1)^{1−β} − m^{1−β} → 1 but for
+    # β ln(m).
     assert taps == pytest.approx([1.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 1.0], abs=1e-11)
 
 
@@ -164,7 +188,9 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("kind", "order", "refused", "taken"), REFUSED)
-def test_first_bad_length_is_refused_by_name(kind: str, order: float, refused: int, taken: int) -> None:
+def test_first_bad_length_is_refused_by_name(
+    kind: str, order: float, refused: int, taken: int
+) -> None:
     with pytest.raises(ValueError, match=rf"^taps = {refused}: "):
         realise(kind, order, refused, T)
     assert realise(kind, order, taken, T).finite
@@ -237,8 +263,8 @@ def test_every_realisation_works_in_the_loop_as_a_law(kind: str, order: float) -
         }
     )
     compiled = compile_law(law, T)
-    # b = 3 N s/m keeps a 300 N/m spring stable at no delay by a wide margin; what is tested is that the loop's own
-    # kernels and the state matrix agree about the law.
+    # b = 3 N s/m keeps a 300 N/m spring stable at no delay by a wide margin; what is tested is that
+    # the loop's own kernels and the state matrix agree about the law.
     assert pole_radius(compiled, Plant(T, 0.1, 3.0)) < 1.0
     device = DeviceModel(mass=0.1, damping=3.0, position=0.005)
     scene = Scene(device=device, surface=SceneSurface("anchor"), period=T, raw=False, clamp=False)
@@ -246,7 +272,8 @@ def test_every_realisation_works_in_the_loop_as_a_law(kind: str, order: float) -
     state = state_matrix(compiled, Plant(T, 0.1, 3.0))
     x = np.zeros(len(state))
     x[0] = 0.005
-    # The loop begins at rest where the device is: history and sections are those of a deflection that has always been there.
+    # The loop begins at rest where the device is: history and sections are those of a deflection
+    # that has always been there.
     past = slice(2, len(x) - 1)
     x[past] = np.linalg.solve(np.eye(len(x) - 3) - state[past, past], state[past, 0] * 0.005)
     for k in range(600):
@@ -255,7 +282,9 @@ def test_every_realisation_works_in_the_loop_as_a_law(kind: str, order: float) -
         x = state @ x
 
 
-def test_a_realisation_from_another_package_works_by_being_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_realisation_from_another_package_works_by_being_installed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "elsewhere.py").write_text(
         "from nodes.laws import CompiledLaw\n\n"
         "def forward(order, taps, period):\n"
@@ -264,10 +293,14 @@ def test_a_realisation_from_another_package_works_by_being_installed(tmp_path: P
     info = tmp_path / "elsewhere-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: elsewhere\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[haptic.derivatives]\nforward_of_elsewhere = elsewhere:forward\n")
+    (info / "entry_points.txt").write_text(
+        "[haptic.derivatives]\nforward_of_elsewhere = elsewhere:forward\n"
+    )
     monkeypatch.syspath_prepend(str(tmp_path))
     assert "forward_of_elsewhere" in derivative_kinds()
     assert realise("forward_of_elsewhere", 0.5, 2, 0.5).taps == (2.0, -2.0)
     # What it returns is checked as ours is: a pole at 1.5 is refused.
-    with pytest.raises(ValueError, match=r"'forward_of_elsewhere' has a pole on or outside the unit circle"):
+    with pytest.raises(
+        ValueError, match=r"'forward_of_elsewhere' has a pole on or outside the unit circle"
+    ):
         realise("forward_of_elsewhere", 1.5, 2, 0.5)

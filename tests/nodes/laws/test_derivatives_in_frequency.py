@@ -17,14 +17,16 @@ from nodes.laws.derivatives.log_binned import bins
 from sim.chart.derivative_errors import best_delay, response
 from tests.support.realisations import EPS, T, apply, at, size
 
-# --- frequency domain ------------------------------------------------------------------------------------------------
+# --- frequency domain
+# ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("order", [0.3, 0.8, 1.5, 2.7, 3.47])
 def test_gl_has_the_delay_of_half_alpha(order: float) -> None:
     angles = np.geomspace(0.05, 2.5, 50)
     relative = response(realise("gl", order, 4000, 1.0), angles) / (1j * angles) ** order
-    # Exact for infinite memory; the cut adds |c_n|/sin(θ/2) at most, 4000^−1.3/0.025 = 1e−3 of θ^α for α = 0.3.
+    # Exact for infinite memory; the cut adds |c_n|/sin(θ/2) at most, 4000^−1.3/0.025 = 1e−3 of θ^α
+    # for α = 0.3.
     assert best_delay(relative, angles) == pytest.approx(0.5 * order, abs=0.01)
 
 
@@ -43,17 +45,27 @@ def test_bdf_is_the_power_of_its_polynomial(degree: int, order: float, fraction:
 @pytest.mark.parametrize("degree", [1, 4, 9])
 @pytest.mark.parametrize("order", [0.3, 0.9, 1.5, 3.47])
 @pytest.mark.parametrize(("kind", "left"), [("tustin_cfe", 1.0), ("al_alaoui_cfe", 1.0 / 7.0)])
-def test_continued_fraction_is_the_pade_approximant(kind: str, left: float, order: float, degree: int) -> None:
+def test_continued_fraction_is_the_pade_approximant(
+    kind: str, left: float, order: float, degree: int
+) -> None:
     whole, fraction = math.floor(order), order - math.floor(order)
     law = realise(kind, order, degree + 1, T)
     with mpmath.workdps(60):
         a, beta = mpmath.mpf(left), mpmath.mpf(fraction)
-        binomials = [((-1) ** m * mpmath.binomial(beta, m), a**m * mpmath.binomial(-beta, m)) for m in range(2 * degree + 1)]
-        series = [sum(binomials[j][0] * binomials[m - j][1] for j in range(m + 1)) for m in range(2 * degree + 1)]
+        binomials = [
+            ((-1) ** m * mpmath.binomial(beta, m), a**m * mpmath.binomial(-beta, m))
+            for m in range(2 * degree + 1)
+        ]
+        series = [
+            sum(binomials[j][0] * binomials[m - j][1] for j in range(m + 1))
+            for m in range(2 * degree + 1)
+        ]
         top, bottom = mpmath.pade(series, degree, degree)
         for angle in (0.003, 0.1, 0.5, 1.0):
             w = mpmath.expj(-mpmath.pi * angle)
-            exact = sum(c * w**m for m, c in enumerate(top)) / sum(c * w**m for m, c in enumerate(bottom))
+            exact = sum(c * w**m for m, c in enumerate(top)) / sum(
+                c * w**m for m, c in enumerate(bottom)
+            )
             exact *= ((1 + a) / T) ** beta * ((1 - w) / T) ** whole
             # (1 − w)^k cancels k digits' worth of the sections' rounding at low frequency.
             rounding = 1e3 * EPS * size(law)
@@ -87,11 +99,14 @@ def test_oustaloup_against_zeros_and_poles(kind: str, order: float) -> None:
         return complex(np.prod((z - zeros) / (z - poles))) * ((1.0 - 1.0 / z) / T) ** whole
 
     middle = math.sqrt(low * high) * T
-    gain = (middle / T) ** fraction / abs(exact(middle) / ((1.0 - cmath.exp(-1j * middle)) / T) ** whole)
+    gain = (middle / T) ** fraction / abs(
+        exact(middle) / ((1.0 - cmath.exp(-1j * middle)) / T) ** whole
+    )
     for angle in (0.002, 0.05, 0.5, 3.0):
         # Partial fractions and product differ by rounding, of the size of the largest gain.
         assert abs(at(law, angle / math.pi) - gain * exact(angle)) <= 1e3 * EPS * size(law)
-    # The band reaches from Nyquist down half a decade per pair: in its middle the slope is right within its ripple.
+    # The band reaches from Nyquist down half a decade per pair: in its middle the slope is right
+    # within its ripple.
     assert abs(at(law, middle / math.pi)) == pytest.approx((middle / T) ** order, rel=1e-3)
 
 
@@ -102,7 +117,8 @@ def test_exponentials_keep_the_weights_of_gl(order: float, memory: int) -> None:
     impulse = np.eye(1, memory)[0]
     weights = np.cumsum(apply(law, impulse))
     exact = [float(mpmath.rf(1 - order, m) / mpmath.factorial(m)) for m in range(memory)]
-    # The first four are kept; h = 0.9 and all rates below 0.05/N on one pole leave 1 % of the weight itself at age N.
+    # The first four are kept; h = 0.9 and all rates below 0.05/N on one pole leave 1 % of the
+    # weight itself at age N.
     assert weights[:4] == pytest.approx(exact[:4], rel=1e-9)
     assert weights == pytest.approx(exact, rel=0.03)
     # O(log N): one exponential per 0.9 nepers of memory, two to a section.
@@ -130,5 +146,6 @@ def test_least_squares_cannot_be_improved(order: float) -> None:
     for basis in (1.0, w, *(w / (1.0 - p * w) for p in poles)):
         column = (1.0 - w) * basis / (1j * angles) ** order
         slope = abs(np.vdot(column, residual).real)
-        # At the minimum the residual is orthogonal to all that was fitted, up to the rounding of cond ≈ 300 squared.
+        # At the minimum the residual is orthogonal to all that was fitted, up to the rounding of
+        # cond ≈ 300 squared.
         assert slope <= 1e-8 * float(np.linalg.norm(column))

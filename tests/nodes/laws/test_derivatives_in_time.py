@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from nodes.laws.derivatives import realise
 from tests.support.realisations import BDF, KINDS, apply, ticks
 
-# --- time domain: Riemann-Liouville, lower terminal 0 ---------------------------------------------------------------
+# --- time domain: Riemann-Liouville, lower terminal 0
+# ---------------------------------------------------------------
 
 
 def power(order: float, time: float) -> float:
@@ -25,7 +26,11 @@ def exponential(order: float, time: float) -> float:
 
 
 def sine(order: float, time: float) -> float:
-    return 8.0 * math.pow(time, 1.0 - order) * float(mittag_leffler(2.0, 2.0 - order, -64.0 * time * time))
+    return (
+        8.0
+        * math.pow(time, 1.0 - order)
+        * float(mittag_leffler(2.0, 2.0 - order, -64.0 * time * time))
+    )
 
 
 def cosine(order: float, time: float) -> float:
@@ -36,13 +41,20 @@ def mittag_leffler(a: float, b: float, argument: float) -> mpmath.mpf:
     """E_{a,b} from its series, with digits enough for the cancellation."""
     with mpmath.workdps(60):
         return mpmath.nsum(
-            lambda j: mpmath.mpf(argument) ** int(j) * mpmath.rgamma(mpmath.mpf(a) * j + mpmath.mpf(b)),
+            lambda j: (
+                mpmath.mpf(argument) ** int(j) * mpmath.rgamma(mpmath.mpf(a) * j + mpmath.mpf(b))
+            ),
             [0, mpmath.inf],
             method="direct",
         )
 
 
-SIGNALS: dict[str, tuple[Callable[[NDArray[np.float64]], NDArray[np.float64]], Callable[[float, float], float], float]]
+SIGNALS: dict[
+    str,
+    tuple[
+        Callable[[NDArray[np.float64]], NDArray[np.float64]], Callable[[float, float], float], float
+    ],
+]
 SIGNALS = {
     "power": (lambda t: t * t, power, 0.0),
     "exponential": (lambda t: np.exp(-2.0 * t), exponential, 1.0),
@@ -68,7 +80,8 @@ def lag(kind: str, order: float) -> float:
 
 
 TICKS = 500
-# Memory beyond the whole run: 600 taps, or recursive degrees whose memory (n² ticks or so) is that long.
+# Memory beyond the whole run: 600 taps, or recursive degrees whose memory (n² ticks or so) is that
+# long.
 LONG = {
     **dict.fromkeys(KINDS, 600),
     **dict.fromkeys(("tustin_cfe", "al_alaoui_cfe"), 61),
@@ -76,7 +89,8 @@ LONG = {
     "least_squares": 15,
     "exponentials": 2000,
 }
-# How well each approximation claims to follow its own symbol, relative to what it renders. Exact convolutions: 0.
+# How well each approximation claims to follow its own symbol, relative to what it renders. Exact
+# convolutions: 0.
 APPROXIMATION = {
     **dict.fromkeys(KINDS, 0.0),
     "exponentials": 2e-3,  # trapezium rule with h = 0.9 over one decaying exponential per 1/e
@@ -95,7 +109,8 @@ APPROXIMATION = {
         for signal in SIGNALS
         for order in (0.3, 0.5, 0.8, 1.5, 2.5)
         # Refused above 2; and ringing after any corner, see test_tustin_rings_after_a_corner.
-        if not (kind == "log_binned" and order > 2.0) and not (kind == "tustin_cfe" and (signal != "power" or order > 2.0))
+        if not (kind == "log_binned" and order > 2.0)
+        and not (kind == "tustin_cfe" and (signal != "power" or order > 2.0))
     ],
 )
 def test_follows_the_fractional_derivative(kind: str, signal: str, order: float) -> None:
@@ -103,12 +118,15 @@ def test_follows_the_fractional_derivative(kind: str, signal: str, order: float)
     step = 1.0 / TICKS
     output = apply(realise(kind, order, LONG[kind], step), function(ticks(TICKS + 1, step)))[-1]
     exact, slope, curvature = (oracle(order + i, 1.0) for i in range(3))
-    # First-order terms are known: the realisation's lag, and the jump at 0, which samples see half a tick early.
+    # First-order terms are known: the realisation's lag, and the jump at 0, which samples see half
+    # a tick early.
     predicted = exact - lag(kind, order) * step * slope + 0.5 * step * jump / math.gamma(-order)
-    # Second order: a symbol's next term is at most α/3 (BDF2) or (α/2)²/2 + α/24 (GL) times T² D^{α+2}.
+    # Second order: a symbol's next term is at most α/3 (BDF2) or (α/2)²/2 + α/24 (GL) times T²
+    # D^{α+2}.
     tolerance = step**2 * (abs(curvature) * (order / 3.0 + order**2 / 8.0) + 1.0)
     if kind == "l1":
-        # L1's own error, |ζ(β−1)|/Γ(2−β) <= 0.57 times T^{2−β} D^{k+2}; and the jump of the (k+1)st derivative at 0.
+        # L1's own error, |ζ(β−1)|/Γ(2−β) <= 0.57 times T^{2−β} D^{k+2}; and the jump of the (k+1)st
+        # derivative at 0.
         whole = math.floor(order)
         tolerance += 0.6 * step ** (2.0 - order + whole) * max(8.0 ** (2 + whole), 2.0)
     scale = abs(exact) + jump / abs(math.gamma(1.0 - order)) + 1.0
@@ -121,7 +139,8 @@ def test_full_memory_gl_on_a_parabola(order: float, count: int) -> None:
     step = 1.0 / count
     output = apply(realise("gl", order, count + 1, step), ticks(count + 1, step) ** 2)[-1]
     relative = output / power(order, 1.0) - 1.0
-    # Leading order (THEORY.md §7); the next term is T² times a polynomial in α that stays below 1 for α < 2.
+    # Leading order (THEORY.md §7); the next term is T² times a polynomial in α that stays below 1
+    # for α < 2.
     assert relative == pytest.approx(-0.5 * order * (2.0 - order) * step, abs=step**2)
 
 
@@ -129,6 +148,7 @@ def test_tustin_rings_after_a_corner() -> None:
     step = 1.0 / TICKS
     output = apply(realise("tustin_cfe", 0.5, 61, step), np.ones(TICKS + 1))
     decayed = float(1.0 / mpmath.gamma(0.5))
-    # The pole nearest −1 dies out over n² ticks: half a thousand ticks after the step the sign still alternates.
+    # The pole nearest −1 dies out over n² ticks: half a thousand ticks after the step the sign
+    # still alternates.
     assert abs(output[-1] - output[-2]) > 0.5 * decayed
     assert abs(0.5 * (output[-1] + output[-2]) - decayed) < 0.01 * decayed

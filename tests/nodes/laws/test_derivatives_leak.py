@@ -15,7 +15,8 @@ from nodes.laws.derivatives.cfe import whole_order
 from sim.chart.derivative_errors import analyse, largest_pole
 from tests.support.realisations import BDF, EPS, LENGTH, RECURSIVE, T, apply, at, size
 
-# --- leaks and start-up ----------------------------------------------------------------------------------------------
+# --- leaks and start-up
+# ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("order", [0.1, 0.5, 0.9, 1.3, 1.9, 2.5, 3.47])
@@ -26,7 +27,9 @@ def test_gl_leaks_as_the_binomial_sum(order: float, taps: int) -> None:
     assert leak == pytest.approx(exact, abs=taps * EPS * 2.0**order)
     if taps == 1000:
         # (nT)^−α/Γ(1−α), in units of T^−α, with corrections of order α(α+1)/n.
-        assert exact == pytest.approx(float((taps - 1) ** -order * mpmath.rgamma(1 - order)), rel=order * (order + 1.0) / 1000)
+        assert exact == pytest.approx(
+            float((taps - 1) ** -order * mpmath.rgamma(1 - order)), rel=order * (order + 1.0) / 1000
+        )
         assert (exact > 0.0) == (order < 1.0 or 2.0 < order < 3.0)
 
 
@@ -69,11 +72,14 @@ def test_held_offset_decays_as_a_power(order: float) -> None:
         assert np.max(np.abs(filled)) <= 200 * EPS * size(law)
 
 
-# --- what breaks, and how loudly --------------------------------------------------------------------------------------
+# --- what breaks, and how loudly
+# --------------------------------------------------------------------------------------
 
 
 def fraction_response(zeros: list[complex], poles: list[complex], z: complex) -> complex:
-    return math.prod((z - a for a in zeros), start=1.0 + 0j) / math.prod((z - p for p in poles), start=1.0 + 0j)
+    return math.prod((z - a for a in zeros), start=1.0 + 0j) / math.prod(
+        (z - p for p in poles), start=1.0 + 0j
+    )
 
 
 @pytest.mark.parametrize("order", [1.2, 1.5, 1.9, 2.5])
@@ -87,13 +93,15 @@ def test_tustin_expanded_for_the_whole_order_is_unstable(order: float, degree: i
     assert max(map(abs, poles)) < 1.0
     z = cmath.exp(0.3j)
     expanded = fraction_response(zeros, poles, z) * (2.0 / T) ** (order - math.floor(order))
-    assert at(realise("tustin_cfe", order - math.floor(order), degree + 1, T), 0.3 / math.pi) == pytest.approx(
-        expanded, rel=1e-9
-    )
+    assert at(
+        realise("tustin_cfe", order - math.floor(order), degree + 1, T), 0.3 / math.pi
+    ) == pytest.approx(expanded, rel=1e-9)
 
 
 @pytest.mark.parametrize("order", [1.2, 1.5, 1.8])
-def test_al_alaoui_expanded_for_the_whole_order_is_stable_but_wrong_at_low_frequency(order: float) -> None:
+def test_al_alaoui_expanded_for_the_whole_order_is_stable_but_wrong_at_low_frequency(
+    order: float,
+) -> None:
     degree, angle = 5, 0.002 * math.pi
     zeros, poles = whole_order(order, degree, 1.0 / 7.0)
     assert max(map(abs, poles)) < 1.0
@@ -110,7 +118,10 @@ def test_al_alaoui_expanded_for_the_whole_order_is_stable_but_wrong_at_low_frequ
 @pytest.mark.parametrize("order", [0.5, 1.5])
 def test_accuracy_near_nyquist_is_paid_with_gain_there(order: float) -> None:
     figures = [analyse(kind, order, 2000, T) for kind in ("gl", *BDF)]
-    error = [abs(at(realise(kind, order, 2000, T), 0.3) / (0.3j * math.pi / T) ** order - 1.0) for kind in ("gl", *BDF)]
+    error = [
+        abs(at(realise(kind, order, 2000, T), 0.3) / (0.3j * math.pi / T) ** order - 1.0)
+        for kind in ("gl", *BDF)
+    ]
     assert error == sorted(error, reverse=True)
     for degree, figure in zip(range(1, 7), figures, strict=True):
         exact = (sum(2.0**j / j for j in range(1, degree + 1)) / 2.0) ** order
@@ -125,5 +136,6 @@ def test_bdf7_would_grow_without_bound() -> None:
     for j in range(1, 8):
         polynomial = polynomial + np.poly1d([-1.0, 1.0]) ** j / j
     roots = np.abs(polynomial.roots)
-    # A zero inside the unit disc (besides w = 1 on it): the power series of any fractional power grows.
+    # A zero inside the unit disc (besides w = 1 on it): the power series of any fractional power
+    # grows.
     assert np.min(roots) < 1.0 - 1e-6

@@ -44,14 +44,19 @@ def test_a_high_cutoff_is_pd_and_a_low_one_costs_stiffness() -> None:
         assert found is not None
         # Just inside and just outside.
         for share, stable in ((0.999, True), (1.001, False)):
-            assert (pole_radius(with_spring(derivative, share * found), Plant(T, 0.1, 1.0, 1.0)) < 1.0) == stable
+            assert (
+                pole_radius(with_spring(derivative, share * found), Plant(T, 0.1, 1.0, 1.0)) < 1.0
+            ) == stable
         return found
 
     plain = k_max(without_spring(PD(stiffness=1.0, damping=3.0), T), device).k_max_n_per_m
     assert limit(1e4) == pytest.approx(plain, rel=1e-9)
     assert limit(100.0) > limit(30.0) > limit(10.0)
     # What it buys: less of the encoder's noise.
-    noise = [PDFiltered(stiffness=1.0, damping=3.0, cutoff=f).compile(T).h_nyquist for f in (1e4, 100.0, 30.0)]
+    noise = [
+        PDFiltered(stiffness=1.0, damping=3.0, cutoff=f).compile(T).h_nyquist
+        for f in (1e4, 100.0, 30.0)
+    ]
     assert noise[0] > noise[1] > noise[2]
 
 
@@ -62,7 +67,8 @@ def ring(samples: list[float]) -> list[float]:
 def test_window_is_long_on_a_line_and_short_at_a_corner() -> None:
     line = [k * 0.3 * STEP for k in range(40)]
     read = [round(x / STEP) * STEP for x in line]
-    # Encoder steps on a straight motion: the whole window fits, its ends are wrong by half a step each.
+    # Encoder steps on a straight motion: the whole window fits, its ends are wrong by half a step
+    # each.
     assert windowed_slope(ring(read), 0, STEP, 20) == pytest.approx(0.3 * STEP, abs=STEP / 20)
     # The backward difference of the same is 0 or a whole step.
     assert abs(read[-1] - read[-2]) in (0.0, pytest.approx(STEP))
@@ -77,7 +83,9 @@ def test_window_is_long_on_a_line_and_short_at_a_corner() -> None:
 
 def test_a_window_of_one_tick_is_pd_bit_for_bit() -> None:
     scene = drop_scene(DeviceModel(mass=0.1, damping=1.0, resolution=STEP), T, False, True)
-    windowed = run(scene, PDWindowed(stiffness=900.0, damping=2.0, resolution=STEP, window=1).compile(T), 800)
+    windowed = run(
+        scene, PDWindowed(stiffness=900.0, damping=2.0, resolution=STEP, window=1).compile(T), 800
+    )
     plain = run(scene, PD(stiffness=900.0, damping=2.0).compile(T), 800)
     # (K + B/T) x − B/T x₋₁ against K x + B/T (x − x₋₁): roundings of 1000 N/m on 5 mm.
     assert windowed.position == pytest.approx(plain.position, abs=1e-12)
@@ -85,8 +93,13 @@ def test_a_window_of_one_tick_is_pd_bit_for_bit() -> None:
 
 def test_windowed_drop_settles_inside_and_not_outside() -> None:
     """Its K_max is known by simulation: the same drop, judged by the same rule, an order of magnitude apart."""
-    scene = drop_scene(DeviceModel(mass=0.1, damping=1.0, resolution=STEP, friction=0.06), T, False, True)
-    laws = [PDWindowed(stiffness=k, damping=3.0, resolution=STEP, window=15).compile(T) for k in (1000.0, 8000.0)]
+    scene = drop_scene(
+        DeviceModel(mass=0.1, damping=1.0, resolution=STEP, friction=0.06), T, False, True
+    )
+    laws = [
+        PDWindowed(stiffness=k, damping=3.0, resolution=STEP, window=15).compile(T)
+        for k in (1000.0, 8000.0)
+    ]
     assert settles(scene, laws, Criterion(1500)) == [True, False]
 
 
@@ -100,7 +113,9 @@ def test_a_launch_in_lockstep_gives_the_bits_of_one_process(tmp_path: Path, law:
 
     chosen = tmp_path / "law.yaml"
     chosen.write_text(f"coupling: {{law: mine, laws: {{mine: {law}}}}}")
-    figures = launch_json(tmp_path, "floor_buzz", "pace:=lockstep", "duration:=0.6", "--params", str(chosen))
+    figures = launch_json(
+        tmp_path, "floor_buzz", "pace:=lockstep", "duration:=0.6", "--params", str(chosen)
+    )
     state = Recording(tmp_path / figures["recording"]).arrays("/device/state")
     model = DeviceModel(mass=0.1, damping=1.0, resolution=STEP, friction=0.06, gravity=9.81)
     compiled = compile_law(parse_law(parse_yaml(law, "law")), T)
@@ -113,4 +128,12 @@ def test_bad_values_are_refused() -> None:
     with pytest.raises(LawRefusedError, match=r"law\.cutoff: .* above 0, got 0\.0"):
         parse_law({"kind": "pd_filtered", "stiffness": 1.0, "damping": 1.0, "cutoff": 0.0})
     with pytest.raises(LawRefusedError, match=r"law\.window: .* at most 64, got 65"):
-        parse_law({"kind": "pd_windowed", "stiffness": 1.0, "damping": 1.0, "resolution": 1e-5, "window": 65})
+        parse_law(
+            {
+                "kind": "pd_windowed",
+                "stiffness": 1.0,
+                "damping": 1.0,
+                "resolution": 1e-5,
+                "window": 65,
+            }
+        )

@@ -21,7 +21,9 @@ T = 0.002
 
 def test_without_relaxation_it_is_kelvin_and_voigts() -> None:
     """τ → 0: what is left of the arm differs by (τ/T)^α of it, here 10⁻⁶."""
-    solid = FractionalSLS(stiffness=900.0, damping=0.5, order=0.6, relaxation=T * 1e-10, taps=12).compile(T)
+    solid = FractionalSLS(
+        stiffness=900.0, damping=0.5, order=0.6, relaxation=T * 1e-10, taps=12
+    ).compile(T)
     known = PDAlpha(stiffness=900.0, damping=0.5, order=0.6, taps=12, gains="physical").compile(T)
     assert solid.taps == pytest.approx(known.taps, rel=2e-6)
 
@@ -29,9 +31,13 @@ def test_without_relaxation_it_is_kelvin_and_voigts() -> None:
 def test_of_order_one_it_is_a_velocity_behind_a_filter() -> None:
     """B D/(1 + τD) by backward differences: a pole at c/(1 + c); its response is kept to 200 taps, 0.5^200 of it left."""
     relaxation = T
-    solid = FractionalSLS(stiffness=900.0, damping=3.0, order=1.0, relaxation=relaxation, taps=200).compile(T)
+    solid = FractionalSLS(
+        stiffness=900.0, damping=3.0, order=1.0, relaxation=relaxation, taps=200
+    ).compile(T)
     pole = relaxation / (relaxation + T)
-    known = PDFiltered(stiffness=900.0, damping=3.0, cutoff=-math.log(pole) / (2.0 * math.pi * T)).compile(T)
+    known = PDFiltered(
+        stiffness=900.0, damping=3.0, cutoff=-math.log(pole) / (2.0 * math.pi * T)
+    ).compile(T)
     z = np.exp(1j * np.linspace(0.01, np.pi, 50))
     assert solid.response(z) == pytest.approx(known.response(z), rel=1e-12)
 
@@ -39,8 +45,12 @@ def test_of_order_one_it_is_a_velocity_behind_a_filter() -> None:
 @pytest.mark.parametrize("order", [0.3, 0.7])
 def test_the_arm_keeps_its_equation(order: float) -> None:
     """A + τ^α D^α A = B_α D^α x by the sums themselves, on any signal."""
-    law = FractionalSLS(stiffness=0.0, damping=2.0, order=order, relaxation=3.0 * T, taps=60).compile(T)
-    weights = np.array([math.prod((m - 1.0 - order) / m for m in range(1, n + 1)) for n in range(60)])
+    law = FractionalSLS(
+        stiffness=0.0, damping=2.0, order=order, relaxation=3.0 * T, taps=60
+    ).compile(T)
+    weights = np.array(
+        [math.prod((m - 1.0 - order) / m for m in range(1, n + 1)) for n in range(60)]
+    )
     x = np.random.default_rng(1).normal(size=60)
     force = np.convolve(x, law.taps)[:60]
     left = force + 3.0**order * np.convolve(force, weights)[:60]
@@ -53,13 +63,18 @@ RELAXATIONS = st.floats(0.5 * T, 10.0)
 
 @settings(max_examples=25, deadline=None)
 @given(ORDERS, RELAXATIONS, st.floats(0.0, 2000.0))
-def test_with_its_whole_memory_it_is_the_fraction_and_relaxes(order: float, relaxation: float, stiffness: float) -> None:
+def test_with_its_whole_memory_it_is_the_fraction_and_relaxes(
+    order: float, relaxation: float, stiffness: float
+) -> None:
     """By the closed form on the unit circle, (B/τ^α) c G/(1 + c G); H(1) is K: eight taps held 87 % of a Maxwell element."""
-    law = FractionalSLS(stiffness=stiffness, damping=2.0, order=order, relaxation=relaxation).compile(T)
+    law = FractionalSLS(
+        stiffness=stiffness, damping=2.0, order=order, relaxation=relaxation
+    ).compile(T)
     z = np.exp(1j * np.concatenate([np.geomspace(1e-4, 0.1, 40), np.linspace(0.1, np.pi, 80)]))
     spring, share, g = 2.0 / relaxation**order, (relaxation / T) ** order, (1.0 - 1.0 / z) ** order
     exact = stiffness + spring * share * g / (1.0 + share * g)
-    # Two exponentials in each cell of 1.8 of ln s leave at most 0.6 % of the arm's own stiffness (tried at 40 pairs).
+    # Two exponentials in each cell of 1.8 of ln s leave at most 0.6 % of the arm's own stiffness
+    # (tried at 40 pairs).
     assert np.abs(law.response(z) - exact).max() <= 0.01 * spring
     assert law.h1 == pytest.approx(stiffness, abs=1e-6 * (spring + stiffness))
     assert law.stable_sections()
@@ -67,7 +82,9 @@ def test_with_its_whole_memory_it_is_the_fraction_and_relaxes(order: float, rela
 
 @settings(max_examples=20, deadline=None)
 @given(st.floats(0.05, 0.999), RELAXATIONS)
-def test_the_exponentials_are_positive_and_sum_to_the_first_answer(order: float, relaxation: float) -> None:
+def test_the_exponentials_are_positive_and_sum_to_the_first_answer(
+    order: float, relaxation: float
+) -> None:
     share = (relaxation / T) ** order
     poles, weights = exponentials(order, share)
     assert min(weights) > 0.0
@@ -93,16 +110,21 @@ def test_a_maxwell_element_lets_go() -> None:
 def test_the_condition_at_nyquist_is_passivity_with_the_whole_memory_and_no_delay() -> None:
     """Each exponential's share of f rises up to ω_N, (t − cos θ)/(1 − 2 t cos θ + t²), and so does a sum of positive ones."""
     for order in (0.3, 0.6, 0.9, 1.0):
-        law = FractionalSLS(stiffness=400.0, damping=0.4, order=order, relaxation=2.0 * T).compile(T)
+        law = FractionalSLS(stiffness=400.0, damping=0.4, order=order, relaxation=2.0 * T).compile(
+            T
+        )
         at_nyquist = 0.5 * T * law.h_nyquist
-        # `damping_needed` ends at the largest of a grid that is refined to 1e-9; the exact first answers move it by their fit.
+        # `damping_needed` ends at the largest of a grid that is refined to 1e-9; the exact first
+        # answers move it by their fit.
         assert damping_needed(law, T, 0.0) == pytest.approx(at_nyquist, rel=2e-3)
         assert damping_needed(law, T, 1.0) > 1.2 * at_nyquist
 
 
 def test_a_short_memory_needs_more_than_the_condition_at_nyquist() -> None:
     """A referee's case, 12 % above it: K 0, order 1, relaxation 3.4 ticks, three taps; the largest need is at 0.69 ω_N."""
-    law = FractionalSLS(stiffness=0.0, damping=1.0, order=1.0, relaxation=3.4 * T, taps=3).compile(T)
+    law = FractionalSLS(stiffness=0.0, damping=1.0, order=1.0, relaxation=3.4 * T, taps=3).compile(
+        T
+    )
     at_nyquist = 0.5 * T * law.h_nyquist
     theta = np.linspace(1e-3, np.pi, 20001)
     z = np.exp(1j * theta)
@@ -120,11 +142,26 @@ def test_law_show_warns_of_what_a_short_memory_leaks(
     stiffness: float, taps: str, warned: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Eight taps of a Maxwell element of 0.1 s hold 427 N/m for ever."""
-    law = f"{{kind: fractional_sls, stiffness: {stiffness}, damping: 49.0, order: 1.0, relaxation: 0.1{taps}}}"
+    law = (
+        f"{{kind: fractional_sls, stiffness: {stiffness}, damping: 49.0, order: 1.0, relaxation:"
+        f" 0.1{taps}}}"
+    )
     assert main(["law", "show", law]) == 0
     assert ("a short memory leaks" in capsys.readouterr().out) is warned
 
 
 def test_a_maxwell_element_alone_is_no_wall(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["law", "show", "{kind: fractional_sls, stiffness: 0.0, damping: 49.0, order: 1.0, relaxation: 0.1}"]) == 2
+    assert (
+        main(
+            [
+                "law",
+                "show",
+                (
+                    "{kind: fractional_sls, stiffness: 0.0, damping: 49.0, order: 1.0, relaxation:"
+                    " 0.1}"
+                ),
+            ]
+        )
+        == 2
+    )
     assert "renders H(1) = 0 N/m" in capsys.readouterr().err

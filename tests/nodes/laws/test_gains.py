@@ -15,7 +15,9 @@ T = 0.002
 
 def pd_alpha(order: float, taps: int = 12, gains: str = "physical", **more: float) -> CompiledLaw:
     values = {"stiffness": 1e6, "damping": 1.0, **more}
-    return parse_law({"kind": "pd_alpha", "order": order, "taps": taps, "gains": gains, **values}).compile(T)
+    return parse_law(
+        {"kind": "pd_alpha", "order": order, "taps": taps, "gains": gains, **values}
+    ).compile(T)
 
 
 def test_order_one_is_pd() -> None:
@@ -49,7 +51,8 @@ def test_leak_of_the_truncated_derivative(order: float, taps: int) -> None:
     law = pd_alpha(order, taps, stiffness=1.0)
     n = taps - 1
     leak = T**-order * (-1.0) ** n * special.binom(order - 1.0, n)
-    # The taps cancel: their sum is exact to some roundings of their size; binom of scipy is good to about 1e-10.
+    # The taps cancel: their sum is exact to some roundings of their size; binom of scipy is good to
+    # about 1e-10.
     rounding = taps * 2.0**-52 * sum(map(abs, law.taps))
     assert law.h1 - 1.0 == pytest.approx(leak, rel=1e-9, abs=rounding + 1e-12)
     if n > 3 and abs(leak) > 10 * rounding:
@@ -59,9 +62,18 @@ def test_leak_of_the_truncated_derivative(order: float, taps: int) -> None:
 @pytest.mark.parametrize("order", [0.25, 0.75, 1.0, 1.5, 2.5, 3.75])
 @pytest.mark.parametrize("period", [0.00025, 0.002, 0.004])
 @pytest.mark.parametrize("taps", [2, 4, 10, 500])
-def test_paper_gain_is_f_at_nyquist_of_the_sum_that_renders(order: float, period: float, taps: int) -> None:
+def test_paper_gain_is_f_at_nyquist_of_the_sum_that_renders(
+    order: float, period: float, taps: int
+) -> None:
     """H(−1) = K + (2/T)·f(ω_N), and f(ω_N) = B whatever n (paper, fig. 2 and eq. 9; THEORY.md §1)."""
-    data = {"kind": "pd_alpha", "stiffness": 1.0, "damping": 3.0, "order": order, "taps": taps, "gains": "paper"}
+    data = {
+        "kind": "pd_alpha",
+        "stiffness": 1.0,
+        "damping": 3.0,
+        "order": order,
+        "taps": taps,
+        "gains": "paper",
+    }
     law = parse_law(data).compile(period)
     # taps roundings of the largest tap, in units of f.
     rounding = taps * 2.0**-52 * period * sum(map(abs, law.taps))
@@ -78,10 +90,18 @@ def test_paper_optimum_has_the_sum_of_its_gains_at_nyquist(damping: float) -> No
 @pytest.mark.parametrize("order", [0.25, 0.75, 1.5, 2.5, 3.75])
 @pytest.mark.parametrize("period", [0.00025, 0.002, 0.004])
 def test_unlimited_gain_is_f_at_nyquist_of_unlimited_memory(order: float, period: float) -> None:
-    data = {"kind": "pd_alpha", "stiffness": 1.0, "damping": 3.0, "order": order, "taps": 4001, "gains": "unlimited"}
+    data = {
+        "kind": "pd_alpha",
+        "stiffness": 1.0,
+        "damping": 3.0,
+        "order": order,
+        "taps": 4001,
+        "gains": "unlimited",
+    }
     law = parse_law(data).compile(period)
     f = 0.5 * period * (law.h_nyquist - 1.0)
-    # At z = −1 the series Σ|c_m| settles like an alternating or a positive one, tail below n^−α/|Γ(1−α)|.
+    # At z = −1 the series Σ|c_m| settles like an alternating or a positive one, tail below
+    # n^−α/|Γ(1−α)|.
     assert f == pytest.approx(3.0, rel=2.0 * 4000.0**-order + 1e-12)
 
 
@@ -97,11 +117,17 @@ def test_unlimited_is_the_same_as_measuring_time_so_that_the_period_is_two() -> 
 
 
 @pytest.mark.parametrize(
-    ("order", "taps", "low", "high"), [(0.3, 4, 1.0, 1.05), (1.7, 4, 0.98, 1.01), (3.47, 4, 0.97, 1.0), (3.47, 2, 0.3, 0.5)]
+    ("order", "taps", "low", "high"),
+    [(0.3, 4, 1.0, 1.05), (1.7, 4, 0.98, 1.01), (3.47, 4, 0.97, 1.0), (3.47, 2, 0.3, 0.5)],
 )
-def test_paper_and_unlimited_differ_by_what_the_memory_lacks(order: float, taps: int, low: float, high: float) -> None:
+def test_paper_and_unlimited_differ_by_what_the_memory_lacks(
+    order: float, taps: int, low: float, high: float
+) -> None:
     data = {"kind": "pd_alpha", "stiffness": 1.0, "damping": 3.0, "order": order, "taps": taps}
-    paper, unlimited = (parse_law({**data, "gains": unit}).compile(T).h_nyquist - 1.0 for unit in ("paper", "unlimited"))
+    paper, unlimited = (
+        parse_law({**data, "gains": unit}).compile(T).h_nyquist - 1.0
+        for unit in ("paper", "unlimited")
+    )
     assert low < unlimited / paper < high
 
 

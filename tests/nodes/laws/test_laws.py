@@ -31,12 +31,22 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "multi_term": {
         "stiffness": 1200.0,
         "damping": 2.0,
-        "terms": [{"gain": 1.1, "order": 0.4}, {"gain": -0.2, "order": 2.5}, {"gain": 0.3, "order": 1.0}],
+        "terms": [
+            {"gain": 1.1, "order": 0.4},
+            {"gain": -0.2, "order": 2.5},
+            {"gain": 0.3, "order": 1.0},
+        ],
         "taps": 9,
         "gains": "paper",
     },
     "fir": {"taps": [2500.0, -1700.0, 400.0, 0.125]},
-    "fractional_sls": {"stiffness": 900.0, "damping": 8.0, "order": 0.6, "relaxation": 0.004, "taps": 16},
+    "fractional_sls": {
+        "stiffness": 900.0,
+        "damping": 8.0,
+        "order": 0.6,
+        "relaxation": 0.004,
+        "taps": 16,
+    },
     "pd_filtered": {"stiffness": 1200.0, "damping": 3.0, "cutoff": 30.0},
     "pd_windowed": {"stiffness": 1200.0, "damping": 3.0, "resolution": 2.3e-5, "window": 9},
     "excitation": {"amplitude": 0.5, "stiffness": 30.0, "damping": 0.2},
@@ -83,7 +93,9 @@ def settling(law: CompiledLaw) -> int:
 
 
 def test_every_registered_law_has_an_example_here() -> None:
-    assert {kind for kind, law in law_kinds().items() if law.__module__.startswith("nodes.")} == set(EXAMPLES)
+    assert {
+        kind for kind, law in law_kinds().items() if law.__module__.startswith("nodes.")
+    } == set(EXAMPLES)
 
 
 every_law = pytest.mark.parametrize("case", CASES)
@@ -109,7 +121,9 @@ def test_is_linear_in_the_deflection(case: dict[str, Any]) -> None:
 
 
 @every_law
-def test_no_deflection_for_as_long_as_its_memory_gives_exactly_no_force(case: dict[str, Any]) -> None:
+def test_no_deflection_for_as_long_as_its_memory_gives_exactly_no_force(
+    case: dict[str, Any],
+) -> None:
     law = compile_law(parse_law(case), T)
     if law.sections:
         pytest.skip("recursive laws forget exponentially, not in n ticks")
@@ -177,21 +191,45 @@ def test_preset_values_can_be_replaced() -> None:
         ("pd", r"^laws\.a: expected a mapping"),
         ({}, r"^laws\.a\.kind: None is not"),
         ({"kind": ["pd"]}, r"^laws\.a\.kind: \['pd'\] is not"),
-        ({"kind": "pdq", "stiffness": 1.0}, r"^laws\.a\.kind: 'pdq' is not .* there is: .*fir, .*paper_optimum"),
+        (
+            {"kind": "pdq", "stiffness": 1.0},
+            r"^laws\.a\.kind: 'pdq' is not .* there is: .*fir, .*paper_optimum",
+        ),
         ({"kind": "pd"}, r"^laws\.a\.stiffness: is missing"),
-        ({"kind": "pd", "stiffness": 0.0}, r"^laws\.a\.stiffness: expected a number above 0, got 0\.0"),
-        ({"kind": "pd", "stiffness": 1.0, "damping": -1e-9}, r"^laws\.a\.damping: .*of at least 0, got -1e-09"),
+        (
+            {"kind": "pd", "stiffness": 0.0},
+            r"^laws\.a\.stiffness: expected a number above 0, got 0\.0",
+        ),
+        (
+            {"kind": "pd", "stiffness": 1.0, "damping": -1e-9},
+            r"^laws\.a\.damping: .*of at least 0, got -1e-09",
+        ),
         ({"kind": "pd", "stiffness": math.nan}, r"^laws\.a\.stiffness: nan is not a finite"),
         ({"kind": "pd", "stiffness": math.inf}, r"^laws\.a\.stiffness: inf is not a finite"),
-        ({"kind": "pd", "stiffness": "1000"}, r"^laws\.a\.stiffness: expected a number, got '1000'"),
+        (
+            {"kind": "pd", "stiffness": "1000"},
+            r"^laws\.a\.stiffness: expected a number, got '1000'",
+        ),
         ({"kind": "pd", "stiffness": True}, r"^laws\.a\.stiffness: expected a number, got True"),
-        ({"kind": "pd", "stifness": 1.0}, r"^laws\.a\.stifness: law kind pd has no such .* stiffness, damping"),
+        (
+            {"kind": "pd", "stifness": 1.0},
+            r"^laws\.a\.stifness: law kind pd has no such .* stiffness, damping",
+        ),
         ({"kind": "fir", "taps": []}, r"^laws\.a\.taps: .*a list of length at least 1"),
-        ({"kind": "fir", "taps": [1.0] * (MAX_TAPS + 1)}, rf"^laws\.a\.taps: .*of length at most {MAX_TAPS}"),
+        (
+            {"kind": "fir", "taps": [1.0] * (MAX_TAPS + 1)},
+            rf"^laws\.a\.taps: .*of length at most {MAX_TAPS}",
+        ),
         ({"kind": "fir", "taps": [1.0, math.inf]}, r"^laws\.a\.taps\[1\]: inf"),
         ({"kind": "paper_optimum", "terms": []}, r"^laws\.a\.terms: .*a list of length at least 1"),
-        ({"kind": "paper_optimum", "terms": [{"gain": 1.0, "order": 4.0}]}, r"^laws\.a\.terms\[0\]\.order: .*below 4, got 4"),
-        ({"kind": "paper_optimum", "terms": [{"gain": 1.0, "order": 0.0}]}, r"^laws\.a\.terms\[0\]\.order: .*above 0, got 0"),
+        (
+            {"kind": "paper_optimum", "terms": [{"gain": 1.0, "order": 4.0}]},
+            r"^laws\.a\.terms\[0\]\.order: .*below 4, got 4",
+        ),
+        (
+            {"kind": "paper_optimum", "terms": [{"gain": 1.0, "order": 0.0}]},
+            r"^laws\.a\.terms\[0\]\.order: .*above 0, got 0",
+        ),
         ({"kind": "paper_optimum", "taps": 1}, r"^laws\.a\.taps: .*of at least 2, got 1"),
         ({"kind": "paper_optimum", "gains": "SI"}, r"^laws\.a\.gains: "),
     ],
@@ -206,9 +244,15 @@ def test_refusals_name_path_value_and_limit(data: object, message: str) -> None:
     [
         ({"kind": "fir", "taps": [1.0, -1.0]}, r"^laws\.a: renders H\(1\) = 0 N/m"),
         ({"kind": "fir", "taps": [1.0, -1.5]}, r"^laws\.a: renders H\(1\) = -0\.5 N/m"),
-        ({"kind": "pd", "stiffness": 1e308, "damping": 1e308}, r"^laws\.a: taps or their sum are not finite"),
+        (
+            {"kind": "pd", "stiffness": 1e308, "damping": 1e308},
+            r"^laws\.a: taps or their sum are not finite",
+        ),
         ({"kind": "fir", "taps": [1e308, 1e308]}, r"^laws\.a: taps or their sum are not finite"),
-        ({"kind": "fir", "taps": [1.0], "period": 0.001}, r"^laws\.a\.period: .*T = 0\.001 s .*T = 0\.002 s"),
+        (
+            {"kind": "fir", "taps": [1.0], "period": 0.001},
+            r"^laws\.a\.period: .*T = 0\.001 s .*T = 0\.002 s",
+        ),
         ({"kind": "paper_optimum", "derivative": "none"}, r"^laws\.a.*derivative = 'none'"),
     ],
 )
@@ -251,7 +295,14 @@ def test_orders_and_lengths_up_to_their_limits(order: float, taps: int) -> None:
 
 def test_any_number_of_terms() -> None:
     terms = [{"gain": 0.01, "order": 0.05 + 0.019 * i} for i in range(200)]
-    data = {"kind": "multi_term", "stiffness": 1e4, "damping": 1.0, "terms": terms, "taps": 30, "gains": "paper"}
+    data = {
+        "kind": "multi_term",
+        "stiffness": 1e4,
+        "damping": 1.0,
+        "terms": terms,
+        "taps": 30,
+        "gains": "paper",
+    }
     whole = parse_law(data).compile(T)
     parts = [parse_law({**data, "terms": [term]}).compile(T) for term in terms]
     total = np.sum([part.taps for part in parts], axis=0)
@@ -260,7 +311,9 @@ def test_any_number_of_terms() -> None:
     assert np.abs(total - np.array(whole.taps)).max() < 200 * 2.0**-52 * 2e6
 
 
-def test_a_law_of_another_package_works_by_being_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_law_of_another_package_works_by_being_installed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "elsewhere_law.py").write_text(
         "from nodes.laws import CompiledLaw, Law\n"
         "class Soft(Law, frozen=True, kw_only=True, forbid_unknown_fields=True):\n"
@@ -283,11 +336,18 @@ def test_laws_are_parsed_without_numpy() -> None:
         "compile_law(parse_law('paper_optimum'), 0.002); "
         "sys.exit(','.join({'numpy', 'scipy', 'numba', 'matplotlib'} & set(sys.modules)))"
     )
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stderr.strip() == ""
+    assert (
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stderr.strip()
+        == ""
+    )
 
 
 finite = st.floats(1e-3, 1e5)
-terms = st.lists(st.fixed_dictionaries({"gain": st.floats(-10, 10), "order": st.floats(1e-6, 3.999)}), min_size=1, max_size=5)
+terms = st.lists(
+    st.fixed_dictionaries({"gain": st.floats(-10, 10), "order": st.floats(1e-6, 3.999)}),
+    min_size=1,
+    max_size=5,
+)
 laws = st.one_of(
     st.fixed_dictionaries({"kind": st.just("pd"), "stiffness": finite, "damping": finite}),
     st.fixed_dictionaries(
@@ -300,7 +360,9 @@ laws = st.one_of(
             "gains": st.sampled_from(["physical", "paper", "unlimited"]),
         }
     ),
-    st.fixed_dictionaries({"kind": st.just("fir"), "taps": st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=40)}),
+    st.fixed_dictionaries(
+        {"kind": st.just("fir"), "taps": st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=40)}
+    ),
 )
 
 
@@ -321,15 +383,22 @@ def test_laws_scale_with_their_gains(data: dict[str, Any], factor: float) -> Non
             scaled[name] *= factor
     if "taps" in scaled and isinstance(scaled["taps"], list):
         scaled["taps"] = [factor * tap for tap in scaled["taps"]]
-    once, more = np.array(parse_law(data).compile(T).taps), np.array(parse_law(scaled).compile(T).taps)
+    once, more = (
+        np.array(parse_law(data).compile(T).taps),
+        np.array(parse_law(scaled).compile(T).taps),
+    )
     # A tap may be a small difference of large terms (K + gains of both signs).
-    size = np.abs(once).max() + sum(abs(t["gain"]) * data["damping"] * T**-4 for t in data.get("terms", ()))
+    size = np.abs(once).max() + sum(
+        abs(t["gain"]) * data["damping"] * T**-4 for t in data.get("terms", ())
+    )
     assert np.abs(more - factor * once).max() <= 32 * 2.0**-52 * factor * size + 1e-300
 
 
 @given(laws, laws, st.integers(0, 30))
 @settings(max_examples=60)
-def test_a_swap_over_the_shared_history_has_no_start_up(first: dict[str, Any], second: dict[str, Any], at: int) -> None:
+def test_a_swap_over_the_shared_history_has_no_start_up(
+    first: dict[str, Any], second: dict[str, Any], at: int
+) -> None:
     """From the swap on, the force has the bits of a loop which had run the second law all along."""
     a, b = parse_law(first).compile(T), parse_law(second).compile(T)
     x = np.random.default_rng(at).normal(size=40) * 1e-3

@@ -19,7 +19,11 @@ from tests.support import ROOT
 
 def test_the_pages_law_is_added_to_its_taps() -> None:
     page = (ROOT / "nodes" / "EXTENDING.md").read_text(encoding="utf-8")
-    (code,) = (block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "class Stiffening" in block)
+    (code,) = (
+        block
+        for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+        if "class Stiffening" in block
+    )
     names: dict[str, Any] = {"__name__": "stiffening"}
     exec(compile(code, "EXTENDING.md", "exec", dont_inherit=True), names)  # noqa: S102  # our own page
     law = compile_law(names["Stiffening"](stiffness=1000.0, cubic=2e8), 0.002)
@@ -73,5 +77,8 @@ def test_code_that_cannot_be_made_for_an_axis_is_refused() -> None:
 
             return CompiledLaw((1000.0,), evaluate=Code())
 
-    with pytest.raises(LawRefusedError, match=r"law: its own code cannot be made for an axis: RuntimeError: no axis 0"):
+    with pytest.raises(
+        LawRefusedError,
+        match=r"law: its own code cannot be made for an axis: RuntimeError: no axis 0",
+    ):
         compile_law(Broken(), 0.002)

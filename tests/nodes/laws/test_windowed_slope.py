@@ -24,5 +24,6 @@ def test_a_corner_is_seen_at_once_both_ways(sign: float) -> None:
     """Rest, then five steps a tick: three samples later the line is that of the motion, not one through the rest."""
     samples = [0.0] * 30 + [sign * 5.0 * STEP * k for k in range(1, 4)]
     slope = windowed_slope(samples[::-1], 0, STEP, 20)
-    # The line over n samples misses one at the corner by 5·(n − 3)·3/n steps: within one step no longer than the motion is.
+    # The line over n samples misses one at the corner by 5·(n − 3)·3/n steps: within one step no
+    # longer than the motion is.
     assert slope == pytest.approx(sign * 5.0 * STEP, rel=1e-12)

@@ -1,8 +1,9 @@
 """No parameter sizes an array or a loop without a limit: each takes a huge value, or refuses it, without allocating.
 
-All numbers of all registered nodes, laws and surfaces are tried, also those of other packages. What is taken is used as it is
-before tick 0: checked, compiled, judged, and for nodes that need no hardware configured. The kernel holds the limits: a
-process of its own has so much memory and so much processor time, and a parameter that takes more ends it.
+All numbers of all registered nodes, laws and surfaces are tried, also those of other packages. What
+is taken is used as it is before tick 0: checked, compiled, judged, and for nodes that need no
+hardware configured. The kernel holds the limits: a process of its own has so much memory and so
+much processor time, and a parameter that takes more ends it.
 """
 
 from __future__ import annotations
@@ -36,10 +37,13 @@ MEMORY = 1 << 30
 PROCESSOR = 240
 """Processor time of all parameters together [s]; they take a tenth of it, and a loop of 10⁹ steps takes more."""
 HUGE = 1e9
-CONFIGURED = ("coupling", "environment", "sim_driver")  # nodes that open no file, no socket and no hardware
+# nodes that open no file, no socket and no hardware
+CONFIGURED = ("coupling", "environment", "sim_driver")
 
 
-def numbers(info: inspect.Type, seen: frozenset[type] = frozenset()) -> Iterator[tuple[tuple[str | int, ...], type]]:
+def numbers(
+    info: inspect.Type, seen: frozenset[type] = frozenset()
+) -> Iterator[tuple[tuple[str | int, ...], type]]:
     """Name all numbers below a type: the way to each, and what it is."""
     if isinstance(info, inspect.Metadata):
         yield from numbers(info.type, seen)
@@ -75,7 +79,11 @@ def example(info: inspect.Type) -> Any:
         return info.values[0]
     if isinstance(info, inspect.IntType | inspect.FloatType):
         lowest = info.ge if info.ge is not None else info.gt
-        return type(info.ge or 0)(0) if lowest is None else lowest + (1 if isinstance(info, inspect.IntType) else 1e-3)
+        return (
+            type(info.ge or 0)(0)
+            if lowest is None
+            else lowest + (1 if isinstance(info, inspect.IntType) else 1e-3)
+        )
     return {inspect.DictType: {}, inspect.BoolType: False}.get(type(info), "x")
 
 
@@ -133,7 +141,9 @@ def use_surface(kind: str, parameters: dict[str, Any]) -> None:
 def tried() -> Iterator[tuple[str, Any, tuple[str | int, ...], type, dict[str, Any], Any]]:
     """Name all numbers there are."""
     kinds = {name: load(factory) for name, factory in node_kinds().items()}
-    groups = [(name, kind.Parameters, LEAST.get(name, {}), use_node) for name, kind in kinds.items()]
+    groups = [
+        (name, kind.Parameters, LEAST.get(name, {}), use_node) for name, kind in kinds.items()
+    ]
     groups += [(name, load_law(name), {}, use_law) for name in law_names()]
     groups += [(name, SURFACES.load(name), {}, use_surface) for name in SURFACES.names()]
     for name, struct, least, use in groups:
@@ -158,7 +168,10 @@ def try_all() -> None:
 
 def bounded() -> None:
     """Limit this process to what a parameter may take, and try them all."""
-    used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+    used = (
+        int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+        * resource.getpagesize()
+    )
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
     resource.setrlimit(resource.RLIMIT_CPU, (PROCESSOR, PROCESSOR))
     try_all()
@@ -166,7 +179,9 @@ def bounded() -> None:
 
 def test_every_registered_number_is_used_or_refused_within_bounds() -> None:
     code = "import tests.nodes.parameters.test_limits as limits; limits.bounded()"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=ROOT)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=ROOT
+    )
     assert done.returncode == 0, done.stderr[-3000:]
     taken, refused = map(int, done.stdout.split())
     assert taken > 100
@@ -176,16 +191,32 @@ def test_every_registered_number_is_used_or_refused_within_bounds() -> None:
 @pytest.mark.parametrize(
     ("data", "text"),
     [
-        ({"laws": {"a": {"taps": [0.0] * (MAX_ENTRIES + 1)}}}, f"laws.a.taps: {MAX_ENTRIES + 1} entries, limit {MAX_ENTRIES}"),
+        (
+            {"laws": {"a": {"taps": [0.0] * (MAX_ENTRIES + 1)}}},
+            f"laws.a.taps: {MAX_ENTRIES + 1} entries, limit {MAX_ENTRIES}",
+        ),
         ({"memory": 2**70}, "memory: expected a whole number of at most 1000000"),
-        ({"plant": {"mass": 0.1, "delay": 100.0 + 1e-9}}, "plant.delay: expected a number of at most 100, got 100.000000001"),
-        ({"plant": {"mass": 0.1, "device_delay": 1e9}}, "plant.device_delay: expected a number of at most 100, got 1"),
+        (
+            {"plant": {"mass": 0.1, "delay": 100.0 + 1e-9}},
+            "plant.delay: expected a number of at most 100, got 100.000000001",
+        ),
+        (
+            {"plant": {"mass": 0.1, "device_delay": 1e9}},
+            "plant.device_delay: expected a number of at most 100, got 1",
+        ),
     ],
 )
-def test_what_is_beyond_a_limit_is_refused_with_path_value_and_limit(data: dict[str, Any], text: str) -> None:
+def test_what_is_beyond_a_limit_is_refused_with_path_value_and_limit(
+    data: dict[str, Any], text: str
+) -> None:
     with pytest.raises(ParameterError, match=f"^coupling.{re.escape(text)}"):
         convert({"law": "pd", **data}, CouplingParameters, "coupling")
-    assert convert({"law": "pd", "plant": {"mass": 0.1, "delay": 100.0}}, CouplingParameters, "coupling").plant.delay == 100.0
+    assert (
+        convert(
+            {"law": "pd", "plant": {"mass": 0.1, "delay": 100.0}}, CouplingParameters, "coupling"
+        ).plant.delay
+        == 100.0
+    )
 
 
 def test_a_plant_of_python_and_a_run_of_one_process_have_limits_too() -> None:
@@ -193,4 +224,6 @@ def test_a_plant_of_python_and_a_run_of_one_process_have_limits_too() -> None:
     with pytest.raises(ValueError, match=f"delay = .*at most {MAX_DELAY:g} ticks"):
         Plant(0.002, 0.1, 1.0, MAX_DELAY * (1.0 + 2.0**-52))
     with pytest.raises(ValueError, match="ticks is 1000000000000, expected at most"):
-        drop({"kind": "pd", "stiffness": 500.0, "damping": 3.0}, Plant(0.002, 0.1, 1.0), ticks=10**12)
+        drop(
+            {"kind": "pd", "stiffness": 500.0, "damping": 3.0}, Plant(0.002, 0.1, 1.0), ticks=10**12
+        )

@@ -13,9 +13,17 @@ from hypothesis import strategies as st
 
 from nodes.coupling.parameters import CouplingParameters
 from nodes.parameters.store import ParameterError, ParameterStore, convert, merge, of_node
-from nodes.parameters.yaml_io import MAX_CHARACTERS, MAX_DEPTH, MAX_INT, parse_yaml, read_yaml, write_yaml
+from nodes.parameters.yaml_io import (
+    MAX_CHARACTERS,
+    MAX_DEPTH,
+    MAX_INT,
+    parse_yaml,
+    read_yaml,
+    write_yaml,
+)
 
-# -- YAML ----------------------------------------------------------------------------------------------------------------
+# -- YAML
+# ----------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -110,11 +118,30 @@ scalars = (
     | st.integers(-MAX_INT, MAX_INT)
     | st.floats(allow_nan=False, allow_infinity=False)
     | st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
-    | st.sampled_from(["off", "1e3", "010", "1:30", "~", "", "null", "=", "<<", "2026-01-01", " a", "a: b", "#", "- x"])
+    | st.sampled_from(
+        [
+            "off",
+            "1e3",
+            "010",
+            "1:30",
+            "~",
+            "",
+            "null",
+            "=",
+            "<<",
+            "2026-01-01",
+            " a",
+            "a: b",
+            "#",
+            "- x",
+        ]
+    )
 )
 names = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
 trees = st.recursive(
-    scalars, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(names, inner, max_size=4), max_leaves=20
+    scalars,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(names, inner, max_size=4),
+    max_leaves=20,
 )
 
 
@@ -139,7 +166,8 @@ def test_repeated_objects_are_written_out() -> None:
     assert parse_yaml(write_yaml({"a": taps, "b": taps}), "test") == {"a": taps, "b": taps}
 
 
-# -- types, paths, limits ------------------------------------------------------------------------------------------------
+# -- types, paths, limits
+# ------------------------------------------------------------------------------------------------
 
 
 class Inner(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -167,9 +195,18 @@ class Outer(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         ({"inner": {"gain": -0.5}}, "node.inner.gain: expected a number of at least 0, got -0.5"),
         ({"inner": {"gain": "strong"}}, "node.inner.gain: expected a number, got 'strong'"),
         ({"inner": {"gain": float("nan")}}, "node.inner.gain: nan is not a finite number"),
-        ({"inner": {"points": [[0.0, 1.0], [2.0, float("inf")]]}}, "node.inner.points[1][1]: inf is not a finite number"),
-        ({"inner": {"points": [[0.0, "a"]]}}, "node.inner.points[0][1]: expected a number, got 'a'"),
-        ({"inner": {"gian": 1.0}}, "node.inner.gian: no such parameter; there is: gain, points; did you mean gain?"),
+        (
+            {"inner": {"points": [[0.0, 1.0], [2.0, float("inf")]]}},
+            "node.inner.points[1][1]: inf is not a finite number",
+        ),
+        (
+            {"inner": {"points": [[0.0, "a"]]}},
+            "node.inner.points[0][1]: expected a number, got 'a'",
+        ),
+        (
+            {"inner": {"gian": 1.0}},
+            "node.inner.gian: no such parameter; there is: gain, points; did you mean gain?",
+        ),
         ({"free": {"deep": {"x": float("nan")}}}, "node.free.deep.x: nan is not a finite number"),
         ({"free": {"A": 1}}, "node.free: expected a name that matches '^[a-z]+$'"),
         ({"inner": {"gain": 10**400}}, "node.inner.gain"),
@@ -188,13 +225,22 @@ def test_refusals_name_path_value_and_limit(data: Any, told: str) -> None:
         ({"cuont": 1}, "node.cuont: no such parameter; there is: name, count, inner, maybe, free"),
         ({"inner.gian": 1.0}, "node.inner.gian: no such parameter; there is: gain, points"),
         ({"inner.gain.x": 1.0}, "node.inner.gain.x: no such parameter; there is: no further names"),
-        ({"maybe.gain": 1.0}, "node.maybe.gain: no such parameter; there is: nothing below it; set it as a whole"),
+        (
+            {"maybe.gain": 1.0},
+            "node.maybe.gain: no such parameter; there is: nothing below it; set it as a whole",
+        ),
         ({"free.a.b": 1.0}, "node.free.a: no such parameter; there is: nothing yet"),
-        ({"inner.points[0]": [1.0]}, "node.inner.points[0]: no such parameter; there is: 0 entries from [0]"),
+        (
+            {"inner.points[0]": [1.0]},
+            "node.inner.points[0]: no such parameter; there is: 0 entries from [0]",
+        ),
         ({"": 1}, "'' is not a parameter's name"),
         ({"a..b": 1}, "'a..b' is not a parameter's name"),
         ({"inner[gain]": 1}, "'inner[gain]' is not a parameter's name"),
-        ({"count": 1, "inner.gain": -1.0}, "node.inner.gain: expected a number of at least 0, got -1.0"),
+        (
+            {"count": 1, "inner.gain": -1.0},
+            "node.inner.gain: expected a number of at least 0, got -1.0",
+        ),
         ({}, "expected names and values"),
         ([("count", 1)], "expected names and values"),
     ],
@@ -210,8 +256,12 @@ def test_a_refused_set_changes_nothing(values: Any, told: str) -> None:
 
 
 def test_names_are_free_in_mappings_only() -> None:
-    store = ParameterStore("node", Outer, {"free": {"a": {"x": 1}}, "inner": {"points": [[1.0, 2.0]]}})
-    made = store.changed({"free.b": 5, "free.a.y": 2, "inner.points[0][1]": 7, "count": 4, "maybe": {"gain": 2}})
+    store = ParameterStore(
+        "node", Outer, {"free": {"a": {"x": 1}}, "inner": {"points": [[1.0, 2.0]]}}
+    )
+    made = store.changed(
+        {"free.b": 5, "free.a.y": 2, "inner.points[0][1]": 7, "count": 4, "maybe": {"gain": 2}}
+    )
     assert made.free == {"a": {"x": 1, "y": 2}, "b": 5}
     assert made.inner.points == [[1.0, 7.0]]
     assert made.maybe == Inner(gain=2.0)
@@ -229,8 +279,17 @@ def test_get_reads_values_branches_and_entries() -> None:
 
 
 def test_merging_lays_over_and_another_kind_replaces() -> None:
-    base = {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 1.0, "damping": 2.0}, "old": {"kind": "fir"}}}
-    over = {"laws": {"pd": {"stiffness": 5.0}, "old": {"kind": "pd", "damping": 1.0}, "new": {"kind": "fir", "taps": [1.0]}}}
+    base = {
+        "law": "pd",
+        "laws": {"pd": {"kind": "pd", "stiffness": 1.0, "damping": 2.0}, "old": {"kind": "fir"}},
+    }
+    over = {
+        "laws": {
+            "pd": {"stiffness": 5.0},
+            "old": {"kind": "pd", "damping": 1.0},
+            "new": {"kind": "fir", "taps": [1.0]},
+        }
+    }
     before = msgspec.json.encode(base)
     assert merge(base, over) == {
         "law": "pd",
@@ -258,7 +317,9 @@ gains = st.floats(1e-3, 1e5)
 some_laws = st.dictionaries(
     law_names,
     st.fixed_dictionaries({"kind": st.just("pd"), "stiffness": gains, "damping": gains})
-    | st.fixed_dictionaries({"kind": st.just("fir"), "taps": st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=5)})
+    | st.fixed_dictionaries(
+        {"kind": st.just("fir"), "taps": st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=5)}
+    )
     | st.just("paper_optimum"),
     min_size=1,
     max_size=4,
@@ -268,7 +329,9 @@ some_laws = st.dictionaries(
 @st.composite
 def couplings(draw: st.DrawFn) -> dict[str, Any]:
     laws = draw(some_laws)
-    swaps = st.fixed_dictionaries({"at": st.floats(0, 1e3), "law": st.sampled_from(sorted(laws)), "ramp": st.integers(0, 9)})
+    swaps = st.fixed_dictionaries(
+        {"at": st.floats(0, 1e3), "law": st.sampled_from(sorted(laws)), "ramp": st.integers(0, 9)}
+    )
     return {
         "law": draw(st.sampled_from(sorted(laws))),
         "laws": laws,
@@ -277,7 +340,10 @@ def couplings(draw: st.DrawFn) -> dict[str, Any]:
         "schedule": draw(st.lists(swaps, max_size=2)),
         "fallback": {"damping": draw(gains)},
         "stability": draw(st.sampled_from(["warn", "refuse", "off"])),
-        "plant": draw(st.none() | st.fixed_dictionaries({"mass": gains, "delay": st.none() | st.floats(0.0, 100.0)})),
+        "plant": draw(
+            st.none()
+            | st.fixed_dictionaries({"mass": gains, "delay": st.none() | st.floats(0.0, 100.0)})
+        ),
     }
 
 
@@ -287,7 +353,8 @@ def test_dump_then_load_is_the_identity(one: dict[str, Any], other: dict[str, An
     store = ParameterStore("coupling", CouplingParameters, one)
     dumped = parse_yaml(write_yaml({"coupling": store.dump()}), "dump")
     assert store.merged(dumped) == store.current
-    # Loaded over other parameters it restores all but the laws that the dump does not know, which stay.
+    # Loaded over other parameters it restores all but the laws that the dump does not know, which
+    # stay.
     changed = ParameterStore("coupling", CouplingParameters, other)
     restored = msgspec.to_builtins(changed.merged(dumped))
     kept = {name: law for name, law in other["laws"].items() if name not in one["laws"]}

@@ -17,7 +17,8 @@ import pytest
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import WatchedFile, parse_yaml
 
-# -- watched files -------------------------------------------------------------------------------------------------------
+# -- watched files
+# -------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -72,9 +73,18 @@ def test_half_written_files_are_never_applied(tmp_path: Path) -> None:
     path.write_text("ramp: 1\n")
     watched = WatchedFile(str(path))
     assert polled(watched) == [{"ramp": 1}]
-    lines = ["law: pd\n", "laws:\n", "  pd: {kind: pd, stiffness: 1500.0, damping: 3.0}\n", "ramp: 1", "00\n"]
+    lines = [
+        "law: pd\n",
+        "laws:\n",
+        "  pd: {kind: pd, stiffness: 1500.0, damping: 3.0}\n",
+        "ramp: 1",
+        "00\n",
+    ]
     with subprocess.Popen(
-        [sys.executable, "-c", WRITER, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", WRITER, str(path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
     ) as writer:
         assert writer.stdin is not None
         assert writer.stdout is not None
@@ -82,7 +92,8 @@ def test_half_written_files_are_never_applied(tmp_path: Path) -> None:
             writer.stdin.write(json.dumps(line) + "\n")
             writer.stdin.flush()
             assert writer.stdout.readline() == "written\n"
-            # What stands there now is valid YAML of its own (ramp: 1, before it is 100), and still not applied.
+            # What stands there now is valid YAML of its own (ramp: 1, before it is 100), and still
+            # not applied.
             assert polled(watched) == []
         writer.stdin.close()
         writer.wait()
@@ -109,8 +120,8 @@ for k in range(1, count + 1):
 
 @pytest.mark.usefixtures("sigio_ignored")
 def test_a_reader_beside_a_busy_writer_sees_whole_documents_only(tmp_path: Path) -> None:
-    # The writer opens the file anew as soon as it has closed it, so leases are broken all the time; without SIGIO
-    # ignored the first broken one would end this process.
+    # The writer opens the file anew as soon as it has closed it, so leases are broken all the time;
+    # without SIGIO ignored the first broken one would end this process.
     path = tmp_path / "busy.yaml"
     path.write_text("first: 0\nsecond: 0\n")
     watched = WatchedFile(str(path))
@@ -125,17 +136,19 @@ def test_a_reader_beside_a_busy_writer_sees_whole_documents_only(tmp_path: Path)
 
 def test_a_lease_that_is_broken_is_survived_by_a_node_that_ignores_sigio(tmp_path: Path) -> None:
     code = (
-        "import signal, fcntl, os, sys\n"
-        "signal.signal(signal.SIGIO, signal.SIG_IGN if sys.argv[2] == 'ignored' else signal.SIG_DFL)\n"
-        "file = open(sys.argv[1]); fcntl.fcntl(file, fcntl.F_SETLEASE, fcntl.F_RDLCK)\n"
-        "print('leased', flush=True); sys.stdin.readline()\n"
+        "import signal, fcntl, os, sys\nsignal.signal(signal.SIGIO, signal.SIG_IGN if sys.argv[2]"
+        " == 'ignored' else signal.SIG_DFL)\nfile = open(sys.argv[1]); fcntl.fcntl(file,"
+        " fcntl.F_SETLEASE, fcntl.F_RDLCK)\nprint('leased', flush=True); sys.stdin.readline()\n"
     )
     path = tmp_path / "file"
     path.write_text("a")
     codes = {}
     for how in ("ignored", "default"):
         with subprocess.Popen(
-            [sys.executable, "-c", code, str(path), how], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            [sys.executable, "-c", code, str(path), how],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
         ) as holder:
             assert holder.stdout is not None
             assert holder.stdin is not None
@@ -145,7 +158,8 @@ def test_a_lease_that_is_broken_is_survived_by_a_node_that_ignores_sigio(tmp_pat
             if how == "ignored":
                 holder.stdin.close()
             codes[how] = holder.wait()
-    # The second line is what the first one protects from: it is the reason for the handler in nodes/base/node.py.
+    # The second line is what the first one protects from: it is the reason for the handler in
+    # nodes/base/node.py.
     assert codes == {"ignored": 0, "default": -signal.SIGIO}
 
 
@@ -166,7 +180,9 @@ def test_replacing_touching_and_removing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"a: [1", b"\xff\xfe", b"{a: 1, a: 2}"])
-def test_a_bad_file_is_told_once_and_the_next_good_one_applied(tmp_path: Path, content: bytes) -> None:
+def test_a_bad_file_is_told_once_and_the_next_good_one_applied(
+    tmp_path: Path, content: bytes
+) -> None:
     path = tmp_path / "coupling.yaml"
     path.write_bytes(content)
     watched = WatchedFile(str(path))

@@ -22,7 +22,9 @@ from nodes.parameters.store import ParameterError, convert
 from nodes.view.comparison import PLAYERS
 from tests.support.launching import exit_code
 
-REGISTRIES = {registry.group: registry for registry in (LAWS, DERIVATIVES, SURFACES, NODES, VERBS, PLAYERS)}
+REGISTRIES = {
+    registry.group: registry for registry in (LAWS, DERIVATIVES, SURFACES, NODES, VERBS, PLAYERS)
+}
 
 WRONG = """
 import msgspec
@@ -58,12 +60,19 @@ def wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     info = tmp_path / "wrong_things-1.0.dist-info"
     info.mkdir()
     (tmp_path / "wrong_things.py").write_text(WRONG, encoding="utf-8")
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: wrong-things\nVersion: 1.0\n", encoding="utf-8")
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: wrong-things\nVersion: 1.0\n", encoding="utf-8"
+    )
     points = "".join(f"[{group}]\nnumber_there = wrong_things:number\n" for group in REGISTRIES)
-    points += "[haptic.laws]\nplain_there = wrong_things:Plain\nmisnamed_there = wrong_things:Misnamed\n"
+    points += (
+        "[haptic.laws]\nplain_there = wrong_things:Plain\nmisnamed_there = wrong_things:Misnamed\n"
+    )
     points += "raises = wrong_things:Raises\nunwritable = wrong_things:Unwritable\n"
     points += "[haptic.surfaces]\nmisplaced_there = wrong_things:Misnamed\n"
-    points += "[haptic.verbs]\nbag.raising = wrong_things\n[haptic.launch]\nmore = no_such_package.launch\n"
+    points += (
+        "[haptic.verbs]\nbag.raising = wrong_things\n[haptic.launch]\nmore ="
+        " no_such_package.launch\n"
+    )
     (info / "entry_points.txt").write_text(points, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
     return tmp_path
@@ -72,7 +81,10 @@ def wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize("group", REGISTRIES)
 def test_a_number_is_of_no_kind(wrong: Path, group: str) -> None:
     registry = REGISTRIES[group]
-    with pytest.raises(NotInstalledError, match=rf"'number_there': .*3 .*wrong_things:number, registered in {group} by"):
+    with pytest.raises(
+        NotInstalledError,
+        match=rf"'number_there': .*3 .*wrong_things:number, registered in {group} by",
+    ):
         registry.load("number_there")
     found, broken = registry.all()
     assert "number_there" in broken
@@ -94,7 +106,9 @@ def test_laws_are_listed_but_for_the_wrong_ones(wrong: Path) -> None:
     assert {"plain_there", "misnamed_there", "raises", "unwritable"} <= set(law_names())
     laws = {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}}
     usual = {"stiffness": 800.0, "damping": 2.0}
-    parameters = convert({"law": "pd", "laws": laws, "usual": usual}, CouplingParameters, "coupling")
+    parameters = convert(
+        {"law": "pd", "laws": laws, "usual": usual}, CouplingParameters, "coupling"
+    )
     book = LawBook("coupling", 0.002)
     listed = {name: book.description(parameters, name) for name in book.names(parameters)}
     assert {"pd", "designed_d0"} <= set(listed)
@@ -103,12 +117,16 @@ def test_laws_are_listed_but_for_the_wrong_ones(wrong: Path) -> None:
         with pytest.raises(LawRefusedError, match=rf"law.kind: '{name}': .*wrong-things"):
             parse_law({"kind": name})
         assert name not in law_kinds()
-    with pytest.raises(LawRefusedError, match=r"law: cannot be made: KeyError: 'no licence' \(law kind raises\)"):
+    with pytest.raises(
+        LawRefusedError, match=r"law: cannot be made: KeyError: 'no licence' \(law kind raises\)"
+    ):
         parse_law({"kind": "raises"})
     assert "number_there" not in derivative_kinds()
 
 
-def test_verbs_scenarios_and_the_doctor_go_on(wrong: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_verbs_scenarios_and_the_doctor_go_on(
+    wrong: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert "floor_drop" in scenarios()
     assert exit_code("bag", "info", "absent.mcap") == 2
     assert capsys.readouterr().err == "haptic: absent.mcap: no such file\n"

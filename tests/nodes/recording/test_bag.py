@@ -31,7 +31,9 @@ MISSED = (40, 41, 150)
 
 
 def write(path: Path, sent: list[tuple[str, Message]], **manifest: str) -> None:
-    with RecordWriter(path, {"scenario": "floor_drop", "pace": "realtime", "publishes": PUBLISHES} | manifest) as writer:
+    with RecordWriter(
+        path, {"scenario": "floor_drop", "pace": "realtime", "publishes": PUBLISHES} | manifest
+    ) as writer:
         for topic, message in sent:
             writer.write(topic, message, message.stamp + 1e-4)
 
@@ -65,7 +67,8 @@ def answered(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> dict
     return found
 
 
-# -- info and recover ------------------------------------------------------------------------------------------------
+# -- info and recover
+# ------------------------------------------------------------------------------------------------
 
 
 def test_info(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -74,7 +77,9 @@ def test_info(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert told["complete"] is True
     # From the first tick's stamp to the last one's; recorded to the nanosecond.
     assert told["duration_s"] == pytest.approx(299 * 0.002, abs=1e-9)
-    assert {topic: (figures["messages"], figures["gaps"]) for topic, figures in told["topics"].items()} == {
+    assert {
+        topic: (figures["messages"], figures["gaps"]) for topic, figures in told["topics"].items()
+    } == {
         topics.DEVICE_STATE: (300, 0),
         topics.PROXY: (300, 0),
         topics.FORCE: (300, 0),
@@ -98,9 +103,18 @@ def test_info_and_recover_of_a_cut_file(cut: Path, capsys: pytest.CaptureFixture
     assert 0 < kept[topics.DEVICE_STATE] < 300
     saved = answered(capsys, "recover", cut)
     out = cut.with_suffix(".recovered.mcap")
-    assert saved == {"out": str(out), "messages": kept, "problems": [before["cut"]], "recovered": True}
+    assert saved == {
+        "out": str(out),
+        "messages": kept,
+        "problems": [before["cut"]],
+        "recovered": True,
+    }
     after = answered(capsys, "info", out)
-    assert (after["recovered"], after["complete"], after["topics"]) == (True, True, before["topics"])
+    assert (after["recovered"], after["complete"], after["topics"]) == (
+        True,
+        True,
+        before["topics"],
+    )
     assert haptic(capsys, "recover", cut)[0] == 2
     assert haptic(capsys, "recover", cut, "--force")[0] == 0
 
@@ -124,7 +138,9 @@ def test_bad_files(tmp_path: Path, capsys: pytest.CaptureFixture[str], verb: str
     assert list(tmp_path.iterdir()) == [bad], "nothing is written for a file that cannot be read"
 
 
-def test_record_without_a_launch(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_record_without_a_launch(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(tmp_path / "run"))
     monkeypatch.chdir(tmp_path)
     code, _, err = haptic(capsys, "record")
@@ -132,7 +148,8 @@ def test_record_without_a_launch(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "nothing is running; start something with: haptic launch" in err
 
 
-# -- files that are written -----------------------------------------------------------------------------------------
+# -- files that are written
+# -----------------------------------------------------------------------------------------
 
 
 def test_topics_of_a_file_choose_no_path() -> None:
@@ -142,9 +159,12 @@ def test_topics_of_a_file_choose_no_path() -> None:
 
 
 @pytest.mark.parametrize(
-    ("verb", "made"), [(["export"], "drop_csv"), (["plot"], "drop.png"), (["plot", "--xy"], "drop_xy.png")]
+    ("verb", "made"),
+    [(["export"], "drop_csv"), (["plot"], "drop.png"), (["plot", "--xy"], "drop_xy.png")],
 )
-def test_nothing_is_overwritten_unasked(bag: Path, capsys: pytest.CaptureFixture[str], verb: list[str], made: str) -> None:
+def test_nothing_is_overwritten_unasked(
+    bag: Path, capsys: pytest.CaptureFixture[str], verb: list[str], made: str
+) -> None:
     out = bag.with_name(made)
     assert haptic(capsys, *verb, bag)[0] == 0
     code, _, err = haptic(capsys, *verb, bag)
@@ -156,10 +176,14 @@ def test_nothing_is_overwritten_unasked(bag: Path, capsys: pytest.CaptureFixture
     assert sorted(path.name for path in bag.parent.iterdir()) == sorted([bag.name, made, "other"])
 
 
-def test_exports_tell_a_place_that_cannot_be_written(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_exports_tell_a_place_that_cannot_be_written(
+    bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     bag.with_name("file").write_text("")
     for arguments in (["--format", "csv"], ["--format", "npz"]):
-        code, _, err = haptic(capsys, "export", bag, *arguments, "--out", bag.with_name("file") / "x")
+        code, _, err = haptic(
+            capsys, "export", bag, *arguments, "--out", bag.with_name("file") / "x"
+        )
         assert code == 1
         assert "Not a directory" in err
     with pytest.raises(RecordError, match="exists"):
@@ -169,7 +193,8 @@ def test_exports_tell_a_place_that_cannot_be_written(bag: Path, capsys: pytest.C
         export_csv(Recording(bag), bag.with_name("csv"))
 
 
-# -- play ------------------------------------------------------------------------------------------------------------
+# -- play
+# ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -195,16 +220,24 @@ def test_play_publishes_what_was_recorded(bag: Path, pair: tuple[OpenPort, Subsc
     assert inbox.receive(0) is None
 
 
-def test_play_keeps_the_pace(tmp_path: Path, pair: tuple[OpenPort, Subscription], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_play_keeps_the_pace(
+    tmp_path: Path, pair: tuple[OpenPort, Subscription], monkeypatch: pytest.MonkeyPatch
+) -> None:
     publisher, _ = pair
     path = tmp_path / "r.mcap"
     gaps = [0.0, 1.5, 1.5, 4.0]
     with RecordWriter(path, {}) as writer:
         for seq, log_time in enumerate(gaps):
-            writer.write("/a/event", Event(seq=seq, stamp=0.0, node="a", kind="b", reason=""), 100.0 + log_time)
+            writer.write(
+                "/a/event",
+                Event(seq=seq, stamp=0.0, node="a", kind="b", reason=""),
+                100.0 + log_time,
+            )
     clock = [1000.0]
     monkeypatch.setattr("nodes.recording.play.time.monotonic", lambda: clock[0])
-    monkeypatch.setattr("nodes.recording.play.time.sleep", lambda wait: clock.__setitem__(0, clock[0] + wait))
+    monkeypatch.setattr(
+        "nodes.recording.play.time.sleep", lambda wait: clock.__setitem__(0, clock[0] + wait)
+    )
     at = [clock[0] - 1000.0 for _ in play(Recording(path), publisher, rate=2.0)]
     # Receipts are kept to the nanosecond, the clock's doubles near 1000 to 1e-13.
     assert at == pytest.approx([gap / 2.0 for gap in gaps], abs=1e-8)
@@ -212,7 +245,9 @@ def test_play_keeps_the_pace(tmp_path: Path, pair: tuple[OpenPort, Subscription]
         next(play(Recording(path), publisher, rate=0.0))
 
 
-def test_play_from_the_command_line(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_play_from_the_command_line(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     context = new_context()
     endpoint = f"ipc://{tmp_path}/q"
     inbox = Subscription(context, [endpoint], [topics.FORCE])
@@ -225,7 +260,18 @@ def test_play_from_the_command_line(bag: Path, tmp_path: Path, capsys: pytest.Ca
 
     thread = threading.Thread(target=listen)
     thread.start()
-    told = answered(capsys, "play", bag, "--endpoint", endpoint, "--topics", topics.FORCE, "--rate", "inf", "--wait")
+    told = answered(
+        capsys,
+        "play",
+        bag,
+        "--endpoint",
+        endpoint,
+        "--topics",
+        topics.FORCE,
+        "--rate",
+        "inf",
+        "--wait",
+    )
     thread.join()
     inbox.close()
     context.term()
@@ -241,7 +287,9 @@ def test_play_from_the_command_line(bag: Path, tmp_path: Path, capsys: pytest.Ca
         ("ipc:///nowhere/at/all", "No such file or directory"),
     ],
 )
-def test_play_refuses_endpoints(bag: Path, capsys: pytest.CaptureFixture[str], endpoint: str, told: str) -> None:
+def test_play_refuses_endpoints(
+    bag: Path, capsys: pytest.CaptureFixture[str], endpoint: str, told: str
+) -> None:
     code, _, err = haptic(capsys, "play", bag, "--endpoint", endpoint)
     assert code == 2
     assert told in err
@@ -249,13 +297,20 @@ def test_play_refuses_endpoints(bag: Path, capsys: pytest.CaptureFixture[str], e
 
 def test_a_chunk_made_to_fill_the_memory_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
     packed = zstandard.compress(bytes(6 << 20))
-    head = mcap_walk.CHUNK_HEAD.pack(0, 0, 6 << 20, 0) + struct.pack("<I", 4) + b"zstd" + struct.pack("<Q", len(packed))
+    head = (
+        mcap_walk.CHUNK_HEAD.pack(0, 0, 6 << 20, 0)
+        + struct.pack("<I", 4)
+        + b"zstd"
+        + struct.pack("<Q", len(packed))
+    )
     record = mcap_walk.Record(8, mcap_walk.CHUNK, head + packed)
     with pytest.raises(RecordError, match=f"limit {mcap_walk.MAX_RATIO * len(packed)}"):
         mcap_walk.unpack_chunk(tmp_path, record)
 
 
-def test_what_a_file_says_does_not_command_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_a_file_says_does_not_command_the_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "r.mcap"
     with RecordWriter(path, {"scenario": "\x1b]0;owned\x07\x1b[2J", "run": "r"}) as writer:
         writer.write("/a/event", Event(seq=0, stamp=0.0, node="a", kind="b", reason=""), 100.0)

@@ -30,7 +30,10 @@ BEGUN = 12345.678
 
 def write(path: Path, sent: list[tuple[str, Message]]) -> None:
     with RecordWriter(
-        path, {"scenario": "drop"}, launch_file="run: {}\n", parameters={"coupling": '{"stiffness":1500.0}'}
+        path,
+        {"scenario": "drop"},
+        launch_file="run: {}\n",
+        parameters={"coupling": '{"stiffness":1500.0}'},
     ) as writer:
         for topic, message in sent:
             writer.write(topic, message, message.stamp + 1e-4)
@@ -38,12 +41,21 @@ def write(path: Path, sent: list[tuple[str, Message]]) -> None:
 
 @pytest.fixture
 def bag(tmp_path: Path) -> Path:
-    sent = [(t, msgspec.structs.replace(m, stamp=m.stamp + BEGUN)) for t, m in drop(300, missed=(40, 41), switch=100)]
+    sent = [
+        (t, msgspec.structs.replace(m, stamp=m.stamp + BEGUN))
+        for t, m in drop(300, missed=(40, 41), switch=100)
+    ]
     for number, (topic, message) in enumerate(sent):
         if isinstance(message, DeviceState):
             told = {"target": (1e-3 * message.seq, 0.0, 0.0), "changed_at": 0.25}
             sent[number] = topic, msgspec.structs.replace(message, **told)
-    sent.insert(1, (topics.HANDLE, Handle(seq=0, stamp=BEGUN, orientation=(0.5, -0.5, 0.5, 0.5), gripper=0.01)))
+    sent.insert(
+        1,
+        (
+            topics.HANDLE,
+            Handle(seq=0, stamp=BEGUN, orientation=(0.5, -0.5, 0.5, 0.5), gripper=0.01),
+        ),
+    )
     write(tmp_path / "drop.mcap", sent)
     return tmp_path / "drop.mcap"
 
@@ -61,7 +73,8 @@ def parse(text: str, like: object) -> object:
     return type(like)(text)  # type: ignore[call-arg]
 
 
-# -- the table of ticks ----------------------------------------------------------------------------------------------
+# -- the table of ticks
+# ----------------------------------------------------------------------------------------------
 
 
 def test_a_row_holds_what_belongs_to_its_tick(bag: Path) -> None:
@@ -78,9 +91,15 @@ def test_a_row_holds_what_belongs_to_its_tick(bag: Path) -> None:
     np.testing.assert_array_equal(table["force"][:-1], [state.force for state in states[1:]])
     assert np.isnan(table["force"][-1]).all()
     for name in ("mean_force", "changed_at", "force_seq", "response"):
-        np.testing.assert_array_equal(table[name][:-1], [getattr(state, name) for state in states[1:]])
+        np.testing.assert_array_equal(
+            table[name][:-1], [getattr(state, name) for state in states[1:]]
+        )
     # What the next state would have told is not 0.
-    assert (np.isnan(table["response"][-1]), np.isnan(table["changed_at"][-1]), table["force_seq"][-1]) == (True, True, -1)
+    assert (
+        np.isnan(table["response"][-1]),
+        np.isnan(table["changed_at"][-1]),
+        table["force_seq"][-1],
+    ) == (True, True, -1)
     np.testing.assert_array_equal(table["target"], [state.target for state in states])
     assert np.ptp(table["target"][:, 0]) > 0.0
     np.testing.assert_array_equal(table["force_asked"], [force.force for force in forces])
@@ -107,7 +126,9 @@ def test_what_was_not_recorded_is_told_as_missing(tmp_path: Path) -> None:
     assert np.isnan(table["force"][19]).all()
     assert table["age"][19] == -1
     assert table["seq"][20] == 21
-    np.testing.assert_array_equal(table["proxy"][20], table["position"][20] * (table["distance"][20] > 0.0))
+    np.testing.assert_array_equal(
+        table["proxy"][20], table["position"][20] * (table["distance"][20] > 0.0)
+    )
 
 
 def test_a_recording_without_ticks_has_no_table(tmp_path: Path) -> None:
@@ -120,7 +141,8 @@ def test_a_recording_without_ticks_has_no_table(tmp_path: Path) -> None:
     assert not path.with_suffix(".parquet").exists()
 
 
-# -- formats ---------------------------------------------------------------------------------------------------------
+# -- formats
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_csv_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -157,7 +179,9 @@ def test_columns_carry_units() -> None:
     found = columns(DeviceState)
     assert found[:4] == ["time [s]", "log_time [s]", "seq", "stamp [s]"]
     assert found[4:7] == ["position_x [m]", "position_y [m]", "position_z [m]"]
-    assert {"force_z [N]", "response [s]", "lateness [s]", "energy [J]", "delay [ticks]"} <= set(found)
+    assert {"force_z [N]", "response [s]", "lateness [s]", "energy [J]", "delay [ticks]"} <= set(
+        found
+    )
     for message_type in TYPES:
         assert len(set(columns(message_type))) == len(columns(message_type))
 
@@ -169,9 +193,15 @@ def test_npz_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str]) -> 
     with np.load(files["drop.npz"], allow_pickle=False) as arrays:
         expected = {f"ticks.{field}": array for field, array in read(bag).items()}
         for topic, name in plain_names(recording.topics).items():
-            expected |= {f"{name}.{field}": array for field, array in recording.arrays(topic).items()}
-            assert arrays[f"{name}.time"][0] == pytest.approx(recording.topics[topic].first_stamp - BEGUN, abs=1e-11)
-        assert set(arrays) == set(expected) | {f"{name}.time" for name in plain_names(recording.topics).values()}
+            expected |= {
+                f"{name}.{field}": array for field, array in recording.arrays(topic).items()
+            }
+            assert arrays[f"{name}.time"][0] == pytest.approx(
+                recording.topics[topic].first_stamp - BEGUN, abs=1e-11
+            )
+        assert set(arrays) == set(expected) | {
+            f"{name}.time" for name in plain_names(recording.topics).values()
+        }
         for name, array in expected.items():
             np.testing.assert_array_equal(arrays[name], array)
         assert arrays["device_state.position"].shape == (300, 3)
@@ -189,20 +219,29 @@ def test_mat_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert json.loads(found["parameters"])["parameters"]["coupling"]["stiffness"] == 1500.0
 
 
-def test_parquet_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parquet_reads_back_equal(
+    bag: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     files = exported(capsys, bag, "--format", "parquet")
     found = parquet.read_table(files["drop.parquet"])
     table = read(bag)
     assert found.num_rows == 300
     for axis, name in enumerate("xyz"):
-        np.testing.assert_array_equal(found[f"force_asked_{name}"].to_numpy(), table["force_asked"][:, axis])
+        np.testing.assert_array_equal(
+            found[f"force_asked_{name}"].to_numpy(), table["force_asked"][:, axis]
+        )
     assert found["law"].to_pylist() == table["law"].tolist()
     assert found["contact"].to_pylist() == table["contact"].astype(int).tolist()
     assert found.schema.field("force_z").metadata == {b"unit": b"N"}
     assert json.loads(found.schema.metadata[b"parameters"])["manifest"] == {"scenario": "drop"}
     # Without the extra it is told which one is missing, and nothing is written.
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    assert main.main(["bag", "export", str(bag), "--format", "parquet", "--out", str(bag.with_name("other"))]) == 1
+    assert (
+        main.main(
+            ["bag", "export", str(bag), "--format", "parquet", "--out", str(bag.with_name("other"))]
+        )
+        == 1
+    )
     assert "pip install 'haptic-nodes[parquet]'" in capsys.readouterr().err
     assert not bag.with_name("other").exists()
 

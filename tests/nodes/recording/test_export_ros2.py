@@ -27,7 +27,9 @@ from tests.support.recorded import drop
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
-    return folder / str(launch_json(folder, "floor_drop", "duration:=0.4", "pace:=lockstep")["recording"])
+    return folder / str(
+        launch_json(folder, "floor_drop", "duration:=0.4", "pace:=lockstep")["recording"]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +77,9 @@ def test_stamps_are_wall_clock_time(bag: Path, recording: Path) -> None:
     assert "version: 8" in (bag / "metadata.yaml").read_text(encoding="utf-8")
 
 
-def test_what_stands_there_is_kept(bag: Path, recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_stands_there_is_kept(
+    bag: Path, recording: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = ["bag", "export", str(recording), "--format", "ros2", "--out"]
     assert main([*words, str(bag)]) != 0
     assert "exists" in capsys.readouterr().err

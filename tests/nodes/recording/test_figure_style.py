@@ -64,16 +64,24 @@ def test_each_curve_has_a_colour_a_line_and_a_marker_of_its_own() -> None:
         """Machado, Oliveira and Fernandes (2009), severity 1, on linear RGB."""
         rgb = np.array([int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)])
         linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-        matrix = [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
+        matrix = [
+            [0.367322, 0.860646, -0.227968],
+            [0.280085, 0.672501, 0.047413],
+            [-0.011820, 0.042940, 0.968881],
+        ]
         return np.asarray(np.array(matrix) @ linear)
 
     seen = [seen_by_a_deuteranope(colour) for colour in COLOURS]
-    # Red and green of matplotlib's own cycle (#2ca02c, #d62728) are 0.1 apart, of which no more than a shade is seen.
+    # Red and green of matplotlib's own cycle (#2ca02c, #d62728) are 0.1 apart, of which no more
+    # than a shade is seen.
     assert min(float(np.linalg.norm(a - b)) for a, b in itertools.combinations(seen, 2)) > 0.1
 
 
 def test_symbols_are_set_as_mathematics_and_words_are_left_alone() -> None:
-    assert typeset("D^0.5: time to K_max, 5 K_maxima") == r"$D^{0.5}$: time to $K_\mathrm{max}$, 5 K_maxima"
+    assert (
+        typeset("D^0.5: time to K_max, 5 K_maxima")
+        == r"$D^{0.5}$: time to $K_\mathrm{max}$, 5 K_maxima"
+    )
 
 
 @pytest.mark.parametrize(
@@ -92,7 +100,14 @@ def test_powers_are_written_as_text(mathematics: str, plain: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "plain"), [("1e−9", "×10⁻⁹"), ("1e7", "×10⁷"), ("+1e+7", "+1×10⁷"), ("1e−5+1.2e3", "×10⁻⁵+1.2×10³"), ("", "")]
+    ("told", "plain"),
+    [
+        ("1e−9", "×10⁻⁹"),
+        ("1e7", "×10⁷"),
+        ("+1e+7", "+1×10⁷"),
+        ("1e−5+1.2e3", "×10⁻⁵+1.2×10³"),
+        ("", ""),
+    ],
 )
 def test_factors_are_written_as_text(told: str, plain: str) -> None:
     assert plain_factor(told) == plain
@@ -105,7 +120,8 @@ def test_a_saved_picture_has_the_numbers_that_matplotlib_would_have(tmp_path: Pa
     right.plot([0.0, 3e-9], [0.0, 4e8])
     svg = save_figure(figure, tmp_path / "a.png").with_suffix(".svg").read_text(encoding="utf-8")
     powers = {
-        int(text.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789"))) for text in re.findall(r">10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)<", svg)
+        int(text.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")))
+        for text in re.findall(r">10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)<", svg)
     }
     # Powers within both axes' limits, the least and the largest among them.
     assert {-4, 0, 6} <= powers <= set(range(-4, 7))

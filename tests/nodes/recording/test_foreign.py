@@ -25,7 +25,13 @@ from nodes.view.replay import ReplayPages
 from tests.support.launching import typed_in
 from tests.support.recorded import PUBLISHES, drop
 
-MANIFEST = {"rate_hz": "500", "axes": "x,y,z", "pace": "lockstep", "publishes": PUBLISHES, "scenario": "drop"}
+MANIFEST = {
+    "rate_hz": "500",
+    "axes": "x,y,z",
+    "pace": "lockstep",
+    "publishes": PUBLISHES,
+    "scenario": "drop",
+}
 SENT = list(drop(60, switch=20))
 COUPLING = {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}}}
 TRIANGLE = "v 0 0 0\nv 0.01 0 0\nv 0 0.01 0\nf 1 2 3\n"
@@ -37,15 +43,21 @@ ODD = st.recursive(
     | st.floats()
     | st.sampled_from(["", "x", "nan", "pd", "../x", "\x1b]0;t\a"]),
     lambda inside: (
-        st.lists(inside, max_size=3) | st.dictionaries(st.sampled_from(["kind", "file", "delay"]), inside, max_size=3)
+        st.lists(inside, max_size=3)
+        | st.dictionaries(st.sampled_from(["kind", "file", "delay"]), inside, max_size=3)
     ),
     max_leaves=6,
 )
 """What may stand where something else should."""
 
 
-def written(path: Path, manifest: dict[str, str], parameters: dict[str, Any], sent: Any = SENT) -> Path:
-    texts = {node: text if isinstance(text, str) else json.dumps(text) for node, text in parameters.items()}
+def written(
+    path: Path, manifest: dict[str, str], parameters: dict[str, Any], sent: Any = SENT
+) -> Path:
+    texts = {
+        node: text if isinstance(text, str) else json.dumps(text)
+        for node, text in parameters.items()
+    }
     with RecordWriter(path, manifest, parameters=texts, overwrite=True) as writer:
         for topic, message in sent:
             writer.write(topic, message, message.stamp + 1e-4)
@@ -70,7 +82,9 @@ def read_all(path: Path) -> list[str]:
     return refused
 
 
-@pytest.mark.parametrize("rate", ["nan", "inf", "0", "-500", "1e-320", "1e400", "fast", "", "5e5", "\x1b[2J"])
+@pytest.mark.parametrize(
+    "rate", ["nan", "inf", "0", "-500", "1e-320", "1e400", "fast", "", "5e5", "\x1b[2J"]
+)
 def test_a_rate_that_is_none_is_refused_by_its_name(tmp_path: Path, rate: str) -> None:
     path = written(tmp_path / "r.mcap", {**MANIFEST, "rate_hz": rate}, {})
     with pytest.raises(RecordError, match=r"manifest.rate_hz is .* expected 1 to 100000 Hz"):
@@ -89,7 +103,15 @@ def test_axes_that_are_none_are_refused_by_their_name(tmp_path: Path, axes: str)
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[]", "5", "{", '{"a": ' + "[" * 2000 + "]" * 2000 + "}", '{"a": ' + "[" * 50 + "]" * 50 + "}"]
+    "text",
+    [
+        "",
+        "[]",
+        "5",
+        "{",
+        '{"a": ' + "[" * 2000 + "]" * 2000 + "}",
+        '{"a": ' + "[" * 50 + "]" * 50 + "}",
+    ],
 )
 def test_parameters_that_are_none_are_refused_by_their_node(tmp_path: Path, text: str) -> None:
     path = written(tmp_path / "r.mcap", MANIFEST, {"left/coupling": text})
@@ -114,7 +136,13 @@ def test_publishers_that_are_none_are_refused(tmp_path: Path, publishes: str) ->
     manifest=st.dictionaries(st.sampled_from(list(MANIFEST)), st.text(max_size=8)),
 )
 def test_odd_parameters_raise_nothing_but_a_record_error(
-    tmp_path: Path, surface: Any, device: Any, laws: Any, plant: Any, after: Any, manifest: dict[str, str]
+    tmp_path: Path,
+    surface: Any,
+    device: Any,
+    laws: Any,
+    plant: Any,
+    after: Any,
+    manifest: dict[str, str],
 ) -> None:
     parameters = {
         "environment": {"surface": surface},
@@ -122,13 +150,25 @@ def test_odd_parameters_raise_nothing_but_a_record_error(
         "coupling": {**COUPLING, "laws": laws, "plant": plant},
     }
     odd = Receipt(seq=59, stamp=0.118, action="switch", before="{}", after=json.dumps(after)[:200])
-    read_all(written(tmp_path / "r.mcap", {**MANIFEST, **manifest}, parameters, [*SENT, ("/coupling/receipt", odd)]))
+    read_all(
+        written(
+            tmp_path / "r.mcap",
+            {**MANIFEST, **manifest},
+            parameters,
+            [*SENT, ("/coupling/receipt", odd)],
+        )
+    )
 
 
 @pytest.mark.parametrize("seqs", [(0, 1), (0, 2**53 - 1), (5, 3)])
 @pytest.mark.parametrize("stamps", [(0.0, 1e15), (1.0, -1e15)])
-def test_numbers_beyond_any_run_are_read(tmp_path: Path, seqs: tuple[int, int], stamps: tuple[float, float]) -> None:
-    states = [DeviceState(seq=seq, stamp=stamp, position=(0.0, 0.0, 0.0)) for seq, stamp in zip(seqs, stamps, strict=True)]
+def test_numbers_beyond_any_run_are_read(
+    tmp_path: Path, seqs: tuple[int, int], stamps: tuple[float, float]
+) -> None:
+    states = [
+        DeviceState(seq=seq, stamp=stamp, position=(0.0, 0.0, 0.0))
+        for seq, stamp in zip(seqs, stamps, strict=True)
+    ]
     path = written(tmp_path / "r.mcap", MANIFEST, {}, [(DEVICE_STATE, state) for state in states])
     read_all(path)
     # Its picture once: it takes a second.
@@ -136,7 +176,9 @@ def test_numbers_beyond_any_run_are_read(tmp_path: Path, seqs: tuple[int, int], 
         plot(Recording(path), tmp_path / "r.png")
 
 
-def test_a_file_is_opened_below_the_recording_and_nowhere_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_is_opened_below_the_recording_and_nowhere_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A manifest of somebody else had any file of the machine opened, a pipe for ever."""
     folder, outside, work = tmp_path / "recordings", tmp_path / "outside", tmp_path / "work"
     for place in (folder, outside, work):
@@ -184,7 +226,12 @@ HOSTILE = "\x1b]0;owned\x07\x1b[2J\x9b31m\u202e\r\x7f"
 def test_what_a_terminal_obeys_is_not_printed(tmp_path: Path) -> None:
     topic = f"/{HOSTILE}"
     state = DeviceState(seq=0, stamp=0.0, position=(0.0, 0.0, 0.0))
-    path = written(tmp_path / "r.mcap", {**MANIFEST, "scenario": HOSTILE, "run": HOSTILE}, {}, [*SENT, (topic, state)])
+    path = written(
+        tmp_path / "r.mcap",
+        {**MANIFEST, "scenario": HOSTILE, "run": HOSTILE},
+        {},
+        [*SENT, (topic, state)],
+    )
     (tmp_path / "cut.mcap").write_bytes(path.read_bytes()[:-40])
     (tmp_path / "two.mcap").write_bytes(path.read_bytes())
     for words in (
@@ -199,7 +246,22 @@ def test_what_a_terminal_obeys_is_not_printed(tmp_path: Path) -> None:
         ("bag", "plot", "r.mcap", "two.mcap"),
     ):
         done = typed_in(tmp_path, *words, code=None)
-        for sign in set(HOSTILE) - {"]", "0", ";", "o", "w", "n", "e", "d", "[", "2", "J", "3", "1", "m"}:
+        for sign in set(HOSTILE) - {
+            "]",
+            "0",
+            ";",
+            "o",
+            "w",
+            "n",
+            "e",
+            "d",
+            "[",
+            "2",
+            "J",
+            "3",
+            "1",
+            "m",
+        }:
             assert sign not in done.stdout + done.stderr, (words, sign)
 
 

@@ -34,7 +34,9 @@ MISSED = (40, 41, 150)
 
 
 def write(path: Path, sent: Sequence[tuple[str, Message]], **manifest: str) -> Path:
-    with RecordWriter(path, {"scenario": "floor_drop", "pace": "realtime", "publishes": PUBLISHES} | manifest) as writer:
+    with RecordWriter(
+        path, {"scenario": "floor_drop", "pace": "realtime", "publishes": PUBLISHES} | manifest
+    ) as writer:
         for topic, message in sent:
             writer.write(topic, message, message.stamp + 1e-4)
     return path
@@ -46,10 +48,13 @@ def bag(tmp_path: Path) -> Path:
 
 
 def texts(figure: Any) -> str:
-    return "\n".join(text.get_text() for text in figure.findobj(lambda artist: hasattr(artist, "get_text")))
+    return "\n".join(
+        text.get_text() for text in figure.findobj(lambda artist: hasattr(artist, "get_text"))
+    )
 
 
-# -- lines in bounded memory -----------------------------------------------------------------------------------------
+# -- lines in bounded memory
+# -----------------------------------------------------------------------------------------
 
 
 @settings(max_examples=20)
@@ -90,12 +95,15 @@ def test_spans_tell_when() -> None:
     found = list(spans.spans())
     assert [name for name, _, _ in found] == ["damping"] * 3
     width = 10.0 / BINS
-    for (_, low, high), (begin, end) in zip(found, ((10.0, 10.0), (12.5, 15.0), (20.0, 20.0)), strict=True):
+    for (_, low, high), (begin, end) in zip(
+        found, ((10.0, 10.0), (12.5, 15.0), (20.0, 20.0)), strict=True
+    ):
         assert begin - width <= low <= begin
         assert end <= high + 1e-9 <= end + 2.0 * width
 
 
-# -- one run ---------------------------------------------------------------------------------------------------------
+# -- one run
+# ---------------------------------------------------------------------------------------------------------
 
 
 def near(picture: Any, color: str) -> Any:
@@ -114,7 +122,8 @@ def test_plot_shows_the_run(bag: Path, capsys: pytest.CaptureFixture[str]) -> No
     height, width, _ = picture.shape
     assert width == 1200
     assert height > 800
-    # The device's line runs through nearly the whole width, and leaves a height that shows the bounces.
+    # The device's line runs through nearly the whole width, and leaves a height that shows the
+    # bounces.
     device = near(picture, plot.COLORS["device"])
     assert device.any(axis=0).mean() > 0.8
     assert device.any(axis=1).mean() > 0.3
@@ -126,18 +135,28 @@ def test_plot_shows_the_run(bag: Path, capsys: pytest.CaptureFixture[str]) -> No
 @pytest.mark.slow
 def test_plot_marks_missed_ticks_and_the_period(tmp_path: Path) -> None:
     amounts = []
-    for name, missed, pace in (("none", (), "realtime"), ("some", MISSED, "realtime"), ("lockstep", (), "lockstep")):
+    for name, missed, pace in (
+        ("none", (), "realtime"),
+        ("some", MISSED, "realtime"),
+        ("lockstep", (), "lockstep"),
+    ):
         write(tmp_path / f"{name}.mcap", list(drop(300, missed=missed)), pace=pace)
-        picture = image.imread(plot.plot(Recording(tmp_path / f"{name}.mcap"), tmp_path / f"{name}.png"))
+        picture = image.imread(
+            plot.plot(Recording(tmp_path / f"{name}.mcap"), tmp_path / f"{name}.png")
+        )
         amounts.append(int(near(picture, plot.COLORS["late"]).sum()))
     without, with_missed, lockstep = amounts
-    # Without a deadline there is no period line; two marks (two of the three ticks are neighbours) are triangles of 5 pt.
+    # Without a deadline there is no period line; two marks (two of the three ticks are neighbours)
+    # are triangles of 5 pt.
     assert lockstep == 0
     assert without > 300
     assert with_missed > without + 60
 
 
-@pytest.mark.parametrize(("ending", "start"), [("png", b"\x89PNG\r\n"), ("svg", b"<?xml"), ("PDF", b"%PDF-"), ("", b"\x89PNG")])
+@pytest.mark.parametrize(
+    ("ending", "start"),
+    [("png", b"\x89PNG\r\n"), ("svg", b"<?xml"), ("PDF", b"%PDF-"), ("", b"\x89PNG")],
+)
 def test_files_are_what_they_are_called(bag: Path, ending: str, start: bytes) -> None:
     out = bag.with_name("picture" + (f".{ending}" if ending else ""))
     assert main.main(["bag", "plot", str(bag), "--out", str(out)]) == 0
@@ -176,17 +195,30 @@ def test_the_first_picture_shows_the_contact_not_the_rest(tmp_path: Path) -> Non
 
 def test_a_run_that_does_not_rest_is_shown_whole(tmp_path: Path) -> None:
     sent = [
-        (topics.DEVICE_STATE, DeviceState(seq=k, stamp=k * PERIOD, position=(0.0, 0.0, 0.01 * math.sin(0.05 * k))))
+        (
+            topics.DEVICE_STATE,
+            DeviceState(seq=k, stamp=k * PERIOD, position=(0.0, 0.0, 0.01 * math.sin(0.05 * k))),
+        )
         for k in range(2000)
     ]
     figure = plot.figure_of(Recording(write(tmp_path / "r.mcap", sent)))
     assert figure.axes[0].get_xlim()[1] > 3.99
 
 
-def test_the_plot_tells_of_losses_what_bag_info_tells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    # 114 gaps in what the environment answered, because it took the newest: nothing of what it sent is lost.
+def test_the_plot_tells_of_losses_what_bag_info_tells(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # 114 gaps in what the environment answered, because it took the newest: nothing of what it sent
+    # is lost.
     sent = [
-        (topic, msgspec.structs.replace(message, sent=186) if isinstance(message, NodeStatus) and "env" in topic else message)
+        (
+            topic,
+            (
+                msgspec.structs.replace(message, sent=186)
+                if isinstance(message, NodeStatus) and "env" in topic
+                else message
+            ),
+        )
         for topic, message in drop(300)
         if not (topic == topics.PROXY and 100 <= message.seq < 214)
     ]
@@ -218,12 +250,16 @@ def test_plot_of_too_little(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
         assert why in capsys.readouterr().err
 
 
-# -- several runs ----------------------------------------------------------------------------------------------------
+# -- several runs
+# ----------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
 def several(tmp_path: Path) -> list[Path]:
-    return [write(tmp_path / f"run{number}.mcap", list(drop(200 + 50 * number, switch=60 + number))) for number in range(3)]
+    return [
+        write(tmp_path / f"run{number}.mcap", list(drop(200 + 50 * number, switch=60 + number)))
+        for number in range(3)
+    ]
 
 
 def test_runs_lie_over_each_other(several: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
@@ -238,7 +274,9 @@ def test_runs_lie_over_each_other(several: list[Path], capsys: pytest.CaptureFix
         for line, recording in zip(drawn, recordings, strict=True):
             states: list[DeviceState] = recording.messages(topics.DEVICE_STATE)
             told = [getattr(state, field)[2] * scale for state in states]
-            np.testing.assert_array_equal(np.asarray(line.get_ydata()), told if field == "position" else told[1:])
+            np.testing.assert_array_equal(
+                np.asarray(line.get_ydata()), told if field == "position" else told[1:]
+            )
 
 
 def test_force_over_position_pairs_what_belongs_together(several: list[Path]) -> None:
@@ -251,12 +289,18 @@ def test_force_over_position_pairs_what_belongs_together(several: list[Path]) ->
     # All of the bounce is there; what is left out came twice, to a two-thousandth of the picture.
     step = [np.ptp([p[i] for p in pairs]) / 1000 for i in (0, 1)]
     for pair in pairs:
-        assert min(max(abs(pair[0] - a) / step[0], abs(pair[1] - b) / step[1]) for a, b in drawn) < 1.0
+        assert (
+            min(max(abs(pair[0] - a) / step[0], abs(pair[1] - b) / step[1]) for a, b in drawn) < 1.0
+        )
 
 
 def test_force_over_position_of_an_hour_at_rest_is_a_point(tmp_path: Path) -> None:
     at_rest = [
-        (topics.DEVICE_STATE, DeviceState(seq=k, stamp=k * PERIOD, position=(0.0, 0.0, 0.01 * (k < 2)))) for k in range(5000)
+        (
+            topics.DEVICE_STATE,
+            DeviceState(seq=k, stamp=k * PERIOD, position=(0.0, 0.0, 0.01 * (k < 2))),
+        )
+        for k in range(5000)
     ]
     (axes,) = force_over_position([Recording(write(tmp_path / "r.mcap", at_rest))]).axes
     assert np.size(axes.lines[0].get_xdata()) < 10
@@ -267,7 +311,8 @@ def test_too_many_runs_are_refused(bag: Path, capsys: pytest.CaptureFixture[str]
     assert f"{RUNS + 1} recordings; one picture shows 1 to {RUNS}" in capsys.readouterr().err
 
 
-# -- texts -----------------------------------------------------------------------------------------------------------
+# -- texts
+# -----------------------------------------------------------------------------------------------------------
 
 
 def crowded() -> Iterator[tuple[str, Message]]:
@@ -275,12 +320,26 @@ def crowded() -> Iterator[tuple[str, Message]]:
     for topic, message in drop(600, missed=MISSED):
         if isinstance(message, DeviceState):
             safety = ("ramp", "active", "damping", "zero", "fault")[message.seq // 120]
-            yield topic, msgspec.structs.replace(message, safety=safety, guard=1e-3, overruns=message.seq // 100)
+            yield (
+                topic,
+                msgspec.structs.replace(
+                    message, safety=safety, guard=1e-3, overruns=message.seq // 100
+                ),
+            )
         elif isinstance(message, Force):
             name = f"a_law_with_quite_a_long_name_{message.seq // 40}"
             yield topic, msgspec.structs.replace(message, law=name)
             if message.seq % 40 == 0 or 300 < message.seq < 320:
-                yield (topics.RECEIPT, Receipt(seq=message.seq, stamp=message.stamp, action="switch", before="{}", after="{}"))
+                yield (
+                    topics.RECEIPT,
+                    Receipt(
+                        seq=message.seq,
+                        stamp=message.stamp,
+                        action="switch",
+                        before="{}",
+                        after="{}",
+                    ),
+                )
         else:
             yield topic, message
 
@@ -296,21 +355,33 @@ def test_overlapping_texts_are_found() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("window", [(None, None), (0.0, None), (0.5, 0.7)])
-def test_no_text_lies_over_another(tmp_path: Path, window: tuple[float | None, float | None]) -> None:
-    path = write(tmp_path / "crowded.mcap", list(crowded()), scenario="a_scenario_with_a_name_that_does_not_end_" * 3)
+def test_no_text_lies_over_another(
+    tmp_path: Path, window: tuple[float | None, float | None]
+) -> None:
+    path = write(
+        tmp_path / "crowded.mcap",
+        list(crowded()),
+        scenario="a_scenario_with_a_name_that_does_not_end_" * 3,
+    )
     assert overlaps(plot.figure_of(Recording(path), *window)) == []
 
 
 @pytest.mark.parametrize("count", slowly([1, 2, 7, RUNS], but=[2, RUNS]))
 def test_no_text_lies_over_another_with_several_runs(tmp_path: Path, count: int) -> None:
-    paths = [tmp_path / f"crowded_run_with_a_long_name_of_its_own_{number}.mcap" for number in range(count)]
+    paths = [
+        tmp_path / f"crowded_run_with_a_long_name_of_its_own_{number}.mcap"
+        for number in range(count)
+    ]
     sent = list(crowded())
-    recordings = [Recording(write(path, sent, scenario="a_scenario_with_a_long_name" * 2)) for path in paths]
+    recordings = [
+        Recording(write(path, sent, scenario="a_scenario_with_a_long_name" * 2)) for path in paths
+    ]
     assert overlaps(overlay(recordings)) == []
     assert overlaps(force_over_position(recordings)) == []
 
 
-# -- memory ----------------------------------------------------------------------------------------------------------
+# -- memory
+# ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -322,16 +393,26 @@ def test_a_long_recording_is_drawn_in_bounded_memory(tmp_path: Path) -> None:
             for seq in range(ticks):
                 stamp = seq * PERIOD
                 position = (0.0, 0.0, 0.001 * ((seq * 7919) % 1000))
-                writer.write(topics.DEVICE_STATE, DeviceState(seq=seq, stamp=stamp, position=position, response=1e-4), stamp)
-                writer.write(topics.FORCE, Force(seq=seq, stamp=stamp, force=position, law="pd"), stamp)
+                writer.write(
+                    topics.DEVICE_STATE,
+                    DeviceState(seq=seq, stamp=stamp, position=position, response=1e-4),
+                    stamp,
+                )
+                writer.write(
+                    topics.FORCE, Force(seq=seq, stamp=stamp, force=position, law="pd"), stamp
+                )
         code = (
             "import resource, sys; from nodes.cli.main import main; assert not main(sys.argv[1:]);"
             "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
         )
         done = subprocess.run(
-            [sys.executable, "-c", code, "bag", "plot", str(path)], check=True, capture_output=True, text=True
+            [sys.executable, "-c", code, "bag", "plot", str(path)],
+            check=True,
+            capture_output=True,
+            text=True,
         )
         peaks.append(int(done.stdout.split()[-1]))
-    # Ten times the ticks: 36 000 more, of which the response times are kept (8 bytes each, and sorted) and nothing else.
+    # Ten times the ticks: 36 000 more, of which the response times are kept (8 bytes each, and
+    # sorted) and nothing else.
     grown = (peaks[1] - peaks[0]) * 1024
     assert grown < 36_000 * 100 + 4e6

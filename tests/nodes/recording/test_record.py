@@ -31,7 +31,8 @@ def state(seq: int) -> DeviceState:
     return DeviceState(seq=seq, stamp=seq * 0.002, position=(0.0, 0.0, 1e-3 / (seq + 1)))
 
 
-# -- schemas ---------------------------------------------------------------------------------------------------------
+# -- schemas
+# ---------------------------------------------------------------------------------------------------------
 
 
 def keywords(value: Any) -> set[str]:
@@ -46,7 +47,8 @@ def keywords(value: Any) -> set[str]:
 def test_schema_is_valid_and_flat(message_type: type[Message]) -> None:
     found = schema(message_type)
     jsonschema.Draft202012Validator.check_schema(found)
-    # What Foxglove and Lichtblick cannot read: references, alternatives, and arrays with a schema per item.
+    # What Foxglove and Lichtblick cannot read: references, alternatives, and arrays with a schema
+    # per item.
     assert not keywords(found) & {"$ref", "$defs", "anyOf", "oneOf", "allOf", "prefixItems"}
     assert found["type"] == "object"
     assert all(isinstance(told["type"], str) for told in found["properties"].values())
@@ -68,7 +70,15 @@ def test_messages_fit_their_schema(data: st.DataObject, message_type: type[Messa
 
 
 @pytest.mark.parametrize(
-    "change", [{"seq": -1}, {"seq": 0.5}, {"position": [0.0, 0.0]}, {"position": [0.0] * 4}, {"safety": 1}, {"stamp": "0"}]
+    "change",
+    [
+        {"seq": -1},
+        {"seq": 0.5},
+        {"position": [0.0, 0.0]},
+        {"position": [0.0] * 4},
+        {"safety": 1},
+        {"stamp": "0"},
+    ],
 )
 def test_schema_refuses(change: dict[str, Any]) -> None:
     good = json.loads(msgspec.json.encode(state(0)))
@@ -85,11 +95,18 @@ def test_schema_refuses_types_it_cannot_flatten() -> None:
         schema(Odd)
 
 
-# -- round trips -----------------------------------------------------------------------------------------------------
+# -- round trips
+# -----------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=30)
-@given(written=st.lists(st.tuples(st.sampled_from(TYPES).flatmap(messages), st.floats(0.0, 1e9)), min_size=1, max_size=20))
+@given(
+    written=st.lists(
+        st.tuples(st.sampled_from(TYPES).flatmap(messages), st.floats(0.0, 1e9)),
+        min_size=1,
+        max_size=20,
+    )
+)
 def test_round_trip_to_the_bit(tmp_path: Path, written: list[tuple[Message, float]]) -> None:
     path = tmp_path / "r.mcap"
     with RecordWriter(path, {"scenario": "any"}, overwrite=True) as writer:
@@ -110,7 +127,10 @@ def test_the_reference_reader_agrees(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     sent = list(drop(400, switch=100))
     with RecordWriter(
-        path, {"scenario": "drop"}, launch_file="ticks: 400\n", parameters={"coupling": "{stiffness: 1500}"}
+        path,
+        {"scenario": "drop"},
+        launch_file="ticks: 400\n",
+        parameters={"coupling": "{stiffness: 1500}"},
     ) as writer:
         for topic, message in sent:
             writer.write(topic, message, message.stamp + 1e-4)
@@ -121,7 +141,8 @@ def test_the_reference_reader_agrees(tmp_path: Path) -> None:
         assert summary.statistics is not None
         assert summary.statistics.message_count == len(sent)
         assert {chunk.compression for chunk in summary.chunk_indexes} == {"zstd"}
-        # A chunk is closed by the record that crosses the limit: a message, or a schema with its channel.
+        # A chunk is closed by the record that crosses the limit: a message, or a schema with its
+        # channel.
         longest = max(len(schema_json(message_type)) for message_type in TYPES) + 100
         sizes = [chunk.uncompressed_size for chunk in summary.chunk_indexes]
         assert max(sizes) <= CHUNK_SIZE + longest
@@ -130,7 +151,11 @@ def test_the_reference_reader_agrees(tmp_path: Path) -> None:
         metadata = {record.name: record.metadata for record in reader.iter_metadata()}
     for (topic, message), (record_schema, channel, raw) in zip(sent, read, strict=True):
         assert record_schema is not None
-        assert (channel.topic, channel.message_encoding, record_schema.encoding) == (topic, "json", "jsonschema")
+        assert (channel.topic, channel.message_encoding, record_schema.encoding) == (
+            topic,
+            "json",
+            "jsonschema",
+        )
         assert json.loads(raw.data) == json.loads(msgspec.json.encode(message))
         assert raw.publish_time == round(message.stamp * 1e9)
         assert raw.sequence == message.seq
@@ -142,14 +167,17 @@ def test_the_reference_reader_agrees(tmp_path: Path) -> None:
 
 def test_stamps_that_mcap_cannot_hold_are_clamped(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
-    sent = [DeviceState(seq=0, stamp=stamp, position=(0.0, 0.0, 0.0)) for stamp in (-1.0, 0.0, 1e300)]
+    sent = [
+        DeviceState(seq=0, stamp=stamp, position=(0.0, 0.0, 0.0)) for stamp in (-1.0, 0.0, 1e300)
+    ]
     with RecordWriter(path, {}) as writer:
         for message in sent:
             writer.write(DEVICE_STATE, message, -5.0)
     assert [entry.message for entry in Recording(path).entries()] == sent
 
 
-# -- bad ends --------------------------------------------------------------------------------------------------------
+# -- bad ends
+# --------------------------------------------------------------------------------------------------------
 
 
 def test_everything_flushed_is_readable_while_writing_goes_on(tmp_path: Path) -> None:
@@ -182,7 +210,9 @@ KILLED = """
 def test_a_killed_writer_loses_nothing_that_was_flushed(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     with subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(KILLED), str(path)], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", textwrap.dedent(KILLED), str(path)],
+        stdout=subprocess.PIPE,
+        text=True,
     ) as process:
         assert process.stdout is not None
         for _ in range(20):
@@ -232,10 +262,15 @@ def check_full(process: subprocess.CompletedProcess[str], expected: str, path: s
     first, second, third, last = process.stdout.splitlines()
     assert first.startswith(f"{path}: {expected} after ")
     assert first.endswith(f"completed by: haptic bag recover {path}")
-    assert second == third == f"{path}: writing failed before; nothing more can be recorded in this file"
+    assert (
+        second
+        == third
+        == f"{path}: writing failed before; nothing more can be recorded in this file"
+    )
     messages_kept, written, gaps, cut = last.split(" ", 3)
     # All but the chunk that did not fit is kept: over 64 KiB of messages of at least 150 bytes.
-    # (The message whose chunk was written, but not the index behind it, was refused and is kept all the same.)
+    # (The message whose chunk was written, but not the index behind it, was refused and is kept all
+    # the same.)
     assert int(written) - CHUNK_SIZE // 150 < int(messages_kept) <= int(written) + 1
     assert int(gaps) == 0
     # Cut back to whole records: nothing stands behind the cut.
@@ -246,7 +281,10 @@ def test_a_file_size_limit_keeps_what_was_recorded(tmp_path: Path) -> None:
     path = str(tmp_path / "r.mcap")
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))"
     process = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(FILL), path, limit], capture_output=True, text=True, check=False
+        [sys.executable, "-c", textwrap.dedent(FILL), path, limit],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     check_full(process, "File too large", path)
     assert os.path.getsize(path) <= 200_000
@@ -254,11 +292,21 @@ def test_a_file_size_limit_keeps_what_was_recorded(tmp_path: Path) -> None:
 
 def test_a_full_disk_keeps_what_was_recorded(tmp_path: Path) -> None:
     path = str(tmp_path / "r.mcap")
-    mount = ["unshare", "--mount", "sh", "-c", 'mount -t tmpfs -o size=256k tmpfs "$0" && exec "$@"', str(tmp_path)]
+    mount = [
+        "unshare",
+        "--mount",
+        "sh",
+        "-c",
+        'mount -t tmpfs -o size=256k tmpfs "$0" && exec "$@"',
+        str(tmp_path),
+    ]
     if subprocess.run([*mount, "true"], capture_output=True, check=False).returncode != 0:
         pytest.skip("mounting a small tmpfs in a private namespace needs root")
     process = subprocess.run(
-        [*mount, sys.executable, "-c", textwrap.dedent(FILL), path, ""], capture_output=True, text=True, check=False
+        [*mount, sys.executable, "-c", textwrap.dedent(FILL), path, ""],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     check_full(process, "No space left on device", path)
 
@@ -295,9 +343,14 @@ LIMITED = """
 def test_save_removes_what_could_not_be_finished(tmp_path: Path) -> None:
     path = tmp_path / "picture.png"
     done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(LIMITED), str(path)], capture_output=True, text=True, check=True
+        [sys.executable, "-c", textwrap.dedent(LIMITED), str(path)],
+        capture_output=True,
+        text=True,
+        check=True,
     )
-    assert done.stdout == f"{path}: File too large after 0 bytes (1000 of the next 2000 not written)\n"
+    assert (
+        done.stdout == f"{path}: File too large after 0 bytes (1000 of the next 2000 not written)\n"
+    )
     assert not path.exists()
 
 
@@ -345,7 +398,10 @@ LIGHT = """
 
 def test_writing_needs_little_memory_and_no_numpy(tmp_path: Path) -> None:
     process = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(LIGHT), str(tmp_path / "r.mcap")], capture_output=True, text=True, check=True
+        [sys.executable, "-c", textwrap.dedent(LIGHT), str(tmp_path / "r.mcap")],
+        capture_output=True,
+        text=True,
+        check=True,
     )
     peak, *heavy = process.stdout.split()
     assert heavy == []
@@ -361,13 +417,20 @@ def test_a_file_that_somebody_writes_is_not_overwritten(tmp_path: Path) -> None:
             first.write(topic, message, message.stamp)
         first.flush()
         size = path.stat().st_size
-        for work in (lambda: RecordWriter(path, {}, overwrite=True), lambda: save(path, b"x", overwrite=True)):
-            with pytest.raises(RecordError, match="another process is writing it, and both would be lost"):
+        for work in (
+            lambda: RecordWriter(path, {}, overwrite=True),
+            lambda: save(path, b"x", overwrite=True),
+        ):
+            with pytest.raises(
+                RecordError, match="another process is writing it, and both would be lost"
+            ):
                 work()
         assert path.stat().st_size == size
         for topic, message in sent[300:]:
             first.write(topic, message, message.stamp)
-    assert [entry.message for entry in Recording(path).entries()] == [message for _, message in sent]
+    assert [entry.message for entry in Recording(path).entries()] == [
+        message for _, message in sent
+    ]
     # Once it is closed, it is free.
     with RecordWriter(path, {}, overwrite=True) as second:
         second.write(*sent[0], 0.0)

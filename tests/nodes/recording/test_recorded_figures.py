@@ -26,7 +26,8 @@ from tests.support.whole import Whole, write
 OFFSETS = (LOG_OFFSET, PUBLISH_OFFSET)
 
 
-# -- figures ---------------------------------------------------------------------------------------------------------
+# -- figures
+# ---------------------------------------------------------------------------------------------------------
 
 
 @given(seqs=st.sets(st.integers(0, 2**34), min_size=1, max_size=30))
@@ -37,7 +38,13 @@ def test_gaps_are_the_missing_numbers(tmp_path: Path, seqs: set[int]) -> None:
     ordered = sorted(seqs)
     # MCAP keeps 32 bits of seq; a hole of 2³¹ ticks (six days at 4 kHz) is beyond what can be told.
     ordered = [seq for seq in ordered if seq - ordered[0] < 2**31]
-    write(path, [(DEVICE_STATE, DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0))) for seq in ordered])
+    write(
+        path,
+        [
+            (DEVICE_STATE, DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0)))
+            for seq in ordered
+        ],
+    )
     figures = Recording(path).topics[DEVICE_STATE]
     assert figures.messages == len(ordered)
     assert figures.gaps == ordered[-1] - ordered[0] + 1 - len(ordered)
@@ -47,7 +54,10 @@ def test_gaps_are_the_missing_numbers(tmp_path: Path, seqs: set[int]) -> None:
 def test_repeats_and_restarts_are_counted(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     seqs = [0, 1, 1, 2, 5, 0, 1]
-    write(path, [(DEVICE_STATE, DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0))) for seq in seqs])
+    write(
+        path,
+        [(DEVICE_STATE, DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0))) for seq in seqs],
+    )
     figures = Recording(path).topics[DEVICE_STATE]
     assert (figures.messages, figures.gaps, figures.back) == (7, 2, 2)
 
@@ -75,9 +85,13 @@ def test_arrays_hold_every_field(whole: Whole, tmp_path: Path) -> None:
     for topic in (DEVICE_STATE, PROXY, FORCE):
         sent = [message for name, message in whole.sent if name == topic]
         arrays = recording.arrays(topic)
-        assert set(arrays) == {"log_time"} | {field.name for field in msgspec.structs.fields(type(sent[0]))}
+        assert set(arrays) == {"log_time"} | {
+            field.name for field in msgspec.structs.fields(type(sent[0]))
+        }
         for name in set(arrays) - {"log_time"}:
-            np.testing.assert_array_equal(arrays[name], np.array([getattr(message, name) for message in sent]))
+            np.testing.assert_array_equal(
+                arrays[name], np.array([getattr(message, name) for message in sent])
+            )
     assert recording.arrays(DEVICE_STATE)["position"].shape == (200, 3)
 
 
@@ -107,25 +121,40 @@ def test_accounts_of_a_late_logger_and_of_a_respawned_node(tmp_path: Path) -> No
 
     def told(pid: int, count: int, state: str) -> tuple[str, Message]:
         return status("environment"), NodeStatus(
-            seq=0, stamp=0.0, node="environment", kind="environment", state=state, pid=pid, sent=count
+            seq=0,
+            stamp=0.0,
+            node="environment",
+            kind="environment",
+            state=state,
+            pid=pid,
+            sent=count,
         )
 
     proxies = [(topic, m) for topic, m in sent if topic == PROXY]
     write(path, [*proxies[:50], told(7, 50, "running"), *proxies[50:], told(8, 51, "finished")])
     account = accounts(Recording(path))["environment"]
-    # 50 before the respawn, then 50 more and the status of the first process: 101 recorded, 101 sent.
+    # 50 before the respawn, then 50 more and the status of the first process: 101 recorded, 101
+    # sent.
     assert (account.sent, account.recorded, account.lost) == (101, 101, 0)
 
 
 def test_what_was_sent_decides_whether_anything_is_lost(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     sent = list(drop(100))
-    # The environment skips what is no longer the newest: 20 gaps in seq, and all that it sent is there.
-    skipped = [m for m in sent if not (m[0] == PROXY and 30 <= m[1].seq < 50) and m[0] != status("environment")]
+    # The environment skips what is no longer the newest: 20 gaps in seq, and all that it sent is
+    # there.
+    skipped = [
+        m
+        for m in sent
+        if not (m[0] == PROXY and 30 <= m[1].seq < 50) and m[0] != status("environment")
+    ]
     write(path, [*skipped, (status("environment"), NodeStatus(**_final("environment", 80)))])
     recording = Recording(path)
     assert recording.topics[PROXY].gaps == 20
-    assert (completeness(recording).lost, completeness(recording).text) == (0, "complete, nothing lost")
+    assert (completeness(recording).lost, completeness(recording).text) == (
+        0,
+        "complete, nothing lost",
+    )
     write(path, [m for m in sent if not (m[0] == PROXY and 30 <= m[1].seq < 50)])
     assert completeness(Recording(path)).text == "complete, 20 messages lost"
     # Without a node's own count nobody can tell.
@@ -134,7 +163,15 @@ def test_what_was_sent_decides_whether_anything_is_lost(tmp_path: Path) -> None:
 
 
 def _final(node: str, sent: int) -> dict[str, Any]:
-    return {"seq": 100, "stamp": 0.2, "node": node, "kind": node, "state": "finished", "pid": 1, "sent": sent}
+    return {
+        "seq": 100,
+        "stamp": 0.2,
+        "node": node,
+        "kind": node,
+        "state": "finished",
+        "pid": 1,
+        "sent": sent,
+    }
 
 
 def test_viewers_date_a_run_by_the_wall_clock_and_readers_by_the_run(tmp_path: Path) -> None:
@@ -153,7 +190,15 @@ def test_viewers_date_a_run_by_the_wall_clock_and_readers_by_the_run(tmp_path: P
     old, *others = ([tuple(entry) for entry in Recording(path).entries()] for path in paths)
     assert all(other == old for other in others)
     figures = [Recording(path) for path in paths]
-    assert len({(f.duration, f.first_log, f.wall_duration, f.topics[DEVICE_STATE].rate) for f in figures}) == 1
+    assert (
+        len(
+            {
+                (f.duration, f.first_log, f.wall_duration, f.topics[DEVICE_STATE].rate)
+                for f in figures
+            }
+        )
+        == 1
+    )
     with paths[1].open("rb") as stream:
         raw = [message for _, _, message in make_reader(stream).iter_messages()]
     # A double holds the time of day to a quarter of a microsecond.
@@ -167,7 +212,11 @@ def test_viewers_date_a_run_by_the_wall_clock_and_readers_by_the_run(tmp_path: P
 
 def test_recordings_of_earlier_versions_and_damaged_clocks(tmp_path: Path) -> None:
     sent = list(drop(20))
-    for name, clock in (("none", None), ("bad", {"log_time_offset_ns": "x"}), ("huge", dict.fromkeys(OFFSETS, "9" * 30))):
+    for name, clock in (
+        ("none", None),
+        ("bad", {"log_time_offset_ns": "x"}),
+        ("huge", dict.fromkeys(OFFSETS, "9" * 30)),
+    ):
         path = tmp_path / f"{name}.mcap"
         output = Output(path, overwrite=False)
         writer = mcap_writer(output, "earlier")
@@ -177,12 +226,16 @@ def test_recordings_of_earlier_versions_and_damaged_clocks(tmp_path: Path) -> No
         for topic, message in sent:
             if topic == DEVICE_STATE:
                 stamp = round(message.stamp * 1e9)
-                writer.add_message(channel, stamp + 100_000, msgspec.json.encode(message), stamp, message.seq)
+                writer.add_message(
+                    channel, stamp + 100_000, msgspec.json.encode(message), stamp, message.seq
+                )
         writer.finish()
         output.close()
         if clock is None:
             entries = list(Recording(path).entries())
-            assert [entry.message for entry in entries] == [m for topic, m in sent if topic == DEVICE_STATE]
+            assert [entry.message for entry in entries] == [
+                m for topic, m in sent if topic == DEVICE_STATE
+            ]
             assert entries[3].log_time == pytest.approx(3 * PERIOD + 1e-4, abs=1e-9)
         else:
             with pytest.raises(RecordError, match="clock"):
@@ -193,7 +246,14 @@ def test_overruns_are_gaps_that_the_driver_declares(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     told = [(0, 0), (1, 0), (4, 2), (5, 2), (9, 5)]
     write(
-        path, [(DEVICE_STATE, DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0), overruns=count)) for seq, count in told]
+        path,
+        [
+            (
+                DEVICE_STATE,
+                DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0), overruns=count),
+            )
+            for seq, count in told
+        ],
     )
     recording = Recording(path)
     assert recording.topics[DEVICE_STATE].gaps == overruns(recording) == 5
@@ -210,9 +270,13 @@ def test_events_are_read(tmp_path: Path) -> None:
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=40), st.floats(0.0, 1.0))
 def test_quantile_is_numpys(values: list[float], fraction: float) -> None:
-    # Both interpolate linearly; numpy groups the terms in another order, which costs a few roundings of the largest value.
+    # Both interpolate linearly; numpy groups the terms in another order, which costs a few
+    # roundings of the largest value.
     tolerance = 4 * np.finfo(float).eps * max(map(abs, values))
-    assert abs(quantile(sorted(values), fraction) - float(np.quantile(values, fraction))) <= tolerance + 1e-300
+    assert (
+        abs(quantile(sorted(values), fraction) - float(np.quantile(values, fraction)))
+        <= tolerance + 1e-300
+    )
 
 
 def test_summary_is_true_to_the_recording(tmp_path: Path) -> None:
@@ -227,7 +291,9 @@ def test_summary_is_true_to_the_recording(tmp_path: Path) -> None:
     responses = [state.response * 1e6 for state in states[1:] if state.seq - 1 not in missed]
     assert len(responses) == 97
     # Another order of interpolation: a few roundings.
-    assert summary.response_us["p99"] == pytest.approx(float(np.percentile(responses, 99)), rel=1e-14)
+    assert summary.response_us["p99"] == pytest.approx(
+        float(np.percentile(responses, 99)), rel=1e-14
+    )
     assert summary.response_us["max"] == max(responses)
     assert summary.position_m == list(states[-1].position)
 

@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from messages.transport.endpoints import Context
 
 
-def test_an_answer_that_is_given_again_is_recorded_once(context: Context, place: str, tmp_path: Path) -> None:
+def test_an_answer_that_is_given_again_is_recorded_once(
+    context: Context, place: str, tmp_path: Path
+) -> None:
     """A node with one socket for all, on another machine, answers its listeners too when the driver asks again."""
     publisher, inbox = Publisher(context, place), Subscription(context, [place], [""])
     wait_for(publisher.listeners, "the subscription")
@@ -32,7 +34,13 @@ def test_an_answer_that_is_given_again_is_recorded_once(context: Context, place:
     proxy = encode(Proxy(seq=1, stamp=0.002, position=ZERO, proxy=ZERO, normal=ZERO, distance=0.0))
     with RecordWriter(tmp_path / "r.mcap", {}) as writer:
         recorder = Recorder(inbox, writer)
-        for topic, payload in ((FORCE, forces[0]), (FORCE, forces[1]), (PROXY, proxy), (FORCE, forces[1]), (FORCE, forces[2])):
+        for topic, payload in (
+            (FORCE, forces[0]),
+            (FORCE, forces[1]),
+            (PROXY, proxy),
+            (FORCE, forces[1]),
+            (FORCE, forces[2]),
+        ):
             publisher.send(topic.encode(), payload)
         wait_for(lambda: recorder.take(50) and recorder.recorded == 4, "all of them")
         assert not recorder.take(50)
@@ -63,16 +71,26 @@ def test_a_message_of_one_node_that_came_late_leaves_none_of_another_behind(
 
 
 @pytest.mark.parametrize("pace", ["realtime", "lockstep"])
-def test_who_ends_a_recorder_gets_what_had_come_by_then(context: Context, place: str, tmp_path: Path, pace: str) -> None:
+def test_who_ends_a_recorder_gets_what_had_come_by_then(
+    context: Context, place: str, tmp_path: Path, pace: str
+) -> None:
     publisher = Publisher(context, place)
     manifest = {"pace": pace}
-    run = RunInfo(run="r", scenario="s", launcher=os.getpid(), nodes={"coupling": setup_of(publish=place)}, manifest=manifest)
+    run = RunInfo(
+        run="r",
+        scenario="s",
+        launcher=os.getpid(),
+        nodes={"coupling": setup_of(publish=place)},
+        manifest=manifest,
+    )
 
     def ended() -> bool:
         # Before the recorder takes anything it is ended, and all this waits.
         wait_for(publisher.listeners, "the subscription")
         for seq in range(500):
-            publisher.send(FORCE.encode(), encode(Force(seq=seq, stamp=time.monotonic(), force=ZERO)))
+            publisher.send(
+                FORCE.encode(), encode(Force(seq=seq, stamp=time.monotonic(), force=ZERO))
+            )
         return True
 
     path = tmp_path / "r.mcap"

@@ -35,7 +35,8 @@ def read(path: Path) -> list[tuple[str, Message]]:
     return [(entry.topic, entry.message) for entry in Recording(path).entries()]
 
 
-# -- cut files -------------------------------------------------------------------------------------------------------
+# -- cut files
+# -------------------------------------------------------------------------------------------------------
 
 
 def check_cut(whole: Whole, path: Path, cut: int) -> None:
@@ -76,7 +77,15 @@ def test_cut_anywhere(whole: Whole, tmp_path: Path, data: st.DataObject) -> None
 
 def test_cut_at_the_very_edges(whole: Whole, tmp_path: Path) -> None:
     edges = [end for end, _ in whole.ends[1:]]
-    for cut in [0, 1, 7, 8, 9, *(edge + step for edge in edges for step in (-1, 0, 1)), len(whole.data) - 1]:
+    for cut in [
+        0,
+        1,
+        7,
+        8,
+        9,
+        *(edge + step for edge in edges for step in (-1, 0, 1)),
+        len(whole.data) - 1,
+    ]:
         check_cut(whole, tmp_path / "r.mcap", cut)
 
 
@@ -89,7 +98,8 @@ def test_a_file_with_an_unwritten_tail(whole: Whole, tmp_path: Path) -> None:
     assert read(path) == whole.sent[: whole.ends[2][1]]
 
 
-# -- damaged files ---------------------------------------------------------------------------------------------------
+# -- damaged files
+# ---------------------------------------------------------------------------------------------------
 
 
 def check_changed(whole: Whole, path: Path, place: int, flip: int, may_cost: int) -> None:
@@ -104,7 +114,9 @@ def check_changed(whole: Whole, path: Path, place: int, flip: int, may_cost: int
     assert RECOVERY in Recording(out).metadata
     kept = read(out)
     remaining = iter(whole.sent)
-    assert all(entry in remaining for entry in kept), "what is recovered is what was recorded, in order"
+    assert all(entry in remaining for entry in kept), (
+        "what is recovered is what was recorded, in order"
+    )
     assert len(kept) >= len(whole.sent) - may_cost
 
 
@@ -120,14 +132,18 @@ def test_any_changed_byte_is_noticed(whole: Whole, tmp_path: Path, data: st.Data
 
 @pytest.mark.parametrize("byte", range(-1, 8))
 @pytest.mark.parametrize("flip", [0x01, 0x20, 0x80, 0xFF])
-def test_a_changed_opcode_or_length_of_a_chunk_costs_nothing(whole: Whole, tmp_path: Path, byte: int, flip: int) -> None:
+def test_a_changed_opcode_or_length_of_a_chunk_costs_nothing(
+    whole: Whole, tmp_path: Path, byte: int, flip: int
+) -> None:
     # Its second byte lays the chunk's end into a later one, whose messages are sound all the same.
     check_changed(whole, tmp_path / "r.mcap", whole.starts[0] + 1 + byte, flip, may_cost=0)
 
 
 @pytest.mark.parametrize("byte", range(8))
 @pytest.mark.parametrize("flip", [0x01, 0x20, 0x80, 0xFF])
-def test_a_changed_inner_length_of_a_chunk_costs_nothing(whole: Whole, tmp_path: Path, byte: int, flip: int) -> None:
+def test_a_changed_inner_length_of_a_chunk_costs_nothing(
+    whole: Whole, tmp_path: Path, byte: int, flip: int
+) -> None:
     """Zstd ignores what follows its frame and the checksum fits, so sound chunks behind were taken for a part of it."""
     inner = whole.starts[0] + mcap_walk.FRAME.size + mcap_walk.CHUNK_HEAD.size + 8
     check_changed(whole, tmp_path / "r.mcap", inner + byte, flip, may_cost=0)
@@ -135,9 +151,13 @@ def test_a_changed_inner_length_of_a_chunk_costs_nothing(whole: Whole, tmp_path:
 
 @settings(max_examples=20)
 @given(data=st.data())
-def test_a_changed_head_of_a_chunk_costs_its_own_messages_at_most(whole: Whole, tmp_path: Path, data: st.DataObject) -> None:
+def test_a_changed_head_of_a_chunk_costs_its_own_messages_at_most(
+    whole: Whole, tmp_path: Path, data: st.DataObject
+) -> None:
     n = data.draw(st.integers(0, len(whole.starts) - 1))
-    place = whole.starts[n] + data.draw(st.integers(0, mcap_walk.FRAME.size + mcap_walk.CHUNK_HEAD.size + 40))
+    place = whole.starts[n] + data.draw(
+        st.integers(0, mcap_walk.FRAME.size + mcap_walk.CHUNK_HEAD.size + 40)
+    )
     own = whole.ends[n + 1][1] - whole.ends[n][1]
     check_changed(whole, tmp_path / "r.mcap", place, data.draw(st.integers(1, 255)), own)
 
@@ -154,13 +174,19 @@ def test_the_length_of_a_frame_is_read_from_its_blocks() -> None:
                     mcap_walk.frame_length(frame[:cut])
 
 
-def test_a_search_for_chunks_does_not_cost_the_square_of_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_search_for_chunks_does_not_cost_the_square_of_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of each place that looked like a chunk all to the end of the file was copied."""
     count, each = 3000, 80
     body = b""
     for n in range(count):
         rest = (count - n) * each
-        head = struct.pack("<BQQQQI", mcap_walk.CHUNK, rest - 9, 0, 0, 1 << 20, 1) + struct.pack("<I", 4) + b"zstd"
+        head = (
+            struct.pack("<BQQQQI", mcap_walk.CHUNK, rest - 9, 0, 0, 1 << 20, 1)
+            + struct.pack("<I", 4)
+            + b"zstd"
+        )
         body += (head + struct.pack("<Q", rest - 54) + b"\x28\xb5\x2f\xfd").ljust(each, b"\0")
     path = tmp_path / "r.mcap"
     path.write_bytes(MAGIC + body)
@@ -187,14 +213,19 @@ def test_a_small_file_of_a_million_messages_is_refused(tmp_path: Path) -> None:
     packed = zstandard.compress(body)
     path = tmp_path / "r.mcap"
     path.write_bytes(MAGIC + chunk(packed, b"zstd", len(body), zlib.crc32(body)))
-    with pytest.raises(RecordError, match=r"damaged chunk at byte 8: more than \d+ records, as many as it has bytes"):
+    with pytest.raises(
+        RecordError,
+        match=r"damaged chunk at byte 8: more than \d+ records, as many as it has bytes",
+    ):
         Recording(path)
     assert sum(recover(path, tmp_path / "out.mcap").messages.values()) < len(packed) + 128
 
 
 @FUZZ
 @given(data=st.data())
-def test_rubbish_raises_nothing_but_a_record_error(whole: Whole, tmp_path: Path, data: st.DataObject) -> None:
+def test_rubbish_raises_nothing_but_a_record_error(
+    whole: Whole, tmp_path: Path, data: st.DataObject
+) -> None:
     start = data.draw(st.integers(0, len(whole.data)))
     stop = data.draw(st.integers(start, min(start + 600, len(whole.data))))
     rubbish = data.draw(st.binary(max_size=300))
@@ -211,12 +242,19 @@ def record(opcode: int, content: bytes) -> bytes:
 
 
 def chunk(data: bytes, compression: bytes, size: int, checksum: int) -> bytes:
-    head = struct.pack("<QQQI", 0, 0, size, checksum) + struct.pack("<I", len(compression)) + compression
+    head = (
+        struct.pack("<QQQI", 0, 0, size, checksum)
+        + struct.pack("<I", len(compression))
+        + compression
+    )
     return record(mcap_walk.CHUNK, head + struct.pack("<Q", len(data)) + data)
 
 
 BOMB = bytes(1 << 20)
-SOUND = record(mcap_walk.CHANNEL, struct.pack("<HHI", 1, 0, 2) + b"/a" + struct.pack("<I", 4) + b"json" + bytes(4))
+SOUND = record(
+    mcap_walk.CHANNEL,
+    struct.pack("<HHI", 1, 0, 2) + b"/a" + struct.pack("<I", 4) + b"json" + bytes(4),
+)
 
 
 @pytest.mark.parametrize(
@@ -313,7 +351,11 @@ def test_recordings_of_other_versions_and_of_others(tmp_path: Path) -> None:
     other = writer.register_schema("somebody.Else", "jsonschema", b"{}")
     for topic, number, text in (
         (DEVICE_STATE, older, b'{"seq": 1, "stamp": 2.0, "position": [0, 0, 3e-3]}'),
-        ("/renamed", older, b'{"seq": 1, "stamp": 2.0, "position": [0, 0, 3e-3], "added_later": [1]}'),
+        (
+            "/renamed",
+            older,
+            b'{"seq": 1, "stamp": 2.0, "position": [0, 0, 3e-3], "added_later": [1]}',
+        ),
         ("/other", other, b"{}"),
         (FORCE, 0, b'{"seq": 1, "stamp": 2.0, "force": [0, 0, "much"]}'),
     ):
@@ -326,5 +368,8 @@ def test_recordings_of_other_versions_and_of_others(tmp_path: Path) -> None:
     assert recording.messages(DEVICE_STATE) == recording.messages("/renamed") == [expected]
     with pytest.raises(RecordError, match="the type of /other is not known here"):
         recording.messages("/other")
-    with pytest.raises(RecordError, match=r"/coupling/force seq 1 .*Expected `float`, got `str` - at `\$\.force\[2\]`"):
+    with pytest.raises(
+        RecordError,
+        match=r"/coupling/force seq 1 .*Expected `float`, got `str` - at `\$\.force\[2\]`",
+    ):
         recording.messages(FORCE)

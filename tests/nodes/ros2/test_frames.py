@@ -51,13 +51,17 @@ def test_ours_or_none_is_taken_and_another_is_refused_once(
         wrench = message(frame)
         ros2._take_wrench(wrench)
         assert ros2._wrench is wrench
-        ros2._take_target(message(frame, pose=SimpleNamespace(position=SimpleNamespace(x=1.0, y=2.0, z=3.0))))
+        ros2._take_target(
+            message(frame, pose=SimpleNamespace(position=SimpleNamespace(x=1.0, y=2.0, z=3.0)))
+        )
     assert hand.targets == [(1.0, 2.0, 3.0)] * 3
     assert not told
     ros2._wrench = None
     for frame in ("tool0", "tool0", ours.upper(), f"{ours}/tool", f" {ours}"):
         ros2._take_wrench(message(frame))
-        ros2._take_target(message(frame, pose=SimpleNamespace(position=SimpleNamespace(x=9.0, y=9.0, z=9.0))))
+        ros2._take_target(
+            message(frame, pose=SimpleNamespace(position=SimpleNamespace(x=9.0, y=9.0, z=9.0)))
+        )
     assert ros2._wrench is None
     assert len(hand.targets) == 3
     assert len(told) == 8
@@ -67,7 +71,9 @@ def test_ours_or_none_is_taken_and_another_is_refused_once(
     assert told[1][1].startswith("target: in frame 'tool0'")
 
 
-def test_frames_without_end_are_not_told_without_end(told: deque[tuple[str, str]], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_without_end_are_not_told_without_end(
+    told: deque[tuple[str, str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
     ros2 = node(told, monkeypatch)
     for n in range(1000):
         ros2._take_wrench(message(f"tool{n}" * 1000))

@@ -45,27 +45,44 @@ class Heard(NamedTuple):
     def states(self, since: str, until: str) -> list[DeviceState]:
         """Give the recorded states of a while."""
         begin, end = self.told[since] - self.offset, self.told[until] - self.offset
-        return [state for state in self.recording.messages("/device/state") if begin <= state.stamp <= end]
+        return [
+            state
+            for state in self.recording.messages("/device/state")
+            if begin <= state.stamp <= end
+        ]
 
 
 @pytest.fixture(scope="module", params=["cyclonedds", "rclpy"])
 def heard(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Heard:
     if not PYTHON:
-        pytest.skip("no rclpy: pip install -e '.[rclpy]', or RCLPY_PYTHON names a Python that has it")
+        pytest.skip(
+            "no rclpy: pip install -e '.[rclpy]', or RCLPY_PYTHON names a Python that has it"
+        )
     backend = request.param
     if backend == "rclpy" and not find_spec("rclpy"):
         pytest.skip("this Python has no rclpy: pip install -e '.[rclpy]'")
     folder = tmp_path_factory.mktemp(backend)
     # A domain of its own: nobody else's graph hears it, or is heard.
-    domain = {"ROS_DOMAIN_ID": str(1 + os.getpid() % 99), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    domain = {
+        "ROS_DOMAIN_ID": str(1 + os.getpid() % 99),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
     # One of them within a namespace, as where several chains share a graph.
     namespace = "/left" if backend == "cyclonedds" else ""
     include = {"launch": "ros2_wall", "namespace": namespace[1:], "arguments": {"backend": backend}}
     file = folder / "wall.yaml"
-    file.write_text(json.dumps({"summary": "a wall on a graph", "include": [include]}), encoding="utf-8")
+    file.write_text(
+        json.dumps({"summary": "a wall on a graph", "include": [include]}), encoding="utf-8"
+    )
     with running(folder, str(file), environment=domain) as launch:
         done = subprocess.run(
-            [PYTHON, str(PROBE), str(SECONDS), "parameters" if backend == "rclpy" else "plain", namespace],
+            [
+                PYTHON,
+                str(PROBE),
+                str(SECONDS),
+                "parameters" if backend == "rclpy" else "plain",
+                namespace,
+            ],
             capture_output=True,
             text=True,
             timeout=90.0,
@@ -86,10 +103,15 @@ def heard(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 def test_rclpy_hears_what_was_recorded(heard: Heard) -> None:
-    states = {round((s.stamp + heard.offset) * 1e9): s.position for s in heard.recording.messages("/device/state")}
+    states = {
+        round((s.stamp + heard.offset) * 1e9): s.position
+        for s in heard.recording.messages("/device/state")
+    }
     poses = heard.told["poses"]
     # A stamp in seconds is a double, good to 0.2 µs at today's date: the node rounds as we do here.
-    assert [tuple(pose[2:]) for pose in poses] == [states[pose[0] * 10**9 + pose[1]] for pose in poses]
+    assert [tuple(pose[2:]) for pose in poses] == [
+        states[pose[0] * 10**9 + pose[1]] for pose in poses
+    ]
     assert heard.told["frame"] == "haptic"
     assert heard.told["laws"] == ["pd"]
     assert all(heard.told["counts"].values())
@@ -113,16 +135,28 @@ def test_a_wrench_is_taken_on_top_of_the_law_and_ends_with_its_age(heard: Heard)
     # Whatever was stamped 5 s ago is refused, and what is not renewed is gone.
     assert beyond_the_law(heard.states("old_from", "pushed_from")) == {0.0}
     age = launch_file.read("ros2_wall", {}).nodes["driver"].parameters["external"]["age"]
-    after = [s for s in heard.states("pushed_to", "pulled_to") if s.stamp > heard.told["pushed_to"] - heard.offset + 2 * age]
+    after = [
+        s
+        for s in heard.states("pushed_to", "pulled_to")
+        if s.stamp > heard.told["pushed_to"] - heard.offset + 2 * age
+    ]
     assert beyond_the_law(after) == {0.0}
-    # A request for each of them took ten times the round's time: as many poses come while somebody pushes as while he pulls.
+    # A request for each of them took ten times the round's time: as many poses come while somebody
+    # pushes as while he pulls.
     spans = (("pushed_from", "pushed_to"), ("pushed_to", "pulled_to"))
     pushed, pulled = (
-        sum(heard.told[since] <= pose[0] + 1e-9 * pose[1] <= heard.told[until] for pose in heard.told["poses"])
+        sum(
+            heard.told[since] <= pose[0] + 1e-9 * pose[1] <= heard.told[until]
+            for pose in heard.told["poses"]
+        )
         for since, until in spans
     )
     assert pushed > 0.4 * pulled
-    refusals = [e.reason for e in heard.recording.messages("/ros2/event") if isinstance(e, Event) and e.kind == "stale"]
+    refusals = [
+        e.reason
+        for e in heard.recording.messages("/ros2/event")
+        if isinstance(e, Event) and e.kind == "stale"
+    ]
     assert "limit 0.1 s" in refusals[0]
 
 

@@ -41,7 +41,9 @@ def test_a_constant_sequence_has_the_poles_of_its_delay(name: str, delay: float)
     some = law(name, 0.5, (0.5, 1.0))
     for around in ((delay, delay), (max(delay - 0.4, 0.0), delay + 0.4)):
         matrix = _Ticks(some, FlexiblePlant(M, B), T, around).matrix(delay, delay)
-        assert np.abs(np.linalg.eigvals(matrix)).max() == pytest.approx(pole_radius(some, Plant(T, M, B, delay)), rel=1e-9)
+        assert np.abs(np.linalg.eigvals(matrix)).max() == pytest.approx(
+            pole_radius(some, Plant(T, M, B, delay)), rel=1e-9
+        )
 
 
 @pytest.mark.parametrize("delays", RANGES)
@@ -66,7 +68,9 @@ def test_hull_holds_the_matrices_of_all_delays(delays: tuple[float, float]) -> N
 
 @pytest.mark.parametrize("name", LAWS)
 @pytest.mark.parametrize("delays", RANGES)
-def test_just_inside_is_certified_and_just_outside_grows(name: str, delays: tuple[float, float]) -> None:
+def test_just_inside_is_certified_and_just_outside_grows(
+    name: str, delays: tuple[float, float]
+) -> None:
     inside = every_delay(law(name, 0.97, delays), Plant(T, M, B), delays)
     assert inside.stable is True
     assert inside.rate is not None
@@ -78,18 +82,25 @@ def test_just_inside_is_certified_and_just_outside_grows(name: str, delays: tupl
 
 
 @pytest.mark.parametrize("delays", [(0.05, 0.3), (0.6, 1.4)])
-def test_replays_agree_with_the_certificate_and_with_the_counterexample(delays: tuple[float, float]) -> None:
+def test_replays_agree_with_the_certificate_and_with_the_counterexample(
+    delays: tuple[float, float],
+) -> None:
     """By the simulator's own device, split at each arrival: another code than the matrices."""
     source = random.Random(3)  # noqa: S311  # reproducible, not secret
     inside = law("paper_optimum", 0.97, delays)
     for _ in range(3):
-        sequence = [source.choice((delays[0], delays[1], source.uniform(*delays))) for _ in range(1500)]
+        sequence = [
+            source.choice((delays[0], delays[1], source.uniform(*delays))) for _ in range(1500)
+        ]
         assert replayed_radius(inside, Plant(T, M, B), sequence) < 1.0
     outside = law("paper_optimum", 1.02, delays)
     found = every_delay(outside, Plant(T, M, B), delays)
     repeated = list(found.growing) * (1500 // len(found.growing))
-    # The mean factor between first and last quarter is the growth but for the phase of the swing at either end.
-    assert replayed_radius(outside, Plant(T, M, B), repeated) == pytest.approx(found.growth, abs=2e-4)
+    # The mean factor between first and last quarter is the growth but for the phase of the swing at
+    # either end.
+    assert replayed_radius(outside, Plant(T, M, B), repeated) == pytest.approx(
+        found.growth, abs=2e-4
+    )
     assert found.growth > 1.0
 
 
@@ -101,7 +112,9 @@ def test_a_rate_can_be_demanded() -> None:
 
 
 def test_what_cannot_be_certified_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"^delay 0\.5\.\.1\.6 ticks: expected low to high, at most one tick apart"):
+    with pytest.raises(
+        ValueError, match=r"^delay 0\.5\.\.1\.6 ticks: expected low to high, at most one tick apart"
+    ):
         every_delay(law("pd", 0.5, (0.5, 1.0)), Plant(T, M, B), (0.5, 1.6))
     with pytest.raises(ValueError, match=r"^law: 1002 states, at most 40 are certified"):
         every_delay(CompiledLaw((1000.0,) * 1000), Plant(T, M, B), (0.0, 0.5))
@@ -114,7 +127,9 @@ BOTH = FlexiblePlant(M, B, 0.0, 150.0, 1e-3, 0.3, 40.0, 0.03)
 
 @pytest.mark.parametrize("plant", [JOINT, LAG, BOTH], ids=["joint", "lag", "both"])
 @pytest.mark.parametrize("delays", [(0.05, 0.5), (0.8, 1.3)])
-def test_a_joint_and_a_lag_are_certified_too(plant: FlexiblePlant, delays: tuple[float, float]) -> None:
+def test_a_joint_and_a_lag_are_certified_too(
+    plant: FlexiblePlant, delays: tuple[float, float]
+) -> None:
     """Just inside the worse constant delay's limit, and refuted outside; constant sequences have the poles of their delay."""
 
     def radius(some: CompiledLaw, delay: float) -> float:
@@ -130,7 +145,8 @@ def test_a_joint_and_a_lag_are_certified_too(plant: FlexiblePlant, delays: tuple
         middle = 0.5 * (low + high)
         stable = max(radius(scaled(middle), delay) for delay in delays) < 1.0
         low, high = (middle, high) if stable else (low, middle)
-    # Half of the edge: with a joint, a delay that switches in its rhythm is worse than each constant one.
+    # Half of the edge: with a joint, a delay that switches in its rhythm is worse than each
+    # constant one.
     inside = scaled(0.5 * low)
     ticks = _Ticks(inside, plant, T, delays)
     for delay in delays:
@@ -142,7 +158,8 @@ def test_a_joint_and_a_lag_are_certified_too(plant: FlexiblePlant, delays: tuple
     assert found.rate is not None
     assert found.growth <= found.rate < 1.0
     assert every_delay(scaled(1.01 * low), plant, delays, period=T).stable is False
-    # Nothing is left out between the corners: every matrix is as near to the hull as is said, in the identity's norm.
+    # Nothing is left out between the corners: every matrix is as near to the hull as is said, in
+    # the identity's norm.
     hull = ticks.hull()
     off = ticks.off(np.eye(ticks.size))
     for older in np.linspace(*delays, 7).tolist():
@@ -155,7 +172,9 @@ def _distance(matrix: np.ndarray, hull: np.ndarray) -> float:
     from scipy.optimize import linprog
 
     count, flat = len(hull), hull.reshape(len(hull), -1).T
-    rows = np.vstack([np.hstack([flat, -np.ones((len(flat), 1))]), np.hstack([-flat, -np.ones((len(flat), 1))])])
+    rows = np.vstack(
+        [np.hstack([flat, -np.ones((len(flat), 1))]), np.hstack([-flat, -np.ones((len(flat), 1))])]
+    )
     limits = np.concatenate([matrix.ravel(), -matrix.ravel()])
     found = linprog(
         np.append(np.zeros(count), 1.0),

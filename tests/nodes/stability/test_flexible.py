@@ -28,15 +28,22 @@ def test_without_joint_and_lag_it_is_the_rigid_device(delay: float, hand: float)
     # Rounding of a difference of determinants of size 4.
     assert denominator == pytest.approx(rigid.denominator, abs=1e-13)
     assert numerator == pytest.approx(rigid.numerator, abs=1e-12 * T * T / 0.1)
-    filtered = parse_law({"kind": "pd_filtered", "stiffness": 500.0, "damping": 2.0, "cutoff": 50.0}).compile(T)
+    filtered = parse_law(
+        {"kind": "pd_filtered", "stiffness": 500.0, "damping": 2.0, "cutoff": 50.0}
+    ).compile(T)
     for law in (PD, filtered):
-        assert flexible_radius(law, T, plant) == pytest.approx(pole_radius(law, Plant(T, 0.1, 1.0, delay, hand)), abs=1e-9)
+        assert flexible_radius(law, T, plant) == pytest.approx(
+            pole_radius(law, Plant(T, 0.1, 1.0, delay, hand)), abs=1e-9
+        )
 
 
 def test_a_stiff_joint_and_a_short_lag_tend_to_the_rigid_device() -> None:
     """The mode's own poles stay, damped; the loop's dominant pole goes to the rigid one in proportion to the lag."""
     rigid = flexible_radius(PD, T, FlexiblePlant(0.1, 1.0, 1.2))
-    off = [flexible_radius(PD, T, FlexiblePlant(0.1, 1.0, 1.2, lag=lag)) - rigid for lag in (1e-5, 1e-6)]
+    off = [
+        flexible_radius(PD, T, FlexiblePlant(0.1, 1.0, 1.2, lag=lag)) - rigid
+        for lag in (1e-5, 1e-6)
+    ]
     assert off[0] / off[1] == pytest.approx(10.0, rel=0.02)
     joint = FlexiblePlant(0.1, 1.0, 1.2, share=0.3, frequency=20000.0, loss=0.5)
     assert flexible_radius(PD, T, joint) == pytest.approx(rigid, abs=1e-4)
@@ -76,7 +83,10 @@ def test_one_tick_is_the_integrated_motion() -> None:
 def test_a_law_for_the_rigid_device_can_be_unstable_with_a_joint() -> None:
     law = CompiledLaw((8000.0, -7400.0))
     assert flexible_radius(law, T, FlexiblePlant(0.1, 1.0, 0.2)) < 1.0
-    assert flexible_radius(law, T, FlexiblePlant(0.1, 1.0, 0.2, share=0.5, frequency=120.0, loss=0.02)) > 1.0
+    assert (
+        flexible_radius(law, T, FlexiblePlant(0.1, 1.0, 0.2, share=0.5, frequency=120.0, loss=0.02))
+        > 1.0
+    )
 
 
 def test_bad_devices_are_refused() -> None:

@@ -69,19 +69,23 @@ def test_margin_is_that_of_the_multiplier_at_every_frequency() -> None:
     device = ((T - q) * z + q - e * T) / ((z - 1.0) * (z - e))
     multiplier = 1.0 - np.array([z ** -float(i) for i in powers]).T @ taps
     condition = (multiplier * (1.0 + law.response(z) / z * device)).real
-    # The least over 20 001 points and over the finer grid of the search: both within the grid's own curvature.
+    # The least over 20 001 points and over the finer grid of the search: both within the grid's own
+    # curvature.
     assert condition.min() == pytest.approx(found.margin, rel=1e-3)
 
 
 def test_sections_and_a_joint_have_proofs_too() -> None:
-    filtered = parse_law({"kind": "pd_filtered", "stiffness": 500.0, "damping": 2.0, "cutoff": 60.0}).compile(T)
+    filtered = parse_law(
+        {"kind": "pd_filtered", "stiffness": 500.0, "damping": 2.0, "cutoff": 60.0}
+    ).compile(T)
     assert filtered.sections
     assert prove_landing(filtered, Plant(T, 0.1, 1.0, 1.0)).proven
     joint = FlexiblePlant(0.1, 1.0, 1.0, share=0.2, frequency=60.0, loss=0.1)
     assert prove_landing(pd(200.0, 1.0), joint, T).proven
     rigid = FlexiblePlant(0.1, 1.0, 1.0)
     margins = [prove_landing(pd(800.0), one, T).margin for one in (rigid, Plant(T, 0.1, 1.0, 1.0))]
-    assert margins[0] == pytest.approx(margins[1], rel=1e-6)  # one device by a matrix exponential, and by its series
+    # one device by a matrix exponential, and by its series
+    assert margins[0] == pytest.approx(margins[1], rel=1e-6)
 
 
 def test_a_hand_that_holds_the_device_has_a_proof() -> None:
@@ -96,7 +100,11 @@ def test_a_hand_that_holds_the_device_has_a_proof() -> None:
         (pd(100.0), Plant(T, 0.1, 1.0).with_tool(0.2, 1.0), "two bodies"),
         (pd(100.0), Plant(T, 0.1, 0.0), "no damping"),
         (CompiledLaw((1.0, -2.0)), Plant(T, 0.1, 1.0), "pulls into the wall"),
-        (CompiledLaw((100.0,), evaluate=lambda ring, head: ring[head]), Plant(T, 0.1, 1.0), "code of its own"),
+        (
+            CompiledLaw((100.0,), evaluate=lambda ring, head: ring[head]),
+            Plant(T, 0.1, 1.0),
+            "code of its own",
+        ),
     ],
 )
 def test_without_a_proof_it_says_why(law: CompiledLaw, plant: Plant, why: str) -> None:
@@ -113,7 +121,9 @@ def test_a_flexible_device_needs_its_period() -> None:
 
 @given(st.floats(-3.0, 3.0), st.floats(1e-8, 1e-3), st.integers(1, 2))
 @settings(max_examples=60, deadline=None)
-def test_a_sum_just_above_zero_is_proven_and_one_just_below_is_not(at: float, gap: float, power: int) -> None:
+def test_a_sum_just_above_zero_is_proven_and_one_just_below_is_not(
+    at: float, gap: float, power: int
+) -> None:
     """((1 − cos(θ − a))(1 − cos(θ + a)))^p touches 0 at a between the points of any grid: (cos θ − cos a)^2p."""
     touching = np.array([1.0])
     for _ in range(power):
@@ -136,7 +146,10 @@ def test_cosine_sums_are_the_real_parts(coefficients: list[float], low: int) -> 
     at, w = polynomial.at(theta), np.exp(-1j * theta)
     size = 1e-13 * len(coefficients)  # so many terms of at most 1, each rounded once or twice
     assert np.abs(values(polynomial.real(), theta) - at.real).max() < size
-    assert np.abs(values(polynomial.real_over_one_less_w(), theta) - (at / (1.0 - w)).real).max() < 100.0 * size
+    assert (
+        np.abs(values(polynomial.real_over_one_less_w(), theta) - (at / (1.0 - w)).real).max()
+        < 100.0 * size
+    )
     assert np.abs(polynomial.conjugate.at(theta) - at.conj()).max() < size
 
 
@@ -152,8 +165,16 @@ def test_one_less_cosine_is_the_quotient(multiple: int) -> None:
     [
         (["pd", "--stiffness", "800", "--gain", "3"], True, "every drop settles: proven"),
         (["pd", "--stiffness", "3500", "--gain", "3"], False, "every drop settles: no proof"),
-        (["--launch", "floor_drop", "designed_d0"], True, "this launch has penetration history, force clamped, which no proof"),
-        (["--launch", "floor_drop", "designed_d0", "--heaviest", "0.3"], True, "every drop settles: proven"),
+        (
+            ["--launch", "floor_drop", "designed_d0"],
+            True,
+            "this launch has penetration history, force clamped, which no proof",
+        ),
+        (
+            ["--launch", "floor_drop", "designed_d0", "--heaviest", "0.3"],
+            True,
+            "every drop settles: proven",
+        ),
     ],
 )
 def test_law_show_says_whether_there_is_a_proof(

@@ -21,7 +21,13 @@ T = 0.002
 KINDS: dict[str, dict[str, object]] = {
     "pd": {"kind": "pd", "stiffness": 1.0},
     "half": {"kind": "pd_alpha", "stiffness": 1.0, "order": 0.5, "taps": 20, "gains": "paper"},
-    "three_halves": {"kind": "pd_alpha", "stiffness": 1.0, "order": 1.5, "taps": 4, "gains": "paper"},
+    "three_halves": {
+        "kind": "pd_alpha",
+        "stiffness": 1.0,
+        "order": 1.5,
+        "taps": 4,
+        "gains": "paper",
+    },
     "paper_optimum": {"kind": "paper_optimum"},
 }
 DEVICES = (Plant(T, 0.1, 1.0), Plant(T, 0.045, 0.3), Plant(T, 0.3, 2.0))
@@ -35,7 +41,9 @@ def derivative(name: str, gain: float) -> CompiledLaw:
 @pytest.mark.parametrize("body", DEVICES)
 @pytest.mark.parametrize("gain", [3.0, 8.0, 25.0])
 @pytest.mark.parametrize("delay", [0.0, 0.5, 1.0, 2.0])
-def test_colgate_at_the_frequency_that_occurs_is_k_max(name: str, body: Plant, gain: float, delay: float) -> None:
+def test_colgate_at_the_frequency_that_occurs_is_k_max(
+    name: str, body: Plant, gain: float, delay: float
+) -> None:
     device = Plant(T, body.mass, body.damping, delay)
     law = derivative(name, gain)
     limit = k_max(law, device).k_max_n_per_m
@@ -62,7 +70,9 @@ def test_damping_shown_is_the_series_for_light_damping() -> None:
         mu = 1e-3
         shown = damping_shown(Plant(T, 0.1, mu * 0.1 / T), theta) / (mu * 0.1 / T)
         # The next term is of order (bT/m)², times the square of the tangent's growth near ω_N.
-        assert shown == pytest.approx(1.0 + math.tan(0.5 * theta) ** 2 / 3.0, rel=1e-5 * (1.0 + math.tan(0.5 * theta) ** 2))
+        assert shown == pytest.approx(
+            1.0 + math.tan(0.5 * theta) ** 2 / 3.0, rel=1e-5 * (1.0 + math.tan(0.5 * theta) ** 2)
+        )
 
 
 @settings(max_examples=60)
@@ -109,9 +119,17 @@ def test_the_pages_range_of_what_leaving_r_out_costs() -> None:
         edge = edge_of(derivative(name, gain), device)
         return None if edge is None else 1.0 - edge.k_simple_n_per_m / edge.k_exact_n_per_m
 
-    few = [off(name, gain, device) for name in KINDS for gain in (3.0, 8.0, 25.0) for device in DEVICES]
+    few = [
+        off(name, gain, device) for name in KINDS for gain in (3.0, 8.0, 25.0) for device in DEVICES
+    ]
     known = [one for one in few if one is not None]
-    assert (len(known), round(100.0 * min(known), 1), round(100.0 * max(known), 1)) == (35, 0.2, 1.5)
+    assert (len(known), round(100.0 * min(known), 1), round(100.0 * max(known), 1)) == (
+        35,
+        0.2,
+        1.5,
+    )
     gains = np.geomspace(0.5, 60.0, 24).tolist()
-    wide = [one for name in KINDS for gain in gains if (one := off(name, gain, DEVICES[0])) is not None]
+    wide = [
+        one for name in KINDS for gain in gains if (one := off(name, gain, DEVICES[0])) is not None
+    ]
     assert round(100.0 * max(wide), 1) == 9.4

@@ -25,7 +25,9 @@ LAWS = [
     CompiledLaw((0.0,)),
     CompiledLaw((1.0 / T, -1.0 / T)),
     without_spring(parse_law({"kind": "paper_optimum", "stiffness": 1.0, "damping": 1.0}), T),
-    without_spring(parse_law({"kind": "pd_filtered", "stiffness": 1.0, "damping": 1.0, "cutoff": 60.0}), T),
+    without_spring(
+        parse_law({"kind": "pd_filtered", "stiffness": 1.0, "damping": 1.0, "cutoff": 60.0}), T
+    ),
 ]
 
 
@@ -54,12 +56,20 @@ def stepped(law: CompiledLaw, plant: Plant) -> float:
             after += [y, y1]
         all_forces = np.append(force, forces)  # of this tick and those before it
         moved = []
-        for (mass, damping, stiffness, delay), at, sign in zip(bodies, (places[:2], places[2:]), (1.0, -1.0), strict=True):
+        for (mass, damping, stiffness, delay), at, sign in zip(
+            bodies, (places[:2], places[2:]), (1.0, -1.0), strict=True
+        ):
             whole, part = int(delay), delay - int(delay)
             at = np.append(at, 0.0)
             for age, duration in ((whole + 1, part), (whole, 1.0 - part)):
                 push = sign * all_forces[age]
-                matrix = np.array([[0.0, 1.0, 0.0], [-stiffness / mass, -damping / mass, push / mass], [0.0, 0.0, 0.0]])
+                matrix = np.array(
+                    [
+                        [0.0, 1.0, 0.0],
+                        [-stiffness / mass, -damping / mass, push / mass],
+                        [0.0, 0.0, 0.0],
+                    ]
+                )
                 at[2] = 1.0
                 at = expm(matrix * duration * T) @ at
             moved.append(at[:2])
@@ -71,7 +81,12 @@ def stepped(law: CompiledLaw, plant: Plant) -> float:
     return float(np.abs(poles).max())
 
 
-bodies = st.tuples(st.floats(0.02, 0.5), st.floats(0.05, 5.0), st.sampled_from([0.0, 100.0, 600.0]), st.floats(0.0, 2.0))
+bodies = st.tuples(
+    st.floats(0.02, 0.5),
+    st.floats(0.05, 5.0),
+    st.sampled_from([0.0, 100.0, 600.0]),
+    st.floats(0.0, 2.0),
+)
 
 
 @settings(max_examples=25, deadline=None)
@@ -79,23 +94,36 @@ bodies = st.tuples(st.floats(0.02, 0.5), st.floats(0.05, 5.0), st.sampled_from([
 def test_the_pole_radius_is_that_of_both_bodies(
     first: tuple[float, ...], second: tuple[float, ...], derivative: CompiledLaw, stiffness: float
 ) -> None:
-    one, other = (Plant(T, mass, damping, delay, hand) for mass, damping, hand, delay in (first, second))
+    one, other = (
+        Plant(T, mass, damping, delay, hand) for mass, damping, hand, delay in (first, second)
+    )
     law, pair = with_spring(derivative, stiffness), one.paired_with(other)
-    # Poles of matrices of up to 15 states, of which a double one is known to the root of the rounding of forces, 1e-7 or so.
+    # Poles of matrices of up to 15 states, of which a double one is known to the root of the
+    # rounding of forces, 1e-7 or so.
     assert pole_radius(law, pair) == pytest.approx(stepped(law, pair), abs=2e-7)
 
 
 @settings(max_examples=12, deadline=None)
 @given(bodies, bodies, st.sampled_from(LAWS))
-def test_k_max_is_the_edge_of_both_bodies(first: tuple[float, ...], second: tuple[float, ...], derivative: CompiledLaw) -> None:
-    one, other = (Plant(T, mass, damping, delay, hand) for mass, damping, hand, delay in (first, second))
+def test_k_max_is_the_edge_of_both_bodies(
+    first: tuple[float, ...], second: tuple[float, ...], derivative: CompiledLaw
+) -> None:
+    one, other = (
+        Plant(T, mass, damping, delay, hand) for mass, damping, hand, delay in (first, second)
+    )
     pair = one.paired_with(other)
     edge = k_max(derivative, pair).k_max_n_per_m
     if edge is None:
         # No stretch that is stable: neither is what a hand or a finger would do.
-        assert all(stepped(with_spring(derivative, k), pair) > 1.0 - 1e-7 for k in (1.0, 30.0, 300.0))
+        assert all(
+            stepped(with_spring(derivative, k), pair) > 1.0 - 1e-7 for k in (1.0, 30.0, 300.0)
+        )
         return
-    assert stepped(with_spring(derivative, 0.999 * edge), pair) < 1.0 < stepped(with_spring(derivative, 1.001 * edge), pair)
+    assert (
+        stepped(with_spring(derivative, 0.999 * edge), pair)
+        < 1.0
+        < stepped(with_spring(derivative, 1.001 * edge), pair)
+    )
 
 
 @pytest.mark.slow
@@ -116,7 +144,9 @@ def test_k_max_of_many_pairs() -> None:
         pair, derivative = one.paired_with(other), LAWS[n % len(LAWS)]
         edge = k_max(derivative, pair).k_max_n_per_m
         if edge is not None:
-            low, high = (stepped(with_spring(derivative, part * edge), pair) for part in (0.9999, 1.0001))
+            low, high = (
+                stepped(with_spring(derivative, part * edge), pair) for part in (0.9999, 1.0001)
+            )
             assert low < 1.0 < high, (pair, derivative, edge)
 
 
@@ -128,7 +158,9 @@ def test_two_equal_devices_are_one_of_half_the_mass_and_undamped_ones_a_reduced_
     assert found == pytest.approx(expected, rel=1e-9)
     free = Plant(T, 0.3, 0.0).with_tool(0.02)
     assert k_max(PD3, free) == k_max(PD3, Plant(T, 0.3 * 0.02 / 0.32, 0.0))
-    assert state_matrix(PD3, free) == pytest.approx(state_matrix(PD3, Plant(T, 0.3 * 0.02 / 0.32, 0.0)))
+    assert state_matrix(PD3, free) == pytest.approx(
+        state_matrix(PD3, Plant(T, 0.3 * 0.02 / 0.32, 0.0))
+    )
 
 
 def test_a_tool_with_all_the_mass_is_a_wall_and_a_device_with_all_of_it_leaves_the_tool() -> None:
@@ -141,9 +173,16 @@ def test_a_tool_with_all_the_mass_is_a_wall_and_a_device_with_all_of_it_leaves_t
 
 def test_the_delay_of_a_loop_and_of_its_device_are_told_apart() -> None:
     """A tool is pushed with the loop's delay, without the device's own; a partner later or earlier than the first."""
-    tool = PlantParameters(mass=0.1, damping=1.0, device_delay=1.2, tool_mass=0.05, tool_damping=0.4).at(T, 0.5)
+    tool = PlantParameters(
+        mass=0.1, damping=1.0, device_delay=1.2, tool_mass=0.05, tool_damping=0.4
+    ).at(T, 0.5)
     assert tool == Plant(T, 0.1, 1.0, 1.7, 0.0, Counterpart(0.05, 0.4, 0.0, -1.2))
-    other = {"partner_mass": 0.2, "partner_damping": 2.0, "partner_stiffness": 50.0, "partner_later": -3.0}
+    other = {
+        "partner_mass": 0.2,
+        "partner_damping": 2.0,
+        "partner_stiffness": 50.0,
+        "partner_later": -3.0,
+    }
     pair = PlantParameters(mass=0.1, **other, device_delay=1.0).at(T, 0.5)
     assert pair.other == Plant(T, 0.2, 2.0, 0.0, 50.0)  # nothing acts before it is handed over
     with pytest.raises(ValueError, match="delay = -1"):
@@ -164,7 +203,10 @@ def test_judgement_tolerance_and_passivity_know_the_partner() -> None:
     margins = tolerance(soft, heavy)
     assert margins is not None
     assert margins.delay_max_ticks is not None
-    edges = [stepped(soft, replace(heavy, delay=part * margins.delay_max_ticks)) for part in (0.999, 1.001)]
+    edges = [
+        stepped(soft, replace(heavy, delay=part * margins.delay_max_ticks))
+        for part in (0.999, 1.001)
+    ]
     assert edges[0] < 1.0 < edges[1]
     # Any hand and anything on the tool: b b'/(b + b') in place of b (THEORY.md §18).
     passive = rendered(law, device).passive_scale

@@ -19,7 +19,9 @@ T, STEP = 0.002, 2.3e-5
 
 
 def derivative(name: str, gain: float) -> CompiledLaw:
-    data = {"kind": "paper_optimum"} if name == "paper_optimum" else {"kind": "pd", "stiffness": 1.0}
+    data = (
+        {"kind": "paper_optimum"} if name == "paper_optimum" else {"kind": "pd", "stiffness": 1.0}
+    )
     return without_spring(parse_law({**data, "damping": gain}), T)
 
 
@@ -33,12 +35,15 @@ def taken_out(law: CompiledLaw, friction: float) -> float:
     force = -np.convolve(read, law.taps)[: len(x)]
     # An even number of ticks: the mean force does no work.
     work = force[100:-2] * np.diff(x)[100:-1]
-    # One way round the force drives the motion, the other way it hinders it: whoever moves the device chooses.
+    # One way round the force drives the motion, the other way it hinders it: whoever moves the
+    # device chooses.
     return abs(float(work.mean())) - friction * path
 
 
 @pytest.mark.parametrize(("name", "gain"), [("pd", 0.0), ("pd", 3.0), ("paper_optimum", 3.0)])
-def test_alternation_takes_out_energy_just_below_the_bound_and_none_just_above(name: str, gain: float) -> None:
+def test_alternation_takes_out_energy_just_below_the_bound_and_none_just_above(
+    name: str, gain: float
+) -> None:
     law = with_spring(derivative(name, gain), 1000.0)
     limit = rest(law, T, STEP).friction_alternating_n
     # The force also follows the nanometre of motion itself: 1e-9/2.3e-5 of the error's.
@@ -48,13 +53,20 @@ def test_alternation_takes_out_energy_just_below_the_bound_and_none_just_above(n
 def still(law: CompiledLaw, friction: float, delay: float) -> bool:
     """Tell whether drops from twelve small heights all come to a dead stop."""
     model = DeviceModel(mass=0.1, damping=1.0, friction=friction, resolution=STEP, delay=delay)
-    drops = (run(drop_scene(model, T, False, True, height=h), law, 2500) for h in np.linspace(2e-6, 3e-4, 12).tolist())
+    drops = (
+        run(drop_scene(model, T, False, True, height=h), law, 2500)
+        for h in np.linspace(2e-6, 3e-4, 12).tolist()
+    )
     return all(float(np.ptp(drop.position[-600:])) == 0.0 for drop in drops)
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0])
-@pytest.mark.parametrize(("name", "gain"), [("pd", 0.0), ("pd", 3.0), ("pd", 12.0), ("paper_optimum", 3.0)])
-def test_with_the_bounds_friction_every_drop_comes_to_a_stop(name: str, gain: float, delay: float) -> None:
+@pytest.mark.parametrize(
+    ("name", "gain"), [("pd", 0.0), ("pd", 3.0), ("pd", 12.0), ("paper_optimum", 3.0)]
+)
+def test_with_the_bounds_friction_every_drop_comes_to_a_stop(
+    name: str, gain: float, delay: float
+) -> None:
     loop = derivative(name, gain)
     limit = k_max(loop, Plant(T, 0.1, 1.0, delay)).k_max_n_per_m
     assert limit is not None
@@ -76,7 +88,12 @@ def swings_on(law: CompiledLaw, plant: Plant, friction: float) -> bool:
         size = STEP * 10.0 ** random.uniform(-1.0, 1.0)
         position, velocity = (float(v) for v in random.uniform(-size, size, 2) * (1.0, 1.0 / T))
         body = DeviceModel(
-            mass=plant.mass, damping=plant.damping, friction=friction, resolution=STEP, position=position, velocity=velocity
+            mass=plant.mass,
+            damping=plant.damping,
+            friction=friction,
+            resolution=STEP,
+            position=position,
+            velocity=velocity,
         )
         anchor = SceneSurface("anchor", position=float(random.uniform(-STEP, STEP)))
         trace = run(Scene(device=body, surface=anchor, period=T, raw=False, clamp=False), law, 4000)
@@ -86,7 +103,8 @@ def swings_on(law: CompiledLaw, plant: Plant, friction: float) -> bool:
 
 
 def test_only_the_bound_says_that_no_limit_cycle_is_left() -> None:
-    # Passive on this device, so the bound is a proof; a swing of a hundredth of a step lives on above the estimate.
+    # Passive on this device, so the bound is a proof; a swing of a hundredth of a step lives on
+    # above the estimate.
     law, plant = CompiledLaw((704.179, 353.287)), Plant(T, 0.0578, 3.9782)
     found = rest(law, plant, STEP)
     assert found.certain
@@ -109,7 +127,8 @@ def test_spring_and_pd_are_abbott_and_okamuras() -> None:
         assert k == pytest.approx(2.0 * friction / STEP - 2.0 * gain / T, rel=1e-12)
         law = PD(stiffness=k, damping=gain).compile(T)
         assert rest(law, T, STEP).friction_bound_n == pytest.approx(friction, rel=1e-12)
-        # Passive up to K < 2(b − B)/T, paper eq. (4): just inside it is a proof, just outside it is not.
+        # Passive up to K < 2(b − B)/T, paper eq. (4): just inside it is a proof, just outside it is
+        # not.
         for share, certain in ((0.999, True), (1.001, False)):
             inside = PD(stiffness=share * 2.0 * 1.0 / T, damping=gain).compile(T)
             assert rest(inside, Plant(T, 0.1, 1.0 + gain), STEP).certain == certain
@@ -141,5 +160,6 @@ def test_a_hand_s_spring_is_in_the_estimate() -> None:
     free, held = (rest(law, Plant(T, 0.1, 0.1, 0.0, hand), STEP) for hand in (0.0, 1e6))
     assert free.friction_estimated_n is not None
     assert free.friction_estimated_n > 0.0
-    # Up to ω_N the mass takes less force than this spring gives: a spring of the law cannot make it swing.
+    # Up to ω_N the mass takes less force than this spring gives: a spring of the law cannot make it
+    # swing.
     assert (held.friction_estimated_n, held.buzz_hz) == (0.0, None)

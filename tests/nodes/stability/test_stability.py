@@ -17,7 +17,13 @@ from nodes.laws import CompiledLaw
 from nodes.laws.derivatives import realise
 from nodes.laws.parse import parse_law
 from nodes.stability import roots
-from nodes.stability.closed_loop import closed_loop, law_figures, pole_radius, rendered, state_matrix
+from nodes.stability.closed_loop import (
+    closed_loop,
+    law_figures,
+    pole_radius,
+    rendered,
+    state_matrix,
+)
 from nodes.stability.effective_damping import damping_needed, effective_damping, least
 from nodes.stability.plant import Plant, held_plant, held_step
 from sim.device import model
@@ -30,7 +36,12 @@ def pd(stiffness: float, damping: float, period: float = T) -> CompiledLaw:
 
 
 def one_tick_map(
-    law: CompiledLaw, period: float, mass: float, damping: float, delay: float, stiffness: float = 0.0
+    law: CompiledLaw,
+    period: float,
+    mass: float,
+    damping: float,
+    delay: float,
+    stiffness: float = 0.0,
 ) -> NDArray[np.float64]:
     """Matrix of one tick, found by running the simulator's own device and kernels from each basis state."""
     whole, fraction = model.split_delay(delay)
@@ -45,9 +56,14 @@ def one_tick_map(
         head = arithmetic.push(history, head, n, -x)
         forces = [arithmetic.fir(law.taps, history, head), *basis[1 + n :]]
         kept = [history[head + m] for m in range(n - 1)]
-        for force, duration in ((forces[whole + 1], fraction * period), (forces[whole], (1.0 - fraction) * period)):
+        for force, duration in (
+            (forces[whole + 1], fraction * period),
+            (forces[whole], (1.0 - fraction) * period),
+        ):
             if duration > 0.0:
-                x, v = model.advance(x, v, force, model.coefficients(mass, damping, stiffness, duration))
+                x, v = model.advance(
+                    x, v, force, model.coefficients(mass, damping, stiffness, duration)
+                )
         columns.append([x, v, *kept, *forces[: whole + 1]])
     return np.array(columns).T
 
@@ -88,7 +104,9 @@ def test_heavy_device(delay: float, taps: tuple[float, ...]) -> None:
             margin = 0.3 / math.sqrt(mass)
             law = derivative.copy()
             law[0] += limit * (1.0 + side * margin)
-            errors.append((pole_radius(CompiledLaw(tuple(law)), Plant(T, mass, damping, delay)) - 1.0) * side)
+            errors.append(
+                (pole_radius(CompiledLaw(tuple(law)), Plant(T, mass, damping, delay)) - 1.0) * side
+            )
     assert min(errors) > 0.0
 
 
@@ -96,7 +114,9 @@ def test_heavy_device(delay: float, taps: tuple[float, ...]) -> None:
 def test_passive_spring_with_delay(delay: int) -> None:
     """KT/b < 2/(1+2d) (THEORY.md §2)."""
     spring = CompiledLaw((1000.0,))
-    assert damping_needed(spring, T, delay) == pytest.approx(1000.0 * T * (1.0 + 2.0 * delay) / 2.0, rel=1e-12)
+    assert damping_needed(spring, T, delay) == pytest.approx(
+        1000.0 * T * (1.0 + 2.0 * delay) / 2.0, rel=1e-12
+    )
 
 
 def test_passive_pd_without_delay_is_colgates() -> None:
@@ -115,7 +135,11 @@ def lifted_damping(law: CompiledLaw, period: float, delay: float, aliases: int) 
     n = np.arange(-aliases, aliases + 1)
     for theta in np.linspace(1e-3, math.pi, 40):
         omega = (theta + 2.0 * math.pi * n) / period
-        hold = (1.0 - np.exp(-1j * theta)) / (1j * omega * period) * np.exp(-1j * omega * period * delay)
+        hold = (
+            (1.0 - np.exp(-1j * theta))
+            / (1j * omega * period)
+            * np.exp(-1j * omega * period * delay)
+        )
         sample = 1.0 / (1j * omega)
         loop = law.response(np.exp(1j * theta)) * np.outer(hold, sample)
         worst = max(worst, -float(np.linalg.eigvalsh(0.5 * (loop + loop.conj().T)).min()))
@@ -124,10 +148,15 @@ def lifted_damping(law: CompiledLaw, period: float, delay: float, aliases: int) 
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 0.5, 1.0, 1.7])
 @pytest.mark.parametrize("taps", [(1000.0,), (2500.0, -1500.0), (3000.0, -3500.0, 1700.0, -300.0)])
-def test_passivity_at_fractional_delay_against_the_lifted_loop(delay: float, taps: tuple[float, ...]) -> None:
+def test_passivity_at_fractional_delay_against_the_lifted_loop(
+    delay: float, taps: tuple[float, ...]
+) -> None:
     law = CompiledLaw(taps)
-    # Aliases left out carry 1/(π² n) of the sum: 1.2e-3 at 81 aliases; the grid of 40 frequencies costs as much again.
-    assert damping_needed(law, T, delay) == pytest.approx(lifted_damping(law, T, delay, 40), rel=6e-3)
+    # Aliases left out carry 1/(π² n) of the sum: 1.2e-3 at 81 aliases; the grid of 40 frequencies
+    # costs as much again.
+    assert damping_needed(law, T, delay) == pytest.approx(
+        lifted_damping(law, T, delay, 40), rel=6e-3
+    )
 
 
 @given(
@@ -144,7 +173,8 @@ def test_a_passive_law_is_stable_with_any_mass_and_any_hand(
     assume(law.h1 > 1e-3)
     needed = damping_needed(law, T, delay)
     scaled = CompiledLaw(tuple(0.999 * tap / needed for tap in taps))
-    # Marginal at z = 1 as H(1) T/b → 0: the slowest pole is known to the square root of rounding at worst.
+    # Marginal at z = 1 as H(1) T/b → 0: the slowest pole is known to the square root of rounding at
+    # worst.
     assert pole_radius(scaled, Plant(T, 10.0**decade, 1.0, delay, hand)) < 1.0 + 1e-9
 
 
@@ -155,7 +185,11 @@ def test_f_of_one_term_with_long_memory(order: float) -> None:
     law = CompiledLaw(unit.taps)
     theta = np.linspace(0.1, np.pi, 200)
     f = effective_damping(law, T, theta / T) + 0.5 * T * law.h1
-    expected = T ** (1 - order) * (2 * np.sin(theta / 2)) ** (order - 1) * np.cos((order + 1) * (np.pi - theta) / 2)
+    expected = (
+        T ** (1 - order)
+        * (2 * np.sin(theta / 2)) ** (order - 1)
+        * np.cos((order + 1) * (np.pi - theta) / 2)
+    )
     # The missing tail, summed by parts: at most 2 |c_n|/|1 − e^{jθ}|² ≈ 2 n^(−α−1)/|Γ(−α)|/0.01.
     tail = T ** (1 - order) * 200.0 * 4000.0 ** (-order - 1) + 1e-10 * np.abs(expected).max()
     assert np.abs(f - expected).max() < tail
@@ -175,7 +209,9 @@ def test_waterbed(order: float, taps: int) -> None:
     scale = T * sum(map(abs, unit.taps))
     assert mean == pytest.approx(0.5 * T * unit.h1, abs=1e-9 * scale)
     shifted = CompiledLaw((unit.taps[0] + 1e3, *unit.taps[1:]))
-    assert rendered(shifted, T, nominal=1e3).f_mean_n_s_per_m == pytest.approx(0.5 * T * unit.h1, abs=1e-9 * scale)
+    assert rendered(shifted, T, nominal=1e3).f_mean_n_s_per_m == pytest.approx(
+        0.5 * T * unit.h1, abs=1e-9 * scale
+    )
 
 
 def test_no_linear_law_beats_the_strict_limit_without_delay() -> None:
@@ -203,7 +239,9 @@ def test_three_ways_to_the_same_poles(delay: float, hand: float, taps: tuple[flo
     """Polynomial, state matrix, and the one-tick map of the simulator's own device and kernels."""
     law, mass, damping = CompiledLaw(taps), 0.08, 0.7
     from_polynomial = pole_radius(law, Plant(T, mass, damping, delay, hand))
-    from_state = np.abs(np.linalg.eigvals(state_matrix(law, Plant(T, mass, damping, delay, hand)))).max()
+    from_state = np.abs(
+        np.linalg.eigvals(state_matrix(law, Plant(T, mass, damping, delay, hand)))
+    ).max()
     from_ticks = np.abs(np.linalg.eigvals(one_tick_map(law, T, mass, damping, delay, hand))).max()
     # Simple poles, a few roundings times the condition of the eigenvalues (below 1e3 here).
     assert from_polynomial == pytest.approx(from_state, rel=1e-11)
@@ -220,13 +258,23 @@ def test_fractional_delay_is_continuous_at_whole_ticks() -> None:
 
 @pytest.mark.parametrize(
     ("mass", "damping", "stiffness", "duration"),
-    [(0.1, 1.0, 0.0, T), (0.1, 0.0, 0.0, T), (0.1, 1e-9, 0.0, T), (0.1, 0.0, 500.0, T), (0.05, 30.0, 5000.0, 0.02)],
+    [
+        (0.1, 1.0, 0.0, T),
+        (0.1, 0.0, 0.0, T),
+        (0.1, 1e-9, 0.0, T),
+        (0.1, 0.0, 500.0, T),
+        (0.05, 30.0, 5000.0, 0.02),
+    ],
 )
-def test_held_step_against_the_virtual_device(mass: float, damping: float, stiffness: float, duration: float) -> None:
+def test_held_step_against_the_virtual_device(
+    mass: float, damping: float, stiffness: float, duration: float
+) -> None:
     """The series of the matrix exponential against the closed forms of sim/device/model.py."""
     _, transition, newer, older = held_step(Plant(duration, mass, damping, 0.0, stiffness))
     # Squaring three times loses three bits of 53, and cancels a little in the oscillating case.
-    assert (*transition, *newer) == pytest.approx(model.coefficients(mass, damping, stiffness, duration), rel=1e-12)
+    assert (*transition, *newer) == pytest.approx(
+        model.coefficients(mass, damping, stiffness, duration), rel=1e-12
+    )
     assert older == (0.0, 0.0)
 
 
@@ -239,12 +287,21 @@ def test_whole_and_nearly_whole_delay_give_the_same_plant() -> None:
 @pytest.mark.parametrize("name", ["mass", "damping", "period", "delay", "stiffness"])
 @pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
 def test_impossible_devices_are_refused_by_name(name: str, value: float) -> None:
-    device: dict[str, Any] = {"mass": 0.1, "damping": 1.0, "period": T, "delay": 0.0, "stiffness": 0.0, name: value}
+    device: dict[str, Any] = {
+        "mass": 0.1,
+        "damping": 1.0,
+        "period": T,
+        "delay": 0.0,
+        "stiffness": 0.0,
+        name: value,
+    }
     with pytest.raises(ValueError, match=rf"^{name} = "):
         held_plant(Plant(**device))
 
 
-def long_law(order: float, taps: int, stiffness: float = 1500.0, damping: float = 2.0) -> CompiledLaw:
+def long_law(
+    order: float, taps: int, stiffness: float = 1500.0, damping: float = 2.0
+) -> CompiledLaw:
     data = {"kind": "pd_alpha", "stiffness": stiffness, "damping": damping, "order": order, "taps": taps,
             "gains": "paper"}  # fmt: skip
     return parse_law(data).compile(T)
@@ -252,7 +309,9 @@ def long_law(order: float, taps: int, stiffness: float = 1500.0, damping: float 
 
 @pytest.mark.parametrize("order", [0.3, 0.7, 1.5, 2.5, 3.5])
 @pytest.mark.parametrize("stiffness", [300.0, 5000.0])
-def test_counted_radius_is_the_companions(order: float, stiffness: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_counted_radius_is_the_companions(
+    order: float, stiffness: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     law = long_law(order, 250, stiffness)
     coefficients = closed_loop(law, Plant(T, 0.1, 1.0, 0.5))
     companion = float(roots.largest_roots(coefficients[None, :])[0])
@@ -335,11 +394,21 @@ def test_figures_for_machines() -> None:
 def test_what_a_hand_adds() -> None:
     """A hand's stiffness enters the exact map: without coupling, a damped oscillator decays by e^{−bT/2m} per tick."""
     weak = CompiledLaw((1e-9,))
-    assert pole_radius(weak, Plant(T, 0.1, 1.0, 0.0, 400.0)) == pytest.approx(math.exp(-1.0 * T / 0.2), rel=1e-9)
+    assert pole_radius(weak, Plant(T, 0.1, 1.0, 0.0, 400.0)) == pytest.approx(
+        math.exp(-1.0 * T / 0.2), rel=1e-9
+    )
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"mass": 0.0}, {"mass": "a"}, {"period": 0.0}, {"damping": -1.0}, {"delay": math.nan}, {"stiffness": -1.0}]
+    "wrong",
+    [
+        {"mass": 0.0},
+        {"mass": "a"},
+        {"period": 0.0},
+        {"damping": -1.0},
+        {"delay": math.nan},
+        {"stiffness": -1.0},
+    ],
 )
 def test_what_no_device_is_is_refused_at_once(wrong: dict[str, Any]) -> None:
     (name,) = wrong

@@ -21,7 +21,9 @@ def pd(stiffness: float, damping: float = 0.0) -> CompiledLaw:
 
 
 def middle(first: int, second: int, gain: float = 0.0) -> float | None:
-    return k_max_two_hands(lambda k: TwoHands.in_the_middle(pd(k, gain), first, second), T, (1.0, 1.0))
+    return k_max_two_hands(
+        lambda k: TwoHands.in_the_middle(pd(k, gain), first, second), T, (1.0, 1.0)
+    )
 
 
 def law_each(there: int, back: int, gain: float = 0.0) -> float | None:
@@ -45,14 +47,19 @@ def quadratic(first: int, second: int) -> float:
 
 @pytest.mark.parametrize(("first", "second"), [(0, 0), (0, 1), (1, 1), (0, 2), (3, 5)])
 def test_a_spring_in_the_middle_bears_what_its_slow_end_bears(first: int, second: int) -> None:
-    # The condition is met first at θ → 0; the lowest frequency looked at is 1e-4, and rounding there costs 1e-8.
+    # The condition is met first at θ → 0; the lowest frequency looked at is 1e-4, and rounding
+    # there costs 1e-8.
     assert middle(first, second) == pytest.approx(quadratic(first, second), rel=1e-6)
 
 
 @pytest.mark.parametrize(("there", "back"), [(0, 0), (1, 1), (0, 3), (5, 2)])
-def test_a_spring_each_bears_more_than_one_in_the_middle_with_half_of_the_way_at_either_end(there: int, back: int) -> None:
+def test_a_spring_each_bears_more_than_one_in_the_middle_with_half_of_the_way_at_either_end(
+    there: int, back: int
+) -> None:
     # b/(T(1 + (a + c)/2)): of the matrix at θ → 0 for a symmetric damping.
-    assert law_each(there, back) == pytest.approx(1.0 / (T * (1.0 + 0.5 * (there + back))), rel=1e-6)
+    assert law_each(there, back) == pytest.approx(
+        1.0 / (T * (1.0 + 0.5 * (there + back))), rel=1e-6
+    )
 
 
 def test_two_different_springs_are_passive_for_no_hands() -> None:
@@ -66,13 +73,24 @@ def _random_couplings(rng: np.random.Generator) -> TwoHands:
     law = [
         pd(stiffness, gain),
         parse_law(
-            {"kind": "pd_alpha", "stiffness": stiffness, "damping": gain, "order": 0.6, "taps": 4, "gains": "paper"}
+            {
+                "kind": "pd_alpha",
+                "stiffness": stiffness,
+                "damping": gain,
+                "order": 0.6,
+                "taps": 4,
+                "gains": "paper",
+            }
         ).compile(T),
-        parse_law({"kind": "fir", "taps": [stiffness, -0.2 * stiffness, -0.1 * stiffness]}).compile(T),
+        parse_law({"kind": "fir", "taps": [stiffness, -0.2 * stiffness, -0.1 * stiffness]}).compile(
+            T
+        ),
     ][int(kind)]
     if rng.random() < 0.5:
         return TwoHands.in_the_middle(law, _delay(rng, 4), _delay(rng, 4))
-    return TwoHands.law_each((law, law), _delay(rng, 6), _delay(rng, 6), (_delay(rng, 2), _delay(rng, 2)))
+    return TwoHands.law_each(
+        (law, law), _delay(rng, 6), _delay(rng, 6), (_delay(rng, 2), _delay(rng, 2))
+    )
 
 
 def _delay(rng: np.random.Generator, most: int) -> float:
@@ -93,14 +111,20 @@ def test_no_hands_make_what_is_passive_unstable(cases: int) -> None:
         for _ in range(30):
             damping = (damping[0] * share / 0.99, damping[1] * share / 0.99)
             share = damping_share(coupling, T, damping)
-        if abs(share - 0.99) > 1e-6:  # with fractions of a tick the share is not in proportion to 1/b
+        # with fractions of a tick the share is not in proportion to 1/b
+        if abs(share - 0.99) > 1e-6:
             continue
         tried += 1
         hands = tuple(
-            (float(10 ** rng.uniform(-2.0, 0.5)), b + float(rng.choice([0.0, 1.0])), float(10 ** rng.uniform(-1.0, 4.0)))
+            (
+                float(10 ** rng.uniform(-2.0, 0.5)),
+                b + float(rng.choice([0.0, 1.0])),
+                float(10 ** rng.uniform(-1.0, 4.0)),
+            )
             for b in damping
         )
-        # Without a spring anywhere both drift together: a pole at 1, which rounding moves by the root of epsilon.
+        # Without a spring anywhere both drift together: a pole at 1, which rounding moves by the
+        # root of epsilon.
         assert loop_radius(coupling, hands) < 1.0 + 1e-8, (coupling, hands)
 
 

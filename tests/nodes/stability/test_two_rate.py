@@ -28,14 +28,18 @@ def test_without_a_servo_it_is_the_loop_of_one_rate(delay: int) -> None:
     # The same whole delay, counted in servo ticks of two lengths.
     for ratio in (1, 4):
         device = TwoRate(0.1, 1.0, 0.0, ratio, delay * ratio)
-        assert two_rate_radius(law, T, device) == pytest.approx(pole_radius(law, Plant(T, 0.1, 1.0, delay)), rel=1e-9)
+        assert two_rate_radius(law, T, device) == pytest.approx(
+            pole_radius(law, Plant(T, 0.1, 1.0, delay)), rel=1e-9
+        )
 
 
 def test_a_fraction_of_a_tick_is_the_fractional_delay_of_the_theory() -> None:
     law = PD(stiffness=700.0, damping=2.0).compile(T)
     for servo_ticks, delay in ((1, 0.25), (3, 0.75), (5, 1.25)):
         device = TwoRate(0.1, 1.0, 0.0, 4, servo_ticks)
-        assert two_rate_radius(law, T, device) == pytest.approx(pole_radius(law, Plant(T, 0.1, 1.0, delay)), rel=1e-9)
+        assert two_rate_radius(law, T, device) == pytest.approx(
+            pole_radius(law, Plant(T, 0.1, 1.0, delay)), rel=1e-9
+        )
 
 
 def test_a_servo_as_fast_as_the_loop_is_pd() -> None:
@@ -44,10 +48,14 @@ def test_a_servo_as_fast_as_the_loop_is_pd() -> None:
     assert two_rate_radius(spring, T, TwoRate(0.1, 1.0, 3.0, 1)) == pytest.approx(
         pole_radius(law, Plant(T, 0.1, 1.0)), rel=1e-9
     )
-    closed = k_max(PD(stiffness=1.0, damping=3.0).compile(T), Plant(T, 0.1, 1.0), "closed_form").k_max_n_per_m
+    closed = k_max(
+        PD(stiffness=1.0, damping=3.0).compile(T), Plant(T, 0.1, 1.0), "closed_form"
+    ).k_max_n_per_m
     assert closed is not None
     # That law already has a spring of 1 N/m in it.
-    assert two_rate_k_max(SPRING, T, TwoRate(0.1, 1.0, 3.0, 1)) == pytest.approx(closed + 1.0, rel=1e-9)
+    assert two_rate_k_max(SPRING, T, TwoRate(0.1, 1.0, 3.0, 1)) == pytest.approx(
+        closed + 1.0, rel=1e-9
+    )
 
 
 def grows(k: float, device: TwoRate, periods: int = 4000) -> bool:
@@ -96,7 +104,9 @@ def test_a_heavy_device_has_a_closed_form(delay: int, servo: float) -> None:
 
 
 def test_a_faster_servo_gives_a_stiffer_wall() -> None:
-    edges = [two_rate_k_max(SPRING, T, TwoRate(0.1, 1.0, 3.0, ratio, ratio)) for ratio in (1, 2, 4, 8)]
+    edges = [
+        two_rate_k_max(SPRING, T, TwoRate(0.1, 1.0, 3.0, ratio, ratio)) for ratio in (1, 2, 4, 8)
+    ]
     assert all(edge is not None and math.isfinite(edge) for edge in edges)
     assert edges == sorted(edges)  # type: ignore[type-var]
 

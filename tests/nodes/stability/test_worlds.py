@@ -34,7 +34,14 @@ from nodes.stability.worlds import (
     world_k_max,
 )
 from nodes.stability.worst_world import worst_world
-from tests.support.moving_worlds import Chain, body_in_z, chains_radius, played, polynomial_radius, stable_in_many_digits
+from tests.support.moving_worlds import (
+    Chain,
+    body_in_z,
+    chains_radius,
+    played,
+    polynomial_radius,
+    stable_in_many_digits,
+)
 
 T = 0.002
 DELAYS = (0.0, 0.5, 1.0, 2.0)
@@ -57,17 +64,26 @@ def device(delay: float) -> Plant:
     return Plant(T, 0.1, 1.0, delay)
 
 
-def figure(law: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool = False) -> float | None:
+def figure(
+    law: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool = False
+) -> float | None:
     return world_k_max(law, plant, world, any_hand).k_max_n_per_m
 
 
-# Computed apart from this project, from the same two conditions, and checked there with poles of random worlds.
+# Computed apart from this project, from the same two conditions, and checked there with poles of
+# random worlds.
 TABLE = {
     "pd 0": (pd(0.0), ((1003.342, 1000.0), (446.657, 400.0), (251.660, 250.0), (112.215, 111.111))),
-    "pd 0.2": (pd(0.2), ((1170.474, 800.0), (593.965, 545.708), (381.198, 374.815), (214.781, 214.614))),
+    "pd 0.2": (
+        pd(0.2),
+        ((1170.474, 800.0), (593.965, 545.708), (381.198, 374.815), (214.781, 214.614)),
+    ),
     "pd 1": (pd(1.0), ((1603.094, None), (914.523, 248.920), (632.019, None), (386.997, None))),
     "pd 3": (pd(3.0), ((2244.217, None), (1352.539, None), (960.354, None), (601.332, None))),
-    "pd_alpha 0.5": (HALF, ((1323.121, 500.0), (684.905, 352.122), (431.010, 157.544), (216.438, 57.570))),
+    "pd_alpha 0.5": (
+        HALF,
+        ((1323.121, 500.0), (684.905, 352.122), (431.010, 157.544), (216.438, 57.570)),
+    ),
 }
 
 
@@ -77,14 +93,19 @@ def test_stiffness_for_any_world_and_for_any_hand(name: str) -> None:
     for delay, (known, hand) in zip(DELAYS, rows, strict=True):
         # Half a unit of the last digit of the table.
         assert figure(law, device(delay), AnyWorld()) == pytest.approx(known, abs=5.1e-4)
-        assert figure(law, device(delay), AnyWorld(), True) == (None if hand is None else pytest.approx(hand, abs=5.1e-4))
+        assert figure(law, device(delay), AnyWorld(), True) == (
+            None if hand is None else pytest.approx(hand, abs=5.1e-4)
+        )
 
 
 @pytest.mark.parametrize("gain", [0.0, 0.2, 0.5, 0.9])
-def test_pd_without_delay_bears_any_hand_and_any_world_while_b_exceeds_kt_over_2_and_b(gain: float) -> None:
+def test_pd_without_delay_bears_any_hand_and_any_world_while_b_exceeds_kt_over_2_and_b(
+    gain: float,
+) -> None:
     """The condition is b > KT/2 + B: Re{D/H} is worst at Nyquist, in closed form."""
     found = figure(pd(gain), device(0.0), AnyWorld(), True)
-    assert found == pytest.approx(2.0 * (1.0 - gain) / T, rel=1e-10)  # an extremum, found to the square of its place
+    # an extremum, found to the square of its place
+    assert found == pytest.approx(2.0 * (1.0 - gain) / T, rel=1e-10)
 
 
 @pytest.mark.parametrize("delay", [0, 1, 2, 3])
@@ -92,16 +113,27 @@ def test_no_law_is_stiffer_for_any_hand_and_any_world_than_its_limit(delay: int)
     """H = (2b/T)/(1 + w + … + w^d) reaches 2b/(T(1+d)), the supremum of H(1), of which 1 % less is certified."""
     plant = device(float(delay))
     for share, holds in ((0.99, True), (1.01, False)):
-        # 1/(1 + w + … + w^d) as sections of second order; its poles are on the circle, so that each is drawn in by 1e-6.
-        gain, poles = share * 2.0 / T, np.exp(2j * np.pi * np.arange(1, delay + 1) / (delay + 1)) * (1.0 - 1e-6)
+        # 1/(1 + w + … + w^d) as sections of second order; its poles are on the circle, so that each
+        # is drawn in by 1e-6.
+        gain, poles = (
+            share * 2.0 / T,
+            np.exp(2j * np.pi * np.arange(1, delay + 1) / (delay + 1)) * (1.0 - 1e-6),
+        )
         parts = [gain / np.prod(1.0 - poles[poles != pole] / pole) for pole in poles]
         sections = [
-            (2.0 * part.real, -2.0 * (part * pole.conjugate()).real, -2.0 * pole.real, abs(pole) ** 2)
+            (
+                2.0 * part.real,
+                -2.0 * (part * pole.conjugate()).real,
+                -2.0 * pole.real,
+                abs(pole) ** 2,
+            )
             for part, pole in zip(parts, poles, strict=True)
             if pole.imag > 1e-9
         ]
         sections += [
-            (part.real, 0.0, -pole.real, 0.0) for part, pole in zip(parts, poles, strict=True) if abs(pole.imag) <= 1e-9
+            (part.real, 0.0, -pole.real, 0.0)
+            for part, pole in zip(parts, poles, strict=True)
+            if abs(pole.imag) <= 1e-9
         ]
         law = CompiledLaw((0.0,), tuple(sections)) if sections else CompiledLaw((gain,))
         assert law.h1 == pytest.approx(gain / (1 + delay), rel=1e-5)
@@ -114,11 +146,17 @@ def test_no_law_is_stiffer_for_any_hand_and_any_world_than_its_limit(delay: int)
 def test_two_devices_in_any_two_hands() -> None:
     """500, 236.07, 166.67, 151.39 N/m for a spring at (0,0), (0,1), (1,1), (0,2) ticks and 1 N s/m each."""
     spring = pd(0.0)
-    for (first, second), expected in {(0, 0): 500.0, (0, 1): 236.0680, (1, 1): 166.6667, (0, 2): 151.3878}.items():
+    for (first, second), expected in {
+        (0, 0): 500.0,
+        (0, 1): 236.0680,
+        (1, 1): 166.6667,
+        (0, 2): 151.3878,
+    }.items():
         for one, other in ((first, second), (second, first)):
             both = figure(spring, device(float(one)), OtherDevice(1.0, float(other)), True)
             assert both == pytest.approx(expected, abs=5.1e-5)
-    # s₁/b₁ + s₂/b₂ + T²|H|²(1 − cos((d₁−d₂)θ))/(4 b₁ b₂ (1 − cos θ)) < 1, tried on a law with taps at many frequencies.
+    # s₁/b₁ + s₂/b₂ + T²|H|²(1 − cos((d₁−d₂)θ))/(4 b₁ b₂ (1 − cos θ)) < 1, tried on a law with taps
+    # at many frequencies.
     b, b_2, delays = 1.3, 0.7, (1.0, 3.0)
     found = figure(HALF, Plant(T, 0.1, b, delays[0]), OtherDevice(b_2, delays[1]), True)
     theta = np.linspace(1e-3, np.pi, 100001)
@@ -127,7 +165,12 @@ def test_two_devices_in_any_two_hands() -> None:
     def most(k: float) -> float:
         h = with_spring(HALF, k).response(z)
         s = [T * (z**-d * h / (1.0 - z)).real for d in delays]
-        apart = T**2 * abs(h) ** 2 * (1.0 - np.cos(2.0 * theta)) / (4.0 * b * b_2 * (1.0 - np.cos(theta)))
+        apart = (
+            T**2
+            * abs(h) ** 2
+            * (1.0 - np.cos(2.0 * theta))
+            / (4.0 * b * b_2 * (1.0 - np.cos(theta)))
+        )
         return float((s[0] / b + s[1] / b_2 + apart).max())
 
     if found is None:
@@ -136,7 +179,9 @@ def test_two_devices_in_any_two_hands() -> None:
         assert most(found * 0.999) < 1.0 < most(found * 1.001)
 
 
-@pytest.mark.parametrize(("first", "second"), [(0, 1), (1, 1), (3, 1), (0.4, 0.4), (1.3, 0), (0.25, 2.6)])
+@pytest.mark.parametrize(
+    ("first", "second"), [(0, 1), (1, 1), (3, 1), (0.4, 0.4), (1.3, 0), (0.25, 2.6)]
+)
 def test_a_law_between_two_hands_is_the_two_port_of_the_matrix(first: float, second: float) -> None:
     """Discs with the window of K, and the matrix for a law each, are one condition where both know it."""
     for law in (pd(0.05), HALF):
@@ -156,8 +201,11 @@ def test_a_tool_is_one_more_device_whose_damping_adds_like_resistors() -> None:
                 wall = figure(law, Plant(T, 0.1, both, delay), Wall(), True)
                 found = figure(law, Plant(T, 0.1, b, delay), SteppedTool(tool), True)
                 assert found == (None if wall is None else pytest.approx(wall, rel=1e-9))
-                if wall is not None:  # Colgate's damping, with aliases, by the project's older closed form
-                    assert damping_needed(with_spring(law, wall), T, delay) == pytest.approx(both, rel=1e-8)
+                # Colgate's damping, with aliases, by the project's older closed form
+                if wall is not None:
+                    assert damping_needed(with_spring(law, wall), T, delay) == pytest.approx(
+                        both, rel=1e-8
+                    )
 
 
 def test_damping_of_a_tool_in_closed_form() -> None:
@@ -166,10 +214,13 @@ def test_damping_of_a_tool_in_closed_form() -> None:
     z = np.exp(1j * theta)
     for delay in (0.0, 1.0, 2.0):
         plant, law = device(delay), with_spring(pd(0.2), 150.0)
-        x = z ** (1 + delay) * ((1.0 - 1.0 / z) / T / law.response(z) + known_answer(plant, theta) / T)
+        x = z ** (1 + delay) * (
+            (1.0 - 1.0 / z) / T / law.response(z) + known_answer(plant, theta) / T
+        )
         needed = needed_tool_damping(law, plant)
         assert needed is not None
-        assert needed == pytest.approx(float(np.max(-(1.0 / x).real)), rel=1e-7)  # curvature times the grid's square
+        # curvature times the grid's square
+        assert needed == pytest.approx(float(np.max(-(1.0 / x).real)), rel=1e-7)
         edge = figure(pd(0.2), plant, SteppedTool(needed))
         assert edge == pytest.approx(150.0, rel=1e-8)
 
@@ -184,7 +235,9 @@ def test_mass_of_an_euler_tool() -> None:
         expected = float(np.max(-T * (s * z).real / (np.abs(s) ** 2 * (1.0 - np.cos(theta)))))
         assert needed_tool_mass(law, plant) == pytest.approx(expected, rel=1e-7)
     heavy = Plant(T, 1e4, 1e3, 0.0)  # hardly moves, so that the tool alone has to be heavy enough
-    assert needed_tool_mass(with_spring(pd(0.5), 10.0), heavy) == pytest.approx((10.0 * T**2 + 2.0 * 0.5 * T) / 4.0, rel=0.05)
+    assert needed_tool_mass(with_spring(pd(0.5), 10.0), heavy) == pytest.approx(
+        (10.0 * T**2 + 2.0 * 0.5 * T) / 4.0, rel=0.05
+    )
 
 
 def bodies_of(*integrators: str) -> st.SearchStrategy[Body]:
@@ -198,7 +251,8 @@ def bodies_of(*integrators: str) -> st.SearchStrategy[Body]:
     )
 
 
-# Two lossless ones in series could swing against each other, without the loop; the second one loses some by its rule.
+# Two lossless ones in series could swing against each other, without the loop; the second one loses
+# some by its rule.
 BODIES = st.one_of(
     bodies_of("implicit", "lossless").map(lambda body: [body]),
     st.tuples(bodies_of("implicit", "lossless"), bodies_of("implicit")).map(list),
@@ -208,25 +262,40 @@ PLANTS = st.builds(
     st.just(T),
     st.floats(-2.0, 0.5).map(lambda e: 10.0**e),
     st.floats(-1.0, 1.0).map(lambda e: 10.0**e),
-    st.one_of(st.sampled_from([0.0, 1.0, 2.0]), st.integers(0, 2500).map(lambda thousandths: thousandths / 1000.0)),
+    st.one_of(
+        st.sampled_from([0.0, 1.0, 2.0]),
+        st.integers(0, 2500).map(lambda thousandths: thousandths / 1000.0),
+    ),
 )
 LAWS = st.one_of(
     st.floats(0.0, 5.0).map(pd),
     st.builds(
-        lambda order, taps, gain: derivative("pd_alpha", stiffness=1.0, damping=gain, order=order, taps=taps, gains="paper"),
+        lambda order, taps, gain: derivative(
+            "pd_alpha", stiffness=1.0, damping=gain, order=order, taps=taps, gains="paper"
+        ),
         st.floats(0.2, 1.8).filter(lambda order: abs(order - 1.0) > 0.01),
         st.integers(2, 8),
         st.floats(0.0, 3.0),
     ),
-    st.lists(st.floats(-400.0, 400.0), min_size=1, max_size=5).map(lambda taps: CompiledLaw(tuple(taps))),
+    st.lists(st.floats(-400.0, 400.0), min_size=1, max_size=5).map(
+        lambda taps: CompiledLaw(tuple(taps))
+    ),
 )
 
 
 def window(found: WorldKMax) -> tuple[float, float] | None:
     """Return the window of K, where it is wide and finite."""
-    if found.k_max_n_per_m is None or found.low_n_per_m is None or not math.isfinite(found.k_max_n_per_m):
+    if (
+        found.k_max_n_per_m is None
+        or found.low_n_per_m is None
+        or not math.isfinite(found.k_max_n_per_m)
+    ):
         return None
-    return (found.low_n_per_m, found.k_max_n_per_m) if found.k_max_n_per_m > 1.001 * found.low_n_per_m + 1e-3 else None
+    return (
+        (found.low_n_per_m, found.k_max_n_per_m)
+        if found.k_max_n_per_m > 1.001 * found.low_n_per_m + 1e-3
+        else None
+    )
 
 
 def no_world_breaks_it(law: CompiledLaw, plant: Plant, bodies: list[Body], share: float) -> None:
@@ -237,13 +306,16 @@ def no_world_breaks_it(law: CompiledLaw, plant: Plant, bodies: list[Body], share
     below = with_spring(law, found[0] + share * (found[1] - found[0]))
     assert stable_in_many_digits(below, plant, bodies)
     for body in bodies:
-        # Eigenvalues that lie as close as 1e-4 to each other are found to the root of the machine's epsilon over that.
+        # Eigenvalues that lie as close as 1e-4 to each other are found to the root of the machine's
+        # epsilon over that.
         assert world_radius(below, plant, body) < 1.0 + 1e-9
 
 
 @settings(max_examples=60, deadline=None)
 @given(law=LAWS, plant=PLANTS, bodies=BODIES, share=st.floats(0.3, 0.99))
-def test_no_implicit_world_breaks_what_is_certified(law: CompiledLaw, plant: Plant, bodies: list[Body], share: float) -> None:
+def test_no_implicit_world_breaks_what_is_certified(
+    law: CompiledLaw, plant: Plant, bodies: list[Body], share: float
+) -> None:
     no_world_breaks_it(law, plant, bodies, share)
 
 
@@ -279,22 +351,29 @@ def test_no_hand_and_no_implicit_world_breaks_what_is_certified_for_any(
 
 @settings(max_examples=60, deadline=None)
 @given(law=LAWS, plant=PLANTS)
-def test_the_worst_world_swings_just_above_and_rests_just_below(law: CompiledLaw, plant: Plant) -> None:
+def test_the_worst_world_swings_just_above_and_rests_just_below(
+    law: CompiledLaw, plant: Plant
+) -> None:
     """The certificate is necessary: the built body puts a pole on the circle at K_max, by matrix and by polynomial."""
     edge, found = window(world_k_max(law, plant, AnyWorld())), worst_world(law, plant)
     if edge is None or found is None:
         return
     low, high = edge
     assert low + 1.15 * (high - low) > found.k_max_n_per_m == high
-    # The crossing is found to 1e-9 of K, a radius of 1 + 1e-5 times some 1e-2 at the least: 1e-4 on both sides is clear.
-    inside, outside = (with_spring(law, low + share * (high - low)) for share in (1.0 - 1e-4, 1.0 + 1e-4))
+    # The crossing is found to 1e-9 of K, a radius of 1 + 1e-5 times some 1e-2 at the least: 1e-4 on
+    # both sides is clear.
+    inside, outside = (
+        with_spring(law, low + share * (high - low)) for share in (1.0 - 1e-4, 1.0 + 1e-4)
+    )
     assert world_radius(inside, plant, found.body) < 1.0 < world_radius(outside, plant, found.body)
     at = with_spring(law, high)
     assert polynomial_radius(at, plant, [body_in_z(found.body, T)]) == pytest.approx(1.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0])
-@pytest.mark.parametrize("law", [pd(3.0), HALF, OPTIMUM, DESIGNED], ids=["pd", "half", "optimum", "designed"])
+@pytest.mark.parametrize(
+    "law", [pd(3.0), HALF, OPTIMUM, DESIGNED], ids=["pd", "half", "optimum", "designed"]
+)
 def test_the_worst_world_played_tick_by_tick(law: CompiledLaw, delay: float) -> None:
     """2 % above the edge the swing grows, 2 % below it dies down; a simulation that knows no poles."""
     plant = device(delay)
@@ -302,7 +381,9 @@ def test_the_worst_world_played_tick_by_tick(law: CompiledLaw, delay: float) -> 
     assert found is not None
     grown = []
     for factor in (0.98, 1.02):
-        swing = np.abs(played(with_spring(law, factor * found.k_max_n_per_m), plant, found.body, 12000))
+        swing = np.abs(
+            played(with_spring(law, factor * found.k_max_n_per_m), plant, found.body, 12000)
+        )
         grown.append(float(swing[-1000:].max() / swing[5000:6000].max()))
     assert grown[0] < 0.98 < 1.02 < grown[1]
 
@@ -320,7 +401,9 @@ def test_a_wall_is_not_the_worst_world(delay: float) -> None:
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.5, 1.0, 2.0])
-@pytest.mark.parametrize("law", [pd(0.0), pd(3.0), HALF, OPTIMUM], ids=["spring", "pd", "half", "optimum"])
+@pytest.mark.parametrize(
+    "law", [pd(0.0), pd(3.0), HALF, OPTIMUM], ids=["spring", "pd", "half", "optimum"]
+)
 def test_springs_of_a_range(law: CompiledLaw, delay: float) -> None:
     """The edge over a range is the least of single springs, by the poles of each; a wall alone is k_max."""
     plant = device(delay)
@@ -331,7 +414,10 @@ def test_springs_of_a_range(law: CompiledLaw, delay: float) -> None:
     edge = figure(law, plant, Springs(softest, stiffest))
     assert edge is not None
     springs = np.geomspace(softest, stiffest, 60)
-    worst = [max(world_radius(with_spring(law, edge * f), plant, Body(stiffness=k)) for k in springs) for f in (0.995, 1.005)]
+    worst = [
+        max(world_radius(with_spring(law, edge * f), plant, Body(stiffness=k)) for k in springs)
+        for f in (0.995, 1.005)
+    ]
     assert worst[0] < 1.0 < worst[1]
     assert (figure(law, plant, Springs(1e-3)) or 0.0) <= edge * (1.0 + 1e-9)
 
@@ -354,18 +440,30 @@ def broken_chains(count: int, seed: int, share: float) -> tuple[int, int]:
     rng = np.random.default_rng(seed)
     tried = broken = 0
     while tried < count:
-        law = [pd(float(rng.uniform(0.0, 0.4))), HALF, CompiledLaw(tuple(rng.normal(size=3) * 60.0))][tried % 3]
-        delay, late = float(rng.choice([0.0, 1.0, 2.0, 0.4])), float(rng.choice([0.0, 1.0, 2.0, 1.6]))
+        law = [
+            pd(float(rng.uniform(0.0, 0.4))),
+            HALF,
+            CompiledLaw(tuple(rng.normal(size=3) * 60.0)),
+        ][tried % 3]
+        delay, late = (
+            float(rng.choice([0.0, 1.0, 2.0, 0.4])),
+            float(rng.choice([0.0, 1.0, 2.0, 1.6])),
+        )
         b, tool = 10.0 ** rng.uniform(-0.5, 1.0), 10.0 ** rng.uniform(-0.5, 1.0)
         hand = bool(rng.integers(2))
-        mine = random_chain(rng, b, delay) if hand else Chain(10.0 ** rng.uniform(-2.0, 0.5), b, delay)
+        mine = (
+            random_chain(rng, b, delay) if hand else Chain(10.0 ** rng.uniform(-2.0, 0.5), b, delay)
+        )
         plant = Plant(T, mine.mass, b, delay)
         found = window(world_k_max(law, plant, SteppedTool(tool, late), hand))
         tried += 1
         if found is None:
             continue
         k = found[0] + share * (found[1] - found[0])
-        broken += chains_radius(with_spring(law, k).taps, T, mine, random_chain(rng, tool, late)) > 1.0 + 1e-9
+        broken += (
+            chains_radius(with_spring(law, k).taps, T, mine, random_chain(rng, tool, late))
+            > 1.0 + 1e-9
+        )
     return tried, broken
 
 
@@ -386,14 +484,23 @@ def test_no_implicit_rest_behind_an_euler_tool_breaks_it() -> None:
     unstable = {1.02: 0, 0.5: 0}
     for _ in range(150):
         delay = float(rng.choice([0.0, 1.0, 0.5]))
-        law, plant = with_spring(pd(float(rng.uniform(0.0, 2.0))), float(rng.uniform(10.0, 300.0))), device(delay)
+        law, plant = (
+            with_spring(pd(float(rng.uniform(0.0, 2.0))), float(rng.uniform(10.0, 300.0))),
+            device(delay),
+        )
         needed = needed_tool_mass(law, plant)
         if needed is None:
             continue
-        m, c, k = (rng.choice([0.0, 1.0]) * 10.0 ** rng.uniform(low, high) for low, high in ((-4, 0), (-2, 1), (0, 5)))
+        m, c, k = (
+            rng.choice([0.0, 1.0]) * 10.0 ** rng.uniform(low, high)
+            for low, high in ((-4, 0), (-2, 1), (0, 5))
+        )
         for factor in unstable:
-            # D y = w F/(m_t D + Z), Z = m D + c + k/D: y (z − 1)² (m_t + m)/T² + c (z − 1) z/T + k z² = z F.
-            below = np.polyadd((factor * needed + m) / T**2 * np.polymul(z1, z1), c / T * np.polymul(z1, z))
+            # D y = w F/(m_t D + Z), Z = m D + c + k/D: y (z − 1)² (m_t + m)/T² + c (z − 1) z/T + k
+            # z² = z F.
+            below = np.polyadd(
+                (factor * needed + m) / T**2 * np.polymul(z1, z1), c / T * np.polymul(z1, z)
+            )
             below = np.polyadd(below, (k + 1e-3) * np.polymul(z, z))
             unstable[factor] += polynomial_radius(law, plant, [(z, below)]) > 1.0 + 1e-7
     assert unstable[1.02] == 0
@@ -404,17 +511,29 @@ def test_no_implicit_rest_behind_an_euler_tool_breaks_it() -> None:
 def test_stepped_bodies_by_matrix_are_those_by_other_ways(delay: float) -> None:
     law, plant = with_spring(pd(0.5), 200.0), device(delay)
     for spring in (800.0, 0.0):
-        # Exact: by matrix exponentials of both sides. Many small steps of Euler come to the same, to the first order.
-        exact = chains_radius(law.taps, T, Chain(0.1, 1.0, delay), Chain(0.05, 0.3, delay, link=spring))
-        assert world_radius(law, plant, Body(0.05, 0.3, spring, "exact")) == pytest.approx(exact, rel=1e-9)
-        assert world_radius(law, plant, Body(0.05, 0.3, spring, "semi_implicit", 1000)) == pytest.approx(exact, abs=1e-4)
+        # Exact: by matrix exponentials of both sides. Many small steps of Euler come to the same,
+        # to the first order.
+        exact = chains_radius(
+            law.taps, T, Chain(0.1, 1.0, delay), Chain(0.05, 0.3, delay, link=spring)
+        )
+        assert world_radius(law, plant, Body(0.05, 0.3, spring, "exact")) == pytest.approx(
+            exact, rel=1e-9
+        )
+        assert world_radius(
+            law, plant, Body(0.05, 0.3, spring, "semi_implicit", 1000)
+        ) == pytest.approx(exact, abs=1e-4)
     if delay != 0.4:
-        # One step: m (z − 1)²/T² + c (z − 1) z/T + k z, the damper at the new velocity and the spring at the old position.
+        # One step: m (z − 1)²/T² + c (z − 1) z/T + k z, the damper at the new velocity and the
+        # spring at the old position.
         z1, z = np.array([1.0, -1.0]), np.array([1.0, 0.0])
-        below = np.polyadd(np.polyadd(0.05 / T**2 * np.polymul(z1, z1), 0.3 / T * np.polymul(z1, z)), 800.0 * z)
+        below = np.polyadd(
+            np.polyadd(0.05 / T**2 * np.polymul(z1, z1), 0.3 / T * np.polymul(z1, z)), 800.0 * z
+        )
         late = np.concatenate([below, np.zeros(int(delay))])
         radius = polynomial_radius(law, plant, [(z, late)])
-        assert world_radius(law, plant, Body(0.05, 0.3, 800.0, "semi_implicit")) == pytest.approx(radius, rel=1e-9)
+        assert world_radius(law, plant, Body(0.05, 0.3, 800.0, "semi_implicit")) == pytest.approx(
+            radius, rel=1e-9
+        )
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0])
@@ -426,11 +545,13 @@ def test_a_stepped_world_breaks_the_certificate_of_implicit_ones(delay: float) -
     law = with_spring(pd(3.0), 0.9 * edge)
     assert certified(law, plant, AnyWorld())
     mass, spring = {0.0: (2.0e-3, 1700.0), 1.0: (0.84e-3, 838.0)}[delay]
-    # Solved with the force of the same tick, but the spring pulls at the position before: m (z − 1)² /T² + k z, over z².
+    # Solved with the force of the same tick, but the spring pulls at the position before: m (z −
+    # 1)² /T² + k z, over z².
     below = np.polyadd(mass / T**2 * np.array([1.0, -2.0, 1.0]), np.array([0.0, spring, 0.0]))
     assert polynomial_radius(law, plant, [(np.array([1.0, 0.0, 0.0]), below)]) > 1.0003
     assert world_radius(law, plant, Body(mass, 0.0, spring)) < 1.0  # the same body, backward Euler
-    assert world_radius(law, plant, Body(mass, 0.0, spring, "semi_implicit")) > 1.0003  # moved after the force
+    # moved after the force
+    assert world_radius(law, plant, Body(mass, 0.0, spring, "semi_implicit")) > 1.0003
 
 
 def test_a_tool_without_damping_promises_nothing() -> None:
@@ -444,9 +565,9 @@ def test_damping_needed_is_that_of_the_edge(delay: float, any_hand: bool) -> Non
     edge = figure(pd(0.2), device(delay), AnyWorld(), any_hand)
     assert edge is not None
     # The edge is certified to 1e-9 of K, of which the damping is about in proportion.
-    assert needed_device_damping(with_spring(pd(0.2), edge), device(delay), AnyWorld(), any_hand) == pytest.approx(
-        1.0, rel=1e-7
-    )
+    assert needed_device_damping(
+        with_spring(pd(0.2), edge), device(delay), AnyWorld(), any_hand
+    ) == pytest.approx(1.0, rel=1e-7)
 
 
 def test_sections_are_certified_as_the_taps_that_they_replace() -> None:
@@ -457,8 +578,16 @@ def test_sections_are_certified_as_the_taps_that_they_replace() -> None:
         value = 0.3 * value + (-75.0 if i == 1 else 0.0)
         taps.append(value)
     for delay in (0.0, 0.7):
-        for world, hand in ((AnyWorld(), False), (AnyWorld(), True), (SteppedTool(1.0), False), (Springs(100.0), False)):
-            one, other = (figure(law, device(delay), world, hand) for law in (section, CompiledLaw(tuple(taps))))
+        for world, hand in (
+            (AnyWorld(), False),
+            (AnyWorld(), True),
+            (SteppedTool(1.0), False),
+            (Springs(100.0), False),
+        ):
+            one, other = (
+                figure(law, device(delay), world, hand)
+                for law in (section, CompiledLaw(tuple(taps)))
+            )
             assert one == (None if other is None else pytest.approx(other, rel=1e-8))
 
 
@@ -501,7 +630,9 @@ def test_what_cannot_be_certified_is_refused_with_the_reason() -> None:
         world_k_max(pd(1.0), device(0.0), Springs(10.0), True)
     for world in (AnyWorld(), Springs(10.0), SteppedTool(1.0)):
         # The world takes the place of a plant's partner.
-        assert world_k_max(pd(1.0), device(0.0).with_tool(0.1), world) == world_k_max(pd(1.0), device(0.0), world)
+        assert world_k_max(pd(1.0), device(0.0).with_tool(0.1), world) == world_k_max(
+            pd(1.0), device(0.0), world
+        )
     with pytest.raises(ValueError, match="name the partner as its world"):
         region_of(device(0.0).with_tool(0.1), AnyWorld(), False)
     for wrong in (
@@ -527,8 +658,13 @@ def test_a_tool_that_hardly_moves_is_a_wall(delay: float) -> None:
     assert wall is not None
     for much in (1e3, 1e4, 1e6, 1e10, 1e14, 1e20):
         for world in (SteppedTool(much), EulerTool(much)):
-            # Of the order of b/b_t and m/m_t below the wall; below 1e-6 the search of the edge ends.
-            assert wall * (1.0 - 5.0 / much - 1e-6) < (figure(pd(0.2), plant, world) or 0.0) < wall * (1.0 + 1e-6)
+            # Of the order of b/b_t and m/m_t below the wall; below 1e-6 the search of the edge
+            # ends.
+            assert (
+                wall * (1.0 - 5.0 / much - 1e-6)
+                < (figure(pd(0.2), plant, world) or 0.0)
+                < wall * (1.0 + 1e-6)
+            )
 
 
 @pytest.mark.parametrize("angle", [0.0167507, 0.3, 2.0, 3.0, 3.1335])
@@ -549,5 +685,9 @@ def test_a_section_that_rings_in_a_narrow_band_is_seen(angle: float, width: floa
         for share in (0.002, 0.05, 0.5, 0.998):
             k = edge.low_n_per_m + share * (edge.k_max_n_per_m - edge.low_n_per_m)
             point = (1.0 - w) / with_spring(law, k).response(1.0 / w) + answer
-            room = point.real if radius == 0.0 else abs(point + radius * (0.7 * w + 0.3 * w * w)) - radius
+            room = (
+                point.real
+                if radius == 0.0
+                else abs(point + radius * (0.7 * w + 0.3 * w * w)) - radius
+            )
             assert room.min() > 0.0, (world, k)

@@ -62,9 +62,17 @@ def test_b_has_the_bits_of_a_separate_run(launch: Running, tmp_path: Path) -> No
 
 
 def test_a_link_carries_law_stiffness_and_comparison(page: Page, launch: Running) -> None:
-    wait_for(lambda: launch.call("coupling", "param.get", name="laws.pd.stiffness") == 1500.0, "the stiffness of the link")
-    wait_for(lambda: page.evaluate("haptic.beside.law") == "multi_term", "the comparison of the link")
-    page.evaluate("navigator.clipboard.writeText = (text) => { window.copied = text; return Promise.resolve(); }")
+    wait_for(
+        lambda: launch.call("coupling", "param.get", name="laws.pd.stiffness") == 1500.0,
+        "the stiffness of the link",
+    )
+    wait_for(
+        lambda: page.evaluate("haptic.beside.law") == "multi_term", "the comparison of the link"
+    )
+    page.evaluate(
+        "navigator.clipboard.writeText = (text) => { window.copied = text; return"
+        " Promise.resolve(); }"
+    )
     page.locator("#share").click()
     assert page.evaluate("location.hash") == "#law=pd&k=1500&b=multi_term"
     # What follows the # goes to no server, the token included stays on this machine.
@@ -76,7 +84,9 @@ def test_b_is_drawn_and_felt_beside_a(page: Page) -> None:
     # The hand taps by itself: both touch the wall.
     wait_for(lambda: page.evaluate("Math.min(...haptic.beside.force)") < -0.2, "B pushes back")
     newest = float(page.evaluate("haptic.beside.times.at(-1)"))
-    wait_for(lambda: float(page.evaluate("haptic.beside.times.at(-1)")) > newest + 0.5, "it is played on")
+    wait_for(
+        lambda: float(page.evaluate("haptic.beside.times.at(-1)")) > newest + 0.5, "it is played on"
+    )
     times = np.array(page.evaluate("haptic.beside.times"))
     assert np.all(np.diff(times) > 0.0)
 
@@ -88,18 +98,25 @@ def test_the_sound_is_the_force(page: Page, launch: Running) -> None:
     # On a phone; here there is nothing that could shake.
     page.evaluate("navigator.vibrate = (ms) => { window.shaken = ms; return true; }")
     page.locator("#sound").click()
-    wait_for(lambda: page.evaluate("haptic.sound.node !== null && haptic.sound.fed > 100"), "it is fed")
+    wait_for(
+        lambda: page.evaluate("haptic.sound.node !== null && haptic.sound.fed > 100"), "it is fed"
+    )
     page.evaluate("""() => { const { port } = haptic.sound.node, post = port.postMessage.bind(port);
       port.postMessage = (data) => {
         heard.times.push(...data.times); heard.forces.push(...data.forces); post(data); }; }""")
-    wait_for(lambda: page.evaluate("Math.min(0, ...heard.forces) < -0.2 && heard.forces.length > 1500"), "a touch is heard")
+    wait_for(
+        lambda: page.evaluate("Math.min(0, ...heard.forces) < -0.2 && heard.forces.length > 1500"),
+        "a touch is heard",
+    )
     assert 8.0 < page.evaluate("window.shaken") <= 40.0, "and felt"
     heard = page.evaluate("heard")
     page.locator("#sound").click()
     assert page.evaluate("haptic.sound.context.state") in ("suspended", "running")
-    between = page.evaluate("""async () => { const { Voice } = await import("./voice.js"), voice = new Voice(48000);
+    between = page.evaluate(
+        """async () => { const { Voice } = await import("./voice.js"), voice = new Voice(48000);
       voice.feed([0, 0.002, 0.004, 0.006], [0, -1, -3, 1]);
-      return [0.002, 0.003, 0.0055].map((at) => { voice.at = at; voice.next = 0; return voice.force(); }); }""")
+      return [0.002, 0.003, 0.0055].map((at) => { voice.at = at; voice.next = 0; return voice.force(); }); }"""
+    )
     assert between == pytest.approx([-1.0, -2.0, 0.0], abs=1e-6)
     path = next((launch.folder / "recordings").glob("*.mcap"))
     forces: dict[int, float] = {}
@@ -107,7 +124,9 @@ def test_the_sound_is_the_force(page: Page, launch: Running) -> None:
     newest = round(heard["times"][-1] / 0.002)
 
     def recorded() -> bool:
-        forces.update({state.seq: state.force[0] for state in Recording(path).messages(DEVICE_STATE)})
+        forces.update(
+            {state.seq: state.force[0] for state in Recording(path).messages(DEVICE_STATE)}
+        )
         return bool(max(forces) >= newest)
 
     wait_for(recorded, "the recording holds it")

@@ -10,13 +10,21 @@ from nodes.view.server import _files
 
 def test_each_module_stands_once_before_what_needs_it() -> None:
     sources = {
-        "main.js": 'import { Scene } from "./scene.js";\nimport { fixed } from "./format.js";\nnew Scene(fixed);\n',
+        "main.js": (
+            'import { Scene } from "./scene.js";\nimport { fixed } from "./format.js";\nnew'
+            " Scene(fixed);\n"
+        ),
         "scene.js": 'import { fixed, figure } from "./format.js";\nexport class Scene {}\n',
         "format.js": "const THIN = 1;\nexport function fixed() {}\nexport const figure = THIN;\n",
         "other.js": "nobody asks for it",
     }
     made = bundle(sources, "main")
-    assert [made.count(f"const ${name} = ") for name in ("format", "scene", "main", "other")] == [1, 1, 1, 0]
+    assert [made.count(f"const ${name} = ") for name in ("format", "scene", "main", "other")] == [
+        1,
+        1,
+        1,
+        0,
+    ]
     assert made.index("const $format") < made.index("const $scene") < made.index("const $main")
     assert "const { fixed, figure } = $format;" in made
     assert "return { fixed, figure };" in made
@@ -24,8 +32,15 @@ def test_each_module_stands_once_before_what_needs_it() -> None:
 
 def test_what_would_not_mean_the_same_is_refused() -> None:
     with pytest.raises(ValueError, match="in a circle: main > a > main"):
-        bundle({"main.js": 'import { a } from "./a.js";', "a.js": 'import { b } from "./main.js";'}, "main")
-    for line in ("export default 3;", 'import * as a from "./a.js";', 'export { a } from "./a.js";'):
+        bundle(
+            {"main.js": 'import { a } from "./a.js";', "a.js": 'import { b } from "./main.js";'},
+            "main",
+        )
+    for line in (
+        "export default 3;",
+        'import * as a from "./a.js";',
+        'export { a } from "./a.js";',
+    ):
         with pytest.raises(ValueError, match="only named imports and exports"):
             bundle({"main.js": line, "a.js": ""}, "main")
 

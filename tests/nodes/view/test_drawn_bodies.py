@@ -43,10 +43,16 @@ def parameters() -> dict[str, Any]:
     return dict(launch_file.read("stack_boxes", {}).nodes["environment"].parameters)
 
 
-def test_positions_that_never_reached_the_environment_move_nothing(parameters: dict[str, Any]) -> None:
+def test_positions_that_never_reached_the_environment_move_nothing(
+    parameters: dict[str, Any],
+) -> None:
     met = {state.seq for state in STATES if state.seq % 5}
     poses = []
-    for given, known in (([state for state in STATES if state.seq in met], None), (STATES, met), (STATES, None)):
+    for given, known in (
+        ([state for state in STATES if state.seq in met], None),
+        (STATES, met),
+        (STATES, None),
+    ):
         bodies = RecordedBodies(parameters, 0.002, "environment", known)
         for state in given:
             bodies.follow(state)
@@ -55,19 +61,32 @@ def test_positions_that_never_reached_the_environment_move_nothing(parameters: d
     assert not np.array_equal(poses[0], poses[2])
 
 
-def test_bodies_of_an_environment_that_starts_later_are_waited_for(parameters: dict[str, Any], tmp_path: Path) -> None:
+def test_bodies_of_an_environment_that_starts_later_are_waited_for(
+    parameters: dict[str, Any], tmp_path: Path
+) -> None:
     """A page had no bodies for a whole run, where its view was up before the environment had loaded its scene."""
-    setup = setup_of(name="environment", run_dir=str(tmp_path), control="ipc:///c", parameters=parameters)
-    path, count = poses_file(tmp_path, "environment"), len(bodies_of(load_world_of(parameters))["bodies"])
-    given_up = MadeLater(path, lambda: Poses(path, count, make=True).write(np.ones((count, 3)), np.ones((count, 9))))
+    setup = setup_of(
+        name="environment", run_dir=str(tmp_path), control="ipc:///c", parameters=parameters
+    )
+    path, count = (
+        poses_file(tmp_path, "environment"),
+        len(bodies_of(load_world_of(parameters))["bodies"]),
+    )
+    given_up = MadeLater(
+        path, lambda: Poses(path, count, make=True).write(np.ones((count, 3)), np.ones((count, 9)))
+    )
 
     found = RunningBodies(setup, given_up).news()
     assert given_up.asked == 3
     assert found == {"poses": np.ones((count, 12)).tolist()}
 
 
-def test_bodies_on_another_machine_are_not_waited_for(parameters: dict[str, Any], tmp_path: Path) -> None:
-    setup = setup_of(name="environment", run_dir=str(tmp_path), control="tcp://10.0.0.1:5", parameters=parameters)
+def test_bodies_on_another_machine_are_not_waited_for(
+    parameters: dict[str, Any], tmp_path: Path
+) -> None:
+    setup = setup_of(
+        name="environment", run_dir=str(tmp_path), control="tcp://10.0.0.1:5", parameters=parameters
+    )
     with pytest.raises(FileNotFoundError):
         RunningBodies(setup, lambda: False)
 
@@ -76,7 +95,9 @@ def load_world_of(parameters: dict[str, Any]) -> MovingScene:
     return load_world(convert(parameters, MujocoParameters, "environment"), 0.002, "environment")
 
 
-def test_foxglove_is_shown_the_bodies_where_the_replay_shows_them(parameters: dict[str, Any], tmp_path: Path) -> None:
+def test_foxglove_is_shown_the_bodies_where_the_replay_shows_them(
+    parameters: dict[str, Any], tmp_path: Path
+) -> None:
     recording, out = tmp_path / "run.mcap", tmp_path / "foxglove.mcap"
     # None of the first ticks reached the environment: it begins late, as the bodies do.
     met = [state for state in STATES if state.seq % 5 and state.seq > 100]
@@ -85,18 +106,29 @@ def test_foxglove_is_shown_the_bodies_where_the_replay_shows_them(parameters: di
         for state in STATES:
             writer.write(DEVICE_STATE, state, state.stamp)
             if state in met:
-                proxy = Proxy(seq=state.seq, stamp=state.stamp, position=state.position, proxy=state.position)
+                proxy = Proxy(
+                    seq=state.seq, stamp=state.stamp, position=state.position, proxy=state.position
+                )
                 writer.write(PROXY, proxy, state.stamp)
     export_foxglove(Recording(recording), out)
     with out.open("rb") as stream:
-        updates = [json.loads(message.data) for _, _, message in make_reader(stream).iter_messages(topics=[SCENE])]
-    drawn = [entity for update in updates for entity in update["entities"] if entity["id"] == "bodies"][-1]
+        updates = [
+            json.loads(message.data)
+            for _, _, message in make_reader(stream).iter_messages(topics=[SCENE])
+        ]
+    drawn = [
+        entity for update in updates for entity in update["entities"] if entity["id"] == "bodies"
+    ][-1]
     bodies = RecordedBodies(parameters, 0.002, "environment")
     until = round((drawn["timestamp"]["sec"] + drawn["timestamp"]["nsec"] * 1e-9) * 500.0)
     for state in met:
         if state.seq <= until:
             bodies.follow(state)
     places = bodies.poses()[:, :3].tolist()
-    shown = [list(one["pose"]["position"].values()) for kind in ("cubes", "spheres") for one in drawn[kind]]
+    shown = [
+        list(one["pose"]["position"].values())
+        for kind in ("cubes", "spheres")
+        for one in drawn[kind]
+    ]
     assert len(shown) == len(places)
     assert sorted(shown) == sorted(places)

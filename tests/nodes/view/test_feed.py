@@ -22,18 +22,31 @@ def fill(feed: Feed, positions: list[float], first: int = 0) -> None:
         feed.take(FORCE, Force(seq=seq, stamp=0.0, force=(-x, 0.0, 0.0)))
 
 
-def unpack(frame: bytes, feed: Feed) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]:
+def unpack(
+    frame: bytes, feed: Feed
+) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Read a frame as the page does: times, least and largest values by series."""
     kind, count, series, _ = struct.unpack_from("<4I", frame)
     assert (kind, series) == (1, len(feed.names))
     assert len(frame) == HEAD.size + 8 * count + 8 * series * count
     times = np.frombuffer(frame, "<f8", count, HEAD.size)
-    values = np.frombuffer(frame, "<f4", 2 * series * count, HEAD.size + 8 * count).reshape(2 * series, count)
-    return (times, dict(zip(feed.names, values[:series], strict=True)), dict(zip(feed.names, values[series:], strict=True)))
+    values = np.frombuffer(frame, "<f4", 2 * series * count, HEAD.size + 8 * count).reshape(
+        2 * series, count
+    )
+    return (
+        times,
+        dict(zip(feed.names, values[:series], strict=True)),
+        dict(zip(feed.names, values[series:], strict=True)),
+    )
 
 
-@given(st.lists(st.floats(-1.0, 1.0, width=32), min_size=1, max_size=300), st.sampled_from([1, 2, 4, 20]))
-def test_every_bin_holds_the_least_and_the_largest_value_of_its_ticks(values: list[float], ticks: int) -> None:
+@given(
+    st.lists(st.floats(-1.0, 1.0, width=32), min_size=1, max_size=300),
+    st.sampled_from([1, 2, 4, 20]),
+)
+def test_every_bin_holds_the_least_and_the_largest_value_of_its_ticks(
+    values: list[float], ticks: int
+) -> None:
     feed = Feed(["x"], 1.0 / (500.0 * ticks))
     assert feed.per_bin == ticks
     fill(feed, values)

@@ -21,13 +21,25 @@ if TYPE_CHECKING:
 
 pytestmark = needs_browser
 
-SIZES = [(1366, 768), (390, 844), (844, 390), (320, 568), (568, 320), (1024, 768), (1920, 1080), (683, 384), (3840, 2160)]
+SIZES = [
+    (1366, 768),
+    (390, 844),
+    (844, 390),
+    (320, 568),
+    (568, 320),
+    (1024, 768),
+    (1920, 1080),
+    (683, 384),
+    (3840, 2160),
+]
 """A laptop, a phone and a small one, each on its side too, a tablet, a large screen, the laptop at 200 %, and 4K."""
 
 
 @pytest.fixture(scope="module")
 def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    with running(tmp_path_factory.mktemp("first"), "touch_wall", "--view", "--without", "logger") as found:
+    with running(
+        tmp_path_factory.mktemp("first"), "touch_wall", "--view", "--without", "logger"
+    ) as found:
         yield found
 
 
@@ -41,7 +53,8 @@ def opened(browser: Browser, launch: Running) -> Iterator[Page]:
 def page(opened: Page) -> Page:
     """Give the one page of all tests as it is seen first, though the lab was open before, or something refused."""
     opened.evaluate(
-        "document.getElementById('lab').open = false; document.getElementById('refusal').hidden = true; scrollTo(0, 0)"
+        "document.getElementById('lab').open = false; document.getElementById('refusal').hidden ="
+        " true; scrollTo(0, 0)"
     )
     return opened
 
@@ -61,20 +74,27 @@ def turn(page: Page, part: float) -> None:
 def handle(page: Page) -> tuple[float, float]:
     """Find the handle on the screen."""
     box: Any = page.locator("#scene").bounding_box()
-    u = float(page.evaluate("(haptic.scene.now.target[0] - haptic.scene.middle) * haptic.scene.scale()"))
+    u = float(
+        page.evaluate("(haptic.scene.now.target[0] - haptic.scene.middle) * haptic.scene.scale()")
+    )
     return box["x"] + box["width"] / 2 + u, box["y"] + box["height"] / 2 + 30.0
 
 
-# A test with a launch of its own comes first: the one that is shared, and its page, would only go on beside it.
+# A test with a launch of its own comes first: the one that is shared, and its page, would only go
+# on beside it.
 
 
 @pytest.mark.slow
-def test_a_page_past_the_edge_needs_a_virtual_device_that_allows_it(browser: Browser, tmp_path: Path) -> None:
+def test_a_page_past_the_edge_needs_a_virtual_device_that_allows_it(
+    browser: Browser, tmp_path: Path
+) -> None:
     words = ("wall_press", "duration:=0", "--view", "--without", "logger")
     with running(tmp_path, *words) as launch, OpenPage(browser, url_of(launch)) as page:
         wait_for(lambda: page.evaluate("haptic.dial.edge") is not None, "the edge")
         assert not page.locator("#beyond").is_visible()
-        assert page.evaluate("haptic.dial.ends()[1] < haptic.dial.edge"), "the dial ends at the edge"
+        assert page.evaluate("haptic.dial.ends()[1] < haptic.dial.edge"), (
+            "the dial ends at the edge"
+        )
         before = launch.call("coupling", "law.show")["stiffness"]
         # The page is not asked whether it may: the node's side decides.
         page.evaluate("haptic.laws.change('stiffness', 1e6, true)")
@@ -117,17 +137,29 @@ def test_scene_and_force_share_the_first_screen(page: Page) -> None:
 
 
 def test_numbers_and_names_are_written_one_way(page: Page) -> None:
-    found = page.evaluate("""async () => { const { fixed, figure, count, digits } = await import("./format.js");
+    found = page.evaluate(
+        """async () => { const { fixed, figure, count, digits } = await import("./format.js");
       return [fixed(-0.001, 2), fixed(-1.25, 1), figure(4470.4), figure(0.0123),
-        count(1, "tick"), count(2, "tick"), fixed(0.2, digits(0.2))]; }""")
-    assert found == ["0.00", "\u22121.3", "4\u202f470", "0.0123", "1\u00a0tick", "2\u00a0ticks", "0.2"]
+        count(1, "tick"), count(2, "tick"), fixed(0.2, digits(0.2))]; }"""
+    )
+    assert found == [
+        "0.00",
+        "\u22121.3",
+        "4\u202f470",
+        "0.0123",
+        "1\u00a0tick",
+        "2\u00a0ticks",
+        "0.2",
+    ]
     # Number and unit stay on one line, here as in every sentence.
     broken = r"/\d (N|mJ|mm|ms|ticks?|s|µs|Hz)\b/.test(document.body.innerText)"
     assert not page.evaluate(broken)
     join = "async (text) => (await import('./format.js')).unbroken(text)"
     sentence = page.evaluate(join, "10 N 6 times within 0.25 s, 31.8 mJ; 3 N/m")
     assert sentence == "10\u00a0N 6\u00a0times within 0.25\u00a0s, 31.8\u00a0mJ; 3\u00a0N/m"
-    offered = page.evaluate("[...document.querySelectorAll('#laws input, #laws option')].map((e) => e.value)")
+    offered = page.evaluate(
+        "[...document.querySelectorAll('#laws input, #laws option')].map((e) => e.value)"
+    )
     assert "pd" in offered
     assert "excitation" not in offered
     page.evaluate("document.getElementById('lab').open = true")
@@ -140,14 +172,18 @@ def test_numbers_and_names_are_written_one_way(page: Page) -> None:
 
 def test_a_frame_without_a_force_costs_no_arrow(page: Page) -> None:
     """The first tick of a run has no force of the law yet, and a recording begins with it."""
-    scale = page.evaluate("""() => { const { scene } = haptic, none = [NaN, NaN, NaN];
+    scale = page.evaluate(
+        """() => { const { scene } = haptic, none = [NaN, NaN, NaN];
       const nothing = { ...scene.now, asked: none, force: none };
-      scene.show(nothing); scene.show({ ...scene.now, asked: [3, 0, 0], force: [3, 0, 0] }); return scene.forceScale; }""")
+      scene.show(nothing); scene.show({ ...scene.now, asked: [3, 0, 0], force: [3, 0, 0] }); return scene.forceScale; }"""
+    )
     assert scale >= 3.0
 
 
 @pytest.mark.slow
-def test_the_numbers_of_a_plot_are_as_large_on_a_fine_screen(browser: Browser, launch: Running) -> None:
+def test_the_numbers_of_a_plot_are_as_large_on_a_fine_screen(
+    browser: Browser, launch: Running
+) -> None:
     with OpenPage(browser, url_of(launch) + "#lab", device_scale_factor=2.0) as page:
         # uPlot multiplies the pixels of a font; a part of a pixel it takes for the whole.
         assert page.evaluate("haptic.plots.panels[0].plot.axes[0].font[0]").startswith("24px")
@@ -175,15 +211,20 @@ def test_a_refused_slider_goes_back_to_what_renders(page: Page, launch: Running)
     wait_for(lambda: page.locator(".slider.refused").count() == 0, "a valid value is not red")
     number.fill(str(before * 1.01))
     page.keyboard.press("Enter")
-    wait_for(lambda: not page.locator("#refusal").is_visible(), "nor does a refusal stand beside it")
+    wait_for(
+        lambda: not page.locator("#refusal").is_visible(), "nor does a refusal stand beside it"
+    )
     launch.call("coupling", "param.set", values={"laws.pd.stiffness": before})
 
 
-# The launch file's own touch is over by now; whoever takes the hand comes after the test of the one that nobody took.
+# The launch file's own touch is over by now; whoever takes the hand comes after the test of the one
+# that nobody took.
 
 
 @pytest.mark.slow
-def test_until_somebody_takes_it_the_hand_taps_and_asks_to_be_pulled(page: Page, launch: Running) -> None:
+def test_until_somebody_takes_it_the_hand_taps_and_asks_to_be_pulled(
+    page: Page, launch: Running
+) -> None:
     assert page.evaluate("haptic.scene.hand"), "the first picture has a hand"
     begun = launch.ticks()
     seen: list[int] = []
@@ -236,7 +277,10 @@ def test_the_handle_does_not_jump_and_stays_in_the_hand(page: Page, launch: Runn
     # From afar it comes gliding: a step per frame, no jump.
     box: Any = page.locator("#scene").bounding_box()
     page.mouse.move(box["x"] + box["width"] * 0.75, y)
-    page.evaluate("addEventListener('pointerdown', () => { window.taken = haptic.scene.held; }, { once: true })")
+    page.evaluate(
+        "addEventListener('pointerdown', () => { window.taken = haptic.scene.held; }, { once:"
+        " true })"
+    )
     page.mouse.down()
     assert abs(float(page.evaluate("window.taken"))) < 0.016
     wait_for(lambda: not page.evaluate("haptic.scene.grip.gliding"), "it arrives")
@@ -246,21 +290,33 @@ def test_the_handle_does_not_jump_and_stays_in_the_hand(page: Page, launch: Runn
 @pytest.mark.slow
 def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch: Running) -> None:
     launch.call("coupling", "law.switch", law="pd")
-    wait_for(lambda: page.evaluate("haptic.delay.edge !== null && haptic.delay.ticks === 0"), "the edge over the delay")
+    wait_for(
+        lambda: page.evaluate("haptic.delay.edge !== null && haptic.delay.ticks === 0"),
+        "the edge over the delay",
+    )
     script = """part => { const slider = document.getElementById("delay");
       slider.value = 400 * part;
       for (const kind of ["input", "change"]) slider.dispatchEvent(new Event(kind)); }"""
     before = float(page.evaluate("haptic.dial.edge"))
-    # The device's own delay is a part of the one that each map was drawn for, of one that comes late too.
-    page.evaluate("""() => { const { map } = haptic, draw = map.draw; window.rest = [];
-      map.draw = function () { window.rest.push(this.map.delay_ticks - this.own); return draw.call(this); }; }""")
+    # The device's own delay is a part of the one that each map was drawn for, of one that comes
+    # late too.
+    page.evaluate(
+        """() => { const { map } = haptic, draw = map.draw; window.rest = [];
+      map.draw = function () { window.rest.push(this.map.delay_ticks - this.own); return draw.call(this); }; }"""
+    )
     page.evaluate(script, 0.4)
-    turned = wait_for(lambda: float(launch.call("driver", "param.get", name="device.delay")), "the device answers later")
+    turned = wait_for(
+        lambda: float(launch.call("driver", "param.get", name="device.delay")),
+        "the device answers later",
+    )
     wait_for(lambda: page.evaluate("haptic.map.own") == turned, "the map for that delay")
     wait_for(lambda: page.evaluate("haptic.dial.edge") < before, "the edge to come down")
     assert "ticks of" in shown(page, "#delay-told")
     # The dot of the right-hand panel stands at the delay of the whole loop, and is a handle.
-    wait_for(lambda: page.evaluate("haptic.map.frame.far") > page.evaluate("haptic.map.map.delay_ticks"), "it is inside")
+    wait_for(
+        lambda: page.evaluate("haptic.map.frame.far") > page.evaluate("haptic.map.map.delay_ticks"),
+        "it is inside",
+    )
     box: Any = page.locator("#map").bounding_box()
     at = """() => { const { map: { delay_ticks: d, k_n_per_m: k }, frame } = haptic.map;
       const { begin, last, far, bottom, top, most } = frame;
@@ -270,7 +326,10 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
     page.mouse.down()
     page.mouse.move(box["x"] + u - own, box["y"] + v, steps=3)
     page.mouse.up()
-    wait_for(lambda: float(launch.call("driver", "param.get", name="device.delay")) < 0.3 * turned, "dragged back")
+    wait_for(
+        lambda: float(launch.call("driver", "param.get", name="device.delay")) < 0.3 * turned,
+        "dragged back",
+    )
     page.evaluate("delete haptic.map.draw")
     assert min(page.evaluate("window.rest")) >= 0.0
     # The other dot, along stiffness and damping: a trail stays where one was.
@@ -308,7 +367,9 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
     (red_below, _, blue_below, _), (red, _, blue, _) = page.evaluate(drawn, left[0])
     assert blue - red > blue_below - red_below + 5, "in the device's colour"
     launch.call("driver", "param.set", values={"device.delay": 0.0})
-    launch.call("coupling", "param.set", values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0})
+    launch.call(
+        "coupling", "param.set", values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0}
+    )
 
 
 def test_a_finger_is_a_hand(browser: Browser, launch: Running) -> None:
@@ -331,16 +392,25 @@ def test_a_finger_is_a_hand(browser: Browser, launch: Running) -> None:
         wait_for(lambda: abs(target(page)) < 1e-4, "it is let go")
 
 
-def test_past_the_edge_it_rings_is_stopped_shown_slowly_and_goes_on(page: Page, launch: Running) -> None:
+def test_past_the_edge_it_rings_is_stopped_shown_slowly_and_goes_on(
+    page: Page, launch: Running
+) -> None:
     launch.call("driver", "param.set", values={"device.delay": 0.0})
-    launch.call("coupling", "param.set", values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0})
+    launch.call(
+        "coupling", "param.set", values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0}
+    )
     launch.call("coupling", "law.switch", law="pd")
     wait_for(lambda: page.evaluate("haptic.dial.edge") is not None, "the edge")
 
     def at_the_end() -> bool:
-        # The edge comes down with the delay of a busy machine, and the coupling refuses what was below it a moment ago.
+        # The edge comes down with the delay of a busy machine, and the coupling refuses what was
+        # below it a moment ago.
         turn(page, 1.0)
-        return bool(within(lambda: 0.8 < page.evaluate("haptic.dial.stiffness / haptic.dial.edge") < 1.0, 2.0))
+        return bool(
+            within(
+                lambda: 0.8 < page.evaluate("haptic.dial.stiffness / haptic.dial.edge") < 1.0, 2.0
+            )
+        )
 
     wait_for(at_the_end, "as far as it is stable, and no further")
     page.locator("#beyond").check()
@@ -354,28 +424,39 @@ def test_past_the_edge_it_rings_is_stopped_shown_slowly_and_goes_on(page: Page, 
         if "Too hard" in shown(page, "#words"):
             break
         time.sleep(0.1)
-    wait_for(lambda: "6 strokes to the limit of 10 N" in shown(page, "#words"), "the driver stops it, and says why")
+    wait_for(
+        lambda: "6 strokes to the limit of 10 N" in shown(page, "#words"),
+        "the driver stops it, and says why",
+    )
     page.mouse.up()
-    # A page that has lost its connection meanwhile has none until the bins of the stop have come again.
+    # A page that has lost its connection meanwhile has none until the bins of the stop have come
+    # again.
     begun = "(({ sight, at } = {}) => sight && [sight, at])(haptic.slow.window() ?? undefined)"
     sight, at = wait_for(lambda: page.evaluate(begun), "slow motion")
     assert 0.3 <= sight[1] - sight[0] < 2.0
     assert sight[0] <= at <= sight[1]
     wait_for(lambda: page.evaluate("haptic.slow.window()?.at ?? 0") > at, "it goes on, slowly")
     forces = page.evaluate(
-        "[...Array(300).keys()].map((k) => haptic.slow.now(haptic.slow.window().sight[0] + k / 1000).force[0])"
+        "[...Array(300).keys()].map((k) => haptic.slow.now(haptic.slow.window().sight[0] + k /"
+        " 1000).force[0])"
     )
     assert max(map(abs, forces)) == pytest.approx(10.0), "the moments at the limit are in it"
     assert "driver stopped it" in shown(page, "#margin")
     page.locator("#again").click()
     wait_for(lambda: "No force: nothing is touched" in shown(page, "#words"), "again")
     assert float(launch.call("coupling", "param.get", name="laws.pd.stiffness")) < 4000.0
-    # Whoever takes the permission back beyond the edge is brought below it: the page has heard that it is below already.
-    wait_for(lambda: page.evaluate("!haptic.dial.isPast(haptic.dial.stiffness)"), "the dial is below the edge")
+    # Whoever takes the permission back beyond the edge is brought below it: the page has heard that
+    # it is below already.
+    wait_for(
+        lambda: page.evaluate("!haptic.dial.isPast(haptic.dial.stiffness)"),
+        "the dial is below the edge",
+    )
     page.locator("#beyond").uncheck()
 
 
-def test_what_is_changed_while_the_driver_is_started_again_comes_to_the_page(page: Page, launch: Running) -> None:
+def test_what_is_changed_while_the_driver_is_started_again_comes_to_the_page(
+    page: Page, launch: Running
+) -> None:
     """Laws and the device's delay are read together: a driver that died over the question cost the page all later changes."""
     launch.call("coupling", "law.switch", law="pd")
     driver = launch.call("driver", "status")["pid"]

@@ -18,7 +18,9 @@ from websockets.typing import Subprotocol
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from tests.support.launching import HAPTIC, haptic, running, wait_for
 
-pytest.importorskip("foxglove", reason="the extra is not installed: pip install 'haptic-nodes[foxglove]'")
+pytest.importorskip(
+    "foxglove", reason="the extra is not installed: pip install 'haptic-nodes[foxglove]'"
+)
 
 
 @pytest.mark.slow
@@ -34,7 +36,9 @@ def test_topics_and_parameters_live(tmp_path: Path) -> None:
                 stderr=file,
             )
         try:
-            place = wait_for(lambda: errors.read_text(encoding="utf-8").partition("ws://")[2].strip(), "the port")
+            place = wait_for(
+                lambda: errors.read_text(encoding="utf-8").partition("ws://")[2].strip(), "the port"
+            )
             protocol = Subprotocol("foxglove.sdk.v1")
             with connect(f"ws://{place}", subprotocols=[protocol], open_timeout=20.0) as client:
                 _talk(client, launch)
@@ -84,7 +88,11 @@ def _talk(client: Any, launch: Any) -> None:
     while answer.get("id") != "get":
         answer = next_text("parameterValues")
     assert [(one["name"], one["value"]) for one in answer["parameters"]] == [(name, 1000.0)]
-    client.send(json.dumps({"op": "setParameters", "parameters": [{"name": name, "value": 1100.5}], "id": "set"}))
+    client.send(
+        json.dumps(
+            {"op": "setParameters", "parameters": [{"name": name, "value": 1100.5}], "id": "set"}
+        )
+    )
     # Any page of a browser here could have asked for that.
     refused = next_text("status")
     assert name in refused["message"]
@@ -94,11 +102,19 @@ def _talk(client: Any, launch: Any) -> None:
 
 def test_without_the_extra_it_says_how_to_get_it(tmp_path: Path) -> None:
     """An interpreter in which foxglove cannot be imported stands for one where it is not installed."""
-    (tmp_path / "foxglove.py").write_text("raise ImportError('No module named foxglove')", encoding="utf-8")
+    (tmp_path / "foxglove.py").write_text(
+        "raise ImportError('No module named foxglove')", encoding="utf-8"
+    )
     (tmp_path / "open.yaml").write_text(
         "summary: s\nnodes: {view: {kind: view, parameters: {foxglove: 0}}}\n", encoding="utf-8"
     )
     import os
 
-    told = haptic(tmp_path, "launch", "open.yaml", code=2, environment={**os.environ, "PYTHONPATH": str(tmp_path)}).stderr
+    told = haptic(
+        tmp_path,
+        "launch",
+        "open.yaml",
+        code=2,
+        environment={**os.environ, "PYTHONPATH": str(tmp_path)},
+    ).stderr
     assert "pip install 'haptic-nodes[foxglove]'" in told

@@ -31,16 +31,25 @@ def scene_of(file: Path) -> tuple[dict[str, Any], list[Update]]:
     """Read schema and updates."""
     with file.open("rb") as stream:
         found = [
-            (schema, channel, message) for schema, channel, message in make_reader(stream).iter_messages(topics=["/scene"])
+            (schema, channel, message)
+            for schema, channel, message in make_reader(stream).iter_messages(topics=["/scene"])
         ]
     schema, channel, _ = found[0]
     assert schema is not None
-    assert (schema.name, schema.encoding, channel.message_encoding) == ("foxglove.SceneUpdate", "jsonschema", "json")
-    return json.loads(schema.data), [(message.publish_time, json.loads(message.data)) for _, _, message in found]
+    assert (schema.name, schema.encoding, channel.message_encoding) == (
+        "foxglove.SceneUpdate",
+        "jsonschema",
+        "json",
+    )
+    return json.loads(schema.data), [
+        (message.publish_time, json.loads(message.data)) for _, _, message in found
+    ]
 
 
 def entities(updates: list[Update], name: str) -> list[dict[str, Any]]:
-    return [entity for _, update in updates for entity in update["entities"] if entity["id"] == name]
+    return [
+        entity for _, update in updates for entity in update["entities"] if entity["id"] == name
+    ]
 
 
 def at(point: dict[str, float]) -> list[float]:
@@ -84,7 +93,11 @@ def test_the_shape_comes_once_and_what_moves_as_it_does(sphere: tuple[Path, Path
             tick = round((stamp(entity) - begin) * 1e-9 * 500.0)
             if tick < len(table[name]):
                 assert at(entity["spheres"][0]["pose"]["position"]) == table[name][tick].tolist()
-    assert entities(updates, "proxy")[0]["spheres"][0]["size"] == {"x": 0.002, "y": 0.002, "z": 0.002}
+    assert entities(updates, "proxy")[0]["spheres"][0]["size"] == {
+        "x": 0.002,
+        "y": 0.002,
+        "z": 0.002,
+    }
     for entity in (e for _, update in updates for e in update["entities"]):
         assert stamp(entity) in {time for time, _ in updates}
 
@@ -103,10 +116,30 @@ def test_the_force_is_drawn_from_the_device(sphere: tuple[Path, Path]) -> None:
 def test_everything_that_was_recorded_is_still_there(sphere: tuple[Path, Path]) -> None:
     recording, file = sphere
     with file.open("rb") as stream, recording.open("rb") as original:
-        found = [message.data for _, channel, message in make_reader(stream).iter_messages() if channel.topic != "/scene"]
-        assert sorted(found) == sorted(message.data for _, _, message in make_reader(original).iter_messages())
+        found = [
+            message.data
+            for _, channel, message in make_reader(stream).iter_messages()
+            if channel.topic != "/scene"
+        ]
+        assert sorted(found) == sorted(
+            message.data for _, _, message in make_reader(original).iter_messages()
+        )
     assert main(["bag", "export", str(recording), "--format", "foxglove"]) != 0
-    assert main(["bag", "export", str(recording), "--format", "foxglove", "--out", str(recording), "--force"]) != 0
+    assert (
+        main(
+            [
+                "bag",
+                "export",
+                str(recording),
+                "--format",
+                "foxglove",
+                "--out",
+                str(recording),
+                "--force",
+            ]
+        )
+        != 0
+    )
     assert Recording(recording).topics
 
 
@@ -135,7 +168,9 @@ def test_what_cannot_be_drawn_is_said(tmp_path: Path) -> None:
     scene.write_text(Path(launch.nodes["environment"].parameters["scene"]).read_text())
     given = tmp_path / "given.yaml"
     given.write_text(f"environment: {{scene: {scene}}}")
-    figures = launch_json(tmp_path, "puck_push", "duration:=0.2", "pace:=lockstep", "--params", str(given))
+    figures = launch_json(
+        tmp_path, "puck_push", "duration:=0.2", "pace:=lockstep", "--params", str(given)
+    )
     scene.unlink()
     recording = tmp_path / figures["recording"]
     assert main(["bag", "export", str(recording), "--format", "foxglove"]) == 0

@@ -58,7 +58,14 @@ class Invented(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 def test_a_new_law_gets_its_sliders_by_existing() -> None:
     depth, mode, on, spare = law_fields(Invented)
-    assert depth == {"name": "depth", "unit": "mm", "told": "How deep [mm].", "type": "number", "gt": 1.0, "le": 2.0}
+    assert depth == {
+        "name": "depth",
+        "unit": "mm",
+        "told": "How deep [mm].",
+        "type": "number",
+        "gt": 1.0,
+        "le": 2.0,
+    }
     assert mode["choices"] == ["down", "up"]
     assert mode["default"] == "up"
     assert on["choices"] == [False, True]

@@ -21,11 +21,15 @@ from tests.support.launching import running, wait_for
 
 
 def facts(run_dir: Path, *axes: str) -> Facts:
-    return Facts("run", "scenario", "", 0.002, "realtime", "on_arrival", list(axes), "driver", str(run_dir))
+    return Facts(
+        "run", "scenario", "", 0.002, "realtime", "on_arrival", list(axes), "driver", str(run_dir)
+    )
 
 
 def status(state: str, reason: str = "") -> NodeStatus:
-    return NodeStatus(seq=1, stamp=0.0, node="driver", kind="sim_driver", state=state, pid=1, reason=reason)
+    return NodeStatus(
+        seq=1, stamp=0.0, node="driver", kind="sim_driver", state=state, pid=1, reason=reason
+    )
 
 
 @pytest.mark.slow
@@ -46,7 +50,12 @@ def test_a_page_goes_on_with_a_driver_that_failed_and_is_started_again(tmp_path:
         (tmp_path / ORDER).unlink()
         wait_for(lambda: "driver: started again" in launch.errors, "another driver")
         again = launch.call("driver", "status", timeout=20.0)["seq"]
-        found = wait_for(lambda: (now := texts(page, "status"))["tick"] > again and now["safety"] == "active" and now, "it")
+        found = wait_for(
+            lambda: (
+                (now := texts(page, "status"))["tick"] > again and now["safety"] == "active" and now
+            ),
+            "it",
+        )
         assert found["ended"] == ""
 
 
@@ -69,7 +78,12 @@ def test_a_failed_driver_is_the_end_when_the_launcher_says_so(tmp_path: Path) ->
 
 
 def test_of_several_axes_a_loop_rings_along_any_of_them(tmp_path: Path) -> None:
-    for axes, along, rings in ((("x",), 0, True), (("x",), 2, False), (("x", "y", "z"), 0, True), (("x", "y", "z"), 2, True)):
+    for axes, along, rings in (
+        (("x",), 0, True),
+        (("x",), 2, False),
+        (("x", "y", "z"), 0, True),
+        (("x", "y", "z"), 2, True),
+    ):
         run = LiveRun(facts(tmp_path, *axes))
         for seq in range(250):
             force = [0.0, 0.0, 0.0]
@@ -78,7 +92,11 @@ def test_of_several_axes_a_loop_rings_along_any_of_them(tmp_path: Path) -> None:
             # And a hand that a spring shakes to and fro, 9 times a second: that is none.
             force[1] = math.sin(2.0 * math.pi * 9.0 * seq * 0.002)
             x, y, z = force
-            run.keep("/device/state", DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0), force=(x, y, z)), seq * 0.002)
+            run.keep(
+                "/device/state",
+                DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0), force=(x, y, z)),
+                seq * 0.002,
+            )
         found = run.rings()
         assert (found is not None) == rings, (axes, along)
         assert found is None or 36.0 < found.frequency < 44.0
@@ -87,9 +105,13 @@ def test_of_several_axes_a_loop_rings_along_any_of_them(tmp_path: Path) -> None:
 def test_b_is_played_with_its_law_as_it_is_by_now() -> None:
     told: list[dict[str, Any]] = []
     played = Comparison(
-        RunInfo(run="r", scenario="s", launcher=0, nodes={}), "driver", lambda _, document: told.append(document)
+        RunInfo(run="r", scenario="s", launcher=0, nodes={}),
+        "driver",
+        lambda _, document: told.append(document),
     )
-    soft, hard = ({"kind": "pd", "stiffness": stiffness, "damping": 3.0} for stiffness in (500.0, 900.0))
+    soft, hard = (
+        {"kind": "pd", "stiffness": stiffness, "damping": 3.0} for stiffness in (500.0, 900.0)
+    )
     played.follow({"pd": soft})
     assert told == [], "none is played"
     played.choose("pd", soft)

@@ -23,7 +23,9 @@ pytestmark = needs_browser
 
 @pytest.fixture(scope="module")
 def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    with running(tmp_path_factory.mktemp("view"), "touch_wall", "--view", "--without", "logger") as found:
+    with running(
+        tmp_path_factory.mktemp("view"), "touch_wall", "--view", "--without", "logger"
+    ) as found:
         yield found
 
 
@@ -58,11 +60,14 @@ def drag_into_the_wall(page: Page) -> None:
     page.mouse.move(box["x"] + box["width"] - 8.0, y, steps=10)
 
 
-# Tests with a launch of their own come first: the one that is shared, and its page, would only go on beside them.
+# Tests with a launch of their own come first: the one that is shared, and its page, would only go
+# on beside them.
 
 
 @pytest.mark.slow
-def test_a_killed_node_is_told_and_a_killed_view_is_found_again(browser: Browser, tmp_path: Path) -> None:
+def test_a_killed_node_is_told_and_a_killed_view_is_found_again(
+    browser: Browser, tmp_path: Path
+) -> None:
     """The view comes back at its port with its token, so an open page finds it; a dead coupling is called by its name."""
     content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
     content["nodes"]["environment"] |= {"respawn": True, "respawn_delay": 0.0}
@@ -72,24 +77,40 @@ def test_a_killed_node_is_told_and_a_killed_view_is_found_again(browser: Browser
         wait_for(lambda: "nothing is touched" in shown(page, "#words"), "the loop runs")
         environment = launch.pid("environment")
         os.kill(environment, signal.SIGSTOP)
-        wait_for(lambda: "the watchdog has let go" in shown(page, "#words"), "the page tells why there is no force")
+        wait_for(
+            lambda: "the watchdog has let go" in shown(page, "#words"),
+            "the page tells why there is no force",
+        )
         os.kill(environment, signal.SIGKILL)
-        wait_for(lambda: "nothing is touched" in shown(page, "#words"), "the new environment is seen to answer")
+        wait_for(
+            lambda: "nothing is touched" in shown(page, "#words"),
+            "the new environment is seen to answer",
+        )
         view = int(launch.call("view", "status")["pid"])
         os.kill(view, signal.SIGKILL)
-        wait_for(lambda: "lost its connection" in shown(page, "#notice"), "the page tells that it is alone")
+        wait_for(
+            lambda: "lost its connection" in shown(page, "#notice"),
+            "the page tells that it is alone",
+        )
         wait_for(lambda: not page.locator("#notice").is_visible(), "the page is back")
         before = bins(page)
         wait_for(lambda: bins(page) != before, "and sees again")
         # Nodes say twice a second how they are; a new view has heard nothing of them yet.
-        wait_for(lambda: "coupling" in shown(page, "#nodes"), "the new view has heard of the coupling")
+        wait_for(
+            lambda: "coupling" in shown(page, "#nodes"), "the new view has heard of the coupling"
+        )
         os.kill(int(launch.call("coupling", "status")["pid"]), signal.SIGKILL)
-        wait_for(lambda: "coupling: ended with SIGKILL" in shown(page, "#notice"), "the end is told, with its reason")
+        wait_for(
+            lambda: "coupling: ended with SIGKILL" in shown(page, "#notice"),
+            "the end is told, with its reason",
+        )
         assert "coupling" in shown(page, "#nodes li.silent")
         assert page.locator("#nodes li.ended").count() == 2
         assert "Hz" not in shown(page, "#figures")
         assert "stays here" in shown(page, "#notice")
-        assert page.evaluate("document.getElementById('dial').inert"), "there is no wall to turn any more"
+        assert page.evaluate("document.getElementById('dial').inert"), (
+            "there is no wall to turn any more"
+        )
         assert launch.process.wait(60.0) == 1
 
 
@@ -99,7 +120,10 @@ def test_a_scene_of_several_axes_is_looked_at_along_each(browser: Browser, tmp_p
     content = yaml.safe_load(launch_file.find("floor_drop").read_text(encoding="utf-8"))
     content["run"]["axes"] = ["x", "z"]
     (tmp_path / "two.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
-    with running(tmp_path, str(tmp_path / "two.yaml"), *words[1:]) as launch, lab(browser, launch) as page:
+    with (
+        running(tmp_path, str(tmp_path / "two.yaml"), *words[1:]) as launch,
+        lab(browser, launch) as page,
+    ):
         page.select_option("#axis", "z")
         wait_for(lambda: "0.00 mm" not in shown(page, "#reading"), "how far it has come along z")
         page.select_option("#axis", "x")
@@ -112,7 +136,9 @@ def test_stop_ends_the_run_and_the_page_keeps_what_it_has(browser: Browser, tmp_
         page.locator("#stop").click()
         assert shown(page, "#stop") == "End the run?"
         page.locator("#stop").click()
-        wait_for(lambda: "The run has ended: stop requested" in shown(page, "#words"), "the end is told")
+        wait_for(
+            lambda: "The run has ended: stop requested" in shown(page, "#words"), "the end is told"
+        )
         kept = bins(page)
         figures = launch.finish()
         assert figures["exit_reason"] == "stop requested"
@@ -127,11 +153,15 @@ def test_it_loads_moves_and_tells_the_map(page: Page, launch: Running) -> None:
     wait_for(lambda: bins(page) > before + 100, "bins come in")
     wait_for(lambda: page.locator(".plot canvas").first.screenshot() != picture, "the plot moves")
     wait_for(lambda: "more delay" in shown(page, "#margin"), "the map of stability")
-    assert "any world that answers in the same tick: K up to" in " ".join(shown(page, "#margin").split())
+    assert "any world that answers in the same tick: K up to" in " ".join(
+        shown(page, "#margin").split()
+    )
     assert page.locator(".plot").count() == 4
     wait_for(lambda: "Hz" in shown(page, "#figures"), "the rate")
     # What is not on this machine is not asked for.
-    assert page.evaluate("performance.getEntriesByType('resource').every((e) => e.name.startsWith(location.origin))")
+    assert page.evaluate(
+        "performance.getEntriesByType('resource').every((e) => e.name.startsWith(location.origin))"
+    )
     # Each file is a connection, and a browser on one processor feels thirty of them.
     assert page.evaluate("performance.getEntriesByType('resource').length") <= 6
 
@@ -162,14 +192,19 @@ def test_the_keyboard_is_a_hand_too(page: Page, launch: Running) -> None:
 
 
 def test_a_slider_is_answered_with_a_receipt_and_undone(page: Page, launch: Running) -> None:
-    wait_for(lambda: page.locator("input[type=range][aria-label=stiffness]").count() == 1, "the sliders")
+    wait_for(
+        lambda: page.locator("input[type=range][aria-label=stiffness]").count() == 1, "the sliders"
+    )
     launch.call("coupling", "law.switch", law="pd")
     slider = page.locator("input[type=range][aria-label=stiffness]")
     before = launch.call("coupling", "param.get", name="laws.pd.stiffness")
     slider.focus()
     page.keyboard.press("ArrowRight")
     changed = wait_for(
-        lambda: (k := launch.call("coupling", "param.get", name="laws.pd.stiffness")) != before and k, "the new stiffness"
+        lambda: (
+            (k := launch.call("coupling", "param.get", name="laws.pd.stiffness")) != before and k
+        ),
+        "the new stiffness",
     )
     assert before < changed < 1.1 * before
     # A busy machine logs a line of its own in between.
@@ -177,16 +212,23 @@ def test_a_slider_is_answered_with_a_receipt_and_undone(page: Page, launch: Runn
     wait_for(lambda: "pd: stiffness" in shown(page, receipt), "the receipt")
     assert "force step" in shown(page, receipt)
     page.keyboard.press("Control+z")
-    wait_for(lambda: launch.call("coupling", "param.get", name="laws.pd.stiffness") == before, "undone")
+    wait_for(
+        lambda: launch.call("coupling", "param.get", name="laws.pd.stiffness") == before, "undone"
+    )
     launch.call("coupling", "law.switch", law="pd_alpha")
     taps = page.locator("input[type=range][aria-label=taps]")
     wait_for(lambda: taps.count() == 1, "the sliders of the other law")
     before = launch.call("coupling", "param.get", name="laws.pd_alpha.taps")
     taps.focus()
     page.keyboard.press("ArrowRight")
-    wait_for(lambda: launch.call("coupling", "param.get", name="laws.pd_alpha.taps") == before + 1, "one tap more")
+    wait_for(
+        lambda: launch.call("coupling", "param.get", name="laws.pd_alpha.taps") == before + 1,
+        "one tap more",
+    )
     page.locator("#undo").click()
-    wait_for(lambda: launch.call("coupling", "param.get", name="laws.pd_alpha.taps") == before, "undone")
+    wait_for(
+        lambda: launch.call("coupling", "param.get", name="laws.pd_alpha.taps") == before, "undone"
+    )
 
 
 def test_what_is_refused_is_shown_with_its_reason(page: Page, launch: Running) -> None:
@@ -201,7 +243,9 @@ def test_what_is_refused_is_shown_with_its_reason(page: Page, launch: Running) -
         wait_for(lambda reason=reason: reason in shown(page, "#refusal"), f"the reason: {reason}")  # type: ignore[misc]
         assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == before
         # The control goes back to what holds.
-        wait_for(lambda: float(exact.input_value()) == pytest.approx(before, rel=1e-5), "the old value")
+        wait_for(
+            lambda: float(exact.input_value()) == pytest.approx(before, rel=1e-5), "the old value"
+        )
     wait_for(lambda: page.locator("#log li.refused").count() >= 2, "refusals are in the log")
 
 
@@ -209,16 +253,30 @@ def test_what_is_typed_is_not_overwritten_from_elsewhere(page: Page, launch: Run
     launch.call("coupling", "law.switch", law="pd")
     exact = page.locator("input[aria-label='stiffness, exact value']")
     wait_for(lambda: exact.count() == 1, "the sliders")
-    before = {name: launch.call("coupling", "param.get", name=f"laws.pd.{name}") for name in ("stiffness", "damping")}
+    before = {
+        name: launch.call("coupling", "param.get", name=f"laws.pd.{name}")
+        for name in ("stiffness", "damping")
+    }
     exact.fill("321")
     launch.call("coupling", "param.set", values={"laws.pd.damping": 1.1 * before["damping"]})
     other = page.locator("input[aria-label='damping, exact value']")
-    wait_for(lambda: float(other.input_value()) == pytest.approx(1.1 * before["damping"], rel=1e-5), "the other's value")
+    wait_for(
+        lambda: float(other.input_value()) == pytest.approx(1.1 * before["damping"], rel=1e-5),
+        "the other's value",
+    )
     assert exact.input_value() == "321"
     page.keyboard.press("Enter")
-    wait_for(lambda: launch.call("coupling", "param.get", name="laws.pd.stiffness") == 321.0, "what was typed")
-    launch.call("coupling", "param.set", values={f"laws.pd.{name}": value for name, value in before.items()})
-    wait_for(lambda: float(exact.input_value()) == pytest.approx(before["stiffness"], rel=1e-5), "the old value")
+    wait_for(
+        lambda: launch.call("coupling", "param.get", name="laws.pd.stiffness") == 321.0,
+        "what was typed",
+    )
+    launch.call(
+        "coupling", "param.set", values={f"laws.pd.{name}": value for name, value in before.items()}
+    )
+    wait_for(
+        lambda: float(exact.input_value()) == pytest.approx(before["stiffness"], rel=1e-5),
+        "the old value",
+    )
 
 
 @pytest.mark.slow
@@ -231,12 +289,18 @@ def test_laws_are_swapped_in_two_tabs(page: Page, browser: Browser, launch: Runn
                 checked = tab.locator(f"#laws input[value={name}]")
                 wait_for(lambda checked=checked: checked.is_checked(), f"{name} is marked")  # type: ignore[misc]
             assert launch.call("coupling", "law.list")["active"] == name
-        wait_for(lambda: "→ pd" in shown(page, "#log li.receipt >> nth=0"), "the other tab's change is told here")
+        wait_for(
+            lambda: "→ pd" in shown(page, "#log li.receipt >> nth=0"),
+            "the other tab's change is told here",
+        )
         # Whoever has the hand has it alone.
         drag_into_the_wall(page)
         other.locator("#scene").focus()
         other.keyboard.press("ArrowLeft")
-        wait_for(lambda: "another page holds it" in shown(other, "#log li.refused >> nth=0"), "the refusal")
+        wait_for(
+            lambda: "another page holds it" in shown(other, "#log li.refused >> nth=0"),
+            "the refusal",
+        )
         box = other.locator("#scene").bounding_box()
         assert box is not None
         other.mouse.move(box["x"] + 50.0, box["y"] + 100.0)
@@ -248,7 +312,9 @@ def test_laws_are_swapped_in_two_tabs(page: Page, browser: Browser, launch: Runn
         page.mouse.up()
 
 
-def test_a_wrong_token_and_a_foreign_origin_get_nothing(page: Page, browser: Browser, launch: Running) -> None:
+def test_a_wrong_token_and_a_foreign_origin_get_nothing(
+    page: Page, browser: Browser, launch: Running
+) -> None:
     url = url_of(launch)
     script = """url => new Promise((done) => {
       const socket = new WebSocket(url);
@@ -266,7 +332,9 @@ def test_a_wrong_token_and_a_foreign_origin_get_nothing(page: Page, browser: Bro
 
 
 @pytest.mark.slow
-def test_a_page_that_is_stopped_costs_the_others_nothing_and_lets_go(page: Page, browser: Browser, launch: Running) -> None:
+def test_a_page_that_is_stopped_costs_the_others_nothing_and_lets_go(
+    page: Page, browser: Browser, launch: Running
+) -> None:
     context = browser.new_context()
     stopped = context.new_page()
     stopped.goto(url_of(launch))
@@ -287,7 +355,12 @@ def test_a_page_that_is_stopped_costs_the_others_nothing_and_lets_go(page: Page,
 def test_record_and_undo_buttons_and_pause(page: Page, launch: Running) -> None:
     page.locator("#record").click()
     wait_for(lambda: page.locator("#record").get_attribute("aria-pressed") == "true", "recording")
-    wait_for(lambda: [p for p in (launch.folder / "recordings").glob("*.mcap") if p.stat().st_size > 1000], "the file grows")
+    wait_for(
+        lambda: [
+            p for p in (launch.folder / "recordings").glob("*.mcap") if p.stat().st_size > 1000
+        ],
+        "the file grows",
+    )
     page.locator("#record").click()
     wait_for(lambda: page.locator("#record").get_attribute("aria-pressed") == "false", "recorded")
     page.locator("body").click(position={"x": 2, "y": 400})
@@ -299,7 +372,9 @@ def test_record_and_undo_buttons_and_pause(page: Page, launch: Running) -> None:
 
 
 @pytest.mark.slow
-def test_plots_are_read_and_zoomed_by_mouse_and_fingers(page: Page, browser: Browser, launch: Running) -> None:
+def test_plots_are_read_and_zoomed_by_mouse_and_fingers(
+    page: Page, browser: Browser, launch: Running
+) -> None:
     wait_for(lambda: bins(page) > 1500, "some seconds")
     plot = page.locator(".plot .u-over").first
     plot.scroll_into_view_if_needed()
@@ -307,12 +382,19 @@ def test_plots_are_read_and_zoomed_by_mouse_and_fingers(page: Page, browser: Bro
     assert box is not None
     u, v = box["x"] + 0.5 * box["width"], box["y"] + 40.0
     page.mouse.move(u, v)
-    wait_for(lambda: all(unit in shown(page, "#values") for unit in (" s ", "mm", "N", "mJ", "µs")), "all under the pointer")
+    wait_for(
+        lambda: all(unit in shown(page, "#values") for unit in (" s ", "mm", "N", "mJ", "µs")),
+        "all under the pointer",
+    )
     before = page.evaluate("haptic.plots.sight()")
     page.mouse.down()
-    drawn, newest = page.evaluate("[haptic.plots.panels[0].plot.scales.x.max, haptic.plots.store.end]")
+    drawn, newest = page.evaluate(
+        "[haptic.plots.panels[0].plot.scales.x.max, haptic.plots.store.end]"
+    )
     wait_for(lambda: page.evaluate("haptic.plots.store.end") > newest + 0.5, "half a second more")
-    assert page.evaluate("haptic.plots.panels[0].plot.scales.x.max") == drawn, "what is being chosen holds still"
+    assert page.evaluate("haptic.plots.panels[0].plot.scales.x.max") == drawn, (
+        "what is being chosen holds still"
+    )
     page.mouse.move(u + 0.25 * box["width"], v, steps=4)
     page.mouse.up()
     # A quarter of what was in sight, to the pixel.
@@ -320,22 +402,31 @@ def test_plots_are_read_and_zoomed_by_mouse_and_fingers(page: Page, browser: Bro
     assert high - low == pytest.approx(0.25 * (before[1] - before[0]), rel=0.02)
     page.locator("#live").click()
     assert page.evaluate("haptic.plots.window") is None
-    wait_for(lambda: page.evaluate("haptic.plots.panels[0].plot.scales.x.max") > drawn, "the plots run again")
+    wait_for(
+        lambda: page.evaluate("haptic.plots.panels[0].plot.scales.x.max") > drawn,
+        "the plots run again",
+    )
     with OpenPage(browser, url_of(launch) + "#lab", has_touch=True, is_mobile=True) as phone:
         wait_for(lambda: bins(phone) > 300, "some of the past")
         plot = phone.locator(".plot .u-over").first
         plot.scroll_into_view_if_needed()
         box = plot.bounding_box()
         assert box is not None
-        middle, y, fingers = box["x"] + box["width"] / 2, box["y"] + 40.0, phone.context.new_cdp_session(phone)
+        middle, y, fingers = (
+            box["x"] + box["width"] / 2,
+            box["y"] + 40.0,
+            phone.context.new_cdp_session(phone),
+        )
 
         def touch(kind: str, *along: float) -> None:
             there = [{"x": middle + at, "y": y, "id": k} for k, at in enumerate(along)]
             fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": there})
 
         # The plots run until the finger moves.
-        phone.evaluate("""document.addEventListener(
-          "pointermove", () => { window.begun = haptic.plots.sight(); }, { capture: true, once: true })""")
+        phone.evaluate(
+            """document.addEventListener(
+          "pointermove", () => { window.begun = haptic.plots.sight(); }, { capture: true, once: true })"""
+        )
         touch("touchStart", 0.0)
         for k in range(1, 8):
             touch("touchMove", 10.0 * k)
@@ -349,9 +440,12 @@ def test_plots_are_read_and_zoomed_by_mouse_and_fingers(page: Page, browser: Bro
             touch("touchMove", -20.0 - 8.0 * k, 20.0 + 8.0 * k)
         touch("touchEnd")
         near = phone.evaluate("haptic.plots.sight()")
-        # The browser lets the first move of a finger pass; two move at different times, and the middle of both stays.
+        # The browser lets the first move of a finger pass; two move at different times, and the
+        # middle of both stays.
         assert 0.2 < (near[1] - near[0]) / (moved[1] - moved[0]) < 0.35
-        assert phone.evaluate("[haptic.plots.fingers.size, visualViewport.scale]") == [0, 1], "the page itself is not zoomed"
+        assert phone.evaluate("[haptic.plots.fingers.size, visualViewport.scale]") == [0, 1], (
+            "the page itself is not zoomed"
+        )
 
 
 @pytest.mark.parametrize("size", [(390, 844), (1440, 900)])
@@ -361,6 +455,11 @@ def test_it_fits_a_phone_and_the_dark(size: tuple[int, int], scheme: str, page: 
     page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
     wait_for(lambda: page.locator("html").get_attribute("data-theme") == scheme, scheme)
     # Its pictures get the new width with the next frame.
-    wait_for(lambda: page.evaluate("document.documentElement.scrollWidth") <= size[0], "all of it is as wide as the screen")
-    red, *_ = page.evaluate("getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number)")
+    wait_for(
+        lambda: page.evaluate("document.documentElement.scrollWidth") <= size[0],
+        "all of it is as wide as the screen",
+    )
+    red, *_ = page.evaluate(
+        "getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number)"
+    )
     assert (red < 60) == (scheme == "dark")

@@ -47,11 +47,15 @@ def _stop(page: Page, t: float) -> None:
     _go(page, t)
 
 
-def test_it_is_pulled_through_with_its_plots_over_another_one(browser: Browser, tmp_path: Path) -> None:
+def test_it_is_pulled_through_with_its_plots_over_another_one(
+    browser: Browser, tmp_path: Path
+) -> None:
     paths = []
     for law in ("pd", "pd_alpha"):
         (tmp_path / law).mkdir()
-        figures = launch_json(tmp_path / law, "floor_drop", "pace:=lockstep", f"law:={law}", "--no-plot")
+        figures = launch_json(
+            tmp_path / law, "floor_drop", "pace:=lockstep", f"law:={law}", "--no-plot"
+        )
         paths.append(tmp_path / law / figures["recording"])
     # Its logger was killed: what it had written is shown all the same, and that it is cut is said.
     paths[0].write_bytes((whole := paths[0].read_bytes())[: int(0.9 * len(whole))])
@@ -63,19 +67,30 @@ def test_it_is_pulled_through_with_its_plots_over_another_one(browser: Browser, 
         page.locator("#play").click()
         wait_for(lambda: _at(page) > 0.1, "it plays on")
         _stop(page, 0.05)
-        wait_for(lambda: page.evaluate("haptic.plots.panels[0].plot.data[0].length > 100"), "the plots")
+        wait_for(
+            lambda: page.evaluate("haptic.plots.panels[0].plot.data[0].length > 100"), "the plots"
+        )
         before = page.evaluate("haptic.plots.sight()")
         # A moment that is still to come is in the plots already.
         box: Any = page.locator(".plot .u-over").first.bounding_box()
-        wanted = float(page.evaluate("(part) => haptic.plots.panels[0].plot.posToVal(part, 'x')", 0.12 * box["width"]))
+        wanted = float(
+            page.evaluate(
+                "(part) => haptic.plots.panels[0].plot.posToVal(part, 'x')", 0.12 * box["width"]
+            )
+        )
         page.mouse.click(box["x"] + 0.12 * box["width"], box["y"] + 40.0)
-        wait_for(lambda: abs(_at(page) - wanted) < 0.01, "the scene is at the moment that was clicked on")
+        wait_for(
+            lambda: abs(_at(page) - wanted) < 0.01, "the scene is at the moment that was clicked on"
+        )
         assert page.evaluate("haptic.plots.at") == _at(page), "the plots' line is there too"
         assert page.evaluate("haptic.plots.sight()") == before, "the plots stay where they are"
         assert float(page.evaluate("haptic.plots.panels[0].plot.data[0].at(-1)")) > wanted + 0.1
         shows = float(page.evaluate("haptic.scene.now.position[2]"))
         # One picture of the scene for 60 in a second.
-        near = [states[seq].position[2] for seq in range(max(0, round(wanted / PERIOD) - 10), round(wanted / PERIOD) + 2)]
+        near = [
+            states[seq].position[2]
+            for seq in range(max(0, round(wanted / PERIOD) - 10), round(wanted / PERIOD) + 2)
+        ]
         assert min(near) <= shows <= max(near)
         # Pulled by its slider: the same, and the clock says so.
         _go(page, 0.5)
@@ -100,7 +115,10 @@ def test_the_map_is_the_one_of_the_delay_of_its_moment(browser: Browser, tmp_pat
         before = float(wait_for(lambda: page.evaluate("haptic.map.map?.delay_ticks"), "a map"))
         edge = float(page.evaluate("haptic.map.map.k_max_n_per_m"))
         _go(page, (changed + 250) * PERIOD)
-        wait_for(lambda: page.evaluate("haptic.map.map.delay_ticks") > before + 1.0, "the map of the later answer")
+        wait_for(
+            lambda: page.evaluate("haptic.map.map.delay_ticks") > before + 1.0,
+            "the map of the later answer",
+        )
         assert float(page.evaluate("haptic.map.map.delay_ticks")) == pytest.approx(before + 1.5)
         assert page.evaluate("haptic.map.map.k_max_n_per_m") < edge
         _go(page, 0.2)

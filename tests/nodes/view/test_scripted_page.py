@@ -50,28 +50,49 @@ class Script:
     def __init__(self) -> None:
         facts = Facts("run", "made_up", "", T, "realtime", "on_arrival", ["x"], "driver", "", 10.0)
         self.feed = Feed(["x"], T)
-        more = {"series": self.feed.names, "bin_s": T, "replay": False, "hand": True, "beyond": False, "again": False}
+        more = {
+            "series": self.feed.names,
+            "bin_s": T,
+            "replay": False,
+            "hand": True,
+            "beyond": False,
+            "again": False,
+        }
         more |= {"compares": False, "delays": False, "shape": {}, "fields": all_law_fields()}
         self.status = LiveRun(facts).status(0.0)
-        self.base = [{"type": "hello", **facts.hello(), **more}, self.laws("pd"), {"type": "map", **MAP}]
+        self.base = [
+            {"type": "hello", **facts.hello(), **more},
+            self.laws("pd"),
+            {"type": "map", **MAP},
+        ]
         self.pages: list[ScriptedPage] = []
 
     def laws(self, active: str) -> dict[str, Any]:
         """Tell which law renders."""
-        return {"type": "laws", "node": "coupling", "active": active, "laws": {"pd": PD, "stiff": STIFF}, "device_delay": None}
+        return {
+            "type": "laws",
+            "node": "coupling",
+            "active": active,
+            "laws": {"pd": PD, "stiff": STIFF},
+            "device_delay": None,
+        }
 
     def tick(self, seq: int) -> bytes:
         """Let a tick pass, and give the page all that it has not."""
         first = self.feed.head
         self.feed.take("/device/state", DeviceState(seq=seq, stamp=0.0, position=(0.01, 0.0, 0.0)))
         self.feed.take("/environment/proxy", Proxy(**{**PROXY, "seq": seq}))
-        self.feed.take("/coupling/force", Force(seq=seq, stamp=0.0, force=(0.0, 0.0, 0.0), law="pd"))
+        self.feed.take(
+            "/coupling/force", Force(seq=seq, stamp=0.0, force=(0.0, 0.0, 0.0), law="pd")
+        )
         self.feed.file(all_of_them=True)
         return self.feed.frame(first, self.feed.head)
 
     def open(self) -> ScriptedPage:
         """Open one more page."""
-        page = ScriptedPage([json.dumps(each) for each in (*self.base, {"type": "status", **self.status})])
+        page = ScriptedPage(
+            [json.dumps(each) for each in (*self.base, {"type": "status", **self.status})]
+        )
         page.outbox += [self.tick(self.feed.head) for _ in range(20)]
         self.pages.append(page)
         return page
@@ -159,7 +180,12 @@ def test_an_ended_page_goes_on_when_its_view_comes_again(browser: Browser, scrip
 def test_a_recording_that_fails_is_told_on_its_button(page: Page, script: Script) -> None:
     script.say("record", recording=True, path="recordings/a.mcap", error="")
     wait_for(lambda: shown(page, "#record") == "Recording", "it records")
-    script.say("record", recording=False, path="recordings/a.mcap", error="recording failed: No space left on device")
+    script.say(
+        "record",
+        recording=False,
+        path="recordings/a.mcap",
+        error="recording failed: No space left on device",
+    )
     wait_for(lambda: shown(page, "#record") == "Not recorded", "the failure")
     assert page.locator("#record").get_attribute("aria-pressed") == "false"
     assert "No space left" in shown(page, "#refusal")
@@ -172,7 +198,12 @@ def test_the_map_is_of_the_law_that_renders(page: Page, script: Script) -> None:
     assert page.evaluate("[haptic.dial.edge, haptic.map.map]") == [None, None]
     assert "Stable" not in shown(page, "#margin")
     # Controls are those of the new law, B among them.
-    assert page.evaluate("document.querySelector('#sliders input[aria-label=\"damping, exact value\"]').value") == "9"
+    assert (
+        page.evaluate(
+            "document.querySelector('#sliders input[aria-label=\"damping, exact value\"]').value"
+        )
+        == "9"
+    )
     # One that was under way for the law of before.
     script.say("map", **{**MAP, "k_max_n_per_m": 3000.0})
     script.say("map", law="stiff", why="No map: none.")
@@ -186,22 +217,48 @@ def test_the_map_is_of_the_law_that_renders(page: Page, script: Script) -> None:
     wait_for(lambda: page.evaluate("haptic.dial.edge") is None, "no edge of another law")
 
 
-def test_a_screen_reader_has_names_for_all_and_hears_a_sentence_once(page: Page, script: Script) -> None:
-    canvases = page.evaluate("[...document.querySelectorAll('canvas')].map((e) => [e.id, e.getAttribute('role'), e.ariaLabel])")
+def test_a_screen_reader_has_names_for_all_and_hears_a_sentence_once(
+    page: Page, script: Script
+) -> None:
+    canvases = page.evaluate(
+        "[...document.querySelectorAll('canvas')].map((e) => [e.id, e.getAttribute('role'),"
+        " e.ariaLabel])"
+    )
     assert len(canvases) > 8
     assert [each for each in canvases if not all(each[1:])] == []
-    buttons = "[...document.querySelectorAll('button')].filter((e) => e.offsetParent && !(e.ariaLabel || e.textContent.trim()))"
+    buttons = (
+        "[...document.querySelectorAll('button')].filter((e) => e.offsetParent && !(e.ariaLabel ||"
+        " e.textContent.trim()))"
+    )
     assert page.evaluate(f"{buttons}.length") == 0
-    live = "[...document.querySelectorAll('output')].filter((e) => e.getAttribute('aria-live') !== 'off').length"
+    live = (
+        "[...document.querySelectorAll('output')].filter((e) => e.getAttribute('aria-live') !=="
+        " 'off').length"
+    )
     assert page.evaluate(live) == 0
-    page.evaluate("""() => { window.said = [];
+    page.evaluate(
+        """() => { window.said = [];
       const told = document.querySelector("[role=status]");
-      new MutationObserver(() => said.push(told.textContent)).observe(told, { childList: true }); }""")
+      new MutationObserver(() => said.push(told.textContent)).observe(told, { childList: true }); }"""
+    )
     for newton in ("1.00", "1.25", "2.50"):
-        script.say("status", **{**script.status, "level": "ok", "words": f"{newton} N: pd pushes back, 1.00 mm deep."})
-    script.say("status", **{**script.status, "words": "No force: nothing is touched; the surface is 8.0 mm away."})
+        script.say(
+            "status",
+            **{
+                **script.status,
+                "level": "ok",
+                "words": f"{newton} N: pd pushes back, 1.00 mm deep.",
+            },
+        )
+    script.say(
+        "status",
+        **{**script.status, "words": "No force: nothing is touched; the surface is 8.0 mm away."},
+    )
     wait_for(lambda: "nothing is touched" in shown(page, "#words"), "the words")
-    assert [words.partition(":")[0].replace("\u00a0", " ") for words in page.evaluate("said")] == ["1.00 N", "No force"]
+    assert [words.partition(":")[0].replace("\u00a0", " ") for words in page.evaluate("said")] == [
+        "1.00 N",
+        "No force",
+    ]
 
 
 RING = """async (axes) => {
@@ -230,7 +287,9 @@ def test_slow_motion_is_of_the_stop_however_long_ago_that_is(page: Page) -> None
     assert sight == pytest.approx([0.4, 0.74])
     assert t == pytest.approx(0.6)
     assert (force, least) == (-7.0, -7.0)
-    assert (late, is_on) == (None, False), "a page that came too late shows nothing, and nothing else"
+    assert (late, is_on) == (None, False), (
+        "a page that came too late shows nothing, and nothing else"
+    )
 
 
 def test_slow_motion_and_sound_know_all_axes(page: Page) -> None:

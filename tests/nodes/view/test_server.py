@@ -29,12 +29,22 @@ from nodes.view.replay import ReplayPages
 from sim.drill.drill import scene as drill_scene
 from tests.support import ROOT
 from tests.support.browser import url_of, viewing
-from tests.support.launching import HAPTIC, Running, exit_code, haptic, launch_json, running, wait_for
+from tests.support.launching import (
+    HAPTIC,
+    Running,
+    exit_code,
+    haptic,
+    launch_json,
+    running,
+    wait_for,
+)
 
 
 @pytest.fixture(scope="module")
 def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    with running(tmp_path_factory.mktemp("view"), "touch_wall", "--view", "--without", "logger") as found:
+    with running(
+        tmp_path_factory.mktemp("view"), "touch_wall", "--view", "--without", "logger"
+    ) as found:
         yield found
 
 
@@ -50,7 +60,13 @@ def get(url: str, **headers: str) -> tuple[int, str]:
 
 @contextlib.contextmanager
 def live(url: str, **more: Any) -> Iterator[ClientConnection]:
-    with connect(url.replace("http", "ws") + "live", compression=None, open_timeout=20.0, max_size=1 << 26, **more) as page:
+    with connect(
+        url.replace("http", "ws") + "live",
+        compression=None,
+        open_timeout=20.0,
+        max_size=1 << 26,
+        **more,
+    ) as page:
         yield page
 
 
@@ -60,11 +76,14 @@ def texts(page: ClientConnection, kind: str, **wanted: Any) -> dict[str, Any]:
         found = page.recv(timeout=30.0)
         if isinstance(found, str):
             document: dict[str, Any] = json.loads(found)
-            if document["type"] == kind and all(document.get(key) == value for key, value in wanted.items()):
+            if document["type"] == kind and all(
+                document.get(key) == value for key, value in wanted.items()
+            ):
                 return document
 
 
-# Tests with a launch of their own, or none, come first: the one that is shared would only go on beside them.
+# Tests with a launch of their own, or none, come first: the one that is shared would only go on
+# beside them.
 
 
 def test_stop_waits_for_no_node_that_does_not_answer(tmp_path: Path) -> None:
@@ -104,9 +123,15 @@ def test_a_view_hears_a_node_again_after_a_message_above_the_limit(tmp_path: Pat
     ):
         wait_for(lambda: "link" in texts(page, "status")["nodes"], "the node")
         launch.call("link", "param.set", values={"oversize": MAX_MESSAGE + 1})
-        wait_for(lambda: texts(page, "status") and "longer than" in told.read_text(), "the link is connected anew")
+        wait_for(
+            lambda: texts(page, "status") and "longer than" in told.read_text(),
+            "the link is connected anew",
+        )
         after = texts(page, "status")["t"] + SILENT_NODE + 1.0
-        wait_for(lambda: (status := texts(page, "status"))["t"] > after and heard(status), "the node again")
+        wait_for(
+            lambda: (status := texts(page, "status"))["t"] > after and heard(status),
+            "the node again",
+        )
 
 
 @pytest.mark.slow
@@ -132,7 +157,10 @@ def test_a_recording_is_replayed_with_a_time_slider(tmp_path: Path) -> None:
         assert "this is a recording" in ask(op="law", field="stiffness", value=1.0)["error"]
         assert "this is a recording" in ask(op="stop")["error"]
         ask(op="seek", t=6.0)
-        frame = wait_for(lambda: found if isinstance(found := page.recv(timeout=20.0), bytes) else None, "a frame")
+        frame = wait_for(
+            lambda: found if isinstance(found := page.recv(timeout=20.0), bytes) else None,
+            "a frame",
+        )
         time, _, _, z = struct.unpack_from("<4d", frame, 16)
         # At rest under the softer law: the recording's own last position.
         assert time == pytest.approx(6.0)
@@ -236,7 +264,13 @@ def test_a_page_asks_what_it_may_and_nothing_else(launch: Running) -> None:
         assert "no node is named" in ask(op="set", node="../x", values={"a": 1})["error"]
         assert "law" in ask(op="law", field="stiffness", value=1.0, force=True)["error"]
         assert "three numbers" in ask(op="hand", target=[1, 2])["error"]
-        for judge, value in (("stability", "off"), ("fallback", ""), ("budget", 1.0), ("plant.mass", 9.0), ("plant", {})):
+        for judge, value in (
+            ("stability", "off"),
+            ("fallback", ""),
+            ("budget", 1.0),
+            ("plant.mass", 9.0),
+            ("plant", {}),
+        ):
             refused = ask(op="set", node="coupling", values={"ramp": 41, judge: value})
             assert "judges what is set here" in refused["error"], judge
         done = ask(op="set", node="coupling", values={"ramp": 40})
@@ -253,10 +287,22 @@ def test_a_page_asks_what_it_may_and_nothing_else(launch: Running) -> None:
 def test_a_slider_of_a_law_that_renders_no_more_changes_no_other(launch: Running) -> None:
     before = launch.call("coupling", "param.get", name="laws.pd.damping")
     with live(url_of(launch)) as page:
-        page.send(json.dumps({"id": 3, "op": "law", "field": "damping", "value": 1.1 * before, "law": "multi_term"}))
+        page.send(
+            json.dumps(
+                {
+                    "id": 3,
+                    "op": "law",
+                    "field": "damping",
+                    "value": 1.1 * before,
+                    "law": "multi_term",
+                }
+            )
+        )
         assert "pd renders by now, not multi_term" in texts(page, "answer", id=3)["error"]
         assert launch.call("coupling", "param.get", name="laws.pd.damping") == before
-        page.send(json.dumps({"id": 4, "op": "law", "field": "damping", "value": before, "law": "pd"}))
+        page.send(
+            json.dumps({"id": 4, "op": "law", "field": "damping", "value": before, "law": "pd"})
+        )
         assert texts(page, "answer", id=4)["ok"]
 
 
@@ -304,7 +350,8 @@ def test_a_client_that_reads_nothing_is_dropped_and_costs_no_memory(launch: Runn
     before = memory()
     with contextlib.ExitStack() as idle:
         for _ in range(4):
-            # What they did not read stands before the answer to a close, which is not worth waiting for.
+            # What they did not read stands before the answer to a close, which is not worth waiting
+            # for.
             idle.enter_context(live(url_of(launch), max_queue=1, close_timeout=0.1))
         launch.wait_ticks(1500)
         # Four rings of a minute would be 15 MB; a frame under way each is far below 4.
@@ -319,7 +366,12 @@ def test_no_command_line_holds_the_token(launch: Running, tmp_path: Path) -> Non
     leader, follower = pty.openpty()
     process = subprocess.Popen(
         [*HAPTIC, "view"],
-        env={**launch.environment, "DISPLAY": ":0", "BROWSER": f"{browser} %s", "TMPDIR": str(tmp_path)},
+        env={
+            **launch.environment,
+            "DISPLAY": ":0",
+            "BROWSER": f"{browser} %s",
+            "TMPDIR": str(tmp_path),
+        },
         stdin=follower,
         stdout=follower,
         stderr=subprocess.STDOUT,
@@ -360,9 +412,13 @@ def test_the_delay_is_the_device_s_own_and_the_law_is_judged_with_it(launch: Run
         assert ask(op="delay", ticks=ticks)["ok"]
         assert launch.call("driver", "param.get", name="device.delay") == ticks
         assert launch.call("coupling", "param.get", name="plant.device_delay") == ticks
-        found = wait_for(lambda: (now := texts(page, "map")) and now["plant"]["device_delay"] == ticks and now, "the map")
+        found = wait_for(
+            lambda: (now := texts(page, "map")) and now["plant"]["device_delay"] == ticks and now,
+            "the map",
+        )
         assert found["k_max_n_per_m"] < sooner["k_max_n_per_m"]
-        # The edge over the delay comes down, and where it meets the present stiffness is the margin.
+        # The edge over the delay comes down, and where it meets the present stiffness is the
+        # margin.
         rows = [(delay, high) for delay, _, high in found["over_delay"] if high is not None]
         meets = found["delay_ticks"] + found["delay_margin_ticks"]
         assert all(high > found["k_n_per_m"] for delay, high in rows if delay < meets)

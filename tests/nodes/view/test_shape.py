@@ -30,7 +30,12 @@ def turned_box(p: Corners) -> Corners:
 
 def rod(p: Corners) -> Corners:
     """Tell how far off a capsule of radius 10 mm along x, from 0 to 50 mm."""
-    return np.asarray(np.linalg.norm(p - np.stack([np.clip(p[:, 0], 0.0, 0.05), 0 * p[:, 0], 0 * p[:, 0]], 1), axis=1) - 0.01)
+    return np.asarray(
+        np.linalg.norm(
+            p - np.stack([np.clip(p[:, 0], 0.0, 0.05), 0 * p[:, 0], 0 * p[:, 0]], 1), axis=1
+        )
+        - 0.01
+    )
 
 
 def can(p: Corners) -> Corners:
@@ -44,19 +49,35 @@ def can(p: Corners) -> Corners:
     [
         ({"kind": "sphere", "position": [0.05, 0.01, -0.03], "radius": 0.035}, ball),
         (
-            {"kind": "box", "position": [0.01, 0.0, 0.0], "size": [0.02, 0.04, 0.06], "rotation": [0.0, 0.0, math.pi / 2]},
+            {
+                "kind": "box",
+                "position": [0.01, 0.0, 0.0],
+                "size": [0.02, 0.04, 0.06],
+                "rotation": [0.0, 0.0, math.pi / 2],
+            },
             turned_box,
         ),
-        ({"kind": "capsule", "start": [0.0, 0.0, 0.0], "end": [0.05, 0.0, 0.0], "radius": 0.01}, rod),
-        ({"kind": "cylinder", "start": [0.0, 0.0, 0.0], "end": [0.0, 0.0, 0.04], "radius": 0.01}, can),
+        (
+            {"kind": "capsule", "start": [0.0, 0.0, 0.0], "end": [0.05, 0.0, 0.0], "radius": 0.01},
+            rod,
+        ),
+        (
+            {"kind": "cylinder", "start": [0.0, 0.0, 0.0], "end": [0.0, 0.0, 0.04], "radius": 0.01},
+            can,
+        ),
         (
             {"kind": "oriented_plane", "position": [0.0, 0.01, 0.0], "normal": [0.0, 1.0, 1.0]},
             lambda p: p[:, 1] + p[:, 2] - 0.01,
         ),
-        ({"kind": "mesh", "file": "cube.obj", "scale": 0.02}, lambda p: np.minimum(np.abs(p), np.abs(p - 0.02)).max(1)),
+        (
+            {"kind": "mesh", "file": "cube.obj", "scale": 0.02},
+            lambda p: np.minimum(np.abs(p), np.abs(p - 0.02)).max(1),
+        ),
     ],
 )
-def test_every_corner_of_every_kind_lies_on_its_surface(surface: dict[str, Any], off: Any, tmp_path: Path) -> None:
+def test_every_corner_of_every_kind_lies_on_its_surface(
+    surface: dict[str, Any], off: Any, tmp_path: Path
+) -> None:
     if "file" in surface:
         (tmp_path / "cube.obj").write_text(CUBE, encoding="utf-8")
         surface = {**surface, "file": str(tmp_path / "cube.obj")}
@@ -67,7 +88,9 @@ def test_every_corner_of_every_kind_lies_on_its_surface(surface: dict[str, Any],
 
 
 def test_a_flat_wall_is_a_patch_and_nothing_is_nothing() -> None:
-    patch = np.array(shape_of({"surface": {"kind": "plane", "axis": "x", "position": 0.02}})["triangles"]).reshape(-1, 3)
+    patch = np.array(
+        shape_of({"surface": {"kind": "plane", "axis": "x", "position": 0.02}})["triangles"]
+    ).reshape(-1, 3)
     assert np.all(patch[:, 0] == 0.02)
     assert np.ptp(patch[:, 1]) == pytest.approx(0.16)
     assert shape_of({"surface": {"kind": "free"}}) == {}

@@ -76,7 +76,9 @@ def test_of_two_views_beside_one_launch_one_has_the_hand(tmp_path: Path, clock: 
     reader.close()
 
 
-def test_a_tap_does_not_keep_a_page_of_another_view_from_the_hand(tmp_path: Path, clock: Clock) -> None:
+def test_a_tap_does_not_keep_a_page_of_another_view_from_the_hand(
+    tmp_path: Path, clock: Clock
+) -> None:
     reader = PointerReader(tmp_path / "p", 60.0)
     first, second = SharedHand(tmp_path / "p"), SharedHand(tmp_path / "p")
     for hand in (first, second):

@@ -33,7 +33,13 @@ def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     folder = tmp_path_factory.mktemp("space")
     content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
     content["run"]["axes"] = ["x", "y", "z"]
-    ball = {"kind": "sphere", "position": CENTRE, "radius": RADIUS, "tool_radius": 0.0, "friction": {"static": 0.3}}
+    ball = {
+        "kind": "sphere",
+        "position": CENTRE,
+        "radius": RADIUS,
+        "tool_radius": 0.0,
+        "friction": {"static": 0.3},
+    }
     content["nodes"]["environment"]["parameters"]["surface"] = ball
     (folder / "ball.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
     with running(folder, str(folder / "ball.yaml"), "--view") as found:
@@ -47,23 +53,41 @@ def page(browser: Browser, launch: Running) -> Iterator[Page]:
         yield found
 
 
-# A test with a launch of its own comes first: the one that is shared, and its page, would only go on beside it.
+# A test with a launch of its own comes first: the one that is shared, and its page, would only go
+# on beside it.
 
 
 @pytest.mark.slow
-def test_bodies_are_where_the_environment_has_them_and_where_a_replay_finds_them(browser: Browser, tmp_path: Path) -> None:
+def test_bodies_are_where_the_environment_has_them_and_where_a_replay_finds_them(
+    browser: Browser, tmp_path: Path
+) -> None:
     """A box that is pushed: live from the environment, in a replay from the scene stepped again, which is the same."""
     pytest.importorskip("mujoco")
-    with running(tmp_path, "stack_boxes", "--view", "duration:=0") as launch, OpenPage(browser, url_of(launch)) as page:
-        wait_for(lambda: page.evaluate("haptic.space.solids?.poses?.length === 4"), "table, tool and two boxes")
-        wait_for(lambda: page.evaluate("haptic.space.solids.poses[2][0]") > 0.055, "the lower box is pushed")
+    with (
+        running(tmp_path, "stack_boxes", "--view", "duration:=0") as launch,
+        OpenPage(browser, url_of(launch)) as page,
+    ):
+        wait_for(
+            lambda: page.evaluate("haptic.space.solids?.poses?.length === 4"),
+            "table, tool and two boxes",
+        )
+        wait_for(
+            lambda: page.evaluate("haptic.space.solids.poses[2][0]") > 0.055,
+            "the lower box is pushed",
+        )
         wait_for(lambda: page.evaluate("haptic.space.pixels > 0"), "the picture")
-        tool = "Math.hypot(...haptic.space.now.proxy.map((each, k) => each - haptic.space.solids.poses[1][k]))"
+        tool = (
+            "Math.hypot(...haptic.space.now.proxy.map((each, k) => each -"
+            " haptic.space.solids.poses[1][k]))"
+        )
         wait_for(lambda: page.evaluate(tool) < 2e-3, "the tool is the proxy")
         figures = launch.finish(signal.SIGINT)
         # A busy page is behind: what came before this line it has drawn.
         wait_for(lambda: "The run has ended" in shown(page, "#words"), "the end is told")
-        path, poses = tmp_path / figures["recording"], "haptic.space.solids.poses.map((pose) => [...pose])"
+        path, poses = (
+            tmp_path / figures["recording"],
+            "haptic.space.solids.poses.map((pose) => [...pose])",
+        )
         with viewing(tmp_path, "--replay", str(path)) as url, OpenPage(browser, url) as replayed:
             end = """() => { const slider = document.getElementById("seek");
                   slider.value = slider.max;
@@ -75,7 +99,8 @@ def test_bodies_are_where_the_environment_has_them_and_where_a_replay_finds_them
             def near() -> bool:
                 # Poses of moments that are at most some ticks apart, of bodies slower than 0.1 m/s.
                 return all(
-                    math.dist(a[:3], b[:3]) < 5e-3 and max(abs(x - y) for x, y in zip(a[3:], b[3:], strict=True)) < 0.05
+                    math.dist(a[:3], b[:3]) < 5e-3
+                    and max(abs(x - y) for x, y in zip(a[3:], b[3:], strict=True)) < 0.05
                     for a, b in zip(replayed.evaluate(poses), page.evaluate(poses), strict=True)
                 )
 
@@ -86,14 +111,18 @@ def test_bodies_are_where_the_environment_has_them_and_where_a_replay_finds_them
 def test_the_ball_is_where_and_as_large_as_the_geometry_says(page: Page) -> None:
     """Parallel projection: a ball is a disc of its radius about the image of its centre, whatever the camera."""
     for yaw, pitch in ((-0.7, 0.45), (0.9, -0.8)):
-        page.evaluate("([yaw, pitch]) => Object.assign(haptic.space.turn, { yaw, pitch })", [yaw, pitch])
+        page.evaluate(
+            "([yaw, pitch]) => Object.assign(haptic.space.turn, { yaw, pitch })", [yaw, pitch]
+        )
         page.evaluate("haptic.space.draw()")
         u, v, _ = page.evaluate("centre => haptic.space.seen(centre)", CENTRE)
         pixels = float(page.evaluate("haptic.space.pixels"))
         # The camera by hand: yaw about z, then pitch.
         right = [math.cos(yaw), math.sin(yaw), 0.0]
         middle = page.evaluate("haptic.space.turn.middle")
-        assert u == pytest.approx(pixels * sum(r * (c - m) for r, c, m in zip(right, CENTRE, middle, strict=True)))
+        assert u == pytest.approx(
+            pixels * sum(r * (c - m) for r, c, m in zip(right, CENTRE, middle, strict=True))
+        )
         extent = page.evaluate(
             """([u, v]) => {
           const { still } = haptic.space, g = still.getContext("2d"), { width, height } = still;
@@ -102,7 +131,8 @@ def test_the_ball_is_where_and_as_large_as_the_geometry_says(page: Page) -> None
           return [[1, 0], [-1, 0], [0, 1], [0, -1]].map(([du, dv]) => reach(du, dv)); }""",
             [u, v],
         )
-        # 28 by 14 parts: the outline of the polygons is up to 1 - cos(pi/28) inside; lines and pixels add two.
+        # 28 by 14 parts: the outline of the polygons is up to 1 - cos(pi/28) inside; lines and
+        # pixels add two.
         for found in extent:
             assert 0.98 * pixels * RADIUS - 2.0 <= found <= pixels * RADIUS + 2.0
 
@@ -110,7 +140,8 @@ def test_the_ball_is_where_and_as_large_as_the_geometry_says(page: Page) -> None
 COLOURS = {
     name: tuple(bytes.fromhex(code))
     for name, code in re.findall(
-        r"--([a-z-]+): #([0-9a-f]{6})\b", (WEB / "style.css").read_text(encoding="utf-8").partition(":root[")[0]
+        r"--([a-z-]+): #([0-9a-f]{6})\b",
+        (WEB / "style.css").read_text(encoding="utf-8").partition(":root[")[0],
     )
 }
 """The light theme's."""
@@ -148,7 +179,8 @@ class Camera:
         if rest < 0.0:
             return None
         x, y, z = (
-            aside * r + above * w + side * math.sqrt(rest) * a for r, w, a in zip(self.right, self.up, self.away, strict=True)
+            aside * r + above * w + side * math.sqrt(rest) * a
+            for r, w, a in zip(self.right, self.up, self.away, strict=True)
         )
         return x, y, z
 
@@ -156,7 +188,10 @@ class Camera:
 def shade(normal: Sequence[float]) -> list[float]:
     """Colour of a face of the ball: brighter towards the light."""
     dark = 1.0 - 0.75 * abs(dot(normal, LIGHT))
-    return [dark * a + (1.0 - dark) * b for a, b in zip(COLOURS["wall-edge"], COLOURS["wall"], strict=True)]
+    return [
+        dark * a + (1.0 - dark) * b
+        for a, b in zip(COLOURS["wall-edge"], COLOURS["wall"], strict=True)
+    ]
 
 
 def test_the_picture_is_the_one_that_a_ray_through_each_pixel_gives(page: Page) -> None:
@@ -171,10 +206,20 @@ def test_the_picture_is_the_one_that_a_ray_through_each_pixel_gives(page: Page) 
     camera = Camera(yaw, pitch, width, height)
     reach = camera.pixels * RADIUS
     at = camera.seen(CENTRE)
-    points = [(at[0] + reach * x / 10.0, at[1] + reach * y / 10.0) for x in range(-12, 13) for y in range(-12, 13)]
+    points = [
+        (at[0] + reach * x / 10.0, at[1] + reach * y / 10.0)
+        for x in range(-12, 13)
+        for y in range(-12, 13)
+    ]
     _, _, found = page.evaluate(read, [yaw, pitch, points])
-    # Faces of 2 pi/28: normals are off by up to 0.11 rad along and across, of 0.75 of the way from colour to colour.
-    off = 0.75 * math.hypot(math.pi / 28.0, math.pi / 28.0) * (COLOURS["wall"][0] - COLOURS["wall-edge"][0]) + 2.0
+    # Faces of 2 pi/28: normals are off by up to 0.11 rad along and across, of 0.75 of the way from
+    # colour to colour.
+    off = (
+        0.75
+        * math.hypot(math.pi / 28.0, math.pi / 28.0)
+        * (COLOURS["wall"][0] - COLOURS["wall-edge"][0])
+        + 2.0
+    )
     told_apart = 0
     for (u, v), (*colour, alpha) in zip(points, found, strict=True):
         far = math.dist((u, v), at)
@@ -186,20 +231,36 @@ def test_the_picture_is_the_one_that_a_ray_through_each_pixel_gives(page: Page) 
             assert back is not None
             assert alpha >= 250, "no gap between faces"
             assert colour == pytest.approx(shade(front), abs=off)
-            told_apart += max(abs(a - b) for a, b in zip(shade(front), shade(back), strict=True)) > 2.0 * off
+            told_apart += (
+                max(abs(a - b) for a, b in zip(shade(front), shade(back), strict=True)) > 2.0 * off
+            )
     # Else a picture that is painted from the front to the back would be as good.
     assert told_apart > 60
 
 
 def test_proxy_device_force_and_cone_are_drawn_where_they_are(page: Page) -> None:
     yaw, pitch = -0.4, 0.6
-    camera = Camera(yaw, pitch, *page.evaluate("[haptic.space.canvas.clientWidth, haptic.space.canvas.clientHeight]"))
-    # Seen from the left of the ball, 15 mm deep; pushed out, and half as much along the surface as into it.
+    camera = Camera(
+        yaw,
+        pitch,
+        *page.evaluate("[haptic.space.canvas.clientWidth, haptic.space.canvas.clientHeight]"),
+    )
+    # Seen from the left of the ball, 15 mm deep; pushed out, and half as much along the surface as
+    # into it.
     normal = tuple(-r for r in camera.right)
-    proxy, device = ([c + k * n for c, n in zip(CENTRE, normal, strict=True)] for k in (RADIUS, RADIUS - 0.015))
+    proxy, device = (
+        [c + k * n for c, n in zip(CENTRE, normal, strict=True)] for k in (RADIUS, RADIUS - 0.015)
+    )
     target = [d - 0.02 * w for d, w in zip(device, camera.up, strict=True)]
     force = [3.0 * n + 1.5 * w for n, w in zip(normal, camera.up, strict=True)]
-    now = {"t": 1.0, "contact": 1, "position": device, "proxy": proxy, "normal": normal, "target": target}
+    now = {
+        "t": 1.0,
+        "contact": 1,
+        "position": device,
+        "proxy": proxy,
+        "normal": normal,
+        "target": target,
+    }
     now |= {"force": force, "asked": force, "distance": -0.015}
     mu = float(page.evaluate("haptic.space.shape.friction"))
     rim = [p + 0.012 * n + 0.012 * mu * w for p, n, w in zip(proxy, normal, camera.up, strict=True)]
@@ -219,7 +280,10 @@ def test_proxy_device_force_and_cone_are_drawn_where_they_are(page: Page) -> Non
     def nearest(name: str, now: dict[str, Any], wanted: Sequence[float]) -> float:
         """How near any of the 25 pixels around a place comes to a colour."""
         data = page.evaluate(read, [yaw, pitch, now, places])[name]
-        apart = (max(abs(a - b) for a, b in zip(data[k : k + 3], wanted, strict=True)) for k in range(0, 100, 4))
+        apart = (
+            max(abs(a - b) for a, b in zip(data[k : k + 3], wanted, strict=True))
+            for k in range(0, 100, 4)
+        )
         return float(min(apart))
 
     for name in ("proxy", "target", "force"):
@@ -231,7 +295,9 @@ def test_proxy_device_force_and_cone_are_drawn_where_they_are(page: Page) -> Non
     # A line 1.5 wide between pixels is at least half its colour, over white or the ball.
     slides, sticks = now, {**now, "force": [3.0 * n for n in normal]}
     for moment, name, other in ((slides, "bad", "good"), (sticks, "good", "bad")):
-        assert nearest("cone", moment, COLOURS[name]) < 0.5 * nearest("cone", moment, COLOURS[other])
+        assert nearest("cone", moment, COLOURS[name]) < 0.5 * nearest(
+            "cone", moment, COLOURS[other]
+        )
 
 
 def test_the_hand_moves_in_the_plane_that_the_camera_looks_at(page: Page, launch: Running) -> None:
@@ -240,7 +306,8 @@ def test_the_hand_moves_in_the_plane_that_the_camera_looks_at(page: Page, launch
     box: Any = page.locator("#space").bounding_box()
 
     def taken() -> Any:
-        # Nobody holds it yet, so it taps by itself every 3 s: it may have moved away under the mouse.
+        # Nobody holds it yet, so it taps by itself every 3 s: it may have moved away under the
+        # mouse.
         page.mouse.up()
         u, v, _ = page.evaluate("haptic.space.seen(haptic.space.now.target)")
         page.mouse.move(box["x"] + box["width"] / 2 + u, box["y"] + box["height"] / 2 + v)
@@ -252,7 +319,9 @@ def test_the_hand_moves_in_the_plane_that_the_camera_looks_at(page: Page, launch
     page.mouse.move(x, y)
     began = page.evaluate("[...haptic.space.held]")
     page.mouse.move(x + 30.0, y - 40.0, steps=3)
-    right, up, pixels = page.evaluate("[haptic.space.camera.right, haptic.space.camera.up, haptic.space.pixels]")
+    right, up, pixels = page.evaluate(
+        "[haptic.space.camera.right, haptic.space.camera.up, haptic.space.pixels]"
+    )
     wanted = [b + (30.0 * r + 40.0 * w) / pixels for b, r, w in zip(began, right, up, strict=True)]
 
     def there() -> bool:
@@ -277,7 +346,9 @@ def test_a_plane_of_section_cuts_the_ball_and_gives_the_plots(page: Page) -> Non
     for plane, across in (("yz", 0), ("xz", 1)):
         page.select_option("#plane", plane)
         lines = page.evaluate("haptic.plots.panels[0].lines")
-        assert [f"device {letter}" in lines for letter in "xyz"] == [letter in plane for letter in "xyz"]
+        assert [f"device {letter}" in lines for letter in "xyz"] == [
+            letter in plane for letter in "xyz"
+        ]
         # Through the ball's middle, where the hand need not be.
         at = CENTRE[across] + 0.2 * RADIUS
         cut = page.evaluate("([across, at]) => haptic.space.solids.cut(across, at)", [across, at])
@@ -315,14 +386,22 @@ def test_keys_move_the_hand_in_three_dimensions_too(page: Page) -> None:
 def test_it_touches_with_a_cone_and_a_spring(page: Page) -> None:
     """What is drawn when the ball is touched; the hand taps by itself along the first axis, or is pulled there."""
     page.evaluate("haptic.space.held = [0.03, 0.012, 0.0]; haptic.space.tell()")
-    page.evaluate("window.holding = setInterval(() => { haptic.space.held = [0.03, 0.012, 0.0]; haptic.space.tell(); }, 50)")
+    page.evaluate(
+        "window.holding = setInterval(() => { haptic.space.held = [0.03, 0.012, 0.0];"
+        " haptic.space.tell(); }, 50)"
+    )
 
     def touched() -> Any:
         contact, proxy, normal = page.evaluate(
             "() => { const { now } = haptic.space; return [now.contact, now.proxy, now.normal]; }"
         )
-        # It may bounce at first: where contact ends within a bin, the bin's last proxy is off the ball.
-        return contact == 1 and math.dist(proxy, CENTRE) == pytest.approx(RADIUS, abs=1e-6) and (proxy, normal)
+        # It may bounce at first: where contact ends within a bin, the bin's last proxy is off the
+        # ball.
+        return (
+            contact == 1
+            and math.dist(proxy, CENTRE) == pytest.approx(RADIUS, abs=1e-6)
+            and (proxy, normal)
+        )
 
     proxy, normal = wait_for(touched, "contact, with the proxy on the ball")
     outward = [(p - c) / RADIUS for p, c in zip(proxy, CENTRE, strict=True)]
@@ -334,7 +413,9 @@ def test_it_touches_with_a_cone_and_a_spring(page: Page) -> None:
 
 
 @pytest.mark.slow
-def test_a_recording_is_looked_at_in_three_dimensions_too(page: Page, browser: Browser, launch: Running) -> None:
+def test_a_recording_is_looked_at_in_three_dimensions_too(
+    page: Page, browser: Browser, launch: Running
+) -> None:
     """The same shape as over the launch, and the poses that were recorded; the run goes on meanwhile."""
     folder = launch.folder
     path = next((folder / "recordings").glob("*.mcap"))
@@ -347,6 +428,7 @@ def test_a_recording_is_looked_at_in_three_dimensions_too(page: Page, browser: B
         moment = "({ t: haptic.space.now.t, position: [...haptic.space.now.position] })"
         replayed.evaluate("document.getElementById('play').click()")
         now = wait_for(lambda: replayed.evaluate(f"haptic.space.now && {moment}"), "a pose")
-        # One picture of the scene for 60 in a second: its pose is that of a tick just before, of which some may be lost.
+        # One picture of the scene for 60 in a second: its pose is that of a tick just before, of
+        # which some may be lost.
         until = round(now["t"] / 0.002)
         assert tuple(now["position"]) in [states.get(seq) for seq in range(until - 20, until + 1)]

@@ -19,7 +19,14 @@ T = 0.002
 PLANT = PlantParameters(mass=0.1, damping=1.0)
 LAWS: list[dict[str, Any]] = [
     {"kind": "pd", "stiffness": 1000.0, "damping": 3.0},
-    {"kind": "pd_alpha", "stiffness": 1000.0, "damping": 3.0, "order": 1.2, "taps": 10, "gains": "paper"},
+    {
+        "kind": "pd_alpha",
+        "stiffness": 1000.0,
+        "damping": 3.0,
+        "order": 1.2,
+        "taps": 10,
+        "gains": "paper",
+    },
     {"kind": "paper_optimum"},
 ]
 
@@ -43,7 +50,9 @@ def test_inside_is_stable_and_outside_is_not(described: dict[str, Any], delay: f
     assert (margin == 0.0) == (radius(described, delay) >= 1.0)
     assert radius(described, delay + margin + 1e-6) > 1.0
     assert margin == 0.0 or radius(described, delay + margin - 1e-6) < 1.0
-    assert found["k_max_n_per_m"] == pytest.approx(next(high for b, _, high in rows if b == found["b_n_s_per_m"]), rel=1e-9)
+    assert found["k_max_n_per_m"] == pytest.approx(
+        next(high for b, _, high in rows if b == found["b_n_s_per_m"]), rel=1e-9
+    )
 
 
 def test_the_edge_for_any_world_lies_below_that_of_a_wall() -> None:
@@ -71,7 +80,9 @@ def test_the_edge_of_a_stepped_tool_is_that_of_its_damping() -> None:
     assert found["k_max_any_world_n_per_m"] == edge
     loose = stability_map(spring, T, msgspec.structs.replace(held, tool_damping=0.0), 0.0)
     assert loose["k_max_any_world_n_per_m"] is None
-    assert "any_world" not in stability_map(spring, T, msgspec.structs.replace(PLANT, partner_mass=0.1), 0.0)
+    assert "any_world" not in stability_map(
+        spring, T, msgspec.structs.replace(PLANT, partner_mass=0.1), 0.0
+    )
 
 
 def test_the_map_follows_law_device_and_delay() -> None:
@@ -80,8 +91,14 @@ def test_the_map_follows_law_device_and_delay() -> None:
     # The closed form of the README: 3781.866 N/m without delay.
     assert plain["k_max_n_per_m"] == pytest.approx(3781.866, abs=1e-3)
     assert stability_map(pd, T, PLANT, 1.0)["k_max_n_per_m"] < 1300.0
-    assert stability_map(pd, T, PlantParameters(mass=0.1, damping=1.0, delay=1.0), 0.0)["delay_ticks"] == 1.0
-    assert stability_map(pd, T, PlantParameters(mass=0.2, damping=1.0), 0.0)["k_max_n_per_m"] != plain["k_max_n_per_m"]
+    assert (
+        stability_map(pd, T, PlantParameters(mass=0.1, damping=1.0, delay=1.0), 0.0)["delay_ticks"]
+        == 1.0
+    )
+    assert (
+        stability_map(pd, T, PlantParameters(mass=0.2, damping=1.0), 0.0)["k_max_n_per_m"]
+        != plain["k_max_n_per_m"]
+    )
     assert not stability_map(parse_law({**LAWS[0], "stiffness": 3800.0}), T, PLANT, 0.0)["stable"]
     assert stability_map(parse_law({**LAWS[0], "stiffness": 3700.0}), T, PLANT, 0.0)["stable"]
 
@@ -90,7 +107,8 @@ def test_the_map_follows_law_device_and_delay() -> None:
 def test_with_a_mass_that_depends_on_the_place_the_worst_is_drawn() -> None:
     pd = parse_law(LAWS[0])
     edges = {
-        mass: stability_map(pd, T, PlantParameters(mass=mass, damping=1.0), 1.0)["k_max_n_per_m"] for mass in (0.05, 0.1, 0.4)
+        mass: stability_map(pd, T, PlantParameters(mass=mass, damping=1.0), 1.0)["k_max_n_per_m"]
+        for mass in (0.05, 0.1, 0.4)
     }
     for light, heavy in ((0.05, 0.1), (0.1, 0.4), (0.05, 0.4)):
         found = stability_map(pd, T, PlantParameters(mass=light, heaviest=heavy, damping=1.0), 1.0)
@@ -107,7 +125,9 @@ def test_what_a_device_says_of_its_masses_goes_into_the_map() -> None:
     assert with_inertia(declared, seen) == PlantParameters(mass=0.08, heaviest=0.2, damping=1.0)
     # What the device tells is as the scene moves it, at a scale of two a quarter of its own mass.
     larger = PlantParameters(mass=0.4, damping=1.0, scale=2.0)
-    assert with_inertia(larger, seen) == PlantParameters(mass=0.32, heaviest=0.8, damping=1.0, scale=2.0)
+    assert with_inertia(larger, seen) == PlantParameters(
+        mass=0.32, heaviest=0.8, damping=1.0, scale=2.0
+    )
     # A hand makes the declared one heavier than the device by itself.
     held = PlantParameters(mass=0.05, heaviest=0.5, damping=1.0)
     assert with_inertia(held, seen) == held
@@ -122,17 +142,27 @@ def test_a_law_without_k_and_b_has_margins_only_and_an_unknown_device_has_none()
     assert found["stable"]
     assert found["delay_margin_ticks"] > 0.0
     assert "plant: {mass" in drawn_map(LAWS[0], T, None, {}, 0.0)["why"]
-    assert "H(1)" in drawn_map({**LAWS[2], "stiffness": 1.0}, T, {"mass": 0.1}, {}, 0.0).get("why", "H(1)")
+    assert "H(1)" in drawn_map({**LAWS[2], "stiffness": 1.0}, T, {"mass": 0.1}, {}, 0.0).get(
+        "why", "H(1)"
+    )
 
 
 def test_what_cannot_be_drawn_is_said() -> None:
     """An error that nobody has thought of left the map of the law before."""
-    for law, declared in (({**LAWS[0], "damping": 1e308}, {"mass": 0.1}), (LAWS[0], {"mass": "heavy"})):
+    for law, declared in (
+        ({**LAWS[0], "damping": 1e308}, {"mass": 0.1}),
+        (LAWS[0], {"mass": "heavy"}),
+    ):
         assert drawn_map(law, T, declared, {}, 0.0)["why"].startswith("No map: ")
 
 
 def test_a_virtual_device_stands_in_for_what_is_not_declared() -> None:
-    device = {"mass": 0.1, "damping": 1.0, "delay": 0.5, "hand": {"mass": 0.05, "damping": 2.0, "stiffness": 150.0}}
+    device = {
+        "mass": 0.1,
+        "damping": 1.0,
+        "delay": 0.5,
+        "hand": {"mass": 0.05, "damping": 2.0, "stiffness": 150.0},
+    }
     plant = plant_of(None, {"device": device})
     assert plant == PlantParameters(mass=0.1 + 0.05, damping=3.0, stiffness=150.0, device_delay=0.5)
     # The device's own delay comes on top of what the loop measures.

@@ -59,14 +59,21 @@ def _act(page: Page, by: str) -> None:
 def test_the_tour_goes_on_when_what_it_asks_for_is_done(page: Page, launch: Running) -> None:
     """With the keyboard up to the edge, with the mouse past it, and with the keyboard to the end."""
     launch.call("driver", "param.set", values={"device.delay": 0.0})
-    launch.call("coupling", "param.set", values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0})
+    launch.call(
+        "coupling", "param.set", values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0}
+    )
     launch.call("coupling", "law.switch", law="pd")
-    wait_for(lambda: page.evaluate("haptic.dial.edge !== null && haptic.dial.stiffness === 1000"), "the dial")
+    wait_for(
+        lambda: page.evaluate("haptic.dial.edge !== null && haptic.dial.stiffness === 1000"),
+        "the dial",
+    )
     page.locator("#tour-begin").focus()
     page.keyboard.press("Enter")
 
     def stands(words: str, step: int) -> bool:
-        return shown(page, "#sentence").startswith(f"{step} of 5") and words in shown(page, "#sentence")
+        return shown(page, "#sentence").startswith(f"{step} of 5") and words in shown(
+            page, "#sentence"
+        )
 
     assert stands("Touch it", 1)
 
@@ -75,7 +82,8 @@ def test_the_tour_goes_on_when_what_it_asks_for_is_done(page: Page, launch: Runn
         return stands("Make it harder", 2)
 
     wait_for(touched, "a touch is seen")
-    # The edge moves with the delay that is measured: what counts is the one at which the button was pressed.
+    # The edge moves with the delay that is measured: what counts is the one at which the button was
+    # pressed.
     page.evaluate("""document.getElementById("tour-act").addEventListener(
       "click", () => { window.edge = haptic.dial.edge; }, { capture: true, once: true })""")
     _act(page, "keyboard")
@@ -96,13 +104,16 @@ def test_the_tour_goes_on_when_what_it_asks_for_is_done(page: Page, launch: Runn
     page.mouse.up()
 
     def acted(wanted: str) -> bool:
-        # Pressed at once where it is wanted still: what was pressed before may come true meanwhile, and the tour go on.
+        # Pressed at once where it is wanted still: what was pressed before may come true meanwhile,
+        # and the tour go on.
         page.evaluate(f"({wanted}) || document.getElementById('tour-act').click()")
         return bool(within(lambda: page.evaluate(wanted), 2.0))
 
     def calm() -> bool:
         # What rings may be stopped a moment later, and is then started again.
-        return page.locator("#again").is_enabled() and acted("!haptic.slow.on && haptic.dial.stiffness < haptic.dial.edge")
+        return page.locator("#again").is_enabled() and acted(
+            "!haptic.slow.on && haptic.dial.stiffness < haptic.dial.edge"
+        )
 
     wait_for(calm, "back below the edge")
 
@@ -117,7 +128,10 @@ def test_the_tour_goes_on_when_what_it_asks_for_is_done(page: Page, launch: Runn
     page.evaluate("navigator.clipboard.writeText = () => Promise.resolve()")
     page.locator("#share").click()
     told = page.evaluate("Object.fromEntries(new URLSearchParams(location.hash.slice(1)))")
-    assert (told["law"], float(told["d"])) == ("pd", launch.call("driver", "param.get", name="device.delay"))
+    assert (told["law"], float(told["d"])) == (
+        "pd",
+        launch.call("driver", "param.get", name="device.delay"),
+    )
     _act(page, "keyboard")
     wait_for(lambda: not page.locator("#tour").is_visible(), "the tour is over")
     assert page.evaluate("haptic.beside.law") not in ("", "pd")

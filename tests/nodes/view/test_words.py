@@ -12,20 +12,35 @@ from messages.types import DeviceState, Event, Force, Proxy
 from nodes.driver.force_words import cause_of, explain
 from nodes.view.ringing import Ringing
 
-STATE = DeviceState(seq=9, stamp=0.0, position=(0.021, 0.0, 0.0), force=(-1.0, 0.0, 0.0), force_seq=8)
+STATE = DeviceState(
+    seq=9, stamp=0.0, position=(0.021, 0.0, 0.0), force=(-1.0, 0.0, 0.0), force_seq=8
+)
 PROXY = Proxy(
-    seq=9, stamp=0.0, position=(0.021, 0.0, 0.0), proxy=(0.02, 0.0, 0.0), normal=(-1.0, 0.0, 0.0), distance=-0.001, contact=True
+    seq=9,
+    stamp=0.0,
+    position=(0.021, 0.0, 0.0),
+    proxy=(0.02, 0.0, 0.0),
+    normal=(-1.0, 0.0, 0.0),
+    distance=-0.001,
+    contact=True,
 )
 FORCE = Force(seq=8, stamp=0.0, force=(-1.0, 0.0, 0.0), law="pd")
 NONE = (0.0, 0.0, 0.0)
 
 
 def told(
-    state: dict[str, Any] | None = None, proxy: dict[str, Any] | None = None, force: Any = None, silent: float = 0.0
+    state: dict[str, Any] | None = None,
+    proxy: dict[str, Any] | None = None,
+    force: Any = None,
+    silent: float = 0.0,
 ) -> Any:
     replace = msgspec.structs.replace
     return explain(
-        replace(STATE, **(state or {})), replace(PROXY, **(proxy or {})), replace(FORCE, **(force or {})), silent, ""
+        replace(STATE, **(state or {})),
+        replace(PROXY, **(proxy or {})),
+        replace(FORCE, **(force or {})),
+        silent,
+        "",
     )
 
 
@@ -41,10 +56,26 @@ def told(
         ({"force": {"law": "fallback"}}, "warn", "the law failed"),
         ({"force": {"force": (-12.0, 0.0, 0.0)}}, "warn", "1.00 N of the 12.00 N"),
         ({"force": {"force": (-12.0, 0.0, 0.0), "seq": 9}}, "ok", "1.00 N: pd pushes back"),
-        ({"proxy": {"contact": False, "distance": 0.008}, "state": {"force": NONE}}, "rest", "the surface is 8.0 mm away"),
-        ({"proxy": {"contact": False, "normal": NONE}, "state": {"force": NONE}}, "rest", "there is nothing to touch"),
-        ({"state": {"force": NONE}, "force": {"force": NONE}}, "rest", "renders none at this deflection"),
-        ({"state": {"safety": "stopped", "force": NONE}}, "stop", "Too hard: the loop swung, and the driver stopped it."),
+        (
+            {"proxy": {"contact": False, "distance": 0.008}, "state": {"force": NONE}},
+            "rest",
+            "the surface is 8.0 mm away",
+        ),
+        (
+            {"proxy": {"contact": False, "normal": NONE}, "state": {"force": NONE}},
+            "rest",
+            "there is nothing to touch",
+        ),
+        (
+            {"state": {"force": NONE}, "force": {"force": NONE}},
+            "rest",
+            "renders none at this deflection",
+        ),
+        (
+            {"state": {"safety": "stopped", "force": NONE}},
+            "stop",
+            "Too hard: the loop swung, and the driver stopped it.",
+        ),
         ({"silent": 0.51}, "stop", "nothing has come from the driver for 0.5 s"),
     ],
 )
@@ -58,28 +89,53 @@ def test_before_the_first_tick() -> None:
     assert explain(None, None, None, 9.0)[1] == "No force: the driver has not ticked yet."
     assert explain(STATE, None, None, 0.0)[1] == "1.00 N: the environment has not answered yet."
     unanswered = msgspec.structs.replace(STATE, force=NONE)
-    assert explain(unanswered, None, None, 0.0)[1] == "No force: the environment has not answered yet."
+    assert (
+        explain(unanswered, None, None, 0.0)[1] == "No force: the environment has not answered yet."
+    )
     assert (
         "(coupling silent)"
-        in explain(msgspec.structs.replace(STATE, safety="zero", force=NONE), PROXY, FORCE, 0.0, "coupling silent")[1]
+        in explain(
+            msgspec.structs.replace(STATE, safety="zero", force=NONE),
+            PROXY,
+            FORCE,
+            0.0,
+            "coupling silent",
+        )[1]
     )
 
 
 def test_a_stop_is_told_by_its_strokes() -> None:
-    data = {"cause": 9.0, "tick": 7.0, "limit_n": 10.0, "strokes": 6.0, "span_s": 0.25, "energy_j": 0.0653}
-    event = Event(seq=7, stamp=0.0, node="driver", kind="stopped", reason="put otherwise", data=data)
+    data = {
+        "cause": 9.0,
+        "tick": 7.0,
+        "limit_n": 10.0,
+        "strokes": 6.0,
+        "span_s": 0.25,
+        "energy_j": 0.0653,
+    }
+    event = Event(
+        seq=7, stamp=0.0, node="driver", kind="stopped", reason="put otherwise", data=data
+    )
     assert cause_of(event) == "6 strokes to the limit of 10 N within 0.25 s, 0.0653 J given out"
     # Of an older recording, another package, or a number that was not finite: the sentence itself.
-    for less in ({}, {"cause": 99.0}, {key: value for key, value in data.items() if key != "span_s"}):
+    for less in (
+        {},
+        {"cause": 99.0},
+        {key: value for key, value in data.items() if key != "span_s"},
+    ):
         assert cause_of(msgspec.structs.replace(event, data=less)) == "put otherwise"
 
 
-@pytest.mark.parametrize(("hertz", "rings"), [(2.0, False), (10.0, False), (20.0, True), (60.0, True), (160.0, True)])
+@pytest.mark.parametrize(
+    ("hertz", "rings"), [(2.0, False), (10.0, False), (20.0, True), (60.0, True), (160.0, True)]
+)
 def test_a_force_that_goes_to_and_fro_rings(hertz: float, rings: bool) -> None:
     """A wall that only pushes, at 500 Hz: nobody's hand taps 20 times a second."""
     period, watched = 0.002, Ringing()
     for tick in range(500):
-        watched.take(tick * period, -2.0 * max(0.0, math.sin(2.0 * math.pi * hertz * tick * period)))
+        watched.take(
+            tick * period, -2.0 * max(0.0, math.sin(2.0 * math.pi * hertz * tick * period))
+        )
     found = watched.ring()
     assert (found is not None) == rings
     if found is not None:

@@ -28,7 +28,10 @@ def shows_progress(message: dict[str, Any]) -> bool:
 
 
 def in_a_kernel(
-    folder: Path, code: str, begun: Callable[[dict[str, Any]], bool], then: Callable[[KernelManager], None]
+    folder: Path,
+    code: str,
+    begun: Callable[[dict[str, Any]], bool],
+    then: Callable[[KernelManager], None],
 ) -> list[dict[str, Any]]:
     """Run a cell in a kernel, do something to it once it has begun, and collect what it says until it is idle."""
     manager = KernelManager(kernel_name="python3")
@@ -73,7 +76,9 @@ haptic.study("relatives", mass=0.1, fresh=True)
     [(LAUNCH, shows_progress), pytest.param(STUDY, says_ready, marks=pytest.mark.slow)],
     ids=["launch", "study"],
 )
-def test_an_interrupted_cell_leaves_nothing(code: str, begun: Callable[[dict[str, Any]], bool]) -> None:
+def test_an_interrupted_cell_leaves_nothing(
+    code: str, begun: Callable[[dict[str, Any]], bool]
+) -> None:
     with private_runtime_dir() as folder:
         told = in_a_kernel(folder, code, begun, KernelManager.interrupt_kernel)
         (error,) = (message["content"] for message in told if message["msg_type"] == "error")

@@ -25,6 +25,8 @@ def test_a_notebook_runs(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(folder))
         NotebookClient(notebook, timeout=120, kernel_name="python3").execute(cwd=str(folder))
         assert_nothing_left(folder)
-    shown = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
+    shown = [
+        output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs
+    ]
     assert not any(output.output_type == "error" for output in shown)
     assert any("image/png" in output.get("data", {}) for output in shown)

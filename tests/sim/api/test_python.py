@@ -43,10 +43,15 @@ def test_everything_that_is_offered_is_there_and_documented() -> None:
 
 
 def test_it_loads_nothing_until_it_is_used() -> None:
-    code = "import sys; before = set(sys.modules); import haptic; print(*sorted(set(sys.modules) - before))"
+    code = (
+        "import sys; before = set(sys.modules); import haptic; print(*sorted(set(sys.modules) -"
+        " before))"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
-    assert loaded.isdisjoint({"numpy", "numba", "scipy", "matplotlib", "zmq", "msgspec", "asyncio", "typing"}), loaded
+    assert loaded.isdisjoint(
+        {"numpy", "numba", "scipy", "matplotlib", "zmq", "msgspec", "asyncio", "typing"}
+    ), loaded
 
 
 @pytest.mark.parametrize(
@@ -84,7 +89,9 @@ def test_whatever_means_a_law_is_taken() -> None:
     pd = haptic.law("pd", stiffness=1500, damping=3)
     # PD is h = [K + B/T, −B/T]: three ways to say the same law (THEORY.md §1).
     for law in (mapping, pd, [1500 + 3 / 0.002, -3 / 0.002], pd.compile(0.002)):
-        assert haptic.poles(law, plant).radius == pytest.approx(haptic.poles(pd, plant).radius, abs=1e-12)
+        assert haptic.poles(law, plant).radius == pytest.approx(
+            haptic.poles(pd, plant).radius, abs=1e-12
+        )
     assert haptic.law(pd, stiffness=800) == PD(stiffness=800.0, damping=3.0)
     with pytest.raises(TypeError, match=r"3 is no law: expected a kind, a preset"):
         haptic.law(3)  # type: ignore[arg-type]
@@ -104,7 +111,9 @@ def test_k_max_is_the_closed_form_and_the_edge_of_the_poles() -> None:
 
 
 def test_results_show_themselves() -> None:
-    fallen = haptic.drop({"kind": "pd", "stiffness": 1000, "damping": 3}, haptic.Plant(0.002, 0.1, 1.0))
+    fallen = haptic.drop(
+        {"kind": "pd", "stiffness": 1000, "damping": 3}, haptic.Plant(0.002, 0.1, 1.0)
+    )
     assert fallen.settled
     # At rest the spring bears the weight.
     assert fallen.final_position_m == pytest.approx(-0.1 * 9.81 / 1000.0, rel=1e-6)
@@ -130,7 +139,9 @@ def test_a_played_drop_tells_whether_it_settles() -> None:
 
 
 def test_a_launch_is_the_run_in_one_process(place: Path) -> None:
-    with haptic.launch("floor_drop", stiffness=1500, pace="lockstep", duration=0.4, out_dir=place / "r") as run:
+    with haptic.launch(
+        "floor_drop", stiffness=1500, pace="lockstep", duration=0.4, out_dir=place / "r"
+    ) as run:
         summary = run.wait()
     assert (summary.exit_reason, summary.ticks) == ("done", 200)
     played = haptic.play("floor_drop", stiffness=1500, duration=0.4)
@@ -139,7 +150,9 @@ def test_a_launch_is_the_run_in_one_process(place: Path) -> None:
 
 
 def test_the_readme_s_lines_run(place: Path) -> None:
-    (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    (block,) = re.findall(
+        r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL
+    )
     names: dict[str, Any] = {}
     exec(compile(block, "README.md", "exec"), names)  # noqa: S102  # our own page
     # The closed form (THEORY.md §3), by the page's own numbers.
@@ -161,7 +174,9 @@ def test_a_launch_is_changed_recorded_and_left_while_it_runs(place: Path) -> Non
         assert len(extra["time"]) > 50
     assert run.summary.exit_reason == "SIGINT"
     assert not run.running
-    with pytest.raises(haptic.HapticError, match=r"has ended, and nobody answers param\.set any more"):
+    with pytest.raises(
+        haptic.HapticError, match=r"has ended, and nobody answers param\.set any more"
+    ):
         run.param["coupling.laws.pd.stiffness"] = 900
 
 

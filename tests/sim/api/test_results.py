@@ -19,7 +19,10 @@ from sim.api.notebook_results import Result
 from sim.api.verbs import Answer, _words
 from tests.support.launching import assert_nothing_left, private_runtime_dir
 
-MODULES = [importlib.import_module(f"sim.api.{found.name}") for found in pkgutil.iter_modules(sim.api.__path__)]
+MODULES = [
+    importlib.import_module(f"sim.api.{found.name}")
+    for found in pkgutil.iter_modules(sim.api.__path__)
+]
 
 LAW = {"kind": "pd", "stiffness": 1000, "damping": 3}
 PLANT = haptic.Plant(0.002, 0.1, 1.0)
@@ -103,19 +106,26 @@ def test_an_answer_is_the_rows_of_its_study_and_its_picture(place: Path) -> None
     with pytest.raises(haptic.LaunchError, match=r"--gain"):
         haptic.study("kmax", law="pd")
     # The remedy, without a page of options before it.
-    with pytest.raises(haptic.LaunchError, match=r"exit code 2: haptic study kmax: error: .*--gan.*did you mean --gain"):
+    with pytest.raises(
+        haptic.LaunchError,
+        match=r"exit code 2: haptic study kmax: error: .*--gan.*did you mean --gain",
+    ):
         haptic.study("kmax", law="pd", gan=3)
     with pytest.raises(haptic.LaunchError, match="no launch file is named 'nosuch'"):
         haptic.tune("nosuch")
 
 
 def test_an_option_that_is_on_can_be_switched_off() -> None:
-    words = _words({"land": False, "compare": False, "every_delay": True, "delays": [0, 1], "rate": None})
+    words = _words(
+        {"land": False, "compare": False, "every_delay": True, "delays": [0, 1], "rate": None}
+    )
     assert words == ["--no-land", "--every-delay", "--delays", "0", "1"]
 
 
 def test_figures_without_a_picture_are_bars() -> None:
-    drawn = Answer("haptic study x", {"a": {"b": 1.0}, "c": 2, "d": "text", "e": True, "f": None}).plot()
+    drawn = Answer(
+        "haptic study x", {"a": {"b": 1.0}, "c": 2, "d": "text", "e": True, "f": None}
+    ).plot()
     (axes,) = drawn.axes
     assert [label.get_text() for label in axes.get_yticklabels()] == ["a.b", "c"]
     np.testing.assert_array_equal([bar.get_bbox().width for bar in axes.patches], [1.0, 2.0])  # type: ignore[attr-defined]

@@ -38,7 +38,9 @@ from sim.scene.loop import Scene, SceneSurface, run
 few = st.integers(0, 4).map(float)
 
 
-def test_a_chart_does_not_go_on_with_what_another_version_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_chart_does_not_go_on_with_what_another_version_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     diary = tmp_path / "chart.part"
     groups = [Group("group", "title", "cost", "error", (Point("one", 1.0, 2.0),))]
     keep(diary, "kmax", groups)
@@ -57,7 +59,9 @@ def test_front_is_what_nothing_beats(points: list[tuple[float, float]]) -> None:
     marks = on_front([c for c, _ in points], [e for _, e in points])
     for i, (cost, error) in enumerate(points):
         beaten = any(
-            other_cost <= cost and other_error <= error and (other_cost < cost or other_error < error)
+            other_cost <= cost
+            and other_error <= error
+            and (other_cost < cost or other_error < error)
             for j, (other_cost, other_error) in enumerate(points)
             if j != i
         )
@@ -75,7 +79,11 @@ def test_files_hold_every_figure(tmp_path: Path) -> None:
             "t",
             "c",
             "e",
-            (Point("b", 2.0, 1.0, "f", {"x": 1}), Point("a", 1.0, 2.0), Point("c", 3.0, 3.0, "", {"y": "z"})),
+            (
+                Point("b", 2.0, 1.0, "f", {"x": 1}),
+                Point("a", 1.0, 2.0),
+                Point("c", 3.0, 3.0, "", {"y": "z"}),
+            ),
         )
     )
     whole, table = save([group], {"cpu": "?"}, 1.0, tmp_path / "new")
@@ -124,8 +132,11 @@ def test_crossover_lies_between_the_lengths_where_the_order_changes() -> None:
     def timing(seconds: float) -> Timing:
         return Timing(seconds, seconds, seconds, 1)
 
-    # Straight lines n and 20: they cross at 20, which interpolation on logarithmic scales finds exactly.
-    found = TapTimings({n: {"plain": timing(n), "numpy": timing(20.0)} for n in (5, 10, 40, 80)}, True)
+    # Straight lines n and 20: they cross at 20, which interpolation on logarithmic scales finds
+    # exactly.
+    found = TapTimings(
+        {n: {"plain": timing(n), "numpy": timing(20.0)} for n in (5, 10, 40, 80)}, True
+    )
     assert found.crossover("plain", "numpy") == pytest.approx(20.0, rel=1e-12)
     assert found.crossover("numpy", "plain") is None
 
@@ -133,7 +144,9 @@ def test_crossover_lies_between_the_lengths_where_the_order_changes() -> None:
 def test_largest_stable_finds_the_first_change() -> None:
     assert largest_stable(lambda k: k / 321.0, 1.0, 1e4, 1e-9) == pytest.approx(321.0, rel=1e-8)
     # Unstable at first (a leak), then stable, then not.
-    assert largest_stable(lambda k: 0.5 if 10.0 < k < 50.0 else 1.5, 1.0, 1e4, 1e-9) == pytest.approx(50.0, rel=1e-8)
+    assert largest_stable(
+        lambda k: 0.5 if 10.0 < k < 50.0 else 1.5, 1.0, 1e4, 1e-9
+    ) == pytest.approx(50.0, rel=1e-8)
     assert largest_stable(lambda _: 2.0, 1.0, 1e4) == 0.0
     assert largest_stable(lambda _: 0.5, 1.0, 1e4) == pytest.approx(1e4)
 
@@ -153,11 +166,13 @@ def test_equal_demand_is_kept_just_inside_and_broken_just_outside(radius: float)
         return with_stiffness(unit, stiffness, gain, 1.0, 0.002)
 
     stiffness, gain = tuned(way, radius)
-    # To 1e-3 along K, at this gain; the demand is kept by poles at the masses and by H(−1) = K + 2B/T.
+    # To 1e-3 along K, at this gain; the demand is kept by poles at the masses and by H(−1) = K +
+    # 2B/T.
     assert keeps(way(stiffness, gain), radius)
     assert not keeps(way(1.002 * stiffness, gain), radius)
     assert stiffness + 2.0 * gain / 0.002 <= NYQUIST
-    # The design's own search, global and with linear programmes over 801 masses, finds the same best PD.
+    # The design's own search, global and with linear programmes over 801 masses, finds the same
+    # best PD.
     if radius == 0.99:
         best = best_pd(Demand((0.05, 0.2), 1.0, (1.0, 1.0), 0.002, radius, NYQUIST)).found
         assert best is not None
@@ -166,19 +181,23 @@ def test_equal_demand_is_kept_just_inside_and_broken_just_outside(radius: float)
 
 def test_a_long_fir_is_less_precise_than_a_short_recursive_filter_and_easier() -> None:
     """What the paper's section 3 says of the two (THEORY.md §11), over three decades up to half of Nyquist."""
-    fir, filtered = (analyse(kind, 0.5, taps, 0.002) for kind, taps in (("gl", 64), ("oustaloup_matched", 13)))
+    fir, filtered = (
+        analyse(kind, 0.5, taps, 0.002) for kind, taps in (("gl", 64), ("oustaloup_matched", 13))
+    )
     for figure in ("error_aligned", "error_raw", "multiplies"):
         assert fir[figure] > filtered[figure]
     # Easier: no poles that could be unstable, and nothing to choose but its length.
     assert fir["largest_pole"] == 0.0 < filtered["largest_pole"] < 1.0
 
 
-# --- integrators: the reference is scipy's matrix exponential --------------------------------------------------------
+# --- integrators: the reference is scipy's matrix exponential
+# --------------------------------------------------------
 
 
 def test_exact_map_is_right_to_rounding() -> None:
     off = np.max(np.abs(drop(integrators()["exact map"]) - drop(reference())))
-    # 250 ticks of heights below 10 mm, each rounded to 2^−53 of itself and carried on by a stable map.
+    # 250 ticks of heights below 10 mm, each rounded to 2^−53 of itself and carried on by a stable
+    # map.
     assert off < 250 * 2.0**-53 * 0.01 * 10
 
 
@@ -197,7 +216,8 @@ def test_rk4_is_of_fourth_order() -> None:
     assert errors[1] / errors[2] == pytest.approx(16.0, rel=0.05)
 
 
-# --- K_max -----------------------------------------------------------------------------------------------------------
+# --- K_max
+# -----------------------------------------------------------------------------------------------------------
 
 
 def test_pole_radius_is_the_closed_form_where_there_is_one() -> None:
@@ -217,7 +237,8 @@ def test_longer_horizons_read_closer_and_always_low() -> None:
     assert readings[-1] > 0.95 * limit
 
 
-# --- through the processes --------------------------------------------------------------------------------------------
+# --- through the processes
+# --------------------------------------------------------------------------------------------
 
 
 def test_force_error_knows_a_held_force() -> None:
@@ -241,8 +262,17 @@ def test_forces_of_the_processes_are_those_of_one_process() -> None:
     rate, stiffness = 500.0, 400.0
     found = launch(rate, "next_tick", stiffness, "lockstep")
     device = DeviceModel(mass=0.1, damping=1.0, gravity=9.81, position=0.01)
-    scene = Scene(device=device, surface=SceneSurface("plane"), period=1.0 / rate, raw=False, clamp=True, next_tick=True)
-    trace = run(scene, PD(stiffness=stiffness, damping=GAIN).compile(scene.period), len(found.force))
+    scene = Scene(
+        device=device,
+        surface=SceneSurface("plane"),
+        period=1.0 / rate,
+        raw=False,
+        clamp=True,
+        next_tick=True,
+    )
+    trace = run(
+        scene, PD(stiffness=stiffness, damping=GAIN).compile(scene.period), len(found.force)
+    )
     # Lockstep through four processes: the same bits, and exactly one tick late.
     assert found.force.tolist() == trace.force.tolist()
     assert found.delay == 1.0
@@ -251,7 +281,8 @@ def test_forces_of_the_processes_are_those_of_one_process() -> None:
     assert 0.0 < force_error(found.onset, found.force, time, wanted) < 0.5
 
 
-# --- the command ------------------------------------------------------------------------------------------------------
+# --- the command
+# ------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -262,7 +293,16 @@ def chart(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
     out = io.StringIO()
     with redirect_stdout(out):
         code = main(
-            ["study", "chart", "--parts", "derivatives,demand,integrators,kmax", "--quick", "--json", "--out", str(folder)]
+            [
+                "study",
+                "chart",
+                "--parts",
+                "derivatives,demand,integrators,kmax",
+                "--quick",
+                "--json",
+                "--out",
+                str(folder),
+            ]
         )
     assert code == 0
     answer: dict[str, Any] = json.loads(out.getvalue().splitlines()[-1])
@@ -288,7 +328,9 @@ def test_chart_has_every_realisation(chart: tuple[Path, dict[str, Any]]) -> None
 
     _, answer = chart
     for order in ("0.5", "1.5"):
-        families = {p["family"] for p in answer["points"] if p["group"] == f"derivative_time_{order}"}
+        families = {
+            p["family"] for p in answer["points"] if p["group"] == f"derivative_time_{order}"
+        }
         assert families == set(derivative_kinds())
 
 
@@ -304,11 +346,22 @@ def test_chart_conclusions_are_true_to_the_data(chart: tuple[Path, dict[str, Any
         group = [p for p in answer["points"] if p["group"] == f"equal_demand_{order}_stable"]
         stiffest = max(group, key=lambda p: p["detail"]["h1_tuned_n_per_m"])
         assert stiffest["error"] == 0.0
-        assert f"the stiffest, {stiffest['name']}, has {stiffest['detail']['h1_tuned_n_per_m']:.0f} N/m" in equal
-    assert {p["family"] for p in answer["points"] if p["group"] == "equal_demand_1_calm"} >= {"gl", "pd_filtered"}
+        assert (
+            f"the stiffest, {stiffest['name']}, has"
+            f" {stiffest['detail']['h1_tuned_n_per_m']:.0f} N/m" in equal
+        )
+    assert {p["family"] for p in answer["points"] if p["group"] == "equal_demand_1_calm"} >= {
+        "gl",
+        "pd_filtered",
+    }
     assert points["integrator_k_max", "exact map"]["error"] < 1e-9
-    assert points["integrator_k_max", "semi-implicit Euler 10"]["error"] == pytest.approx(1.0 / 9.0, rel=0.05)
-    best = min((p for p in answer["points"] if p["group"] == "derivative_time_0.5"), key=lambda p: p["error"])
+    assert points["integrator_k_max", "semi-implicit Euler 10"]["error"] == pytest.approx(
+        1.0 / 9.0, rel=0.05
+    )
+    best = min(
+        (p for p in answer["points"] if p["group"] == "derivative_time_0.5"),
+        key=lambda p: p["error"],
+    )
     assert f"{best['name']} is the most accurate" in answer["conclusions"][0]
 
 
@@ -330,11 +383,17 @@ def test_unknown_part_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.slow
 def test_bench_taps_answers(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert main(["bench", "taps", "--taps", "4,300", "--rounds", "2", "--json", "--out", str(tmp_path)]) == 0
+    assert (
+        main(
+            ["bench", "taps", "--taps", "4,300", "--rounds", "2", "--json", "--out", str(tmp_path)]
+        )
+        == 0
+    )
     answer = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert answer["same_bits"] is True
     assert [p["taps"] for p in answer["points"]] == [4, 300]
-    # 300 taps in a Python loop against one call into numpy: a factor of ten or so, whatever the machine.
+    # 300 taps in a Python loop against one call into numpy: a factor of ten or so, whatever the
+    # machine.
     assert answer["fastest"]["300"] not in {"plain", "unrolled"}
     # A window looks back over up to 15 samples, a filter multiplies four times.
     assert answer["laws_us"]["pd_windowed"] > answer["laws_us"]["pd_filtered"] > 0.0
@@ -344,7 +403,8 @@ def test_bench_taps_answers(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
 def test_the_best_gain_at_equal_demand_is_not_lost_between_two_tries() -> None:
     way = next(way for name, _, way, _ in laws(1.0, quick=True) if name == "pd")
     best, at = tuned(way, RADII["stable"])
-    # The demand's edge is the least of two masses' edges: a peak with a kink, found again by a dense walk about it.
+    # The demand's edge is the least of two masses' edges: a peak with a kink, found again by a
+    # dense walk about it.
     for gain in np.geomspace(0.7 * at, 1.4 * at, 61).tolist():
         assert not keeps(way(1.002 * best, gain), RADII["stable"])
     assert keeps(way(best, at), RADII["stable"])
@@ -360,7 +420,11 @@ def test_a_stopped_chart_leaves_what_it_has_and_goes_on(
     def integrator_groups(step: Callable[[str], None], quick: bool) -> list[Group]:
         del step, quick
         done.append("integrators")
-        rows = (("exact map", 1.0, 0.0), ("semi-implicit Euler 10", 2.0, 0.1), ("Runge-Kutta 4", 3.0, 1e-9))
+        rows = (
+            ("exact map", 1.0, 0.0),
+            ("semi-implicit Euler 10", 2.0, 0.1),
+            ("Runge-Kutta 4", 3.0, 1e-9),
+        )
         points = tuple(Point(*row) for row in rows)
         names = ("integrator_trajectory", "integrator_k_max")
         return [Group(name, name, "cost", "error", points) for name in names]
@@ -371,11 +435,23 @@ def test_a_stopped_chart_leaves_what_it_has_and_goes_on(
 
     monkeypatch.setattr("sim.chart.integrators.integrator_groups", integrator_groups)
     monkeypatch.setattr("sim.chart.k_max_ways.kmax_groups", stopped)
-    words = ["study", "chart", "--parts", "integrators,kmax", "--quick", "--out", str(tmp_path), "--json"]
+    words = [
+        "study",
+        "chart",
+        "--parts",
+        "integrators,kmax",
+        "--quick",
+        "--out",
+        str(tmp_path),
+        "--json",
+    ]
     assert main(words) == 1
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert told["failures"] == ["kmax: interrupted; the same command goes on here"]
-    assert {point["group"] for point in told["points"]} == {"integrator_trajectory", "integrator_k_max"}
+    assert {point["group"] for point in told["points"]} == {
+        "integrator_trajectory",
+        "integrator_k_max",
+    }
     assert Path(told["page"]).is_file()
     assert main(words) == 1
     again = json.loads(capsys.readouterr().out.splitlines()[-1])
@@ -384,8 +460,13 @@ def test_a_stopped_chart_leaves_what_it_has_and_goes_on(
 
 
 @pytest.mark.slow
-def test_the_panel_of_proxies_has_closed_forms_meshes_and_bodies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["study", "chart", "--parts", "proxies", "--quick", "--json", "--out", str(tmp_path)]) == 0
+def test_the_panel_of_proxies_has_closed_forms_meshes_and_bodies(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert (
+        main(["study", "chart", "--parts", "proxies", "--quick", "--json", "--out", str(tmp_path)])
+        == 0
+    )
     answer = json.loads(capsys.readouterr().out.splitlines()[-1])
     points = {p["name"]: p for p in answer["points"]}
     assert {p["family"] for p in points.values()} == {"closed form", "mesh", "body"}
@@ -395,7 +476,8 @@ def test_the_panel_of_proxies_has_closed_forms_meshes_and_bodies(tmp_path: Path,
     # Half the edges: between half and a quarter of the error.
     assert 0.2 < points["mesh 1280"]["error"] / points["mesh 320"]["error"] < 0.6
     soft, stiff = points["body, 0.5 ms steps"], points["body, 0.5 ms steps, stiff"]
-    # 2 N on MuJoCo's usual contact with a tool of 50 g, about 3 kN/m (`MovingScene.stiffness` measures it): some 0.6 mm.
+    # 2 N on MuJoCo's usual contact with a tool of 50 g, about 3 kN/m (`MovingScene.stiffness`
+    # measures it): some 0.6 mm.
     assert 400.0 < soft["error"] < 900.0
     assert stiff["error"] < 0.1 * soft["error"]
     assert "a tool that is a body" in answer["conclusions"][0]
@@ -409,8 +491,12 @@ def test_ranks_of_a_few_laws_are_no_verdict() -> None:
         assert told == f"{count} laws, too few for a rank correlation of error and stiffness"
     rising = list(map(float, range(12)))
     ranks = "rank correlation of error and stiffness"
-    assert _correlation(rising, rising).startswith(f"accuracy costs stiffness: {ranks} +1.00, n = 12, p = ")
-    assert _correlation(rising, rising[::-1]).startswith(f"accuracy brings stiffness: {ranks} -1.00")
+    assert _correlation(rising, rising).startswith(
+        f"accuracy costs stiffness: {ranks} +1.00, n = 12, p = "
+    )
+    assert _correlation(rising, rising[::-1]).startswith(
+        f"accuracy brings stiffness: {ranks} -1.00"
+    )
     # By Spearman's own table: rs = 0.14 of eight is p = 0.74.
     shuffled = [3.0, 7.0, 0.0, 5.0, 2.0, 6.0, 1.0, 4.0]
     told = _correlation(list(map(float, range(8))), shuffled)

@@ -24,7 +24,9 @@ def test_what_makes_no_sense_is_refused(capsys: pytest.CaptureFixture[str]) -> N
         ("view --pictures here --rounds 1", "--rounds"),
     ],
 )
-def test_what_would_change_nothing_is_refused(words: str, option: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_would_change_nothing_is_refused(
+    words: str, option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert exit_code("bench", *words.split()) == 2
     assert f"{option}: no effect here" in capsys.readouterr().err
 
@@ -32,7 +34,14 @@ def test_what_would_change_nothing_is_refused(words: str, option: str, capsys: p
 def test_ticks_that_the_driver_slept_through_are_missed_too() -> None:
     """Of a machine that stalls they are most, and a page or a listener that makes it stall was not charged with them."""
     states = [
-        DeviceState(seq=seq, stamp=0.002 * seq, position=(0.0, 0.0, 0.0), response=1e-4, missed=missed, overruns=overruns)
+        DeviceState(
+            seq=seq,
+            stamp=0.002 * seq,
+            position=(0.0, 0.0, 0.0),
+            response=1e-4,
+            missed=missed,
+            overruns=overruns,
+        )
         for seq, missed, overruns in ((0, 1, 2), (1, 2, 2), (7, 2, 7), (8, 2, 7), (9, 4, 7))
     ]
     found = responses_in(states, [(0.0, 0.015), (0.0155, 0.0185)])

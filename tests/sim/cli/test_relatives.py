@@ -14,7 +14,14 @@ T = 0.002
 
 
 def job(delay: float) -> dict[str, Any]:
-    return {"mass": [0.1, 0.1], "damping": 1.0, "delay": delay, "nyquist": 1e4, "rate": 500.0, "taps": 8}
+    return {
+        "mass": [0.1, 0.1],
+        "damping": 1.0,
+        "delay": delay,
+        "nyquist": 1e4,
+        "rate": 500.0,
+        "taps": 8,
+    }
 
 
 @pytest.mark.slow
@@ -25,12 +32,17 @@ def test_a_servo_s_damper_keeps_the_bound_on_noise_that_the_others_keep() -> Non
     assert found["h_nyquist_n_per_m"] == pytest.approx(
         found["h1_n_per_m"] + 2.0 * relatives.SERVO * found["law"]["servo_damping"] / T
     )
-    # A referee's search has 439 N/m, this one 454: neither is a quarter of PD's 1866 by more than 5 %.
+    # A referee's search has 439 N/m, this one 454: neither is a quarter of PD's 1866 by more than 5
+    # %.
     assert found["h1_n_per_m"] == pytest.approx(450.0, rel=0.03)
 
 
-@pytest.mark.parametrize(("delay", "ticks"), [(1.0, 1.0), (1.3, 1.5), (1.25, 1.25), (0.01, 0.25), (0.0, 0.0)])
-def test_a_delay_is_rounded_up_to_the_servo_s_next_tick(delay: float, ticks: float, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("delay", "ticks"), [(1.0, 1.0), (1.3, 1.5), (1.25, 1.25), (0.01, 0.25), (0.0, 0.0)]
+)
+def test_a_delay_is_rounded_up_to_the_servo_s_next_tick(
+    delay: float, ticks: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """1.3 ticks were rounded down to 1.25."""
     late: list[int] = []
 

@@ -26,7 +26,10 @@ from tests.support import ROOT, slowly
 from tests.support.dask_cluster import DaskCluster, dask_cluster, own_address
 from tests.support.launching import wait_for
 
-STUDIES = {found.name: f"sim.cli.study.{found.name}" for found in pkgutil.iter_modules(sim.cli.study.__path__)}
+STUDIES = {
+    found.name: f"sim.cli.study.{found.name}"
+    for found in pkgutil.iter_modules(sim.cli.study.__path__)
+}
 
 
 TINY: dict[str, list[str]] = {
@@ -36,7 +39,18 @@ TINY: dict[str, list[str]] = {
     "edge": ["--points", "3"],
     "failures": [],
     "guard": ["--points", "3", "--duration", "2"],
-    "kmax": ["--law", "pd", "--gain", "1..5", "--points", "3", "--method", "simulation", "--horizon", "1000"],
+    "kmax": [
+        "--law",
+        "pd",
+        "--gain",
+        "1..5",
+        "--points",
+        "3",
+        "--method",
+        "simulation",
+        "--horizon",
+        "1000",
+    ],
     "needs": ["floor_drop", "--rounds", "0"],
     "optimise": ["--starts", "2", "--steps", "30", "--rates", "0.03", "--nyquist", "3.05"],
     "price": ["--no-land", "--hand", "0", "--known"],
@@ -112,14 +126,21 @@ def test_every_study_is_known_to_sweep_or_not() -> None:
 
 @pytest.mark.parametrize("name", slowly(TINY))
 def test_a_study_gives_the_same_bits_on_a_cluster(
-    name: str, cluster: DaskCluster, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    name: str,
+    cluster: DaskCluster,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # One order and one demand of six: the jobs carry theirs.
     monkeypatch.setattr("sim.chart.equal_demand.ORDERS", (1.0,))
     monkeypatch.setattr("sim.chart.equal_demand.RADII", {"calm": 0.99})
     words = [name, *TINY[name]]
     # Two studies write no files.
-    alone, beside = ([] if name in ("curved", "proxies") else ["--out", str(tmp_path / kind)] for kind in ("a", "b"))
+    alone, beside = (
+        [] if name in ("curved", "proxies") else ["--out", str(tmp_path / kind)]
+        for kind in ("a", "b")
+    )
     here = study(capsys, *words, *alone, *(["--workers", "1"] if name in LEDGER else []))
     assert here[1], "an empty answer is equal to any other"
     # The same answer makes the same picture, which has been drawn.
@@ -129,14 +150,20 @@ def test_a_study_gives_the_same_bits_on_a_cluster(
 
 @pytest.mark.slow
 def test_two_clients_from_python_give_the_same_bits_at_once(
-    cluster: DaskCluster, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    cluster: DaskCluster,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     distributed: Any = importlib.import_module("distributed")
     monkeypatch.chdir(tmp_path)
     options = {"law": "pd", "gain": "1..5", "points": 3, "method": "simulation", "horizon": 1000}
     _, here = study(capsys, "kmax", *TINY["kmax"], "--out", "alone", "--workers", "1")
     with ThreadPoolExecutor(2) as both, distributed.Client(cluster.address) as client:
-        answers = [both.submit(haptic.study, "kmax", client=client, out=f"{n}", **options) for n in range(2)]
+        answers = [
+            both.submit(haptic.study, "kmax", client=client, out=f"{n}", **options)
+            for n in range(2)
+        ]
         for answer in answers:
             assert without(answer.result(timeout=240.0).answer) == here
     with (
@@ -146,7 +173,8 @@ def test_two_clients_from_python_give_the_same_bits_at_once(
         haptic.study("kmax", client=inside, **options)
 
 
-# -- workers that come, go, and are not what they should be -----------------------------------------------------------
+# -- workers that come, go, and are not what they should be
+# -----------------------------------------------------------
 
 
 def marked(folder: str, number: int) -> int:
@@ -180,13 +208,17 @@ def test_a_worker_that_is_killed_and_one_that_joins_change_nothing(
 def test_a_worker_of_another_version_is_refused(tmp_path: Path) -> None:
     other = tmp_path / "other"
     for package in ("messages", "nodes", "sim", "tests"):
-        shutil.copytree(ROOT / package, other / package, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(
+            ROOT / package, other / package, ignore=shutil.ignore_patterns("__pycache__")
+        )
     with open(other / "sim" / "measure" / "jobs.py", "a", encoding="utf-8") as file:
         file.write("# another version\n")
     with dask_cluster(tmp_path, workers=0) as found:
         found.add_worker(root=other)
         wait_for(lambda: answers(found), "the scheduler", 120.0)
-        with pytest.raises(RefusedError, match=r"another version of haptic-nodes in .*other.*install the same"):
+        with pytest.raises(
+            RefusedError, match=r"another version of haptic-nodes in .*other.*install the same"
+        ):
             spread(arguments(*found.options()), [partial(pow, 2, 3)])
 
 
@@ -194,7 +226,9 @@ def test_a_worker_of_another_version_is_refused(tmp_path: Path) -> None:
 def test_a_scheduler_that_dies_is_told(tmp_path: Path) -> None:
     with dask_cluster(tmp_path, workers=1) as found, ThreadPoolExecutor(1) as beside:
         wait_for(lambda: answers(found), "the scheduler", 120.0)
-        result = beside.submit(spread, arguments(*found.options()), [partial(marked, str(tmp_path), 1)])
+        result = beside.submit(
+            spread, arguments(*found.options()), [partial(marked, str(tmp_path), 1)]
+        )
         wait_for(lambda: any(tmp_path.glob("1-*")), "the job to begin", 120.0)
         found.scheduler.kill()
         (tmp_path / "go").touch()

@@ -15,7 +15,13 @@ from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.laws.presets import preset_names
 from nodes.stability.plant import Plant, held_plant
-from sim.design.any_world import Surroundings, keeps, stiffest_for_any_world, with_pole, zeros_inside
+from sim.design.any_world import (
+    Surroundings,
+    keeps,
+    stiffest_for_any_world,
+    with_pole,
+    zeros_inside,
+)
 from sim.design.any_world_families import (
     fractional_gain,
     stiffest_linear,
@@ -41,12 +47,15 @@ def device(delay: float) -> Surroundings:
 def closed_radius(law: CompiledLaw, plant: Plant, world: tuple[float, float, float]) -> float:
     """Pole radius of device, law and a world of mass, damper and spring, solved in the same tick (backward Euler).
 
-    1 + H (P_d + Y) = 0 with Y = 1/(m s² + b s + k), s = (1 − w)/T: multiplied out, independently of the code.
+    1 + H (P_d + Y) = 0 with Y = 1/(m s² + b s + k), s = (1 − w)/T: multiplied out, independently of
+    the code.
     """
     held, (mass, damper, spring) = held_plant(plant), world
     below, above = np.array(held.denominator), np.append(np.zeros(held.whole + 1), held.numerator)
     s = np.array([1.0, -1.0]) / T
-    yielding = mass * np.convolve(s, s) + damper * np.append(s, 0.0) + spring * np.array([1.0, 0.0, 0.0])
+    yielding = (
+        mass * np.convolve(s, s) + damper * np.append(s, 0.0) + spring * np.array([1.0, 0.0, 0.0])
+    )
     top, bottom = np.array(law.taps), np.array([1.0])
     for b0, b1, a1, a2 in law.sections:
         own = np.array([1.0, a1, a2])
@@ -67,11 +76,14 @@ def test_figures_at_one_tick_are_the_known_ones() -> None:
     surroundings = any_hand(1.0)
     optimum = {"kind": "paper_optimum"}
     assert stiffness(stiffest_pd(surroundings)) == pytest.approx(384.9, abs=0.05)
-    assert stiffness(stiffest_linear("paper_optimum", optimum, surroundings)) == pytest.approx(445.7, abs=0.05)
+    assert stiffness(stiffest_linear("paper_optimum", optimum, surroundings)) == pytest.approx(
+        445.7, abs=0.05
+    )
     taps = stiffest_taps(surroundings, 5)
     assert stiffness(taps) == pytest.approx(469.4, abs=0.05)
     assert taps.design is not None
-    assert taps.design.h_nyquist_n_per_m == pytest.approx(1862.7, rel=2e-3)  # flat: the stiffness says little of it
+    # flat: the stiffness says little of it
+    assert taps.design.h_nyquist_n_per_m == pytest.approx(1862.7, rel=2e-3)
     assert taps.design.bound_n_per_m == pytest.approx(469.43, abs=0.01)
     assert surroundings.limit == 500.0
 
@@ -79,13 +91,20 @@ def test_figures_at_one_tick_are_the_known_ones() -> None:
 def test_one_pole_is_the_stiffest_and_pays_in_noise() -> None:
     """K/(1 + ρ w): 1/H = g0 + g1 w, Re{D G} is linear; |H(−1)| ≤ 1e4 leaves 487.8 N/m (1/(1/500 + 1/20 000))."""
     poles = np.linspace(-0.91, -0.89, 21).tolist()
-    found = [design for pole in poles if (design := stiffest_for_any_world(any_hand(1.0), np.eye(1), pole=pole))]
+    found = [
+        design
+        for pole in poles
+        if (design := stiffest_for_any_world(any_hand(1.0), np.eye(1), pole=pole))
+    ]
     best = max(found, key=lambda one: one.h1_n_per_m)
     assert best.h1_n_per_m == pytest.approx(487.8, abs=0.3)
     assert best.h_nyquist_n_per_m > 9000.0
 
 
-@pytest.mark.parametrize(("delay", "any_world", "any_hand_too"), [(0.0, 1.16, 1.0), (1.0, 1.085, 1.10), (2.0, 1.015, 1.16)])
+@pytest.mark.parametrize(
+    ("delay", "any_world", "any_hand_too"),
+    [(0.0, 1.16, 1.0), (1.0, 1.085, 1.10), (2.0, 1.015, 1.16)],
+)
 @pytest.mark.slow
 def test_what_a_fractional_term_buys(delay: float, any_world: float, any_hand_too: float) -> None:
     for surroundings, bought in ((device(delay), any_world), (any_hand(delay), any_hand_too)):
@@ -104,7 +123,9 @@ def test_closed_limit_is_reached_at_whole_delays_and_not_exceeded(delay: float) 
     sections = ((1.0, 0.0, *np.append(below[1:], [0.0, 0.0])[:2].tolist()),)
     scale = limit * below.sum()
     for factor, kept in ((0.985, True), (1.001, False)):
-        law = CompiledLaw((0.0,), tuple((factor * scale * b0, b1, a1, a2) for b0, b1, a1, a2 in sections))
+        law = CompiledLaw(
+            (0.0,), tuple((factor * scale * b0, b1, a1, a2) for b0, b1, a1, a2 in sections)
+        )
         assert law.h1 == pytest.approx(factor * limit)
         assert keeps(loud, law) is kept
 
@@ -153,13 +174,19 @@ def test_beyond_the_edge_a_world_swings() -> None:
         ({"kind": "pd", "damping": 1.0}, 0.5, 914.523),
         ({"kind": "pd", "damping": 3.0}, 1.0, 960.354),
         ({"kind": "pd", "damping": 0.2}, 2.0, 214.781),
-        ({"kind": "pd_alpha", "order": 0.5, "taps": 4, "damping": 0.5, "gains": "paper"}, 1.0, 431.010),
+        (
+            {"kind": "pd_alpha", "order": 0.5, "taps": 4, "damping": 0.5, "gains": "paper"},
+            1.0,
+            431.010,
+        ),
     ],
 )
 def test_known_device_edges(law: dict[str, object], delay: float, edge: float) -> None:
     """K_max of a known device and any world, derived independently and checked by first-order worlds at the crossing."""
     for factor, kept in ((0.9999, True), (1.0001, False)):
-        assert keeps(device(delay), parse_law({**law, "stiffness": factor * edge}).compile(T)) is kept
+        assert (
+            keeps(device(delay), parse_law({**law, "stiffness": factor * edge}).compile(T)) is kept
+        )
 
 
 @pytest.mark.parametrize(
@@ -169,12 +196,19 @@ def test_known_device_edges(law: dict[str, object], delay: float, edge: float) -
         ({"kind": "pd", "damping": 0.2}, 0.0, 800.0),
         ({"kind": "pd", "damping": 0.2}, 0.5, 545.708),
         ({"kind": "pd", "damping": 0.2}, 2.0, 214.614),
-        ({"kind": "pd_alpha", "order": 0.5, "taps": 4, "damping": 0.5, "gains": "paper"}, 1.0, 157.544),
+        (
+            {"kind": "pd_alpha", "order": 0.5, "taps": 4, "damping": 0.5, "gains": "paper"},
+            1.0,
+            157.544,
+        ),
     ],
 )
 def test_any_hand_edges(law: dict[str, object], delay: float, edge: float) -> None:
     for factor, kept in ((0.9999, True), (1.0001, False)):
-        assert keeps(any_hand(delay), parse_law({**law, "stiffness": factor * edge}).compile(T)) is kept
+        assert (
+            keeps(any_hand(delay), parse_law({**law, "stiffness": factor * edge}).compile(T))
+            is kept
+        )
 
 
 def test_a_range_of_delay_is_kept_all_through() -> None:
@@ -195,14 +229,19 @@ def test_known_device_is_stiffer_than_any_hand_and_kept_over_its_masses() -> Non
     assert abs(design.h_nyquist_n_per_m) <= 1e4
 
 
-@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=4), st.floats(-0.95, 0.95).filter(lambda pole: abs(pole) > 0.05))
+@given(
+    st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=4),
+    st.floats(-0.95, 0.95).filter(lambda pole: abs(pole) > 0.05),
+)
 @settings(max_examples=50, deadline=None)
 def test_taps_over_a_pole_are_that_quotient(taps: list[float], pole: float) -> None:
     law, theta = with_pole(np.array(taps), pole), np.linspace(0.1, 3.0, 7)
     w = np.exp(-1j * theta)
     expected = sum(tap * w**m for m, tap in enumerate(taps)) / (1.0 - pole * w)
     # Division by the pole magnifies rounding by 1/|pole| a tap.
-    assert law.response(1.0 / w) == pytest.approx(expected, rel=1e-7, abs=1e-12 * 1e3 / abs(pole) ** len(taps))
+    assert law.response(1.0 / w) == pytest.approx(
+        expected, rel=1e-7, abs=1e-12 * 1e3 / abs(pole) ** len(taps)
+    )
 
 
 def test_a_zero_outside_is_seen() -> None:
@@ -216,8 +255,20 @@ def test_without_damping_nothing_is_stable_for_any_world() -> None:
 
 
 @pytest.mark.slow
-def test_command_designs_compares_and_writes_a_law(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    words = ["study", "design", "--for", "any_hand", "--taps", "4", "--json", "--out", str(tmp_path)]
+def test_command_designs_compares_and_writes_a_law(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    words = [
+        "study",
+        "design",
+        "--for",
+        "any_hand",
+        "--taps",
+        "4",
+        "--json",
+        "--out",
+        str(tmp_path),
+    ]
     assert main([*words, "--delay", "1"]) == 0
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert told["closed_limit_n_per_m"] == 500.0
@@ -229,7 +280,9 @@ def test_command_designs_compares_and_writes_a_law(capsys: pytest.CaptureFixture
     assert "--radius: no effect here" in capsys.readouterr().err
     assert main([*words, "--compare", "--delays", "0", "2"]) == 0
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert [case["closed_limit_n_per_m"] for case in told["cases"]] == pytest.approx([1000.0, 1000.0 / 3.0])
+    assert [case["closed_limit_n_per_m"] for case in told["cases"]] == pytest.approx(
+        [1000.0, 1000.0 / 3.0]
+    )
     assert Path(told["plot"]).is_file()
 
 

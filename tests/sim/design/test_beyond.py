@@ -14,7 +14,9 @@ from sim.design.families import certificate, certified, designed, latest_delay
 from sim.design.landing import drops
 
 T = 0.002
-RIGID = Demand(mass=(0.08, 0.125), damping=1.0, delay=(1.2, 1.2), period=T, radius=0.99, nyquist=1e4)
+RIGID = Demand(
+    mass=(0.08, 0.125), damping=1.0, delay=(1.2, 1.2), period=T, radius=0.99, nyquist=1e4
+)
 JOINT = ((0.0, 0.4, 30.0, 0.02), (0.0, 0.4, 36.0, 0.02))
 
 
@@ -35,14 +37,22 @@ def test_a_design_for_a_joint_keeps_it_and_one_for_a_rigid_device_does_not() -> 
     assert worst["known"] <= 0.99 + 1e-4
     assert worst["blind"] > 1.0
     assert known.found.h1_n_per_m < blind.found.h1_n_per_m
-    # Constant delay, but every mass: the certificate asks no more, and is refused where a device is unstable.
+    # Constant delay, but every mass: the certificate asks no more, and is refused where a device is
+    # unstable.
     assert certificate(known.found.law, asked) is True
     assert certificate(blind.found.law, asked) is False
 
 
 def test_one_law_for_a_joint_all_hands_and_every_sequence_of_delays_that_lands() -> None:
     """All at once; what was not asked for is not kept by chance."""
-    asked = replace(RIGID, mass=(0.1, 0.1), delay=(1.0, 1.3), stiffness=(0.0, 300.0), beyond=JOINT, lands=CONVENTIONS)
+    asked = replace(
+        RIGID,
+        mass=(0.1, 0.1),
+        delay=(1.0, 1.3),
+        stiffness=(0.0, 300.0),
+        beyond=JOINT,
+        lands=CONVENTIONS,
+    )
     law = certified(lambda wanted: designed(wanted, 2), asked)
     assert law.found is not None
     assert certificate(law.found.law, asked) is True
@@ -58,7 +68,11 @@ def test_one_law_for_a_joint_all_hands_and_every_sequence_of_delays_that_lands()
     latest = latest_delay(law.found.law, asked)
     assert latest is not None
     for late, stable in ((latest - 1e-3, True), (latest + 1e-3, False)):
-        plants = [FlexiblePlant(0.1, 1.0, late, hand, *beyond) for beyond in JOINT for hand in (0.0, 300.0)]
+        plants = [
+            FlexiblePlant(0.1, 1.0, late, hand, *beyond)
+            for beyond in JOINT
+            for hand in (0.0, 300.0)
+        ]
         radii = [flexible_radius(law.found.law, T, plant) for plant in plants]
         assert (max(radii) < 1.0) is stable
 

@@ -67,7 +67,8 @@ def check(found: Robust | None, wanted: Demand) -> Robust:
     for _ in range(60):
         mass = math.exp(rng.uniform(*np.log(wanted.mass)))
         delay, hand = rng.uniform(*wanted.delay), rng.uniform(*wanted.stiffness)
-        # Between 801 verified masses the radius can exceed the bound by its curvature only: far below 1e-5.
+        # Between 801 verified masses the radius can exceed the bound by its curvature only: far
+        # below 1e-5.
         assert pole_radius(law, Plant(T, mass, wanted.damping, delay, hand)) <= wanted.radius + 1e-5
     assert abs(law.h_nyquist) <= wanted.nyquist * (1.0 + 1e-9)
     assert law.h1 == pytest.approx(found.h1_n_per_m, rel=1e-9)
@@ -86,11 +87,13 @@ def test_best_pd_is_the_best_of_a_grid(delay: float) -> None:
             k = 0.5 * (low + high)
             law = CompiledLaw((k + gain / T, -gain / T))
             kept = law.h_nyquist <= 1e4 and all(
-                pole_radius(law, Plant(T, mass, 1.0, delay)) <= 0.99 for mass in np.geomspace(0.05, 0.2, 7).tolist()
+                pole_radius(law, Plant(T, mass, 1.0, delay)) <= 0.99
+                for mass in np.geomspace(0.05, 0.2, 7).tolist()
             )
             low, high = (k, high) if kept else (low, k)
         best = max(best, low)
-    # The grid has 60 gains; along K the allowed set may start above 0, which bisection then misses entirely.
+    # The grid has 60 gains; along K the allowed set may start above 0, which bisection then misses
+    # entirely.
     assert best <= found.h1_n_per_m * (1.0 + 1e-3)
     assert best >= 0.95 * found.h1_n_per_m
 
@@ -126,13 +129,17 @@ def test_ranges_of_delay_and_hand_are_kept_and_cost_stiffness() -> None:
     exact = check(pd(demand(1.0)).found, demand(1.0)).h1_n_per_m
     for wanted in (late, held):
         assert check(pd(wanted).found, wanted).h1_n_per_m < exact * (1.0 + 1e-6)
-    assert check(free(late, 4).found, late).h1_n_per_m > 1.3 * check(pd(late).found, late).h1_n_per_m
+    assert (
+        check(free(late, 4).found, late).h1_n_per_m > 1.3 * check(pd(late).found, late).h1_n_per_m
+    )
 
 
 @pytest.mark.slow
 def test_a_tighter_bound_on_noise_costs_stiffness() -> None:
     quiet, loud = demand(1.0, nyquist=3000.0), demand(1.0)
-    assert check(free(quiet, 4).found, quiet).h1_n_per_m < check(free(loud, 4).found, loud).h1_n_per_m
+    assert (
+        check(free(quiet, 4).found, quiet).h1_n_per_m < check(free(loud, 4).found, loud).h1_n_per_m
+    )
 
 
 def test_the_impossible_is_not_found() -> None:
@@ -141,12 +148,15 @@ def test_the_impossible_is_not_found() -> None:
     assert free(demand(2.0, mass=(0.01, 5.0), radius=0.9), 2).law is None
 
 
-@pytest.mark.parametrize(("taps", "published"), [(1, 0.667), (2, 0.828), (3, 0.894), (4, 0.928), (8, None)])
+@pytest.mark.parametrize(
+    ("taps", "published"), [(1, 0.667), (2, 0.828), (3, 0.894), (4, 0.928), (8, None)]
+)
 def test_passive_designs_reach_the_bound_at_one_tick(taps: int, published: float | None) -> None:
     """K T/b = 2/(1 + 1/cos(π/(n+3))) at d = 1 (THEORY.md §2)."""
     passive = stiffest_passive(taps, T, 1.0, (1.0, 1.0))
     expected = 2.0 / (1.0 + 1.0 / math.cos(math.pi / (taps + 2)))
-    # The programme stops at 1e-7 or after its last cut; the certain margin takes 3e-7 of the largest |Re|.
+    # The programme stops at 1e-7 or after its last cut; the certain margin takes 3e-7 of the
+    # largest |Re|.
     assert passive.ratio == pytest.approx(expected, rel=2e-5)
     assert passive.ratio <= expected
     if published is not None:
@@ -155,7 +165,9 @@ def test_passive_designs_reach_the_bound_at_one_tick(taps: int, published: float
 
 @pytest.mark.parametrize("delay", [0.0, 0.5, 1.0, 1.5, 2.0, 3.0])
 @pytest.mark.parametrize("taps", [1, 4])
-def test_passive_designs_are_passive_by_other_code_and_below_the_supremum(delay: float, taps: int) -> None:
+def test_passive_designs_are_passive_by_other_code_and_below_the_supremum(
+    delay: float, taps: int
+) -> None:
     passive = stiffest_passive(taps, T, 0.7, (delay, delay))
     law = CompiledLaw(tuple(passive.taps.tolist()))
     assert damping_needed(law, T, delay) <= 0.7 * (1.0 + 1e-12)
@@ -196,14 +208,19 @@ def test_certain_damping_is_above_what_is_needed_and_hardly() -> None:
 
 @pytest.mark.parametrize("delay", [(0.3, 1.6), (0.0, 1.5), (0.9, 2.3)])
 @pytest.mark.parametrize("taps", [2, 4])
-def test_passive_over_a_range_is_passive_at_the_whole_ticks_within_and_between(delay: tuple[float, float], taps: int) -> None:
+def test_passive_over_a_range_is_passive_at_the_whole_ticks_within_and_between(
+    delay: tuple[float, float], taps: int
+) -> None:
     """Delays were sampled past the whole ticks, where most damping is needed."""
     passive = stiffest_passive(taps, T, 1.0, delay)
     law = CompiledLaw(tuple(passive.taps.tolist()))
-    between = np.linspace(*delay, 101).tolist() + [float(n) for n in range(4) if delay[0] <= n <= delay[1]]
+    between = np.linspace(*delay, 101).tolist() + [
+        float(n) for n in range(4) if delay[0] <= n <= delay[1]
+    ]
     needed = [damping_needed(law, T, at) for at in between]
     assert max(needed) <= 1.0 + 1e-12
-    # It gives away nothing: of the range it needs all that there is, but for the programme's tolerance.
+    # It gives away nothing: of the range it needs all that there is, but for the programme's
+    # tolerance.
     assert max(needed) > 1.0 - 1e-4
 
 
@@ -214,7 +231,11 @@ def test_certain_damping_over_a_range_is_the_most_of_its_delays() -> None:
         taps = rng.normal(size=5) * 1000.0
         each = max(certain_damping(taps, T, at) for at in np.linspace(low, high, 401).tolist())
         # Between 401 delays the most is higher by the square of their distance.
-        assert each * (1.0 - 1e-9) <= certain_damping(taps, T, low, high) <= each * (1.0 + 1e-4) + 1e-6 * T * 5000.0
+        assert (
+            each * (1.0 - 1e-9)
+            <= certain_damping(taps, T, low, high)
+            <= each * (1.0 + 1e-4) + 1e-6 * T * 5000.0
+        )
 
 
 def test_nothing_is_passive_without_damping() -> None:
@@ -228,7 +249,11 @@ def test_the_delay_that_a_law_bears_is_that_of_every_hand() -> None:
     latest = latest_delay(law, wanted)
     assert latest is not None
     for delay, stable in ((latest - 1e-6, True), (latest + 1e-6, False)):
-        plants = [Plant(T, mass, 1.0, delay, hand) for mass in np.geomspace(0.05, 0.2, 5).tolist() for hand in (0.0, 3000.0)]
+        plants = [
+            Plant(T, mass, 1.0, delay, hand)
+            for mass in np.geomspace(0.05, 0.2, 5).tolist()
+            for hand in (0.0, 3000.0)
+        ]
         assert (max(pole_radius(law, plant) for plant in plants) < 1.0) is stable
     assert latest < (latest_delay(law, demand()) or 0.0)
     # Where it is unstable from the start there is no such delay.
@@ -238,8 +263,11 @@ def test_the_delay_that_a_law_bears_is_that_of_every_hand() -> None:
 @pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 1.7])
 def test_replay_of_a_constant_delay_is_its_pole_radius(delay: float) -> None:
     law, device = CompiledLaw((2500.0, -1500.0)), Plant(T, 0.1, 1.0)
-    # Two maxima of an oscillation 1500 ticks apart: known to a factor of about 2 in all, 5e-4 per tick.
-    assert replayed_radius(law, device, [delay] * 2000) == pytest.approx(pole_radius(law, Plant(T, 0.1, 1.0, delay)), abs=5e-4)
+    # Two maxima of an oscillation 1500 ticks apart: known to a factor of about 2 in all, 5e-4 per
+    # tick.
+    assert replayed_radius(law, device, [delay] * 2000) == pytest.approx(
+        pole_radius(law, Plant(T, 0.1, 1.0, delay)), abs=5e-4
+    )
 
 
 def test_a_force_that_a_younger_one_overtakes_never_acts() -> None:
@@ -263,7 +291,9 @@ def recording(path: Path, delays: list[float], rate: str = "500.0") -> Path:
     parameters = {"driver": '{"device": {"mass": 0.1, "damping": 1.0, "delay": 0.25}}'}
     with RecordWriter(path, {"scenario": "drop", "rate_hz": rate}, parameters=parameters) as writer:
         for k, delay in enumerate(delays):
-            state = DeviceState(seq=k, stamp=k * T, position=(0.0, 0.0, 0.0), force_seq=k - 1, delay=delay)
+            state = DeviceState(
+                seq=k, stamp=k * T, position=(0.0, 0.0, 0.0), force_seq=k - 1, delay=delay
+            )
             writer.write(DEVICE_STATE, state, k * T)
     return path
 
@@ -285,7 +315,14 @@ def test_ticks_without_an_answer_are_counted_and_replayed_as_such(tmp_path: Path
     path = tmp_path / "run.mcap"
     with RecordWriter(path, {"scenario": "drop", "rate_hz": "500.0"}) as writer:
         for k in range(300):
-            state = DeviceState(seq=k, stamp=k * T, position=(0.0, 0.0, 0.0), force_seq=k - 1, delay=0.2, age=int(k % 10 == 5))
+            state = DeviceState(
+                seq=k,
+                stamp=k * T,
+                position=(0.0, 0.0, 0.0),
+                force_seq=k - 1,
+                delay=0.2,
+                age=int(k % 10 == 5),
+            )
             writer.write(DEVICE_STATE, state, k * T)
     run = measure(path)
     assert (run.unanswered, len(run.delays)) == (30, 299)
@@ -296,9 +333,12 @@ def test_ticks_without_an_answer_are_counted_and_replayed_as_such(tmp_path: Path
 
 
 @pytest.mark.parametrize(
-    ("delays", "rate", "message"), [([0.2] * 50, "500.0", "50 ticks recorded"), ([0.2] * 200, "0", "rate_hz is '0'")]
+    ("delays", "rate", "message"),
+    [([0.2] * 50, "500.0", "50 ticks recorded"), ([0.2] * 200, "0", "rate_hz is '0'")],
 )
-def test_recordings_that_tell_too_little(tmp_path: Path, delays: list[float], rate: str, message: str) -> None:
+def test_recordings_that_tell_too_little(
+    tmp_path: Path, delays: list[float], rate: str, message: str
+) -> None:
     with pytest.raises((ValueError, RecordError), match=message):
         measure(recording(tmp_path / "run.mcap", delays, rate))
 
@@ -307,13 +347,19 @@ def test_a_real_time_run_without_delays_is_an_old_recording(tmp_path: Path) -> N
     path = tmp_path / "old.mcap"
     with RecordWriter(path, {"scenario": "drop", "rate_hz": "500.0", "pace": "realtime"}) as writer:
         for k in range(200):
-            writer.write(DEVICE_STATE, DeviceState(seq=k, stamp=k * T, position=(0.0, 0.0, 0.0), force_seq=k - 1), k * T)
+            writer.write(
+                DEVICE_STATE,
+                DeviceState(seq=k, stamp=k * T, position=(0.0, 0.0, 0.0), force_seq=k - 1),
+                k * T,
+            )
     with pytest.raises(ValueError, match="before delays were"):
         measure(path)
 
 
 @pytest.mark.slow
-def test_what_design_writes_is_what_load_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_design_writes_is_what_load_reads(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = "study design --mass 0.05..0.2 --damping 1 --delay 1 --taps 3 --json --out"
     assert main([*words.split(), str(tmp_path)]) == 0
     figures = json.loads(capsys.readouterr().out.splitlines()[-1])
@@ -328,14 +374,28 @@ def test_what_design_writes_is_what_load_reads(tmp_path: Path, capsys: pytest.Ca
     assert figures["designed"]["h1_n_per_m"] > figures["best_pd"]["h1_n_per_m"]
     assert figures["passive"]["ratio"] == pytest.approx(0.8944, abs=1e-3)
     assert figures["designed"]["landing_proof"]["proven"]
-    assert "every drop settles: proven" in Path(figures["designed"]["yaml"]).read_text(encoding="utf-8")
+    assert "every drop settles: proven" in Path(figures["designed"]["yaml"]).read_text(
+        encoding="utf-8"
+    )
     assert Path(figures["plot"]).read_bytes()[:4] == b"\x89PNG"
 
 
 @pytest.mark.slow
 def test_design_for_a_recorded_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run = recording(tmp_path / "run.mcap", [0.0, *(0.2 + 0.1 * (k % 11) / 10.0 for k in range(1100))])
-    argv = ["study", "design", "--from-run", str(run), "--taps", "2", "--json", "--out", str(tmp_path)]
+    run = recording(
+        tmp_path / "run.mcap", [0.0, *(0.2 + 0.1 * (k % 11) / 10.0 for k in range(1100))]
+    )
+    argv = [
+        "study",
+        "design",
+        "--from-run",
+        str(run),
+        "--taps",
+        "2",
+        "--json",
+        "--out",
+        str(tmp_path),
+    ]
     assert main(argv) == 0
     figures = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert figures["demand"]["delay_ticks"] == pytest.approx([0.45, 0.55], abs=1e-9)
@@ -345,23 +405,34 @@ def test_design_for_a_recorded_run(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 @pytest.mark.slow
-def test_compare_says_who_wins(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compare_says_who_wins(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("sim.design.families.ORDERS", (1.0,))
     monkeypatch.setattr("sim.design.families.CUTOFFS", (0.8,))
     monkeypatch.setattr("sim.design.families.REFINED", 0.2)
     assert main("study design --compare --delays 1 --margins 0 --taps 2 --json".split()) == 0  # noqa: SIM905
     case = json.loads(capsys.readouterr().out.splitlines()[-1])["cases"][0]
-    assert [law["family"] for law in case["laws"]] == ["pd", "pd_filtered", "pd_alpha", "paper_optimum", "designed"]
+    assert [law["family"] for law in case["laws"]] == [
+        "pd",
+        "pd_filtered",
+        "pd_alpha",
+        "paper_optimum",
+        "designed",
+    ]
     windowed = case["pd_windowed"]
     scenes = [
-        replace(scene, device=msgspec.structs.replace(scene.device, resolution=windowed["resolution"]))
+        replace(
+            scene, device=msgspec.structs.replace(scene.device, resolution=windowed["resolution"])
+        )
         for scene in landings(demand(1.0, lands=CONVENTIONS))
     ]
     for part, lands in ((1.0, True), (1.02, False)):
         law = parse_law(windowed | {"stiffness": part * windowed["stiffness"]}).compile(T)
         # By its drops: none fails, and just above one does.
         assert all(settles(scene, [law], Criterion())[0] for scene in scenes) == lands
-    # Two free taps are PD: no gain over the best of the others but what two searches differ by on the ragged edge of landing.
+    # Two free taps are PD: no gain over the best of the others but what two searches differ by on
+    # the ragged edge of landing.
     assert case["gain"] == pytest.approx(1.0, abs=5e-3)
 
 
@@ -393,12 +464,16 @@ def test_landing_is_not_covered_by_poles_and_can_be_asked_for() -> None:
     assert not all(drops(linear.found.law, wanted).values())
     landed = check(pd(replace(wanted, lands=CONVENTIONS)).found, wanted)
     assert all(drops(landed.law, wanted).values())
-    # Not by much softer: the search is about landing, not about lighter devices, which cost PD 6 % here.
+    # Not by much softer: the search is about landing, not about lighter devices, which cost PD 6 %
+    # here.
     assert 0.97 * linear.found.h1_n_per_m < landed.h1_n_per_m < linear.found.h1_n_per_m
-    # With a margin against the ragged edge: a little lighter, a little heavier, from lower and from higher.
+    # With a margin against the ragged edge: a little lighter, a little heavier, from lower and from
+    # higher.
     scenes = landings(replace(wanted, lands=CONVENTIONS))
     masses = [scene.device.mass for scene in scenes]
-    assert [min(masses), max(masses)] == pytest.approx([0.05 / (1.0 + MARGIN), 0.2 * (1.0 + MARGIN)])
+    assert [min(masses), max(masses)] == pytest.approx(
+        [0.05 / (1.0 + MARGIN), 0.2 * (1.0 + MARGIN)]
+    )
     assert all(settles(scene, [landed.law], Criterion())[0] for scene in scenes)
 
 

@@ -37,7 +37,9 @@ def test_preset_keeps_its_demand(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", DEMANDS)
-def test_preset_lands_between_the_drops_that_it_was_designed_with_and_not_far_beyond(name: str) -> None:
+def test_preset_lands_between_the_drops_that_it_was_designed_with_and_not_far_beyond(
+    name: str,
+) -> None:
     """Where drops settle has a ragged edge; the margin keeps it outside the demanded masses."""
     law, demand = parse_law(name).compile(T), DEMANDS[name]
 
@@ -61,10 +63,14 @@ def test_preset_is_as_stiff_as_what_the_study_designs() -> None:
     assert parse_law("designed_d1").compile(T).h1 == pytest.approx(again.h1_n_per_m, rel=0.02)
 
 
-@pytest.mark.parametrize(("name", "apply"), [("designed_d0", "on_arrival"), ("designed_d1", "next_tick")])
+@pytest.mark.parametrize(
+    ("name", "apply"), [("designed_d0", "on_arrival"), ("designed_d1", "next_tick")]
+)
 def test_drop_comes_to_rest_where_the_forces_balance(name: str, apply: str) -> None:
     played = from_launch(launch_file.read("floor_drop", {"law": name, "apply": apply}))
     trace = played.play()
     # m g / H(1); the slowest pole is below 0.99, so 1500 ticks leave less than 10^-6 of the drop.
-    assert trace.position[-1] == pytest.approx(-0.1 * 9.81 / parse_law(name).compile(T).h1, rel=1e-4)
+    assert trace.position[-1] == pytest.approx(
+        -0.1 * 9.81 / parse_law(name).compile(T).h1, rel=1e-4
+    )
     assert trace.force[-1] == pytest.approx(0.981, rel=1e-4)

@@ -28,16 +28,27 @@ def laws() -> list[CompiledLaw]:
     found = []
     for _ in range(12):
         stiffness, gain = source.uniform(200.0, 2500.0), source.uniform(0.3, 4.0) / T
-        found += [CompiledLaw((stiffness + gain, -gain)), filtered(np.array([stiffness + gain, -gain]), 0.3)]
+        found += [
+            CompiledLaw((stiffness + gain, -gain)),
+            filtered(np.array([stiffness + gain, -gain]), 0.3),
+        ]
     return found
 
 
 def test_a_rigid_device_falls_as_in_the_simulator() -> None:
     drops = falls(RIGID, MASSES, CONVENTIONS, HEIGHTS)
-    scenes = [dropped(RIGID, mass, *convention, height) for mass in MASSES for convention in CONVENTIONS for height in HEIGHTS]
+    scenes = [
+        dropped(RIGID, mass, *convention, height)
+        for mass in MASSES
+        for convention in CONVENTIONS
+        for height in HEIGHTS
+    ]
     seen = set()
     for law in laws():
-        ours, theirs = settled(law, drops), [settles(scene, [law], Criterion())[0] for scene in scenes]
+        ours, theirs = (
+            settled(law, drops),
+            [settles(scene, [law], Criterion())[0] for scene in scenes],
+        )
         assert ours == theirs
         seen |= set(ours)
     assert seen == {True, False}
@@ -48,16 +59,23 @@ def test_a_fall_that_is_watched_is_the_simulator_s(law: CompiledLaw) -> None:
     """Rigid: its positions and forces; with joint and lag: what it comes to is the verdict."""
     scene = dropped(RIGID, 0.1, False, True, HEIGHTS[0])
     trace = run(scene, law, 300)
-    position, force = fallen(FlexiblePlant(0.1, RIGID.damping, RIGID.delay[1]), T, law, HEIGHTS[0], 300)
+    position, force = fallen(
+        FlexiblePlant(0.1, RIGID.damping, RIGID.delay[1]), T, law, HEIGHTS[0], 300
+    )
     # Two exact maps of one tick, 300 times rounded; a bounce multiplies that.
     assert position == pytest.approx(trace.measured, abs=1e-9)
     assert force == pytest.approx(trace.force, abs=1e-5)
     beyond = (0.004, 0.4, 30.0, 0.02)
     whole, rules = replace(RIGID, beyond=(beyond,)), Criterion()
     verdict = settled(law, falls(whole, [0.1], [(False, True)], HEIGHTS[:1]), rules)[0]
-    position, _ = fallen(FlexiblePlant(0.1, 1.0, 1.3, 0.0, *beyond), T, law, HEIGHTS[0], rules.ticks)
+    position, _ = fallen(
+        FlexiblePlant(0.1, 1.0, 1.3, 0.0, *beyond), T, law, HEIGHTS[0], rules.ticks
+    )
     last = position[-(rules.ticks // 4) :]
-    rests = abs(last.mean() + 0.1 * 9.81 / law.h1) <= rules.tolerance and np.ptp(last) <= rules.tolerance
+    rests = (
+        abs(last.mean() + 0.1 * 9.81 / law.h1) <= rules.tolerance
+        and np.ptp(last) <= rules.tolerance
+    )
     assert rests == verdict
 
 
@@ -70,7 +88,9 @@ def test_the_quick_verdict_is_that_of_the_whole_drop() -> None:
         assert share == 1.0 or not whole[failed]
 
 
-def integrated(plant: FlexiblePlant, law: CompiledLaw, raw: bool, clamp: bool, height: float, ticks: int) -> bool:
+def integrated(
+    plant: FlexiblePlant, law: CompiledLaw, raw: bool, clamp: bool, height: float, ticks: int
+) -> bool:
     """Runge and Kutta's steps, eight a tick and whole ticks of delay, and the rules of a drop written down again."""
     matrix, push = plant.continuous()
     size, parts = len(push), 8
@@ -111,8 +131,12 @@ def integrated(plant: FlexiblePlant, law: CompiledLaw, raw: bool, clamp: bool, h
     )
 
 
-@pytest.mark.parametrize("beyond", [(0.0, 0.3, 40.0, 0.03), (1e-3, 0.0, math.inf, 0.0), (1e-3, 0.3, 40.0, 0.03)])
-def test_a_device_with_a_joint_and_a_lag_falls_as_in_small_steps(beyond: tuple[float, float, float, float]) -> None:
+@pytest.mark.parametrize(
+    "beyond", [(0.0, 0.3, 40.0, 0.03), (1e-3, 0.0, math.inf, 0.0), (1e-3, 0.3, 40.0, 0.03)]
+)
+def test_a_device_with_a_joint_and_a_lag_falls_as_in_small_steps(
+    beyond: tuple[float, float, float, float],
+) -> None:
     """From a law that lands to one that does not, by another method than the matrix of a tick."""
     asked = Demand((0.1, 0.1), 1.0, (1.0, 1.0), T, 0.99, 1e4, beyond=(beyond,))
     plant, criterion = FlexiblePlant(0.1, 1.0, 1.0, 0.0, *beyond), Criterion(ticks=600)

@@ -31,27 +31,43 @@ def pd(stiffness: float, damping: float = 3.0) -> CompiledLaw:
 
 def alone(plant: Plant, grasp: Grasp, law: CompiledLaw) -> float:
     """Pole radius by the device of two masses, one grasp at a time (scipy's matrix exponential)."""
-    return flexible_radius(law, plant.period, grasp.holds(plant.mass, plant.damping, plant.delay, plant.stiffness))
+    return flexible_radius(
+        law, plant.period, grasp.holds(plant.mass, plant.damping, plant.delay, plant.stiffness)
+    )
 
 
-@given(st.floats(-3.5, 0.5), st.floats(1.0, 5.0), st.floats(0.0, 3.0), st.sampled_from([0.0, 0.4, 1.0, 1.5]))
+@given(
+    st.floats(-3.5, 0.5),
+    st.floats(1.0, 5.0),
+    st.floats(0.0, 3.0),
+    st.sampled_from([0.0, 0.4, 1.0, 1.5]),
+)
 @settings(max_examples=40, deadline=None)
-def test_radius_is_that_of_two_masses_on_a_joint(mass: float, stiffness: float, damping: float, delay: float) -> None:
+def test_radius_is_that_of_two_masses_on_a_joint(
+    mass: float, stiffness: float, damping: float, delay: float
+) -> None:
     grasp = Grasp(10.0**mass, 10.0**stiffness, damping)
     plant = Plant(T, 0.08, 1.2, delay, 30.0)
-    box = HandBox((grasp.mass, grasp.mass), (grasp.stiffness, grasp.stiffness), (grasp.damping, grasp.damping))
+    box = HandBox(
+        (grasp.mass, grasp.mass), (grasp.stiffness, grasp.stiffness), (grasp.damping, grasp.damping)
+    )
     # A double pole is known to the square root of the machine's epsilon.
-    assert worst_grasp(pd(500.0), plant, box).radius == pytest.approx(alone(plant, grasp, pd(500.0)), rel=1e-7)
+    assert worst_grasp(pd(500.0), plant, box).radius == pytest.approx(
+        alone(plant, grasp, pd(500.0)), rel=1e-7
+    )
 
 
 def test_a_hand_that_does_not_give_way_is_a_spring_to_the_ground() -> None:
     """A million kilograms behind 400 N/m: the plant with that stiffness (K_max of a hand with a spring alone, §3)."""
     plant, rigid = Plant(T, 0.1, 1.0, 1.0), Plant(T, 0.1, 1.0, 1.0, 400.0)
-    # Beyond the edge, where the swing is the largest pole and not the mass itself, which hardly moves.
+    # Beyond the edge, where the swing is the largest pole and not the mass itself, which hardly
+    # moves.
     for stiffness in (1800.0, 2200.0):
         wanted = pole_radius(pd(stiffness), rigid)
         assert wanted > 1.01
-        assert alone(plant, Grasp(1e6, 400.0, 0.0), pd(stiffness)) == pytest.approx(wanted, rel=1e-6)
+        assert alone(plant, Grasp(1e6, 400.0, 0.0), pd(stiffness)) == pytest.approx(
+            wanted, rel=1e-6
+        )
 
 
 def test_worst_of_a_box_is_found_and_is_one_of_it() -> None:
@@ -103,8 +119,17 @@ def test_a_box_across_the_edge_is_never_certified(side: str) -> None:
     low, high = 100.0, 5000.0
     for _ in range(40):
         stiffness = 0.5 * (low + high)
-        low, high = (stiffness, high) if alone(plant, Grasp(**middle), pd(stiffness, 1.0)) < 1.0 else (low, stiffness)
-    box = HandBox(**{name: (0.98 * value, 1.02 * value) if name == side else (value, value) for name, value in middle.items()})
+        low, high = (
+            (stiffness, high)
+            if alone(plant, Grasp(**middle), pd(stiffness, 1.0)) < 1.0
+            else (low, stiffness)
+        )
+    box = HandBox(
+        **{
+            name: (0.98 * value, 1.02 * value) if name == side else (value, value)
+            for name, value in middle.items()
+        }
+    )
     ends = [alone(plant, grasp, pd(low, 1.0)) for grasp in box.corners()]
     assert min(ends) < 1.0 < max(ends) < 1.01
     assert certify_box(pd(low, 1.0), plant, box, 3000)[0] is None
@@ -116,15 +141,23 @@ def test_k_max_of_one_grasp_is_its_edge() -> None:
     derivative = without_spring(parse_law({"kind": "pd", "stiffness": 1.0, "damping": 1.0}), T)
     edge = k_max_over(lambda k: with_spring(derivative, k), plant, box, 5000.0)
     assert edge is not None
-    assert alone(plant, grasp, pd(0.9999 * edge, 1.0)) < 1.0 < alone(plant, grasp, pd(1.0001 * edge, 1.0))
-    assert k_max_over(lambda k: with_spring(derivative, k), plant, box, 0.5 * edge) == pytest.approx(0.5 * edge)
+    assert (
+        alone(plant, grasp, pd(0.9999 * edge, 1.0))
+        < 1.0
+        < alone(plant, grasp, pd(1.0001 * edge, 1.0))
+    )
+    assert k_max_over(
+        lambda k: with_spring(derivative, k), plant, box, 0.5 * edge
+    ) == pytest.approx(0.5 * edge)
 
 
 def test_a_law_for_any_hand_is_stable_in_every_grasp_of_a_wide_box() -> None:
     """Passive towards any hand (§2), so towards these; PD with B 3, which is not, swings in some of them."""
     box = HandBox((0.002, 2.0), (50.0, 20000.0), (0.01, 5.0))
     demand = Demand((0.05, 0.2), 1.0, (1.0, 1.0), T, 0.99, 1e4)
-    assert worst_grasp(parse_law("any_hand_d1").compile(T), Plant(T, 0.1, 1.0, 1.0), box).radius < 1.0
+    assert (
+        worst_grasp(parse_law("any_hand_d1").compile(T), Plant(T, 0.1, 1.0, 1.0), box).radius < 1.0
+    )
     judged = judge_grasps(pd(800.0), demand, box, 1)
     assert judged.worst.certified is False
     assert "NOT every one stable" in judged.text()
@@ -140,9 +173,15 @@ def test_designed_preset_is_certified_in_the_grasp_of_a_stylus() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sides", "named"), [(((0.0, 1.0), (1.0, 2.0), (0.0, 1.0)), "mass"), (((0.1, 1.0), (3.0, 2.0), (0.0, 1.0)), "stiffness")]
+    ("sides", "named"),
+    [
+        (((0.0, 1.0), (1.0, 2.0), (0.0, 1.0)), "mass"),
+        (((0.1, 1.0), (3.0, 2.0), (0.0, 1.0)), "stiffness"),
+    ],
 )
-def test_a_box_that_cannot_be_is_refused(sides: tuple[tuple[float, float], ...], named: str) -> None:
+def test_a_box_that_cannot_be_is_refused(
+    sides: tuple[tuple[float, float], ...], named: str
+) -> None:
     with pytest.raises(ValueError, match=named):
         HandBox(*sides)
     with pytest.raises(ValueError, match="stiffness"):
@@ -154,13 +193,31 @@ def test_corners_are_all_ends() -> None:
     assert {one.mass for one in STYLUS.corners()} == set(itertools.chain(STYLUS.mass))
 
 
-def test_command_tells_k_max_in_the_worst_grasp(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    words = ["study", "kmax", "--law", "pd", "--gain", "1", "--delay", "1", "--json", "--out", str(tmp_path)]
+def test_command_tells_k_max_in_the_worst_grasp(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    words = [
+        "study",
+        "kmax",
+        "--law",
+        "pd",
+        "--gain",
+        "1",
+        "--delay",
+        "1",
+        "--json",
+        "--out",
+        str(tmp_path),
+    ]
     assert main([*words, "--grasp", "0.05,500,1"]) == 0
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
     plant, grasp = Plant(T, 0.1, 1.0, 1.0), Grasp(0.05, 500.0, 1.0)
     edge = told["k_max_grasp_n_per_m"]
-    assert alone(plant, grasp, pd(0.999 * edge, 1.0)) < 1.0 < alone(plant, grasp, pd(1.001 * edge, 1.0))
+    assert (
+        alone(plant, grasp, pd(0.999 * edge, 1.0))
+        < 1.0
+        < alone(plant, grasp, pd(1.001 * edge, 1.0))
+    )
     with pytest.raises(SystemExit):
         main([*words, "--grasp", "0.05,500"])
     assert "MASS,STIFFNESS,DAMPING" in capsys.readouterr().err

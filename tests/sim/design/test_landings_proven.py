@@ -25,7 +25,12 @@ HEIGHTS = (0.001, 0.003, 0.01, 0.03)
 def drawn(seed: int) -> tuple[CompiledLaw, Plant]:
     """PD with up to four more taps at random, on a device at random; anywhere below and a little above its edge."""
     rng = np.random.default_rng(seed)
-    plant = Plant(T, 10 ** rng.uniform(-1.5, 0.0), 10 ** rng.uniform(-1.0, 0.7), float(rng.choice([0.0, 0.5, 1.0, 2.0])))
+    plant = Plant(
+        T,
+        10 ** rng.uniform(-1.5, 0.0),
+        10 ** rng.uniform(-1.0, 0.7),
+        float(rng.choice([0.0, 0.5, 1.0, 2.0])),
+    )
     unit = plant.mass / T**2
     taps = rng.normal(0.0, 0.1, rng.integers(2, 7)) * unit * 10 ** rng.uniform(-2.0, 0.0)
     stiffness = 10 ** rng.uniform(-3.5, -0.3) * unit
@@ -46,7 +51,14 @@ def refuted(seeds: range) -> tuple[int, int, list[int]]:
         stable += 1
         if prove_landing(law, plant).proven:
             proven += 1
-            demand = Demand((plant.mass, plant.mass), plant.damping, (plant.delay, plant.delay), T, 1.0, math.inf)
+            demand = Demand(
+                (plant.mass, plant.mass),
+                plant.damping,
+                (plant.delay, plant.delay),
+                T,
+                1.0,
+                math.inf,
+            )
             # From 0.1 m of sink at most down to 1e-4 m, four times over, and the flights before it.
             ticks = 4000 + math.ceil(30.0 / -math.log(radius))
             drops = falls(demand, [plant.mass], [(False, False)], HEIGHTS)
@@ -80,7 +92,13 @@ def test_no_proof_of_a_preset_is_refuted_by_a_drop(name: str) -> None:
                 # Laws for any hand ring for minutes on a wall that nobody holds the device at.
                 radius = pole_radius(law, Plant(T, mass, 1.0, delay))
                 ticks = 4000 + math.ceil(30.0 / -math.log(radius))
-                assert all(settled(law, falls(demand, [mass], [(False, False)], HEIGHTS[::3]), Criterion(ticks=ticks)))
+                assert all(
+                    settled(
+                        law,
+                        falls(demand, [mass], [(False, False)], HEIGHTS[::3]),
+                        Criterion(ticks=ticks),
+                    )
+                )
 
 
 def test_a_range_is_proven_only_where_every_corner_is() -> None:

@@ -76,8 +76,16 @@ def test_an_axis_of_a_scene_with_one_is_the_device_there() -> None:
     ],
 )
 def test_what_cannot_be_is_refused(axes: dict[str, Any], told: str) -> None:
-    given = {"device": {"mass": 0.1, "axes": axes}, "safety": {"workspace": [[-0.1, 0.1]] * 3, "peak_force": 1.0}}
+    given = {
+        "device": {"mass": 0.1, "axes": axes},
+        "safety": {"workspace": [[-0.1, 0.1]] * 3, "peak_force": 1.0},
+    }
     with pytest.raises(ParameterError, match=told):
         SimDriver.check(
-            Setup(**{**{f: getattr(setup(["x", "y"], {}), f) for f in Setup.__struct_fields__}, "parameters": given})
+            Setup(
+                **{
+                    **{f: getattr(setup(["x", "y"], {}), f) for f in Setup.__struct_fields__},
+                    "parameters": given,
+                }
+            )
         )

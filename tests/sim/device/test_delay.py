@@ -29,8 +29,9 @@ def test_forces_under_way_arrive_as_they_would_have_and_none_overtakes() -> None
         # 1 N until then, 2 N from then on.
         device.write_force((1.0 if seq < 2 else 2.0, 0.0, 0.0), seq, 0.0)
     gained = [(after - before) / setup.period for before, after in itertools.pairwise(speeds)]
-    # The force of tick 0 acts from tick 3 on, that of tick 1 from tick 4 on; those of tick 2 and later, at once behind them.
-    # A step of 1 kg in T with F newton gains F T: the rest is rounding of nine sums.
+    # The force of tick 0 acts from tick 3 on, that of tick 1 from tick 4 on; those of tick 2 and
+    # later, at once behind them. A step of 1 kg in T with F newton gains F T: the rest is rounding
+    # of nine sums.
     assert gained == pytest.approx([0.0, 0.0, 0.0, 1.0, 2.0, 2.0, 2.0, 2.0], abs=1e-12)
 
 
@@ -56,7 +57,9 @@ def test_what_the_driver_takes_to_be_under_way_goes_on_with_another_latency() ->
 
 
 def test_in_lockstep_it_is_fixed_and_so_is_all_else(tmp_path: Path) -> None:
-    with running(tmp_path, "touch_wall", "pace:=lockstep", "duration:=1e5", "--without", "logger") as launch:
+    with running(
+        tmp_path, "touch_wall", "pace:=lockstep", "duration:=1e5", "--without", "logger"
+    ) as launch:
         with pytest.raises(ControlError, match=r"device\.delay: is fixed in lockstep"):
             launch.call("driver", "param.set", values={"device.delay": 1.0})
         with pytest.raises(ControlError, match=r"all but device\.delay and passivity"):

@@ -49,9 +49,13 @@ def test_the_target_moves_no_faster_than_it_may_and_comes_back(tmp_path: Path) -
     writer = PointerWriter(pointer_file(tmp_path, "driver"))
     writer.write((0.0051, 9.0, 9.0))
     # 0.5 m/s is 1 mm a tick.
-    assert np.allclose([target(d, seq) for seq in range(11, 16)], [0.003, 0.004, 0.005, 0.0051, 0.0051], atol=1e-15)
+    assert np.allclose(
+        [target(d, seq) for seq in range(11, 16)], [0.003, 0.004, 0.005, 0.0051, 0.0051], atol=1e-15
+    )
     writer.let_go()
-    assert np.allclose([target(d, seq) for seq in range(16, 20)], [0.0041, 0.0031, 0.0021, 0.002], atol=1e-15)
+    assert np.allclose(
+        [target(d, seq) for seq in range(16, 20)], [0.0041, 0.0031, 0.0021, 0.002], atol=1e-15
+    )
     assert target(d, 20) == 0.002
     writer.close()
 
@@ -71,17 +75,33 @@ def test_a_pointer_needs_a_hand() -> None:
 def test_compiled_calls_move_a_device_as_the_interpreter_does(tmp_path: Path) -> None:
     """To the bit, with encoder, friction, delay, weight and a hand, whatever a page writes, half-written too."""
     assert choose("compiled", [SimDriver.device_module], print) == "compiled"
-    hand = Hand(stiffness=100.0, mass=0.02, damping=1.0, path=[(0.0, 0.001), (0.05, 0.003)], repeat=0.3)
-    model = DeviceModel(
-        mass=0.1, damping=0.5, gravity=9.81, friction=0.05, resolution=1e-5, delay=1.3, peak_force=5.0, hand=hand
+    hand = Hand(
+        stiffness=100.0, mass=0.02, damping=1.0, path=[(0.0, 0.001), (0.05, 0.003)], repeat=0.3
     )
-    setups = [msgspec.structs.replace(SETUP, run_dir=str(tmp_path), tick=tick) for tick in ("plain", "compiled")]
+    model = DeviceModel(
+        mass=0.1,
+        damping=0.5,
+        gravity=9.81,
+        friction=0.05,
+        resolution=1e-5,
+        delay=1.3,
+        peak_force=5.0,
+        hand=hand,
+    )
+    setups = [
+        msgspec.structs.replace(SETUP, run_dir=str(tmp_path), tick=tick)
+        for tick in ("plain", "compiled")
+    ]
     pointer = PointerParameters(speed=0.5, silence=60.0)
     plain, compiled = (SimDevice(model, setup, 0.05, pointer) for setup in setups)
     calls = compiled.calls()
     assert calls is not None
-    read = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)(calls.read)
-    write = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int64, ctypes.c_void_p, ctypes.c_int64, ctypes.c_double)(calls.write)
+    read = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)(
+        calls.read
+    )
+    write = ctypes.CFUNCTYPE(
+        ctypes.c_int, ctypes.c_int64, ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
+    )(calls.write)
     writer = PointerWriter(pointer_file(tmp_path, "driver"))
     chance = np.random.default_rng(14)
     out, force = (ctypes.c_double * 6)(), (ctypes.c_double * 3)()
@@ -113,10 +133,14 @@ def test_compiled_calls_move_a_device_as_the_interpreter_does(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("tick", slowly(["plain", "compiled"], but=["compiled"]))
-def test_a_dragged_run_is_recorded_and_plays_again_in_one_process(tick: WantedTick, tmp_path: Path) -> None:
+def test_a_dragged_run_is_recorded_and_plays_again_in_one_process(
+    tick: WantedTick, tmp_path: Path
+) -> None:
     """In real time, under next_tick: one process with the recorded targets has the same bits where no tick was missed."""
     assert choose(tick, KERNELS, print) == tick
-    with running(tmp_path, "touch_wall", "apply:=next_tick", "duration:=2", "--tick", tick) as launch:
+    with running(
+        tmp_path, "touch_wall", "apply:=next_tick", "duration:=2", "--tick", tick
+    ) as launch:
         writer = PointerWriter(pointer_file(launch.run_dir, "driver"))
         ended = threading.Event()
 
@@ -148,9 +172,12 @@ def test_a_dragged_run_is_recorded_and_plays_again_in_one_process(tick: WantedTi
     same = replay(recorded)
     if figures["missed"] == 0:
         assert same.measured.tolist() == recorded.position.tolist()
-    # A tick that the coupling lost is bridged there, and rendered here; one process knows nothing of a coupling that was away
-    # for so long that the driver damped the device.
-    if figures["safety"]["entered"].get("damping", 0) == 0 and figures["nodes"]["coupling"]["gaps"] < 20:
+    # A tick that the coupling lost is bridged there, and rendered here; one process knows nothing
+    # of a coupling that was away for so long that the driver damped the device.
+    if (
+        figures["safety"]["entered"].get("damping", 0) == 0
+        and figures["nodes"]["coupling"]["gaps"] < 20
+    ):
         assert np.max(np.abs(same.measured - recorded.position)) < 1e-3
 
 

@@ -22,18 +22,24 @@ def _speed(hold: float, delay: float, offset: float) -> float:
     return float(device.state.v)
 
 
-@pytest.mark.parametrize(("hold", "delay", "offset", "until"), [(4.0, 0.0, 0.0, 7), (4.0, 0.0, 0.25, 8), (2.5, 0.75, 0.5, 7)])
+@pytest.mark.parametrize(
+    ("hold", "delay", "offset", "until"),
+    [(4.0, 0.0, 0.0, 7), (4.0, 0.0, 0.25, 8), (2.5, 0.75, 0.5, 7)],
+)
 def test_a_force_that_nobody_renews_is_gone_at_the_first_tick_after_the_deadline(
     hold: float, delay: float, offset: float, until: int
 ) -> None:
-    # From the write, later by the delay, to the tick at which `hold` ticks have passed; F t / m, some roundings of sums.
+    # From the write, later by the delay, to the tick at which `hold` ticks have passed; F t / m,
+    # some roundings of sums.
     felt = until - (3.0 + offset + delay)
     assert _speed(hold, delay, offset) == pytest.approx(felt * T / MASS, rel=1e-12)
 
 
 @pytest.mark.parametrize("next_tick", [False, True])
 @pytest.mark.parametrize("delay", [0.0, 0.4, 1.0, 2.3])
-def test_a_force_in_lockstep_begins_to_act_by_the_whole_delay_later(delay: float, next_tick: bool) -> None:
+def test_a_force_in_lockstep_begins_to_act_by_the_whole_delay_later(
+    delay: float, next_tick: bool
+) -> None:
     """A mass that felt 1 N for one tick from s on has moved by F T (t − s − T/2)/m by the time t."""
     model = DeviceModel(mass=MASS, damping=0.0, delay=delay)
     device = VirtualDevice(model, T, next_tick)

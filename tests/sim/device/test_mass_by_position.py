@@ -45,13 +45,17 @@ def test_a_free_device_keeps_the_energy_of_its_motion() -> None:
         device_tick(device.state, 0.0)
     assert device.state.x > 0.08
     # To rounding, at any period.
-    assert 0.5 * mass(device.state.x) * device.state.v**2 == pytest.approx(0.5 * 0.1 * 0.2**2, rel=1e-12)
+    assert 0.5 * mass(device.state.x) * device.state.v**2 == pytest.approx(
+        0.5 * 0.1 * 0.2**2, rel=1e-12
+    )
 
 
 def test_its_motion_is_that_of_the_equation() -> None:
     """m(x) x'' + m'(x) x'²/2 + b x' + k x = u, with the mass of the hand in m: against scipy's Runge and Kutta."""
     hand = Hand(stiffness=20.0, damping=0.5, mass=0.05, path=[(0.0, 0.05)])
-    model = DeviceModel(mass=0.1, damping=0.3, hand=hand, axes={"z": {"mass_by_position": ARM}}).along("z")
+    model = DeviceModel(
+        mass=0.1, damping=0.3, hand=hand, axes={"z": {"mass_by_position": ARM}}
+    ).along("z")
     assert model.moving_masses == pytest.approx((0.15, 0.35))
 
     def errors(period: float) -> float:
@@ -67,7 +71,9 @@ def test_its_motion_is_that_of_the_equation() -> None:
         bend = (ARM[1][1] - ARM[0][1]) / (ARM[1][0] - ARM[0][0]) if 0.0 < x < 0.1 else 0.0
         return [v, (0.5 + 20.0 * (0.05 - x) - 0.8 * v - 0.5 * bend * v * v) / (mass(x) + 0.05)]
 
-    solved: Any = solve_ivp(slope, (0.0, 0.61), [0.0, 0.0], rtol=1e-10, atol=1e-12, dense_output=True, max_step=1e-3)
+    solved: Any = solve_ivp(
+        slope, (0.0, 0.61), [0.0, 0.0], rtol=1e-10, atol=1e-12, dense_output=True, max_step=1e-3
+    )
 
     def exact(time: np.ndarray) -> np.ndarray:
         return np.asarray(solved.sol(time)[0])
@@ -90,7 +96,9 @@ def test_a_law_is_judged_with_all_the_masses_of_the_workspace() -> None:
     told = set()
     for stiffness, damping in ((100.0, 0.2), (500.0, 0.1), (1500.0, 5.0)):
         laws = {"pd": {"kind": "pd", "stiffness": stiffness, "damping": damping}}
-        parameters = msgspec.convert({"law": "pd", "laws": laws, "plant": plant}, CouplingParameters)
+        parameters = msgspec.convert(
+            {"law": "pd", "laws": laws, "plant": plant}, CouplingParameters
+        )
         law = PD(stiffness=stiffness, damping=damping).compile(period)
         verdict = Judgement("coupling", period, book).verdict(parameters, law, 0.5)
         assert verdict is not None
@@ -109,7 +117,21 @@ def test_a_law_is_judged_with_all_the_masses_of_the_workspace() -> None:
 
 
 def test_law_show_says_which_mass_it_is(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["law", "show", "pd", "--stiffness", "1500", "--gain", "5", "--mass", "0.05", "--damping", "0.5", "--delay", "0.5"]
+    words = [
+        "law",
+        "show",
+        "pd",
+        "--stiffness",
+        "1500",
+        "--gain",
+        "5",
+        "--mass",
+        "0.05",
+        "--damping",
+        "0.5",
+        "--delay",
+        "0.5",
+    ]
     assert main([*words, "--heaviest", "0.5"]) == 0
     told = capsys.readouterr().out
     assert "the worst for this loop of the device's 0.05 to 0.5 kg over its workspace" in told
@@ -129,7 +151,10 @@ def test_law_show_says_which_mass_it_is(capsys: pytest.CaptureFixture[str]) -> N
 def test_the_map_is_of_all_masses() -> None:
     law, period = PD(stiffness=300.0, damping=2.0), 0.002
     both = stability_map(law, period, PlantParameters(mass=0.05, heaviest=0.5, damping=0.5), 1.0)
-    ends = [stability_map(law, period, PlantParameters(mass=mass, damping=0.5), 1.0) for mass in (0.05, 0.5)]
+    ends = [
+        stability_map(law, period, PlantParameters(mass=mass, damping=0.5), 1.0)
+        for mass in (0.05, 0.5)
+    ]
     assert both["pole_radius"] >= max(end["pole_radius"] for end in ends)
     assert both["k_max_n_per_m"] <= min(end["k_max_n_per_m"] for end in ends)
     assert both["delay_margin_ticks"] <= min(end["delay_margin_ticks"] for end in ends)
@@ -139,11 +164,18 @@ def test_the_map_is_of_all_masses() -> None:
             if damping in rows:
                 mine_low, mine_high = rows[damping]
                 # What is stable with all is stable with each.
-                assert mine_low is None or (low is not None and low <= mine_low and (high is None or mine_high <= high))
+                assert mine_low is None or (
+                    low is not None and low <= mine_low and (high is None or mine_high <= high)
+                )
 
 
 def test_a_device_that_is_not_declared_is_taken_from_the_driver_with_all_its_masses() -> None:
-    device = {"mass": 0.1, "damping": 0.5, "hand": {"mass": 0.05}, "mass_by_position": [list(corner) for corner in ARM]}
+    device = {
+        "mass": 0.1,
+        "damping": 0.5,
+        "hand": {"mass": 0.05},
+        "mass_by_position": [list(corner) for corner in ARM],
+    }
     found = plant_of(None, {"device": device})
     assert found is not None
     assert found.mass == pytest.approx(0.15)
@@ -152,12 +184,18 @@ def test_a_device_that_is_not_declared_is_taken_from_the_driver_with_all_its_mas
 
 def test_a_launch_moves_as_one_process_does(tmp_path: Path) -> None:
     scene = with_device(
-        spatial_scene(launch_file.read("sphere_feel", {"duration": 1.0, "pace": "lockstep"})), mass_by_position=ARM
+        spatial_scene(launch_file.read("sphere_feel", {"duration": 1.0, "pace": "lockstep"})),
+        mass_by_position=ARM,
     )
     played = play(scene.launch)
     given = tmp_path / "given.yaml"
-    given.write_text(f"driver: {{device: {{mass_by_position: {[list(corner) for corner in ARM]}}}}}", encoding="utf-8")
-    figures = launch_json(tmp_path, "sphere_feel", "duration:=1.0", "pace:=lockstep", "--params", str(given))
+    given.write_text(
+        f"driver: {{device: {{mass_by_position: {[list(corner) for corner in ARM]}}}}}",
+        encoding="utf-8",
+    )
+    figures = launch_json(
+        tmp_path, "sphere_feel", "duration:=1.0", "pace:=lockstep", "--params", str(given)
+    )
     states = Recording(tmp_path / figures["recording"]).messages(DEVICE_STATE)
     assert np.array_equal(played.position, [state.position for state in states[:-1]])
     same = play(launch_file.read("sphere_feel", {"duration": 1.0}))

@@ -39,14 +39,18 @@ stiffness_values = st.one_of(st.just(0.0), st.floats(1e-9, 1e5))
 durations = st.floats(1e-7, 1e-2)
 # Below 1e-9 of each unit lies nothing physical, only underflow.
 counts = st.integers(-(10**9), 10**9)
-states = st.tuples(counts.map(lambda i: i * 1e-10), counts.map(lambda i: i * 1e-9), counts.map(lambda i: i * 1e-8))
+states = st.tuples(
+    counts.map(lambda i: i * 1e-10), counts.map(lambda i: i * 1e-9), counts.map(lambda i: i * 1e-8)
+)
 
 
 def exponential(mass: float, damping: float, stiffness: float, duration: float) -> Coefficients:
     """Compute the same map as the exponential of an augmented matrix, with 50 digits."""
     with mpmath.workdps(50):
         m, b, k, h = map(mpmath.mpf, (mass, damping, stiffness, duration))
-        power = mpmath.expm(mpmath.matrix([[0, 1, 0], [-k / m, -b / m, 1 / m], [0, 0, 0]]) * h, method="taylor")
+        power = mpmath.expm(
+            mpmath.matrix([[0, 1, 0], [-k / m, -b / m, 1 / m], [0, 0, 0]]) * h, method="taylor"
+        )
         cells = ((0, 0), (0, 1), (1, 0), (1, 1), (0, 2), (1, 2))
         a11, a12, a21, a22, b1, b2 = (float(power[cell]) for cell in cells)
     return a11, a12, a21, a22, b1, b2
@@ -56,19 +60,29 @@ def exponential(mass: float, damping: float, stiffness: float, duration: float) 
 def test_map_is_the_matrix_exponential(mass: float) -> None:
     for damping, stiffness, duration in itertools.product(DAMPINGS, STIFFNESSES, DURATIONS):
         ours = coefficients(mass, damping, stiffness, duration)
-        # Oscillating terms pass through zero: there a rounding of the phase (up to ω h ≈ 32 rad here) counts
-        # absolutely, against the amplitude. 1e-13 is 450 roundings; the worst seen is 1.3e-13 relative, on a b1 of an
-        # overdamped map.
-        assert ours == pytest.approx(exponential(mass, damping, stiffness, duration), rel=3e-13, abs=1e-18)
+        # Oscillating terms pass through zero: there a rounding of the phase (up to ω h ≈ 32 rad
+        # here) counts absolutely, against the amplitude. 1e-13 is 450 roundings; the worst seen is
+        # 1.3e-13 relative, on a b1 of an overdamped map.
+        assert ours == pytest.approx(
+            exponential(mass, damping, stiffness, duration), rel=3e-13, abs=1e-18
+        )
 
 
 def test_near_critical_damping() -> None:
     mass, stiffness, duration = 0.1, 3e4, 5e-3
     critical = 2.0 * math.sqrt(mass * stiffness)
-    for damping in (critical, math.nextafter(critical, 0.0), math.nextafter(critical, 1e9), critical * (1 + 1e-7)):
+    for damping in (
+        critical,
+        math.nextafter(critical, 0.0),
+        math.nextafter(critical, 1e9),
+        critical * (1 + 1e-7),
+    ):
         expected = exponential(mass, damping, stiffness, duration)
-        # b²/4m² and k/m cancel: what is left carries one rounding of ω² h² ≈ 7, some 1e-15, into every term.
-        assert coefficients(mass, damping, stiffness, duration) == pytest.approx(expected, rel=1e-13)
+        # b²/4m² and k/m cancel: what is left carries one rounding of ω² h² ≈ 7, some 1e-15, into
+        # every term.
+        assert coefficients(mass, damping, stiffness, duration) == pytest.approx(
+            expected, rel=1e-13
+        )
 
 
 @pytest.mark.parametrize("damping", [1e-3, 0.5, 3.0, 400.0])
@@ -84,20 +98,27 @@ def test_free_device_is_the_plant_of_the_theory(damping: float) -> None:
 
 
 def test_frictionless_undamped_free_device_is_a_parabola() -> None:
-    assert coefficients(0.1, 0.0, 0.0, 0.002) == pytest.approx((1.0, 0.002, 0.0, 1.0, 2e-5, 0.02), rel=4e-16)
+    assert coefficients(0.1, 0.0, 0.0, 0.002) == pytest.approx(
+        (1.0, 0.002, 0.0, 1.0, 2e-5, 0.02), rel=4e-16
+    )
 
 
 @given(mass_values, damping_values, stiffness_values, durations, durations, states)
 @settings(max_examples=300)
-def test_two_steps_are_one(m: float, b: float, k: float, h1: float, h2: float, state: tuple[float, float, float]) -> None:
+def test_two_steps_are_one(
+    m: float, b: float, k: float, h1: float, h2: float, state: tuple[float, float, float]
+) -> None:
     x, v, u = state
     once = advance(x, v, u, coefficients(m, b, k, h1 + h2))
     twice = advance(*advance(x, v, u, coefficients(m, b, k, h1)), u, coefficients(m, b, k, h2))
-    # Rounding is relative to the largest term that enters, not to the result, which may be a small difference.
+    # Rounding is relative to the largest term that enters, not to the result, which may be a small
+    # difference.
     rate = math.sqrt(k / m) + b / m
     reach = abs(x) + (abs(v) + abs(u) / m * (h1 + h2)) * (h1 + h2)
     assert twice[0] == pytest.approx(once[0], abs=2e-13 * reach * (1.0 + rate * (h1 + h2)))
-    assert twice[1] == pytest.approx(once[1], abs=2e-13 * (abs(v) + abs(u) / m * (h1 + h2) + rate * reach) * 4.0)
+    assert twice[1] == pytest.approx(
+        once[1], abs=2e-13 * (abs(v) + abs(u) / m * (h1 + h2) + rate * reach) * 4.0
+    )
 
 
 @given(mass_values, stiffness_values, durations, st.floats(-0.1, 0.1), st.floats(-1.0, 1.0))
@@ -137,10 +158,13 @@ def test_sticks_up_to_friction_and_not_beyond() -> None:
 
 
 def test_stops_where_the_closed_form_says() -> None:
-    # Without damping: Δx = m v²/(2 f_c), Δt = m v/f_c; the step is longer than that, and it must stay.
+    # Without damping: Δx = m v²/(2 f_c), Δt = m v/f_c; the step is longer than that, and it must
+    # stay.
     mass, friction, v = 0.1, 0.06, 0.0009
     step = coefficients(mass, 0.0, 0.0, 0.002)
-    assert halt_time(0.0, v, -friction, 1.0, mass, 0.0, 0.0) == pytest.approx(mass * v / friction, rel=1e-15)
+    assert halt_time(0.0, v, -friction, 1.0, mass, 0.0, 0.0) == pytest.approx(
+        mass * v / friction, rel=1e-15
+    )
     x, after = slide(0.0, v, 0.0, 0.002, step, mass, 0.0, 0.0, friction)
     assert after == 0.0
     assert x == pytest.approx(mass * v * v / (2.0 * friction), rel=1e-14)
@@ -167,13 +191,21 @@ def test_sliding_against_an_integrator(damping: float, stiffness: float) -> None
     for u in forces:
         x, v = slide(x, v, float(u), piece, step, mass, damping, stiffness, friction)
         p, q = _integrate(p, q, float(u), piece, mass, damping, stiffness, friction)
-        # rtol of the integrator 1e-12, events located to 4 roundings of time: 1e-9 of the scales 1 mm and 1 m/s.
+        # rtol of the integrator 1e-12, events located to 4 roundings of time: 1e-9 of the scales 1
+        # mm and 1 m/s.
         assert x == pytest.approx(p, abs=1e-12)
         assert v == pytest.approx(q, abs=1e-9)
 
 
 def _integrate(
-    x: float, v: float, u: float, duration: float, mass: float, damping: float, stiffness: float, friction: float
+    x: float,
+    v: float,
+    u: float,
+    duration: float,
+    mass: float,
+    damping: float,
+    stiffness: float,
+    friction: float,
 ) -> tuple[float, float]:
     """Slide by DOP853 with event location: an independent way to the same end."""
     time = 0.0
@@ -191,17 +223,27 @@ def _integrate(
 
         stop.terminal = True  # type: ignore[attr-defined]
         stop.direction = -1.0  # type: ignore[attr-defined]
-        answer: Any = solve_ivp(rate, (time, duration), [x, v], method="DOP853", events=stop, rtol=1e-12, atol=1e-15)
+        answer: Any = solve_ivp(
+            rate, (time, duration), [x, v], method="DOP853", events=stop, rtol=1e-12, atol=1e-15
+        )
         x, v, time = float(answer.y[0, -1]), float(answer.y[1, -1]), float(answer.t[-1])
         if answer.status == 1:
             v = 0.0
     return x, v
 
 
-@given(mass_values, damping_values, stiffness_values, durations, durations, states, st.floats(0.0, 5.0))
+@given(
+    mass_values, damping_values, stiffness_values, durations, durations, states, st.floats(0.0, 5.0)
+)
 @settings(max_examples=300)
 def test_two_sliding_steps_are_one(
-    m: float, b: float, k: float, h1: float, h2: float, state: tuple[float, float, float], friction: float
+    m: float,
+    b: float,
+    k: float,
+    h1: float,
+    h2: float,
+    state: tuple[float, float, float],
+    friction: float,
 ) -> None:
     x, v, u = state
     once = slide(x, v, u, h1 + h2, coefficients(m, b, k, h1 + h2), m, b, k, friction)
@@ -210,10 +252,12 @@ def test_two_sliding_steps_are_one(
     rate = math.sqrt(k / m) + b / m
     pull = abs(u) + friction
     reach = abs(x) + (abs(v) + pull / m * (h1 + h2)) * (h1 + h2)
-    # A stop is found to a rounding of time, and then moved by at most that much velocity: a few more roundings than
-    # above.
+    # A stop is found to a rounding of time, and then moved by at most that much velocity: a few
+    # more roundings than above.
     assert twice[0] == pytest.approx(once[0], abs=1e-12 * reach * (1.0 + rate * (h1 + h2)))
-    assert twice[1] == pytest.approx(once[1], abs=1e-12 * (abs(v) + pull / m * (h1 + h2) + rate * reach) * 4.0)
+    assert twice[1] == pytest.approx(
+        once[1], abs=1e-12 * (abs(v) + pull / m * (h1 + h2) + rate * reach) * 4.0
+    )
 
 
 # Sensor, motor, delay
@@ -244,7 +288,9 @@ def test_motor_saturates_at_its_peak() -> None:
     assert saturate(-8.0, None) == -8.0
 
 
-@pytest.mark.parametrize(("delay", "whole", "part"), [(0.0, 0, 0.0), (1.0, 1, 0.0), (2.25, 2, 0.25), (0.999, 0, 0.999)])
+@pytest.mark.parametrize(
+    ("delay", "whole", "part"), [(0.0, 0, 0.0), (1.0, 1, 0.0), (2.25, 2, 0.25), (0.999, 0, 0.999)]
+)
 def test_delay_splits(delay: float, whole: int, part: float) -> None:
     found = split_delay(delay)
     assert found[0] == whole
@@ -252,7 +298,8 @@ def test_delay_splits(delay: float, whole: int, part: float) -> None:
 
 
 def test_force_acts_when_its_delay_is_over() -> None:
-    # An undamped mass under one force of 1 N for one tick: it moves by F/m·h²/2 of the time it has acted.
+    # An undamped mass under one force of 1 N for one tick: it moves by F/m·h²/2 of the time it has
+    # acted.
     period, mass = 0.002, 0.1
     for delay in (0.0, 0.25, 1.0, 1.25, 3.5):
         device = VirtualDevice(DeviceModel(mass=mass, delay=delay), period)
@@ -274,7 +321,9 @@ def test_next_tick_is_one_tick_of_delay() -> None:
 
 
 def test_a_tick_in_parts_is_a_tick() -> None:
-    model = DeviceModel(mass=0.1, damping=0.5, gravity=9.81, friction=0.06, peak_force=0.8, delay=0.25)
+    model = DeviceModel(
+        mass=0.1, damping=0.5, gravity=9.81, friction=0.06, peak_force=0.8, delay=0.25
+    )
     whole, parts = VirtualDevice(model, 0.002), VirtualDevice(model, 0.002)
     previous = 0.0
     for k in range(50):
@@ -291,7 +340,15 @@ def test_a_tick_in_parts_is_a_tick() -> None:
 
 def test_hand_holds_along_its_path() -> None:
     model = msgspec.convert(
-        {"mass": 0.045, "hand": {"mass": 0.1, "damping": 4.0, "stiffness": 400.0, "path": [[0.0, 0.0], [0.1, 0.02]]}},
+        {
+            "mass": 0.045,
+            "hand": {
+                "mass": 0.1,
+                "damping": 4.0,
+                "stiffness": 400.0,
+                "path": [[0.0, 0.0], [0.1, 0.02]],
+            },
+        },
         DeviceModel,
     )
     assert (model.moving_mass, model.moving_damping, model.grip) == (0.045 + 0.1, 4.0, 400.0)
@@ -304,7 +361,14 @@ def test_hand_holds_along_its_path() -> None:
 
 def test_path_is_linear_between_and_held_beyond() -> None:
     path = [(0.0, 1.0), (2.0, 3.0), (3.0, 3.0)]
-    assert [path_position(path, t) for t in (-1.0, 0.0, 1.0, 2.0, 2.5, 9.0)] == [1.0, 1.0, 2.0, 3.0, 3.0, 3.0]
+    assert [path_position(path, t) for t in (-1.0, 0.0, 1.0, 2.0, 2.5, 9.0)] == [
+        1.0,
+        1.0,
+        2.0,
+        3.0,
+        3.0,
+        3.0,
+    ]
 
 
 @pytest.mark.parametrize(
@@ -317,7 +381,10 @@ def test_path_is_linear_between_and_held_beyond() -> None:
         ({"mass": 0.1, "delay": math.nan}, "delay|nan"),
         ({"mass": 0.1, "colour": 1}, "unknown field `colour`"),
         ({"mass": 0.1, "hand": {"stiffness": 1.0, "path": []}}, r"length >= 1.*\$\.hand\.path"),
-        ({"mass": 0.1, "hand": {"stiffness": 1.0, "path": [[1.0, 0.0], [1.0, 1.0]]}}, r"times must increase.*\$\.hand"),
+        (
+            {"mass": 0.1, "hand": {"stiffness": 1.0, "path": [[1.0, 0.0], [1.0, 1.0]]}},
+            r"times must increase.*\$\.hand",
+        ),
     ],
 )
 def test_wrong_parameters_are_refused_by_path(fields: dict[str, object], text: str) -> None:
@@ -329,7 +396,8 @@ def test_a_hand_may_repeat_its_path() -> None:
     once = Hand(stiffness=1.0, path=[(0.0, 0.0), (1.0, 2.0), (2.0, 0.0)])
     again = msgspec.structs.replace(once, repeat=2.5)
     for time in (0.0, 0.5, 1.0, 2.25):
-        assert again.point(time) == again.point(time + 2.5) == once.point(time)  # 2.5 s and these times are exact
+        # 2.5 s and these times are exact
+        assert again.point(time) == again.point(time + 2.5) == once.point(time)
     assert once.point(3.5) == 0.0
     assert again.point(3.5) == 2.0
     with pytest.raises(ValueError, match=r"repeat is 1\.5 s, but the path ends at 2\.0 s"):

@@ -22,7 +22,9 @@ SCENE = {"mass": 0.1, "damping": 0.7, "friction": 0.03, "delay": 0.4, "resolutio
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_known_values_take_the_place_of_the_scenarios(name: str) -> None:
-    parameters: SimDriverParameters = convert({"preset": name, "device": SCENE}, SimDriverParameters, "driver")
+    parameters: SimDriverParameters = convert(
+        {"preset": name, "device": SCENE}, SimDriverParameters, "driver"
+    )
     for field, value in (SCENE | preset(name)).items():
         assert getattr(parameters.device, field) == value
     # Nobody published a damping or a delay.
@@ -46,13 +48,17 @@ def test_a_hand_has_sources_and_can_hold_a_device_and_bound_a_design(name: str) 
     known = HANDS[name].model
     values = {field: fact.value for field, fact in known.items()}
     assert convert(values | {"path": [(0.0, 0.0)]}, Hand, "hand").stiffness == values["stiffness"]
-    assert all(fact.source and fact.remembered == ("remembered" in fact.source) for fact in known.values())
+    assert all(
+        fact.source and fact.remembered == ("remembered" in fact.source) for fact in known.values()
+    )
     assert hand(name) == (0.0, values["stiffness"])
 
 
 @pytest.mark.parametrize("name", ["", "none"])
 def test_no_preset_changes_nothing(name: str) -> None:
-    parameters: SimDriverParameters = convert({"preset": name, "device": SCENE}, SimDriverParameters, "driver")
+    parameters: SimDriverParameters = convert(
+        {"preset": name, "device": SCENE}, SimDriverParameters, "driver"
+    )
     assert parameters.device == convert(SCENE, DeviceModel, "device")
 
 
@@ -64,7 +70,10 @@ def test_an_unknown_one_is_refused_with_those_there_are() -> None:
 @pytest.mark.parametrize("scenario", launch_file.scenarios())
 def test_every_scenario_takes_one_and_judges_laws_by_it(scenario: str) -> None:
     assert "device" in launch_file.read_arguments(launch_file.find(scenario))[1]
-    before, launch = launch_file.read(scenario, {}), launch_file.read(scenario, {"device": "touch_x"})
+    before, launch = (
+        launch_file.read(scenario, {}),
+        launch_file.read(scenario, {"device": "touch_x"}),
+    )
     for name in (name for name, spec in launch.nodes.items() if spec.kind == "sim_driver"):
         assert_stands_in(name, before, launch)
     assert launch.arguments["device"] == "touch_x"
@@ -72,11 +81,16 @@ def test_every_scenario_takes_one_and_judges_laws_by_it(scenario: str) -> None:
 
 def assert_stands_in(driver: str, before: Launch, launch: Launch) -> None:
     """Assert that the driver has the device, and the coupling of its chain the plant."""
-    device, described = (convert(one.nodes[driver].parameters, SimDriverParameters, driver).device for one in (launch, before))
+    device, described = (
+        convert(one.nodes[driver].parameters, SimDriverParameters, driver).device
+        for one in (launch, before)
+    )
     assert (device.mass, device.damping, device.hand) == (0.035, described.damping, described.hand)
     # Its own limit, or the scene's stricter one.
     limit = before.nodes[driver].parameters["safety"]["peak_force"]
-    assert convert(launch.nodes[driver].parameters, SimDriverParameters, driver).safety.peak_force == min(limit, 7.9)
+    assert convert(
+        launch.nodes[driver].parameters, SimDriverParameters, driver
+    ).safety.peak_force == min(limit, 7.9)
     plant = launch.nodes[driver.replace("driver", "coupling")].parameters["plant"]
     # Twelve digits: masses are added as a person adds them.
     assert plant["mass"] == pytest.approx(device.moving_mass, rel=1e-11)
@@ -92,7 +106,16 @@ def test_a_launch_without_a_virtual_device_takes_none(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_one_word_and_a_scenario_is_started_and_identified(tmp_path: Path) -> None:
-    words = ("device", "identify", "identify", "device:=touch_x", "pace:=lockstep", "--duration", "5", "--json")
+    words = (
+        "device",
+        "identify",
+        "identify",
+        "device:=touch_x",
+        "pace:=lockstep",
+        "--duration",
+        "5",
+        "--json",
+    )
     done = haptic(tmp_path, *words)
     assert "mass 0.035 (remembered, not checked)" in done.stderr
     assert "resolution 2.3e-05 (3D Systems, data sheet" in done.stderr
@@ -100,5 +123,7 @@ def test_one_word_and_a_scenario_is_started_and_identified(tmp_path: Path) -> No
     assert told["stopped"] == "done"
     assert told["mass_kg"]["value"] == pytest.approx(0.035, rel=0.01)
     assert told["friction_n"]["value"] == pytest.approx(0.06, rel=0.05)
-    listed = json.loads(haptic(tmp_path, "device", "presets", "--json").stdout.splitlines()[-1])["presets"]
+    listed = json.loads(haptic(tmp_path, "device", "presets", "--json").stdout.splitlines()[-1])[
+        "presets"
+    ]
     assert {one["name"] for one in listed} == set(PRESETS | HANDS)

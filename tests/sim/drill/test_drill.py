@@ -34,13 +34,22 @@ from tests.support.setups import setup_of
 HELD = (0.0, 0.0, 1.0)
 
 
-def state(seq: int, force_seq: int, z: float = 1.0, safety: str = "active", energy: float = 0.0) -> DeviceState:
+def state(
+    seq: int, force_seq: int, z: float = 1.0, safety: str = "active", energy: float = 0.0
+) -> DeviceState:
     return DeviceState(
-        seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0), force=(0.0, 0.0, z), force_seq=force_seq, safety=safety, energy=energy
+        seq=seq,
+        stamp=0.0,
+        position=(0.0, 0.0, 0.0),
+        force=(0.0, 0.0, z),
+        force_seq=force_seq,
+        safety=safety,
+        energy=energy,
     )
 
 
-# -- the judgement ----------------------------------------------------------------------------------------------------
+# -- the judgement
+# ----------------------------------------------------------------------------------------------------
 
 
 def test_fresh_forces_are_safe_at_any_age() -> None:
@@ -51,7 +60,12 @@ def test_fresh_forces_are_safe_at_any_age() -> None:
 
 def test_time_to_safe_runs_from_the_last_fresh_force_to_zero() -> None:
     # The force of tick 1 is told by state 2; it is held, then damped, and state 14 tells zero.
-    run = [state(1, 0), state(2, 1), *(state(k, 1) for k in range(3, 12)), state(12, 1, 0.1, "damping")]
+    run = [
+        state(1, 0),
+        state(2, 1),
+        *(state(k, 1) for k in range(3, 12)),
+        state(12, 1, 0.1, "damping"),
+    ]
     run += [state(13, 1, 0.1, "damping"), state(14, 1, 0.0, "zero"), state(15, 1, 0.0, "zero")]
     assert drill.time_to_safe(run, 25) == 11
 
@@ -60,8 +74,14 @@ def test_a_driver_that_hangs_is_safe_when_the_device_lets_go() -> None:
     run = [state(1, 0), state(2, 1), state(202, 1, 0.0, "zero")]
     assert drill.time_to_safe(run, 25) == 25
     assert drill.time_to_safe(run, 1000) == 200
-    # Nobody renewed the force while it was held, so that the device's time runs from the last fresh one.
-    run = [state(1, 0), state(2, 1), *(state(k, 1) for k in range(3, 11)), state(110, 1, 0.0, "zero")]
+    # Nobody renewed the force while it was held, so that the device's time runs from the last fresh
+    # one.
+    run = [
+        state(1, 0),
+        state(2, 1),
+        *(state(k, 1) for k in range(3, 11)),
+        state(110, 1, 0.0, "zero"),
+    ]
     assert drill.time_to_safe(run, 25) == 25
     # No force, no danger.
     assert drill.time_to_safe([state(1, 0, 0.0), state(200, 0, 0.0)], 25) == 0
@@ -69,7 +89,11 @@ def test_a_driver_that_hangs_is_safe_when_the_device_lets_go() -> None:
 
 def test_ticks_that_a_damping_driver_slept_through_are_the_device_s() -> None:
     # Held from 2 on, damped from 12, away from 19 to 33: the device would hold that force until 44.
-    run = [state(1, 0), *(state(k, 1) for k in range(2, 12)), *(state(k, 1, 0.1, "damping") for k in range(12, 20))]
+    run = [
+        state(1, 0),
+        *(state(k, 1) for k in range(2, 12)),
+        *(state(k, 1, 0.1, "damping") for k in range(12, 20)),
+    ]
     run += [state(33, 1, 0.0, "zero")]
     assert drill.time_to_safe(run, 25) == 31
     assert drill.driven_to_safe(run, 25) == 31 - 13
@@ -81,7 +105,8 @@ def test_ticks_that_a_damping_driver_slept_through_are_the_device_s() -> None:
 
 
 def test_ticks_after_a_ramp_are_the_device_s_too() -> None:
-    # Answered in 1 last, up by the ramp without answers until 10, away until 32: the device would hold that force until 35.
+    # Answered in 1 last, up by the ramp without answers until 10, away until 32: the device would
+    # hold that force until 35.
     ramp = [state(1, 0, 0.1, "ramp"), *(state(k, 1, 0.1 * k, "ramp") for k in range(2, 11))]
     run = [*ramp, state(32, 1, 1.0, "zero"), state(33, 1, 0.0, "zero")]
     assert drill.time_to_safe(run, 25) == 30
@@ -92,7 +117,12 @@ def test_ticks_after_a_ramp_are_the_device_s_too() -> None:
 
 
 def test_energy_goes_on_through_a_respawned_driver() -> None:
-    run = [state(1, 0, energy=0.5), state(2, 1, energy=0.7), state(9, -1, 0.0, energy=0.0), state(10, 9, energy=0.3)]
+    run = [
+        state(1, 0, energy=0.5),
+        state(2, 1, energy=0.7),
+        state(9, -1, 0.0, energy=0.0),
+        state(10, 9, energy=0.3),
+    ]
     assert drill.energy_given_out(run) == pytest.approx(0.5)
     assert drill.energy_given_out([state(1, 0, energy=0.5), state(2, 1, energy=0.4)]) == 0.0
 
@@ -101,19 +131,31 @@ def test_damping_may_not_be_stronger_than_a_damper() -> None:
     # 2 mm in ten lost ticks are 0.1 m/s: 0.05 N of 0.5 N s/m. By one period they would be 1 m/s.
     def moved(seq: int, x: float, z: float) -> DeviceState:
         held = state(seq, 1, z, "damping")
-        return DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, x), force=held.force, force_seq=1, safety="damping")
+        return DeviceState(
+            seq=seq,
+            stamp=0.0,
+            position=(0.0, 0.0, x),
+            force=held.force,
+            force_seq=1,
+            safety="damping",
+        )
 
     right = 0.002 / (10 / drill.RATE) * drill.DAMPING
     for force, excess in ((right, 0.0), (10.0 * right, 9.0 * right)):
         run = [moved(5, 0.0, 0.0), moved(15, 0.002, 0.0), moved(16, 0.002, -force)]
-        assert drill.overdamped(run) == pytest.approx(excess, abs=1e-9)  # the factor on the allowed force
+        # the factor on the allowed force
+        assert drill.overdamped(run) == pytest.approx(excess, abs=1e-9)
     # A larger force on its way down is none of damping's.
     assert drill.overdamped([moved(5, 0.0, 3.0), moved(6, 0.0, 2.0), moved(7, 0.0, 1.0)]) == 0.0
 
 
 def test_a_cause_is_what_was_counted_for_long_enough() -> None:
     def look(waited: float, ran: float, stolen: float) -> dict[tuple[str, int, str], float]:
-        return {("coupling", 7, "waited"): waited, ("driver", 6, "computed"): ran, ("the machine", 0, "stolen"): stolen}
+        return {
+            ("coupling", 7, "waited"): waited,
+            ("driver", 6, "computed"): ran,
+            ("the machine", 0, "stolen"): stolen,
+        }
 
     # A quarter of 2 ms is enough, a little less is not; computing counts beyond half of the time.
     assert largest(look(0.0, 0.0, 0.0), look(0.0005, 0.0, 0.0), 0.01, 0.002) == "coupling waited"
@@ -146,7 +188,10 @@ def test_a_force_that_comes_back_keeps_its_ramp_and_throws_nobody() -> None:
     right, later = _sunk(0, shares), 10 * ramp
     assert people.thrown([*right, *_sunk(later, shares)]) == []
     assert people.thrown(right) == ["the force came back 1 times, not twice"]
-    assert "1 ticks after none" in people.thrown([*right, *_sunk(later, [1.01 / ramp, *shares[1:]])])[0]
+    assert (
+        "1 ticks after none"
+        in people.thrown([*right, *_sunk(later, [1.01 / ramp, *shares[1:]])])[0]
+    )
     # 9 N over 20 mm, the damping of the way and the speed at its end: 0.217 J.
     assert people.thrown([*right, *_sunk(later, [0.0], 0.215)]) == []
     assert "the way out takes 217 mJ" in people.thrown([*right, *_sunk(later, [0.0], 0.22)])[0]
@@ -156,7 +201,11 @@ def test_a_push_that_nobody_asked_for_is_seen() -> None:
     assert people.unasked([state(1, 0, 1.7), state(2, 1, 1.75), state(3, 2, 1.62)]) == []
     assert people.unasked([state(1, 0, 1.7), state(2, 1, 1.0)]) != []
     # Right after a gap of the machine's the hand is still on its way.
-    late = [state(1, 0, 1.7), state(2, 1, 0.0, "zero"), *(state(k, k - 1, 1.0) for k in range(3, 4 + people.SETTLED))]
+    late = [
+        state(1, 0, 1.7),
+        state(2, 1, 0.0, "zero"),
+        *(state(k, k - 1, 1.0) for k in range(3, 4 + people.SETTLED)),
+    ]
     assert people.unasked(late[:-1]) == []
     assert people.unasked(late) != []
 
@@ -206,11 +255,21 @@ class Unmoved:
 @pytest.mark.parametrize(
     "name",
     [
-        *("flood", "dead link", "lossy link", "slow link", "reordering link", "garbage", "oversize message"),
+        *(
+            "flood",
+            "dead link",
+            "lossy link",
+            "slow link",
+            "reordering link",
+            "garbage",
+            "oversize message",
+        ),
         *("hung device", "driver exits", "huge position", "slow logger", "stopped reaper"),
     ],
 )
-def test_a_fault_that_does_not_show_has_not_struck(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fault_that_does_not_show_has_not_struck(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A drill that passes because nothing was done to the launch would prove nothing."""
     monkeypatch.setattr(drill, "within", lambda condition, _: condition())
     rig: Any = Unmoved(tmp_path)
@@ -218,11 +277,14 @@ def test_a_fault_that_does_not_show_has_not_struck(name: str, tmp_path: Path, mo
         next(fault for fault in faults() if fault.name == name).strike(rig)
 
 
-# -- the device's own deadline ----------------------------------------------------------------------------------------
+# -- the device's own deadline
+# ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("hold", "let_go"), [(0.02, 10), (None, None)])
-def test_the_virtual_device_lets_go_after_its_deadline(hold: float | None, let_go: int | None) -> None:
+def test_the_virtual_device_lets_go_after_its_deadline(
+    hold: float | None, let_go: int | None
+) -> None:
     period = 0.002
     setup = setup_of(period=period)
     model = convert({"device": {"mass": 1.0, "damping": 0.0}}, SimDriverParameters, "driver").device
@@ -240,11 +302,17 @@ def test_the_virtual_device_lets_go_after_its_deadline(hold: float | None, let_g
     assert grows == list(range(1, 20 if let_go is None else let_go))
 
 
-# -- on real processes ------------------------------------------------------------------------------------------------
+# -- on real processes
+# ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    "name", ["kill coupling", "stop driver", *slowly(["dead link", "ticks lost by quota", "killed in start-up"])]
+    "name",
+    [
+        "kill coupling",
+        "stop driver",
+        *slowly(["dead link", "ticks lost by quota", "killed in start-up"]),
+    ],
 )
 def test_faults_end_safe_recover_and_leave_nothing(name: str) -> None:
     fault = next(fault for fault in faults() if fault.name == name)
@@ -278,8 +346,11 @@ def test_faults_end_safe_recover_and_leave_nothing(name: str) -> None:
         ),
     ],
 )
-def test_intruders_libraries_and_people_do_no_harm_and_the_loop_goes_on(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    # tests/messages/transport/test_gate.py comes some hundred times to each kind of socket; here it is a whole launch's.
+def test_intruders_libraries_and_people_do_no_harm_and_the_loop_goes_on(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # tests/messages/transport/test_gate.py comes some hundred times to each kind of socket; here it
+    # is a whole launch's.
     monkeypatch.setattr(intruders, "VISITS", 60)
     outcome = drill.drill(next(fault for fault in faults() if fault.name == name))
     assert outcome.passed, outcome.reasons
@@ -336,7 +407,9 @@ def test_a_launch_that_does_not_recover_fails_the_drill() -> None:
     def change(content: dict[str, Any]) -> None:
         content["nodes"]["link"] = {"kind": "link"}
 
-    broken = drill.Fault(name="ended", what="the launcher is ended half-way", strike=strike, change=change)
+    broken = drill.Fault(
+        name="ended", what="the launcher is ended half-way", strike=strike, change=change
+    )
     outcome = drill.drill(broken, patience=0.2)
     assert not outcome.passed
     assert not outcome.recovered
@@ -346,16 +419,28 @@ def test_a_launch_that_does_not_recover_fails_the_drill() -> None:
 
 def test_verb_lists_refuses_and_answers(tmp_path: Path) -> None:
     listed = json.loads(typed_in(tmp_path, "drill", "--list", "--json").stdout)["faults"]
-    assert {"kill driver", "flood", "clock step", "starvation", "blocked stderr", "hung device"} <= set(listed)
+    assert {
+        "kill driver",
+        "flood",
+        "clock step",
+        "starvation",
+        "blocked stderr",
+        "hung device",
+    } <= set(listed)
     refused = typed_in(tmp_path, "drill", "earthquake", code=2)
     assert "no fault is named 'earthquake'" in refused.stderr
     figures = json.loads(typed_in(tmp_path, "drill", "full disk", "--json").stdout.splitlines()[-1])
     assert figures["passed"] is True
-    assert figures["drills"][0]["skipped"] or figures["drills"][0]["safe_ticks"] <= figures["limit_ticks"]
+    assert (
+        figures["drills"][0]["skipped"]
+        or figures["drills"][0]["safe_ticks"] <= figures["limit_ticks"]
+    )
 
 
 @pytest.mark.parametrize("number", slowly([signal.SIGTERM, signal.SIGKILL], but=[signal.SIGKILL]))
-def test_a_drill_that_is_ended_itself_leaves_no_launch_behind(tmp_path: Path, number: signal.Signals) -> None:
+def test_a_drill_that_is_ended_itself_leaves_no_launch_behind(
+    tmp_path: Path, number: signal.Signals
+) -> None:
     drilling = subprocess.Popen([*HAPTIC, "drill", "soak"], cwd=tmp_path, stderr=subprocess.DEVNULL)
 
     def children(parents: set[int]) -> set[int]:
@@ -369,12 +454,15 @@ def test_a_drill_that_is_ended_itself_leaves_no_launch_behind(tmp_path: Path, nu
     try:
         # The drill's child is the launcher; the launcher's are the reaper and four nodes.
         launcher = wait_for(lambda: children({drilling.pid}), "the launcher starts")
-        nodes = wait_for(lambda: found if len(found := children(launcher)) >= 5 else None, "nodes start")
+        nodes = wait_for(
+            lambda: found if len(found := children(launcher)) >= 5 else None, "nodes start"
+        )
         folder = Path(f"/proc/{min(launcher)}/cwd").resolve()
         drilling.send_signal(number)
         drilling.wait()
         wait_for(lambda: not any(map(alive, launcher | nodes)), "launcher, reaper and nodes end")
-        # What was killed cannot tidy up its own working folder; the sockets in it are gone all the same.
+        # What was killed cannot tidy up its own working folder; the sockets in it are gone all the
+        # same.
         assert folder.exists() == (number == signal.SIGKILL)
         assert not list(folder.glob("run/runs/*"))
         shutil.rmtree(folder, ignore_errors=True)

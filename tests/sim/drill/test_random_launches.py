@@ -15,7 +15,18 @@ from nodes.coupling.renderer import ActiveLaw, Renderer
 from nodes.laws import CompiledLaw
 from sim.drill.device_log import Sample
 from sim.drill.drill import PEAK, RATE
-from sim.drill.random_launches import DAMPING, LAWS, RAMP, REACH, STIFFNESS, begins_in, drawn, launch_many, pushed, text
+from sim.drill.random_launches import (
+    DAMPING,
+    LAWS,
+    RAMP,
+    REACH,
+    STIFFNESS,
+    begins_in,
+    drawn,
+    launch_many,
+    pushed,
+    text,
+)
 from sim.drill.writes import Promise, Write, judge
 from tests.support.commit import commit
 
@@ -23,24 +34,38 @@ T = 1.0 / RATE
 TICKS = round(RAMP / T)
 
 
-def _given(seq: int, z: float, position: Vector = (0.0, 0.0, -0.001), jumps: int = 0, late: float = 0.0) -> Sample:
+def _given(
+    seq: int, z: float, position: Vector = (0.0, 0.0, -0.001), jumps: int = 0, late: float = 0.0
+) -> Sample:
     return Sample(Write(seq * T + late, (0.0, 0.0, z), seq * T), seq, jumps, position)
 
 
 def _state(seq: int, safety: str) -> DeviceState:
-    return DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0), force=(0.0, 0.0, 0.0), force_seq=0, safety=safety)
+    return DeviceState(
+        seq=seq,
+        stamp=0.0,
+        position=(0.0, 0.0, 0.0),
+        force=(0.0, 0.0, 0.0),
+        force_seq=0,
+        safety=safety,
+    )
 
 
 def test_a_surface_that_is_moved_pushes_by_its_ramp_and_no_faster() -> None:
     # From 1 N to the peak, straight: a step a tick, of which two are the oracle's slack.
     line = [1.0 + (PEAK - 1.0) * min((n + 1) / TICKS, 1.0) for n in range(TICKS)]
     before = [_given(seq, 1.0) for seq in range(60)]
-    wrong, steepest = pushed([*before, *(_given(60 + n, force) for n, force in enumerate(line))], [60])
+    wrong, steepest = pushed(
+        [*before, *(_given(60 + n, force) for n, force in enumerate(line))], [60]
+    )
     assert wrong == []
     assert 0.5 < steepest <= 1.0
-    # In three ticks fewer it is faster than the ramp, from the third tick before its end on at the latest.
+    # In three ticks fewer it is faster than the ramp, from the third tick before its end on at the
+    # latest.
     early = [1.0 + (PEAK - 1.0) * min((n + 4) / TICKS, 1.0) for n in range(TICKS)]
-    wrong, steepest = pushed([*before, *(_given(60 + n, force) for n, force in enumerate(early))], [60])
+    wrong, steepest = pushed(
+        [*before, *(_given(60 + n, force) for n, force in enumerate(early))], [60]
+    )
     assert "moved at tick 60" in wrong[0]
     assert steepest > 1.0
     assert pushed([*before, _given(60, 2.5)], [60])[0] != []
@@ -48,7 +73,10 @@ def test_a_surface_that_is_moved_pushes_by_its_ramp_and_no_faster() -> None:
 
 def test_what_a_hand_moves_meanwhile_is_no_push() -> None:
     depth, force = 0.0005, 1.0 + STIFFNESS * 0.0005 + DAMPING * 0.0005 / T
-    moved = [_given(seq, 1.0) for seq in range(60)] + [_given(60, 1.0), _given(61, force, (0.0, 0.0, -0.001 - depth))]
+    moved = [_given(seq, 1.0) for seq in range(60)] + [
+        _given(60, 1.0),
+        _given(61, force, (0.0, 0.0, -0.001 - depth)),
+    ]
     assert pushed(moved, [60])[0] == []
     still = [*moved[:-1], _given(61, force)]
     assert pushed(still, [60])[0] != []
@@ -57,11 +85,20 @@ def test_what_a_hand_moves_meanwhile_is_no_push() -> None:
 def test_a_ramp_counts_ticks_and_a_force_that_is_written_late_is_none_too_fast() -> None:
     step = PEAK / TICKS
     # The first force of the ramp comes 8 ms late, those after it in time.
-    log = [_given(0, step, late=4 * T), *(_given(4 + n, step * (2 + n)) for n in range(1, TICKS - 2)), _given(TICKS + 2, 0.0)]
+    log = [
+        _given(0, step, late=4 * T),
+        *(_given(4 + n, step * (2 + n)) for n in range(1, TICKS - 2)),
+        _given(TICKS + 2, 0.0),
+    ]
     bounds = Promise(T, PEAK, hold=0.05, ramp=RAMP)
     assert judge([sample.write for sample in log], bounds).broken == []
     fast = [sample.write._replace(due=4 * T + n * T) for n, sample in enumerate(log)]
-    assert judge([write._replace(force=(0.0, 0.0, 1.1 * write.force[2])) for write in fast], bounds).broken != []
+    assert (
+        judge(
+            [write._replace(force=(0.0, 0.0, 1.1 * write.force[2])) for write in fast], bounds
+        ).broken
+        != []
+    )
 
 
 def test_each_tick_has_its_slew_however_late_it_is_written() -> None:
@@ -69,7 +106,10 @@ def test_each_tick_has_its_slew_however_late_it_is_written() -> None:
 
     def rising(step: float) -> list[Write]:
         """Four ticks within less than one of time; at the end nothing is left."""
-        return [*(Write(n * 0.2 * T, (0.0, 0.0, step * n), n * T) for n in range(4)), Write(1.0, (0.0, 0.0, 2.0 * step), 1.0)]
+        return [
+            *(Write(n * 0.2 * T, (0.0, 0.0, step * n), n * T) for n in range(4)),
+            Write(1.0, (0.0, 0.0, 2.0 * step), 1.0),
+        ]
 
     # The force of the tick before, handed over again, and the tick's own have two slews together.
     assert judge(rising(0.08), bounds).broken[:-1] == []
@@ -83,7 +123,9 @@ def test_figures_of_a_log_count_what_is_above_a_limit_and_the_steepest_rise() ->
     right = judge([*log, Write(2 * TICKS * T, (0.0, 0.0, 0.0))], Promise(T, PEAK, ramp=RAMP))
     assert (right.broken, right.above) == ([], 0)
     assert 0.9 < right.steepest <= 1.0
-    wrong = judge([Write(at, (x, y, 1.2 * z)) for at, (x, y, z), _ in log], Promise(T, PEAK, ramp=RAMP))
+    wrong = judge(
+        [Write(at, (x, y, 1.2 * z)) for at, (x, y, z), _ in log], Promise(T, PEAK, ramp=RAMP)
+    )
     # Above the peak from 1/1.2 of the ramp on.
     assert wrong.above == 2 * TICKS - round(TICKS / 1.2)
     assert wrong.steepest > 1.0
@@ -101,7 +143,9 @@ def test_ramps_are_due_after_jumps_in_contact_faults_and_times_without_force() -
     # A gap that costs a part of the ramp only is judged by its length; a fault costs all of it.
     short = [_given(n, 0.0 if n == 10 else 1.0) for n in range(50)]
     assert begins_in(short, [_state(10, "active"), _state(11, "zero"), _state(12, "ramp")]) == []
-    assert begins_in(short, [_state(10, "fault"), _state(11, "zero"), _state(12, "ramp")]) == [11 * T]
+    assert begins_in(short, [_state(10, "fault"), _state(11, "zero"), _state(12, "ramp")]) == [
+        11 * T
+    ]
 
 
 def test_a_launch_is_drawn_again_from_its_seed() -> None:
@@ -110,22 +154,30 @@ def test_a_launch_is_drawn_again_from_its_seed() -> None:
     assert len({what for _, what in found}) > 4
 
 
-# -- moves and swaps, through the coupling's renderer -----------------------------------------------------------------
+# -- moves and swaps, through the coupling's renderer
+# -----------------------------------------------------------------
 
 LENGTH = 300
 MOVES = given(
-    # Where a hand goes to, in equal spans of time, and when a wall is moved where, a law taken up within how many ticks.
+    # Where a hand goes to, in equal spans of time, and when a wall is moved where, a law taken up
+    # within how many ticks.
     path=st.lists(st.floats(-0.002, 0.002), min_size=1, max_size=6),
     moves=st.dictionaries(st.integers(1, LENGTH - 1), st.floats(-REACH, REACH), max_size=4),
     swaps=st.dictionaries(
-        st.integers(1, LENGTH - 1), st.tuples(st.sampled_from(sorted(LAWS)), st.sampled_from([5, 20, 75])), max_size=4
+        st.integers(1, LENGTH - 1),
+        st.tuples(st.sampled_from(sorted(LAWS)), st.sampled_from([5, 20, 75])),
+        max_size=4,
     ),
     lost=st.sets(st.integers(1, LENGTH - 1), max_size=20),
 )
 
 
 def _felt(
-    path: list[float], moves: dict[int, float], swaps: dict[int, tuple[str, int]], lost: set[int], ease: int = TICKS
+    path: list[float],
+    moves: dict[int, float],
+    swaps: dict[int, tuple[str, int]],
+    lost: set[int],
+    ease: int = TICKS,
 ) -> list[Sample]:
     """Return what a device is given that follows a path, by a coupling that misses some ticks, within the driver's peak."""
     renderer = Renderer([2], 16)
@@ -179,7 +231,8 @@ def test_a_coupling_that_does_not_ease_is_seen() -> None:
     assert pushed(_felt([-0.001], {100: 0.0015}, {}, set()), [100])[0] == []
 
 
-# -- real launches ----------------------------------------------------------------------------------------------------
+# -- real launches
+# ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow

@@ -10,7 +10,10 @@ import pytest
 
 from sim.stand_ins.world import World
 
-_TOUCH = "import sys, pathlib; from sim.stand_ins.world import World; print(World(pathlib.Path(sys.argv[1])).force())"
+_TOUCH = (
+    "import sys, pathlib; from sim.stand_ins.world import World;"
+    " print(World(pathlib.Path(sys.argv[1])).force())"
+)
 _DIE = (
     "import os, sys, pathlib; from sim.stand_ins.world import World; "
     "World(pathlib.Path(sys.argv[1])).state.lock = os.getpid(); os.kill(os.getpid(), 9)"
@@ -19,7 +22,11 @@ _DIE = (
 
 def _touch(path: Path, seconds: float) -> str:
     return subprocess.run(
-        [sys.executable, "-c", _TOUCH, str(path)], capture_output=True, text=True, timeout=seconds, check=True
+        [sys.executable, "-c", _TOUCH, str(path)],
+        capture_output=True,
+        text=True,
+        timeout=seconds,
+        check=True,
     ).stdout
 
 

@@ -41,7 +41,10 @@ def swing(folder: Path, law: CompiledLaw, delays: list[float], ticks: int) -> np
     driver["kind"] = "jittering_driver"
     driver["parameters"] |= {"delays": delays, "safety": NO_LIMITS}
     driver["parameters"]["device"] = {"mass": 0.1, "damping": 1.0, "position": 0.01}
-    content["nodes"]["environment"]["parameters"]["surface"] = {"kind": "anchor", "position": [0.0, 0.0, 0.0]}
+    content["nodes"]["environment"]["parameters"]["surface"] = {
+        "kind": "anchor",
+        "position": [0.0, 0.0, 0.0],
+    }
     content["nodes"]["coupling"]["parameters"] = {
         "law": "tried",
         "laws": {"tried": {"kind": "fir", "taps": list(law.taps), "period": T}},
@@ -52,8 +55,12 @@ def swing(folder: Path, law: CompiledLaw, delays: list[float], ticks: int) -> np
     }
     scenario = folder / "jitter.yaml"
     scenario.write_text(yaml.safe_dump(content))
-    figures = launch_json(folder, str(scenario), "pace:=lockstep", f"duration:={ticks * T}", environment=INSTALLED)
-    return np.asarray(Recording(folder / figures["recording"]).arrays("/device/state")["position"][:ticks, 2])
+    figures = launch_json(
+        folder, str(scenario), "pace:=lockstep", f"duration:={ticks * T}", environment=INSTALLED
+    )
+    return np.asarray(
+        Recording(folder / figures["recording"]).arrays("/device/state")["position"][:ticks, 2]
+    )
 
 
 @pytest.mark.slow
@@ -75,13 +82,22 @@ def test_certified_jitter_decays_and_its_counterexample_grows(tmp_path: Path) ->
         quarter = ticks // 4
         rate = (position[-quarter:].max() / position[:quarter].max()) ** (1.0 / (ticks - quarter))
         assert (rate < 1.0) == (name == "inside")
-        # The launch swings as the replay of that sequence does, which other code plays; a history that begins empty and the
-        # phase of the swing are left: a factor of 2 over all ticks.
-        assert rate == pytest.approx(replayed_radius(law, Plant(T, 0.1, 1.0), repeated), abs=math.log(2.0) / (ticks - quarter))
+        # The launch swings as the replay of that sequence does, which other code plays; a history
+        # that begins empty and the phase of the swing are left: a factor of 2 over all ticks.
+        assert rate == pytest.approx(
+            replayed_radius(law, Plant(T, 0.1, 1.0), repeated),
+            abs=math.log(2.0) / (ticks - quarter),
+        )
 
 
 def resting(friction: float, height: float = 1e-4) -> Scene:
-    return drop_scene(DeviceModel(mass=0.1, damping=1.0, friction=friction, resolution=STEP), T, False, True, height=height)
+    return drop_scene(
+        DeviceModel(mass=0.1, damping=1.0, friction=friction, resolution=STEP),
+        T,
+        False,
+        True,
+        height=height,
+    )
 
 
 @pytest.mark.slow
@@ -115,13 +131,19 @@ def rate(law: dict[str, Any], mass: float, delay: float, ticks: int = 1600) -> f
     scene = free_scene(DeviceModel(mass=mass, damping=1.0, delay=delay), T, amplitude=1e-3)
     position = np.abs(launched(scene, law, ticks)[0])
     eighth = ticks // 8
-    return float((position[-eighth:].max() / position[4 * eighth : 5 * eighth].max()) ** (1.0 / (3 * eighth)))
+    return float(
+        (position[-eighth:].max() / position[4 * eighth : 5 * eighth].max()) ** (1.0 / (3 * eighth))
+    )
 
 
 @pytest.mark.slow
-def test_launches_decay_just_below_colgates_k_at_the_frequency_that_occurs_and_grow_just_above() -> None:
+def test_launches_decay_just_below_colgates_k_at_the_frequency_that_occurs_and_grow_just_above() -> (
+    None
+):
     described = {"kind": "pd_alpha", "order": 1.5, "taps": 4, "gains": "paper", "damping": 3.0}
-    edge = edge_of(without_spring(parse_law({**described, "stiffness": 1.0}), T), Plant(T, 0.1, 1.0))
+    edge = edge_of(
+        without_spring(parse_law({**described, "stiffness": 1.0}), T), Plant(T, 0.1, 1.0)
+    )
     assert edge is not None
     assert rate({**described, "stiffness": 0.995 * edge.k_exact_n_per_m}, 0.1, 0.0) < 1.0
     assert rate({**described, "stiffness": 1.005 * edge.k_exact_n_per_m}, 0.1, 0.0) > 1.0
@@ -146,10 +168,17 @@ def test_launches_land_within_the_margin_and_not_just_beyond() -> None:
     demand = Demand((0.05, 0.2), 1.0, (1.0, 1.0), T, 0.99, 1e4)
     law = parse_law("designed_d1")
     scenes = {
-        mass: [dropped(demand, mass, *way, height) for way in CONVENTIONS for height in np.geomspace(0.005, 0.02, 7).tolist()]
+        mass: [
+            dropped(demand, mass, *way, height)
+            for way in CONVENTIONS
+            for height in np.geomspace(0.005, 0.02, 7).tolist()
+        ]
         for mass in (0.05, 0.05 / 1.06)
     }
     falls = [not settles(scene, [law.compile(T)], Criterion())[0] for scene in scenes[0.05 / 1.06]]
     assert any(falls)
     for mass, lands in ((0.05, True), (0.05 / 1.06, False)):
-        assert settles_launched(scenes[mass][falls.index(True)], law_to_dict(law), Criterion()) == lands
+        assert (
+            settles_launched(scenes[mass][falls.index(True)], law_to_dict(law), Criterion())
+            == lands
+        )

@@ -33,7 +33,9 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str, str]
     return {(row["surface"], row["law"], row["frame"]): row for row in rows}
 
 
-def test_only_axes_that_turn_give_out_nothing_on_smooth_ways(found: dict[tuple[str, str, str], dict[str, float]]) -> None:
+def test_only_axes_that_turn_give_out_nothing_on_smooth_ways(
+    found: dict[tuple[str, str, str], dict[str, float]],
+) -> None:
     for surface in ("plane", "sphere of 35 mm", "rod of 6 mm"):
         for law in ("pd", "pd_alpha"):
             # The proxy keeps 1e-10 m of skin; of forces of 1.6 N that is nothing.
@@ -44,7 +46,9 @@ def test_only_axes_that_turn_give_out_nothing_on_smooth_ways(found: dict[tuple[s
         assert found[surface, "pd", "world"]["given_out"] == pytest.approx(expected, rel=0.02)
 
 
-def test_a_mesh_kicks_less_in_axes_that_turn(found: dict[tuple[str, str, str], dict[str, float]]) -> None:
+def test_a_mesh_kicks_less_in_axes_that_turn(
+    found: dict[tuple[str, str, str], dict[str, float]],
+) -> None:
     """From face to face the normal jumps: in the world's axes that is a velocity of depth times jump over a tick."""
     for surface in ("sphere of 320 triangles", "sphere of 5120 triangles"):
         for law in ("pd", "pd_alpha"):
@@ -53,7 +57,9 @@ def test_a_mesh_kicks_less_in_axes_that_turn(found: dict[tuple[str, str, str], d
             assert world["given_out"] > 0.0 > turned["given_out"]
 
 
-def test_at_a_concave_edge_neither_gives_out(found: dict[tuple[str, str, str], dict[str, float]]) -> None:
+def test_at_a_concave_edge_neither_gives_out(
+    found: dict[tuple[str, str, str], dict[str, float]],
+) -> None:
     for law in ("pd", "pd_alpha"):
         for frame in ("world", "surface"):
             assert found["groove of 120°", law, frame]["given_out"] <= 0.0
@@ -78,17 +84,27 @@ def test_the_ends_of_the_search_are_not_told_as_k_max(
     monkeypatch.setattr("sim.experiments.curved.growth", lambda *_: math.nan)
     assert sliding_k_max(launch, 0.02, "surface") == 0.0
     monkeypatch.setattr("sim.experiments.curved.sliding_k_max", lambda *_: math.inf)
-    monkeypatch.setattr("sim.experiments.curved.along_ways", lambda *_: [AlongTheWay("plane", "pd", "world", 0.0, 0.0, 0.0)])
+    monkeypatch.setattr(
+        "sim.experiments.curved.along_ways",
+        lambda *_: [AlongTheWay("plane", "pd", "world", 0.0, 0.0, 0.0)],
+    )
     assert main(["study", "curved", "--slides", "0.02", "--json", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
-    assert [edge["k_max_n_per_m"] for edge in json.loads(out.splitlines()[-1])["edges"]] == [None, None]
+    assert [edge["k_max_n_per_m"] for edge in json.loads(out.splitlines()[-1])["edges"]] == [
+        None,
+        None,
+    ]
 
 
 @pytest.mark.slow
 def test_launches_agree_where_it_slides() -> None:
     launch = launch_file.read("sphere_feel", {"pace": "lockstep"})
     edge = theory(PERIOD)
-    assert growth_launched(launch, 0.9 * edge, 0.02, "surface") < 1.0 < growth_launched(launch, 1.1 * edge, 0.02, "surface")
+    assert (
+        growth_launched(launch, 0.9 * edge, 0.02, "surface")
+        < 1.0
+        < growth_launched(launch, 1.1 * edge, 0.02, "surface")
+    )
 
 
 def test_what_makes_no_sense_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

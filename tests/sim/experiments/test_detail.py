@@ -22,14 +22,31 @@ from tests.support.shapes import Array, box_triangles, turned
 PERIOD, STIFFNESS, RESOLUTION = 1e-3, 1000.0, 1e-5
 
 
-def judged(triangles: Array, path: Array, friction: Friction = SLIPPERY, fraction: float = 0.0) -> Detail:
-    return detail([mesh(prepare_mesh(triangles, False, "file"), friction)], path, 0.0, PERIOD, STIFFNESS, RESOLUTION, fraction)
+def judged(
+    triangles: Array, path: Array, friction: Friction = SLIPPERY, fraction: float = 0.0
+) -> Detail:
+    return detail(
+        [mesh(prepare_mesh(triangles, False, "file"), friction)],
+        path,
+        0.0,
+        PERIOD,
+        STIFFNESS,
+        RESOLUTION,
+        fraction,
+    )
 
 
 def over_an_edge() -> Array:
     """Lead over the top of a box 20 mm high, 1 mm deep, around an edge and down a side, from outside and back."""
     corners = np.array(
-        [[0.0, 0.0, 0.02], [0.0, 0.0, 0.009], [0.021, 0.004, 0.009], [0.021, 0.004, 0.012], [0.019, 0.004, 0.005], [0.03, 0, 0]]
+        [
+            [0.0, 0.0, 0.02],
+            [0.0, 0.0, 0.009],
+            [0.021, 0.004, 0.009],
+            [0.021, 0.004, 0.012],
+            [0.019, 0.004, 0.005],
+            [0.03, 0, 0],
+        ]
     )
     return np.concatenate([np.linspace(a, b, 60) for a, b in itertools.pairwise(corners)])
 
@@ -76,8 +93,13 @@ def test_a_path_in_the_air_is_refused() -> None:
 
 
 @pytest.mark.slow
-def test_the_study_leads_a_real_run_through_the_levels(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert main(["study", "detail", "rough_plane", "duration:=1.2", "--json", "--out", str(tmp_path)]) == 0
+def test_the_study_leads_a_real_run_through_the_levels(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert (
+        main(["study", "detail", "rough_plane", "duration:=1.2", "--json", "--out", str(tmp_path)])
+        == 0
+    )
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert_drawn(told["plot"], "without friction", "no difference: up to", "time of a call")
     assert [level["name"] for level in told["levels"]] == ["as it is", "without friction"]
@@ -88,16 +110,28 @@ def test_the_study_leads_a_real_run_through_the_levels(capsys: pytest.CaptureFix
     assert "has one level of detail" in capsys.readouterr().err
 
 
-def test_bodies_are_led_held_and_left_out(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_bodies_are_led_held_and_left_out(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     pytest.importorskip("mujoco")
-    assert main(["study", "detail", "stack_boxes", "duration:=1.2", "--json", "--out", str(tmp_path)]) == 0
+    assert (
+        main(["study", "detail", "stack_boxes", "duration:=1.2", "--json", "--out", str(tmp_path)])
+        == 0
+    )
     found = json.loads(capsys.readouterr().out.splitlines()[-1])
     levels = {level["name"]: level for level in found["levels"]}
-    assert list(levels) == ["dynamic", "dynamic, without friction", "kinematic: led as they went", "fixed", "a tool alone"]
+    assert list(levels) == [
+        "dynamic",
+        "dynamic, without friction",
+        "kinematic: led as they went",
+        "fixed",
+        "a tool alone",
+    ]
     # The finest is its own measure.
     assert levels["dynamic"]["force_n"] == 0.0
     assert levels["dynamic"]["enough"]
-    # A body that goes where it went gives way a little less than one that is pushed there; one that is held does not at all.
+    # A body that goes where it went gives way a little less than one that is pushed there; one that
+    # is held does not at all.
     assert levels["kinematic: led as they went"]["force_n"] < levels["fixed"]["force_n"]
     assert not levels["fixed"]["enough"]
     # Without any contact the tool keeps to the device, and all of the force from pushing is gone.

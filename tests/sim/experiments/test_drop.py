@@ -41,14 +41,20 @@ def pd_alpha(damping: float) -> PDAlpha:
 
 
 def largest_pole_angle(law: CompiledLaw, model: DeviceModel) -> float:
-    roots = np.roots(closed_loop(law, Plant(PERIOD, model.mass, model.damping, model.delay))).tolist()
+    roots = np.roots(
+        closed_loop(law, Plant(PERIOD, model.mass, model.damping, model.delay))
+    ).tolist()
     return abs(cmath.phase(max(roots, key=abs)))
 
 
 GRID = [
     (law, mass, damping, gain, delay)
     for law, mass, damping, gain, delay in itertools.product(
-        (lambda B: PD(stiffness=1.0, damping=B), optimum, pd_alpha), (0.05, 0.2), (0.5, 2.0), (0.5, 2.0), (0.0, 1.0)
+        (lambda B: PD(stiffness=1.0, damping=B), optimum, pd_alpha),
+        (0.05, 0.2),
+        (0.5, 2.0),
+        (0.5, 2.0),
+        (0.0, 1.0),
     )
 ]
 
@@ -61,17 +67,21 @@ def test_free_swing_ends_where_the_pole_radius_says(
     model = DeviceModel(mass=mass, damping=damping, delay=delay)
     derivative = without_spring(law(gain), PERIOD)
     criterion = Criterion(ticks=12000)
-    found = simulated_k_max(lambda K: with_spring(derivative, K), free_scene(model, PERIOD), criterion)
+    found = simulated_k_max(
+        lambda K: with_spring(derivative, K), free_scene(model, PERIOD), criterion
+    )
     exact = k_max(derivative, Plant(PERIOD, mass, damping, delay))
     assert found.k_max_n_per_m is not None
     assert exact.k_max_n_per_m is not None
     assert found.k_max_n_per_m < exact.k_max_n_per_m
-    # At the simulated limit the swing of 2·10 mm has decayed to 0.1 mm when the last quarter begins: ρ^(9000) = 1/200
-    # times the share of that mode in the start, which is between 1/4 and 4 for these laws.
+    # At the simulated limit the swing of 2·10 mm has decayed to 0.1 mm when the last quarter
+    # begins: ρ^(9000) = 1/200 times the share of that mode in the start, which is between 1/4 and 4
+    # for these laws.
     at_limit = with_spring(derivative, found.k_max_n_per_m)
     decay = 9000.0 * math.log(pole_radius(at_limit, Plant(PERIOD, mass, damping, delay)))
     assert decay == pytest.approx(math.log(1.0 / 200.0), abs=math.log(4.0))
-    # And it swings with the angle of that pole; 20 crossings of a decaying sine are read to a part in a thousand.
+    # And it swings with the angle of that pole; 20 crossings of a decaying sine are read to a part
+    # in a thousand.
     assert found.frequency_hz is not None
     angle = largest_pole_angle(at_limit, model)
     assert found.frequency_hz == pytest.approx(angle / (2.0 * math.pi * PERIOD), rel=2e-3)
@@ -86,11 +96,20 @@ def test_just_inside_and_just_outside(law: Law, delay: float) -> None:
     assert exact is not None
     inside, outside = (with_spring(derivative, exact * share) for share in (0.999, 1.001))
     # A part in a thousand of K moves ln ρ by some 1e-5 here: 10⁶ ticks tell e^{−10} from e^{+10}.
-    assert settles(free_scene(model, PERIOD), [inside, outside], Criterion(1_000_000)) == [True, False]
-    assert pole_radius(inside, Plant(PERIOD, 0.1, 1.0, delay)) < 1.0 < pole_radius(outside, Plant(PERIOD, 0.1, 1.0, delay))
+    assert settles(free_scene(model, PERIOD), [inside, outside], Criterion(1_000_000)) == [
+        True,
+        False,
+    ]
+    assert (
+        pole_radius(inside, Plant(PERIOD, 0.1, 1.0, delay))
+        < 1.0
+        < pole_radius(outside, Plant(PERIOD, 0.1, 1.0, delay))
+    )
 
 
-@pytest.mark.parametrize(("raw", "clamp"), [(False, True), (False, False), (True, True), (True, False)])
+@pytest.mark.parametrize(
+    ("raw", "clamp"), [(False, True), (False, False), (True, True), (True, False)]
+)
 def test_drop_reads_most_of_the_linear_limit(raw: bool, clamp: bool) -> None:
     model = DeviceModel(mass=0.1, damping=1.0)
     for law in (PD(stiffness=1.0, damping=2.0), optimum(2.0)):
@@ -108,8 +127,12 @@ def test_press_is_judged_with_the_hand_in_the_loop() -> None:
     model = DeviceModel(mass=0.045, damping=0.5)
     hand = Hand(mass=0.08, damping=2.0, stiffness=250.0, path=[(0.0, -0.01)])
     derivative = without_spring(PD(stiffness=1.0, damping=2.0), PERIOD)
-    alone = simulated_k_max(lambda K: with_spring(derivative, K), press_scene(model, PERIOD, False, True))
-    held = simulated_k_max(lambda K: with_spring(derivative, K), press_scene(model, PERIOD, False, True, hand))
+    alone = simulated_k_max(
+        lambda K: with_spring(derivative, K), press_scene(model, PERIOD, False, True)
+    )
+    held = simulated_k_max(
+        lambda K: with_spring(derivative, K), press_scene(model, PERIOD, False, True, hand)
+    )
     exact = k_max(derivative, Plant(PERIOD, 0.125, 2.5, 0.0, 250.0)).k_max_n_per_m
     assert exact is not None
     assert held.k_max_n_per_m is not None
@@ -132,13 +155,17 @@ def test_bracket_is_as_narrow_as_asked() -> None:
 
 
 def test_divergence_that_ends_in_saturation_is_no_rest() -> None:
-    # Far beyond its limit a motor of 7.9 N keeps the device bouncing by millimetres: bounded, but never at rest.
+    # Far beyond its limit a motor of 7.9 N keeps the device bouncing by millimetres: bounded, but
+    # never at rest.
     wild = PD(stiffness=20000.0, damping=2.0).compile(PERIOD)
     scene = drop_scene(DeviceModel(mass=0.1, damping=1.0, peak_force=7.9), PERIOD, False, True)
     assert settles(scene, [wild], Criterion()) == [False]
-    # Held for so short a time that it hardly moves at all, it is the force at its limit, or the air under it, that tells.
+    # Held for so short a time that it hardly moves at all, it is the force at its limit, or the air
+    # under it, that tells.
     brief = Criterion(8, tolerance=1.0)
-    pressed = drop_scene(DeviceModel(mass=0.1, damping=1.0, peak_force=7.9), PERIOD, False, True, height=1e-9)
+    pressed = drop_scene(
+        DeviceModel(mass=0.1, damping=1.0, peak_force=7.9), PERIOD, False, True, height=1e-9
+    )
     assert settles(pressed, [wild], brief) == [False]
     soft = PD(stiffness=2000.0, damping=2.0).compile(PERIOD)
     assert settles(pressed, [soft], brief) == [True]
@@ -147,13 +174,19 @@ def test_divergence_that_ends_in_saturation_is_no_rest() -> None:
 
 def test_overflow_is_no_rest() -> None:
     scene = free_scene(DeviceModel(mass=0.1), PERIOD)
-    assert settles(scene, [CompiledLaw((1e9, -1e9)), CompiledLaw((1e300, 1e300))], Criterion()) == [False, False]
+    assert settles(scene, [CompiledLaw((1e9, -1e9)), CompiledLaw((1e300, 1e300))], Criterion()) == [
+        False,
+        False,
+    ]
 
 
 def test_no_stiffness_at_all_is_no_rest() -> None:
-    # H(1) = 0 and H(1) < 0: a damper alone lets the mass sink, whatever it looks like over a short time.
+    # H(1) = 0 and H(1) < 0: a damper alone lets the mass sink, whatever it looks like over a short
+    # time.
     scene = drop_scene(DeviceModel(mass=0.1, damping=1.0), PERIOD, False, True)
-    assert settles(scene, [CompiledLaw((500.0, -500.0)), CompiledLaw((500.0, -510.0))], Criterion()) == [False, False]
+    assert settles(
+        scene, [CompiledLaw((500.0, -500.0)), CompiledLaw((500.0, -510.0))], Criterion()
+    ) == [False, False]
 
 
 def test_ends_of_the_search() -> None:
@@ -181,26 +214,35 @@ def test_a_law_with_code_of_its_own_is_judged_by_the_same_rule() -> None:
 
 def test_frequency_of_a_sine() -> None:
     time = np.arange(1000) * PERIOD
-    # Linear interpolation between 12 samples of a period misses by up to (ωT)²/8 of its phase; the median averages it out.
+    # Linear interpolation between 12 samples of a period misses by up to (ωT)²/8 of its phase; the
+    # median averages it out.
     wave = 0.003 + 0.001 * np.sin(2.0 * math.pi * 41.7 * time)
     assert swing_frequency(wave, PERIOD, 0.003) == pytest.approx(41.7, rel=1e-3)
     assert swing_frequency(wave, PERIOD, 0.01) is None
     assert swing_frequency(np.full(1000, 0.003), PERIOD, 0.003) is None
 
 
-@pytest.mark.parametrize(("fields", "text"), [({"ticks": 4}, "ticks is 4"), ({"tolerance": 0.0}, r"tolerance is 0\.0")])
+@pytest.mark.parametrize(
+    ("fields", "text"), [({"ticks": 4}, "ticks is 4"), ({"tolerance": 0.0}, r"tolerance is 0\.0")]
+)
 def test_wrong_criteria_are_refused(fields: dict[str, float], text: str) -> None:
     with pytest.raises(ValueError, match=text):
         Criterion(**fields)  # type: ignore[arg-type]
 
 
 def test_study_presses_with_the_grip_it_is_given(capsys: pytest.CaptureFixture[str]) -> None:
-    words = "study kmax --law pd --gain 3 --mass 0.1 --damping 1 --method simulation --scene press --json"
+    words = (
+        "study kmax --law pd --gain 3 --mass 0.1 --damping 1 --method simulation --scene press"
+        " --json"
+    )
     found = []
     for hand in (100.0, 4000.0):
         assert main([*words.split(), "--hand", str(hand)]) == 0
         found.append(json.loads(capsys.readouterr().out.splitlines()[-1])["k_max_n_per_m"])
-        exact = k_max(without_spring(PD(stiffness=1.0, damping=3.0), PERIOD), Plant(PERIOD, 0.1, 1.0, 0.0, hand))
+        exact = k_max(
+            without_spring(PD(stiffness=1.0, damping=3.0), PERIOD),
+            Plant(PERIOD, 0.1, 1.0, 0.0, hand),
+        )
         assert exact.k_max_n_per_m is not None
         assert 0.7 < found[-1] / exact.k_max_n_per_m < 0.99
     # The hand's own spring is in the loop too: what it takes is not left for the wall.
@@ -214,7 +256,12 @@ def test_study_presses_with_the_grip_it_is_given(capsys: pytest.CaptureFixture[s
 
 def test_the_pages_simulated_limits_name_their_horizon() -> None:
     page = (Path(__file__).parents[3] / "sim" / "README.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| (?:`(\w+)` at 23 µm, )?(free swing|drop) in simulation, (\d+) s \| (\d+) \| (\d+) \|$", page, re.M)
+    rows = re.findall(
+        r"^\| (?:`(\w+)` at 23 µm, )?(free swing|drop) in simulation, (\d+) s \| (\d+) \|"
+        r" (\d+) \|$",
+        page,
+        re.M,
+    )
     assert len(rows) == 4
     for kind, scene, horizon, *limits in rows:
         resolution = {"resolution": 2.3e-5} if kind else {}
@@ -222,7 +269,11 @@ def test_the_pages_simulated_limits_name_their_horizon() -> None:
         derivative = without_spring(law, PERIOD)
         for delay, limit in zip((0.0, 1.0), map(float, limits), strict=True):
             model = DeviceModel(mass=0.1, damping=1.0, delay=delay)
-            played = drop_scene(model, PERIOD, False, True) if scene == "drop" else free_scene(model, PERIOD)
+            played = (
+                drop_scene(model, PERIOD, False, True)
+                if scene == "drop"
+                else free_scene(model, PERIOD)
+            )
             criterion = Criterion(ticks=round(float(horizon) / PERIOD))
             found = simulated_k_max(
                 lambda K, d=derivative: with_spring(d, K),  # type: ignore[misc]

@@ -35,12 +35,16 @@ def rest(k: int) -> float:
 
 @pytest.mark.parametrize("delay", [0, 3, 10])
 def test_a_spring_over_a_network_drags_by_stiffness_times_round_trip(delay: int) -> None:
-    # F₁ = K (x₂ − x₁) with x₂ late by a ticks, and the partner's x₂ late by c behind x₁: −F₁/v → K T (a + c) at ω → 0. At
-    # 1 Hz the partner's own mass and damping on the spring add terms of (ωT(a + c))² and of b.
+    # F₁ = K (x₂ − x₁) with x₂ late by a ticks, and the partner's x₂ late by c behind x₁: −F₁/v → K
+    # T (a + c) at ω → 0. At 1 Hz the partner's own mass and damping on the spring add terms of
+    # (ωT(a + c))² and of b.
     stiffness = 200.0
     found = felt(DEVICE, pd(stiffness), Network(delay, delay))
-    assert found.drag_n_s_per_m == pytest.approx(stiffness * T * 2 * delay, abs=0.05 + 0.02 * stiffness * T * 2 * delay)
-    # The fist of 2 kN/m gives by a tenth of the way, which is felt a round trip late: ωT(a + c) of it, squared, below 2 %.
+    assert found.drag_n_s_per_m == pytest.approx(
+        stiffness * T * 2 * delay, abs=0.05 + 0.02 * stiffness * T * 2 * delay
+    )
+    # The fist of 2 kN/m gives by a tenth of the way, which is felt a round trip late: ωT(a + c) of
+    # it, squared, below 2 %.
     assert found.stiffness_n_per_m == pytest.approx(stiffness, rel=0.02)
 
 
@@ -49,7 +53,9 @@ def test_play_swings_where_the_poles_say(share: float, stable: bool) -> None:
     # The edge of two free devices by the poles of the whole loop, computed apart from the player.
     def radius(stiffness: float) -> float:
         law = pd(stiffness, 0.3)
-        return loop_radius(TwoHands.law_each((law, law), 5, 5), ((0.045, 1.0, 0.0), (0.045, 1.0, 0.0)))
+        return loop_radius(
+            TwoHands.law_each((law, law), 5, 5), ((0.045, 1.0, 0.0), (0.045, 1.0, 0.0))
+        )
 
     low, high = 10.0, 400.0
     for _ in range(40):
@@ -77,8 +83,9 @@ def test_guards_at_both_ends_make_no_energy_over_any_network(
     guard = EndGuard(stiffness, 1.0)
     network = Network(there, back, jitter, loss, seed)
     run = play((DEVICE, DEVICE), (pd(stiffness, gain),) * 2, network, (kick, rest), 1500, guard)
-    # A guard looks one tick ahead: a tick gives out no more than its force times the change of a step, F²T²/m at either end
-    # (nodes/driver/passivity.py), and what was given out too much is owed, so it does not add up.
+    # A guard looks one tick ahead: a tick gives out no more than its force times the change of a
+    # step, F²T²/m at either end (nodes/driver/passivity.py), and what was given out too much is
+    # owed, so it does not add up.
     most = 2.0 * float(np.abs(run.force).max()) ** 2 * T * T / DEVICE.mass
     assert run.given_out_j.max() <= most + 1e-12
     assert float(np.abs(run.position).max()) < 0.05

@@ -54,7 +54,9 @@ def test_settles_just_inside_and_not_just_outside() -> None:
 def test_both_bisect_to_the_same_stiffness() -> None:
     """The paper's optimum, half a tick late: four taps of history, and two forces in one tick."""
     law, scene = parse_law({"kind": "paper_optimum", "stiffness": 1.0}), dropped(delay=0.5)
-    guess = simulated_k_max(lambda K: compiled(scene, with_stiffness(law, K)), scene, SHORT, low=500.0).k_max_n_per_m
+    guess = simulated_k_max(
+        lambda K: compiled(scene, with_stiffness(law, K)), scene, SHORT, low=500.0
+    ).k_max_n_per_m
     assert guess is not None
     # 8 steps of 1.3 %, placed so that the boundary is not in the middle.
     grid = (guess * np.geomspace(0.93, 1.03, 9)).tolist()
@@ -62,7 +64,12 @@ def test_both_bisect_to_the_same_stiffness() -> None:
     assert found.launched_n_per_m == found.one_process_n_per_m
     assert found.launched_n_per_m is not None
     # The guess settles and 1.001 times it does not: it is less than a step above what was found.
-    assert grid[0] < found.launched_n_per_m < guess * 1.001 < found.launched_n_per_m * 1.001 * grid[1] / grid[0]
+    assert (
+        grid[0]
+        < found.launched_n_per_m
+        < guess * 1.001
+        < found.launched_n_per_m * 1.001 * grid[1] / grid[0]
+    )
     assert found.launches == 5  # both ends, and log2(8)
 
 
@@ -75,14 +82,19 @@ def test_recorded_run_is_the_trace_and_is_judged_alike() -> None:
     trace = run(scene, compiled(scene, law), SHORT.ticks)
     assert position.tolist() == trace.position.tolist()
     assert force.tolist() == trace.force.tolist()
-    assert settled(scene, compiled(scene, law), position, force, SHORT) == settles(scene, [compiled(scene, law)], SHORT)[0]
+    assert (
+        settled(scene, compiled(scene, law), position, force, SHORT)
+        == settles(scene, [compiled(scene, law)], SHORT)[0]
+    )
 
 
 @pytest.mark.parametrize("stiffness", [500.0, 2000.0, 2500.0, 3000.0, 4000.0, 12000.0])
 def test_a_run_judged_alone_is_judged_as_among_many(stiffness: float) -> None:
     scene, law = dropped(), PD(stiffness=stiffness, damping=3.0).compile(T)
     trace = run(scene, law, SHORT.ticks)
-    assert settled(scene, law, trace.position, trace.force, SHORT) == settles(scene, [law], SHORT)[0]
+    assert (
+        settled(scene, law, trace.position, trace.force, SHORT) == settles(scene, [law], SHORT)[0]
+    )
 
 
 @given(st.integers(1, 200), st.integers(0, 201))
@@ -112,7 +124,19 @@ def test_what_the_launch_does_not_play_is_refused() -> None:
 
 @pytest.mark.slow
 def test_study_tells_both(tmp_path: Path) -> None:
-    words = ("--law", "pd", "--gain", "3", "--method", "lockstep", "--horizon", "600", "--grid", "3", "--json")
+    words = (
+        "--law",
+        "pd",
+        "--gain",
+        "3",
+        "--method",
+        "lockstep",
+        "--horizon",
+        "600",
+        "--grid",
+        "3",
+        "--json",
+    )
     figures = json.loads(haptic(tmp_path, "study", "kmax", *words).stdout.splitlines()[-1])
     assert figures["same"] is True
     assert figures["k_max_n_per_m"] == figures["one_process_n_per_m"]
@@ -120,4 +144,9 @@ def test_study_tells_both(tmp_path: Path) -> None:
     assert figures["h1_max_n_per_m"] == pytest.approx(figures["k_max_n_per_m"], rel=1e-12)
     assert figures["launches"] == 3
     assert list(tmp_path.iterdir()) == []
-    assert "one --gain" in haptic(tmp_path, "study", "kmax", "--method", "lockstep", "--gain", "1..3", code=2).stderr
+    assert (
+        "one --gain"
+        in haptic(
+            tmp_path, "study", "kmax", "--method", "lockstep", "--gain", "1..3", code=2
+        ).stderr
+    )

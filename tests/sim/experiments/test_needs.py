@@ -51,14 +51,17 @@ def kinds(name: str) -> list[str]:
 CHAINS = [
     name
     for name in LAUNCHES
-    if kinds(name).count("coupling") == kinds(name).count("sim_driver") == 1 and "world" not in kinds(name)
+    if kinds(name).count("coupling") == kinds(name).count("sim_driver") == 1
+    and "world" not in kinds(name)
 ]
 PLAYED = [name for name in CHAINS if len(LAUNCHES[name].run.axes) == 1]
 SPATIAL = [name for name in CHAINS if len(LAUNCHES[name].run.axes) > 1]
 
 
 @pytest.mark.parametrize("scenario", sorted(set(LAUNCHES) - set(CHAINS)))
-def test_what_one_process_cannot_play_is_refused_by_name(scenario: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_one_process_cannot_play_is_refused_by_name(
+    scenario: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["study", "needs", scenario]) == 2
     assert "one process" in capsys.readouterr().err
 
@@ -73,7 +76,11 @@ def test_scenes_in_three_axes_model_enough_and_no_more(scenario: str) -> None:
     judged = verdicts(found)
     assert judged["hand"] == "needed"
     # What a scene in three axes is made of is what it needs.
-    own = [judged[term] for term in ("shape", "triangles", "surface_friction", "tool_radius", "bodies") if term in judged]
+    own = [
+        judged[term]
+        for term in ("shape", "triangles", "surface_friction", "tool_radius", "bodies")
+        if term in judged
+    ]
     assert "needed" in own
     assert set(own) <= {"needed", "left out"}
 
@@ -82,9 +89,19 @@ def test_a_curved_surface_that_is_hardly_curved_needs_a_plane(tmp_path: Path) ->
     """A sphere of 1 km: over 2 cm of way it falls off by 0.2 µm."""
 
     def edit(data: dict[str, Any]) -> None:
-        surface = {"kind": "sphere", "radius": 1000.0, "position": [0.0, 0.0, -1000.0], "tool_radius": 0.001}
+        surface = {
+            "kind": "sphere",
+            "radius": 1000.0,
+            "position": [0.0, 0.0, -1000.0],
+            "tool_radius": 0.001,
+        }
         data["nodes"]["environment"]["parameters"]["surface"] = surface
-        hand = {"path": [[0.02, 0.0], [0.3, 0.02]], "stiffness": 150.0, "damping": 2.0, "mass": 0.05}
+        hand = {
+            "path": [[0.02, 0.0], [0.3, 0.02]],
+            "stiffness": 150.0,
+            "damping": 2.0,
+            "mass": 0.05,
+        }
         data["nodes"]["driver"]["parameters"]["device"]["hand"] = hand
         data["run"]["duration"] = 0.3
 
@@ -97,7 +114,9 @@ def test_a_curved_surface_that_is_hardly_curved_needs_a_plane(tmp_path: Path) ->
 def test_needs_in_three_axes_by_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["study", "needs", "rough_plane", "duration:=0.8", "--rounds", "0", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert {finding["term"]: finding["verdict"] for finding in answer["terms"]}["surface_friction"] == "needed"
+    assert {finding["term"]: finding["verdict"] for finding in answer["terms"]}[
+        "surface_friction"
+    ] == "needed"
     assert answer["rest"] is None
     assert main(["study", "needs", "sphere_feel", "duration:=0.1", "--rounds", "0"]) == 2
     assert "touches nothing" in capsys.readouterr().err
@@ -170,7 +189,9 @@ def test_costs_are_told_for_every_term() -> None:
     assert found.tick_us is not None
     assert found.tick_us > 0.0
     # What is smaller than the spread of its rounds is not known.
-    assert all(f.cost_us is None or abs(f.cost_us) > (f.cost_spread_us or 0.0) for f in found.findings)
+    assert all(
+        f.cost_us is None or abs(f.cost_us) > (f.cost_spread_us or 0.0) for f in found.findings
+    )
     assert all(f.cost_us is None for f in found.findings if f.switched == "other")
 
 
@@ -189,7 +210,15 @@ def test_outcome_of_a_known_motion() -> None:
     ticks = 1000
     position = np.where(np.arange(ticks) < 300, 0.02, 0.0)
     position[-1] = 1e-4
-    trace = Trace(scene.scene.period, position, position, position, position, 3.0 * np.sign(position - 0.01), (0.0, 0.0))
+    trace = Trace(
+        scene.scene.period,
+        position,
+        position,
+        position,
+        position,
+        3.0 * np.sign(position - 0.01),
+        (0.0, 0.0),
+    )
     found = outcome(scene, trace)
     # 20 mm until tick 300; the last sample is within 1 % of the travel.
     assert found.settling_s == pytest.approx(300 * scene.scene.period)
@@ -203,10 +232,14 @@ def test_outcome_of_a_known_motion() -> None:
 def test_movement_ignores_swings_too_small_to_feel_and_sees_divergence() -> None:
     still = Outcome(1.0, 2.0, 1.0, 0.01, 1e-12, 1000.0)
     assert movement(still, replace(still, limit_cycle_m=9e-7), 0.002)["limit_cycle"] == 0.0
-    assert movement(still, replace(still, limit_cycle_m=5e-6), 0.002)["limit_cycle"] == pytest.approx(1.0, abs=1e-5)
+    assert movement(still, replace(still, limit_cycle_m=5e-6), 0.002)[
+        "limit_cycle"
+    ] == pytest.approx(1.0, abs=1e-5)
     assert movement(still, replace(still, peak_force_n=math.inf), 0.002)["peak_force"] == math.inf
     assert movement(still, replace(still, h1_max_n_per_m=None), 0.002)["k_max"] == math.inf
-    assert movement(still, replace(still, h1_max_n_per_m=980.0), 0.002)["k_max"] == pytest.approx(0.02)
+    assert movement(still, replace(still, h1_max_n_per_m=980.0), 0.002)["k_max"] == pytest.approx(
+        0.02
+    )
 
 
 @pytest.mark.slow
@@ -214,7 +247,9 @@ def test_command_answers_and_judges(capsys: pytest.CaptureFixture[str], tmp_path
     assert main(["study", "needs", "floor_drop", "--rounds", "1", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert answer["superfluous"] == answer["missing"] == []
-    assert {"term", "switched", "verdict", "moved", "most", "changes", "cost_us"} <= set(answer["terms"][0])
+    assert {"term", "switched", "verdict", "moved", "most", "changes", "cost_us"} <= set(
+        answer["terms"][0]
+    )
 
     def edit(data: dict[str, Any]) -> None:
         data["nodes"]["driver"]["parameters"]["device"]["peak_force"] = 100.0
@@ -249,7 +284,10 @@ def test_what_is_left_out_although_it_matters_is_said() -> None:
     assert found.missing == ()
     assert "friction" in [finding.term for finding in found.left_out]
     lines = _text(launch.scenario, launch.model, found, felt=False).splitlines()
-    assert any(line.startswith("left out on purpose although it matters: friction (settling by 21 %)") for line in lines)
+    assert any(
+        line.startswith("left out on purpose although it matters: friction (settling by 21 %)")
+        for line in lines
+    )
     assert any(line.startswith("a hand notices 7 to 10 % of force (Jones") for line in lines)
     # By a tolerance that lets it move by so much it is not said to matter.
     loose = needs(scene, launch.model, rounds=0, tolerance=lambda _: 0.5)

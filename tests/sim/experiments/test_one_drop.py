@@ -90,15 +90,21 @@ def test_a_launch_s_floor_and_every_other_drop_have_the_convention_of_the_coupli
 
 @settings(max_examples=12, deadline=None)
 @given(st.floats(1.0, 40.0), st.floats(0.6, 1.1), st.floats(0.002, 0.02))
-def test_python_the_command_line_and_the_designer_drop_alike(damping: float, share: float, height: float) -> None:
+def test_python_the_command_line_and_the_designer_drop_alike(
+    damping: float, share: float, height: float
+) -> None:
     """Where a wall that pulls settles and one that does not bounces, too: 14 500 N/m for 12 300 at B = 21 N s/m."""
     law = PD(stiffness=share * 450.0 * damping, damping=damping)
     taps = law.compile(T)
     told = haptic.drop(law, PLANT, height, ticks=2500).settled
     assert told == settles(drop_scene(held(PLANT), T, height=height), [taps], Criterion(2500))[0]
     asked = Demand((0.1, 0.1), 1.0, (0.0, 0.0), T, 0.99, 1e6)
-    # A drop that the last bit decides may differ: two maps of one tick, each rounded in its own order.
-    near = {settled(taps, falls(asked, [mass], [CONVENTION], [height]))[0] for mass in (0.1, 0.1 * (1.0 + 1e-9))}
+    # A drop that the last bit decides may differ: two maps of one tick, each rounded in its own
+    # order.
+    near = {
+        settled(taps, falls(asked, [mass], [CONVENTION], [height]))[0]
+        for mass in (0.1, 0.1 * (1.0 + 1e-9))
+    }
     assert told in near
 
 
@@ -130,7 +136,9 @@ def test_a_law_with_code_of_its_own_settles_where_its_forces_balance(cubic: floa
 
         def compile(self, period: float) -> CompiledLaw:
             del period
-            return CompiledLaw((self.stiffness,), evaluate=lambda ring, head: cubic * ring[head] ** 3)
+            return CompiledLaw(
+                (self.stiffness,), evaluate=lambda ring, head: cubic * ring[head] ** 3
+            )
 
     played = haptic.drop(Stiffening(stiffness=500.0), Plant(T, 0.1, 3.0), ticks=4000)
     roots = np.roots([cubic, 0.0, 500.0, -0.981]) if cubic else np.array([0.981 / 500.0])
@@ -143,16 +151,23 @@ def test_a_law_with_code_of_its_own_settles_where_its_forces_balance(cubic: floa
 def test_a_dead_band_that_hums_has_not_settled() -> None:
     """Inside and outside of the edge that the search finds: both sides of the verdict."""
     scene = drop_scene(held(PLANT), T)
-    told = settles(scene, [DeadBand(stiffness=k).compile(T) for k in (2000.0, 6000.0)], Criterion(2500))
+    told = settles(
+        scene, [DeadBand(stiffness=k).compile(T) for k in (2000.0, 6000.0)], Criterion(2500)
+    )
     assert told == [True, False]
     # Nothing holds it: it falls through.
-    assert settles(scene, [DeadBand(stiffness=0.0, damping=0.0).compile(T)], Criterion(2500)) == [False]
+    assert settles(scene, [DeadBand(stiffness=0.0, damping=0.0).compile(T)], Criterion(2500)) == [
+        False
+    ]
 
 
 def test_k_max_of_a_law_with_code_of_its_own_does_not_depend_on_the_stiffness_given() -> None:
     scene = drop_scene(held(PLANT), T)
     brief = Criterion(600)
-    found = [simulated_k_max(at_stiffness(DeadBand(stiffness=k), T), scene, brief, 500.0, 8000.0, 0.02) for k in (1.0, 1000.0)]
+    found = [
+        simulated_k_max(at_stiffness(DeadBand(stiffness=k), T), scene, brief, 500.0, 8000.0, 0.02)
+        for k in (1.0, 1000.0)
+    ]
     assert found[0] == found[1]
     edge, beyond = found[0].k_max_n_per_m, found[0].unsettled_n_per_m
     assert edge is not None
@@ -165,7 +180,9 @@ def test_k_max_of_a_law_with_code_of_its_own_does_not_depend_on_the_stiffness_gi
 
 @settings(max_examples=20, deadline=None)
 @given(st.floats(1.0, 1e4), st.floats(0.0, 30.0))
-def test_compiled_anew_is_the_spring_in_tap_0_for_laws_of_taps(stiffness: float, damping: float) -> None:
+def test_compiled_anew_is_the_spring_in_tap_0_for_laws_of_taps(
+    stiffness: float, damping: float
+) -> None:
     law = PD(stiffness=7.0, damping=damping)
     taps = at_stiffness(law, T)(stiffness).taps
     assert taps == PD(stiffness=stiffness, damping=damping).compile(T).taps
@@ -175,14 +192,21 @@ def test_compiled_anew_is_the_spring_in_tap_0_for_laws_of_taps(stiffness: float,
 
 
 def test_a_law_whose_stiffness_cannot_be_raised_is_refused() -> None:
-    with pytest.raises(ValueError, match="nameless has code of its own and no parameter 'stiffness'"):
+    with pytest.raises(
+        ValueError, match="nameless has code of its own and no parameter 'stiffness'"
+    ):
         at_stiffness(Nameless(rate=500.0), T)
 
 
 def test_a_law_s_own_limit_ends_the_search() -> None:
-    found = simulated_k_max(at_stiffness(Limited(stiffness=1.0, damping=3.0), T), drop_scene(held(PLANT), T))
+    found = simulated_k_max(
+        at_stiffness(Limited(stiffness=1.0, damping=3.0), T), drop_scene(held(PLANT), T)
+    )
     assert found.k_max_n_per_m == np.inf
     assert found.searched_n_per_m[1] <= 500.0 < 1.1 * found.searched_n_per_m[1]
     law = msgspec.structs.replace(PD(stiffness=1.0, damping=3.0), stiffness=2.0)
     with pytest.raises(ValueError, match="at most 500"):
-        simulated_k_max(lambda k: Limited(stiffness=600.0 + k, damping=law.damping).compile(T), drop_scene(held(PLANT), T))
+        simulated_k_max(
+            lambda k: Limited(stiffness=600.0 + k, damping=law.damping).compile(T),
+            drop_scene(held(PLANT), T),
+        )

@@ -25,7 +25,8 @@ def test_the_study_tells_exact_shapes_from_meshes(capsys: pytest.CaptureFixture[
         assert rows[name]["rounds"] <= 5
     meshes = [row for row in figures["rows"] if row["triangles"]]
     assert [row["triangles"] for row in meshes] == [320, 1280, 5120]
-    # On the flat triangles it is exact, to rounding; that these are not the sphere is the mesh's doing.
+    # On the flat triangles it is exact, to rounding; that these are not the sphere is the mesh's
+    # doing.
     assert all(row["polyhedron_um"] < 1e-6 for row in meshes)
     assert rows["sphere"]["polyhedron_um"] is None
     # Half the edges: a quarter of the height over them, half of the angle between them.
@@ -38,6 +39,8 @@ def test_the_study_tells_exact_shapes_from_meshes(capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.parametrize("words", [["--finest", "9"], ["--ticks", "3"], ["--depth", "0.04"]])
-def test_what_makes_no_sense_is_refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_makes_no_sense_is_refused(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     assert exit_code("study", "proxies", *words) == 2
     assert words[0] in capsys.readouterr().err

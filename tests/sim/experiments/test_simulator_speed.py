@@ -26,7 +26,9 @@ def test_c_and_nodes_kernels_give_the_same_bits(tmp_path: Path) -> None:
         assert np.ptp(positions) > 0.01
 
 
-def test_no_compiler_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_compiler_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(NoCompilerError, match="neither cc nor gcc"):
         compile_c(tmp_path)

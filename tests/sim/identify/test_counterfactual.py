@@ -51,7 +51,9 @@ def positions(recording: Path) -> list[float]:
     return [state.position[2] for state in Recording(recording).messages(DEVICE_STATE)]
 
 
-def test_the_same_law_gives_the_same_bits_and_another_what_a_launch_of_it_does(buzz: tuple[Path, Path]) -> None:
+def test_the_same_law_gives_the_same_bits_and_another_what_a_launch_of_it_does(
+    buzz: tuple[Path, Path],
+) -> None:
     recorded = rebuild(buzz[0])
     same = replay(recorded)
     assert same.measured.tolist() == positions(buzz[0])
@@ -70,12 +72,16 @@ def test_tick_by_tick_is_the_compiled_loop(buzz: tuple[Path, Path]) -> None:
     assert np.max(np.abs(slow.measured - recorded.position)) <= 1e-12
 
 
-def test_an_identified_model_comes_back_tells_its_error_and_predicts_within_it(buzz: tuple[Path, Path]) -> None:
+def test_an_identified_model_comes_back_tells_its_error_and_predicts_within_it(
+    buzz: tuple[Path, Path],
+) -> None:
     told = figures(buzz[0], "law:=pd_alpha", "stiffness:=700", "--model", "identified")
     assert told["model"] == "identified"
-    # Nudged into the steps that were read the forces are the recorded ones, bit for bit; one step is what is promised.
+    # Nudged into the steps that were read the forces are the recorded ones, bit for bit; one step
+    # is what is promised.
     assert told["self_error_steps"] <= 1.0
-    # A step is the most that a model this close is off between two ticks; no nudge hides a wrong one.
+    # A step is the most that a model this close is off between two ticks; no nudge hides a wrong
+    # one.
     assert 0 < told["nudges"]["ticks"] < 0.1 * told["ticks"]
     assert told["nudges"]["largest_m"] < STEP
     # Alone, every bounce multiplies what the model is off; some steps are left of a fall of 400.
@@ -83,7 +89,9 @@ def test_an_identified_model_comes_back_tells_its_error_and_predicts_within_it(b
     truth = np.array(positions(buzz[1]))
     quarter = truth[-(len(truth) // 4) :]
     # The prediction's own error bar, and a step of rounding.
-    assert told["predicted"]["rest_m"] == pytest.approx(np.mean(quarter), abs=told["model_error_m"] + STEP)
+    assert told["predicted"]["rest_m"] == pytest.approx(
+        np.mean(quarter), abs=told["model_error_m"] + STEP
+    )
     assert told["predicted"]["settled"] is True
 
 
@@ -91,7 +99,12 @@ def test_a_drop_that_mostly_rests_is_identified_from_its_motion(buzz: tuple[Path
     """Most windows are at rest and fit to the bit; those that move must not count as spoilt beside them."""
     found = identify(read(buzz[0]))
     assert found.dropped == 0
-    for estimate, truth in ((found.mass, 0.1), (found.damping, 1.0), (found.friction, 0.06), (found.load, -0.981)):
+    for estimate, truth in (
+        (found.mass, 0.1),
+        (found.damping, 1.0),
+        (found.friction, 0.06),
+        (found.load, -0.981),
+    ):
         _, low, high = estimate.known()
         assert low <= truth <= high
         assert high > low
@@ -100,7 +113,8 @@ def test_a_drop_that_mostly_rests_is_identified_from_its_motion(buzz: tuple[Path
 def undisturbed(folder: Path, *words: str) -> Path:
     """Record a run in real time without a late answer: what a stall did to the coupling's history is not recorded.
 
-    The fall takes 45 ms, and what matters follows soon after it: half a second is enough, and may well be undisturbed.
+    The fall takes 45 ms, and what matters follows soon after it: half a second is enough, and may
+    well be undisturbed.
     """
     for _ in range(16):
         told = launch_json(folder, *words)
@@ -120,7 +134,9 @@ def test_a_real_time_recording_is_replayed_on_its_own_delays(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("delay", [0.0, 1.3])
 @pytest.mark.parametrize("apply", ["on_arrival", "next_tick"])
-def test_forces_that_arrive_as_in_lockstep_give_its_run_guard_and_limits_included(apply: str, delay: float) -> None:
+def test_forces_that_arrive_as_in_lockstep_give_its_run_guard_and_limits_included(
+    apply: str, delay: float
+) -> None:
     """The same rule, in two ways through the loop: each tick's force comes at once, so only rounding differs."""
     launch = launch_file.read("floor_guarded", {"apply": apply, "pace": "lockstep"})
     played = from_launch(launch)
@@ -168,8 +184,15 @@ def test_swaps_are_replayed_from_their_receipts(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_hand_that_moved_the_device_is_estimated(tmp_path: Path) -> None:
     """The model lacks the hand of wall_press; the force that it lacks is the hand's, which is known here."""
-    recording = tmp_path / launch_json(tmp_path, "wall_press", "pace:=lockstep", "duration:=2")["recording"]
-    hand = Hand(mass=0.1, damping=3.0, stiffness=300.0, path=[(0.2, 0.0), (0.7, 0.03), (2.0, 0.03), (2.5, 0.0)])
+    recording = (
+        tmp_path / launch_json(tmp_path, "wall_press", "pace:=lockstep", "duration:=2")["recording"]
+    )
+    hand = Hand(
+        mass=0.1,
+        damping=3.0,
+        stiffness=300.0,
+        path=[(0.2, 0.0), (0.7, 0.03), (2.0, 0.03), (2.5, 0.0)],
+    )
     bare = DeviceModel(mass=0.145, damping=3.1)
     recorded = rebuild(recording, bare)
     external = missing_force(recorded, 1e-7)
@@ -177,31 +200,45 @@ def test_the_hand_that_moved_the_device_is_estimated(tmp_path: Path) -> None:
     pull = np.array([hand.stiffness * path_position(hand.path, t) for t in times.tolist()])
     expected = pull - hand.stiffness * recorded.position
     middle = slice(50, -50)
-    # Its spring pulls with up to 3 N; a smoothed random walk follows corners within a few per cent of that.
+    # Its spring pulls with up to 3 N; a smoothed random walk follows corners within a few per cent
+    # of that.
     assert np.sqrt(np.mean((external - expected)[middle] ** 2)) < 0.1
     nudged = nudges(recorded, external)
     same = replay(recorded, None, external, nudged)
     assert np.max(np.abs(same.measured - recorded.position)) <= 1e-7
-    # A hand whose spring is known gives way to another law as the true one does: what a launch of that law would record.
+    # A hand whose spring is known gives way to another law as the true one does: what a launch of
+    # that law would record.
     law, _ = another_law(recorded, {"law": "pd", "stiffness": 400.0})
-    spring = rebuild(recording, DeviceModel(mass=0.145, damping=3.1, hand=Hand(stiffness=300.0, path=[(0.0, 0.0)])))
+    spring = rebuild(
+        recording,
+        DeviceModel(mass=0.145, damping=3.1, hand=Hand(stiffness=300.0, path=[(0.0, 0.0)])),
+    )
     pulled = missing_force(spring, 1e-7)
     predicted = replay(spring, law, pulled, nudges(spring, pulled))
     truth = replay(rebuild(recording), law)
     assert np.max(np.abs(predicted.measured - truth.measured)) < 1e-5
 
 
-@pytest.mark.parametrize(("words", "message"), [(("law:=nothing",), "nothing"), (("stifness:=3",), "stifness")])
-def test_what_cannot_be_replayed_is_refused(buzz: tuple[Path, Path], words: tuple[str, ...], message: str) -> None:
+@pytest.mark.parametrize(
+    ("words", "message"), [(("law:=nothing",), "nothing"), (("stifness:=3",), "stifness")]
+)
+def test_what_cannot_be_replayed_is_refused(
+    buzz: tuple[Path, Path], words: tuple[str, ...], message: str
+) -> None:
     done = typed_in(buzz[0].parent, "bag", "replay", str(buzz[0]), *words, code=2)
     assert message in done.stderr
 
 
-def test_a_law_that_is_none_is_refused_before_the_scene_is_rebuilt(buzz: tuple[Path, Path], tmp_path: Path) -> None:
+def test_a_law_that_is_none_is_refused_before_the_scene_is_rebuilt(
+    buzz: tuple[Path, Path], tmp_path: Path
+) -> None:
     part = tmp_path / "part.mcap"
     typed_in(tmp_path, "bag", "cut", str(buzz[0]), "--from", "0.1", "--out", str(part), code=0)
     # Without its first ticks it cannot be rebuilt at all: who hears of the law has not tried.
-    assert "'nope' is not an installed law" in typed_in(tmp_path, "bag", "replay", str(part), "law:=nope", code=2).stderr
+    assert (
+        "'nope' is not an installed law"
+        in typed_in(tmp_path, "bag", "replay", str(part), "law:=nope", code=2).stderr
+    )
 
 
 @pytest.mark.parametrize("missing", [7, 8])
@@ -214,10 +251,15 @@ def test_ticks_before_the_driver_slept_are_replayed_where_they_are_enough(
         assert len(replay(rebuild(slept)).measured) == missing
         return
     refused = typed_in(tmp_path, "bag", "replay", str(slept), code=1).stderr
-    assert f"{slept}: 7 ticks from tick 0 on before one that the driver slept through; a replay needs 8" in refused
+    assert (
+        f"{slept}: 7 ticks from tick 0 on before one that the driver slept through; a replay"
+        " needs 8" in refused
+    )
 
 
-def test_of_two_answers_in_one_tick_both_are_replayed(buzz: tuple[Path, Path], tmp_path: Path) -> None:
+def test_of_two_answers_in_one_tick_both_are_replayed(
+    buzz: tuple[Path, Path], tmp_path: Path
+) -> None:
     """Only the last was: a late answer, which held until its tick's own came, was left out."""
     whole, late = Recording(buzz[0]), tmp_path / "late.mcap"
     text, parameters = whole.metadata["launch_file"]["yaml"], whole.metadata["parameters"]
@@ -231,7 +273,9 @@ def test_of_two_answers_in_one_tick_both_are_replayed(buzz: tuple[Path, Path], t
             elif isinstance(message, DeviceState) and message.seq == 300:
                 # Of tick 299 a quarter as before, half of it 5 N, and the rest its own.
                 mean = (0.0, 0.0, 0.25 * held[2] + 0.5 * 5.0 + 0.25 * message.force[2])
-                message = msgspec.structs.replace(message, changed_at=0.25, delay=0.75, mean_force=mean)
+                message = msgspec.structs.replace(
+                    message, changed_at=0.25, delay=0.75, mean_force=mean
+                )
             writer.write(entry.topic, message, entry.log_time)
     recorded = rebuild(late)
     first = recorded.answers.tolist().index(298)
@@ -241,13 +285,17 @@ def test_of_two_answers_in_one_tick_both_are_replayed(buzz: tuple[Path, Path], t
     assert recorded.given[first] == pytest.approx(5.0, abs=1e-14)
 
 
-def test_nothing_read_from_a_recording_names_a_file(buzz: tuple[Path, Path], tmp_path: Path) -> None:
+def test_nothing_read_from_a_recording_names_a_file(
+    buzz: tuple[Path, Path], tmp_path: Path
+) -> None:
     """Its scenario was a path, written with its bytes; a watched file in its launch file was read."""
     precious = tmp_path / "precious.yaml"
     precious.write_text("mine", encoding="utf-8")
     whole = Recording(buzz[0])
     text = whole.metadata["launch_file"]["yaml"]
-    watching = text.replace("    kind: coupling\n", "    kind: coupling\n    watch: /nonexistent/secret.yaml\n")
+    watching = text.replace(
+        "    kind: coupling\n", "    kind: coupling\n    watch: /nonexistent/secret.yaml\n"
+    )
     assert watching != text
     manifest = {**whole.manifest, "scenario": str(precious.with_suffix(""))}
     parameters = whole.metadata["parameters"]

@@ -25,6 +25,9 @@ def test_what_is_left_in_the_picture_is_what_the_fit_left(term: str) -> None:
     found = identify(experiment)
     assert term in found.terms
     starts, positions = followed(experiment, found, 1000)
-    recorded = np.array([experiment.position[start : start + positions.shape[1]] for start in starts])
-    # All windows, with the initial states of each taken off as the fit does: nearly the same samples.
+    recorded = np.array(
+        [experiment.position[start : start + positions.shape[1]] for start in starts]
+    )
+    # All windows, with the initial states of each taken off as the fit does: nearly the same
+    # samples.
     assert np.sqrt(np.mean((recorded - positions) ** 2)) < 1.1 * found.residual

@@ -57,30 +57,43 @@ def assert_rebuilt(states: list[DeviceState], turn: Turn, axis: int) -> int:
     compared = 0
     for before, state in pairwise(states):
         # A mean is rounded once a tick, and divided by a hundredth of a tick at least.
-        assert impulse(told, before.seq, state.seq) == pytest.approx(impulse(turn, before.seq, state.seq), abs=1e-9), state.seq
+        assert impulse(told, before.seq, state.seq) == pytest.approx(
+            impulse(turn, before.seq, state.seq), abs=1e-9
+        ), state.seq
         if before.seq in found.unsure:
             continue
-        cuts = sorted({before.seq, *(at for at, _ in turn + told if before.seq < at < state.seq), state.seq})
+        cuts = sorted(
+            {before.seq, *(at for at, _ in turn + told if before.seq < at < state.seq), state.seq}
+        )
         for low, high in pairwise(cuts):
             if high - low > 1e-6:
-                assert acting(told, 0.5 * (low + high)) == pytest.approx(acting(turn, 0.5 * (low + high)), abs=1e-6), low
+                assert acting(told, 0.5 * (low + high)) == pytest.approx(
+                    acting(turn, 0.5 * (low + high)), abs=1e-6
+                ), low
                 compared += 1
     return compared
 
 
 @pytest.mark.parametrize("apply", ["on_arrival", "next_tick"])
 @pytest.mark.parametrize("rule", RULES)
-def test_the_forces_of_every_rule_are_those_that_were_handed_over(rule: str, apply: str, tmp_path: Path) -> None:
+def test_the_forces_of_every_rule_are_those_that_were_handed_over(
+    rule: str, apply: str, tmp_path: Path
+) -> None:
     states, turn = play(RULES[rule].script._replace(apply=apply), 2, tmp_path)
     assert assert_rebuilt(states, turn, 2) > 0.8 * len(states)
 
 
-def test_a_guard_that_acts_at_the_end_of_a_tick_left_its_late_answer_as_it_was_until_then(tmp_path: Path) -> None:
+def test_a_guard_that_acts_at_the_end_of_a_tick_left_its_late_answer_as_it_was_until_then(
+    tmp_path: Path,
+) -> None:
     """The lowered force stood for the whole rest of the tick."""
-    # A spring that pushes out more strongly than it was pushed in: the guard has something to lower, and something in store.
+    # A spring that pushes out more strongly than it was pushed in: the guard has something to
+    # lower, and something in store.
     script = driver(
         [
-            answer(seq, 2_600.0 if seq % 3 == 0 else 600.0, (0.0, 0.0, 2.0 * math.cos(0.2 * seq) + 1.0))
+            answer(
+                seq, 2_600.0 if seq % 3 == 0 else 600.0, (0.0, 0.0, 2.0 * math.cos(0.2 * seq) + 1.0)
+            )
             for seq in range(TICKS)
             if seq % 3 != 1
         ],
@@ -88,14 +101,20 @@ def test_a_guard_that_acts_at_the_end_of_a_tick_left_its_late_answer_as_it_was_u
         guard={"stiffness": 500.0, "damping": 5.0},
     )
     states, turn = play(script, 2, tmp_path)
-    ends = [state for before, state in pairwise(states) if state.force_seq == before.seq - 1 != before.force_seq]
+    ends = [
+        state
+        for before, state in pairwise(states)
+        if state.force_seq == before.seq - 1 != before.force_seq
+    ]
     assert any(acting(turn, state.seq - 0.1) != acting(turn, state.seq) for state in ends)
     assert_rebuilt(states, turn, 2)
 
 
 @pytest.mark.parametrize("slept", [1, 5])
 @pytest.mark.parametrize("answered", [True, False])
-def test_a_device_that_lets_go_while_the_driver_sleeps(slept: int, answered: bool, tmp_path: Path) -> None:
+def test_a_device_that_lets_go_while_the_driver_sleeps(
+    slept: int, answered: bool, tmp_path: Path
+) -> None:
     """Held until then: a force that came in the tick before is known by its mean alone, and said to be so."""
     hold = 2.5 if slept > 2 else 1.5
     script = driver(
@@ -113,7 +132,12 @@ def test_a_device_that_lets_go_while_the_driver_sleeps(slept: int, answered: boo
 
 def test_what_was_held_behind_a_gap_of_the_recording_is_told_by_the_mean(tmp_path: Path) -> None:
     """As identification has it, so have replays: nobody tells what was held until the first change."""
-    script = driver([answer(seq, 500.0 + 300.0 * (seq % 3), (0.0, 0.0, 1.0 + 0.1 * seq)) for seq in range(TICKS)])
+    script = driver(
+        [
+            answer(seq, 500.0 + 300.0 * (seq % 3), (0.0, 0.0, 1.0 + 0.1 * seq))
+            for seq in range(TICKS)
+        ]
+    )
     states, turn = play(script, 2, tmp_path)
     found = handed_over([state for state in states if not 40 < state.seq <= 45], 2)
     told = list(zip(found.at.tolist(), found.force.tolist(), strict=True))
@@ -125,7 +149,9 @@ def test_without_means_the_last_force_of_each_tick_is_told(tmp_path: Path) -> No
     """A driver need not tell them, nor do recordings of an earlier version; a replay goes on with what there is."""
     script = driver([answer(seq, 500.0, (0.0, 0.0, 1.0 + 0.1 * seq)) for seq in range(TICKS)])
     states, turn = play(script, 2, tmp_path)
-    found = handed_over([msgspec.structs.replace(state, mean_force=(0.0, 0.0, 0.0)) for state in states], 2)
+    found = handed_over(
+        [msgspec.structs.replace(state, mean_force=(0.0, 0.0, 0.0)) for state in states], 2
+    )
     told = list(zip(found.at.tolist(), found.force.tolist(), strict=True))
     assert all(acting(told, seq + 0.9) == acting(turn, seq + 0.9) for seq in range(10, TICKS - 1))
     assert len(found.unsure)
@@ -138,8 +164,13 @@ def test_a_late_answer_whose_delay_is_rounded_is_one_force() -> None:
     force = [(0.0, 0.0, 0.0)] * 2 + [(0.0, 0.0, 6.0)]
     means = [(0.0, 0.0, 0.0)] * 2 + [(0.0, 0.0, 6.0 * (1.0 - at))]
     states = [
-        DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0), force=force[seq], mean_force=means[seq]) for seq in range(3)
+        DeviceState(
+            seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0), force=force[seq], mean_force=means[seq]
+        )
+        for seq in range(3)
     ]
     states[2] = msgspec.structs.replace(states[2], force_seq=0, age=1, delay=at + 1, changed_at=at)
     found = handed_over(states, 2)
-    assert [(force, answers) for force, answers in zip(found.force, found.answers, strict=True) if force] == [(6.0, 0)]
+    assert [
+        (force, answers) for force, answers in zip(found.force, found.answers, strict=True) if force
+    ] == [(6.0, 0)]

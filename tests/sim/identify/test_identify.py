@@ -42,7 +42,8 @@ def test_a_known_device_comes_back(delay: float) -> None:
     """The device of the facts: differences give 0.059 kg here, sub-stepped friction is 6 % off."""
     truth = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=delay, resolution=23e-6)
     found = identify(excite(truth, T, 8.0, seed=1))
-    # 0.1 %, 1 %, 2 %: ten times the errors that 4000 ticks of 23 µm leave; a systematic error of method is larger.
+    # 0.1 %, 1 %, 2 %: ten times the errors that 4000 ticks of 23 µm leave; a systematic error of
+    # method is larger.
     assert found.mass.value == pytest.approx(0.1, rel=1e-3)
     assert found.damping.value == pytest.approx(1.0, rel=1e-2)
     assert found.friction.value == pytest.approx(0.03, rel=2e-2)
@@ -55,7 +56,9 @@ def test_a_known_device_comes_back(delay: float) -> None:
 
 def test_a_hand_is_found_and_told_apart() -> None:
     hand = Hand(mass=0.1, damping=3.0, stiffness=300.0, path=[(0.0, 0.0)])
-    truth = DeviceModel(mass=0.045, damping=0.5, friction=0.06, delay=1.2, resolution=23e-6, hand=hand)
+    truth = DeviceModel(
+        mass=0.045, damping=0.5, friction=0.06, delay=1.2, resolution=23e-6, hand=hand
+    )
     found = identify(excite(truth, T, 8.0, seed=2))
     assert found.held
     assert found.stiffness.value == pytest.approx(300.0, rel=1e-2)
@@ -104,9 +107,13 @@ def test_forces_count_from_the_instant_they_take_effect() -> None:
 def test_a_window_stuck_by_friction_stays() -> None:
     theta = np.array([10.0, 0.0, 1.0, *[0.0] * 8])
     out = np.empty(50)
-    window(theta, np.array([0.01, 0.0, 0.0, 0.0]), 0, 50, T, np.arange(50.0), np.full(50, 0.0999), out)
+    window(
+        theta, np.array([0.01, 0.0, 0.0, 0.0]), 0, 50, T, np.arange(50.0), np.full(50, 0.0999), out
+    )
     assert set(out.tolist()) == {0.01}
-    window(theta, np.array([0.01, 0.0, 0.0, 0.0]), 0, 50, T, np.arange(50.0), np.full(50, 0.1001), out)
+    window(
+        theta, np.array([0.01, 0.0, 0.0, 0.0]), 0, 50, T, np.arange(50.0), np.full(50, 0.1001), out
+    )
     # Just outside: the rest of the force moves it.
     x, _ = slide(0.01, 0.0, 1.001, 49 * T, coefficients(1.0, 0.0, 0.0, 49 * T), 1.0, 0.0, 0.0, 1.0)
     assert out[-1] == pytest.approx(x, rel=1e-12)
@@ -156,7 +163,9 @@ def test_a_motion_that_the_force_does_not_make_is_not_explained_by_it() -> None:
 
 
 def test_a_short_run_is_refused_with_what_to_do() -> None:
-    with pytest.raises(ValueError, match=r"11 windows of 100 ticks, at least 12 .* record 1200 ticks"):
+    with pytest.raises(
+        ValueError, match=r"11 windows of 100 ticks, at least 12 .* record 1200 ticks"
+    ):
         identify(lockstep(T, np.zeros(1199), np.zeros(1199)))
 
 
@@ -194,7 +203,8 @@ def test_a_record_tells_where_an_answer_came_late(tmp_path: Path) -> None:
                 writer.write(topic, msgspec.structs.replace(message, force_seq=seq), message.stamp)
     late = read(path, "z").late
     assert late is not None
-    # In 102 the answers of 100 and 101 may have come before its own, which is the one that state 103 tells.
+    # In 102 the answers of 100 and 101 may have come before its own, which is the one that state
+    # 103 tells.
     assert np.flatnonzero(late).tolist() == [102]
 
 
@@ -220,7 +230,9 @@ def test_the_forces_of_a_tick_are_rebuilt_from_its_mean(slept: int, tmp_path: Pa
     since = np.concatenate([[-1.0], sampled[:-1]])
     between = np.diff(impulse(at, force, sampled), prepend=0.0)
     with RecordWriter(tmp_path / "run.mcap", {"rate_hz": "500", "publishes": PUBLISHES}) as writer:
-        for seq, before, given in zip(sampled.tolist(), since.tolist(), between.tolist(), strict=True):
+        for seq, before, given in zip(
+            sampled.tolist(), since.tolist(), between.tolist(), strict=True
+        ):
             if 400 < seq <= 405:
                 continue
             newest, tick = int(np.searchsorted(at, seq, "right")) - 1, int(before)
@@ -230,7 +242,14 @@ def test_the_forces_of_a_tick_are_rebuilt_from_its_mean(slept: int, tmp_path: Pa
                 position=(0.0, 0.0, 1e-3 * math.sin(0.1 * seq)),
                 force=(0.0, 0.0, float(force[newest]) if newest >= 0 else 0.0),
                 mean_force=(0.0, 0.0, given / (seq - before)),
-                changed_at=next((float(one - tick) for one in at[max(newest - 1, 0) : newest + 1] if one > tick), 1.0),
+                changed_at=next(
+                    (
+                        float(one - tick)
+                        for one in at[max(newest - 1, 0) : newest + 1]
+                        if one > tick
+                    ),
+                    1.0,
+                ),
                 force_seq=int(answered[newest]) if newest >= 0 else -1,
                 age=tick - int(answered[newest]) if newest >= 0 else 0,
                 delay=float(at[newest] - answered[newest]) if newest >= 0 else 0.0,
@@ -255,14 +274,20 @@ def test_the_forces_of_a_tick_are_rebuilt_from_its_mean(slept: int, tmp_path: Pa
 def test_forces_without_their_mean_are_refused(tmp_path: Path) -> None:
     with RecordWriter(tmp_path / "old.mcap", {"rate_hz": "500", "publishes": PUBLISHES}) as writer:
         for topic, message in drop(600):
-            told = msgspec.structs.replace(message, mean_force=(0.0, 0.0, 0.0)) if isinstance(message, DeviceState) else message
+            told = (
+                msgspec.structs.replace(message, mean_force=(0.0, 0.0, 0.0))
+                if isinstance(message, DeviceState)
+                else message
+            )
             writer.write(topic, told, message.stamp)
     with pytest.raises(ValueError, match=r"tells no mean_force.*record it again"):
         read(tmp_path / "old.mcap", "z")
 
 
 def test_study_identify_reads_a_launch(tmp_path: Path) -> None:
-    run = launch_json(tmp_path, "identify", "pace:=lockstep", "apply:=next_tick", "delay:=0.4", "duration:=5")
+    run = launch_json(
+        tmp_path, "identify", "pace:=lockstep", "apply:=next_tick", "delay:=0.4", "duration:=5"
+    )
     done = typed_in(tmp_path, "study", "identify", run["recording"], "--json")
     figures = json.loads(done.stdout.splitlines()[-1])
     truth = {

@@ -109,7 +109,9 @@ def test_no_more_than_the_scene_needs() -> None:
     noisy = pushed(noise=4e-5)
     assert noisy.terms == ()
     assert not noisy.refuted
-    assert noisy.steps(noisy.residual) == pytest.approx((1.0 / 12.0 + (40.0 / 23.0) ** 2) ** 0.5, rel=0.05)
+    assert noisy.steps(noisy.residual) == pytest.approx(
+        (1.0 / 12.0 + (40.0 / 23.0) ** 2) ** 0.5, rel=0.05
+    )
     assert max(far(getattr(noisy, name), truth) for name, truth in TRUTH.items()) < 2.0
 
 
@@ -141,7 +143,8 @@ def test_the_edge_of_what_is_seen() -> None:
 def closed_form(ticks: int) -> tuple[Array, Array]:
     """Move a mass with a damper, read to the last bit: positions [m], and the force of each tick [N]."""
     m, b = TRUTH["mass"], TRUTH["damping"]
-    # Half periods of 10 to 60 ticks, as identification pushes; each push is paid back at once, so that it stays near.
+    # Half periods of 10 to 60 ticks, as identification pushes; each push is paid back at once, so
+    # that it stays near.
     held = np.repeat(np.random.default_rng(1).integers(5, 30, ticks // 20), 2)
     force = np.repeat(np.resize([0.5, -0.5, -0.5, 0.5], held.size), held)[:ticks]
     decay = math.exp(-b * T / m)
@@ -167,14 +170,17 @@ def test_what_no_encoder_would_show_is_no_evidence(ripple: float, seen: bool) ->
 
 
 @pytest.mark.parametrize(
-    ("stalls", "told", "refuted"), [(3, False, True), (3, True, False), (14, True, False), (15, True, True)]
+    ("stalls", "told", "refuted"),
+    [(3, False, True), (3, True, False), (14, True, False), (15, True, True)],
 )
 def test_a_window_with_a_late_answer_need_not_fit(stalls: int, told: bool, refuted: bool) -> None:
     """Of 20 windows some hold a tick of which 0.1 mN are not recorded, 0.1 µm later; six others are enough."""
     position, force = closed_form(2000)
     late = np.zeros(len(position), dtype=bool)
     late[50 : 100 * stalls : 100] = True
-    found = identify(replace(lockstep(T, position, force - 1e-4 * late), late=late if told else None))
+    found = identify(
+        replace(lockstep(T, position, force - 1e-4 * late), late=late if told else None)
+    )
     assert found.refuted == refuted
     assert found.dropped == (0 if refuted else stalls)
     assert (f"in {stalls} of 20 windows answers came late" in found.why) == (told and refuted)

@@ -43,7 +43,15 @@ def stands_still(launch: Running) -> None:
 def test_three_axes_are_identified_in_three_places_held_by_a_hand(tmp_path: Path) -> None:
     hand = "hand: {mass: 0.1, damping: 3.0, stiffness: 150.0, path: [[0.0, 0.0]]}"
     (tmp_path / "held.yaml").write_text(f"driver: {{device: {{{hand}}}}}", encoding="utf-8")
-    words = ("identify", "axes:=[x,y,z]", "pace:=lockstep", "apply:=next_tick", "duration:=0", "--params", "held.yaml")
+    words = (
+        "identify",
+        "axes:=[x,y,z]",
+        "pace:=lockstep",
+        "apply:=next_tick",
+        "duration:=0",
+        "--params",
+        "held.yaml",
+    )
     with running(tmp_path, *words) as launch:
         stands_still(launch)
         done = typed(launch, "device", "identify", "--duration", "8", "--json")
@@ -53,16 +61,24 @@ def test_three_axes_are_identified_in_three_places_held_by_a_hand(tmp_path: Path
     # Three places, 20 mm apart along every axis.
     places = [one["place_m"] for one in told[::3]]
     for nearer, farther in pairwise(places):
-        assert [b - a for a, b in zip(nearer, farther, strict=True)] == pytest.approx([0.02] * 3, abs=1e-12)
+        assert [b - a for a, b in zip(nearer, farther, strict=True)] == pytest.approx(
+            [0.02] * 3, abs=1e-12
+        )
     for one in told:
         assert one["held"] is True
         # Eight seconds a place: 5 %.
-        for key, truth in (("mass_kg", 0.2), ("damping_n_s_per_m", 4.0), ("hand_stiffness_n_per_m", 150.0)):
+        for key, truth in (
+            ("mass_kg", 0.2),
+            ("damping_n_s_per_m", 4.0),
+            ("hand_stiffness_n_per_m", 150.0),
+        ):
             assert one[key]["value"] == pytest.approx(truth, rel=0.05), (key, one["axis"])
 
 
 def test_device_list_tells_where_it_looked(tmp_path: Path) -> None:
-    listed = json.loads(typed_in(tmp_path, "device", "list", "--json").stdout.splitlines()[-1])["devices"]
+    listed = json.loads(typed_in(tmp_path, "device", "list", "--json").stdout.splitlines()[-1])[
+        "devices"
+    ]
     kinds = {entry["kind"]: entry for entry in listed}
     assert kinds["sim_driver"]["found"] is True
     assert kinds["touch_driver"]["library"]
@@ -72,11 +88,14 @@ def test_device_list_tells_where_it_looked(tmp_path: Path) -> None:
 
 
 def test_a_wrong_push_is_refused_by_its_path(tmp_path: Path) -> None:
-    done = typed_in(tmp_path, "device", "identify", "identify", "--amplitude", "-1", "--run", "none", code=2)
+    done = typed_in(
+        tmp_path, "device", "identify", "identify", "--amplitude", "-1", "--run", "none", code=2
+    )
     assert "amplitude" in done.stderr
 
 
-# -- the law itself ----------------------------------------------------------------------------------------------------
+# -- the law itself
+# ----------------------------------------------------------------------------------------------------
 
 
 def compiled(**values: Any) -> CompiledLaw:

@@ -18,7 +18,9 @@ SCENE = ("floor_buzz", "duration:=0")
 
 
 def parameters(launch: Running) -> tuple[str, Any]:
-    return launch.call("coupling", "law.list")["active"], launch.call("environment", "param.get", name="surface")
+    return launch.call("coupling", "law.list")["active"], launch.call(
+        "environment", "param.get", name="surface"
+    )
 
 
 @pytest.mark.slow
@@ -36,8 +38,11 @@ def test_identify_on_a_running_launch_and_put_everything_back(tmp_path: Path) ->
         assert parameters(launch) == before
         heavy = typed(launch, "device", "identify", "--load", "60", "--amplitude", "50", code=1)
         assert "more than" in heavy.stderr
-        # Twelve windows of 100 ticks are needed: what a busy machine loses, or a short push lacks, a longer one makes up for.
-        short = typed(launch, "device", "identify", "--duration", "1.2", "--load", "0.981", code=None)
+        # Twelve windows of 100 ticks are needed: what a busy machine loses, or a short push lacks,
+        # a longer one makes up for.
+        short = typed(
+            launch, "device", "identify", "--duration", "1.2", "--load", "0.981", code=None
+        )
         assert "pushing again, for longer" in short.stderr
         assert parameters(launch) == before
         done = typed(launch, "device", "identify", "--duration", "6", "--load", "0.981", "--json")
@@ -46,8 +51,14 @@ def test_identify_on_a_running_launch_and_put_everything_back(tmp_path: Path) ->
         assert before[0] == "pd"
         launch.finish(signal.SIGINT, code=None)
     assert figures["stopped"] == "done"
-    # The scenario's device; the floor carried its weight, the push does now. Real time on a loaded machine: 5 %.
-    for key, truth in (("mass_kg", 0.1), ("damping_n_s_per_m", 1.0), ("friction_n", 0.06), ("load_n", -0.981)):
+    # The scenario's device; the floor carried its weight, the push does now. Real time on a loaded
+    # machine: 5 %.
+    for key, truth in (
+        ("mass_kg", 0.1),
+        ("damping_n_s_per_m", 1.0),
+        ("friction_n", 0.06),
+        ("load_n", -0.981),
+    ):
         assert figures[key]["value"] == pytest.approx(truth, rel=0.05), key
     assert figures["encoder_m"]["value"] == pytest.approx(2.3e-5, rel=1e-9)
     assert len(figures["places"]) == 1
@@ -68,7 +79,8 @@ def test_ctrl_c_puts_everything_back_and_tells_what_is_known(tmp_path: Path) -> 
         )
 
         def ended() -> bool:
-            # On a machine that stalls for seconds the push ends by itself, and must put everything back just so.
+            # On a machine that stalls for seconds the push ends by itself, and must put everything
+            # back just so.
             return process.poll() is not None
 
         wait_for(lambda: ended() or parameters(launch)[0] == "identify", "the push to take over")
@@ -94,11 +106,15 @@ def test_a_push_that_is_suspended_changes_nothing_when_it_goes_on(tmp_path: Path
         before = parameters(launch)
         words = (*HAPTIC, "device", "identify", "--duration", "600", "--load", "0.981")
         pipes: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
-        process = subprocess.Popen(words, cwd=tmp_path, env=launch.environment, text=True, process_group=0, **pipes)
+        process = subprocess.Popen(
+            words, cwd=tmp_path, env=launch.environment, text=True, process_group=0, **pipes
+        )
         try:
             wait_for(lambda: parameters(launch)[0] == "soft", "the soft spring", 60.0)
             os.killpg(process.pid, signal.SIGSTOP)
-            wait_for(lambda: parameters(launch) == before, "the launch to take law and surface back")
+            wait_for(
+                lambda: parameters(launch) == before, "the launch to take law and surface back"
+            )
             os.killpg(process.pid, signal.SIGCONT)
             _, err = process.communicate(timeout=60.0)
         finally:

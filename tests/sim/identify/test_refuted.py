@@ -25,10 +25,19 @@ def recorded(folder: Path, device: RicherModel) -> Path:
     run = excite_outside(device, T, 4.0, seed=1)
     path = folder / "push.mcap"
     with RecordWriter(path, {"rate_hz": str(1.0 / T), "pace": "lockstep"}) as writer:
-        for seq, (position, force) in enumerate(zip(run.position, [0.0, *run.force[:-1]], strict=True)):
+        for seq, (position, force) in enumerate(
+            zip(run.position, [0.0, *run.force[:-1]], strict=True)
+        ):
             held = (float(force), 0.0, 0.0)
             place = (float(position), 0.0, 0.0)
-            state = DeviceState(seq=seq, stamp=seq * T, position=place, force=held, mean_force=held, force_seq=seq - 1)
+            state = DeviceState(
+                seq=seq,
+                stamp=seq * T,
+                position=place,
+                force=held,
+                mean_force=held,
+                force_seq=seq - 1,
+            )
             writer.write(DEVICE_STATE, state, state.stamp)
     return path
 
@@ -45,7 +54,9 @@ def identified(path: Path, capsys: pytest.CaptureFixture[str], code: int) -> dic
     return told
 
 
-def test_a_device_that_the_model_fits_is_identified(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_device_that_the_model_fits_is_identified(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     told = identified(recorded(tmp_path, RicherModel(RIGID)), capsys, code=0)
     assert not told["refuted"]
     assert told["mass_kg"]["low"] < 0.1 < told["mass_kg"]["high"]
@@ -63,7 +74,17 @@ def test_a_refuted_recording_tells_no_figure_and_no_law_is_designed_on_it(
     tuning.mkdir()
     known = {"identified": {**told, "stopped": "done"}, "limits": {"peak_n": 3.3, "slew_n": None}}
     (tuning / "tune.json").write_text(json.dumps(known))
-    words = ["tune", "--steps", "design", "--taps", "2", "--no-land", "--out", str(tuning), "--json"]
+    words = [
+        "tune",
+        "--steps",
+        "design",
+        "--taps",
+        "2",
+        "--no-land",
+        "--out",
+        str(tuning),
+        "--json",
+    ]
     assert main(words) == 1
     refused = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert "designed" not in refused

@@ -33,7 +33,10 @@ def pushed(seed: int = 1, **odd: Any) -> tuple[RicherModel, Identified]:
 SMALL: dict[str, tuple[dict[str, Any], str]] = {
     "cogging of 1 mN": ({"cogging": 0.001}, "a force that repeats"),
     "gain by sign, 0.3 %": ({"gain_by_sign": 0.003}, "more force one way"),
-    "half a step of eccentricity": ({"ripple": 11.5e-6, "pitch": 0.02}, "an encoder error that repeats"),
+    "half a step of eccentricity": (
+        {"ripple": 11.5e-6, "pitch": 0.02},
+        "an encoder error that repeats",
+    ),
     "force steps of 5 mN": ({"force_step": 0.005}, "in steps"),
 }
 
@@ -52,7 +55,8 @@ def test_what_changes_nothing_is_reported_and_the_device_is_identified(name: str
     off = k_max_off(device, found, T)
     assert off is not None
     assert off <= 0.01
-    # What it says the remainder may do is at least what it did, within what the intervals say of the rest.
+    # What it says the remainder may do is at least what it did, within what the intervals say of
+    # the rest.
     assert found.remainder_k_max <= REFUSED
     for parameter, truth in {"mass": 0.1, "damping": 1.0, "delay": 1.2}.items():
         value, low, high = getattr(found, parameter).known()
@@ -63,9 +67,12 @@ def test_what_changes_nothing_is_reported_and_the_device_is_identified(name: str
 
 
 @pytest.mark.parametrize(
-    ("odd", "words"), [({"gain_by_sign": 0.06}, "more force one way"), ({"warming": 0.6}, "changes during")]
+    ("odd", "words"),
+    [({"gain_by_sign": 0.06}, "more force one way"), ({"warming": 0.6}, "changes during")],
 )
-def test_what_may_change_k_max_by_more_than_its_share_is_refused(odd: dict[str, Any], words: str) -> None:
+def test_what_may_change_k_max_by_more_than_its_share_is_refused(
+    odd: dict[str, Any], words: str
+) -> None:
     _, found = pushed(**odd)
     assert found.refuted
     assert found.remainder_k_max > REFUSED
@@ -147,7 +154,15 @@ def test_both_errors_are_counted() -> None:
         row(off={"mass": FAR + 0.1}),
         row(k_max_off=0.06),
     ]
-    assert [outcome(one) for one in rows] == ["rigid", "reported", "refused", "refused", "refused", "false", "false"]
+    assert [outcome(one) for one in rows] == [
+        "rigid",
+        "reported",
+        "refused",
+        "refused",
+        "refused",
+        "false",
+        "false",
+    ]
     assert [named(one) for one in rows] == [False, True, True, False, False, False, False]
     found = summary_outside(rows)
     assert (found["false"], found["refused"], found["good"], found["needless"]) == (2, 3, 4, 1)

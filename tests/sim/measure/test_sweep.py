@@ -99,10 +99,23 @@ def test_workers_die_alone_hear_no_ctrl_c_and_end_when_nobody_wants_them(tmp_pat
 
 
 def test_ctrl_c_ends_a_study_with_its_workers_in_one_line(tmp_path: Path) -> None:
-    words = [*HAPTIC, "study", "coverage", "--devices", "400", "--workers", "2", "--out", str(tmp_path)]
-    # In the background of a script Ctrl-C is ignored, and every process that the tests start would inherit that.
+    words = [
+        *HAPTIC,
+        "study",
+        "coverage",
+        "--devices",
+        "400",
+        "--workers",
+        "2",
+        "--out",
+        str(tmp_path),
+    ]
+    # In the background of a script Ctrl-C is ignored, and every process that the tests start would
+    # inherit that.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    study = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0)
+    study = subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0
+    )
     signal.signal(signal.SIGINT, before)
 
     def children() -> list[int]:
@@ -159,7 +172,9 @@ def test_a_cluster_off_this_machine_needs_tls(address: str, message: str) -> Non
         check_cluster(arguments("--cluster", address))
 
 
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:8786", "tcp://localhost:8786", "tcp://[::1]:8786"])
+@pytest.mark.parametrize(
+    "address", ["tcp://127.0.0.1:8786", "tcp://localhost:8786", "tcp://[::1]:8786"]
+)
 def test_on_this_machine_it_does_not(address: str) -> None:
     assert check_cluster(arguments("--cluster", address)) == {}
 
@@ -177,8 +192,23 @@ def test_tls_files_are_handed_on(tmp_path: Path) -> None:
 def certificate(folder: Path) -> list[str]:
     """Make a certificate that is its own authority, and give the options of scheduler and workers."""
     key, signed = folder / "key.pem", folder / "cert.pem"
-    words = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2"]
-    subprocess.run([*words, "-subj", "/CN=sweep", "-keyout", key, "-out", signed], check=True, capture_output=True)
+    words = [
+        "openssl",
+        "req",
+        "-x509",
+        "-newkey",
+        "ec",
+        "-pkeyopt",
+        "ec_paramgen_curve:P-256",
+        "-nodes",
+        "-days",
+        "2",
+    ]
+    subprocess.run(
+        [*words, "-subj", "/CN=sweep", "-keyout", key, "-out", signed],
+        check=True,
+        capture_output=True,
+    )
     return ["--tls-ca-file", str(signed), "--tls-cert", str(signed), "--tls-key", str(key)]
 
 

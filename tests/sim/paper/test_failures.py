@@ -35,7 +35,8 @@ def test_euler_overstates_k_max(substeps: int) -> None:
 
 
 def test_one_euler_step_per_tick_hides_the_limit_of_a_spring() -> None:
-    # n_sub = 1: the prediction is infinite; what limits it then is κ < 4 − O(β), sixteen times the damper's 2b/T here.
+    # n_sub = 1: the prediction is infinite; what limits it then is κ < 4 − O(β), sixteen times the
+    # damper's 2b/T here.
     exact = k_max(CompiledLaw((0.0,)), Plant(failures.PERIOD, 0.1, 1.0)).k_max_n_per_m
     assert exact is not None
     assert spring_limit(euler(1, True, 0.1, 1.0)) > 16.0 * exact
@@ -43,8 +44,11 @@ def test_one_euler_step_per_tick_hides_the_limit_of_a_spring() -> None:
 
 @pytest.mark.parametrize("order", [0.5, 1.5, 3.47])
 def test_gamma_ratio_is_right_until_it_overflows(order: float) -> None:
-    # Γ(m+1) overflows from m = 171 on; before, the ratio is good to a few hundred roundings of its factors.
-    assert failures.gamma_coefficient(order, 170) == pytest.approx(coefficients(order, 171)[170], rel=1e-12)
+    # Γ(m+1) overflows from m = 171 on; before, the ratio is good to a few hundred roundings of its
+    # factors.
+    assert failures.gamma_coefficient(order, 170) == pytest.approx(
+        coefficients(order, 171)[170], rel=1e-12
+    )
     assert failures.gamma_coefficient(order, 171) == 0.0
     assert coefficients(order, 172)[171] != 0.0
 
@@ -55,9 +59,15 @@ def test_leak_eats_the_stiffness() -> None:
     # K + B·D(1) is linear in B: 1 % to either side of its zero it is 1 % of K.
     assert inside.h1 == pytest.approx(10.0, rel=1e-9)
     assert outside.h1 == pytest.approx(-10.0, rel=1e-9)
-    assert pole_radius(inside, Plant(failures.PERIOD, 5.0, 1.0)) < 1.0 < pole_radius(outside, Plant(failures.PERIOD, 5.0, 1.0))
+    assert (
+        pole_radius(inside, Plant(failures.PERIOD, 5.0, 1.0))
+        < 1.0
+        < pole_radius(outside, Plant(failures.PERIOD, 5.0, 1.0))
+    )
     # And the heavy device sinks through that floor.
-    scene = drop_scene(DeviceModel(mass=5.0, damping=1.0), failures.PERIOD, False, True, height=1e-4)
+    scene = drop_scene(
+        DeviceModel(mass=5.0, damping=1.0), failures.PERIOD, False, True, height=1e-4
+    )
     assert settles(scene, [outside], Criterion(20_000)) == [False]
 
 
@@ -79,7 +89,11 @@ def test_whole_order_section_is_the_product_of_its_zeros_and_poles() -> None:
     law = failures.tustin_whole(0.0, 1.0)
     for angle in (0.1, 1.0, 2.5):
         z = complex(math.cos(angle), math.sin(angle))
-        product = (2.0 / failures.PERIOD) ** 1.5 * np.prod([z - q for q in zeros]) / np.prod([z - p for p in poles])
+        product = (
+            (2.0 / failures.PERIOD) ** 1.5
+            * np.prod([z - q for q in zeros])
+            / np.prod([z - p for p in poles])
+        )
         # A handful of roundings through the partial fraction.
         assert law.response(z) == pytest.approx(complex(product), rel=1e-12)
 

@@ -18,7 +18,9 @@ from tests.support import slowly
 FINDERS = {find.__name__: find for find in beyond.BEYOND}
 
 
-@pytest.mark.parametrize("name", slowly(FINDERS, but=["two_rates", "encoder_and_friction", "bounce", "unknown_world"]))
+@pytest.mark.parametrize(
+    "name", slowly(FINDERS, but=["two_rates", "encoder_and_friction", "bounce", "unknown_world"])
+)
 def test_two_methods_put_each_boundary_in_the_same_place(name: str) -> None:
     edge = FINDERS[name]()
     assert edge.agreed, edge
@@ -38,14 +40,17 @@ def test_a_servo_s_edge_is_below_that_of_a_heavy_device() -> None:
 @pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 2.5])
 def test_the_stiffest_pd_on_a_flexible_device_is_k_max_of_a_rigid_one(delay: float) -> None:
     """One curve for both; and where a pole leaves the circle with a joint and a lag."""
-    rigid = k_max(without_spring(PD(stiffness=1.0, damping=1.5), 0.002), Plant(0.002, 0.1, 1.0, delay)).k_max_n_per_m
+    rigid = k_max(
+        without_spring(PD(stiffness=1.0, damping=1.5), 0.002), Plant(0.002, 0.1, 1.0, delay)
+    ).k_max_n_per_m
     # Linear between 4000 points of the circle.
     assert stiffest(FlexiblePlant(0.1, 1.0, delay), 0.002, 1.5) == pytest.approx(rigid, rel=1e-5)
     plant = FlexiblePlant(0.1, 1.0, delay, 0.0, 1e-3, 0.3, 60.0, 0.03)
     edge = stiffest(plant, 0.002, 1.5)
     assert edge is not None
     inside, outside = (
-        flexible_radius(PD(stiffness=edge * s, damping=1.5).compile(0.002), 0.002, plant) for s in (0.9999, 1.0001)
+        flexible_radius(PD(stiffness=edge * s, damping=1.5).compile(0.002), 0.002, plant)
+        for s in (0.9999, 1.0001)
     )
     assert inside < 1.0 < outside
 

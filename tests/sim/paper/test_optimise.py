@@ -34,7 +34,14 @@ BAND = (0.02, 0.55)
 @pytest.mark.parametrize("leak", [True, False])
 def test_f_of_a_term_is_that_of_the_compiled_law(order: float, taps: int, leak: bool) -> None:
     """Normalised at T = 2 here, in SI at T = 2 ms there: the same numbers, by another sum."""
-    data = {"kind": "pd_alpha", "stiffness": 1.0, "damping": 1.0, "order": order, "taps": taps, "gains": "paper"}
+    data = {
+        "kind": "pd_alpha",
+        "stiffness": 1.0,
+        "damping": 1.0,
+        "order": order,
+        "taps": taps,
+        "gains": "paper",
+    }
     law = parse_law(data).compile(0.002)
     theta = np.linspace(0.05, np.pi, 40)
     offset = 0.001 * (law.h1 - 1.0) if leak else 0.0
@@ -47,7 +54,9 @@ def test_slope_along_the_order_is_the_difference_quotient() -> None:
     theta = np.linspace(0.1, np.pi, 9)
     h = 1e-6
     for order in (0.4, 1.5, 2.0, 3.6):
-        quotient = (term_damping(theta, order + h, 5)[0] - term_damping(theta, order - h, 5)[0]) / (2 * h)
+        quotient = (term_damping(theta, order + h, 5)[0] - term_damping(theta, order - h, 5)[0]) / (
+            2 * h
+        )
         # Central difference: h² f'''/6, and rounding 1e-16/h.
         assert term_damping(theta, order, 5)[1] == pytest.approx(quotient, abs=1e-8)
 
@@ -61,7 +70,9 @@ def test_the_optimum_has_its_normalisations_f_at_nyquist() -> None:
 
 
 def test_descent_goes_down_when_its_steps_are_small() -> None:
-    run = steepest_descent(np.ones(2), np.array([0.75, 2.25]), paper_targets(), rate=1e-3, steps=300)
+    run = steepest_descent(
+        np.ones(2), np.array([0.75, 2.25]), paper_targets(), rate=1e-3, steps=300
+    )
     assert (np.diff(run.cost) < 0.0).all()
 
 
@@ -81,12 +92,17 @@ def test_descent_from_the_same_cost_ends_elsewhere_from_elsewhere() -> None:
 
 def test_descent_fails_in_every_way_it_can() -> None:
     targets = paper_targets()
-    assert steepest_descent(np.ones(2), np.array([1.5, 3.47]), targets, rate=0.01, steps=2000).outcome == "out_of_range"
-    assert steepest_descent(np.ones(2), np.array([1.2, 3.0]), targets, rate=0.01, steps=500).outcome == "slow"
-    assert steepest_descent(np.ones(2), np.array([1.2, 1.3]), targets, rate=0.5, steps=500).outcome in (
-        "diverged",
-        "out_of_range",
+    assert (
+        steepest_descent(np.ones(2), np.array([1.5, 3.47]), targets, rate=0.01, steps=2000).outcome
+        == "out_of_range"
     )
+    assert (
+        steepest_descent(np.ones(2), np.array([1.2, 3.0]), targets, rate=0.01, steps=500).outcome
+        == "slow"
+    )
+    assert steepest_descent(
+        np.ones(2), np.array([1.2, 1.3]), targets, rate=0.5, steps=500
+    ).outcome in ("diverged", "out_of_range")
 
 
 def least_squares(orders: Array, targets: Targets, taps: int) -> Array:
@@ -115,8 +131,12 @@ def test_the_cost_is_cheated_by_a_negative_spring() -> None:
     """A flat f = −1 is D = −1 N/m (T = 2): it damps nothing, and the leak-free f sees through it."""
     theta = np.linspace(0.1, np.pi, 20)
     almost_a_spring = np.array([1e-9])
-    assert damping_curve(theta, np.array([-1.0]), almost_a_spring, 4) == pytest.approx(-np.ones(20), abs=1e-8)
-    assert damping_curve(theta, np.array([-1.0]), almost_a_spring, 4, leak=False) == pytest.approx(np.zeros(20), abs=1e-8)
+    assert damping_curve(theta, np.array([-1.0]), almost_a_spring, 4) == pytest.approx(
+        -np.ones(20), abs=1e-8
+    )
+    assert damping_curve(theta, np.array([-1.0]), almost_a_spring, 4, leak=False) == pytest.approx(
+        np.zeros(20), abs=1e-8
+    )
 
 
 @pytest.mark.parametrize("orders", [[1.5, 3.47], [0.3, 2.2], [1.0, 2.0]])
@@ -172,7 +192,11 @@ def test_optimise_answers_for_machines(tmp_path: Path, capsys: pytest.CaptureFix
     assert main([*words, str(tmp_path)]) == 0
     figures = json.loads(capsys.readouterr().out.splitlines()[-1])
     row = figures["descent"][0]
-    assert row["starts"] == sum(row[name] for name in ("converged", "slow", "out_of_range", "diverged")) == 3
+    assert (
+        row["starts"]
+        == sum(row[name] for name in ("converged", "slow", "out_of_range", "diverged"))
+        == 3
+    )
     laws = {shape["law"]: shape for shape in figures["shapes"]}
     assert laws["best orders"]["ripple"] < laws["paper_optimum"]["ripple"]
     assert Path(figures["plot"]).read_bytes()[:4] == b"\x89PNG"

@@ -1,7 +1,8 @@
 """Whoever plays a scene plays the same: four processes, plain or compiled, one process, compiled or interpreted, a replay.
 
-This test holds the project together: what a study computes in one process is what the loop renders. Equality is exact, not
-within a tolerance, because all call the same functions on the same floats in the same order.
+This test holds the project together: what a study computes in one process is what the loop renders.
+Equality is exact, not within a tolerance, because all call the same functions on the same floats in
+the same order.
 """
 
 from __future__ import annotations
@@ -102,21 +103,29 @@ def bits(values: list[float]) -> list[int]:
         if tick == "plain" or words not in ALIKE
     ],
 )
-def test_every_player_gives_the_same_bits(words: tuple[str, ...], tick: str, tmp_path: Path) -> None:
+def test_every_player_gives_the_same_bits(
+    words: tuple[str, ...], tick: str, tmp_path: Path
+) -> None:
     _, arguments = launch_file.read_arguments(launch_file.find(words[0]))
     duration = [] if words[0] == "floor_swap" or "duration" not in arguments else [SHORT]
     assert_same_bits(tmp_path, words[0], *words[1:], *duration, tick=tick)
 
 
 def assert_same_bits(
-    tmp_path: Path, scenario: str, *assignments: str, laid_over: tuple[Path, ...] = (), tick: str = "auto"
+    tmp_path: Path,
+    scenario: str,
+    *assignments: str,
+    laid_over: tuple[Path, ...] = (),
+    tick: str = "auto",
 ) -> None:
     given = launch_file.parse_assignments([*assignments, "pace:=lockstep"])
     played = from_launch(launch_file.read(scenario, given, laid_over))
     trace = played.play()
 
     options = [word for path in laid_over for word in ("--params", str(path))]
-    figures = launch_json(tmp_path, scenario, *assignments, "pace:=lockstep", "--tick", tick, *options)
+    figures = launch_json(
+        tmp_path, scenario, *assignments, "pace:=lockstep", "--tick", tick, *options
+    )
     assert tick in ("auto", figures["tick"])
 
     recording = Recording(tmp_path / figures["recording"])
@@ -131,7 +140,8 @@ def assert_same_bits(
     forces = recording.messages(FORCE)
     assert [force.seq for force in forces] == list(range(ticks + 1))
     if tick == "compiled":
-        # A recording is the same whatever its tick was: its replay, and the interpreted loop, need one of them.
+        # A recording is the same whatever its tick was: its replay, and the interpreted loop, need
+        # one of them.
         return
     interpreted = played.play(interpreted=True)
     same = replay(rebuild(recording.path))
@@ -141,26 +151,43 @@ def assert_same_bits(
 
 
 @pytest.mark.parametrize("tick", ["plain", "compiled"])
-def test_a_device_that_comes_to_the_end_of_its_workspace_stops_there(tick: str, tmp_path: Path) -> None:
+def test_a_device_that_comes_to_the_end_of_its_workspace_stops_there(
+    tick: str, tmp_path: Path
+) -> None:
     """With friction and an encoder, on the outermost count inside; a soft floor lets it down so far."""
     narrow = tmp_path / "narrow.yaml"
-    narrow.write_text("driver: {safety: {workspace: [[-1, 1], [-1, 1], [-0.0009, 0.1]]}}", encoding="utf-8")
+    narrow.write_text(
+        "driver: {safety: {workspace: [[-1, 1], [-1, 1], [-0.0009, 0.1]]}}", encoding="utf-8"
+    )
     words = ("floor_buzz", "stiffness:=50", "law:=pd", "apply:=next_tick", SHORT)
     assert_same_bits(tmp_path, *words, laid_over=(narrow,), tick=tick)
-    trace = from_launch(launch_file.read(words[0], launch_file.parse_assignments([*words[1:]]), (narrow,))).play()
+    trace = from_launch(
+        launch_file.read(words[0], launch_file.parse_assignments([*words[1:]]), (narrow,))
+    ).play()
     # 39.1 counts of 2.3e-5 m; without the stop it would rest 20 mm deep.
     assert trace.measured.min() == -39 * 2.3e-5
     assert np.count_nonzero(trace.measured == -39 * 2.3e-5) > 100
 
 
 @pytest.mark.parametrize("tick", ["plain", "compiled"])
-def test_a_driver_that_limits_and_never_stops_does_the_same_everywhere(tick: str, tmp_path: Path) -> None:
+def test_a_driver_that_limits_and_never_stops_does_the_same_everywhere(
+    tick: str, tmp_path: Path
+) -> None:
     """Where a driver may stop, one process plays its very rules; here it is the fast loop that limits slew and peak."""
     hard = tmp_path / "hard.yaml"
-    hard.write_text("{driver: {safety: {slew: 500.0, stop_after: null}}, coupling: {stability: warn}}", encoding="utf-8")
+    hard.write_text(
+        "{driver: {safety: {slew: 500.0, stop_after: null}}, coupling: {stability: warn}}",
+        encoding="utf-8",
+    )
     words = ("floor_drop", "stiffness:=1e5", "damping:=0", SHORT)
     assert_same_bits(tmp_path, *words, laid_over=(hard,), tick=tick)
-    force = from_launch(launch_file.read(words[0], launch_file.parse_assignments([*words[1:]]), (hard,))).play().force
+    force = (
+        from_launch(
+            launch_file.read(words[0], launch_file.parse_assignments([*words[1:]]), (hard,))
+        )
+        .play()
+        .force
+    )
     # 500 N/s are 1 N a tick; the peak is that of the scenario.
     changes = np.abs(np.diff(force, prepend=0.0))
     assert np.count_nonzero(changes == 1.0) > 10
@@ -168,7 +195,9 @@ def test_a_driver_that_limits_and_never_stops_does_the_same_everywhere(tick: str
 
 
 @pytest.mark.slow
-def test_designs_that_were_just_made_are_rendered_bit_for_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_designs_that_were_just_made_are_rendered_bit_for_bit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """What ``haptic study design`` writes starts any scenario with a coupling: here both of its files, one over the other."""
     words = ("--mass", "0.1", "--taps", "3", "--delay", "1", "--out", str(tmp_path), "--json")
     assert main(["study", "design", *words]) == 0
@@ -185,14 +214,23 @@ def test_designs_that_were_just_made_are_rendered_bit_for_bit(tmp_path: Path, ca
 def test_files_of_parameters_are_checked_before_anything_starts(tmp_path: Path) -> None:
     for text, told in (
         ("coupling: {law: spring}", "coupling.law: no law is named 'spring'"),
-        ("couplng: {law: pd}", "has no node 'couplng'; there is: driver, environment, coupling, logger"),
+        (
+            "couplng: {law: pd}",
+            "has no node 'couplng'; there is: driver, environment, coupling, logger",
+        ),
         ("coupling: pd", "given.yaml.coupling: expected a mapping of parameters, got 'pd'"),
         ("[1, 2]", "given.yaml: expected a mapping from node to parameters"),
         ("driver: {device: {mass: -1.0}}", "driver.device.mass"),
     ):
         (tmp_path / "given.yaml").write_text(text, encoding="utf-8")
-        assert told in haptic(tmp_path, "launch", "floor_drop", "--params", "given.yaml", code=2).stderr
-    assert "elsewhere.yaml" in haptic(tmp_path, "launch", "floor_drop", "--params", "elsewhere.yaml", code=2).stderr
+        assert (
+            told
+            in haptic(tmp_path, "launch", "floor_drop", "--params", "given.yaml", code=2).stderr
+        )
+    assert (
+        "elsewhere.yaml"
+        in haptic(tmp_path, "launch", "floor_drop", "--params", "elsewhere.yaml", code=2).stderr
+    )
 
 
 def test_lockstep_twice_gives_the_same_recording(tmp_path: Path) -> None:
@@ -202,7 +240,12 @@ def test_lockstep_twice_gives_the_same_recording(tmp_path: Path) -> None:
         folder.mkdir()
         figures = launch_json(folder, "floor_buzz", SHORT, "pace:=lockstep")
         states = Recording(folder / figures["recording"]).messages(DEVICE_STATE)
-        found.append([(state.seq, state.stamp, state.position, state.force, state.energy) for state in states])
+        found.append(
+            [
+                (state.seq, state.stamp, state.position, state.force, state.energy)
+                for state in states
+            ]
+        )
     assert found[0] == found[1]
 
 
@@ -217,8 +260,11 @@ def test_a_question_asked_again_is_recorded_once(node: str, tmp_path: Path) -> N
             asked = launch.call("driver", "progress")["tick"]
         finally:
             os.kill(stalled, signal.SIGCONT)
-        # Both answers are there: the one that was waited for, and the one that nobody waits for any more.
-        wait_for(lambda: launch.call("driver", "progress")["tick"] > asked + 100, "the loop to go on")
+        # Both answers are there: the one that was waited for, and the one that nobody waits for any
+        # more.
+        wait_for(
+            lambda: launch.call("driver", "progress")["tick"] > asked + 100, "the loop to go on"
+        )
         figures = launch.finish(signal.SIGINT)
     for path in figures["recordings"]:
         recording = Recording(tmp_path / path)
@@ -226,6 +272,7 @@ def test_a_question_asked_again_is_recorded_once(node: str, tmp_path: Path) -> N
         for topic in (DEVICE_STATE, PROXY, FORCE):
             seqs = [message.seq for message in recording.messages(topic)]
             assert seqs == sorted(set(seqs))
-            # A logger that is starved may lose messages, and counts them where it records all topics of their sender.
+            # A logger that is starved may lose messages, and counts them where it records all
+            # topics of their sender.
             sender = kept.get({PROXY: "environment", FORCE: "coupling"}.get(topic, "driver"))
             assert sender is None or sender.lost == figures["ticks"] + 1 - len(seqs)

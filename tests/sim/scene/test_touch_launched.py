@@ -29,9 +29,15 @@ LAUNCHES = {name: launch_file.read(name, {}) for name in launch_file.scenarios()
 SHAPES = [
     name
     for name, one in LAUNCHES.items()
-    if "environment" in one.nodes and one.nodes["environment"].kind == "environment" and len(one.run.axes) == 3
+    if "environment" in one.nodes
+    and one.nodes["environment"].kind == "environment"
+    and len(one.run.axes) == 3
 ]
-MOVING = [name for name, one in LAUNCHES.items() if "environment" in one.nodes and one.nodes["environment"].kind == "mujoco"]
+MOVING = [
+    name
+    for name, one in LAUNCHES.items()
+    if "environment" in one.nodes and one.nodes["environment"].kind == "mujoco"
+]
 TICKS = pytest.mark.parametrize("tick", slowly(["plain", "compiled"], but=["compiled"]))
 
 
@@ -44,7 +50,9 @@ def test_no_scenario_is_left_out() -> None:
 def compiled_before() -> None:
     """Compile the ticks before the clock of a launch runs."""
     told: list[str] = []
-    assert choose("compiled", (*KERNELS, "nodes.environment.shapes.kernel"), told.append) == "compiled", told
+    assert (
+        choose("compiled", (*KERNELS, "nodes.environment.shapes.kernel"), told.append) == "compiled"
+    ), told
 
 
 def words(scenario: str) -> list[str]:
@@ -61,7 +69,9 @@ def launched(folder: Path, scenario: str, tick: str, compiled: set[str]) -> dict
     """Launch a scenario; its messages, after a comparison with those of one process."""
     figures = launch_json(folder, scenario, *words(scenario), "--tick", tick)
     ran = {name for name, one in figures["tick_by_node"].items() if one == "compiled"}
-    assert ran & {"driver", "environment", "coupling"} == (compiled if tick == "compiled" else set())
+    assert ran & {"driver", "environment", "coupling"} == (
+        compiled if tick == "compiled" else set()
+    )
     recording = Recording(folder / figures["recording"])
     found = {topic: recording.messages(topic) for topic in (DEVICE_STATE, PROXY, FORCE)}
     states, proxies, alone = found[DEVICE_STATE], found[PROXY], played(scenario)
@@ -87,21 +97,34 @@ def test_one_process_plays_the_same(scenario: str, tick: str, tmp_path: Path) ->
     assert 0.1 < contact.mean() < 0.95
     # Led aside by what it touches: more than one axis moves.
     assert (np.ptp(path[contact], axis=0) > 1e-3).sum() >= 2
-    # Interpreted here too: tests/nodes/environment/test_proxy.py holds that the compiled one gives the same bits.
-    alone = touch(surface.solids("surface"), path, surface.tool_radius, launch.run.period, interpreted=True)
+    # Interpreted here too: tests/nodes/environment/test_proxy.py holds that the compiled one gives
+    # the same bits.
+    alone = touch(
+        surface.solids("surface"), path, surface.tool_radius, launch.run.period, interpreted=True
+    )
     assert np.array_equal(alone.contact, contact)
-    assert np.array_equal(np.where(contact[:, None], alone.proxy, path), [message.proxy for message in found])
+    assert np.array_equal(
+        np.where(contact[:, None], alone.proxy, path), [message.proxy for message in found]
+    )
     assert np.array_equal(alone.normal, [message.normal for message in found])
     assert np.array_equal(alone.distance, [message.distance for message in found])
 
 
 @pytest.mark.parametrize(
-    ("scenario", "tick"), [*(pytest.param(name, "plain", marks=pytest.mark.slow) for name in MOVING), (MOVING[0], "compiled")]
+    ("scenario", "tick"),
+    [
+        *(pytest.param(name, "plain", marks=pytest.mark.slow) for name in MOVING),
+        (MOVING[0], "compiled"),
+    ],
 )
-@pytest.mark.skipif(find_spec("mujoco") is None, reason="the extra is not installed: pip install 'haptic-nodes[mujoco]'")
+@pytest.mark.skipif(
+    find_spec("mujoco") is None,
+    reason="the extra is not installed: pip install 'haptic-nodes[mujoco]'",
+)
 def test_one_process_plays_what_moves(scenario: str, tick: str, tmp_path: Path) -> None:
     """MuJoCo is called from Python: of its environment the tick is the plain one, whatever the others take.
 
-    What the others compile is what they compile for the shapes: one launch tells that both kinds go together.
+    What the others compile is what they compile for the shapes: one launch tells that both kinds go
+    together.
     """
     launched(tmp_path, scenario, tick, {"driver", "coupling"})

@@ -50,7 +50,8 @@ def swing(radius: float, ticks: int = LONGEST) -> np.ndarray:
 
 
 def test_the_verdict_at_its_edge() -> None:
-    # The last third begins after 2/3 of the window: there the swing is as wide as its radius to that power, times two knocks.
+    # The last third begins after 2/3 of the window: there the swing is as wide as its radius to
+    # that power, times two knocks.
     begins = WINDOW - WINDOW // 3
     just = (0.5 * LEFT) ** (1.0 / begins)
     for radius, rests in ((just * 0.9995, True), (just * 1.0005, None)):
@@ -58,7 +59,9 @@ def test_the_verdict_at_its_edge() -> None:
         assert (verdict and verdict.rests) is rests
 
 
-@pytest.mark.parametrize(("radius", "rests"), [(0.9996, True), (0.9999, False), (1.0, False), (1.0003, False)])
+@pytest.mark.parametrize(
+    ("radius", "rests"), [(0.9996, True), (0.9999, False), (1.0, False), (1.0003, False)]
+)
 def test_what_is_left_must_go_on_dying(radius: float, rests: bool) -> None:
     # A third of the longest window is 533 ticks: a radius of 0.9998 leaves 0.9 of it.
     assert pytest.approx(0.9998, abs=1e-5) == DYING ** (1.0 / (LONGEST // 3))
@@ -98,8 +101,12 @@ def test_the_climb_begins_below_and_finds_the_step(edge: int) -> None:
     assert found.factor == factor_of(edge)
     assert found.rested == factor_of(edge - 1)
     assert tried[0] == LOWEST
-    # Never further beyond what rests than a large step; and the law itself was tried where the way leads past it.
-    assert max(b - max([a for a in tried[:i] if a < edge], default=b) for i, b in enumerate(tried)) <= 10
+    # Never further beyond what rests than a large step; and the law itself was tried where the way
+    # leads past it.
+    assert (
+        max(b - max([a for a in tried[:i] if a < edge], default=b) for i, b in enumerate(tried))
+        <= 10
+    )
     assert edge <= 0 or 0 in tried
 
 
@@ -123,15 +130,19 @@ def climbed(edge: int) -> KnockedEdge:
 def test_a_law_that_does_not_rest_does_not_hold(edge: int) -> None:
     told = verified(predicted(1.27, 1.25), climbed(edge))
     assert not told["holds"]
-    assert "NOT hold" in headline({"designed": {"h1_n_per_m": 1000.0, "lands": True}, "verified": told})
+    assert "NOT hold" in headline(
+        {"designed": {"h1_n_per_m": 1000.0, "lands": True}, "verified": told}
+    )
 
 
 def test_a_law_that_only_friction_holds_does_not_hold() -> None:
-    # Knocks on the model see the edge at 1.32 where its poles have it at 1.1: friction. So 1.2 by knocks is 1.0 by poles.
+    # Knocks on the model see the edge at 1.32 where its poles have it at 1.1: friction. So 1.2 by
+    # knocks is 1.0 by poles.
     assert verified(predicted(1.27, 1.25), climbed(round(math.log(1.2) / math.log(STEP))))["holds"]
     told = verified(predicted(1.32, 1.1), climbed(round(math.log(1.2) / math.log(STEP))))
     low, high = told["edge_by_poles_between_n_per_m"]
-    # A step on either side of what knocks and model say, 1000 and 1100 N/m; too far apart for one figure.
+    # A step on either side of what knocks and model say, 1000 and 1100 N/m; too far apart for one
+    # figure.
     assert low == pytest.approx(1000.0 / STEP, rel=STEP - 1.0)
     assert high == pytest.approx(1100.0 * STEP)
     assert told["edge_by_poles_h1_n_per_m"] is None
@@ -140,9 +151,14 @@ def test_a_law_that_only_friction_holds_does_not_hold() -> None:
     assert f"a large motion may not at {low / 1000.0:.3f} times" in told["ended"]
 
 
-@pytest.mark.parametrize(("steps", "told_as_one"), [(0, True), (2, True), (3, False), (-2, True), (-3, False)])
-def test_an_edge_that_is_not_known_to_5_percent_is_told_as_an_interval(steps: int, told_as_one: bool) -> None:
-    # The poles of the true device may be where the model has them, or where the measured knocks put them.
+@pytest.mark.parametrize(
+    ("steps", "told_as_one"), [(0, True), (2, True), (3, False), (-2, True), (-3, False)]
+)
+def test_an_edge_that_is_not_known_to_5_percent_is_told_as_an_interval(
+    steps: int, told_as_one: bool
+) -> None:
+    # The poles of the true device may be where the model has them, or where the measured knocks put
+    # them.
     expected = round(math.log(1.3) / math.log(STEP))
     told = verified(predicted(factor_of(expected), 1.25), climbed(expected + steps))
     low, high = told["edge_by_poles_between_n_per_m"]
@@ -158,9 +174,14 @@ def test_an_edge_that_is_not_known_to_5_percent_is_told_as_an_interval(steps: in
     assert f"between {number(low)} and {number(high)} N/m" in words
 
 
-@pytest.mark.parametrize(("measured", "agrees"), [(1.41, False), (1.38, True), (1.16, True), (1.12, False)])
-def test_a_device_whose_edge_is_elsewhere_is_not_the_one_that_was_identified(measured: float, agrees: bool) -> None:
-    # A joint that dry friction holds while knocks are small: its edge by poles may be anywhere below.
+@pytest.mark.parametrize(
+    ("measured", "agrees"), [(1.41, False), (1.38, True), (1.16, True), (1.12, False)]
+)
+def test_a_device_whose_edge_is_elsewhere_is_not_the_one_that_was_identified(
+    measured: float, agrees: bool
+) -> None:
+    # A joint that dry friction holds while knocks are small: its edge by poles may be anywhere
+    # below.
     told = verified(predicted(1.27, 1.25), climbed(round(math.log(measured) / math.log(STEP))))
     assert told["holds"] is told["agrees"] is agrees
     assert (told["edge_by_poles_between_n_per_m"] is not None) is agrees
@@ -189,7 +210,8 @@ def test_knocking_finds_the_edge_that_the_poles_have(preset: str, delay: float) 
     bare = DeviceModel(mass=0.1, damping=1.0, delay=delay)
     plan, edge = planned(knocked(law, bare, T, KNOCK, None, None), linear)
     assert edge.factor is not None
-    # What hardly dies is not told from what does not: a step or two below the edge, and at most one above it.
+    # What hardly dies is not told from what does not: a step or two below the edge, and at most one
+    # above it.
     assert linear / STEP**3 <= edge.factor <= linear * STEP
     assert climb(plan, knocked(law, bare, T, KNOCK, None, None)).factor == edge.factor
 
@@ -198,10 +220,13 @@ def test_the_linear_edge_is_where_a_pole_reaches_the_circle() -> None:
     law, plant = PD(stiffness=300.0, damping=2.0).compile(T), Plant(T, 0.1, 1.0, 1.3)
     edge = linear_edge(law, plant)
     grown = PD(stiffness=300.0 * edge, damping=2.0 * edge)
-    assert k_max(without_spring(grown, T), plant).k_max_n_per_m == pytest.approx(300.0 * edge, rel=1e-6)
+    assert k_max(without_spring(grown, T), plant).k_max_n_per_m == pytest.approx(
+        300.0 * edge, rel=1e-6
+    )
 
 
-# -- the law on trial --------------------------------------------------------------------------------------------------
+# -- the law on trial
+# --------------------------------------------------------------------------------------------------
 
 
 def rendered(law: Knock, deflections: list[float], length: int = 16) -> list[float]:
@@ -214,7 +239,9 @@ def rendered(law: Knock, deflections: list[float], length: int = 16) -> list[flo
         head = head - 1 if head > 0 else length - 1
         ring[head] = ring[head + length] = x
         if k > 0:
-            forces.append(sum(tap * ring[head + m] for m, tap in enumerate(compiled.taps)) + own(ring, head))
+            forces.append(
+                sum(tap * ring[head + m] for m, tap in enumerate(compiled.taps)) + own(ring, head)
+            )
     return forces
 
 
@@ -225,7 +252,8 @@ def test_a_trial_is_the_law_felt_from_nothing_and_then_the_soft_spring() -> None
     law = Knock(taps=TAPS, step=1e-4, ticks=40, stiffness=20.0, damping=0.5)
     held = 2e-3
     forces = rendered(law, [held] * 60)
-    # A step of the deflection over nothing: the sum of the first taps; beside it the force that was there before.
+    # A step of the deflection over nothing: the sum of the first taps; beside it the force that was
+    # there before.
     steps = [sum(TAPS[: k + 1]) * 1e-4 for k in range(40)]
     assert forces[:40] == pytest.approx([20.0 * held + s for s in steps], abs=1e-12)
     assert forces[40:] == pytest.approx([20.0 * held] * 19, abs=1e-12)

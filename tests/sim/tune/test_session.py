@@ -17,7 +17,12 @@ from sim.tune.live_trial import STOPPED, Cut, Trials
 from sim.tune.outcome import headline, verified
 from sim.tune.session import Options, Tuning
 
-DESIGNED = {"taps_n_per_m": [900.0, -800.0], "h1_n_per_m": 100.0, "lands": True, "demand": {"period": 0.002}}
+DESIGNED = {
+    "taps_n_per_m": [900.0, -800.0],
+    "h1_n_per_m": 100.0,
+    "lands": True,
+    "demand": {"period": 0.002},
+}
 PREDICTED = {"h1_n_per_m": 100.0, "edge_factor": None, "edge_linear_factor": 1.3}
 
 
@@ -38,7 +43,12 @@ def test_a_tuning_that_is_refused_at_its_first_step_leaves_an_earlier_one_as_it_
     step: str, fresh: bool, tmp_path: Path
 ) -> None:
     """Its result was overwritten by the refusal, and its law deleted."""
-    known = {"designed": DESIGNED, "predicted": PREDICTED, "predicted_steps": {"plan": {}}, "verified": {"holds": True}}
+    known = {
+        "designed": DESIGNED,
+        "predicted": PREDICTED,
+        "predicted_steps": {"plan": {}},
+        "verified": {"holds": True},
+    }
     names = {"tune.json": json.dumps(known), "tuned.yaml": "a law", "tune.html": "a page"}
     for name, text in names.items():
         (tmp_path / name).write_text(text, encoding="utf-8")
@@ -49,20 +59,32 @@ def test_a_tuning_that_is_refused_at_its_first_step_leaves_an_earlier_one_as_it_
     again.keep()
     again.write()
     assert {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()} == names
-    assert again.record["headline"] == f"Nothing new: let go first. {tmp_path / 'tune.json'} is as it was."
+    assert (
+        again.record["headline"]
+        == f"Nothing new: let go first. {tmp_path / 'tune.json'} is as it was."
+    )
     assert again.files == {}
 
 
 @pytest.mark.parametrize("step", ["verify", "apply"])
 def test_a_launch_of_another_rate_gets_no_law(step: str, tmp_path: Path) -> None:
-    known = {"designed": DESIGNED, "predicted": PREDICTED, "predicted_steps": {"plan": {}}, "verified": {"holds": True}}
+    known = {
+        "designed": DESIGNED,
+        "predicted": PREDICTED,
+        "predicted_steps": {"plan": {}},
+        "verified": {"holds": True},
+    }
     (tmp_path / "tune.json").write_text(json.dumps(known), encoding="utf-8")
     loop = SimpleNamespace(period=0.001, run=SimpleNamespace(run="fast"), read_limits=lambda: None)
-    with pytest.raises(RefusedError, match="fast: runs at 1000 Hz, and the law was designed for 500 Hz"):
+    with pytest.raises(
+        RefusedError, match="fast: runs at 1000 Hz, and the law was designed for 500 Hz"
+    ):
         tuning(tmp_path, lambda: loop).do(step)
 
 
-@pytest.mark.parametrize(("active", "name"), [("pd", "tuned"), ("tuned", "tuned_again"), ("tuned_again", "tuned")])
+@pytest.mark.parametrize(
+    ("active", "name"), [("pd", "tuned"), ("tuned", "tuned_again"), ("tuned_again", "tuned")]
+)
 def test_a_law_that_renders_is_faded_from_and_stays(
     active: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -76,7 +98,9 @@ def test_a_law_that_renders_is_faded_from_and_stays(
         return {"active": active, "seq": 7, "force_step_n": 0.0}
 
     monkeypatch.setattr("sim.tune.session.ask", ask)
-    loop = SimpleNamespace(period=0.002, run=None, coupling="coupling", read_limits=lambda: None, ready=lambda: None)
+    loop = SimpleNamespace(
+        period=0.002, run=None, coupling="coupling", read_limits=lambda: None, ready=lambda: None
+    )
     done = tuning(tmp_path, lambda: loop)
     done.do("apply")
     (_, put), (switched, to) = asked[-2:]
@@ -90,13 +114,21 @@ def test_a_climb_that_was_cut_short_verifies_nothing() -> None:
     whole = climb(Plan(LOWEST, 20, 25), resting)
     assert verified(PREDICTED, whole)["holds"]
     # From before the law itself, at it, and after all of it: a refusal may come at the very end.
-    for steps in (whole.steps[:5], [step for step in whole.steps if step.factor <= 1.0], whole.steps):
+    for steps in (
+        whole.steps[:5],
+        [step for step in whole.steps if step.factor <= 1.0],
+        whole.steps,
+    ):
         told = verified(PREDICTED, KnockedEdge(steps, "the machine stalled"))
         assert not told["holds"]
-        assert headline({"designed": DESIGNED, "verified": told, "refused": "the machine stalled"}).startswith("Not verified: ")
+        assert headline(
+            {"designed": DESIGNED, "verified": told, "refused": "the machine stalled"}
+        ).startswith("Not verified: ")
 
 
-def test_a_law_that_holds_ends_the_command_with_0_whether_or_not_an_edge_was_found(tmp_path: Path) -> None:
+def test_a_law_that_holds_ends_the_command_with_0_whether_or_not_an_edge_was_found(
+    tmp_path: Path,
+) -> None:
     held = tuning(tmp_path)
     assert held.came_through
     for holds in (True, False):
@@ -106,7 +138,9 @@ def test_a_law_that_holds_ends_the_command_with_0_whether_or_not_an_edge_was_fou
 
 def stand_in(ready: Callable[[], Any], safety: list[str]) -> Any:
     """Stand in for a launch that hears of nothing but a driver that has stopped; `safety` is what that tells when asked."""
-    stopped = SimpleNamespace(safety="stopped", seq=1, energy=0.0, overruns=0, age=0, position=(0.0, 0.0, 0.0))
+    stopped = SimpleNamespace(
+        safety="stopped", seq=1, energy=0.0, overruns=0, age=0, position=(0.0, 0.0, 0.0)
+    )
     return SimpleNamespace(
         run=None,
         driver="driver",
@@ -132,7 +166,9 @@ def trials(loop: Any, monkeypatch: pytest.MonkeyPatch) -> Trials:
     return Trials(loop, held, [900.0, -800.0], 1e-3, 0.0, lambda _: None)
 
 
-def test_a_driver_that_takes_no_more_forces_gives_no_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_driver_that_takes_no_more_forces_gives_no_verdict(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Stopped by a large step and not rearmed, it stopped every smaller one too: the edge came out at the first of them."""
     steps = KnockedEdge()
     with pytest.raises(RefusedError, match="let go first"):
@@ -141,7 +177,9 @@ def test_a_driver_that_takes_no_more_forces_gives_no_verdict(monkeypatch: pytest
     assert not steps.complete
 
 
-def test_a_driver_that_stops_right_after_a_knock_judges_that_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_driver_that_stops_right_after_a_knock_judges_that_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """It stood for the next knock, which never reached the device."""
     safety = ["stopped"]
     trial = trials(stand_in(lambda: None, safety), monkeypatch)

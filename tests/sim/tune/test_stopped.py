@@ -37,10 +37,16 @@ SCENE = {
                 "safety": {"peak_force": PEAK, "workspace": [[-0.05, 0.05]] * 3},
             },
         },
-        "environment": {"kind": "environment", "parameters": {"surface": {"kind": "anchor", "position": [0.0, 0.0, 0.0]}}},
+        "environment": {
+            "kind": "environment",
+            "parameters": {"surface": {"kind": "anchor", "position": [0.0, 0.0, 0.0]}},
+        },
         "coupling": {
             "kind": "coupling",
-            "parameters": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 300.0, "damping": 2.0}}},
+            "parameters": {
+                "law": "pd",
+                "laws": {"pd": {"kind": "pd", "stiffness": 300.0, "damping": 2.0}},
+            },
         },
         "logger": {"kind": "logger", "parameters": {"path": "run.mcap"}},
     },
@@ -48,12 +54,22 @@ SCENE = {
 
 
 def designed(
-    folder: Path, taps: list[float], edge: float | None = None, first: int = 0, near: int = 60, last: int = 60
+    folder: Path,
+    taps: list[float],
+    edge: float | None = None,
+    first: int = 0,
+    near: int = 60,
+    last: int = 60,
 ) -> None:
     """Leave a design and a prediction: a law to be tried from `first` to `last`, in large steps up to `near`."""
     h1 = sum(taps)
     known = None if edge is None else edge * h1
-    edges = {"edge_h1_n_per_m": known, "edge_factor": edge, "edge_linear_h1_n_per_m": h1, "edge_linear_factor": 1.0}
+    edges = {
+        "edge_h1_n_per_m": known,
+        "edge_factor": edge,
+        "edge_linear_h1_n_per_m": h1,
+        "edge_linear_factor": 1.0,
+    }
     told: dict[str, Any] = {
         "designed": {
             "taps_n_per_m": taps,
@@ -74,7 +90,11 @@ def designed(
             "every_delay_stable": None,
             "limit_cycle_free": None,
         },
-        "predicted_steps": {"steps": [], "ended": "", "plan": {"first": first, "near": near, "last": last}},
+        "predicted_steps": {
+            "steps": [],
+            "ended": "",
+            "plan": {"first": first, "near": near, "last": last},
+        },
     }
     (folder / "tuning").mkdir()
     (folder / "tuning" / "tune.json").write_text(json.dumps(told))
@@ -88,14 +108,17 @@ def test_a_trial_that_the_driver_stops_is_a_verdict_and_the_launch_goes_on(tmp_p
     with running(tmp_path, "held.yaml") as launch:
         typed(launch, "tune", "--steps", "verify", "--json", code=1)
         # It takes forces again, and the launch has its own law back.
-        wait_for(lambda: launch.call("driver", "progress")["safety"] == "active", "forces to be back")
+        wait_for(
+            lambda: launch.call("driver", "progress")["safety"] == "active", "forces to be back"
+        )
         assert launch.call("coupling", "law.list")["active"] == "pd"
         figures = launch.finish(signal.SIGINT)
     after = json.loads((tmp_path / "tuning" / "tune.json").read_text())["verified"]
     assert not after["holds"]
     stops = [step["factor"] for step in after["steps"] if step["ended_by"] == "stop"]
     rested = [step["factor"] for step in after["steps"] if step["rests"]]
-    # The first stride of 22 % is stopped; what lies below it is tried afterwards, on a driver that takes forces again.
+    # The first stride of 22 % is stopped; what lies below it is tried afterwards, on a driver that
+    # takes forces again.
     assert stops[-1] == pytest.approx(factor_of(STRIDE))
     assert all(factor < max(stops) for factor in rested)
     assert len(after["steps"]) > 2
@@ -109,7 +132,10 @@ def test_a_trial_that_the_driver_stops_is_a_verdict_and_the_launch_goes_on(tmp_p
         if before.safety == "stopped" != state.safety:
             back = [one for one in states if state.seq <= one.seq < state.seq + ramp]
             # Two roundings.
-            assert all(abs(one.force[0]) <= PEAK * (one.seq - before.seq + 1) / ramp * (1.0 + 1e-15) for one in back)
+            assert all(
+                abs(one.force[0]) <= PEAK * (one.seq - before.seq + 1) / ramp * (1.0 + 1e-15)
+                for one in back
+            )
 
 
 def test_a_launch_that_somebody_tunes_already_is_refused_and_left_to_him(tmp_path: Path) -> None:
@@ -118,9 +144,16 @@ def test_a_launch_that_somebody_tunes_already_is_refused_and_left_to_him(tmp_pat
     with running(tmp_path, "held.yaml") as launch:
         with borrowed(PushedLaunch(launch.run)) as held:
             held.check()
-            launch.call("coupling", "param.set", values={"laws.trial": {"kind": "pd", "stiffness": 200.0, "damping": 2.0}})
+            launch.call(
+                "coupling",
+                "param.set",
+                values={"laws.trial": {"kind": "pd", "stiffness": 200.0, "damping": 2.0}},
+            )
             launch.call("coupling", "law.switch", law="trial", ramp=0)
-            with pytest.raises(ControlError, match="held by somebody else"), borrowed(PushedLaunch(launch.run)):
+            with (
+                pytest.raises(ControlError, match="held by somebody else"),
+                borrowed(PushedLaunch(launch.run)),
+            ):
                 raise AssertionError
             assert launch.call("coupling", "law.list")["active"] == "trial"
             assert launch.call("coupling", "lease.renew", names=["borrowed"])["run_out"] == []
@@ -137,7 +170,18 @@ def test_of_a_launch_of_several_chains_the_one_that_is_pushed_is_recorded(tmp_pa
     with running(tmp_path, "two_hands", "duration:=0") as launch:
         loop = PushedLaunch(launch.run.within("left"))
         assert loop.chosen == f"{launch.run.run}/left"
-        typed(launch, "bag", "record", DEVICE_STATE, "--run", loop.chosen, "--duration", "0.2", "--out", "push.mcap")
+        typed(
+            launch,
+            "bag",
+            "record",
+            DEVICE_STATE,
+            "--run",
+            loop.chosen,
+            "--duration",
+            "0.2",
+            "--out",
+            "push.mcap",
+        )
         launch.finish(signal.SIGINT, code=None)
     recording = Recording(tmp_path / "push.mcap")
     assert recording.namespace == "left"
@@ -152,7 +196,12 @@ def unrecorded() -> dict[str, Any]:
 
 
 def verified_with(
-    order: str, folder: Path, taps: list[float], edge: float | None = None, first: int = 0, last: int = 60
+    order: str,
+    folder: Path,
+    taps: list[float],
+    edge: float | None = None,
+    first: int = 0,
+    last: int = 60,
 ) -> str:
     """Try a law on a device that lies about its position; nothing may be delivered. What the verb prints."""
     scene = unrecorded()
@@ -173,7 +222,9 @@ def verified_with(
 @pytest.mark.slow
 def test_an_encoder_that_is_stuck_is_not_a_device_at_rest(tmp_path: Path) -> None:
     """A position that stands still has nothing left of any knock: every law came to rest, and the stiffest was delivered."""
-    assert "the encoder is stuck" in verified_with("0.0", tmp_path, [800.0, -700.0], last=2 * STRIDE)
+    assert "the encoder is stuck" in verified_with(
+        "0.0", tmp_path, [800.0, -700.0], last=2 * STRIDE
+    )
 
 
 NO = "the law holds                                      NO"
@@ -183,8 +234,9 @@ NO = "the law holds                                      NO"
 @pytest.mark.parametrize(
     ("lie", "told", "taps", "first"),
     [
-        # A sign: every spring pushes away. A gain: ten times the law that was designed, whose edge is a little below it then.
-        # A delay that jumps by ten ticks: the edge is a little below the law, too.
+        # A sign: every spring pushes away. A gain: ten times the law that was designed, whose edge
+        # is a little below it then. A delay that jumps by ten ticks: the edge is a little below the
+        # law, too.
         (f"{SCALE}-1", NO, [800.0, -700.0], 0),
         (f"{SCALE}10", NO, [2000.0, -1750.0], -3),
         (f"{LATE}10", NO, [800.0, -700.0], -6),

@@ -89,14 +89,27 @@ def test_a_law_lands_unless_it_is_told_otherwise() -> None:
         assert all(drops(one.found.law, asked).values())
 
 
-# A launch in lockstep takes both processors: what is compiled for identifying and designing is compiled before one begins.
+# A launch in lockstep takes both processors: what is compiled for identifying and designing is
+# compiled before one begins.
 
 
 @pytest.fixture(scope="module")
 def tuned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """Tune once on a real launch, in lockstep: one tick of delay and 0.3 of the device's own."""
     folder = tmp_path_factory.mktemp("tune")
-    words = ("tune", *SCENE, "pace:=lockstep", "--duration", "4", "--taps", "2", "--no-land", "--nyquist", "10000", "--json")
+    words = (
+        "tune",
+        *SCENE,
+        "pace:=lockstep",
+        "--duration",
+        "4",
+        "--taps",
+        "2",
+        "--no-land",
+        "--nyquist",
+        "10000",
+        "--json",
+    )
     with private_runtime_dir() as place:
         done = subprocess.run(
             [*HAPTIC, *words],
@@ -112,7 +125,9 @@ def tuned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
 
 
 @pytest.mark.slow
-def test_the_law_itself_was_tried_from_below_and_the_edge_is_the_predicted_one(tuned: tuple[Path, dict[str, Any]]) -> None:
+def test_the_law_itself_was_tried_from_below_and_the_edge_is_the_predicted_one(
+    tuned: tuple[Path, dict[str, Any]],
+) -> None:
     _, told = tuned
     verified = told["verified"]
     factors = [step["factor"] for step in verified["steps"]]
@@ -128,14 +143,18 @@ def test_the_law_itself_was_tried_from_below_and_the_edge_is_the_predicted_one(t
 
 
 @pytest.mark.slow
-def test_what_does_not_land_says_so_everywhere_and_is_compared_with_nothing(tuned: tuple[Path, dict[str, Any]]) -> None:
+def test_what_does_not_land_says_so_everywhere_and_is_compared_with_nothing(
+    tuned: tuple[Path, dict[str, Any]],
+) -> None:
     folder, told = tuned
     if told["designed"]["lands"]:
         pytest.skip("this design lands although nobody asked for it")
     assert told["designed"]["gain_over_pd"] is None
     assert "does not bear a landing" in told["headline"]
     assert "does not bear a landing" in (folder / told["files"]["html"]).read_text(encoding="utf-8")
-    assert "does NOT survive a landing" in Path(folder / told["files"]["params"]).read_text(encoding="utf-8")
+    assert "does NOT survive a landing" in Path(folder / told["files"]["params"]).read_text(
+        encoding="utf-8"
+    )
 
 
 @pytest.mark.slow
@@ -155,15 +174,23 @@ def test_the_report_and_the_parameters_are_there(tuned: tuple[Path, dict[str, An
     assert not re.search(r"<td>[^<]*\de[-+]\d", page)
     assert told["files"]["params"].endswith("tuned.yaml")
     law = read_yaml(folder / told["files"]["params"])["coupling"]["laws"]["tuned"]
-    # Of two taps the best may be PD itself, which is written as such; numbers in YAML have six digits or more.
-    assert compile_law(parse_law(law), T).taps == pytest.approx(told["designed"]["taps_n_per_m"], rel=1e-5)
-    run = launch_json(folder, "floor_drop", "duration:=0.2", "pace:=lockstep", "--params", told["files"]["params"])
+    # Of two taps the best may be PD itself, which is written as such; numbers in YAML have six
+    # digits or more.
+    assert compile_law(parse_law(law), T).taps == pytest.approx(
+        told["designed"]["taps_n_per_m"], rel=1e-5
+    )
+    run = launch_json(
+        folder, "floor_drop", "duration:=0.2", "pace:=lockstep", "--params", told["files"]["params"]
+    )
     assert run["exit_reason"] == "done"
 
 
 @pytest.mark.slow
 def test_a_new_design_drops_what_was_measured_of_another_law(
-    tuned: tuple[Path, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tuned: tuple[Path, dict[str, Any]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     shutil.copytree(tuned[0] / "tuning", tmp_path / "tuning")
     monkeypatch.chdir(tmp_path)
@@ -202,7 +229,9 @@ def softer(folder: Path, factor: float) -> None:
 
 
 @pytest.mark.slow
-def test_a_law_that_does_not_rest_is_not_delivered(tuned: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+def test_a_law_that_does_not_rest_is_not_delivered(
+    tuned: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
     shutil.copytree(tuned[0] / "tuning", tmp_path / "tuning")
     edge = tuned[1]["verified"]["edge_factor"]
     # Unstable at itself; what was predicted of it is another device's.
@@ -214,7 +243,8 @@ def test_a_law_that_does_not_rest_is_not_delivered(tuned: tuple[Path, dict[str, 
     told = last_line(done.stdout)
     assert not told["verified"]["holds"]
     assert "NOT hold" in told["headline"]
-    # A knock is larger beside a law that is stiffer: by more than a step of 2 % it is not the same edge.
+    # A knock is larger beside a law that is stiffer: by more than a step of 2 % it is not the same
+    # edge.
     assert 0.6 < told["verified"]["edge_factor"] < 0.85
     # It came down to what does rest, and says how much that is.
     assert 0.0 < told["verified"]["stiffest_at_rest_n_per_m"] < told["designed"]["h1_n_per_m"]
@@ -231,7 +261,9 @@ def state(launch: Running) -> tuple[Any, Any, Any]:
 
 
 @pytest.mark.slow
-def test_a_signal_while_a_law_is_tried_leaves_the_launch_as_it_was(tuned: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+def test_a_signal_while_a_law_is_tried_leaves_the_launch_as_it_was(
+    tuned: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
     """Here what is told of it; SIGTERM, SIGHUP and SIGKILL are those of the drill, ``tune ended``."""
     shutil.copytree(tuned[0] / "tuning", tmp_path / "tuning")
     with running(tmp_path, *SCENE, "duration:=0") as launch:
@@ -276,4 +308,7 @@ def test_a_launch_that_the_verb_started_ends_with_it_even_when_it_is_killed(tmp_
         finally:
             process.kill()
             process.wait()
-        wait_for(lambda: not processes_of(place) and not list(place.glob("runs/*")), "everything to be gone")
+        wait_for(
+            lambda: not processes_of(place) and not list(place.glob("runs/*")),
+            "everything to be gone",
+        )
