@@ -60,7 +60,7 @@ LONGEST = (
     "tests/sim/api",
     "tests/nodes/launcher",
     "tests/nodes/compiled/test_second_launch.py",
-    "tests/sim/scene",
+    "tests/sim/play",
     "tests/sim/cli",
     "tests/sim/test_hands_on.py",
     "tests/nodes/cli",

@@ -346,7 +346,7 @@ WIDE = {
     "nodes.coupling.state.CouplingState": STATE,
     "nodes.driver.state.DriverState": STATE,
     "sim.device.state.AxisState": STATE,
-    "sim.scene.richer.RicherModel": "what a device may have beyond a mass: one field a term",
+    "sim.play.nonideal.NonidealDevice": "what a device may have beyond a mass: one field a term",
 }
 """Classes of more than 20 attributes, and why."""
 

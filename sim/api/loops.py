@@ -20,7 +20,7 @@ from sim.arrays import Array
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from sim.scene.loop import Trace
+    from sim.play.one_axis import Trace
 
 
 _SHOWN = 41
@@ -314,7 +314,7 @@ def play(scenario: str, **arguments: Any) -> Played:
     """
     from nodes.launcher import launch_file
     from sim.experiments.drop import SHORTEST, Criterion, settled
-    from sim.scene.from_launch import from_launch
+    from sim.play.launched import from_launch
 
     launch = launch_file.read(scenario, plain(arguments))
     launched = from_launch(launch)

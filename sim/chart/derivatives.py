@@ -23,7 +23,7 @@ from sim.chart.points import Extra, Group, Point
 from sim.measure.jobs import Runner
 from sim.measure.stopwatch import interleaved
 from sim.measure.tap_timing import in_node
-from sim.scene.compiled import compiled
+from sim.play.compiled import compiled
 
 ORDERS = (0.5, 1.5)
 PERIOD = 0.002

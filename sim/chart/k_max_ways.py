@@ -19,7 +19,7 @@ from sim.chart.derivatives import largest_stable
 from sim.chart.points import Extra, Group, Point
 from sim.device.model import DeviceModel
 from sim.measure.stopwatch import interleaved
-from sim.scene.loop import Scene, SceneSurface, run
+from sim.play.one_axis import Scene, SceneSurface, run
 
 PERIOD, MASS, DAMPING, GAIN = 0.002, 0.1, 0.1, 3.0
 _ROUNDS, _QUICK_ROUNDS = 5, 2

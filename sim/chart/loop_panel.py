@@ -23,7 +23,7 @@ from sim.device.model import DeviceModel
 from sim.experiments.drop import drop_scene
 from sim.experiments.rendered import error_of
 from sim.measure.stopwatch import interleaved
-from sim.scene.loop import run
+from sim.play.one_axis import run
 
 RATES = (500.0, 1000.0, 2000.0, 4000.0)  # of the loop [Hz]
 BAND = (1.0, 50.0)  # in which the impedance is compared [Hz]

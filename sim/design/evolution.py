@@ -19,7 +19,7 @@ from nodes.compiled.kernels.sources import kernel
 from sim.arrays import Array
 from sim.design.demand import CONVENTIONS, Demand, LoopCase, alternating
 from sim.design.fall import Falls, falls, settles_one
-from sim.scene.compiled import compiled
+from sim.play.compiled import compiled
 
 _uniform, _integer = np.random.uniform, np.random.randint
 

@@ -18,7 +18,7 @@ from nodes.stability.flexible import FlexiblePlant
 from sim.design.demand import RIGID, Demand
 from sim.experiments.drop import CONVENTION as USUAL
 from sim.experiments.drop import GRAVITY, Convention, Criterion, floor_force, rests, rises
-from sim.scene.compiled import compiled
+from sim.play.compiled import compiled
 
 CLOSE = 0.01  # a drop that stays so close to its rest, as a part of the tolerance, settles
 

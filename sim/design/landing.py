@@ -34,7 +34,7 @@ from sim.design.evolution import evolve
 from sim.design.fall import Falls, falls, settled
 from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene, settles
-from sim.scene.loop import Scene
+from sim.play.one_axis import Scene
 
 MARGIN = 0.03  # how far the masses that must land lie outside the demanded range
 HEIGHTS = (0.01, 0.005, 0.02)  # from which they must land [m]; the first is the drop's own

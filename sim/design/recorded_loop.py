@@ -21,7 +21,7 @@ from nodes.recording.reader import Recording
 from nodes.recording.summary import quantile
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel, Hand
-from sim.scene.loop import Given, Scene, SceneSurface, run
+from sim.play.one_axis import Given, Scene, SceneSurface, run
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,8 @@ from nodes.stability.plant import Plant
 from sim.arrays import Array
 from sim.experiments.proxies import icosphere
 from sim.measure.measured_launch import launch as run_launch
-from sim.scene.spatial import play
-from sim.scene.touch import touch
+from sim.play.chain import play
+from sim.play.touch import touch
 
 FRAMES = ("world", "surface")
 SEARCHED = (0.5, 1.5)  # where K_max of a sliding contact is searched, as parts of that of one axis

@@ -25,9 +25,9 @@ from nodes.environment.shapes.tables import BOX, MESH, PLANE
 from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError
 from sim.arrays import Array
-from sim.scene.from_launch import parameters_of
-from sim.scene.spatial import SpatialTrace, play
-from sim.scene.touch import call_times, touch
+from sim.play.chain import SpatialTrace, play
+from sim.play.launched import parameters_of
+from sim.play.touch import call_times, touch
 
 # cells along the longest side to which a mesh's corners are drawn together
 _GRIDS = (24, 16, 12, 8)

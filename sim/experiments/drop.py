@@ -29,9 +29,9 @@ from nodes.laws.pd_windowed import WindowedDamper
 from nodes.stability.plant import Plant
 from sim.arrays import Array
 from sim.device.model import DeviceModel, Hand
-from sim.scene.compiled import compiled
-from sim.scene.loop import Scene, SceneSurface, Trace, contact_of, in_numbers, motion_of, run
-from sim.scene.tick_loop import Contact, LawTables, Motion, Records, play_compiled, respond
+from sim.play.compiled import compiled
+from sim.play.one_axis import Scene, SceneSurface, Trace, contact_of, in_numbers, motion_of, run
+from sim.play.one_axis_loop import Contact, LawTables, Motion, Records, play_compiled, respond
 
 SHORTEST = 8  # horizon of which a quarter is two ticks [ticks]
 GRAVITY = 9.81  # of a device without gravity of its own [m/s²]
@@ -127,7 +127,7 @@ def floor_force(
 ) -> tuple[int, float, bool]:
     """Return the new head of the history, the force [N] of a law on a floor at 0, and whether it is touched.
 
-    Every drop that is not played by `sim.scene.tick_loop` calls this: that loop's own kernels, in
+    Every drop that is not played by `sim.play.one_axis_loop` calls this: that loop's own kernels, in
     its order.
     """
     head, _, touches = respond(x, PLANE, 0.0, 1.0, raw, history, head, length)

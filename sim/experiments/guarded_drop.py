@@ -13,7 +13,7 @@ from nodes.driver.passivity import PassivityParameters
 from nodes.laws.pd import PD
 from sim.device.model import DeviceModel
 from sim.experiments.drop import drop_scene
-from sim.scene.loop import Trace, run
+from sim.play.one_axis import Trace, run
 
 SHARE = 0.25  # part of a run, its last, that is looked at as rest
 

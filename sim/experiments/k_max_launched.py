@@ -25,8 +25,8 @@ from sim.arrays import Array
 from sim.experiments.drop import Criterion, settled, settles
 from sim.measure import measured_launch
 from sim.measure.measured_launch import MeasurementError
-from sim.scene.from_launch import LaunchedScene, from_launch
-from sim.scene.loop import Scene
+from sim.play.launched import LaunchedScene, from_launch
+from sim.play.one_axis import Scene
 
 SCENARIO = "floor_drop"  # launch file whose nodes get the experiment's parameters
 # Nor a ramp for a swing that begins with a force: nobody feels it.
@@ -60,7 +60,7 @@ def with_stiffness(law: Law, stiffness: float) -> dict[str, Any]:
 
 
 def parameters(scene: Scene, law: dict[str, Any]) -> dict[str, Any]:
-    """Write an experiment as parameters of the nodes of `SCENARIO`: the inverse of `sim.scene.from_launch.from_launch`."""
+    """Write an experiment as parameters of the nodes of `SCENARIO`: the inverse of `sim.play.launched.from_launch`."""
     limited = (scene.peak, scene.slew, scene.workspace) != (None, None, None)
     if limited or scene.passivity is not None or scene.surface.kind == "free":
         raise ValueError("a drop has a plane or an anchor, no limits by the driver and no guard")

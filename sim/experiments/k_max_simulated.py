@@ -16,7 +16,7 @@ from nodes.laws import CompiledLaw, Law
 from nodes.stability.k_max import with_spring, without_spring
 from sim.arrays import Array
 from sim.experiments.drop import Criterion, linear_at_rest, rest_position, settles
-from sim.scene.loop import Scene, run
+from sim.play.one_axis import Scene, run
 
 LawOfStiffness = Callable[[float], CompiledLaw]
 SEARCHED = (1e-3, 4.0)  # softest and stiffest K that are tried, in units of m/T²

@@ -25,9 +25,9 @@ from sim.experiments.spatial_terms import (
 )
 from sim.experiments.terms import BROUGHT, CONVENTIONS, PROTECTS, TERMS, TOGETHER, NeedTerm
 from sim.measure.stopwatch import Timing, interleaved
-from sim.scene.from_launch import LaunchedScene
-from sim.scene.loop import Trace
-from sim.scene.spatial import SpatialTrace
+from sim.play.chain import SpatialTrace
+from sim.play.launched import LaunchedScene
+from sim.play.one_axis import Trace
 
 # motion at rest that does not count [m]: about what a fingertip feels at its most sensitive, near
 # 250 Hz

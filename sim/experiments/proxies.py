@@ -28,7 +28,7 @@ from nodes.environment.shapes.scene import Solid, box, capsule, mesh, plane, sph
 from nodes.environment.shapes.tables import SKIN
 from sim.arrays import Array
 from sim.experiments.detail import hull
-from sim.scene.touch import Touched, call_times, touch
+from sim.play.touch import Touched, call_times, touch
 
 RADIUS = 0.05  # of the sphere that is felt [m]
 PLATE = (0.2, 0.2, 2e-4)  # size of the plate [m]

@@ -27,8 +27,8 @@ from sim.device.model import DeviceModel, coefficients
 from sim.experiments.drop import Criterion, drop_scene, settles
 from sim.measure.measured_launch import MeasurementError
 from sim.measure.stopwatch import Timing, interleaved
-from sim.scene.loop import Scene, contact_of, motion_of
-from sim.scene.tick_loop import LawTables, Records, play_compiled
+from sim.play.one_axis import Scene, contact_of, motion_of
+from sim.play.one_axis_loop import LawTables, Records, play_compiled
 
 SOURCE = r"""
 void play(long ticks, double x, double v, const double *c, double load, double surface, double normal,

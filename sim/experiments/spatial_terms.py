@@ -17,8 +17,8 @@ from sim.device.driver import SimDriverParameters
 from sim.device.model import DeviceModel
 from sim.experiments.detail import decimated
 from sim.experiments.terms import FRICTION, GRAVITY, PEAK_FORCE, RESOLUTION, RESPONSE, NeedTerm
-from sim.scene.from_launch import parameters_of
-from sim.scene.spatial import SpatialTrace, play
+from sim.play.chain import SpatialTrace, play
+from sim.play.launched import parameters_of
 
 ROUGH = Friction(0.3, 0.3)  # of a smooth hard surface under a hard tip, about
 _GRIDS = (48, 24, 16, 12, 8, 6, 4)

@@ -13,8 +13,8 @@ import msgspec
 
 from nodes.laws import CompiledLaw
 from sim.device.model import DeviceModel
-from sim.scene.from_launch import LaunchedScene
-from sim.scene.loop import SceneSurface
+from sim.play.launched import LaunchedScene
+from sim.play.one_axis import SceneSurface
 
 S = TypeVar("S")
 

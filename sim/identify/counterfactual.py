@@ -16,7 +16,7 @@ from sim.arrays import Array
 from sim.device.model import coefficients
 from sim.experiments.drop import Criterion, settled
 from sim.identify.recorded_scene import RecordedScene
-from sim.scene.loop import Given, run
+from sim.play.one_axis import Given, run
 
 # largest motion over the last quarter of a run that counts as settled: that of the drop test [m]
 STILL = Criterion().tolerance

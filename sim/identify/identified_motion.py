@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from sim.arrays import Array, WholeArray
 from sim.device.friction import slide
 from sim.device.model import Coefficients, coefficients
-from sim.scene.compiled import compiled
+from sim.play.compiled import compiled
 
 (
     MOBILITY,

@@ -24,8 +24,8 @@ from sim.arrays import Array
 from sim.device.model import DeviceModel
 from sim.experiments.drop import SHORTEST
 from sim.identify.forces import handed_over
-from sim.scene.from_launch import LaunchedScene, from_launch
-from sim.scene.loop import PlannedSwap
+from sim.play.launched import LaunchedScene, from_launch
+from sim.play.one_axis import PlannedSwap
 
 
 @dataclass(frozen=True)

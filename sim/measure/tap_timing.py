@@ -31,7 +31,7 @@ from nodes.laws.pd import PD
 from nodes.laws.pd_filtered import PDFiltered
 from nodes.laws.pd_windowed import PDWindowed
 from sim.measure.stopwatch import Timing, interleaved
-from sim.scene.compiled import compiled
+from sim.play.compiled import compiled
 
 LENGTHS = (4, 8, 16, 24, 32, 48, 64, 128, 256, 500, 1000, 2000)
 WAYS = ("plain", "unrolled", "numpy", "numba", "numpy_dot")

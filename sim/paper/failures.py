@@ -25,7 +25,7 @@ from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene, free_scene, held, settles
 from sim.paper.claims import Claim, verdict
 from sim.paper.descent import paper_targets, starting, steepest_descent
-from sim.scene.loop import run
+from sim.play.one_axis import run
 
 MARGIN = 0.002  # how far inside and outside a boundary is looked at, as a share of K
 # ticks of those swings: enough to tell e^{−x} from e^{+x} at that margin on every boundary below

@@ -59,13 +59,13 @@ def _pd(stiffness: float, gain: float) -> CompiledLaw:
 def joint() -> BeyondEdge:
     """Return the edge of a device with a joint of 40 Hz: by its poles, and by an integration of 64 steps a tick."""
     from sim.identify.remainder import stiffest
-    from sim.scene.richer import RicherModel, pushed
+    from sim.play.nonideal import NonidealDevice, pushed
 
     beyond = {"share": 0.4, "frequency": 40.0, "loss": 0.02}
     gain, margin, ticks = 2.0, 0.02, 6000
     edge = stiffest(FlexiblePlant(MASS, DAMPING, **beyond), PERIOD, gain)
     assert edge is not None  # noqa: S101 - a soft wall is stable on this device
-    model = RicherModel(DeviceModel(mass=MASS, damping=DAMPING), "flexible mode", **beyond)
+    model = NonidealDevice(DeviceModel(mass=MASS, damping=DAMPING), "flexible mode", **beyond)
 
     def rests(stiffness: float) -> bool:
         taps = np.array(_pd(stiffness, gain).taps)
@@ -236,7 +236,7 @@ def bounce() -> BeyondEdge:
 def slide() -> BeyondEdge:
     """Return the edge of a device that a hand draws along a rough plane: by poles, and by playing the launch in space."""
     from nodes.launcher import launch_file
-    from sim.scene.spatial import play
+    from sim.play.chain import play
 
     margin, gain = 0.1, 2.0
     plant = Plant(PERIOD, 0.15, 3.0, 0.0, 150.0)

@@ -34,7 +34,7 @@ from sim.arrays import Array
 from sim.design.recorded_loop import measure, node_with
 from sim.device.model import DeviceModel
 from sim.experiments.drop import drop_scene
-from sim.scene.loop import run
+from sim.play.one_axis import run
 
 _SHORTEST = 40
 # Parts of the contact that are fitted: what is left of the impact dies in the first eighth.

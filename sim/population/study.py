@@ -17,8 +17,8 @@ from sim.identify.identified import Identified
 from sim.identify.identified_text import ROWS
 from sim.identify.identify import identify
 from sim.identify.remainder import reference_gain, stiffest
+from sim.play.nonideal import NonidealDevice
 from sim.population.virtual import KINDS, draw, draw_outside, excite, excite_outside
-from sim.scene.richer import RicherModel
 from sim.tune.design import Wanted, demand
 
 # what is compared; the stiffness is a hand's
@@ -171,7 +171,7 @@ NAMED = {
 }
 
 
-def truths(device: RicherModel, found: Identified, period: float) -> dict[str, float]:
+def truths(device: NonidealDevice, found: Identified, period: float) -> dict[str, float]:
     """Say what each parameter is that a run could tell."""
     rigid = device.rigid
     # A lag that is not told apart belongs to the delay, and so does what forces come late by on
@@ -221,7 +221,7 @@ def study_outside(job: Mapping[str, Any]) -> dict[str, Any]:
     return row
 
 
-def k_max_off(device: RicherModel, found: Identified, period: float) -> float | None:
+def k_max_off(device: NonidealDevice, found: Identified, period: float) -> float | None:
     """Return how far K_max of the best fit is from that of the linear device, as a part of it; None where a fit tells none."""
     believed = found.anyway() if found.refuted else found
     try:

@@ -15,8 +15,8 @@ from nodes.laws import CompiledLaw
 from nodes.stability.flexible import flexible_radius
 from sim.identify.identified import refusal
 from sim.identify.identify import identify
+from sim.play.nonideal import NonidealDevice
 from sim.population.virtual import draw, draw_outside, excite, excite_outside
-from sim.scene.richer import RicherModel
 from sim.tune.design import Wanted, design, predict
 from sim.tune.knocking import KnockVerdict, climb, knocked, scaled
 from sim.tune.outcome import verified
@@ -31,7 +31,7 @@ def tune_device(job: Mapping[str, Any]) -> dict[str, Any]:
     row: dict[str, Any] = {"kind": kind, "number": job["number"], "delivered": False, "holds": None}
     if kind == INSIDE:
         model = draw(job["number"], job["seed"], held=False)
-        device = RicherModel(model, "rigid")
+        device = NonidealDevice(model, "rigid")
         experiment = excite(model, period, job["seconds"], job["number"], PEAK)
     else:
         device = draw_outside(kind, job["number"], job["seed"])
@@ -65,7 +65,7 @@ def tune_device(job: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def knocks(
-    device: RicherModel, law: CompiledLaw, knock: float, period: float
+    device: NonidealDevice, law: CompiledLaw, knock: float, period: float
 ) -> Callable[[int], KnockVerdict]:
     """Make knocks on the true device."""
     if device.kind == "rigid":
@@ -74,13 +74,13 @@ def knocks(
     return knocked(law, device, period, knock, PEAK, None, (0.1, 0.6))
 
 
-def true_radius(law: CompiledLaw, device: RicherModel, period: float) -> float:
+def true_radius(law: CompiledLaw, device: NonidealDevice, period: float) -> float:
     """Return the largest pole of the loop with the true device, at its shortest and longest delay; dry friction left out."""
     plants = (replace(device.plant, delay=device.plant.delay + late) for late in {0.0, device.late})
     return max(flexible_radius(_as_read(law, device), period, plant) for plant in plants)
 
 
-def _as_read(law: CompiledLaw, device: RicherModel) -> CompiledLaw:
+def _as_read(law: CompiledLaw, device: NonidealDevice) -> CompiledLaw:
     """Return a law of taps behind the sensor of a device: on readings that average two samples."""
     if device.average == 0.0:
         return law
@@ -91,7 +91,7 @@ def _as_read(law: CompiledLaw, device: RicherModel) -> CompiledLaw:
     )
 
 
-def true_edge(law: CompiledLaw, device: RicherModel, period: float) -> float | None:
+def true_edge(law: CompiledLaw, device: NonidealDevice, period: float) -> float | None:
     """Find the stiffness at which a pole of the true loop reaches the unit circle [N/m]; None above 20 times the law."""
     low = high = 1.0
     if true_radius(law, device, period) < 1.0:

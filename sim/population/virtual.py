@@ -15,8 +15,8 @@ from nodes.laws.excitation import Excitation, Telegraph
 from sim.arrays import Array
 from sim.device.model import DeviceModel, Hand, quantise
 from sim.identify.experiment import Experiment, lockstep
-from sim.scene.loop import Scene, SceneSurface, run
-from sim.scene.richer import RicherModel, pushed
+from sim.play.nonideal import NonidealDevice, pushed
+from sim.play.one_axis import Scene, SceneSurface, run
 
 PUSH = Excitation()  # how they are pushed: as a launch pushes by default
 
@@ -72,7 +72,7 @@ def draw(number: int, seed: int, held: bool) -> DeviceModel:
 
 
 def excite_outside(
-    device: RicherModel, period: float, seconds: float, seed: int, peak: float = 3.3
+    device: NonidealDevice, period: float, seconds: float, seed: int, peak: float = 3.3
 ) -> Experiment:
     """Push such a device from rest at 0 and note what its encoder reads, as if sampled at the tick, whenever it was."""
     ticks = round(seconds / period)
@@ -125,9 +125,9 @@ KINDS: dict[str, dict[str, Drawn]] = {
 }
 
 
-def draw_outside(kind: str, number: int, seed: int) -> RicherModel:
+def draw_outside(kind: str, number: int, seed: int) -> NonidealDevice:
     """Draw a device of a kind about a free one of the ranges inside the model, with some friction."""
     rng = np.random.default_rng([seed, number, list(KINDS).index(kind)])
     rigid = draw(number, seed + 1000, held=False)
     rigid = msgspec.structs.replace(rigid, friction=max(rigid.friction or 0.0, 0.01))
-    return RicherModel(rigid, kind, **drawn(KINDS[kind], rng))
+    return NonidealDevice(rigid, kind, **drawn(KINDS[kind], rng))

@@ -21,7 +21,7 @@ from sim.design.hands import STYLUS, judge_grasps
 from sim.design.landing import drops
 from sim.device.model import DeviceModel, Hand
 from sim.identify.identified import Identified
-from sim.scene.richer import RicherModel
+from sim.play.nonideal import NonidealDevice
 from sim.tune.knocking import KnockedEdge, Plan, knocked, planned, scaled
 
 
@@ -91,7 +91,7 @@ def design(found: Identified, wanted: Wanted) -> tuple[Tuned, Tuned, Demand]:
     return law, pd, asked
 
 
-def model(found: Identified) -> DeviceModel | RicherModel:
+def model(found: Identified) -> DeviceModel | NonidealDevice:
     """Put the identified device, the loop's whole delay in it, into a model: the richer one where the data asked for it."""
     mass, damping, delay = (one.known()[0] for one in (found.mass, found.damping, found.delay))
     hand = None
@@ -110,7 +110,7 @@ def model(found: Identified) -> DeviceModel | RicherModel:
         if whole.rigid
         else {"share": whole.share, "frequency": whole.frequency, "loss": whole.loss}
     )
-    return RicherModel(rigid, "identified", quadratic=quadratic, lag=whole.lag, **joint)
+    return NonidealDevice(rigid, "identified", quadratic=quadratic, lag=whole.lag, **joint)
 
 
 def plant_of(found: Identified) -> Plant:

@@ -21,8 +21,8 @@ from nodes.laws import CompiledLaw
 from nodes.laws.knock import Knock
 from sim.arrays import Array
 from sim.device.model import DeviceModel
-from sim.scene.loop import Scene, SceneSurface, run
-from sim.scene.richer import RicherModel, pushed
+from sim.play.nonideal import NonidealDevice, pushed
+from sim.play.one_axis import Scene, SceneSurface, run
 
 WINDOW = 400  # ticks that a knock is watched
 LONGEST = 4 * WINDOW  # ticks that a knock is watched whose motion dies slowly
@@ -176,7 +176,7 @@ def scaled(law: CompiledLaw, factor: float) -> CompiledLaw:
 
 def knocked(
     law: CompiledLaw,
-    model: DeviceModel | RicherModel,
+    model: DeviceModel | NonidealDevice,
     period: float,
     knock: float,
     peak: float | None,
@@ -184,7 +184,7 @@ def knocked(
     starts: Sequence[float] = STARTS,
 ) -> Callable[[int], KnockVerdict]:
     """Make knocks on a model, each from several places in an encoder step."""
-    if isinstance(model, RicherModel):
+    if isinstance(model, NonidealDevice):
         richer = model
         strongest, change = (math.inf if limit is None else limit for limit in (peak, slew))
 

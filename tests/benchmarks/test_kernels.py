@@ -15,7 +15,7 @@ from nodes.laws.pd import PD
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel, advance, coefficients
-from sim.scene.loop import Scene, SceneSurface, run
+from sim.play.one_axis import Scene, SceneSurface, run
 
 T = 0.002
 

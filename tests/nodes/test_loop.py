@@ -22,8 +22,8 @@ from nodes.laws import CompiledLaw
 from nodes.laws.pd import PD
 from sim.device.model import DeviceModel, Hand, quantise
 from sim.device.state import VirtualDevice, device_tick
-from sim.scene.loop import PlannedSwap, Scene, SceneSurface, Trace, run
-from sim.scene.tick_loop import play_compiled
+from sim.play.one_axis import PlannedSwap, Scene, SceneSurface, Trace, run
+from sim.play.one_axis_loop import play_compiled
 
 PERIOD = 0.002
 FLOOR = SceneSurface("plane")

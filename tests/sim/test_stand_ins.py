@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
 from nodes.recording.table import read
-from sim.scene.from_launch import from_launch
-from sim.scene.loop import run
+from sim.play.launched import from_launch
+from sim.play.one_axis import run
 from tests.support import ROOT, slowly
 from tests.support.devices import Bench, bench, real_devices
 from tests.support.launching import running, wait_for

@@ -24,7 +24,7 @@ from sim.device.model import DeviceModel, Hand
 from sim.results import fresh
 
 if TYPE_CHECKING:
-    from sim.scene.loop import Scene
+    from sim.play.one_axis import Scene
 
 _PRESSING = 100.0  # stiffness of the hand that presses where none is given [N/m]
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from sim.experiments.needs import Needs
-    from sim.scene.from_launch import LaunchedScene
+    from sim.play.launched import LaunchedScene
 
 _ROUNDING = 1e-15  # positions are a few centimetres in double precision [m]
 
@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     from sim.experiments.needs import needs, spatial_needs
     from sim.experiments.perception import THRESHOLDS, tolerances
     from sim.measure.stopwatch import Progress
-    from sim.scene.from_launch import from_launch
+    from sim.play.launched import from_launch
 
     launch = launch_file.read(
         arguments.scenario, launch_file.parse_assignments(arguments.assignments)

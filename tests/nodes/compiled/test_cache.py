@@ -167,8 +167,8 @@ def test_other_sources_make_other_code(place: Path, tmp_path: Path) -> None:
     ("module", "needs"),
     [
         ("sim.population.virtual", "nodes/laws/excitation.py"),
-        ("sim.scene.tick_loop", "nodes/arithmetic.py"),
-        ("sim.experiments.drop", "sim/scene/tick_loop.py"),
+        ("sim.play.one_axis_loop", "nodes/arithmetic.py"),
+        ("sim.experiments.drop", "sim/play/one_axis_loop.py"),
         ("nodes.coupling.kernel", "messages/types.py"),
         (TINY, "tests/support/tiny_kernel.py"),
     ],
@@ -197,7 +197,7 @@ class Evil:
 
 SCENE = """
 import numba
-from sim.scene.compiled import compiled
+from sim.play.compiled import compiled
 from nodes.arithmetic import fir
 print(compiled()(fir)((2.0, 1.0), (1.0, 3.0), 0))
 """

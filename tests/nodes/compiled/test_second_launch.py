@@ -24,7 +24,7 @@ from messages.topics import DEVICE_STATE
 from nodes.compiled.cache import folder
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
-from sim.scene.from_launch import from_launch
+from sim.play.launched import from_launch
 from tests.nodes.compiled.test_choose import background
 from tests.support import ROOT
 from tests.support.launching import private_runtime_dir, wait_for
@@ -51,7 +51,7 @@ from pathlib import Path
 from nodes.launcher import launch_file
 from sim.identify.counterfactual import replay
 from sim.identify.recorded_scene import rebuild
-from sim.scene.from_launch import from_launch
+from sim.play.launched import from_launch
 
 scene = from_launch(launch_file.read("floor_drop", launch_file.parse_assignments(["duration:=0.6"]), (Path("slow.yaml"),)))
 forces = {"one process": scene.play().force, "replay": replay(rebuild(Path(sys.argv[1]))).force[: scene.ticks]}

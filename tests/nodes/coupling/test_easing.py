@@ -25,8 +25,8 @@ from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import convert
-from sim.scene.from_launch import from_launch
-from sim.scene.spatial import SpatialTrace, play
+from sim.play.chain import SpatialTrace, play
+from sim.play.launched import from_launch
 from tests.support.setups import setup_of
 from tests.support.shapes import wander
 

@@ -10,7 +10,7 @@ import pytest
 
 from messages.types import Force
 from nodes.launcher.launch_file import read
-from sim.scene.from_launch import from_launch
+from sim.play.launched import from_launch
 from tests.support import slowly
 from tests.support.held import HELD, receipts, recorded
 from tests.support.launching import launch_json, running

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from nodes.driver.passivity import PassivityParameters, count_step, guarded, set_guard
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
-from sim.scene.spatial import SpatialTrace, play
+from sim.play.chain import SpatialTrace, play
 from tests.support import ROOT
 from tests.support.launching import launch_json
 from tests.support.safety import state_of

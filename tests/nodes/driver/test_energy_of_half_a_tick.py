@@ -8,7 +8,7 @@ from nodes.driver.passivity import line_of, through
 from nodes.laws.pd import PD
 from sim.device.model import DeviceModel, advance, coefficients
 from sim.experiments.drop import drop_scene
-from sim.scene.loop import run
+from sim.play.one_axis import run
 
 T, M, B = 0.002, 0.1, 1.0
 

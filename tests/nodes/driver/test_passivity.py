@@ -32,9 +32,9 @@ from nodes.launcher import launch_file
 from nodes.laws.pd import PD
 from nodes.recording.reader import Recording
 from sim.device.model import DeviceModel
-from sim.scene.from_launch import from_launch
-from sim.scene.loop import Scene, SceneSurface, Trace, run
-from sim.scene.spatial import play
+from sim.play.chain import play
+from sim.play.launched import from_launch
+from sim.play.one_axis import Scene, SceneSurface, Trace, run
 from tests.support.launching import haptic, launch_json, running, wait_for
 from tests.support.safety import state_of
 
@@ -385,7 +385,7 @@ def test_credit_of_dissipated_energy_does_not_feed_an_instability() -> None:
     # A mass on a two-sided coupling: a second of damping gives credit; then the law is swapped for
     # one that pumps.
     from nodes.laws import CompiledLaw
-    from sim.scene.loop import PlannedSwap
+    from sim.play.one_axis import PlannedSwap
 
     # It starts with a velocity, not deflected: before tick 0 nothing is in store.
     device = DeviceModel(mass=0.1, damping=0.0, velocity=1.0)

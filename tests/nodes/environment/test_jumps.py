@@ -29,7 +29,7 @@ from nodes.environment.surfaces import parse_surface
 from nodes.environment.touched_surface import TouchedSurface
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
-from sim.scene.spatial import play
+from sim.play.chain import play
 from tests.support import slowly
 from tests.support.launching import running, typed
 from tests.support.setups import setup_of

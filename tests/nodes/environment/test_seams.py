@@ -12,7 +12,7 @@ from nodes.environment.shapes.kinds import TOOL_RADIUS
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.mesh_file import read_triangles
 from nodes.environment.shapes.scene import Friction, Solid, box, mesh, rotation
-from sim.scene.touch import touch
+from sim.play.touch import touch
 from tests.support.shapes import Array, box_triangles
 
 FLUSH = Path(__file__).parents[2] / "fixtures" / "begin" / "flush.obj"

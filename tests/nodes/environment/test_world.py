@@ -29,7 +29,7 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import with_spring, without_spring
 from nodes.stability.plant import Plant
 from nodes.stability.worst_world import worst_world
-from sim.scene.spatial import play
+from sim.play.chain import play
 from tests.support.launching import launch_json
 
 PERIOD = 0.002

@@ -38,7 +38,7 @@ IN_LOCKSTEP = {
     *("box_edges", "floor_buzz", "floor_guarded", "floor_swap", "identify"),
     *("rough_plane", "sphere_feel", "touch_wall", "two_loggers", "world_feel"),
 }
-"""Scenarios that every run of the tests launches in lockstep (tests/sim/scene)."""
+"""Scenarios that every run of the tests launches in lockstep (tests/sim/play)."""
 
 
 def assert_summary_is_true(figures: dict[str, Any], states: list[Any]) -> None:

@@ -23,7 +23,7 @@ from nodes.stability.closed_loop import pole_radius, state_matrix
 from nodes.stability.plant import Plant
 from sim.chart.derivative_errors import largest_pole, lengths_taken
 from sim.device.model import DeviceModel
-from sim.scene.loop import Scene, SceneSurface, run
+from sim.play.one_axis import Scene, SceneSurface, run
 from tests.support.realisations import (
     BDF,
     EPS,

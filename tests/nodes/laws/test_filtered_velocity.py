@@ -18,7 +18,7 @@ from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene, settles
-from sim.scene.loop import run
+from sim.play.one_axis import run
 from tests.support.launching import launch_json
 
 T, STEP = 0.002, 2.3e-5

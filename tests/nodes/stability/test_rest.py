@@ -13,7 +13,7 @@ from nodes.stability.plant import Plant
 from nodes.stability.rest import absolute_sum, rest, stiffest_at_rest
 from sim.device.model import DeviceModel, quantise
 from sim.experiments.drop import drop_scene
-from sim.scene.loop import Scene, SceneSurface, run
+from sim.play.one_axis import Scene, SceneSurface, run
 
 T, STEP = 0.002, 2.3e-5
 

@@ -14,7 +14,7 @@ from messages.topics import DEVICE_STATE
 from nodes.launcher import launch_file
 from nodes.laws.parse import parse_law
 from nodes.recording.reader import Recording
-from sim.scene.beside import play_beside
+from sim.play.shadow import play_beside
 from tests.support.browser import OpenPage, needs_browser, url_of
 from tests.support.launching import Running, launch_json, running, wait_for
 

@@ -33,7 +33,7 @@ from sim.design.families import best_pd
 from sim.device.model import DeviceModel
 from sim.measure.stopwatch import Progress, Timing, interleaved, machine
 from sim.measure.tap_timing import TapTimings
-from sim.scene.loop import Scene, SceneSurface, run
+from sim.play.one_axis import Scene, SceneSurface, run
 
 few = st.integers(0, 4).map(float)
 

@@ -22,10 +22,10 @@ from sim.cli.study.price import possible_joints
 from sim.cli.study.tuned import held
 from sim.device.model import DeviceModel
 from sim.measure.jobs import program, read_ledger
+from sim.play.nonideal import NonidealDevice
 from sim.population.study import summary_outside
 from sim.population.tuned import summary, true_edge, true_radius
 from sim.population.virtual import KINDS, draw
-from sim.scene.richer import RicherModel
 from sim.tune.knocking import scaled
 from tests.support.launching import exit_code
 from tests.support.pictures import assert_drawn
@@ -260,7 +260,7 @@ def test_the_true_edge_of_a_spring_is_its_k_max(
 ) -> None:
     limit = k_max(CompiledLaw((0.0,)), Plant(T, mass, damping, delay)).k_max_n_per_m
     assert limit is not None
-    device = RicherModel(DeviceModel(mass=mass, damping=damping, delay=delay))
+    device = NonidealDevice(DeviceModel(mass=mass, damping=damping, delay=delay))
     # From below the edge and from above it; bisected 20 times from steps of 2 %.
     assert true_edge(CompiledLaw((start * limit,)), device, T) == pytest.approx(limit, rel=1e-6)
 
@@ -270,7 +270,7 @@ def test_a_law_that_is_unstable_far_below_itself_is_judged_from_itself_upwards()
     law = CompiledLaw(
         (14637.851675576338, -10684.824134320634, -7546.077294457547, 7797.369406764558)
     )
-    device = RicherModel(draw(2, 1, held=False))
+    device = NonidealDevice(draw(2, 1, held=False))
     assert true_radius(scaled(law, 0.2), device, T) > 1.0 > true_radius(law, device, T)
     edge = true_edge(law, device, T)
     assert edge is not None
@@ -284,8 +284,8 @@ def test_a_law_that_is_unstable_far_below_itself_is_judged_from_itself_upwards()
 def test_a_delay_that_jitters_counts_at_its_worst() -> None:
     rigid = DeviceModel(mass=0.1, damping=1.0, delay=1.0)
     law = CompiledLaw((300.0,))
-    late, later = (true_edge(law, RicherModel(rigid, late=late), T) for late in (0.0, 0.7))
-    at_worst = true_edge(law, RicherModel(DeviceModel(mass=0.1, damping=1.0, delay=1.7)), T)
+    late, later = (true_edge(law, NonidealDevice(rigid, late=late), T) for late in (0.0, 0.7))
+    at_worst = true_edge(law, NonidealDevice(DeviceModel(mass=0.1, damping=1.0, delay=1.7)), T)
     assert None not in (late, later, at_worst)
     assert later == at_worst
     assert (late or 0.0) > (later or 0.0)
@@ -294,21 +294,22 @@ def test_a_delay_that_jitters_counts_at_its_worst() -> None:
 def test_a_sensor_that_averages_lowers_the_true_edge() -> None:
     """The judge left the sensor out: 2347 N/m, where the loop on what is read has 1801."""
     rigid, law = DeviceModel(mass=0.1, damping=1.0, delay=1.0), CompiledLaw((1500.0, -1000.0))
-    edges = [true_edge(law, RicherModel(rigid, average=part), T) for part in (0.0, 0.25, 0.5)]
+    edges = [true_edge(law, NonidealDevice(rigid, average=part), T) for part in (0.0, 0.25, 0.5)]
     assert None not in edges
     assert edges == sorted(edges, key=lambda edge: -(edge or 0.0))
     # By convolution: two samples averaged are the law's taps, half of them a tick later.
     averaged = CompiledLaw((750.0, 250.0, -500.0))
-    assert edges[2] == pytest.approx(true_edge(averaged, RicherModel(rigid), T), rel=1e-12)
+    assert edges[2] == pytest.approx(true_edge(averaged, NonidealDevice(rigid), T), rel=1e-12)
     with pytest.raises(ValueError, match="only taps are judged"):
         true_radius(
-            CompiledLaw((1.0,), ((1.0, 0.0, -0.5, 0.0),)), RicherModel(rigid, average=0.5), T
+            CompiledLaw((1.0,), ((1.0, 0.0, -0.5, 0.0),)), NonidealDevice(rigid, average=0.5), T
         )
 
 
 def test_nothing_is_told_of_an_edge_far_above_the_law() -> None:
     assert (
-        true_edge(CompiledLaw((1.0,)), RicherModel(DeviceModel(mass=0.1, damping=1.0)), T) is None
+        true_edge(CompiledLaw((1.0,)), NonidealDevice(DeviceModel(mass=0.1, damping=1.0)), T)
+        is None
     )
 
 

@@ -15,7 +15,7 @@ from sim.design.demand import CONVENTIONS, Demand
 from sim.design.landing import dropped, drops
 from sim.design.robust import stiffest
 from sim.experiments.drop import Criterion, settles
-from sim.scene.from_launch import from_launch
+from sim.play.launched import from_launch
 
 T = 0.002
 DEMANDS = {

@@ -15,7 +15,7 @@ from sim.design.evolution import _lands
 from sim.design.fall import Falls, fallen, falls, settled
 from sim.design.landing import HEIGHTS, dropped
 from sim.experiments.drop import Criterion, settles
-from sim.scene.loop import run
+from sim.play.one_axis import run
 
 T = 0.002
 RIGID = Demand((0.08, 0.125), 1.0, (1.0, 1.3), T, 0.99, 1e4, lands=CONVENTIONS)

@@ -27,8 +27,8 @@ from nodes.view.stability_map import plant_of, stability_map
 from sim.device.model import DeviceModel, Hand
 from sim.device.state import VirtualDevice, device_tick
 from sim.experiments.spatial_terms import spatial_scene, with_device
-from sim.scene.from_launch import from_launch
-from sim.scene.spatial import play
+from sim.play.chain import play
+from sim.play.launched import from_launch
 from tests.support.launching import launch_json
 
 ARM = [(0.0, 0.1), (0.1, 0.3)]

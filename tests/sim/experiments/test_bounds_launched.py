@@ -27,7 +27,7 @@ from sim.design.recorded_loop import replayed_radius
 from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene, free_scene, settles
 from sim.experiments.k_max_launched import NO_LIMITS, launched, settles_launched
-from sim.scene.loop import Scene, run
+from sim.play.one_axis import Scene, run
 from tests.support import INSTALLED
 from tests.support.launching import launch_json
 

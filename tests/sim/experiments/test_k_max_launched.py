@@ -27,7 +27,7 @@ from sim.experiments.k_max_launched import (
     with_stiffness,
 )
 from sim.experiments.k_max_simulated import simulated_k_max
-from sim.scene.loop import Scene, run
+from sim.play.one_axis import Scene, run
 from tests.support.launching import haptic
 
 T = 0.002

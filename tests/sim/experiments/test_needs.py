@@ -19,8 +19,8 @@ from nodes.parameters.store import ParameterError
 from sim.cli.study.needs import _text
 from sim.experiments.needs import Needs, Outcome, movement, needs, outcome, spatial_needs
 from sim.experiments.terms import TERMS
-from sim.scene.from_launch import LaunchedScene, from_launch
-from sim.scene.loop import Trace
+from sim.play.launched import LaunchedScene, from_launch
+from sim.play.one_axis import Trace
 from tests.support import slowly
 
 

@@ -22,8 +22,8 @@ from sim.design.demand import Demand
 from sim.design.fall import falls, settled
 from sim.experiments.drop import CONVENTION, Criterion, drop_scene, held, settles
 from sim.experiments.k_max_simulated import at_stiffness, simulated_k_max
-from sim.scene.from_launch import from_launch
-from sim.scene.loop import run
+from sim.play.launched import from_launch
+from sim.play.one_axis import run
 
 T = 0.002
 PLANT = Plant(T, 0.1, 1.0)

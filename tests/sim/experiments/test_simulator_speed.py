@@ -11,7 +11,7 @@ import pytest
 
 from nodes.cli.main import main
 from sim.experiments.simulator_speed import NoCompilerError, compile_c, in_c, laws, ours, scene
-from sim.scene.loop import run
+from sim.play.one_axis import run
 from tests.support.launching import exit_code
 
 

@@ -22,8 +22,8 @@ from sim.identify.counterfactual import missing_force, nudges, replay
 from sim.identify.experiment import read
 from sim.identify.identify import identify
 from sim.identify.recorded_scene import another_law, rebuild
-from sim.scene.from_launch import from_launch
-from sim.scene.loop import Given, run
+from sim.play.launched import from_launch
+from sim.play.one_axis import Given, run
 from tests.support.launching import launch_json, typed_in
 from tests.support.recorded import rewritten
 

@@ -7,14 +7,14 @@ import pytest
 
 from sim.device.model import DeviceModel
 from sim.identify.identify import followed, identify
+from sim.play.nonideal import NonidealDevice
 from sim.population.virtual import excite_outside
-from sim.scene.richer import RicherModel
 
 RIGID = DeviceModel(mass=0.1, damping=1.0, friction=0.05, resolution=1e-5, delay=1.2)
 DEVICES = {
-    "flexible mode": RicherModel(RIGID, share=0.4, frequency=40.0, loss=0.03),
-    "actuator lag": RicherModel(RIGID, lag=4e-3),
-    "quadratic damping": RicherModel(RIGID, quadratic=3.0),
+    "flexible mode": NonidealDevice(RIGID, share=0.4, frequency=40.0, loss=0.03),
+    "actuator lag": NonidealDevice(RIGID, lag=4e-3),
+    "quadratic damping": NonidealDevice(RIGID, quadratic=3.0),
 }
 
 

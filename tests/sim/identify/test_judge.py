@@ -19,8 +19,8 @@ from sim.identify.experiment import lockstep
 from sim.identify.identified import Estimate, Identified, refusal
 from sim.identify.identified_text import figures, from_figures, text
 from sim.identify.identify import identify
+from sim.play.nonideal import NonidealDevice
 from sim.population.virtual import excite_outside
-from sim.scene.richer import RicherModel
 from tests.support import slowly
 
 T = 0.002
@@ -29,7 +29,7 @@ TRUTH = {"mass": 0.1, "damping": 1.0, "friction": 0.03, "delay": 1.2}
 
 
 def pushed(rigid: DeviceModel = RIGID, **odd: Any) -> Identified:
-    return identify(excite_outside(RicherModel(rigid, **odd), T, 4.0, seed=1))
+    return identify(excite_outside(NonidealDevice(rigid, **odd), T, 4.0, seed=1))
 
 
 def far(estimate: Estimate, truth: float) -> float:

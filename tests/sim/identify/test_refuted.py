@@ -13,14 +13,14 @@ from messages.types import DeviceState
 from nodes.cli.main import main
 from nodes.recording.writer import RecordWriter
 from sim.device.model import DeviceModel
+from sim.play.nonideal import NonidealDevice
 from sim.population.virtual import excite_outside
-from sim.scene.richer import RicherModel
 
 T = 0.002
 RIGID = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=1.2, resolution=23e-6)
 
 
-def recorded(folder: Path, device: RicherModel) -> Path:
+def recorded(folder: Path, device: NonidealDevice) -> Path:
     """Push a device and record what a driver would tell: each state with the force of the tick before."""
     run = excite_outside(device, T, 4.0, seed=1)
     path = folder / "push.mcap"
@@ -45,7 +45,7 @@ def recorded(folder: Path, device: RicherModel) -> Path:
 @pytest.fixture(scope="module")
 def cogging(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Record a motor whose force repeats with its poles."""
-    return recorded(tmp_path_factory.mktemp("cogging"), RicherModel(RIGID, cogging=0.05))
+    return recorded(tmp_path_factory.mktemp("cogging"), NonidealDevice(RIGID, cogging=0.05))
 
 
 def identified(path: Path, capsys: pytest.CaptureFixture[str], code: int) -> dict[str, Any]:
@@ -57,7 +57,7 @@ def identified(path: Path, capsys: pytest.CaptureFixture[str], code: int) -> dic
 def test_a_device_that_the_model_fits_is_identified(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = identified(recorded(tmp_path, RicherModel(RIGID)), capsys, code=0)
+    told = identified(recorded(tmp_path, NonidealDevice(RIGID)), capsys, code=0)
     assert not told["refuted"]
     assert told["mass_kg"]["low"] < 0.1 < told["mass_kg"]["high"]
 

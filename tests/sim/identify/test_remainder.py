@@ -15,17 +15,17 @@ from sim.identify.identified import Identified, refusal
 from sim.identify.identified_text import figures, from_figures, text, verdict
 from sim.identify.identify import identify
 from sim.identify.remainder import REFUSED, reference_gain, stiffest
+from sim.play.nonideal import NonidealDevice
 from sim.population.study import FAR, NAMED, k_max_off, named, outcome, summary_outside
 from sim.population.virtual import excite_outside
-from sim.scene.richer import RicherModel
 from tests.support import slowly
 
 T = 0.002
 RIGID = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=1.2, resolution=23e-6)
 
 
-def pushed(seed: int = 1, **odd: Any) -> tuple[RicherModel, Identified]:
-    device = RicherModel(RIGID, **odd)
+def pushed(seed: int = 1, **odd: Any) -> tuple[NonidealDevice, Identified]:
+    device = NonidealDevice(RIGID, **odd)
     return device, identify(excite_outside(device, T, 4.0, seed=seed))
 
 

@@ -29,7 +29,7 @@ from sim.paper.swing import (
     swing_of,
     windows,
 )
-from sim.scene.loop import run
+from sim.play.one_axis import run
 from tests.support.launching import exit_code, launch_json
 from tests.support.recorded import rewritten
 

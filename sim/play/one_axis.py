@@ -21,9 +21,9 @@ from nodes.environment.state import ANCHOR, FREE, PLANE
 from nodes.laws import CompiledLaw
 from sim.arrays import Array
 from sim.device.model import DeviceModel, coefficients, ends_of, split_delay
-from sim.scene.compiled import numbers_of
-from sim.scene.driver_rules import DriverRules
-from sim.scene.tick_loop import (
+from sim.play.compiled import numbers_of
+from sim.play.driver_rules import DriverRules
+from sim.play.one_axis_loop import (
     Arrivals,
     Contact,
     Guard,
@@ -315,7 +315,7 @@ def motion_of(scene: Scene, ticks: int, given: Given | None = None) -> Motion:
     device = scene.device
     if device.mass_by_position:
         raise ValueError(
-            "device.mass_by_position: this loop has one mass; sim.scene.spatial plays it, and so"
+            "device.mass_by_position: this loop has one mass; sim.play.chain plays it, and so"
             " does a launch"
         )
     mass, damping, grip = device.moving_mass, device.moving_damping, device.grip

@@ -1,7 +1,7 @@
 """A launch of any axes in one process: the states and rules of the nodes themselves, tick by tick, as in lockstep.
 
 It plays what nodes can: shapes, things that move, several axes, laws with code of their own and
-swaps between them, all of the driver's safety. It is interpreted, for few runs (`sim.scene.loop` is
+swaps between them, all of the driver's safety. It is interpreted, for few runs (`sim.play.one_axis` is
 for thousands); no rule in it is its own.
 """
 
@@ -32,9 +32,9 @@ from nodes.parameters.store import ParameterError
 from sim.arrays import Array
 from sim.device.driver import SimDriverParameters, parts_of
 from sim.device.state import read_axis, write_axis
-from sim.scene.driver_rules import DriverRules
-from sim.scene.from_launch import parameters_of
-from sim.scene.loop import MAX_TICKS
+from sim.play.driver_rules import DriverRules
+from sim.play.launched import parameters_of
+from sim.play.one_axis import MAX_TICKS
 
 
 class SpatialTrace(NamedTuple):

@@ -24,7 +24,7 @@ from nodes.recording.reader import Recording
 from sim.cli.bench.loop import KERNELS
 from sim.identify.counterfactual import replay
 from sim.identify.recorded_scene import rebuild
-from sim.scene.from_launch import from_launch
+from sim.play.launched import from_launch
 from tests.support.launching import haptic, launch_json, running, wait_for
 
 SHORT = "duration:=1.2"

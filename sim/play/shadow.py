@@ -14,8 +14,8 @@ import msgspec
 from nodes.base.setup import Setup
 from nodes.launcher.launch_spec import Launch, NodeSpec, RunSpec
 from sim.arrays import Array
-from sim.scene.from_launch import from_launch
-from sim.scene.loop import Scene, run
+from sim.play.launched import from_launch
+from sim.play.one_axis import Scene, run
 
 
 def beside_scene(

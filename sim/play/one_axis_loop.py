@@ -27,7 +27,7 @@ from nodes.environment.meet import meet_plane
 from nodes.environment.state import ANCHOR, PLANE
 from sim.device.friction import move
 from sim.device.model import Coefficients, coefficients, end_stop, quantise, saturate
-from sim.scene.compiled import compiled, own_force
+from sim.play.compiled import compiled, own_force
 
 # a list of numbers when the loop is interpreted, an array when it is compiled
 Values: TypeAlias = Any
@@ -265,11 +265,11 @@ def play(  # noqa: C901, PLR0915
     read: Values | None = None,
     rules: Any = None,
 ) -> tuple[float, float]:
-    """Play a scene from rest; `sim.scene.loop.run` prepares it and reads what was written down.
+    """Play a scene from rest; `sim.play.one_axis.run` prepares it and reads what was written down.
 
     `nudged` are jumps of position, velocity and reading at each tick; with `read`, the readings
     that a recording holds, they are found here. `rules` are the driver's rules beyond guard, peak
-    and slew (sim/scene/driver_rules.py), interpreted only.
+    and slew (sim/play/driver_rules.py), interpreted only.
     """
     x, v = motion.position, motion.velocity
     length = len(history) // 2

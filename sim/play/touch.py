@@ -13,7 +13,7 @@ from nodes.environment.shapes import proxy
 from nodes.environment.shapes.scene import Solid, new_memory, scene_table
 from nodes.environment.shapes.tables import DISTANCE, IN_CONTACT, NORMAL, PROXY, ROUNDS
 from sim.arrays import Array
-from sim.scene.compiled import compiled
+from sim.play.compiled import compiled
 
 del _registered
 

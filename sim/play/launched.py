@@ -1,7 +1,7 @@
 """A launch file played in one process: the same scene, law, swaps and conventions, thousands of times faster.
 
 This is what holds the project together: a lockstep run through four processes and the same launch
-file played here give the same bits, for every scenario (tests/sim/scene/test_lockstep.py).
+file played here give the same bits, for every scenario (tests/sim/play/test_lockstep.py).
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError, convert
 from nodes.stability.plant import Plant
 from sim.device.driver import NO_END, SimDriverParameters, along
-from sim.scene.loop import Given, PlannedSwap, Scene, SceneSurface, Trace, run
+from sim.play.one_axis import Given, PlannedSwap, Scene, SceneSurface, Trace, run
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class LaunchedScene:
     def play(
         self, ticks: int | None = None, interpreted: bool = False, given: Given | None = None
     ) -> Trace:
-        """Play the scene, for as many ticks as the launch file says when none are given; see `sim.scene.loop.run`."""
+        """Play the scene, for as many ticks as the launch file says when none are given; see `sim.play.one_axis.run`."""
         return run(
             self.scene, self.law, ticks or self.ticks, self.swaps, self.memory, interpreted, given
         )
@@ -78,7 +78,7 @@ def from_launch(launch: Launch) -> LaunchedScene:
     if len(launch.run.axes) != 1:
         raise ParameterError(
             f"{launch.scenario}.run.axes: {launch.run.axes}; one process plays one axis here;"
-            " sim.scene.spatial plays several"
+            " sim.play.chain plays several"
         )
     axis = launch.run.axes[0]
     period = launch.run.period
@@ -87,12 +87,12 @@ def from_launch(launch: Launch) -> LaunchedScene:
     if device.mass_by_position:
         raise ParameterError(
             f"{launch.scenario}: device.mass_by_position: one process plays one mass here; launch"
-            " it, or take sim.scene.spatial"
+            " it, or take sim.play.chain"
         )
     if any(spec.kind == "world" for spec in launch.nodes.values()):
         raise ParameterError(
             f"{launch.scenario}.nodes: a body of kind world; one process plays surfaces here;"
-            " sim.scene.spatial plays it"
+            " sim.play.chain plays it"
         )
     name, environment = parameters_of(launch, "environment", EnvironmentParameters)
     coupling_name, coupling = parameters_of(launch, "coupling", CouplingParameters)

@@ -14,11 +14,11 @@ from nodes.stability.flexible import FlexiblePlant
 from sim.arrays import Array
 from sim.device.friction import slide
 from sim.device.model import DeviceModel, coefficients, quantise
-from sim.scene.compiled import compiled
+from sim.play.compiled import compiled
 
 
 @dataclass(frozen=True)
-class RicherModel:
+class NonidealDevice:
     """A device with what the model of a rigid one does not have; 0 for what it lacks."""
 
     rigid: DeviceModel  # mass of both sides of the joint, damping, Coulomb friction, delay, encoder
@@ -204,7 +204,7 @@ def _push(  # noqa: C901, PLR0915
 
 
 def pushed(
-    device: RicherModel,
+    device: NonidealDevice,
     period: float,
     wanted: Array,
     taps: Array,

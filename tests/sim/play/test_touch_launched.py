@@ -17,8 +17,8 @@ from nodes.environment.surfaces import parse_surface
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
 from sim.cli.bench.loop import KERNELS
-from sim.scene.spatial import SpatialTrace, play
-from sim.scene.touch import touch
+from sim.play.chain import SpatialTrace, play
+from sim.play.touch import touch
 from tests.support import slowly
 from tests.support.launching import launch_json
 

@@ -1,1 +1,0 @@
-"""A whole scene in one process: the loop of the nodes, compiled."""
