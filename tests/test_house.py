@@ -258,7 +258,7 @@ def test_the_glossary_explains_the_words_of_the_field() -> None:
 
 
 WITH_ARGUMENTS = {
-    "sim.stand_ins.inverse_service": "a process of its own, that stands for a vendor's service"
+    "sim.emulators.inverse_service": "a process of its own, that stands for a vendor's service"
 }
 """Modules outside the command line that read a command line all the same."""
 

@@ -14,7 +14,7 @@ import pytest
 
 from nodes.cli.main import VERBS, verbs
 from nodes.parameters.installed import OURS
-from sim.experiments.scene_costs import BODIES
+from sim.lab.bench.scene_costs import BODIES
 from tests.support import ROOT
 from tests.support.launching import private_runtime_dir
 from tests.support.pages import Block, anchors, blocks, command, links, promised, shell
@@ -41,7 +41,7 @@ SHORTER = {
     "haptic launch --show-args": "",
     "haptic bench loop": "--rounds 1 --seconds 0.2 --ticks 200 --rates 500 --cases",
     "haptic study detail": "duration:=1",
-    "haptic study proxies": "--finest 3 --ticks 300 --steps 20000",
+    "haptic lab proxies": "--finest 3 --ticks 300 --steps 20000",
     "haptic bench chains": "--most 2 --seconds 0.6",
     "haptic bench listeners": "--rounds 1 --seconds 0.3",
     "haptic bench ros2": "--rounds 1 --seconds 0.4",
@@ -56,14 +56,14 @@ SHORTER = {
     "haptic drill soak": "--minutes 0.17 --miss-limit 1 --json",
     "haptic study kmax --law pd --gain 3 --method lockstep": "--grid 3 --horizon 600",
     "haptic study chart": "--quick --parts kmax",
-    "haptic study curved": "--slides 0.02",
+    "haptic lab curved": "--slides 0.02",
     "haptic study needs": "--rounds 1",
     "haptic study response": "--points 3",
     "haptic study needs sphere_feel": "duration:=1 --rounds 0",
     "haptic study design": "--mass 0.1 --taps 2",
     "haptic study design --compare": "--mass 0.1 --taps 2 --delays 0 --margins 0 --no-land",
-    "haptic study coverage": "--devices 1 --seconds 3 --workers 1",
-    "haptic study fig4": "--gain 2..20 --points 2 --horizon 1500 --workers 1",
+    "haptic lab coverage": "--devices 1 --seconds 3 --workers 1",
+    "haptic lab fig4": "--gain 2..20 --points 2 --horizon 1500 --workers 1",
 }
 """What makes a command short enough for a test, by its first words."""
 

@@ -9,6 +9,8 @@ import errno
 import os
 import sys
 import tempfile
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
 from messages.errors import UsageError
@@ -16,15 +18,31 @@ from nodes.base.kept_line import erased
 from nodes.cli.main import VERBS, Parser, complain, first_line, sub_verbs
 
 
-def dispatch(parser: argparse.ArgumentParser, verb: str, noun: str) -> None:
-    """Let a verb hand its arguments on to one of its sub-verbs."""
+def dispatch(
+    parser: argparse.ArgumentParser, verb: str, noun: str, moved: Mapping[str, str] | None = None
+) -> None:
+    """Pass the arguments of a verb on to one of its sub-verbs.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Of the verb.
+    verb, noun : str
+        The verb's name, and what a sub-verb of it is called.
+    moved : mapping of str to str, optional
+        Former sub-verbs, and the command that each is now: ``{"fig2": "lab fig2"}``.
+    """
     known = sub_verbs(verb)
     width = max(map(len, known))
     names = "".join(f"  {name:{width}}  {first_line(full)}\n" for name, full in known.items())
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = f"{noun}:\n{names}\nhaptic {verb} {noun.upper()} --help tells more."
     parser.add_argument(
-        "chosen", metavar=noun.upper(), choices=list(known), help="one of those below"
+        "chosen",
+        metavar=noun.upper(),
+        type=partial(_current, verb, moved or {}),
+        choices=list(known),
+        help="one of those below",
     )
     parser.add_argument("rest", metavar="...", nargs=argparse.REMAINDER, help="its own arguments")
 
@@ -48,6 +66,13 @@ def dispatch(parser: argparse.ArgumentParser, verb: str, noun: str) -> None:
             raise
 
     parser.set_defaults(run=run, sub_verbs=known)
+
+
+def _current(verb: str, moved: Mapping[str, str], name: str) -> str:
+    """Return the name of a sub-verb; a former one is refused with the command that it is now."""
+    if name in moved:
+        raise argparse.ArgumentTypeError(f"haptic {verb} {name} is now haptic {moved[name]}")
+    return name
 
 
 def refuse_unwritable(path: Path, option: str = "--out") -> None:

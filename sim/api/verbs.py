@@ -149,7 +149,7 @@ def study(name: str, *words: str, client: Any = None, **options: Any) -> Answer:
     Parameters
     ----------
     name : str
-        E.g. ``kmax``, ``edge`` or ``fig4``; ``haptic study --help`` lists them.
+        E.g. ``kmax`` or ``edge``; ``haptic study --help`` lists them.
     *words : str
         What stands without an option, e.g. a recording.
     client : distributed.Client, optional
@@ -173,6 +173,38 @@ def study(name: str, *words: str, client: Any = None, **options: Any) -> Answer:
     3781.8664...
     """
     return _run("study", name, *words, *_words(options | _cluster(client)))
+
+
+def lab(name: str, *words: str, client: Any = None, **options: Any) -> Answer:
+    """Run an experiment that checks a claim of this project: ``haptic lab NAME``.
+
+    Parameters
+    ----------
+    name : str
+        E.g. ``fig4`` or ``coverage``; ``haptic lab --help`` lists them.
+    *words : str
+        What stands without an option.
+    client : distributed.Client, optional
+        Whose workers do the jobs; same figures to the bit.
+    **options : object
+        The experiment's options, as of `study`.
+
+    Returns
+    -------
+    Answer
+        Its figures; ``.held`` says whether its verdict is yes.
+
+    Raises
+    ------
+    LaunchError
+        When it refuses; the text says why.
+
+    Examples
+    --------
+    >>> lab("fig2", taps=4)["taps"]
+    4
+    """
+    return _run("lab", name, *words, *_words(options | _cluster(client)))
 
 
 def _cluster(client: Any) -> dict[str, Any]:

@@ -132,14 +132,14 @@ def add_push(parser: argparse.ArgumentParser) -> None:
 
 
 def _list(arguments: argparse.Namespace) -> int:
-    from sim.hands_on.found import devices, text
+    from sim.device_check.found import devices, text
 
     return report(arguments, {"devices": [asdict(kind) for kind in devices()]}, text())
 
 
 def _info(arguments: argparse.Namespace) -> int:
-    from sim.hands_on.found import device_of
-    from sim.hands_on.info import info, text
+    from sim.device_check.found import device_of
+    from sim.device_check.info import info, text
 
     device = device_of(arguments.kind, arguments.parameters)
     found = info(device, arguments.rate, arguments.delay, arguments.gain)
@@ -147,16 +147,16 @@ def _info(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    from sim.hands_on.check import check
-    from sim.hands_on.found import device_of
+    from sim.device_check.check import check
+    from sim.device_check.found import device_of
 
     found = check(device_of(arguments.kind, arguments.parameters), arguments.kind)
     return report(arguments, found, found["line"], held=found["passed"])
 
 
 def _free(arguments: argparse.Namespace) -> int:
-    from sim.hands_on.found import device_of
-    from sim.hands_on.free import free
+    from sim.device_check.found import device_of
+    from sim.device_check.free import free
 
     device = device_of(arguments.kind, arguments.parameters)
     return report(

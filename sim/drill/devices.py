@@ -22,10 +22,10 @@ from sim.drill.drill import (
     await_strike,
     fault_of,
 )
+from sim.emulators import inverse_service
+from sim.emulators.world import World, library
 from sim.measure.measured_launch import MeasurementError, wait_for
 from sim.measure.rig import Rig
-from sim.stand_ins import inverse_service
-from sim.stand_ins.world import World, library
 
 DEEP: Final = 0.002  # how deep the arm is held in the wall [m]
 PATIENCE = 5.0  # how long a force is waited for that stays on the arm [s]

@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 from nodes.cli.main import main
 from sim import results
 from sim.axes import legend_below, name_points, plain_log
-from sim.chart.chart_page import draw
-from sim.chart.points import Group, Point, with_front
 from sim.cli.drill import table
 from sim.drill.drill import DrillOutcome
+from sim.lab.charts.chart_page import draw
+from sim.lab.charts.points import Group, Point, with_front
 from sim.results import EARLIER, fresh
 from tests.support.overlap import drawn_texts, overlaps
 
@@ -46,7 +46,7 @@ def test_a_study_that_runs_again_keeps_what_was_there(
     monkeypatch.setattr(results, "_moved", {})
     out = tmp_path / "studies"
     for taps in ("4", "6"):
-        assert main(["study", "fig3", "--out-dir", str(out), "--taps", taps]) == 0
+        assert main(["lab", "fig3", "--out-dir", str(out), "--taps", taps]) == 0
     assert "kept in" in capsys.readouterr().err
     (earlier,) = out.glob(f"{EARLIER}/*/fig3.json")
     assert json.loads(earlier.read_text()) != json.loads((out / "fig3.json").read_text())

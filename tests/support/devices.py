@@ -18,8 +18,8 @@ from messages.types import Vector
 from nodes.base.node_kinds import NODES
 from nodes.driver.hardware.driver import HardwareDriver
 from nodes.driver.hardware.mailbox import MailboxDevice
-from sim.stand_ins import inverse_service
-from sim.stand_ins.world import World, library, world_beside
+from sim.emulators import inverse_service
+from sim.emulators.world import World, library, world_beside
 from tests.support.launching import wait_for
 
 LIBRARIES = {"touch_driver": ("hd", "touch"), "force_dimension_driver": ("dhd", "force_dimension")}

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from nodes.arithmetic import fir, push, sections
 from nodes.laws import CompiledLaw
 from nodes.laws.derivatives import derivative_kinds
-from sim.chart.derivative_errors import response
+from sim.lab.charts.derivative_errors import response
 
 T = 0.002
 EPS = 2.0**-52

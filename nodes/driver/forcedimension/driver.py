@@ -1,7 +1,7 @@
 """Force Dimension devices as a driver node, through the vendor's DHD and a servo loop in C (servo.c).
 
 Checked against the header and the static library of SDK 3.17.5 without a device, and against a
-stand-in (sim/stand_ins); not yet on hardware. Positions are in metres; the axes of a device on a
+stand-in (sim/emulators); not yet on hardware. Positions are in metres; the axes of a device on a
 table are +x to the operator, +y right, +z up.
 """
 

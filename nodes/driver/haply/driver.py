@@ -2,7 +2,7 @@
 
 A thread exchanges forces for states, as fast as the service answers and at most at `servo_rate`;
 driver and thread share a mailbox, as with every other device, so the driver's tick never waits for
-the service. Written from the vendor's guide and checked against a stand-in service (sim/stand_ins),
+the service. Written from the vendor's guide and checked against a stand-in service (sim/emulators),
 not yet on hardware.
 """
 

@@ -1,7 +1,7 @@
 """3D Systems Touch and Touch X as a driver node, through OpenHaptics' HDAPI (libHD) and a servo loop in C (servo.c).
 
 Written from the facts in public headers and bindings, and not yet run on hardware; what can be
-checked without is checked against a stand-in library (sim/stand_ins).
+checked without is checked against a stand-in library (sim/emulators).
 
 HDAPI counts in millimetres with +x right, +y up, +z towards the user; here +x is forward, +y left,
 +z up, in metres.

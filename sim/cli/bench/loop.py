@@ -1,6 +1,6 @@
 """The running loop, plain and compiled, against bare ones: lockstep throughput, response, start-up, memory, CPU.
 
-Beside the ordinary launch the cases of sim/measure/bare.py, in turns with it: what a guard and a
+Beside the ordinary launch the cases of sim/lab/bench/bare.py, in turns with it: what a guard and a
 cross-fade cost, and whether a device behind its own servo loop misses more than the virtual one.
 """
 
@@ -17,8 +17,8 @@ from nodes.cli.quantities import COUNT, ROUNDS, SECONDS, whole
 from nodes.compiled.choose_tick import choose
 from nodes.launcher.launch_spec import AWAKE_RATE
 from sim.cli.answers import add_answer, idle, report
-from sim.measure import bare
-from sim.measure.bare import BARE, bare_loop, c_loop
+from sim.lab.bench import bare
+from sim.lab.bench.bare import BARE, bare_loop, c_loop
 from sim.measure.measured_launch import fifo_granted, launch, machine
 from sim.measure.stopwatch import Progress
 
@@ -43,7 +43,7 @@ NAMES = {
         for tick in ("compiled", "plain")
     },
 }
-# arguments of each case, and of the ordinary launch, see sim/measure/bare.py
+# arguments of each case, and of the ordinary launch, see sim/lab/bench/bare.py
 Launches = Mapping[str, tuple[str, ...]]
 
 
@@ -310,8 +310,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _run_scenes(arguments: argparse.Namespace) -> int:
     """Compare scenes with the floor."""
-    from sim.experiments.scene_costs import compare_scenes
-    from sim.experiments.scene_costs import text as scenes_text
+    from sim.lab.bench.scene_costs import compare_scenes
+    from sim.lab.bench.scene_costs import text as scenes_text
 
     kernels = (*KERNELS, "nodes.environment.shapes.kernel")
     tick = choose("compiled", kernels, lambda text: print(text, file=sys.stderr))

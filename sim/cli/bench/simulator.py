@@ -22,7 +22,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure, and print the ratios of the same run."""
-    from sim.experiments.simulator_speed import FLAGS, measure
+    from sim.lab.bench.simulator_speed import FLAGS, measure
     from sim.measure.stopwatch import Progress, machine
 
     speed = measure(arguments.ticks, arguments.rounds, Progress(2 * arguments.rounds).step)

@@ -40,8 +40,8 @@ def _lengths(text: str) -> tuple[int, ...]:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure, and say which way is fastest from where on."""
+    from sim.lab.bench.tap_timing import LENGTHS, WAYS, as_json, time_laws, time_taps, time_turning
     from sim.measure.stopwatch import Progress, machine
-    from sim.measure.tap_timing import LENGTHS, WAYS, as_json, time_laws, time_taps, time_turning
 
     found = time_taps(arguments.taps or LENGTHS, arguments.rounds, Progress(arguments.rounds).step)
     laws = time_laws(arguments.rounds, lambda _: None)

@@ -24,8 +24,8 @@ from nodes.recording.accounts import overruns
 from nodes.recording.reader import Recording
 from nodes.view.live import Facts, LiveRun
 from sim.cli.answers import add_answer, idle, report
+from sim.lab.bench.page_pictures import take
 from sim.measure.measured_launch import HAPTIC, Running, machine, responses_in
-from sim.measure.page_pictures import take
 from sim.measure.stopwatch import Progress
 
 BROWSER = [

@@ -1,10 +1,14 @@
-"""Study stability, designs and the paper's figures: one sub-verb per study."""
+"""Study stability and designs: one sub-verb per study (haptic lab checks what this project claims)."""
 
 import argparse
 
 from nodes.cli.dispatch import dispatch
 
+_LAB = (
+    "coverage curved fig2 fig3 fig4 optimise price proxies relatives tuned two_rate"  # no studies
+)
+
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the studies."""
-    dispatch(parser, "study", "study")
+    dispatch(parser, "study", "study", {name: f"lab {name}" for name in _LAB.split()})

@@ -20,9 +20,9 @@ from nodes.stability.k_max import edge_of, k_max, tolerance, without_spring
 from nodes.stability.plant import Plant
 from nodes.stability.rest import rest, stiffest_at_rest
 from nodes.stability.world_limits import finite, world_limits
-from sim.chart.rest_map import rest_map
 from sim.cli import arguments as shared
 from sim.cli.answers import add_answer, report
+from sim.experiments.rest_map import rest_map
 from sim.results import fresh
 
 

@@ -16,7 +16,7 @@ from sim.measure.jobs import Runner
 from sim.results import fresh
 
 if TYPE_CHECKING:
-    from sim.chart.points import Group
+    from sim.lab.charts.points import Group
     from sim.measure.stopwatch import Progress
 
 PARTS = ("derivatives", "demand", "integrators", "kmax", "rates", "proxies", "loop")
@@ -45,8 +45,8 @@ def run(arguments: argparse.Namespace) -> int:
     for part in parts:
         if part not in PARTS:
             raise UsageError(f"--parts {part}: no such part; choose from {', '.join(PARTS)}")
-    from sim.chart.chart_page import conclusions, draw, page
-    from sim.chart.points import as_json, save
+    from sim.lab.charts.chart_page import conclusions, draw, page
+    from sim.lab.charts.points import as_json, save
     from sim.measure.stopwatch import machine
 
     start = time.monotonic()
@@ -81,14 +81,14 @@ def _measured(
     parts: list[str], quick: bool, diary: Path, beside: Runner
 ) -> tuple[list[Group], list[str]]:
     """Measure each part, or take it from the diary of a run that was stopped; and say which parts are missing."""
-    from sim.chart.derivatives import derivative_groups, derivative_steps
-    from sim.chart.equal_demand import demand_groups, demand_steps
-    from sim.chart.integrators import integrator_groups, integrator_steps
-    from sim.chart.k_max_ways import kmax_groups, kmax_steps
-    from sim.chart.loop_panel import loop_groups, loop_steps
-    from sim.chart.points import keep, kept, with_front
-    from sim.chart.proxies_panel import proxy_groups, proxy_steps
-    from sim.chart.rates import rate_groups, rate_steps
+    from sim.lab.charts.derivatives import derivative_groups, derivative_steps
+    from sim.lab.charts.equal_demand import demand_groups, demand_steps
+    from sim.lab.charts.integrators import integrator_groups, integrator_steps
+    from sim.lab.charts.k_max_ways import kmax_groups, kmax_steps
+    from sim.lab.charts.loop_panel import loop_groups, loop_steps
+    from sim.lab.charts.points import keep, kept, with_front
+    from sim.lab.charts.proxies_panel import proxy_groups, proxy_steps
+    from sim.lab.charts.rates import rate_groups, rate_steps
     from sim.measure.measured_launch import MeasurementError
     from sim.measure.stopwatch import Progress
 

@@ -20,7 +20,6 @@ from nodes.stability.effective_damping import effective_damping
 from nodes.stability.plant import Plant
 from nodes.stability.rest import rest
 from sim.axes import plain_log
-from sim.chart.rest_map import rest_map
 from sim.cli import any_world
 from sim.cli import arguments as shared
 from sim.cli.answers import add_answer, idle, report
@@ -41,6 +40,7 @@ from sim.design.hands import judge_grasps
 from sim.design.landing import best_pd_windowed, drops, prove_over
 from sim.design.passive import Passive, certain_damping, stiffest_passive
 from sim.design.recorded_loop import Measured, replayed_radius
+from sim.experiments.rest_map import rest_map
 from sim.experiments.terms import RESOLUTION
 from sim.results import fresh
 

@@ -141,7 +141,7 @@ def _ring(name: str, gain: float, device: Plant) -> dict[str, Any] | None:
 
 
 def _drops(arguments: argparse.Namespace) -> int:
-    from sim.paper.swing import counted, dropped
+    from sim.identify.swing import counted, dropped
 
     named = [list(LAWS)[number % len(LAWS)] for number in range(arguments.drops)]
     jobs = [
@@ -164,7 +164,7 @@ def _drops(arguments: argparse.Namespace) -> int:
 
 
 def _predict(arguments: argparse.Namespace) -> int:
-    from sim.paper.swing import CannotTellError, recorded_swing
+    from sim.identify.swing import CannotTellError, recorded_swing
 
     try:
         swing = recorded_swing(

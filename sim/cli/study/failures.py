@@ -14,7 +14,7 @@ from sim.cli.sweeps import add_spread, spread
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from sim.paper.failures import FailureEdge
+    from sim.lab.paper.failures import FailureEdge
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -25,9 +25,9 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Look at all boundaries, spring all traps."""
-    from sim.paper.claims import save, table
-    from sim.paper.failures import MARGIN, both_sides, boundaries, euler_bias, traps
-    from sim.paper.failures_beyond import BEYOND, BeyondEdge
+    from sim.lab.paper.claims import save, table
+    from sim.lab.paper.failures import MARGIN, both_sides, boundaries, euler_bias, traps
+    from sim.lab.paper.failures_beyond import BEYOND, BeyondEdge
 
     cases, steps = boundaries(), (2, 3, 4, 5, 7, 10, 20, 50)
     jobs: list[partial[Any]] = [partial(both_sides, case) for case in cases]

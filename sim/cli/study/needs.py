@@ -87,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _rest(scene: LaunchedScene, path: Path) -> dict[str, Any] | None:
     """Tell what encoder and friction do to the scene's last law at rest; None without contact or for a law that has no taps."""
     from nodes.stability.rest import rest
-    from sim.chart.rest_map import rest_map
+    from sim.experiments.rest_map import rest_map
     from sim.experiments.terms import FRICTION, RESOLUTION
 
     law, device = scene.last_law, scene.plant

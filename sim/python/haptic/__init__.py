@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from sim.api.python_runs import LaunchError, Run, connect, launch
     from sim.api.recordings import plot, read
     from sim.api.responses import bode, response, z_width
-    from sim.api.verbs import design, identify, study, tune
+    from sim.api.verbs import design, identify, lab, study, tune
 
 __all__ = [
     "HapticError",
@@ -35,6 +35,7 @@ __all__ = [
     "drop",
     "identify",
     "k_max",
+    "lab",
     "launch",
     "law",
     "laws",
@@ -58,7 +59,7 @@ _NAMES = {
     "sim.api.python_runs": ("LaunchError", "Run", "connect", "launch"),
     "sim.api.recordings": ("plot", "read"),
     "sim.api.responses": ("bode", "response", "z_width"),
-    "sim.api.verbs": ("design", "identify", "study", "tune"),
+    "sim.api.verbs": ("design", "identify", "lab", "study", "tune"),
 }
 _HOME = {name: module for module, names in _NAMES.items() for name in names}
 

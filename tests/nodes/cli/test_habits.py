@@ -27,11 +27,19 @@ from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.base.kept_line import ERASE
 from nodes.cli import main
 from nodes.cli.completion import candidates
-from nodes.cli.main import coloured
+from nodes.cli.main import VERBS, coloured
 from nodes.cli.status_line import KEEP, ORDER, fitted
 from nodes.recording.reader import Recording
 from tests.support import slowly
-from tests.support.launching import HAPTIC, Running, private_runtime_dir, running, typed, wait_for
+from tests.support.launching import (
+    HAPTIC,
+    Running,
+    exit_code,
+    private_runtime_dir,
+    running,
+    typed,
+    wait_for,
+)
 
 
 @pytest.fixture(scope="module")
@@ -265,6 +273,15 @@ def test_stop_ends_a_launch_in_order(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("name", ["fig2", "coverage", "two_rate"])
+def test_a_former_name_of_a_study_answers_with_the_one_it_has_now(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert exit_code("study", name, "--json") == 2
+    assert f"haptic study {name} is now haptic lab {name}" in capsys.readouterr().err
+    assert f"lab.{name}" in VERBS.names()
+
+
 @pytest.mark.parametrize(
     ("typed", "some"),
     [
@@ -275,8 +292,9 @@ def test_stop_ends_a_launch_in_order(tmp_path: Path) -> None:
         ("launch floor_d", {"floor_drop", "floor_drop_fast"}),
         ("launch floor_drop sti", {"stiffness:="}),
         ("launch floor_drop stiffness:=900 rate:=1000 dur", {"duration:="}),
-        ("study fig4 --ou", {"--out"}),
-        ("study ", {"kmax", "fig4"}),
+        ("lab fig4 --ou", {"--out"}),
+        ("study ", {"kmax", "chart"}),
+        ("lab ", {"fig2", "fig4"}),
     ],
 )
 def test_completion(typed: str, some: set[str]) -> None:

@@ -192,7 +192,7 @@ def test_an_interrupt_while_the_command_starts_is_quiet(later: float, tmp_path: 
             "argument --rate: 0.5: must be between 1 and 100000",
         ),
         (
-            ("study", "price", "--mass", "1e7"),
+            ("lab", "price", "--mass", "1e7"),
             "argument --mass: 1e7: must be between 1e-06 and 1e+06",
         ),
         (
@@ -200,12 +200,12 @@ def test_an_interrupt_while_the_command_starts_is_quiet(later: float, tmp_path: 
             "argument --delay: 1e4: must be between 1e-09 and 1000, or 0",
         ),
         (
-            ("study", "coverage", "--seed", "-1"),
+            ("lab", "coverage", "--seed", "-1"),
             "argument --seed: -1: must be between 0 and 4294967295",
         ),
         (("study", "guard", "--points", "1e3"), "argument --points: '1e3' is not a whole number"),
         (
-            ("study", "price", "--frequency", "1e300"),
+            ("lab", "price", "--frequency", "1e300"),
             "argument --frequency: 1e300: must be between 1e-12 and 1e+12",
         ),
         (("bench", "ros2", "--rounds", "0"), "argument --rounds: 0: must be between 1 and 10000"),

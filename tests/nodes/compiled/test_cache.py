@@ -166,7 +166,7 @@ def test_other_sources_make_other_code(place: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("module", "needs"),
     [
-        ("sim.population.virtual", "nodes/laws/excitation.py"),
+        ("sim.lab.monte_carlo.virtual", "nodes/laws/excitation.py"),
         ("sim.play.one_axis_loop", "nodes/arithmetic.py"),
         ("sim.experiments.drop", "sim/play/one_axis_loop.py"),
         ("nodes.coupling.kernel", "messages/types.py"),
@@ -179,13 +179,13 @@ def test_every_source_counts_near_and_far(module: str, needs: str) -> None:
 
 def test_sources_are_those_that_are_loaded() -> None:
     code = (
-        "import sys; import sim.population.virtual; from nodes.compiled import"
+        "import sys; import sim.lab.monte_carlo.virtual; from nodes.compiled import"
         " cache;print(*{m.__file__ for n, m in sys.modules.items() if n.split('.')[0] in"
         " ('messages', 'nodes', 'sim')})"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {str(Path(file).relative_to(cache.ROOT)) for file in done.stdout.split()}
-    assert loaded <= {*cache.sources_of("sim.population.virtual"), "nodes/compiled/cache.py"}
+    assert loaded <= {*cache.sources_of("sim.lab.monte_carlo.virtual"), "nodes/compiled/cache.py"}
 
 
 class Evil:

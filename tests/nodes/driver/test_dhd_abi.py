@@ -19,7 +19,7 @@ from nodes.driver.forcedimension.driver import (
     ForceDimensionDriverParameters,
     ForceDimensionParameters,
 )
-from sim.stand_ins.world import World, archive, library
+from sim.emulators.world import World, archive, library
 
 REAL = os.environ.get("HAPTIC_DHD", "")
 HEADER = os.environ.get("HAPTIC_DHD_HEADER", "")

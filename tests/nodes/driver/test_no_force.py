@@ -12,7 +12,7 @@ from nodes.cli.status_line import ORDER, fitted
 from nodes.driver.force_words import explain, why_no_force
 from nodes.driver.state import ACTIVE, FAULT, IDLE, STOPPED, DriverState
 from tests.nodes.driver.test_touch import needs_cc
-from tests.sim.test_stand_ins import SOFT, through
+from tests.sim.emulators.test_emulators import SOFT, through
 from tests.support.devices import bench
 from tests.support.launching import running, wait_for
 

@@ -24,7 +24,7 @@ from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant, held_plant
 from sim.device.driver import SimDriver, SimDriverParameters
 from tests.nodes.driver.test_touch import needs_cc
-from tests.sim.test_stand_ins import SOFT, through
+from tests.sim.emulators.test_emulators import SOFT, through
 from tests.support import ROOT, slowly
 from tests.support.devices import Bench, bench
 from tests.support.launching import HAPTIC, running, typed, wait_for

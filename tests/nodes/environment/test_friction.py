@@ -13,7 +13,7 @@ from nodes.environment.shapes.kinds import TOOL_RADIUS
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.scene import Friction, Solid, box, capsule, mesh, plane, sphere
 from nodes.environment.shapes.tables import SKIN
-from sim.experiments.proxies import icosphere
+from sim.lab.proxies import icosphere
 from sim.play.touch import Touched, touch
 from tests.support.setups import setup_of
 from tests.support.shapes import Array, wander

@@ -21,8 +21,8 @@ from nodes.laws.derivatives.gl import coefficients
 from nodes.laws.parse import compile_law, parse_law
 from nodes.stability.closed_loop import pole_radius, state_matrix
 from nodes.stability.plant import Plant
-from sim.chart.derivative_errors import largest_pole, lengths_taken
 from sim.device.model import DeviceModel
+from sim.lab.charts.derivative_errors import largest_pole, lengths_taken
 from sim.play.one_axis import Scene, SceneSurface, run
 from tests.support.realisations import (
     BDF,

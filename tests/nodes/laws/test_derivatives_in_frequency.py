@@ -14,7 +14,7 @@ from nodes.laws.derivatives import realise
 from nodes.laws.derivatives.bdf import lubich
 from nodes.laws.derivatives.exponentials import exponentials
 from nodes.laws.derivatives.log_binned import bins
-from sim.chart.derivative_errors import best_delay, response
+from sim.lab.charts.derivative_errors import best_delay, response
 from tests.support.realisations import EPS, T, apply, at, size
 
 # --- frequency domain

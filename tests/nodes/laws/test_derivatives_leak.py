@@ -12,7 +12,7 @@ import pytest
 from nodes.laws.derivatives import realise
 from nodes.laws.derivatives.bdf import lubich
 from nodes.laws.derivatives.cfe import whole_order
-from sim.chart.derivative_errors import analyse, largest_pole
+from sim.lab.charts.derivative_errors import analyse, largest_pole
 from tests.support.realisations import BDF, EPS, LENGTH, RECURSIVE, T, apply, at, size
 
 # --- leaks and start-up

@@ -300,7 +300,7 @@ def test_kmax_says_when_nothing_is_stable(capsys: pytest.CaptureFixture[str]) ->
         ("study design --delays 1", "--delays: no effect here: it is of --compare"),
         ("study design --compare --delay 1", "--delay: no effect here"),
         (
-            "study relatives --from-run run.mcap --delay 2",
+            "lab relatives --from-run run.mcap --delay 2",
             "--delay: no effect here: --from-run tells it",
         ),
         ("study analyse {kind:", "law: not valid YAML"),

@@ -112,7 +112,7 @@ def test_a_faster_servo_gives_a_stiffer_wall() -> None:
 
 
 def test_the_study_answers(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert main(["study", "two_rate", "--ratios", "1", "4", "--json", "--out", str(tmp_path)]) == 0
+    assert main(["lab", "two_rate", "--ratios", "1", "4", "--json", "--out", str(tmp_path)]) == 0
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert_drawn(told["plot"], "rate of the servo  [Hz]", "largest stiffness  [N/m]")
     rows = told["rows"]
@@ -133,5 +133,5 @@ def test_the_end_of_a_search_is_no_limit(
     # Nothing is unstable for a while: as if the limit were beyond the last step.
     monkeypatch.setattr("nodes.stability.two_rate.two_rate_radius", lambda *_: 0.5)
     assert two_rate_k_max(SPRING, T, TwoRate(0.1, 1.0, 3.0, 4)) == math.inf
-    assert main(["study", "two_rate", "--ratios", "4", "--out", str(tmp_path)]) == 0
+    assert main(["lab", "two_rate", "--ratios", "4", "--out", str(tmp_path)]) == 0
     assert "K_max above " in capsys.readouterr().out

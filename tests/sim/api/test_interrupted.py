@@ -67,7 +67,7 @@ run.wait()
 STUDY = """
 import haptic, threading
 threading.Timer(2.0, lambda: print("ready", flush=True)).start()
-haptic.study("relatives", mass=0.1, fresh=True)
+haptic.lab("relatives", mass=0.1, fresh=True)
 """
 
 

@@ -18,6 +18,7 @@ from typing import Any
 import haptic
 import pytest
 
+import sim.cli.lab
 import sim.cli.study
 from messages.errors import RefusedError, UsageError
 from nodes.cli.main import main
@@ -27,8 +28,9 @@ from tests.support.dask_cluster import DaskCluster, dask_cluster, own_address
 from tests.support.launching import wait_for
 
 STUDIES = {
-    found.name: f"sim.cli.study.{found.name}"
-    for found in pkgutil.iter_modules(sim.cli.study.__path__)
+    found.name: f"{verb.__name__}.{found.name}"
+    for verb in (sim.cli.study, sim.cli.lab)
+    for found in pkgutil.iter_modules(verb.__path__)
 }
 
 
@@ -112,7 +114,8 @@ def without(told: Any) -> Any:
 
 
 def study(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, Any]:
-    code = main(["study", *words, "--json"])
+    verb, _, _ = STUDIES[words[0]].removeprefix("sim.cli.").partition(".")
+    code = main([verb, *words, "--json"])
     return code, without(json.loads(capsys.readouterr().out.splitlines()[-1]))
 
 
@@ -133,8 +136,8 @@ def test_a_study_gives_the_same_bits_on_a_cluster(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # One order and one demand of six: the jobs carry theirs.
-    monkeypatch.setattr("sim.chart.equal_demand.ORDERS", (1.0,))
-    monkeypatch.setattr("sim.chart.equal_demand.RADII", {"calm": 0.99})
+    monkeypatch.setattr("sim.lab.charts.equal_demand.ORDERS", (1.0,))
+    monkeypatch.setattr("sim.lab.charts.equal_demand.RADII", {"calm": 0.99})
     words = [name, *TINY[name]]
     # Two studies write no files.
     alone, beside = (

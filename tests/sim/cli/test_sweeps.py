@@ -18,14 +18,14 @@ from nodes.laws import CompiledLaw
 from nodes.recording.writer import RecordWriter
 from nodes.stability.k_max import k_max
 from nodes.stability.plant import Plant
-from sim.cli.study.price import possible_joints
-from sim.cli.study.tuned import held
+from sim.cli.lab.price import possible_joints
+from sim.cli.lab.tuned import held
 from sim.device.model import DeviceModel
+from sim.lab.monte_carlo.study import summary_outside
+from sim.lab.monte_carlo.tuned import summary, true_edge, true_radius
+from sim.lab.monte_carlo.virtual import KINDS, draw
 from sim.measure.jobs import program, read_ledger
 from sim.play.nonideal import NonidealDevice
-from sim.population.study import summary_outside
-from sim.population.tuned import summary, true_edge, true_radius
-from sim.population.virtual import KINDS, draw
 from sim.tune.knocking import scaled
 from tests.support.launching import exit_code
 from tests.support.pictures import assert_drawn
@@ -42,7 +42,7 @@ def here(monkeypatch: pytest.MonkeyPatch) -> None:
 def study(
     capsys: pytest.CaptureFixture[str], folder: Path, *words: str, code: int = 0
 ) -> dict[str, Any]:
-    assert main(["study", *words, "--out", str(folder), "--json"]) == code
+    assert main(["lab", *words, "--out", str(folder), "--json"]) == code
     told: dict[str, Any] = json.loads(capsys.readouterr().out.splitlines()[-1])
     return told
 
@@ -72,7 +72,7 @@ def test_a_joint_that_nobody_knows_of_costs_the_wall(
         "taps_n_per_m": taps,
     }
     put(Path(told["ledger"]), {**job, "spread": 1.2}, row)
-    assert main(["study", *words, "20", "--out", str(tmp_path)]) == 0
+    assert main(["lab", *words, "20", "--out", str(tmp_path)]) == 0
     text = capsys.readouterr().out
     assert re.search(
         r"believed rigid .* UNSTABLE, pole radius 1\.\d+, 0 of 12 drops settle, NOT certified", text
@@ -96,7 +96,7 @@ def test_a_joint_that_nobody_knows_of_costs_the_wall(
 
 @pytest.mark.parametrize("words", [("--share", "1"), ("--taps", "0"), ("--taps", "13")])
 def test_a_device_that_cannot_be_has_no_price(words: tuple[str, ...], tmp_path: Path) -> None:
-    assert exit_code("study", "price", *words, "--out", str(tmp_path)) == 2
+    assert exit_code("lab", "price", *words, "--out", str(tmp_path)) == 2
 
 
 def recorded(folder: Path, delay: float) -> Path:
@@ -131,17 +131,10 @@ def test_relatives_are_judged_at_the_delay_that_was_measured(
     for before, after in zip(soon["rows"], late["rows"], strict=True):
         assert before["h1_n_per_m"] > after["h1_n_per_m"] or before["family"] == "Maxwell"
     assert len(read_ledger(Path(late["ledger"]))) == 6
-    assert main(["study", "relatives", "--damping", "0", "--out", str(tmp_path)]) == 2
+    assert main(["lab", "relatives", "--damping", "0", "--out", str(tmp_path)]) == 2
     assert (
         main(
-            [
-                "study",
-                "relatives",
-                "--from-run",
-                str(tmp_path / "none.mcap"),
-                "--out",
-                str(tmp_path),
-            ]
+            ["lab", "relatives", "--from-run", str(tmp_path / "none.mcap"), "--out", str(tmp_path)]
         )
         == 2
     )
@@ -159,7 +152,7 @@ def test_coverage_outside_counts_what_is_said_of_devices(
     assert sum(one[word] for word in ("rigid", "richer", "reported", "refused", "false")) == 1
     (row,) = read_ledger(Path(told["ledger"])).values()
     assert row["refuted"] or row["off"]
-    assert main(["study", "coverage", "--outside", "--tune", "--out", str(tmp_path)]) == 2
+    assert main(["lab", "coverage", "--outside", "--tune", "--out", str(tmp_path)]) == 2
 
 
 def outside(kind: str, off: float = 0.5, refuted: bool = False) -> dict[str, Any]:
@@ -238,7 +231,7 @@ def test_a_ledger_of_another_version_is_not_gone_on_with(
     ledger = Path(study(capsys, tmp_path, *words)["ledger"])
     old = ledger.read_text(encoding="utf-8").replace(program(), "0123456789abcdef")
     ledger.write_text(old, encoding="utf-8")
-    assert main(["study", *words, "--out", str(tmp_path)]) == 1
+    assert main(["lab", *words, "--out", str(tmp_path)]) == 1
     assert "another version of haptic-nodes" in capsys.readouterr().err
     # Begun anew it is set aside, not lost.
     study(capsys, tmp_path, *words, "--fresh")
@@ -384,7 +377,7 @@ def test_the_verb_draws_and_fails_as_the_devices_say(
         "unstable from 1",
         "delivered, and unstable" if told == {"true_radius": 1.01} else "+5 %",
     )
-    assert main(["study", "tuned", "--devices", "1", "--out", str(tmp_path)]) == code
+    assert main(["lab", "tuned", "--devices", "1", "--out", str(tmp_path)]) == code
     assert "intervals hold the edge" in capsys.readouterr().out
 
 

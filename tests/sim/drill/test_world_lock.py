@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from sim.stand_ins.world import World
+from sim.emulators.world import World
 
 _TOUCH = (
-    "import sys, pathlib; from sim.stand_ins.world import World;"
+    "import sys, pathlib; from sim.emulators.world import World;"
     " print(World(pathlib.Path(sys.argv[1])).force())"
 )
 _DIE = (
-    "import os, sys, pathlib; from sim.stand_ins.world import World; "
+    "import os, sys, pathlib; from sim.emulators.world import World; "
     "World(pathlib.Path(sys.argv[1])).state.lock = os.getpid(); os.kill(os.getpid(), 9)"
 )
 

@@ -19,14 +19,14 @@ from nodes.stability.every_delay import every_delay
 from nodes.stability.k_max import edge_of, k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
 from nodes.stability.rest import rest
-from sim.chart.derivatives import with_stiffness as with_gain
-from sim.chart.equal_demand import tuned
 from sim.design.demand import CONVENTIONS, Demand
 from sim.design.landing import dropped
 from sim.design.recorded_loop import replayed_radius
 from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene, free_scene, settles
 from sim.experiments.k_max_launched import NO_LIMITS, launched, settles_launched
+from sim.lab.charts.derivatives import with_stiffness as with_gain
+from sim.lab.charts.equal_demand import tuned
 from sim.play.one_axis import Scene, run
 from tests.support import INSTALLED
 from tests.support.launching import launch_json

@@ -16,12 +16,12 @@ from nodes.launcher import launch_file
 from nodes.laws import CompiledLaw, Law
 from nodes.laws.pd import PD
 from nodes.stability.plant import Plant
-from sim.chart.integrators import drop as integrated
-from sim.chart.integrators import integrators
 from sim.design.demand import Demand
 from sim.design.fall import falls, settled
 from sim.experiments.drop import CONVENTION, Criterion, drop_scene, held, settles
 from sim.experiments.k_max_simulated import at_stiffness, simulated_k_max
+from sim.lab.charts.integrators import drop as integrated
+from sim.lab.charts.integrators import integrators
 from sim.play.launched import from_launch
 from sim.play.one_axis import run
 

@@ -7,8 +7,8 @@ import pytest
 
 from sim.device.model import DeviceModel
 from sim.identify.identify import followed, identify
+from sim.lab.monte_carlo.virtual import excite_outside
 from sim.play.nonideal import NonidealDevice
-from sim.population.virtual import excite_outside
 
 RIGID = DeviceModel(mass=0.1, damping=1.0, friction=0.05, resolution=1e-5, delay=1.2)
 DEVICES = {

@@ -23,7 +23,7 @@ from sim.identify.experiment import Experiment, encoder, lockstep, read
 from sim.identify.identified import Estimate
 from sim.identify.identified_motion import window
 from sim.identify.identify import identify
-from sim.population.virtual import draw, excite
+from sim.lab.monte_carlo.virtual import draw, excite
 from tests.support.launching import launch_json, typed_in
 from tests.support.recorded import PUBLISHES, drop
 

@@ -19,8 +19,8 @@ from sim.identify.experiment import lockstep
 from sim.identify.identified import Estimate, Identified, refusal
 from sim.identify.identified_text import figures, from_figures, text
 from sim.identify.identify import identify
+from sim.lab.monte_carlo.virtual import excite_outside
 from sim.play.nonideal import NonidealDevice
-from sim.population.virtual import excite_outside
 from tests.support import slowly
 
 T = 0.002

@@ -13,8 +13,8 @@ from messages.types import DeviceState
 from nodes.cli.main import main
 from nodes.recording.writer import RecordWriter
 from sim.device.model import DeviceModel
+from sim.lab.monte_carlo.virtual import excite_outside
 from sim.play.nonideal import NonidealDevice
-from sim.population.virtual import excite_outside
 
 T = 0.002
 RIGID = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=1.2, resolution=23e-6)

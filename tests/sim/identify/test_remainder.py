@@ -15,9 +15,9 @@ from sim.identify.identified import Identified, refusal
 from sim.identify.identified_text import figures, from_figures, text, verdict
 from sim.identify.identify import identify
 from sim.identify.remainder import REFUSED, reference_gain, stiffest
+from sim.lab.monte_carlo.study import FAR, NAMED, k_max_off, named, outcome, summary_outside
+from sim.lab.monte_carlo.virtual import excite_outside
 from sim.play.nonideal import NonidealDevice
-from sim.population.study import FAR, NAMED, k_max_off, named, outcome, summary_outside
-from sim.population.virtual import excite_outside
 from tests.support import slowly
 
 T = 0.002

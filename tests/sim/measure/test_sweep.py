@@ -101,7 +101,7 @@ def test_workers_die_alone_hear_no_ctrl_c_and_end_when_nobody_wants_them(tmp_pat
 def test_ctrl_c_ends_a_study_with_its_workers_in_one_line(tmp_path: Path) -> None:
     words = [
         *HAPTIC,
-        "study",
+        "lab",
         "coverage",
         "--devices",
         "400",
@@ -130,7 +130,7 @@ def test_ctrl_c_ends_a_study_with_its_workers_in_one_line(tmp_path: Path) -> Non
         study.kill()
     assert (study.returncode, told) == (130, "")
     kept = f"what is done is in {tmp_path / 'coverage.jsonl'}, and the same command goes on there"
-    assert complaint == f"haptic: study coverage was interrupted: {kept}\n"
+    assert complaint == f"haptic: lab coverage was interrupted: {kept}\n"
     wait_for(lambda: not any(alive(pid) for pid in workers), "its workers end")
 
 

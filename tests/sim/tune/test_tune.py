@@ -23,7 +23,7 @@ from sim.design.landing import drops
 from sim.device.model import DeviceModel
 from sim.identify.identified_text import figures, from_figures
 from sim.identify.identify import identify
-from sim.population.virtual import excite
+from sim.lab.monte_carlo.virtual import excite
 from sim.tune.design import Wanted, demand, design, model
 from sim.tune.knocking import STEP, STRIDE
 from sim.tune.outcome import AGREES

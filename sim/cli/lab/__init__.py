@@ -1,0 +1,10 @@
+"""Check what this project claims: the paper's figures, counted intervals, the price of a law, proxies."""
+
+import argparse
+
+from nodes.cli.dispatch import dispatch
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the experiments."""
+    dispatch(parser, "lab", "experiment")

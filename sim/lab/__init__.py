@@ -1,0 +1,1 @@
+"""The laboratory: what proves the claims of the pages, reached by ``haptic lab`` and ``haptic bench``."""

@@ -1,0 +1,1 @@
+"""Speeds measured: the bare loop as a yardstick, taps, pictures of the page, scenes, the simulator."""

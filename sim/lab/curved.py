@@ -1,0 +1,266 @@
+"""A law on a curved surface: what it renders along a way that turns, in the world's axes and in axes that turn with it.
+
+Led below a surface, a spring alone gives back on a closed way what it took. What a law does beyond
+that is its history's: in the world's axes a deflection that only turns looks as if it changed
+(THEORY.md §15).
+"""
+
+import math
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from messages.topics import PROXY
+from messages.types import Proxy
+from nodes.coupling.render import begin_turning
+from nodes.coupling.renderer import ActiveLaw, Renderer
+from nodes.environment.shapes.mesh import prepare_mesh
+from nodes.environment.shapes.scene import Solid, capsule, mesh, plane, sphere
+from nodes.launcher.launch_spec import Launch
+from nodes.laws import CompiledLaw
+from nodes.laws.pd import PD
+from nodes.recording.reader import Recording
+from nodes.stability.k_max import k_max, without_spring
+from nodes.stability.plant import Plant
+from sim.arrays import Array
+from sim.lab.proxies import icosphere
+from sim.measure.measured_launch import launch as run_launch
+from sim.play.chain import play
+from sim.play.touch import touch
+
+FRAMES = ("world", "surface")
+SEARCHED = (0.5, 1.5)  # where K_max of a sliding contact is searched, as parts of that of one axis
+
+_RADIUS, _THIN = 0.035, 0.006
+# Device and hand together [kg], [N s/m], [N/m], and the damper of the law [N s/m].
+_MASS, _DAMPING, _GRIP, _GAIN = 0.15, 3.0, 150.0, 2.0
+# how deep below the top the hand pulls [m], and how long a slide takes [s]
+_PRESS, _SLIDES = 0.01, 0.5
+_ENTER = 40  # ticks in which the depth is reached
+
+
+@dataclass(frozen=True)
+class AlongTheWay:
+    """What a law rendered along a closed way at a steady depth."""
+
+    # Which ones.
+    surface: str
+    law: str
+    frame: str
+    # Energy that the device got on the way there and back, over force times way: negative for
+    # friction.
+    given_out: float
+    # Root mean square of the force's change from tick to tick, of what a spring alone renders taken
+    # off [N].
+    kicks_n: float
+    largest_n: float  # largest distance of the force from that of a spring alone [N]
+
+
+def ways(
+    ticks: int, speed: float, period: float, depth: float
+) -> list[tuple[str, list[Solid], Array]]:
+    """List surfaces, each with a way below it that begins outside, and comes back on itself [m]."""
+    s = np.arange(ticks) * speed * period
+    there = np.concatenate([np.full(_ENTER, s[0]), s])
+    down = np.concatenate([np.linspace(-1e-4, depth, _ENTER), np.full(ticks, depth)])
+
+    def round_way(radius: float) -> Array:
+        angle = there / radius
+        normal = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=1)
+        return np.asarray((radius - down)[:, None] * normal)
+
+    def back(path: Array) -> Array:
+        return np.concatenate([path, path[:_ENTER:-1]])
+
+    origin = (0.0, 0.0, 0.0)
+    steep = math.radians(30.0)
+    groove = [plane(origin, (side * math.sin(steep), 0.0, math.cos(steep))) for side in (1.0, -1.0)]
+    x = there - 0.5 * s[-1]
+    across = np.stack(
+        [x, np.zeros_like(x), np.abs(x) * math.tan(steep) - down / math.cos(steep)], axis=1
+    )
+    flat = np.stack([x, np.zeros_like(x), -down], axis=1)
+    found = [
+        ("plane", [plane(origin, (0.0, 0.0, 1.0))], flat),
+        ("sphere of 35 mm", [sphere(origin, _RADIUS)], round_way(_RADIUS)),
+        ("rod of 6 mm", [capsule((0.0, -0.1, 0.0), (0.0, 0.1, 0.0), _THIN)], round_way(_THIN)),
+        ("groove of 120°", groove, across),
+    ]
+    for halvings in (2, 4):
+        solid = mesh(prepare_mesh(icosphere(halvings, _RADIUS), False, "sphere"))
+        found.append((f"sphere of {20 * 4**halvings} triangles", [solid], round_way(_RADIUS)))
+    return [(name, solids, back(path)) for name, solids, path in found]
+
+
+def forces(
+    law: CompiledLaw,
+    frame: str,
+    positions: Array,
+    proxies: Array,
+    normals: Array,
+    contact: NDArray[np.bool_],
+) -> Array:
+    """Render a law over a way that is given [N]."""
+    renderer = Renderer([0, 1, 2], max(2, len(law.taps)))
+    begin_turning(renderer.state, frame)
+    renderer.law = ActiveLaw("law", "", law, renderer.histories)
+    found = np.zeros_like(positions)
+    rows = zip(
+        positions.tolist(), proxies.tolist(), normals.tolist(), contact.tolist(), strict=True
+    )
+    for k, (position, proxy, normal, touched) in enumerate(rows):
+        place, away = (proxy, -1.0) if touched else (position, 1.0)
+        at, proxied, turned = tuple(position), tuple(place), tuple(normal)
+        met = Proxy(
+            seq=k,
+            stamp=0.0,
+            position=at,
+            proxy=proxied,
+            normal=turned,
+            distance=away,
+            contact=touched,
+        )
+        found[k] = renderer.render(met)
+    return found
+
+
+def along_ways(
+    laws: Sequence[tuple[str, CompiledLaw]],
+    period: float = 0.002,
+    speed: float = 0.2,
+    depth: float = 2e-3,
+    ticks: int = 400,
+) -> list[AlongTheWay]:
+    """Lead a device along each surface and back, with each law in both frames."""
+    found = []
+    for surface, solids, path in ways(ticks, speed, period, depth):
+        met = touch(solids, path, 0.0, period)
+        moved = np.diff(path, axis=0)
+        for name, law in laws:
+            spring = law.h1 * np.where(met.contact[:, None], met.proxy - path, 0.0)
+            # From when the longest law has forgotten how it came in.
+            steady = slice(_ENTER + len(law.taps) + 2, None)
+            for frame in FRAMES:
+                force = forces(law, frame, path, met.proxy, met.normal, met.contact)
+                beyond = force - spring
+                mean, way = 0.5 * (force[1:] + force[:-1])[steady], moved[steady]
+                work = float(np.einsum("ij,ij->", mean, way))
+                scale = float(np.linalg.norm(mean, axis=1) @ np.linalg.norm(way, axis=1))
+                kicks = float(
+                    np.sqrt(np.mean(np.sum(np.diff(beyond[steady], axis=0) ** 2, axis=1)))
+                )
+                most = float(np.linalg.norm(beyond[steady], axis=1).max())
+                found.append(AlongTheWay(surface, name, frame, work / scale, kicks, most))
+    return found
+
+
+def sliding(
+    launch: Launch, stiffness: float, speed: float, frame: str, radius: float = _RADIUS
+) -> Launch:
+    """Make a launch in which a hand draws the device over a sphere, with the chain's law at H(1) = `stiffness` [N/m]."""
+    deep = _GRIP * _PRESS / (_GRIP + stiffness)
+    hand = {"mass": _MASS / 3.0, "damping": 2.0 * _DAMPING / 3.0, "stiffness": _GRIP}
+    begin = -1.2 * deep
+    device = {
+        "mass": 2.0 * _MASS / 3.0,
+        "damping": _DAMPING / 3.0,
+        "hand": {**hand, "path": [[0.0, 0.0], [_SLIDES, speed * _SLIDES]]},
+        "axes": {"z": {"position": begin, "hand": {"path": [[0.0, -_PRESS]]}}},
+    }
+    surface = {"kind": "sphere", "radius": radius, "position": [0.0, 0.0, -radius]}
+    law = {"kind": "pd", "stiffness": stiffness, "damping": _GAIN}
+    given: dict[str, dict[str, object]] = {
+        "sim_driver": {"device": device, "pointer": None},
+        "environment": {"surface": surface},
+        "coupling": {
+            "frame": frame,
+            "stability": "off",
+            "law": "law",
+            "schedule": [],
+            "laws": {"law": law},
+        },
+    }
+    driver = next(spec for spec in launch.nodes.values() if spec.kind == "sim_driver")
+    # It begins in the contact that is looked at, which a ramp would make another one.
+    given["sim_driver"]["safety"] = {**driver.parameters.get("safety", {}), "ramp": 0.0}
+    nodes = {
+        name: msgspec.structs.replace(
+            spec, parameters={**spec.parameters, **given.get(spec.kind, {})}
+        )
+        for name, spec in launch.nodes.items()
+    }
+    run = msgspec.structs.replace(launch.run, duration=_SLIDES, axes=["x", "y", "z"])
+    return msgspec.structs.replace(launch, nodes=nodes, run=run)
+
+
+def growth(position: Array, proxy: Array, contact: NDArray[np.bool_]) -> float:
+    """Tell how the ripple of the depth, its second difference, changes over a slide: late over early, root mean squares."""
+    ripple = np.diff(np.where(contact, np.linalg.norm(proxy - position, axis=1), 0.0), n=2)
+    tenth = len(ripple) // 10
+    early, late = ripple[tenth : 4 * tenth], ripple[6 * tenth : 9 * tenth]
+    return float(np.sqrt(np.mean(late**2) / max(np.mean(early**2), 1e-300)))
+
+
+def sliding_k_max(
+    launch: Launch, speed: float, frame: str, radius: float = _RADIUS, precision: float = 2e-3
+) -> float:
+    """Search the stiffness from which the ripple of a sliding contact grows [N/m], from `SEARCHED[0]` to [1] of one axis's.
+
+    0 where it grows from the softest on, infinite where it does not grow at the stiffest.
+    """
+
+    def calms(stiffness: float) -> bool:
+        found = play(sliding(launch, stiffness, speed, frame, radius))
+        # A run that overflowed has no growth that is a number: it grew.
+        return growth(found.position, found.proxy, found.contact) <= 1.0
+
+    low, high = (part * theory(launch.run.period) for part in SEARCHED)
+    if not calms(low):
+        return 0.0
+    if calms(high):
+        return math.inf
+    while high > (1.0 + precision) * low:
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if calms(middle) else (low, middle)
+    return math.sqrt(low * high)
+
+
+def growth_launched(launch: Launch, stiffness: float, speed: float, frame: str) -> float:
+    """Tell the growth of the ripple in a launch in lockstep, through all processes."""
+    made = sliding(launch, stiffness, speed, frame)
+    nodes = {
+        name: {"kind": spec.kind, "parameters": spec.parameters}
+        for name, spec in made.nodes.items()
+    }
+    run = {
+        "rate": made.run.rate,
+        "duration": made.run.duration,
+        "axes": list(made.run.axes),
+        "pace": "lockstep",
+    }
+    with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
+        file = Path(folder) / "sliding.yaml"
+        file.write_text(
+            yaml.safe_dump({"summary": "A contact that slides.", "run": run, "nodes": nodes}),
+            encoding="utf-8",
+        )
+        figures = run_launch(str(file), folder=Path(folder))
+        found = Recording(Path(folder) / figures["recording"]).messages(PROXY)
+    position, proxy = (
+        np.array([getattr(message, name) for message in found]) for name in ("position", "proxy")
+    )
+    return growth(position, proxy, np.array([message.contact for message in found]))
+
+
+def theory(period: float) -> float:
+    """K_max of the same law and device in one axis [N/m]."""
+    rest = without_spring(PD(stiffness=1.0, damping=_GAIN), period)
+    found = k_max(rest, Plant(period, _MASS, _DAMPING, 0.0, _GRIP)).h1_max_n_per_m
+    assert found is not None  # noqa: S101  # every law of this kind has one
+    return found

@@ -1,0 +1,303 @@
+"""Many random devices, identified and tuned without knowing them, compared with what they are; and what is told of others."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from nodes.laws import CompiledLaw
+from nodes.stability.closed_loop import pole_radius
+from nodes.stability.plant import Plant
+from sim.design.demand import Demand
+from sim.design.families import best_pd, designed
+from sim.device.model import DeviceModel
+from sim.identify.identified import Identified
+from sim.identify.identified_text import ROWS
+from sim.identify.identify import identify
+from sim.identify.remainder import reference_gain, stiffest
+from sim.lab.monte_carlo.virtual import KINDS, draw, draw_outside, excite, excite_outside
+from sim.play.nonideal import NonidealDevice
+from sim.tune.design import Wanted, demand
+
+# what is compared; the stiffness is a hand's
+PARAMETERS = ("mass", "damping", "friction", "delay", "encoder", "stiffness")
+TAPS = 4
+RADIUS = 0.99
+NYQUIST = 1e4  # largest |H(−1)| of a design [N/m]
+# factor by which the mass may be off in either direction: the margin of every design here
+SPREAD = 1.25
+
+
+def study_device(job: Mapping[str, Any]) -> dict[str, Any]:
+    """Draw, push and identify one device; tune a law for it and one for the truth."""
+    period = 1.0 / job["rate"]
+    model = draw(job["number"], job["seed"], job["held"])
+    found = identify(excite(model, period, job["seconds"], job["number"]))
+    truths = (
+        model.moving_mass,
+        model.moving_damping,
+        model.friction or 0.0,
+        model.delay,
+        model.resolution,
+        model.grip,
+    )
+    told = zip(PARAMETERS, truths, strict=True)
+    row: dict[str, Any] = {
+        name: {"truth": truth, **asdict(getattr(found, name))} for name, truth in told
+    }
+    row |= {"held": job["held"], "refuted": found.refuted}
+    row |= {
+        "residual_steps": found.steps(found.residual),
+        "held_out_steps": found.steps(found.held_out),
+    }
+    if job["tune"]:
+        row["tuned"] = _tuned(model, found, period)
+    return row
+
+
+def _tuned(model: DeviceModel, found: Identified, period: float) -> dict[str, Any]:
+    try:
+        asked = demand(found, Wanted(TAPS, SPREAD, RADIUS, NYQUIST))
+    except ValueError as error:
+        return {"why": str(error)}
+    # In lockstep the delay is one number, known to a thousandth of a tick: its upper end stands for
+    # the interval.
+    latest = (found.delay_range[1] if found.delay.high is None else found.delay.high,) * 2
+    grip = (found.stiffness.value or 0.0,) * 2
+    asked = Demand(asked.mass, asked.damping, latest, period, RADIUS, NYQUIST, grip)
+    masses, delays = (
+        (model.moving_mass / SPREAD, model.moving_mass * SPREAD),
+        (model.delay, model.delay),
+    )
+    known = Demand(
+        masses, model.moving_damping, delays, period, RADIUS, NYQUIST, (model.grip, model.grip)
+    )
+    result: dict[str, Any] = {}
+    for name, law in (
+        ("tuned", designed(asked, TAPS)),
+        ("known", designed(known, TAPS)),
+        ("pd", best_pd(asked)),
+    ):
+        result[name] = None
+        if law.found is not None:
+            taps = CompiledLaw(tuple(law.found.taps.tolist()))
+            result[name] = {
+                "h1_n_per_m": taps.h1,
+                "radius": pole_radius(
+                    taps,
+                    Plant(period, model.moving_mass, model.moving_damping, model.delay, model.grip),
+                ),
+            }
+    return result
+
+
+def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Count over a population."""
+    refused = sum(row["refuted"] for row in rows)
+    result: dict[str, Any] = {"devices": len(rows), "refused": refused, "parameters": {}}
+    for name in PARAMETERS:
+        known = [row[name] for row in rows if row[name]["value"] is not None]
+        if name == "stiffness":
+            known = [one for one in known if one["truth"] > 0.0]
+        holds = [one["low"] <= one["truth"] <= one["high"] for one in known]
+        errors = [abs(one["value"] - one["truth"]) for one in known]
+        relative = [
+            e / one["truth"] for e, one in zip(errors, known, strict=True) if one["truth"] > 0.0
+        ]
+        result["parameters"][name] = {
+            "told": len(known),
+            "cannot_tell": sum(row[name]["value"] is None for row in rows),
+            "coverage": sum(holds) / len(known) if known else None,
+            "median_error": float(np.median(errors)) if errors else None,
+            "median_relative_error": float(np.median(relative)) if relative else None,
+        }
+    result["residual_steps_median"] = float(np.median([row["residual_steps"] for row in rows]))
+    laws = [row["tuned"] for row in rows if row.get("tuned") and row["tuned"].get("tuned")]
+    if laws:
+        both = [law for law in laws if law["known"]]
+        share = [law["tuned"]["h1_n_per_m"] / law["known"]["h1_n_per_m"] for law in both]
+        gain = [law["tuned"]["h1_n_per_m"] / law["pd"]["h1_n_per_m"] for law in laws if law["pd"]]
+        result["tuned"] = {
+            "laws": len(laws),
+            "unstable": sum(not law["tuned"]["radius"] < 1.0 for law in laws),
+        }
+        for name, values, beyond, least in (
+            ("known", share, "90_percent", 0.9),
+            ("pd", gain, "1_2", 1.2),
+        ):
+            result["tuned"] |= {
+                f"of_{name}_min": min(values, default=math.nan),
+                f"of_{name}_median": float(np.median(values)),
+            }
+            result["tuned"][f"of_{name}_at_least_{beyond}"] = sum(
+                value >= least for value in values
+            ) / len(values)
+    return result
+
+
+# half widths of a 95 % interval beyond which an estimate is false certainty: by chance one in ten
+# thousand is
+FAR = 2.0
+ALLOWED = 0.05  # largest part of devices of which anything may be told that is false
+NEEDLESS = 0.10  # largest part of the devices with a good fit that may be refused
+GOOD = 0.01  # a fit whose K_max is so close to the truth serves a design, as a part of K_max
+WRONG = 0.05  # a believed fit whose K_max is farther off is false certainty, as a part of K_max
+# Terms that a kind should come out with.
+ASKED = {
+    "flexible mode": {"flexible mode"},
+    "actuator lag": {"actuator lag"},
+    "quadratic damping": {"quadratic damping"},
+    "sampling jitter": {"sampling jitter"},
+    "lag and mode": {"actuator lag", "flexible mode"},
+    "sensor average": {"sensor filter"},
+    # At the sensor or at the actuator: the linear loop is the same.
+    "sensor lag": {"actuator lag"},
+}
+# Words by which a kind that no model has should be refused.
+NAMED = {
+    "presliding": "presliding",
+    "backlash": "backlash",
+    "hardening spring": "a spring of the device",
+    "stribeck": "friction that falls",
+    "cogging": "a force that repeats",
+    "encoder ripple": "an encoder error",
+    "eccentricity": "an encoder error",
+    "gain by sign": "more force one way",
+    "force steps": "a force that comes in steps",
+    "warming up": "changes during the run",
+    "deadband": "dead band",
+}
+
+
+def truths(device: NonidealDevice, found: Identified, period: float) -> dict[str, float]:
+    """Say what each parameter is that a run could tell."""
+    rigid = device.rigid
+    # A lag that is not told apart belongs to the delay, and so does what forces come late by on
+    # average.
+    late = device.lag + device.sensor_lag
+    unseen = device.average + (0.0 if "actuator lag" in found.terms else late / period)
+    return {
+        "mass": rigid.mass,
+        "damping": rigid.damping * (1.0 - 0.5 * device.warming),
+        "friction": rigid.friction or 0.0,
+        "delay": rigid.delay + unseen + 0.5 * device.late,
+        "quadratic": device.quadratic,
+        "lag": late,
+        # A slower filter blurs as an average of two samples does: that is no truth of its own.
+        **({} if device.sensor_lag else {"average": device.average}),
+        "frequency": device.frequency,
+        "share": device.share,
+        "loss": device.loss,
+    }
+
+
+def study_outside(job: Mapping[str, Any]) -> dict[str, Any]:
+    """Draw, push and identify one device."""
+    period = 1.0 / job["rate"]
+    device = draw_outside(job["kind"], job["number"], job["seed"])
+    found = identify(excite_outside(device, period, job["seconds"], job["number"]))
+    row: dict[str, Any] = {
+        "kind": job["kind"],
+        "refuted": found.refuted,
+        "why": found.why,
+        "terms": list(found.terms),
+        "remainder": found.remainder,
+        "remainder_k_max": found.remainder_k_max if math.isfinite(found.remainder_k_max) else None,
+        "k_max_off": k_max_off(device, found, period),
+        "residual_steps": found.steps(found.residual),
+        "whiteness": found.whiteness,
+        "off": {},
+    }
+    for name, truth in truths(device, found, period).items():
+        estimate = getattr(found, name)
+        # What is 0 because the data do not ask for it has a bound, no interval.
+        if estimate.value is not None and not (
+            name in ("quadratic", "lag", "average") and estimate.value == 0.0
+        ):
+            half = 0.5 * (estimate.high - estimate.low)
+            row["off"][name] = abs(estimate.value - truth) / max(half, 1e-300)
+    return row
+
+
+def k_max_off(device: NonidealDevice, found: Identified, period: float) -> float | None:
+    """Return how far K_max of the best fit is from that of the linear device, as a part of it; None where a fit tells none."""
+    believed = found.anyway() if found.refuted else found
+    try:
+        fitted = believed.plant()
+    except ValueError:
+        return None
+    truth = replace(
+        device.plant,
+        lag=device.lag + device.sensor_lag,
+        delay=max(device.plant.delay + 0.5 * device.late - 0.5 * device.jitter, 0.0),
+    )
+    gain = reference_gain(truth, period)
+    known = stiffest(truth, period, gain, device.average)
+    told = stiffest(fitted, period, gain)
+    return abs(told / known - 1.0) if told is not None and known is not None else None
+
+
+def named(row: Mapping[str, Any]) -> bool:
+    """Tell whether a device came out as what it is."""
+    if row["kind"] in ASKED:
+        return not row["refuted"] and set(row["terms"]) == ASKED[row["kind"]]
+    said = row["why"] if row["refuted"] else row["remainder"]
+    return row["kind"] in NAMED and NAMED[row["kind"]] in said
+
+
+def outcome(row: Mapping[str, Any]) -> str:
+    """Say in a word what became of a device."""
+    if row["refuted"]:
+        return "refused"
+    if any(off > FAR for off in row["off"].values()) or (row["k_max_off"] or 0.0) > WRONG:
+        return "false"
+    if row["remainder"]:
+        return "reported"
+    return "richer" if set(row["terms"]) - {"sampling jitter"} else "rigid"
+
+
+def summary_outside(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Count over a population, kind by kind."""
+    labels = {name: label.strip() for _, name, label, _ in ROWS}
+    result: dict[str, Any] = {"devices": len(rows), "kinds": {}}
+    for kind in [kind for kind in KINDS if any(row["kind"] == kind for row in rows)]:
+        of = [row for row in rows if row["kind"] == kind]
+        offs = [off for row in of for off in row["off"].values()]
+        result["kinds"][kind] = {
+            "devices": len(of),
+            **{
+                word: sum(outcome(row) == word for row in of)
+                for word in ("rigid", "richer", "reported", "refused", "false")
+            },
+            "named": sum(named(row) for row in of),
+            "intervals": len(offs),
+            "missed": sum(off > 1.0 for off in offs),
+            "false_of": sorted(
+                {labels[name] for row in of for name, off in row["off"].items() if off > FAR}
+                | {
+                    "K_max"
+                    for row in of
+                    if not row["refuted"] and (row["k_max_off"] or 0.0) > WRONG
+                }
+            ),
+            "good": sum(_good(row) for row in of),
+            "needless": sum(_good(row) and row["refuted"] for row in of),
+        }
+    for word in (
+        "reported",
+        "refused",
+        "false",
+        "named",
+        "intervals",
+        "missed",
+        "good",
+        "needless",
+    ):
+        result[word] = sum(one[word] for one in result["kinds"].values())
+    return result
+
+
+def _good(row: Mapping[str, Any]) -> bool:
+    return row["k_max_off"] is not None and row["k_max_off"] <= GOOD
