@@ -58,6 +58,11 @@ class Entry(NamedTuple):
     message: Message
 
 
+def plain_value(value: Any) -> Any:
+    """Return a field as a column holds it: a mapping as its JSON text, all else as it is."""
+    return msgspec.json.encode(value).decode() if isinstance(value, dict) else value
+
+
 class Recording:
     """A recording on disk.
 
@@ -401,7 +406,7 @@ class Recording:
         -------
         dict of str to numpy.ndarray
             One array per field, shape (N,) or (N, 3) for vectors, and ``log_time`` [s], in the
-            order of receipt.
+            order of receipt. A mapping (an event's ``data``) is one JSON text per message.
 
         Raises
         ------
@@ -413,6 +418,7 @@ class Recording:
         entries = list(self.entries([topic]))
         found = {"log_time": np.array([entry.log_time for entry in entries], dtype=np.float64)}
         for field in msgspec.structs.fields(type(entries[0].message)):
-            values = [getattr(entry.message, field.name) for entry in entries]
-            found[field.name] = np.array(values)
+            found[field.name] = np.array(
+                [plain_value(getattr(entry.message, field.name)) for entry in entries]
+            )
         return found

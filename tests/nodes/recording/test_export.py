@@ -15,7 +15,7 @@ from pyarrow import parquet
 from scipy.io import loadmat
 
 from messages import topics
-from messages.types import DeviceState, Force, Handle, Message
+from messages.types import DeviceState, Event, Force, Handle, Message
 from nodes.cli import main
 from nodes.recording.export import columns, export_mat, export_npz, plain_names
 from nodes.recording.reader import Recording
@@ -26,6 +26,15 @@ from tests.support.strategies import TYPES
 
 BEGUN = 12345.678
 """Stamp of the first tick: tables begin at 0 all the same [s]."""
+
+EVENT = Event(
+    seq=0,
+    stamp=BEGUN,
+    node="driver",
+    kind="eased",
+    reason="eased over 0.15 s",
+    data={"from_n": 0.5, "ease_s": 0.15},
+)
 
 
 def write(path: Path, sent: list[tuple[str, Message]]) -> None:
@@ -56,6 +65,7 @@ def bag(tmp_path: Path) -> Path:
             Handle(seq=0, stamp=BEGUN, orientation=(0.5, -0.5, 0.5, 0.5), gripper=0.01),
         ),
     )
+    sent.insert(2, (topics.event("driver"), EVENT))
     write(tmp_path / "drop.mcap", sent)
     return tmp_path / "drop.mcap"
 
@@ -70,6 +80,8 @@ def exported(capsys: pytest.CaptureFixture[str], bag: Path, *words: str) -> dict
 def parse(text: str, like: object) -> object:
     if isinstance(like, bool):
         return bool(int(text))
+    if isinstance(like, dict):
+        return json.loads(text)
     return type(like)(text)  # type: ignore[call-arg]
 
 
@@ -205,6 +217,7 @@ def test_npz_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str]) -> 
         for name, array in expected.items():
             np.testing.assert_array_equal(arrays[name], array)
         assert arrays["device_state.position"].shape == (300, 3)
+        assert [json.loads(text) for text in arrays["driver_event.data"]] == [EVENT.data]
 
 
 def test_mat_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -216,6 +229,7 @@ def test_mat_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str]) -> 
     for name, column in table.items():
         np.testing.assert_array_equal(found["ticks"][name], column)
     assert found["device_state"]["position"].shape == (300, 3)
+    assert json.loads(found["driver_event"]["data"]) == EVENT.data
     assert json.loads(found["parameters"])["parameters"]["coupling"]["stiffness"] == 1500.0
 
 
