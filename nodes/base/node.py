@@ -421,10 +421,10 @@ class Node:
             self.changes.apply_next(seq)
         if self.events.outbox:
             self.flush_outbox()
-        if self.tend() or self.changes:
+        if self.maintain() or self.changes:
             self.events.waiting = True
 
-    def tend(self) -> bool:
+    def maintain(self) -> bool:
         """Take in what listeners have sent, and connect anew what the control thread found deaf (main thread).
 
         Returns
@@ -435,8 +435,8 @@ class Node:
         if self.links is None:
             # There are no sockets.
             return False
-        self.links.tend()
-        return self.publisher.tend()
+        self.links.maintain()
+        return self.publisher.maintain()
 
     def status(self) -> NodeStatus:
         """Describe the node now.
