@@ -287,7 +287,7 @@ class ControlServer(threading.Thread):
             except zmq.ZMQError as error:
                 self._node.events.emit("control", f"a request could not be served: {error}")
             for duty in (
-                self._node.look_after,
+                self._node.check_health,
                 self._keep,
                 self._watch_lease,
                 self._put_back,

@@ -21,7 +21,7 @@ from nodes.driver.state import DriverState
 
 # time at the end of a run that determines its ending [s]; at least `MIN_SAMPLES` ticks
 RECENT: Final = 0.25
-LEAST: Final = 64
+MIN_SAMPLES: Final = 64
 # largest oscillation that counts as rest [m]: about the threshold of a fingertip near 250 Hz
 REST = 1e-6
 # least acceleration without force that counts as falling [m/s²]; a damped, gliding device has less
@@ -30,7 +30,7 @@ _FALL = 1.0
 
 def set_motion(s: DriverState, latency: float) -> list[array[float]]:
     """Allocate samples and the force delay line. Return the arrays (keep a reference)."""
-    s.places_count = max(LEAST, round(RECENT / s.period))
+    s.places_count = max(MIN_SAMPLES, round(RECENT / s.period))
     places = array("d", [0.0]) * (3 * s.places_count)
     s.places = places.buffer_info()[0]
     s.elapsed = 1

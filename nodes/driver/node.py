@@ -49,13 +49,13 @@ __all__ = ["ASK_AGAIN", "SOFT_STOP", "Driver"]
 
 # time after which an unanswered tick is published again in lockstep [s]: a node lost its answer
 ASK_AGAIN = 0.5
-STAND_STILL = 60.0  # longest pause of a loop in lockstep per request [s]
-LOOK_UP = 0.01  # interval of checking requests during a pause [s]
+LONGEST_PAUSE = 60.0  # longest pause of a loop in lockstep per request [s]
+PAUSE_POLL = 0.01  # interval of checking requests during a pause [s]
 # longest soft stop [s], after which the device counts as hanging
 SOFT_STOP = STOP_TIME + 1.0
 
 
-def _kept(name: str) -> Any:
+def state_property(name: str) -> Any:
     """Return a property that stores a Node counter in the driver's state struct."""
     return property(
         lambda node: getattr(node.counters, name),
@@ -88,8 +88,8 @@ class Driver(Node):
     movable: ClassVar[str] = "passivity"
 
     compiled: DriverTicks | None
-    sent = _kept("states_sent")
-    received = _kept("taken")
+    sent = state_property("states_sent")
+    received = state_property("taken")
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -101,7 +101,7 @@ class Driver(Node):
         self.driving = self.counters
         self._report = DriverReport(self.driving)
         self._condition = Condition(self, self.condition)
-        self._stands_until = 0.0
+        self._paused_until = 0.0
         self.events.interrupt = self._interrupt
 
     def make_counters(self) -> Any:
@@ -211,9 +211,9 @@ class Driver(Node):
         s = self.driving
         asked = 0.0
         while s.seq < s.until and not self.stopping:
-            if s.phase == BETWEEN and time.monotonic() < self._stands_until:
+            if s.phase == BETWEEN and time.monotonic() < self._paused_until:
                 self.between_ticks(s.seq)
-                time.sleep(LOOK_UP)
+                time.sleep(PAUSE_POLL)
                 continue
             s.clock_offset = self.clock.offset
             why = ticks(s)
@@ -230,13 +230,13 @@ class Driver(Node):
                     self.publisher.send_hop(self.setup.topic(topics.DEVICE_STATE).encode(), payload)
             # in the middle of a tick, work between ticks must wait
             if why == BROKEN:
-                self._mend()
+                self._raise_device_error()
             elif why == UNREAD:
-                s.given = 1 + self._plain.take_up(s)
+                s.pending_result = 1 + self._plain.take_up(s)
             elif self.events.waiting or s.notes_count:
                 self.between_ticks(s.seq)
 
-    def _mend(self) -> None:
+    def _raise_device_error(self) -> None:
         """Repeat the failed device call in Python, so that its exception is raised."""
         s = self.driving
         if self.compiled is not None:
@@ -254,7 +254,7 @@ class Driver(Node):
                 f"{self.setup.name}: {type(self._device).__name__}",
             )
             s.jumped |= self._plain.jumps.again()
-            s.place_given = 1
+            s.position_ready = 1
 
     def _last_sample(self, stamp: float) -> None:
         """Publish the final position of the device."""
@@ -302,7 +302,7 @@ class Driver(Node):
 
         return apply
 
-    def _tell_notes(self) -> None:
+    def _report_notes(self) -> None:
         for note in self._report.notes():
             # every change of state is published, whatever else happened
             self.events.emit(
@@ -311,10 +311,10 @@ class Driver(Node):
 
     def between_ticks(self, seq: int) -> None:
         """Report notes, then do the work of every node between ticks."""
-        self._tell_notes()
+        self._report_notes()
         super().between_ticks(seq)
 
-    def look_after(self) -> None:
+    def check_health(self) -> None:
         """Check that the loop progresses, and report the device's condition (control thread)."""
         self._watch.look((*self.counted(), self._report.soft_stop_ticks))
         if self.state == "running":
@@ -330,7 +330,7 @@ class Driver(Node):
             },
             "device": lambda: {"opening_s": limits.opening, "closing_s": limits.closing},
             "rearm": self._rearm,
-            "stand": self._stand,
+            "stand": self._pause_for,
             "force": lambda: {"why": why_no_force(self.driving, self._condition.told())},
             "external": lambda force: give(
                 self.driving, self.store.current.external, self.setup.name, force
@@ -355,7 +355,7 @@ class Driver(Node):
         receipt: dict[str, Any] = self.changes.hand_over(apply)
         return receipt
 
-    def _stand(self, seconds: float) -> dict[str, Any]:
+    def _pause_for(self, seconds: float) -> dict[str, Any]:
         """Pause the lockstep loop for `seconds` (0 resumes), to free the CPU meanwhile."""
         name = self.setup.name
         if self.driving.realtime:
@@ -363,11 +363,11 @@ class Driver(Node):
                 f"{name}: only a loop in lockstep can stand still; a device in real time cannot"
                 " wait"
             )
-        if not (isinstance(seconds, int | float) and 0.0 <= seconds <= STAND_STILL):
+        if not (isinstance(seconds, int | float) and 0.0 <= seconds <= LONGEST_PAUSE):
             raise ParameterError(
-                f"{name}: stand still for {seconds!r} s: expected 0 to {STAND_STILL:g} s"
+                f"{name}: stand still for {seconds!r} s: expected 0 to {LONGEST_PAUSE:g} s"
             )
-        self._stands_until = time.monotonic() + seconds
+        self._paused_until = time.monotonic() + seconds
         self.events.notify()
         return {}
 
@@ -431,4 +431,4 @@ class Driver(Node):
             self._watch.begin("close()", self._device.limits.closing)
             self._device.close()
             self._watch.end()
-            self._tell_notes()
+            self._report_notes()

@@ -56,8 +56,8 @@ class DriverState(LoopState):
     lateness: float  # delay of the sample after its deadline [s]
     response: float  # time from publishing the sample to its answer [s]
     delay: float  # from the last tick's sample to its force taking effect [ticks]
-    place_given: int  # 1 if the driver has already read the position
-    given: int  # outcome of a message that the driver has already processed, plus 1
+    position_ready: int  # 1 if the driver has already read the position
+    pending_result: int  # outcome of a message that the driver has already processed, plus 1
     failed: int  # 1 after a failed call of the device
     late_answer: int  # 1 if a message is kept for the next tick
     heard: int  # 1 if a message came in this tick

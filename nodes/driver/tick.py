@@ -45,7 +45,7 @@ GO_ON, SILENT, BROKEN = range(3)
 
 # successive unanswered ticks after which a tick waits one period more, twice as many for two
 BEHIND = 3
-MOST_BEHIND = 64  # largest count of such ticks; each answer in time halves the count
+MAX_BEHIND = 64  # largest count of such ticks; each answer in time halves the count
 
 
 class Port(NamedTuple):
@@ -181,9 +181,9 @@ def make_ticks(  # noqa: C901, PLR0915
 
     @made
     def begin(s: DriverState, seq: int, stamp: float) -> bool:
-        if s.place_given == 0 and not read(s, seq):
+        if s.position_ready == 0 and not read(s, seq):
             return False
-        s.place_given = 0
+        s.position_ready = 0
         take_sample(s, seq, stamp)
         publish(s, seq, stamp)
         s.phase = WAITING
@@ -214,8 +214,8 @@ def make_ticks(  # noqa: C901, PLR0915
         if s.phase == BETWEEN and not begin(s, seq, seq * s.period):
             return BROKEN
         while True:
-            got = s.given - 1 if s.given != 0 else receive(s, 0.0)
-            s.given = 0
+            got = s.pending_result - 1 if s.pending_result != 0 else receive(s, 0.0)
+            s.pending_result = 0
             if got == UNREAD:
                 return UNREAD
             if got == NONE:
@@ -240,7 +240,7 @@ def make_ticks(  # noqa: C901, PLR0915
         following = deadline + s.period
         if s.phase == BETWEEN:
             now = deadline + s.lateness
-            if s.place_given == 0:
+            if s.position_ready == 0:
                 now = sleep_until(s, deadline)
                 if now < deadline:
                     return GO_ON
@@ -268,8 +268,8 @@ def make_ticks(  # noqa: C901, PLR0915
             if s.late_answer != 0:
                 s.late_answer, s.arrival = 0, s.late_answer_at
             else:
-                got = s.given - 1 if s.given != 0 else receive(s, last)
-                s.given = 0
+                got = s.pending_result - 1 if s.pending_result != 0 else receive(s, last)
+                s.pending_result = 0
                 if got == NONE:
                     break
                 s.heard = 1
@@ -307,7 +307,7 @@ def make_ticks(  # noqa: C901, PLR0915
         if s.answered == 0:
             # Only a peer that is heard is behind: in a silence nobody is waited for, and every tick
             # is sampled.
-            s.unanswered = min(s.unanswered + s.heard, MOST_BEHIND)
+            s.unanswered = min(s.unanswered + s.heard, MAX_BEHIND)
         elif s.arrival < following:
             # on time again; an answer that had to be waited for leaves the count as it is
             s.unanswered //= 2

@@ -23,7 +23,7 @@ class Watch:
     def begin(self, what: str, limit: float = math.inf) -> None:
         """Record the activity of the loop's thread and its longest duration [s]."""
         self._doing = (what, limit)
-        self._wind(limit)
+        self._postpone(limit)
 
     def end(self) -> None:
         """End the supervision."""
@@ -34,7 +34,7 @@ class Watch:
     def look(self, progress: tuple[int, ...]) -> None:
         """End the process if there is no progress for too long (control thread)."""
         what, limit = self._doing
-        self._wind(limit)
+        self._postpone(limit)
         if self._watchdog.look((what, *progress)) >= limit:
             hold = self._limits.hold
             lets_go = (
@@ -44,6 +44,6 @@ class Watch:
             )
             give_up(self._node, f"the device hangs: no end of {what} within {limit:g} s; {lets_go}")
 
-    def _wind(self, limit: float) -> None:
+    def _postpone(self, limit: float) -> None:
         if self._last_resort is not None:
-            self._last_resort.wind(limit if math.isfinite(limit) else self._limits.opening)
+            self._last_resort.postpone(limit if math.isfinite(limit) else self._limits.opening)

@@ -24,7 +24,7 @@ from nodes.driver.device import Workspace
 from nodes.driver.haply.service import (
     ENDS,
     EVENTS,
-    MOST_BUTTONS,
+    MAX_BUTTONS,
     REMEDY,
     Inverse3,
     Inverse3State,
@@ -369,7 +369,7 @@ class Inverse3Device(MailboxDevice):
             )
         if self._many_buttons:
             return (
-                f"the grip has more than {MOST_BUTTONS} buttons: the first {MOST_BUTTONS} by name"
+                f"the grip has more than {MAX_BUTTONS} buttons: the first {MAX_BUTTONS} by name"
                 " are read"
             )
         return ""

@@ -17,7 +17,7 @@ import msgspec
 from messages.types import Vector
 
 PROFILE: Final = "haptic-nodes"
-MOST_BUTTONS: Final = 32  # largest number of buttons of a grip
+MAX_BUTTONS: Final = 32  # largest number of buttons of a grip
 REMEDY: Final = "install and start Haply's Inverse Service 3.5, and plug the Inverse3 in"
 
 
@@ -88,8 +88,8 @@ def buttons(service_state: ServiceMessage) -> tuple[int, bool]:
         return 0, False
     pressed = service_state.wireless_verse_grip[0].state.get("buttons", {})
     names = sorted(pressed) if isinstance(pressed, dict) else []
-    bits = sum(1 << n for n, name in enumerate(names[:MOST_BUTTONS]) if pressed[name] is True)
-    return bits, len(names) > MOST_BUTTONS
+    bits = sum(1 << n for n, name in enumerate(names[:MAX_BUTTONS]) if pressed[name] is True)
+    return bits, len(names) > MAX_BUTTONS
 
 
 def command(device: str, force: Vector | None, first: bool = False) -> str:

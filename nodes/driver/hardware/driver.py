@@ -93,9 +93,9 @@ class HardwareDriver(Driver):
         """Return why the device gives no forces, or ""."""
         return self.held.condition()
 
-    def look_after(self) -> None:
+    def check_health(self) -> None:
         """Check health, and record the device's masses (control thread)."""
-        super().look_after()
+        super().check_health()
         if self.state == "running":
             # a device passes through poses without any request
             self._masses.look(self.held.inertia())

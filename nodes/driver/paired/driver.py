@@ -84,7 +84,7 @@ class PairedDevice:
         self,
         first: Device,
         second: Device,
-        bears: Sequence[DeviceLimits] = (),
+        limits: Sequence[DeviceLimits] = (),
         alignment: Alignment | None = None,
     ) -> None:
         self.first, self.second = first, second
@@ -95,7 +95,7 @@ class PairedDevice:
         self._read_at = -1
         # offset when they were last aligned [m]
         self.met_apart = 0.0
-        self._bears = tuple(bears) or (first.limits, second.limits)
+        self._device_limits = tuple(limits) or (first.limits, second.limits)
         nowhere = (math.nan, math.nan, math.nan)
         self.places: tuple[Vector, Vector] = (nowhere, nowhere)
         self._known = False  # whether both positions are valid, so that a force may act
@@ -103,7 +103,7 @@ class PairedDevice:
     @property
     def limits(self) -> DeviceLimits:
         """The lower of each limit; as workspace, all possible differences of positions."""
-        a, b = self._bears
+        a, b = self._device_limits
         x, y, z = (
             (p[0] - q[1], p[1] - q[0]) for p, q in zip(a.workspace, b.workspace, strict=True)
         )
@@ -171,8 +171,10 @@ class PairedDevice:
 
     def outside(self) -> str:
         """Return which of them is outside its own workspace, or ""."""
-        for name, place, bears in zip(("first", "second"), self.places, self._bears, strict=True):
-            for axis, at, (low, high) in zip("xyz", place, bears.workspace, strict=True):
+        for name, place, limits in zip(
+            ("first", "second"), self.places, self._device_limits, strict=True
+        ):
+            for axis, at, (low, high) in zip("xyz", place, limits.workspace, strict=True):
                 if not low <= at <= high and math.isfinite(at):
                     return (
                         f"{name}: {axis} = {at:.4g} m, outside its workspace of {low:.4g} to"
@@ -254,8 +256,8 @@ class PairedDriver(Driver):
             for driver in self._drivers:
                 made.append(driver.make_device())
                 held.callback(made[-1].close)
-            bears = [
-                self._bears(driver, device)
+            limits = [
+                self._limits_of(driver, device)
                 for driver, device in zip(self._drivers, made, strict=True)
             ]
             held.pop_all()
@@ -264,12 +266,12 @@ class PairedDriver(Driver):
             step=wanted.align * self.setup.period,
             apart=math.inf if wanted.apart is None else wanted.apart,
         )
-        self.pair = PairedDevice(made[0], made[1], bears, alignment)
+        self.pair = PairedDevice(made[0], made[1], limits, alignment)
         for _, device in self._hardware():
             device.come_back_within(self.store.current.safety)
         return self.pair
 
-    def _bears(self, driver: Driver, device: Device) -> DeviceLimits:
+    def _limits_of(self, driver: Driver, device: Device) -> DeviceLimits:
         """Return a device's limits lowered by its own parameters.
 
         Raises ParameterError if a real device does not declare the required limits.
@@ -301,9 +303,9 @@ class PairedDriver(Driver):
             "places": lambda: {"first_m": self.pair.places[0], "second_m": self.pair.places[1]},
         }
 
-    def look_after(self) -> None:
+    def check_health(self) -> None:
         """Check health, and report devices that are brought together (control thread)."""
-        super().look_after()
+        super().check_health()
         met, self.pair.met_apart = self.pair.met_apart, 0.0
         if met > 0.0:
             speed = self.store.current.align
