@@ -1,1 +1,1 @@
-"""What travels between the processes: message types, codec, topics and sockets (wire protocol: PROTOCOL.md)."""
+"""Messages between processes: types, codec, topics, sockets (wire protocol: PROTOCOL.md)."""

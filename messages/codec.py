@@ -1,7 +1,7 @@
-"""Encode and decode messages; refuse whatever is malformed, truncated, oversized, wrongly typed or not finite.
+"""Encoding and decoding of messages; invalid ones are refused.
 
-msgspec does the MessagePack, the types and the bounds in one pass (0.2 µs); NaN and infinity, too,
-are out of bounds (`Real`).
+Invalid means malformed, truncated, oversized, wrongly typed or not finite. msgspec checks
+MessagePack, types and bounds in one pass (0.2 µs); NaN and infinity are out of bounds too (`Real`).
 """
 
 from collections.abc import Callable
@@ -15,25 +15,28 @@ from messages.types import Message
 __all__ = ["MAX_PAYLOAD", "Decoder", "M", "MessageRefusedError", "encode"]
 
 MAX_PAYLOAD = 65536
-"""Longest payload that is looked at [bytes]; the longest legitimate one (a receipt) is under 16 KiB."""
+"""Longest payload that is decoded [bytes]; the longest valid one, a receipt, has 16 KiB."""
 
 M = TypeVar("M", bound=Message)
 
 encode: Callable[[Message], bytes] = msgspec.msgpack.Encoder().encode
-"""Encode a message as one MessagePack map: the second frame of the wire format. Not a function of ours: a call costs a tick."""
+"""Encode a message as one MessagePack map, the second frame of the wire format.
+
+msgspec's function itself, because a call of ours would slow the tick.
+"""
 
 
 class MessageRefusedError(HapticError, ValueError):
-    """A payload that is not a valid message; the text says what, where and which limit."""
+    """A payload that is not a valid message; the text has what, where and which limit."""
 
 
 class Decoder(Generic[M]):
-    """Decode the payloads of one message type.
+    """Decoder of the payloads of one message type.
 
     Parameters
     ----------
     message_type : type of Message
-        What the topic carries.
+        Message type of the topic.
     """
 
     def __init__(self, message_type: type[M]) -> None:
@@ -41,7 +44,7 @@ class Decoder(Generic[M]):
         self._decode: Callable[[bytes], M] = msgspec.msgpack.Decoder(message_type).decode
 
     def decode(self, payload: bytes) -> M:
-        """Decode one `payload`: the second frame of the wire format.
+        """Decode one `payload`, the second frame of the wire format.
 
         Returns
         -------
@@ -51,7 +54,7 @@ class Decoder(Generic[M]):
         Raises
         ------
         MessageRefusedError
-            When the payload is malformed, truncated, over MAX_PAYLOAD, wrongly typed or holds a
+            If the payload is malformed, truncated, over MAX_PAYLOAD, wrongly typed or contains a
             float that is not finite.
         """
         if len(payload) > MAX_PAYLOAD:

@@ -1,8 +1,8 @@
-"""Kinds of events, and the numbers that each carries: the one list of both.
+"""Kinds of events and the numbers that each carries.
 
-An event says one thing three times over: its kind for programs, its numbers for programs, and one
-sentence for people. Readers take kind and numbers; the sentence may be put otherwise at any time.
-PROTOCOL.md holds the same tables for other languages.
+An event has a kind and numbers for programs, and one sentence for people. Programs read kind and
+numbers; the wording of the sentence may change at any time. PROTOCOL.md has the same tables for
+other languages.
 """
 
 from __future__ import annotations
@@ -71,17 +71,17 @@ EventKind: TypeAlias = Literal[
     "world",
     "wrench",
 ]
-"""What an event of this package is about."""
+"""Kinds of events of this package."""
 
 OtherKind = NewType("OtherKind", str)
 """Kind of an event of another package: ``package.kind``, with any finite numbers."""
 
 
 class Kind(NamedTuple):
-    """What a kind of event says."""
+    """A kind of event."""
 
     meaning: str
-    data: tuple[str, ...] = ()  # names of the numbers that it may carry, of those in `DATA`
+    data: tuple[str, ...] = ()  # names of its possible numbers, of those in `DATA`
 
 
 class UnknownEventError(HapticError, ValueError):
@@ -236,7 +236,7 @@ _KNOWN: Final[Mapping[str, Kind]] = {str(kind): known for kind, known in EVENTS.
 
 
 def checked_data(kind: EventKind | OtherKind, data: Mapping[str, float]) -> dict[str, float]:
-    """Return the finite numbers of an event of a `kind`; others are left out of `data`.
+    """Return the finite numbers in the `data` of an event of a `kind`.
 
     Returns
     -------
@@ -246,8 +246,7 @@ def checked_data(kind: EventKind | OtherKind, data: Mapping[str, float]) -> dict
     Raises
     ------
     UnknownEventError
-        When `kind` is neither in `EVENTS` nor ``package.kind``, or the kind has no number of a
-        name.
+        If `kind` is neither in `EVENTS` nor ``package.kind``, or the kind has no such number.
     """
     known = _KNOWN.get(kind)
     if known is None and "." not in kind:

@@ -1,9 +1,9 @@
-"""JSON Schema of each message type, for the channels of a recording and for nodes in other languages.
+"""JSON Schema of each message type, for recordings and for nodes in other languages.
 
 Foxglove and Lichtblick read a flat schema only: everything inlined, no ``$ref``, no ``anyOf``, one
 schema for all items of an array. msgspec's own generator uses all three, so the schema is built
-here, from the types and the docstrings: the meaning and the unit of a field are written once, in
-messages/types.py, and travel with every file.
+here from the types and the docstrings. Meaning and unit of a field are written once, in
+messages/types.py, and are part of every file.
 """
 
 import re
@@ -37,7 +37,10 @@ _LIMITS = {
 
 
 def attributes(docstring: str) -> dict[str, str]:
-    """Read what a docstring says of each field, each on one line: its numpydoc section, else its lines ``name: meaning``."""
+    """Return the meaning of each field in a docstring, each on one line.
+
+    Read from its numpydoc section ``Attributes``, or else from lines ``name: meaning``.
+    """
     found: dict[str, str] = {}
     names: list[str] = []
     whole, _, section = cleandoc(docstring).partition("Attributes\n")
@@ -66,7 +69,7 @@ def _inline(info: msgspec.inspect.Type, path: str) -> dict[str, Any]:
     if isinstance(info, msgspec.inspect.DictType) and isinstance(
         info.value_type, msgspec.inspect.FloatType
     ):
-        # Foxglove reads an object by its properties alone, and cannot do without the word.
+        # Foxglove reads only the properties of an object, and requires the keyword.
         known = {name: {"type": "number", "description": meaning} for name, meaning in DATA.items()}
         return {"type": "object", "properties": known, "additionalProperties": {"type": "number"}}
     if type(info) not in _SCALARS:
@@ -77,7 +80,7 @@ def _inline(info: msgspec.inspect.Type, path: str) -> dict[str, Any]:
     found: dict[str, Any] = {"type": _SCALARS[type(info)]}
     for limit, keyword in _LIMITS.items():
         value = getattr(info, limit, None)
-        # JSON has no infinity to exclude.
+        # JSON has no infinity to exclude
         if value is not None and abs(value) != sys.float_info.max:
             found[keyword] = value
     return found
@@ -114,14 +117,15 @@ def _schema(message_type: type[Message]) -> dict[str, Any]:
 
 
 def schema(message_type: type[Message]) -> dict[str, Any]:
-    """Build the flat JSON Schema (draft 2020-12) of a message type: no ``$ref``, no ``anyOf``, meanings and units inside.
+    """Return the flat JSON Schema (draft 2020-12) of a `message_type`, with meanings, units.
 
-    Fields unknown to this version are allowed, as the evolution rules of messages.types ask. Raises
-    TypeError when a field's type cannot be told flatly; the text names the field.
+    It contains no ``$ref`` and no ``anyOf``. Fields unknown to this version are allowed, as the
+    evolution rules of messages.types require. Raises TypeError if a field's type has no flat form;
+    the text names the field.
     """
     return _schema(message_type)
 
 
 def schema_json(message_type: type[Message]) -> bytes:
-    """Encode the schema of a message type as JSON: what an MCAP schema record with encoding ``jsonschema`` holds."""
+    """Return the schema of a `message_type` as JSON, for an MCAP record (``jsonschema``)."""
     return msgspec.json.encode(_schema(message_type))

@@ -1,4 +1,4 @@
-"""The topics and the message type each one carries."""
+"""Topics and the message type of each."""
 
 from messages.types import DeviceState, Event, Force, Handle, Message, NodeStatus, Proxy, Receipt
 
@@ -26,13 +26,13 @@ RECEIPT = "/coupling/receipt"
 PARTNER = "/partner/state"
 
 LOOP: dict[str, type[Message]] = {DEVICE_STATE: DeviceState, PROXY: Proxy, FORCE: Force}
-"""One message per tick on each of these."""
+"""Topics with one message per tick."""
 
 FIXED: dict[str, type[Message]] = {**LOOP, RECEIPT: Receipt, HANDLE: Handle, PARTNER: DeviceState}
 
 
 def status(node: str) -> str:
-    """Topic of the status of a `node`, by its name in its launch.
+    """Return the status topic of a `node`, by its name in its launch.
 
     Returns
     -------
@@ -43,7 +43,7 @@ def status(node: str) -> str:
 
 
 def event(node: str) -> str:
-    """Topic of the events of a `node`, by its name in its launch.
+    """Return the event topic of a `node`, by its name in its launch.
 
     Returns
     -------
@@ -54,7 +54,9 @@ def event(node: str) -> str:
 
 
 def within(namespace: str, topic: str) -> str:
-    """Put a `topic` of a chain (``/device/state``) into the `namespace` of the chain (``left``; empty for none), as in ROS.
+    """Return the full name of a chain's `topic` in a `namespace`, as in ROS.
+
+    `topic` is, for example, ``/device/state``, and `namespace` ``left``, or empty for none.
 
     Returns
     -------
@@ -65,7 +67,7 @@ def within(namespace: str, topic: str) -> str:
 
 
 def split(topic: str) -> tuple[str, str]:
-    """Take the full name of a `topic` apart: the inverse of `within`.
+    """Split the full name of a `topic`, the inverse of `within`.
 
     Returns
     -------
@@ -78,7 +80,7 @@ def split(topic: str) -> tuple[str, str]:
 
 
 def message_type(topic: str) -> type[Message] | None:
-    """Type of the messages on a `topic`: its full name, with or without a namespace.
+    """Return the message type of a `topic`, given with or without namespace.
 
     Returns
     -------

@@ -1,1 +1,1 @@
-"""How messages travel: endpoints, sockets, keys, the gate that authenticates, requests and replies."""
+"""Transport of messages: endpoints, sockets, keys, authentication, requests and replies."""

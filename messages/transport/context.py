@@ -1,4 +1,4 @@
-"""The context of a process: its I/O threads, of which the second one serves listeners, off the loop's processor."""
+"""ZeroMQ context of a process; its second I/O thread serves listeners on other processors."""
 
 import contextlib
 import os
@@ -12,8 +12,8 @@ import zmq
 
 from messages.transport.endpoints import Context
 
-STARTING = 2.0  # how long a new thread may take to tell its name [s]
-ASIDE = 10  # so much below a loop's priority are threads of its process that serve others
+STARTING = 2.0  # longest wait for a new thread's name [s]
+ASIDE = 10  # priority below the loop's for other threads of its process
 
 
 class _Socket(zmq.Socket[bytes]):
@@ -27,7 +27,7 @@ class _Socket(zmq.Socket[bytes]):
 
 
 class _Context(zmq.Context[zmq.Socket[bytes]]):
-    """A context that can be ended after a signal's exception has interrupted the making or closing of a socket."""
+    """A context that can end after a signal interrupted the creation or closing of a socket."""
 
     _socket_class = _Socket
 
@@ -35,44 +35,46 @@ class _Context(zmq.Context[zmq.Socket[bytes]]):
         try:
             return super().socket(*what, **options)
         except BaseException as error:
-            # What a signal's handler raises meanwhile leaves a socket that the context does not
-            # know, in the frames of the traceback: nobody could close it, and the context's end
-            # would wait for it for ever.
+            # An exception of a signal handler leaves a socket unknown to the context in the
+            # traceback's frames. Nobody could close it, and the context's end would block for ever.
             traceback.clear_frames(error.__traceback__)
             raise
 
 
 def new_context(aside: bool = False) -> Context:
-    """Make a context whose sockets never delay its end; its I/O threads inherit affinity and priority of the calling thread."""
+    """Return a context whose sockets never delay its end.
+
+    Its I/O threads inherit affinity and priority of the calling thread. `aside` adds a thread for
+    listeners.
+    """
     context = _Context(io_threads=2 if aside else 1)
     context.linger = 0
     return context
 
 
 def move_aside(processors: Collection[int]) -> None:
-    """Take the second I/O thread, which serves listeners, to other processors and below the priority of the chain."""
+    """Move the second I/O thread to other processors and below the chain's priority."""
     until = time.monotonic() + STARTING
     while not (thread := _second_thread()):
         if time.monotonic() > until:
             return
-        # It names itself when it gets its turn, for which this one, on the same core and as urgent,
-        # has to wait.
+        # It names itself once it runs, for which this thread, on the same core, must sleep.
         time.sleep(0.001)
     if os.sched_getscheduler(thread) == os.SCHED_FIFO:
-        # Above what else the machine does: a recording would lack what waits too long for it. Below
-        # who answers requests.
+        # Above the rest of the machine, because a recording would lose messages that wait too long;
+        # below the thread that answers requests.
         priority = max(1, os.sched_getparam(thread).sched_priority - ASIDE - 1)
         os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
     if processors:
-        # Refused where the node was started among others.
+        # refused if the node was started with restricted processors
         with contextlib.suppress(OSError):
             os.sched_setaffinity(thread, processors)
 
 
 def _second_thread() -> int:
-    """Find the second I/O thread by the name that libzmq gives it; 0 while there is none."""
+    """Return the second I/O thread, found by libzmq's name for it; 0 if there is none."""
     for path in Path("/proc/self/task").iterdir():
-        # One that is listed may have ended.
+        # a listed thread may have ended
         with contextlib.suppress(OSError):
             if (
                 (path / "comm")

@@ -1,22 +1,20 @@
-"""Endpoints, and what each kind of them asks of a socket: encryption over tcp, keep-alives, bounded messages.
+"""Endpoints and their socket options: encryption over tcp, keep-alives, bounded messages.
 
 An endpoint is ZeroMQ's own text, followed for an encrypted one by ``#`` and the public key of the
 machine that binds it::
 
-    ipc:///run/user/1000/haptic/floor_drop-…/coupling.pub     a private directory: nobody else gets
-    there tcp://10.0.0.2:5600#9f0c…                                 CURVE, or it is refused
-    tcp://127.0.0.1:5600#9f0c…                                so too on loopback, which all users of
-    the machine share
+    ipc:///run/user/1000/haptic/floor_drop-…/coupling.pub  in a private directory
+    tcp://10.0.0.2:5600#9f0c…                              CURVE; refused without a key
+    tcp://127.0.0.1:5600#9f0c…                             also on loopback, shared by all users
 
-The key travels with the endpoint, so who knows where to connect also knows whom to expect there: a
-forger that binds in the place of a node cannot complete the handshake.
+The key is part of the endpoint, so a client also knows whom to expect: a forger that binds in place
+of a node cannot complete the handshake.
 
 Two rules keep a peer from ending this process. libzmq (4.3.5) remembers a peer that leaves while
 its input is stopped, because a receive queue is full, and aborts (``Assertion failed: !_io_error``)
-when it then writes a heartbeat to it: one of its own, or the answer to one that the peer left
-behind in the buffer. So heartbeats are never switched on, a silent tcp peer is found by the
-kernel's keep-alives instead; and what others connect to has no limit on its receive queue, so that
-its input never stops.
+when it then writes a heartbeat to it: one of its own, or the answer to one that the peer left in
+the buffer. So heartbeats are never switched on, and a silent tcp peer is detected by the kernel's
+keep-alives. And a bound socket has no limit on its receive queue, so that its input never stops.
 """
 
 import contextlib
@@ -36,32 +34,33 @@ Socket: TypeAlias = zmq.Socket[bytes]
 Context: TypeAlias = zmq.Context[Socket]
 
 
-# ZAP domain of the encrypted sockets; with it set and enforced, a process without a gate lets
-# nobody in
+# ZAP domain of the encrypted sockets; with it enforced, a process without a gate accepts nobody
 DOMAIN = b"haptic"
 
-# Longest frame that is received from a publisher or asked of a node; a longer one ends the
-# connection [bytes].
+# longest frame accepted from a publisher or sent to a node; a longer one ends the connection
+# [bytes]
 MAX_MESSAGE = 16 * MAX_PAYLOAD
 MAX_UPSTREAM = 1024  # longest frame that a listener may send to a publisher: a subscription [bytes]
-KEEPALIVE_S = 1  # how often the kernel asks a silent tcp peer whether it is still there [s]
-KEEPALIVE_PROBES = 2  # after so many of them without an answer it is given up
-# how long a local peer may take to introduce itself [ms]; ZeroMQ's 30 s let idle connections pile
-# up
+KEEPALIVE_S = 1  # interval of the kernel's keep-alive probes on a silent tcp connection [s]
+KEEPALIVE_PROBES = 2  # unanswered probes after which the connection is closed
+# longest handshake of a local peer [ms]; ZeroMQ's 30 s would accumulate idle connections
 HANDSHAKE_MS = 3000
-# the same over tcp: two round trips of 1 s for the greeting, two for the keys, a lost packet [ms]
+# the same over tcp [ms]: two round trips of 1 s for the greeting, two for the keys, a lost packet
 TCP_HANDSHAKE_MS = 8000
-# how soon a listener tries again to reach a publisher that is not there yet or was respawned [ms]
+# retry interval for a publisher that is not there yet or was respawned [ms]
 RECONNECT_MS = 10
-MAX_RECONNECT_MS = 500  # longest pause between two tries to reach another machine [ms]
+MAX_RECONNECT_MS = 500  # longest retry interval for another machine [ms]
 
 
 class EndpointRefusedError(HapticError, ValueError):
-    """An endpoint that must not be used as it is; the text says why and what to do."""
+    """An endpoint that must not be used as it is; the text has the reason and the remedy."""
 
 
 def split(endpoint: str) -> tuple[str, str]:
-    """Take an endpoint apart into ZeroMQ's and its key, empty for ipc; tcp without a key and other transports are refused."""
+    """Split an endpoint into ZeroMQ's own and its key (empty for ipc).
+
+    Raises EndpointRefusedError for tcp without a key and for other transports.
+    """
     bare, sign, key = endpoint.partition("#")
     if sign:
         parse_key(key)
@@ -89,24 +88,22 @@ def _is_loopback(bare: str) -> bool:
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
-        # A name of any other kind, an interface or * for all of them.
+        # another name, an interface, or * for all
         return False
 
 
 def is_remote(endpoint: str) -> bool:
-    """Whether other machines can reach an endpoint: tcp off loopback."""
+    """Return whether other machines can reach an endpoint: tcp, not on loopback."""
     bare = endpoint.partition("#")[0]
     return bare.startswith("tcp://") and not _is_loopback(bare)
 
 
 def _set_tcp(socket: Socket) -> None:
-    # TCP_NODELAY is ZeroMQ's default. Keep-alives find a peer whose machine or cable went away
-    # without a word.
+    # TCP_NODELAY is ZeroMQ's default. Keep-alives detect a peer whose machine or cable is gone.
     socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
     socket.setsockopt(zmq.TCP_KEEPALIVE_IDLE, KEEPALIVE_S)
     socket.setsockopt(zmq.TCP_KEEPALIVE_INTVL, KEEPALIVE_S)
-    # Not TCP_MAXRT: it would also bound how often a packet may be lost in a handshake over a bad
-    # cable.
+    # Not TCP_MAXRT, which would also limit lost packets in a handshake over a bad cable.
     socket.setsockopt(zmq.TCP_KEEPALIVE_CNT, KEEPALIVE_PROBES)
     socket.setsockopt(zmq.HANDSHAKE_IVL, TCP_HANDSHAKE_MS)
     socket.setsockopt(zmq.CONNECT_TIMEOUT, 3000)
@@ -115,7 +112,7 @@ def _set_tcp(socket: Socket) -> None:
 
 
 def connect(socket: Socket, endpoint: str) -> None:
-    """Connect a socket; where the endpoint has a key, as this machine and to that machine only."""
+    """Connect a socket; an endpoint with a key only to that key, with this machine's keys."""
     bare, key = split(endpoint)
     socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
     socket.setsockopt(zmq.MAXMSGSIZE, MAX_MESSAGE)
@@ -129,15 +126,14 @@ def connect(socket: Socket, endpoint: str) -> None:
         )
         socket.curve_serverkey = bytes.fromhex(key)
     else:
-        # Options last until they are changed: a plain endpoint after an encrypted one must not
-        # inherit its keys.
+        # Options persist: a plain endpoint after an encrypted one must not inherit its keys.
         socket.plain_server = False
     socket.connect(bare)
 
 
 @contextlib.contextmanager
 def closed_if_refused(*sockets: Socket) -> Iterator[None]:
-    """Close sockets that are new when what is bound or connected in a block is refused."""
+    """Close new sockets if an address in the block is refused."""
     try:
         yield
     except ValueError:
@@ -147,7 +143,10 @@ def closed_if_refused(*sockets: Socket) -> Iterator[None]:
 
 
 def await_given_back(endpoint: str, deadline: float) -> None:
-    """Wait, after a close, until ZeroMQ's thread has removed an ipc endpoint's file: it must not remove the next one's."""
+    """Wait, after a close, until ZeroMQ has removed an ipc endpoint's file.
+
+    Otherwise its thread might remove the file of the next socket.
+    """
     while (
         os.path.exists(endpoint.partition("#")[0].removeprefix("ipc://"))
         and time.monotonic() < deadline
@@ -156,28 +155,28 @@ def await_given_back(endpoint: str, deadline: float) -> None:
 
 
 def is_open_place(endpoint: str) -> bool:
-    """Whether all users of this machine may be let listen at an endpoint, unencrypted: tcp on loopback without a key."""
+    """Return whether an endpoint may be open to local users: tcp on loopback, without a key."""
     return endpoint.startswith("tcp://") and "#" not in endpoint and _is_loopback(endpoint)
 
 
 def bind(socket: Socket, endpoint: str, is_open: bool = False) -> None:
-    """Bind a socket; where the endpoint has a key, as this machine, to machines that the gate lets in.
+    """Bind a socket; if the endpoint has a key, with this machine's keys, to allowed machines.
 
-    `socket`: of any kind. Plain endpoints are bound before encrypted ones: what is bound keeps the
-    options it was bound with. `is_open`: whether all users of this machine may come, where
-    `is_open_place`: only for what nobody can command. Raises EndpointRefusedError, KeyRefusedError
-    when the endpoint or this machine's keys cannot be used, or the address is taken.
+    `socket` may be of any kind. Plain endpoints must be bound before encrypted ones, because a
+    bound endpoint keeps the options of its binding. `is_open` admits all users of this machine,
+    where `is_open_place`; only for sockets that take no commands. Raises EndpointRefusedError or
+    KeyRefusedError if the endpoint or this machine's keys cannot be used, or the address is taken.
     """
     bare, key = (endpoint, "") if is_open and is_open_place(endpoint) else split(endpoint)
     socket.setsockopt(zmq.MAXMSGSIZE, MAX_UPSTREAM if socket.type == zmq.XPUB else MAX_MESSAGE)
-    # See above: the input of what others connect to must not stop. Never on a socket that is bound
-    # again: libzmq 4.3.5 tells it to the peers that it is just putting out, and crashes.
+    # See above: the input of a bound socket must not stop. Never on a socket that is bound again:
+    # libzmq 4.3.5 applies it to peers that are just being closed, and crashes.
     if socket.rcvhwm:
         socket.rcvhwm = 0
-    # What never introduces itself must not keep a place.
+    # A peer that never completes its handshake must not occupy a connection.
     socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
     if bare.startswith("ipc://"):
-        # A respawned node finds the socket file of its killed predecessor.
+        # a respawned node finds the socket file of its killed predecessor
         remove_ipc(bare)
     else:
         _set_tcp(socket)
@@ -198,7 +197,7 @@ def bind(socket: Socket, endpoint: str, is_open: bool = False) -> None:
 
 
 def remove_ipc(endpoint: str) -> None:
-    """Remove the file of an ipc endpoint, if it has one."""
+    """Remove the file of an ipc endpoint, if any."""
     if endpoint.startswith("ipc://"):
         with contextlib.suppress(FileNotFoundError):
             os.unlink(endpoint.removeprefix("ipc://"))

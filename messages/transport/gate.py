@@ -1,11 +1,10 @@
-"""The gate: lets only allowed keys in on encrypted sockets, and ends the connections of a key that is allowed no more.
+"""The gate: admits only allowed keys on encrypted sockets, and disconnects revoked ones.
 
-ZeroMQ asks it once per connection (ZAP, RFC 27), never per message, so it costs the loop nothing.
-It also watches these sockets for handshakes that fail before there is a key to ask about: a plain
-client, a port scan, a replayed or altered stream. Keys are read anew for each connection, and twice
-a second for those that are there. When one was revoked, replaced or cannot be read any more, the
-sockets are closed to all tcp peers and opened again (`Reopening`): who is still allowed is back
-within a second.
+ZeroMQ calls it once per connection (ZAP, RFC 27), never per message, so it costs the loop nothing.
+It also monitors handshakes that fail before there is a key: a plain client, a port scan, a replayed
+or altered stream. Keys are read for each new connection, and twice a second for existing ones. When
+one was revoked, replaced or became unreadable, the sockets are closed to all tcp peers and opened
+again (`Reopening`); allowed peers are back within a second.
 """
 
 import contextlib
@@ -20,7 +19,7 @@ import zmq
 from messages.transport.endpoints import DOMAIN, Context, EndpointRefusedError, Socket, bind
 from messages.transport.keys import identity, key_dir, trusted
 
-REVIEW = 0.5  # how often the keys of those who are connected are looked at [s]
+REVIEW = 0.5  # interval of checking the keys of connected peers [s]
 
 ZAP = "inproc://zeromq.zap.01"
 FAILURES = (
@@ -43,24 +42,27 @@ _MONITORED = struct.Struct("=Hi")
 
 
 def monitor(context: Context, socket: Socket, events: int) -> Socket:
-    """Watch a socket, without ever holding up the thread that serves it."""
+    """Return a socket that receives the events of `socket`, without blocking its thread."""
     place = f"inproc://monitor-{id(socket)}-{os.urandom(4).hex()}"
     socket.monitor(place, events)
     found = context.socket(zmq.PAIR)
-    # Without a limit: ZeroMQ's thread would wait for a slow reader.
+    # No limit: ZeroMQ's thread would wait for a slow reader.
     found.rcvhwm = 0
     found.connect(place)
     return found
 
 
 def monitored(frames: list[bytes]) -> tuple[int, str]:
-    """Read event and endpoint from a monitor's message; pyzmq's own parser brings asyncio, a quarter of what a node loads."""
+    """Return event and endpoint of a monitor's message.
+
+    pyzmq's own parser imports asyncio, a quarter of what a node loads.
+    """
     event, _ = _MONITORED.unpack(frames[0])
     return event, frames[1].decode("utf-8", "replace")
 
 
 class Reopening:
-    """Ends all tcp connections to the encrypted ones of the `places` that a socket is bound to, and lets come back who may."""
+    """Closes all tcp connections to the encrypted `places` of a socket and opens them again."""
 
     def __init__(self, socket: Socket, places: Sequence[str]) -> None:
         self._socket = socket
@@ -69,11 +71,11 @@ class Reopening:
         self._asked = False
 
     def ask(self) -> None:
-        """Ask for it, from any thread."""
+        """Request it, from any thread."""
         self._asked = True
 
-    def tend(self) -> None:
-        """Do what was asked for; on the thread that owns the socket, as often as it likes."""
+    def maintain(self) -> None:
+        """Close and open as requested; called often, on the thread that owns the socket."""
         if self._asked:
             self._asked = False
             for place in self._places:
@@ -81,19 +83,20 @@ class Reopening:
                     self._closed.append(place)
                     self._socket.unbind(place.partition("#")[0])
         for place in list(self._closed):
-            # ZeroMQ's thread may still hold the port; and without this machine's keys nobody is let
-            # in.
+            # ZeroMQ's thread may still occupy the port; and without this machine's keys nobody is
+            # admitted.
             with contextlib.suppress(EndpointRefusedError):
                 bind(self._socket, place)
                 self._closed.remove(place)
 
 
 class Gate(threading.Thread):
-    """Guards the encrypted sockets of one process; to be started before they are bound, stopped before the context ends.
+    """Guards the encrypted sockets of a process.
 
-    On the gate's thread it calls `begin` first (to leave the loop's processor), `denied` with one
-    sentence for every peer that was not let in or was disconnected, and `evict` when all
-    connections must end, because a key is not allowed any more.
+    It must be started before they are bound, and stopped before the context ends. On its thread it
+    calls `begin` first (to leave the loop's processor), `denied` with one sentence for every peer
+    that was not admitted or was disconnected, and `evict` when all connections must end because a
+    key was revoked.
     """
 
     def __init__(
@@ -118,7 +121,7 @@ class Gate(threading.Thread):
         self._stop_out.connect(_STOP)
 
     def watch(self, socket: Socket) -> None:
-        """Watch a socket for handshakes that fail, from the thread that owns it and before the gate is started."""
+        """Monitor a socket for failed handshakes; on its own thread, before the gate is started."""
         self._watched.append((socket, monitor(self._context, socket, FAILURES)))
 
     def run(self) -> None:
@@ -148,12 +151,12 @@ class Gate(threading.Thread):
 
     def _tell_failure(self, frames: list[bytes]) -> None:
         event, place = monitored(frames)
-        # Unknown keys are told where they are refused, with the key.
+        # unknown keys are reported where they are refused, with the key
         if event in _FAILED:
             self._denied(f"a connection to {place} {_FAILED[event]}")
 
     def _trusted(self) -> dict[str, str]:
-        """Keys that are let in now, to the names of their machines; nobody by what cannot be read."""
+        """Return the allowed keys and their machines' names; none if they cannot be read."""
         found, why = trusted(self._folder)
         if why and why != self._unreadable:
             self._denied(why)
@@ -186,7 +189,7 @@ class Gate(threading.Thread):
             self._evict()
 
     def stop(self) -> None:
-        """Stop watching and wait for the thread; before the watched sockets are closed."""
+        """Stop and wait for the thread; before the watched sockets are closed."""
         for socket, _ in self._watched:
             if not socket.closed:
                 socket.disable_monitor()

@@ -1,13 +1,13 @@
-"""Keys of machines: who this one is and which others are let in, in files that nobody else can read or change.
+"""Keys of machines: this machine's identity and the allowed ones, in private files.
 
-One CURVE key pair per user and machine, kept below ``$HAPTIC_KEYS`` (or
+There is one CURVE key pair per user and machine, below ``$HAPTIC_KEYS`` (or
 ``~/.config/haptic/keys``)::
 
     identity.key      secret and public key of this machine, mode 0600
     allowed/NAME.key  public key of another machine, mode 0600
 
-A key is written as 64 hexadecimal digits, which every shell leaves alone. A machine that is allowed
-may listen, publish in its place and send control requests; there is no half of it.
+A key is written as 64 hexadecimal digits, which need no quoting in a shell. An allowed machine may
+listen, publish and send control requests; there are no partial permissions.
 """
 
 import os
@@ -27,7 +27,7 @@ _KEY = re.compile(r"[0-9a-f]{64}")
 
 
 class KeyRefusedError(HapticError, ValueError):
-    """A key or a key file that cannot be used; the text says why and what to do."""
+    """A key or key file that cannot be used; the text has the reason and the remedy."""
 
 
 class Identity(msgspec.Struct, frozen=True):
@@ -38,7 +38,7 @@ class Identity(msgspec.Struct, frozen=True):
 
 
 def key_dir() -> Path:
-    """Find the directory of the keys."""
+    """Return the directory of the keys."""
     if "HAPTIC_KEYS" in os.environ:
         return Path(os.environ["HAPTIC_KEYS"])
     return Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "haptic" / "keys"
@@ -63,7 +63,7 @@ def _private_dir(path: Path) -> None:
 
 
 def _write(path: Path, text: str, replace: bool = False) -> None:
-    """Write a file that is private from its first byte on; never through a link."""
+    """Write a file that is private from its first byte on, never through a link."""
     _private_dir(path.parent)
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     descriptor = os.open(
@@ -87,7 +87,7 @@ def _write(path: Path, text: str, replace: bool = False) -> None:
 
 
 def _read(path: Path) -> list[str]:
-    """Words of a key file, which must be private."""
+    """Return the words of a key file, which must be private."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
     except OSError as error:
@@ -106,7 +106,7 @@ def _read(path: Path) -> list[str]:
 
 
 def parse_key(text: str) -> str:
-    """Read a key as a person or a file gives it."""
+    """Return a key, given in hexadecimal or Z85, in hexadecimal."""
     if len(text) == 40:
         try:
             return bytes(z85.decode(text)).hex()
@@ -121,14 +121,14 @@ def parse_key(text: str) -> str:
 
 
 def new_identity(replace: bool = False) -> Identity:
-    """Make this machine's key pair."""
+    """Create this machine's key pair."""
     public, secret = (bytes(z85.decode(key)).hex() for key in zmq.curve_keypair())
     _write(key_dir() / "identity.key", f"{public}\n{secret}\n", replace)
     return Identity(public, secret)
 
 
 def identity(folder: Path | None = None) -> Identity:
-    """Read this machine's key pair."""
+    """Return this machine's key pair."""
     path = (folder or key_dir()) / "identity.key"
     if not path.exists():
         raise KeyRefusedError(
@@ -147,7 +147,7 @@ def identity(folder: Path | None = None) -> Identity:
 
 
 def allow(name: str, key: str, replace: bool = False) -> Path:
-    """Let another machine in."""
+    """Allow another machine."""
     if not _NAME.fullmatch(name):
         raise KeyRefusedError(f"{name!r}: a name is letters, digits, dots, - and _, at most 63")
     path = key_dir() / "allowed" / f"{name}.key"
@@ -156,7 +156,7 @@ def allow(name: str, key: str, replace: bool = False) -> Path:
 
 
 def allowed(folder: Path | None = None) -> dict[str, str]:
-    """List the machines that are let in."""
+    """Return the allowed machines and their keys."""
     found = {}
     for path in sorted(((folder or key_dir()) / "allowed").glob("*.key")):
         words = _read(path)
@@ -169,7 +169,10 @@ def allowed(folder: Path | None = None) -> dict[str, str]:
 
 
 def trusted(folder: Path | None = None) -> tuple[dict[str, str], str]:
-    """Tell whose keys are let in at this moment; nobody's by what cannot be read."""
+    """Return the allowed keys and names, and why keys could not be read.
+
+    An unreadable file allows nobody.
+    """
     found: dict[str, str] = {}
     why = ""
     try:
@@ -184,7 +187,7 @@ def trusted(folder: Path | None = None) -> tuple[dict[str, str], str]:
 
 
 def revoke(name: str) -> Path:
-    """Let a machine in no more; what runs ends its connections within a second."""
+    """Revoke a machine's key; running nodes end its connections within a second."""
     path = key_dir() / "allowed" / f"{name}.key"
     if not _NAME.fullmatch(name) or (not path.is_symlink() and not path.exists()):
         there = sorted(found.stem for found in (key_dir() / "allowed").glob("*.key"))
@@ -196,7 +199,7 @@ def revoke(name: str) -> Path:
 
 
 def key_of(name: str) -> str:
-    """Find the public key of a machine that is let in."""
+    """Return the public key of an allowed machine."""
     there = allowed()
     if name not in there:
         raise KeyRefusedError(

@@ -1,10 +1,10 @@
-"""Links: connections to publishers that must not go deaf in silence.
+"""Links: connections to publishers that must not fail silently.
 
-ZeroMQ tries again when a peer goes away, but gives up for good when what comes breaks its protocol:
-a message above the limit, or another service on a node's port. It says so to nobody. Here a link
-that was given up, that gets no handshake, or over which nothing comes any more, raises an event
-with the reason and is reconnected. All of it off the loop: the loop's thread only takes up what was
-asked for, between two ticks.
+ZeroMQ reconnects when a peer goes away, but gives up silently when received data violates its
+protocol: a message above the limit, or another service on a node's port. Here a link that was given
+up, that gets no handshake, or that has gone silent raises an event with the reason and is
+reconnected. This runs off the loop: the loop's thread only applies what was requested, between two
+ticks.
 """
 
 import contextlib
@@ -20,15 +20,14 @@ from messages.transport.endpoints import MAX_MESSAGE, TCP_HANDSHAKE_MS, Context,
 from messages.transport.gate import FAILURES, monitor, monitored
 from messages.transport.keys import trusted
 
-# so long after the end of a connection without another try ZeroMQ has given it up [s]
+# time without a retry after the end of a connection when ZeroMQ has given it up [s]
 GIVEN_UP = 0.3
-AGAIN = 1.0  # shortest time between two new connections of a link [s]
-PERIOD = 0.5  # how often `Links.keep` looks [s]
-# after so long without a message a link counts as silent, and is reconnected when it is not
-# connected [s]
+AGAIN = 1.0  # shortest time between two reconnections of a link [s]
+POLL_INTERVAL = 0.5  # interval of `Links.keep` [s]
+# time without a message after which a link that is not connected is reconnected [s]
 SILENCE = 3.0
-# so long may a connected one be silent [s]: the other process may live, starved of its processor
-PATIENCE = 30.0
+# the same for a connected link [s]: the other process may live, starved of its processor
+CONNECTED_SILENCE = 30.0
 
 _EVENTS = (
     FAILURES
@@ -50,7 +49,7 @@ _STATES: dict[int, str] = {
 
 
 class _Link:
-    """One endpoint that a subscription is connected to."""
+    """One endpoint of a subscription."""
 
     def __init__(self, socket: Socket, endpoint: str) -> None:
         self.socket, self.endpoint = socket, endpoint
@@ -59,10 +58,10 @@ class _Link:
         self.renewed, self.is_revoked = 0.0, False
 
     def take(self, event: int, now: float) -> str:
-        """Take an event; why the other side was not accepted, or did not accept, when it is that."""
+        """Process an event. Return why a side refused the other, or ""."""
         if event == zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL and not self.key:
-            # A node that ends at this very moment is no intruder. ZeroMQ tries again; what keeps
-            # failing is reported as a link.
+            # A node that is just ending is no intruder. ZeroMQ tries again; a repeated failure is
+            # reported as a link.
             self.failed = _WENT_AWAY
             return ""
         if event & FAILURES:
@@ -82,7 +81,7 @@ class _Link:
         return ""
 
     def trouble(self, now: float) -> str:
-        """Why it must be reconnected; empty when it need not be."""
+        """Return why the link must be reconnected, or ""."""
         if self.is_revoked or now - self.renewed < AGAIN:
             return ""
         if self.state == "given up" and now - self.since > GIVEN_UP:
@@ -98,10 +97,10 @@ class _Link:
 
 
 class Links:
-    """Looks after the links of one process.
+    """Monitors the links of one process.
 
-    `tell` takes one sentence: which link, why, and what is done; `denied` one for every answer that
-    was not accepted. `call` is called when `tend` has something to do.
+    `tell` is called with one sentence: link, reason, action; `denied` with one for every peer that
+    was refused. `call` is called when `maintain` has something to do.
     """
 
     def __init__(
@@ -119,13 +118,13 @@ class Links:
         self._heard, self._silent, self._looked = -1, 0.0, time.monotonic()
 
     def watch(self, socket: Socket, endpoints: Iterable[str]) -> None:
-        """Look after a subscription, which calls this before it connects."""
+        """Monitor a subscription; to be called before it connects."""
         links = [_Link(socket, endpoint) for endpoint in endpoints]
         self._monitors.append((monitor(self._context, socket, _EVENTS), links))
         self._links += links
 
-    def look(self, heard: int | None = None) -> None:
-        """See whether a link is in trouble, tell it and ask for a new connection."""
+    def poll(self, heard: int | None = None) -> None:
+        """Check all links, report trouble and request reconnections."""
         now = time.monotonic()
         for events, links in self._monitors:
             with contextlib.suppress(zmq.Again):
@@ -166,16 +165,15 @@ class Links:
                 self._renew(link, "its key is allowed again; reconnecting", now)
 
     def _listen_for_silence(self, heard: int | None, now: float) -> None:
-        # Time in which this thread was starved itself is nobody's silence.
-        passed, self._looked = min(now - self._looked, 2.0 * PERIOD), now
+        # Time in which this thread was starved itself does not count as silence.
+        passed, self._looked = min(now - self._looked, 2.0 * POLL_INTERVAL), now
         if heard is None or heard != self._heard:
             self._heard, self._silent = heard if heard is not None else -1, 0.0
             return
         before, self._silent = self._silent, self._silent + passed
         for link in self._links:
-            limit = PATIENCE if link.state == "connected" else SILENCE
-            # Once for each time that it lasts so long. Over a slow cable a new link takes longer
-            # than that.
+            limit = CONNECTED_SILENCE if link.state == "connected" else SILENCE
+            # Once per such period; a new link over a slow cable takes longer than one.
             is_long = math.floor(self._silent / limit) > math.floor(before / limit)
             if (
                 is_long
@@ -190,27 +188,27 @@ class Links:
                 )
 
     def keep(self) -> None:
-        """Look and tend twice a second, for a listener that has one thread; called as often as it likes."""
+        """Poll and maintain twice a second, for a listener with one thread; may be called often."""
         now = time.monotonic()
         if now >= self._following:
-            self._following = now + PERIOD
-            self.look()
-            self.tend()
+            self._following = now + POLL_INTERVAL
+            self.poll()
+            self.maintain()
 
-    def tend(self) -> None:
-        """Connect anew, and part from, what `look` found; on the thread that receives."""
+    def maintain(self) -> None:
+        """Reconnect or disconnect links as `poll` requested; on the receiving thread."""
         while self._asked:
             link, again = self._asked.popleft()
-            # ZeroMQ may have given it up and forgotten it.
+            # ZeroMQ may have given it up and forgotten it
             with contextlib.suppress(zmq.ZMQError):
                 link.socket.disconnect(link.bare)
             if again:
-                # Keys that cannot be read any more connect nobody.
+                # unreadable keys connect nobody
                 with contextlib.suppress(ValueError):
                     connect(link.socket, link.endpoint)
 
     def close(self) -> None:
-        """Stop looking; before the subscriptions are closed."""
+        """Stop monitoring; before the subscriptions are closed."""
         for events, links in self._monitors:
             if links and not links[0].socket.closed:
                 links[0].socket.disable_monitor()
@@ -219,7 +217,7 @@ class Links:
 
 
 def _meant(links: list[_Link], place: str) -> list[_Link]:
-    """Links that ZeroMQ means by an endpoint, which it may write with an address in place of a name."""
+    """Return the links meant by ZeroMQ, which may write an address in place of a name."""
     exact = [link for link in links if link.bare == place]
     port = place.rpartition(":")[2]
     return exact or [
@@ -230,5 +228,5 @@ def _meant(links: list[_Link], place: str) -> list[_Link]:
 
 
 def say_link(reason: str) -> None:
-    """Write to standard error what became of a link."""
+    """Print to standard error what happened to a link."""
     print(f"[link] {reason}", file=sys.stderr, flush=True)

@@ -1,9 +1,9 @@
-"""A port at which anybody on this machine may listen, unencrypted: for a process that can be done without.
+"""A port open to all local users, unencrypted, in a process that no loop depends on.
 
-What strangers connect to is in no process of the loop: nodes/base has no such socket. A forwarder
-(nodes/forwarder.py) or ``haptic relay`` listens to the nodes as their user and publishes here what
-they say. What a stranger makes this process keep, subscriptions and messages that it does not take,
-is bounded by ending all connections when memory grows; who only listens is back at once.
+No process of the loop has such a socket (nodes/base). A forwarder (nodes/forwarder.py) or ``haptic
+relay`` listens to the nodes as their user and publishes their messages here. The memory that
+strangers can make this process use, for subscriptions and unread messages, is limited by ending all
+connections when it grows; mere listeners reconnect at once.
 """
 
 import contextlib
@@ -25,17 +25,20 @@ from messages.transport.endpoints import (
     remove_ipc,
 )
 
-MOST_GROWTH = 128 << 20  # by so much memory may grow before all listeners are disconnected [bytes]
+MAX_GROWTH = 128 << 20  # growth of memory at which all listeners are disconnected [bytes]
 QUEUE = 4096  # messages queued for one listener before its newest ones are dropped
-# how long ZeroMQ may take to give back a port that was closed, under thousands of connections [s]
+# longest time for ZeroMQ to free a closed port, under thousands of connections [s]
 GIVEN_BACK = 10.0
 
-_PERIOD = 0.5
+_CHECK_INTERVAL = 0.5
 _PAGE = resource.getpagesize()
 
 
 class OpenPort:
-    """Publishes to all who listen, and takes no commands; `denied` takes one sentence when the listeners are disconnected."""
+    """Publishes to all listeners and takes no commands.
+
+    `denied` is called with one sentence when the listeners are disconnected.
+    """
 
     def __init__(self, context: Context, endpoint: str, denied: Callable[[str], None]) -> None:
         self._context, self._endpoint, self._denied = context, endpoint, denied
@@ -57,15 +60,15 @@ class OpenPort:
         self._socket.send(payload)
 
     def keep(self) -> None:
-        """Look whether memory has grown, and take in who has come; called as often as it likes, also when nothing is sent."""
+        """Check memory and accept subscriptions; to be called often, also when nothing is sent."""
         now = time.monotonic()
         if now < self._following:
             return
-        self._following = now + _PERIOD
+        self._following = now + _CHECK_INTERVAL
         self.listeners()
         memory = int(Path("/proc/self/statm").read_text("ascii").split()[1]) * _PAGE
         self._usual = self._usual or memory
-        if memory - self._usual > MOST_GROWTH:
+        if memory - self._usual > MAX_GROWTH:
             self._denied(
                 f"{self._endpoint}: memory grew by {(memory - self._usual) >> 20} MiB; all"
                 " listeners there are disconnected"
@@ -74,11 +77,11 @@ class OpenPort:
             self._renew()
 
     def listeners(self) -> int:
-        """Take in what listeners have sent, not too much at once, and count the topics that somebody wants."""
+        """Process a limited number of subscriptions. Return the number of wanted topics."""
         for _ in range(10_000):
             if not int(self._socket.get(zmq.EVENTS)) & zmq.POLLIN:
                 break
-            # Whatever else they send is dropped.
+            # other input is discarded
             self._wanted += {b"\x00": -1, b"\x01": 1}.get(self._socket.recv(zmq.NOBLOCK)[:1], 0)
         return self._wanted
 
@@ -95,6 +98,6 @@ class OpenPort:
         self._socket = self._bound()
 
     def close(self, linger_ms: int = 500) -> None:
-        """Close it; queued messages may take so long to leave [ms]."""
+        """Close the port; queued messages may take `linger_ms` to leave [ms]."""
         self._socket.close(linger=linger_ms)
         remove_ipc(self._endpoint)

@@ -1,7 +1,7 @@
-"""The publisher of a node: one message to the next hop of the loop first, then to listeners.
+"""Publisher of a node: sends to the next hop of the loop first, then to listeners.
 
-Default high-water marks on loop sockets, and XPUB, which sees its subscribers come: a loop starts
-when everybody listens, not after a sleep.
+It uses default high-water marks on loop sockets, and XPUB, which reports subscriptions: a loop
+starts when everybody listens, not after a sleep.
 """
 
 import os
@@ -13,11 +13,10 @@ import zmq
 from messages.transport.endpoints import Context, Socket, bind, closed_if_refused, remove_ipc
 from messages.transport.gate import Gate, Reopening
 
-# messages queued for one stalled listener before its newest ones are dropped: 8 s at 500 Hz, about
-# 1 MB
+# messages queued for one stalled listener before its newest are dropped: 8 s at 500 Hz, 1 MB
 SEND_QUEUE = 4096
 
-# As plain numbers: pyzmq's enums cost more than the calls that take them.
+# plain numbers, because pyzmq's enums cost more than the calls that use them
 _EVENTS = int(zmq.EVENTS)
 _SNDMORE = int(zmq.SNDMORE)
 _NOBLOCK = int(zmq.NOBLOCK)
@@ -25,13 +24,13 @@ _POLLIN = int(zmq.POLLIN)
 
 
 class Publisher:
-    """What a node publishes: first to the next hop of the loop at `endpoint`, then to listeners.
+    """Publishes to the next hop of the loop at `endpoint`, then to listeners.
 
-    Hop and listeners have a socket and an I/O thread each. So a tick goes on as soon as its message
-    has left, what goes to loggers is carried by another core than the loop's, and no number of them
-    is between a sample and its force. `more`: further endpoints for hops, encrypted ones last.
+    Hop and listeners have a socket and an I/O thread each. So a tick continues as soon as its
+    message has left, messages to loggers are sent by another core than the loop's, and listeners,
+    however many, never delay a force. `more`: further endpoints for hops, encrypted ones last.
     `listen`: endpoints for listeners, with a context made ``aside``; without any they connect where
-    the hops do. `batch`: messages for listeners that are collected before they are sent: waking
+    the hops do. `batch`: messages collected for listeners before they are sent, because waking
     another core costs more than a message.
     """
 
@@ -50,7 +49,7 @@ class Publisher:
                 with closed_if_refused(*self._sockets):
                     self._sockets.append(self._bound(context, thread, places))
         self.apart = len(self._sockets) > 1  # whether listeners have a socket of their own
-        # pyzmq's own send, without the layer above it that looks for arguments nobody gives.
+        # pyzmq's own send, without the layer above it that checks unused arguments
         self._hop = super(zmq.Socket, self._sockets[0]).send
         self._aside = super(zmq.Socket, self._sockets[-1]).send
         self._batch = batch
@@ -74,7 +73,7 @@ class Publisher:
         return socket
 
     def native_handles(self) -> tuple[int, int, int]:
-        """Give compiled code ZeroMQ's addresses of the sockets for hop and listeners (0 for none), and messages in a batch."""
+        """Return both sockets' ZeroMQ addresses (0: none) and the batch, for compiled code."""
         return (
             self._sockets[0].underlying,
             self._sockets[1].underlying if self.apart else 0,
@@ -82,7 +81,7 @@ class Publisher:
         )
 
     def send(self, topic: bytes, payload: bytes) -> None:
-        """Publish one message to the next hop, then to the listeners: two frames, topic and payload."""
+        """Publish one message, topic and payload, to the next hop, then to the listeners."""
         self._hop(topic, _SNDMORE)
         self._hop(payload)
         if self.apart:
@@ -94,18 +93,18 @@ class Publisher:
                 self.flush()
 
     def send_hop(self, topic: bytes, payload: bytes) -> None:
-        """Publish one message to the next hop only; `send_aside` follows when the tick has its answer."""
+        """Publish one message to the next hop only; `send_aside` follows after the answer."""
         self._hop(topic, _SNDMORE)
         self._hop(payload)
 
     def send_aside(self, topic: bytes, payload: bytes) -> None:
-        """Publish one message to the listeners only: what no hop needs, or what it has already."""
+        """Publish one message to the listeners only."""
         self._held.append((topic, payload))
         if len(self._held) >= self._batch:
             self.flush()
 
     def flush(self) -> None:
-        """Send what was collected for the listeners."""
+        """Send the messages collected for listeners."""
         aside = self._aside
         for topic, payload in self._held:
             aside(topic, _SNDMORE)
@@ -113,36 +112,36 @@ class Publisher:
         self._held.clear()
 
     def listeners(self) -> int:
-        """Count the live subscriptions that have arrived, of hops and listeners; every listener of a launch makes one."""
-        self.tend(1000)
+        """Return the number of live subscriptions, of hops and listeners; one per listener."""
+        self.maintain(1000)
         return self._subscriptions.total()
 
-    def tend(self, most: int = 128) -> bool:
-        """Take in subscriptions and their ends, `most` at once, as each costs this thread a microsecond; whether more wait."""
+    def maintain(self, most: int = 128) -> bool:
+        """Process at most `most` subscription changes, 1 µs each. Return whether more wait."""
         for reopening in self._reopening:
-            reopening.tend()
+            reopening.maintain()
         for socket in self._sockets:
             while most and int(socket.get(_EVENTS)) & _POLLIN:
                 most -= 1
                 frame = socket.recv(_NOBLOCK)
                 self._subscriptions[frame[1:]] += {b"\x00": -1, b"\x01": 1}.get(frame[:1], 0)
-        # A subscription that ends but never began must not be counted, nor remembered.
+        # the end of an unknown subscription must not count, nor be remembered
         self._subscriptions = +self._subscriptions
         return not most
 
     def evict(self) -> None:
-        """End all tcp connections with the next `tend`; who is still allowed connects again. From any thread."""
+        """Request the end of all tcp connections; allowed peers reconnect. From any thread."""
         for reopening in self._reopening:
             reopening.ask()
 
     def watched_by(self, gate: Gate) -> None:
-        """Let a gate watch who tries to connect to encrypted endpoints."""
+        """Make a gate monitor connections to encrypted endpoints."""
         for socket, places in zip(self._sockets, filter(None, self._endpoints), strict=True):
             if any("#" in place for place in places):
                 gate.watch(socket)
 
     def close(self, linger_ms: int = 500) -> None:
-        """Close the sockets and remove their files; queued messages may take so long to leave [ms]."""
+        """Close the sockets and remove their files; queued messages may take `linger_ms` [ms]."""
         self.flush()
         for socket in self._sockets:
             socket.close(linger=linger_ms)

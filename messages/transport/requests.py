@@ -1,7 +1,7 @@
-"""Requests to a running node: parameters, laws, status, stop. One request, one reply, on a socket of its own.
+"""Requests to a running node (parameters, laws, status, stop): one request, one reply.
 
-A request is a MessagePack map ``{op, args}``, a reply ``{ok, result, error}``. The node serves them
-on a second thread, never between sample and force.
+A request is a MessagePack map ``{op, args}``, a reply ``{ok, result, error}``, on a socket of its
+own. The node serves them on a second thread, never between sample and force.
 """
 
 import time
@@ -22,9 +22,9 @@ __all__ = [
     "MAX_REQUEST",
     "Connection",
     "ControlError",
-    "Desk",
     "NoAnswerError",
     "Reply",
+    "ReplySocket",
     "Request",
     "T",
     "call",
@@ -34,7 +34,7 @@ __all__ = [
 
 
 class Request(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What is asked of a node.
+    """A request to a node.
 
     Attributes
     ----------
@@ -49,16 +49,16 @@ class Request(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Reply(msgspec.Struct, frozen=True):
-    """What the node answers.
+    """A node's reply.
 
     Attributes
     ----------
     ok : bool
-        Whether it was done.
+        Whether the request was carried out.
     result : object
-        The answer, when it was.
+        The result, if so.
     error : str
-        The reason, when it was not: path, value, limit and remedy.
+        The reason, if not: path, value, limit and remedy.
     """
 
     ok: bool
@@ -77,16 +77,16 @@ class NoAnswerError(ControlError):
 T = TypeVar("T")
 
 _WATCHED = 250
-"""How often one who waits looks whether the node is there [ms]."""
+"""Interval at which a waiting client checks whether the node still runs [ms]."""
 
 _request = msgspec.msgpack.Decoder(Request)
 _reply = msgspec.msgpack.Decoder(Reply)
 
 MAX_REPLY = 16 * MAX_PAYLOAD
-"""Longest reply that is looked at [bytes]."""
+"""Longest reply that is decoded [bytes]."""
 
 MAX_REQUEST = MAX_REPLY
-"""Longest request that is looked at [bytes]: what a node dumps, laws of thousands of taps included, can be loaded again."""
+"""Longest request that is decoded [bytes]; enough to load everything that a node can dump."""
 
 
 def decode_request(frames: Sequence[bytes]) -> Request:
@@ -100,7 +100,7 @@ def decode_request(frames: Sequence[bytes]) -> Request:
     Raises
     ------
     MessageRefusedError
-        When it is not one frame, malformed or longer than MAX_REQUEST.
+        If it is not one frame, malformed or longer than MAX_REQUEST.
     """
     return _decode("Request", _request, frames, MAX_REQUEST)
 
@@ -116,7 +116,7 @@ def decode_reply(frames: Sequence[bytes]) -> Reply:
     Raises
     ------
     MessageRefusedError
-        When it is not one frame, malformed or longer than MAX_REPLY.
+        If it is not one frame, malformed or longer than MAX_REPLY.
     """
     return _decode("Reply", _reply, frames, MAX_REPLY)
 
@@ -134,11 +134,12 @@ def _decode(
         raise MessageRefusedError(f"{name}: {error}") from error
 
 
-class Desk:
-    """Where a node takes requests and answers them, one after the other.
+class ReplySocket:
+    """Socket on which a node receives requests and answers them, one after the other.
 
-    A ROUTER, as libzmq's own REP loses the next reply, whosever it is, when somebody sent no whole
-    request and is gone (4.3.5: its rollback keeps the state of the reply that it could not begin).
+    It is a ROUTER, because libzmq's REP (4.3.5) loses the next reply, whosever it is, after a peer
+    that sent no whole request has gone: its rollback keeps the state of the reply that it could not
+    begin.
 
     Parameters
     ----------
@@ -150,8 +151,8 @@ class Desk:
         self.socket = context.socket(zmq.ROUTER)
         self._envelope: list[bytes] = []
 
-    def take(self) -> list[bytes]:
-        """Wait for a request; its frames without the envelope that leads back to who asked.
+    def receive(self) -> list[bytes]:
+        """Wait for a request. Return its frames without the return envelope.
 
         Returns
         -------
@@ -159,18 +160,18 @@ class Desk:
             Frames as received.
         """
         frames = self.socket.recv_multipart()
-        # The peer, and what REQ puts before its request: an empty frame.
+        # the peer, and the empty frame that REQ puts before its request
         inside = frames.index(b"") + 1 if b"" in frames else 1
         self._envelope, frames = frames[:inside], frames[inside:]
         return frames
 
     def answer(self, reply: bytes) -> None:
-        """Answer the request that was taken with an encoded `reply`; who is gone gets nothing."""
+        """Send an encoded `reply` to the last request; a peer that is gone gets nothing."""
         self.socket.send_multipart([*self._envelope, reply])
 
 
 class Connection:
-    """A connection to a node that is kept from one request to the next: over a slow cable each handshake costs round trips.
+    """A persistent connection to a node, to save handshakes over slow cables.
 
     One thread uses it.
 
@@ -181,8 +182,7 @@ class Connection:
     endpoint : str
         The node's control endpoint.
     watch : callable, optional
-        Called again and again while an answer is waited for; it raises when there is nobody left
-        who could give one.
+        Called repeatedly while waiting for an answer; it raises if none can come any more.
     """
 
     def __init__(
@@ -194,7 +194,7 @@ class Connection:
         self._socket: Socket | None = None
 
     def call(self, op: str, timeout: float = 2.0, **args: object) -> Any:
-        """Ask the node and wait for its reply.
+        """Send a request to the node and return the result of its reply.
 
         Parameters
         ----------
@@ -213,10 +213,10 @@ class Connection:
         Raises
         ------
         ControlError
-            When the request is too long, or the node refuses, answers nonsense, or does not answer
-            in time.
+            If the request is too long, or the node refuses, sends an invalid reply, or does not
+            answer in time.
         EndpointRefusedError, KeyRefusedError
-            When the endpoint or this machine's keys cannot be used.
+            If the endpoint or this machine's keys cannot be used.
         """
         payload = msgspec.msgpack.encode(Request(op, args))
         if len(payload) > MAX_REQUEST:
@@ -230,7 +230,7 @@ class Connection:
             socket.send(payload)
             frames = self._received(socket, time.monotonic() + timeout)
         except zmq.Again as error:
-            # What comes later must not be taken for the answer to another request.
+            # a late reply must not be taken for the answer to another request
             self.drop()
             raise NoAnswerError(
                 f"{self._endpoint}: no answer to {op} within {timeout:g} s; is the node running?"
@@ -244,7 +244,7 @@ class Connection:
         return reply.result
 
     def _received(self, socket: Socket, until: float) -> list[bytes]:
-        """Wait for the reply; a node that has ended in the meantime gives none, and need not be waited for."""
+        """Return the frames of the reply; `watch` raises if the node has ended."""
         while self._watch is not None and not socket.poll(_WATCHED):
             if time.monotonic() >= until:
                 raise zmq.Again
@@ -256,7 +256,7 @@ class Connection:
         return socket.recv_multipart()
 
     def _refuse_revoked(self) -> None:
-        """Ask no machine whose key is not allowed here any more, and hear nothing from it."""
+        """Raise if the key of the node's machine is not allowed here."""
         bare, _, key = self._endpoint.partition("#")
         if key and key not in trusted()[0]:
             self.drop()
@@ -273,14 +273,16 @@ class Connection:
         return socket
 
     def drop(self) -> None:
-        """Close the connection; the next request makes another one."""
+        """Close the connection; the next request opens another one."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
 
 
 def call(context: Context, endpoint: str, op: str, timeout: float = 2.0, **args: object) -> Any:
-    """Ask a node once: `op` with `args`, at its `endpoint`, over a connection in this `context`, for `timeout` at most [s].
+    """Send one request `op` with `args` to the node at `endpoint` and return the result.
+
+    The connection is made in this `context`; `timeout` is the longest wait [s].
 
     Returns
     -------

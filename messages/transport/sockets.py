@@ -1,7 +1,7 @@
-"""ZeroMQ sockets as the loop needs them: one bound publisher per node, listeners that connect, two frames per message.
+"""ZeroMQ subscriptions as the loop needs them: two frames per message, blocking receive.
 
-The choices are measured ones: blocking receive rather than a poller, default high-water marks on
-loop sockets, no CONFLATE (it corrupts multipart messages).
+The choices were measured: blocking receive rather than a poller, default high-water marks on loop
+sockets, no CONFLATE (it corrupts multipart messages).
 """
 
 import select
@@ -18,14 +18,14 @@ from messages.transport.waker import Waker
 
 __all__ = ["Publisher", "Subscription", "TimedOut"]
 
-# As plain numbers: pyzmq's enums cost more than the calls that take them.
+# plain numbers, because pyzmq's enums cost more than the calls that use them
 _MORE = int(zmq.RCVMORE)
 _EVENTS = int(zmq.EVENTS)
 _NOBLOCK = int(zmq.NOBLOCK)
 _POLLIN = int(zmq.POLLIN)
 
 TimedOut = zmq.Again
-"""Raised by `Subscription.next_frame` when nothing came in time."""
+"""Raised by `Subscription.next_frame` if nothing came in time."""
 
 
 class Subscription:
@@ -38,11 +38,11 @@ class Subscription:
     endpoints : iterable of str
         Publishers to connect to, see messages/transport/endpoints.py.
     topics : iterable of str
-        Topics to take; ``""`` takes all.
+        Topics to receive; ``""`` receives all.
     queue : int
-        High-water mark; the default serves the loop, a logger takes more.
+        High-water mark; the default serves the loop, a logger uses more.
     links : Links, optional
-        What looks after its connections: see messages/transport/links.py.
+        Monitor of its connections: see messages/transport/links.py.
 
     Attributes
     ----------
@@ -50,13 +50,13 @@ class Subscription:
         Descriptor to wait on: see `receive_until`.
     next_frame : callable
         Waits for the next frame for as long as `set_timeout` says, then raises `TimedOut`. For the
-        loop, where each call costs a tick: it compares the first frame with the topic that it
-        expects, and takes the second.
+        loop, where each call costs a tick: it compares the first frame with the expected topic, and
+        receives the second.
 
     Raises
     ------
     EndpointRefusedError, KeyRefusedError
-        When an endpoint or this machine's keys cannot be used.
+        If an endpoint or this machine's keys cannot be used.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class Subscription:
             self._socket.subscribe(topic)
 
     def native_handle(self) -> int:
-        """Let compiled code of this thread receive; what is not for it is put back.
+        """Return the socket for compiled code of this thread, which puts back what it cannot use.
 
         Returns
         -------
@@ -97,20 +97,20 @@ class Subscription:
         return self._socket.underlying
 
     def register(self, poller: zmq.Poller) -> None:
-        """Let a `poller` of the receiving thread wait for it, among several; the loop waits with `receive_until`."""
+        """Register with a `poller` of the receiving thread; the loop uses `receive_until`."""
         poller.register(self._socket, zmq.POLLIN)
 
     def put_back(self, frames: Iterable[bytes]) -> None:
-        """Let the next ones be these frames, which were taken off the socket before."""
+        """Return frames to the head of the queue."""
         self._returned.extend(frames)
 
     def has_returned(self) -> bool:
-        """Whether frames that were put back are still to be taken; compiled code, which looks at the socket, misses them.
+        """Return whether frames that were put back wait; compiled code does not see them.
 
         Returns
         -------
         bool
-            False as soon as what comes next is on the socket.
+            False if the next frame is on the socket.
         """
         return bool(self._returned)
 
@@ -118,28 +118,31 @@ class Subscription:
         return self._returned.popleft() if self._returned else self._socket.recv(flags)
 
     def woken_by(self, waker: Waker) -> None:
-        """Let a `waker`, for a topic of this subscription and closed with it, end the waits of `next_frame` by its frame."""
+        """Make a `waker`, for a topic of this subscription and closed with it, end waits."""
         self._socket.connect(waker.endpoint)
         self._waker = waker
 
     def set_timeout(self, timeout_ms: int) -> None:
-        """Set how long `next_frame` waits: `timeout_ms` [ms]; 0 does not wait, -1 waits without end."""
+        """Set how long `next_frame` waits, `timeout_ms` [ms]; 0: no wait, -1: for ever."""
         if timeout_ms != self._timeout_ms:
             self._socket.rcvtimeo = timeout_ms
             self._timeout_ms = timeout_ms
 
     def _rest(self, topic: bytes) -> tuple[bytes, bytes]:
-        """Take the second frame. A message of one frame has none; a third frame is met as the next message's first."""
+        """Receive the second frame of a message.
+
+        A message of one frame has none; a third frame appears as the next message's first.
+        """
         return (topic, self.next_frame()) if self._returned or self._get(_MORE) else (b"", b"")
 
     def receive(self, timeout_ms: int) -> tuple[bytes, bytes] | None:
-        """Wait for the next message with blocking receive (one wake-up, no poller), `timeout_ms` at most [ms]; 0 does not wait.
+        """Wait for the next message for at most `timeout_ms` [ms], with one wake-up; 0: no wait.
 
         Returns
         -------
         tuple of bytes or None
-            Topic and payload; None when the time was over or it was woken, ``(b"", b"")`` for a
-            message of one frame.
+            Topic and payload; None after a time-out or a wake-up, ``(b"", b"")`` for a message of
+            one frame.
         """
         self.set_timeout(timeout_ms)
         try:
@@ -149,16 +152,16 @@ class Subscription:
         return None if self._waker is not None and topic == self._waker.frame else self._rest(topic)
 
     def resynchronise(self) -> None:
-        """Drop what is left of the present message, so that the next frame is a topic again.
+        """Discard the rest of the present message, so that the next frame is a topic again.
 
-        For readers that take frames without asking where a message ends, which costs a tick about 3
-        µs: a message of one frame, or of three, shows as a topic that is not the one expected.
+        For readers that do not check where a message ends, which costs a tick about 3 µs: a message
+        of one frame, or of three, appears as an unexpected topic.
         """
         while self._get(_MORE):
             self.next_frame()
 
     def next_message(self, flags: int = 0) -> tuple[bytes, bytes]:
-        """Take two frames, as `next_frame` does with ZeroMQ's `flags`; the caller compares both with the topic that it expects.
+        """Receive two frames with ZeroMQ's `flags`, for comparison with the expected topic.
 
         Returns
         -------
@@ -172,10 +175,10 @@ class Subscription:
             return topic, b""
 
     def receive_soon(self, deadline: float) -> tuple[bytes, bytes] | None:
-        """Wait for a message that is all but sure to come before a `deadline` [s]: cheaper than `receive_until`.
+        """Wait for a message that is almost certain to come before a `deadline` [s].
 
-        The wait is ZeroMQ's own, in whole milliseconds: should the message not come, this may
-        return one after the deadline.
+        Cheaper than `receive_until`: the wait is ZeroMQ's own, in whole milliseconds. Should the
+        message not come, this may return one after the deadline.
 
         Returns
         -------
@@ -189,17 +192,16 @@ class Subscription:
             return self.receive_until(deadline)
 
     def receive_until(self, deadline: float) -> tuple[bytes, bytes] | None:
-        """Wait for the next message until a `deadline` on the monotonic clock [s], to the microsecond.
+        """Wait for the next message until a monotonic `deadline` [s], to the microsecond.
 
         ZeroMQ's own time-outs are whole milliseconds, too coarse above 500 Hz, so the wait is a
-        select on the socket's descriptor. That is edge-triggered: the socket must have said that it
+        select on the socket's descriptor. That is edge-triggered: the socket must report that it
         has nothing before each wait.
 
         Returns
         -------
         tuple of bytes or None
-            Topic and payload; None when the time was over; an empty payload for a message of one
-            frame.
+            Topic and payload; None after the deadline; an empty payload for a message of one frame.
         """
         while not self._returned and not self._get(_EVENTS) & _POLLIN:  # type: ignore[operator]  # an int, for this option
             remaining = deadline - time.monotonic()

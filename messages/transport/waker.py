@@ -1,8 +1,8 @@
 """Ending a wait for the next message from another thread, or from a signal handler.
 
-A receive with a time-out costs a tick 1.5 µs more than one without, and a node that waits for
-something else than messages sees it only when the time is over. So the loop waits without end, and
-other threads send it a message inside the process.
+A receive with a time-out costs a tick 1.5 µs more than one without, and would notice other work
+only after that time. So the loop waits for ever, and other threads send it a message inside the
+process.
 """
 
 import os
@@ -14,13 +14,13 @@ from messages.transport.endpoints import Context
 
 
 class Waker:
-    """Sends a subscription of the same process a frame that is no message, but begins with its `topic` and so gets through."""
+    """Wakes a SUB socket of this process with a dummy frame that matches its `topic`."""
 
     def __init__(self, context: Context, topic: bytes) -> None:
-        # Nobody else can make one: what looks like it is refused as any other topic.
-        self.frame = topic + b"\x00" + os.urandom(16)  # what it receives, alone
+        # Nobody else can forge it: a similar frame is discarded like any other topic.
+        self.frame = topic + b"\x00" + os.urandom(16)  # the frame received, alone
         self.endpoint = f"inproc://wake-{id(self)}"  # where the subscription connects
-        self._lock = threading.RLock()  # A signal handler may interrupt its own thread here
+        self._lock = threading.RLock()  # a signal handler may interrupt its own thread here
         self._socket = context.socket(zmq.PUB)
         self._socket.bind(self.endpoint)
 
@@ -31,6 +31,6 @@ class Waker:
                 self._socket.send(self.frame)
 
     def close(self) -> None:
-        """Close the socket; waking does nothing any more."""
+        """Close the socket; `wake` has no effect any more."""
         with self._lock:
             self._socket.close(linger=0)

@@ -30,7 +30,7 @@ from messages.transport.endpoints import (
 )
 from messages.transport.gate import Gate, Reopening
 from messages.transport.links import Links
-from messages.transport.requests import Desk, Reply, Request, decode_request
+from messages.transport.requests import Reply, ReplySocket, Request, decode_request
 from nodes.base import descriptors, realtime
 from nodes.base.leases import Leases
 from nodes.base.node import Node
@@ -111,8 +111,8 @@ class ControlServer(threading.Thread):
 
     def _open(self) -> None:
         node = self._node
-        self._desk = Desk(self._context)
-        self._socket = self._desk.socket
+        self._requests = ReplySocket(self._context)
+        self._socket = self._requests.socket
         # Requests are carried by the thread that serves listeners, off the loop's processor where
         # there is another.
         self._socket.setsockopt(zmq.AFFINITY, 1 << (int(self._context.get(zmq.IO_THREADS)) - 1))
@@ -252,7 +252,7 @@ class ControlServer(threading.Thread):
         node = self._node
         node.changes.serving.stop()
         try:
-            frames = self._desk.take()
+            frames = self._requests.receive()
             self._await_turn()
         except zmq.Again:
             return
@@ -268,7 +268,7 @@ class ControlServer(threading.Thread):
             encoded = msgspec.msgpack.encode(
                 Reply(False, error=f"{node.setup.name}: unsendable result: {error}")
             )
-        self._desk.answer(encoded)
+        self._requests.answer(encoded)
 
     def _keep(self) -> None:
         try:
@@ -287,7 +287,7 @@ class ControlServer(threading.Thread):
             except zmq.ZMQError as error:
                 self._node.events.emit("control", f"a request could not be served: {error}")
             for duty in (
-                self._node.look_after,
+                self._node.check_health,
                 self._keep,
                 self._watch_lease,
                 self._put_back,
@@ -323,10 +323,10 @@ class ControlServer(threading.Thread):
             self._next_status = now + STATUS_PERIOD
             self._watch_descriptors()
             node.events.publish(topics.status(node.setup.name), node.status())
-            self._reopening.tend()
+            self._reopening.maintain()
             self._review_memory()
             # Who answers each tick should hear one all the time, from the first one on.
-            self._links.look(
+            self._links.poll(
                 node.counted().ticks or None if node.answers and node.state == "running" else None
             )
 

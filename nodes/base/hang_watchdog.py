@@ -40,7 +40,7 @@ class LastResort:
         self._file = open(_last_place(setup), "wb")  # noqa: SIM115  # as long as the process
         self._limit = self._wound = 0.0
 
-    def wind(self, limit: float) -> None:
+    def postpone(self, limit: float) -> None:
         """Put off the end, as long as somebody can."""
         if self._wound == math.inf:
             return

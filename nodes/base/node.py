@@ -71,7 +71,7 @@ class Node:
         What it takes in.
     waker : Waker or None
         What ends the loop's wait; None for a loop that does not wait without end.
-    kept : msgspec.Struct
+    saved_parameters : msgspec.Struct
         The parameters that a successor of this process would go on with.
     failing : bool
         Whether its end is a failure, although it goes there in order.
@@ -118,7 +118,7 @@ class Node:
         self.sent = self.received = 0
         self.intake = Intake(self)
         self.answer = b""
-        self.kept = self.store.current
+        self.saved_parameters = self.store.current
         self.resumed_at = -1
         self.watched: tuple[int, int, int] | None = None
         self.kernel: Callable[[int], int] | None = None
@@ -339,7 +339,7 @@ class Node:
         """
         return self.prepare(parameters)
 
-    def look_after(self) -> None:
+    def check_health(self) -> None:
         """Look whether all is well, about twice a second (control thread)."""
 
     def operations(self) -> dict[str, Callable[..., Any]]:
@@ -421,10 +421,10 @@ class Node:
             self.changes.apply_next(seq)
         if self.events.outbox:
             self.flush_outbox()
-        if self.tend() or self.changes:
+        if self.maintain() or self.changes:
             self.events.waiting = True
 
-    def tend(self) -> bool:
+    def maintain(self) -> bool:
         """Take in what listeners have sent, and connect anew what the control thread found deaf (main thread).
 
         Returns
@@ -435,8 +435,8 @@ class Node:
         if self.links is None:
             # There are no sockets.
             return False
-        self.links.tend()
-        return self.publisher.tend()
+        self.links.maintain()
+        return self.publisher.maintain()
 
     def status(self) -> NodeStatus:
         """Describe the node now.

@@ -55,7 +55,7 @@ def _await_listeners(node: Node) -> None:
                 {"listeners": there, "expected": expected, "limit_s": patience},
             )
             return
-        node.tend()
+        node.maintain()
         time.sleep(0.002)
 
 

@@ -31,9 +31,9 @@ def keep(node: Node) -> None:
     # In this order: what a scheduled swap changes in between is then done once more, and not left
     # out.
     seq, current = node.counted().seq, node.store.current
-    if current is node.kept or not node.setup.run_dir:
+    if current is node.saved_parameters or not node.setup.run_dir:
         return
-    node.kept = current
+    node.saved_parameters = current
     kept = Kept(seq=seq, parameters=msgspec.to_builtins(current), watched=node.watched)
     write_whole(_path(node), kept)
 
@@ -52,7 +52,11 @@ def resume(node: Node) -> None:
             " parameters hold"
         )
         return
-    node.kept, node.resumed_at, node.watched = node.store.current, kept.seq, kept.watched
+    node.saved_parameters, node.resumed_at, node.watched = (
+        node.store.current,
+        kept.seq,
+        kept.watched,
+    )
     node.events.emit_each(
         "resumed", f"goes on with the parameters that it had at tick {kept.seq}", {"tick": kept.seq}
     )

@@ -1,1 +1,1 @@
-"""A running launch, seen from outside: find it, know which node has which part, ask the nodes."""
+"""Client of a running launch: find it, know its nodes, send them requests."""

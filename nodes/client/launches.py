@@ -1,6 +1,6 @@
-"""Find a running launch, know which node is its driver, environment and coupling, and ask its nodes.
+"""Find a running launch and its driver, environment and coupling; send requests.
 
-The command line, the studies and Python programs all come through here.
+Used by the command line, the studies and Python programs.
 """
 
 import difflib
@@ -17,20 +17,21 @@ from nodes.client.moved_device import is_moved, set_moved
 from nodes.launcher.runs import RunError, RunInfo, alive, find_run, runs
 
 TIMEOUT = 10.0  # longest wait for an answer [s]: judging a law of thousands of taps takes seconds
-PATIENCE = 2.0  # how long a launch that was started a moment ago may take to appear [s]
+FIND_TIMEOUT = 2.0  # longest wait for a launch that has just been started [s]
 
 _PUBLISHES = {"driver": topics.DEVICE_STATE, "environment": topics.PROXY, "coupling": topics.FORCE}
 
 
 class NoSuchNameError(UsageError):
-    """A launch has no node or topic of that name; the text names those that it has."""
+    """A launch has no node or topic of that name; the text names the existing ones."""
 
 
-def find(name: str | None = None, patience: float = PATIENCE) -> RunInfo:
-    """Find the launch that is meant: by its run or scenario, else by the variable HAPTIC_RUN, else the only one that runs.
+def find(name: str | None = None, patience: float = FIND_TIMEOUT) -> RunInfo:
+    """Return the launch named by run or scenario, by HAPTIC_RUN, or else the only one running.
 
-    ``NAME/left`` or ``/left`` means its chain in the namespace ``left`` alone. `patience`: how long
-    to wait while nothing runs [s]: a launch that was started a moment ago has not appeared yet.
+    ``NAME/left`` or ``/left`` means only its chain in the namespace ``left``. `patience` is how
+    long to wait while nothing runs [s], because a launch that has just been started takes time to
+    appear.
     """
     wanted = os.environ.get("HAPTIC_RUN") or None
     until = time.monotonic() + patience
@@ -46,7 +47,7 @@ def find(name: str | None = None, patience: float = PATIENCE) -> RunInfo:
 
 
 def node_name(run: RunInfo, name: str) -> str:
-    """Find a node by name, with or without the leading slash; the error has the nearest name."""
+    """Return a node's full name, given with or without slash; the error has the nearest name."""
     plain = name.removeprefix("/")
     if plain in run.nodes:
         return plain
@@ -64,7 +65,7 @@ def node_name(run: RunInfo, name: str) -> str:
 
 
 def known_topic(run: RunInfo, topic: str) -> str:
-    """Check that a topic, by its whole name, is published in a run; the error has the nearest name."""
+    """Check that a topic (full name) is published in a run; the error has the nearest name."""
     known = list(run.endpoints())
     if topic not in known:
         raise NoSuchNameError(f"{run.run}: no topic {topic!r}; {_hint(topic, known, 'there are')}")
@@ -77,7 +78,10 @@ def _hint(name: str, known: list[str], otherwise: str) -> str:
 
 
 def roles(run: RunInfo) -> dict[str, str]:
-    """Tell which node is ``driver``, ``environment`` and ``coupling`` of a launch's only chain, by what it publishes."""
+    """Return the names of ``driver``, ``environment`` and ``coupling`` of the only chain.
+
+    A node's role follows from what it publishes.
+    """
     from nodes.base.node_kinds import load
 
     run.only_chain()
@@ -91,7 +95,10 @@ def roles(run: RunInfo) -> dict[str, str]:
 
 
 def ask(run: RunInfo, node: str, op: str, timeout: float = TIMEOUT, **args: Any) -> Any:
-    """Ask one node to do `op` (messages/PROTOCOL.md); ControlError says why it refuses, does not answer, or cannot be asked."""
+    """Send the request `op` to a node and return its answer (messages/PROTOCOL.md).
+
+    Raises ControlError if the node refuses, does not answer, or cannot be reached.
+    """
     node = node_name(run, node)
     if op == "param.set" and is_moved(run, node, args.get("values")):
         return set_moved(
@@ -114,8 +121,8 @@ def _ask(run: RunInfo, timeout: float, node: str, op: str, /, **args: Any) -> An
         line = Connection(context, run.nodes[node].control, watch)
         return line.call(op, timeout, **args)
     except (ValueError, OverflowError, TypeError) as error:
-        # An endpoint or key that cannot be used, a value that no message can carry.
+        # an unusable endpoint or key, or a value that no message can carry
         raise ControlError(str(error)) from error
     finally:
-        # With whatever socket an interrupt left open: term() alone would wait for it for ever.
+        # includes sockets left open by an interrupt, for which term() alone would wait for ever
         context.destroy(linger=0)

@@ -1,4 +1,4 @@
-"""Listen to topics of a running launch from beside it, as any number of listeners may without the loop noticing."""
+"""Listening to topics of a running launch, without any effect on its loop."""
 
 import contextlib
 import time
@@ -14,17 +14,17 @@ from messages.types import Message
 from nodes.base import realtime
 from nodes.launcher.runs import RunInfo
 
-QUIET_MS = 100  # how often a listener that hears nothing looks up [ms]
+QUIET_MS = 100  # how often an idle listener checks the run [ms]
 QUEUE = 100_000  # messages that wait while the listener is busy
 
 
 class Heard(NamedTuple):
-    """A message and how it came."""
+    """A received message."""
 
     topic: str  # its topic
-    message: Message | None  # the message; None for one that was refused as malformed
+    message: Message | None  # None if it was malformed
     size: int  # bytes of both frames
-    time: float  # when it was received, on the host's monotonic clock [s]
+    time: float  # time of reception, on the host's monotonic clock [s]
 
 
 @contextlib.contextmanager
@@ -35,8 +35,8 @@ def listening(
     queue: int = QUEUE,
     say: Callable[[str], None] = say_link,
 ) -> Iterator[tuple[Subscription, Links]]:
-    """Subscribe off the processors of a run; `say` takes what became of a link."""
-    # The socket's threads, and others that are started in the block, inherit it.
+    """Subscribe, off the processors of a run; `say` is called with changes of a link."""
+    # inherited by the socket's threads, and by others started in the block
     with realtime.off(run.processors):
         context = new_context()
         links = Links(context, say, say)
@@ -50,7 +50,7 @@ def listening(
 
 
 def listen(run: RunInfo, topics: Collection[str], duration: float = 0.0) -> Iterator[Heard | None]:
-    """Receive messages until the run ends or the time is over."""
+    """Yield messages until the run ends or `duration` [s] is over; None while nothing arrives."""
     endpoints = run.endpoints()
     names = {within(run.namespace, topic).encode(): topic for topic in topics}
     decoders = {
@@ -72,7 +72,7 @@ def listen(run: RunInfo, topics: Collection[str], duration: float = 0.0) -> Iter
                     return
                 yield None
                 continue
-            # A subscription is a prefix: what merely begins like a topic is not meant
+            # A subscription matches by prefix: discard topics that only begin like a wanted one.
             topic = names.get(frames[0])
             if topic is None:
                 continue

@@ -1,4 +1,4 @@
-"""A device that changes while it runs: first the coupling judges its law with that, then the driver changes it."""
+"""Changing a running device: the coupling judges its law first, then the driver changes."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from nodes.base.node_kinds import load
 from nodes.launcher.plants import has_plant
 from nodes.launcher.runs import RunInfo
 
-# a driver's parameter to that of the plant
+# driver parameter to parameter of the plant
 FIELDS: Final = {"device.delay": "device_delay", "mapping.scale": "scale"}
 
 
 def is_moved(run: RunInfo, node: str, values: object) -> bool:
-    """Return whether setting `values` of a `node` changes a device that laws are judged on."""
+    """Return whether setting `values` of a `node` changes a device on which laws are judged."""
     if not (isinstance(values, Mapping) and FIELDS.keys() & values.keys()):
         return False
     return topics.DEVICE_STATE in load(run.nodes[node].factory).publishes and bool(
@@ -25,7 +25,7 @@ def is_moved(run: RunInfo, node: str, values: object) -> bool:
 
 
 def _coupling(run: RunInfo, driver: str) -> str:
-    """Return the node of the driver's chain that judges laws on a plant; empty for none."""
+    """Return the node of the driver's chain that judges laws on a plant, or ""."""
     namespace = driver.rpartition("/")[0]
     inside = (
         name
@@ -38,13 +38,12 @@ def _coupling(run: RunInfo, driver: str) -> str:
 def set_moved(
     run: RunInfo, driver: str, values: Mapping[str, Any], ask: Callable[..., Any], force: bool
 ) -> Any:
-    """Set `values` of a driver; return its receipt. `ask` takes a node, an operation and its arguments.
+    """Set `values` of a driver and return its receipt; `ask` sends a request to a node.
 
     Raises
     ------
     ControlError
-        When the law would be unstable on that device, or the driver refuses: both are as before
-        then.
+        If the law would be unstable on that device, or the driver refuses; then both are unchanged.
     """
     coupling = _coupling(run, driver)
     plant = ask(coupling, "param.get", name="plant")
@@ -55,7 +54,7 @@ def set_moved(
     for name in FIELDS.keys() & values.keys():
         field, new = FIELDS[name], values[name]
         if isinstance(new, int | float):
-            # What the plant says beyond the device's own delay stays.
+            # keep what the plant adds to the device's own delay
             more = (
                 plant[field] - ask(driver, "param.get", name=name)
                 if field == "device_delay"

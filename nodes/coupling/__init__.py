@@ -1,1 +1,1 @@
-"""The coupling: renders a law over the history of deflections, and swaps laws between two ticks."""
+"""The coupling: renders a law over the history of deflections; changes laws between ticks."""

@@ -1,4 +1,4 @@
-"""The coupling's compiled ticks: laws of taps and sections, alone or in a cross-fade. A law with code of its own is plain."""
+"""Compiled ticks of the coupling, for laws of taps and sections, also during a cross-fade."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from nodes.compiled.answering import CompiledTicks
 from nodes.compiled.library import Kernel
 from nodes.coupling.renderer import Renderer
 
-# the kernel stops so often for laws that stand by: they run along before the history forgets
+# ticks after which the kernel stops for standby laws, which must catch up before the history
+# forgets
 STANDBY_TICKS = 64
 
 
 class CouplingTicks(CompiledTicks):
-    """The compiled ticks of a coupling."""
+    """Compiled ticks of a coupling; a law with own code uses the plain tick."""
 
     def __init__(self, node: Any, kernel: Kernel, renderer: Renderer) -> None:
         super().__init__(node, kernel, topics.PROXY, topics.FORCE)
@@ -23,7 +24,7 @@ class CouplingTicks(CompiledTicks):
         self._longest = self._most
 
     def load_state(self) -> bool:
-        """Tell the kernel how far it may go; whether the law is one of its own."""
+        """Set how far the kernel may run. Return whether it can render the law."""
         renderer = self._renderer
         if renderer.watched:
             return False
@@ -34,5 +35,5 @@ class CouplingTicks(CompiledTicks):
         return self._fits
 
     def store_state(self) -> None:
-        """Do what follows from the ticks."""
-        self._renderer.went_on()
+        """Advance fades and standby laws by the ticks done."""
+        self._renderer.after_ticks()

@@ -1,10 +1,11 @@
-"""Judges a law by its stability figures before it may render; a refusal names the limit and what would be taken instead.
+"""Stability checks of laws before they render; a refusal names an accepted value.
 
-Everything here runs on the control thread, or before anything is started.
+All of this runs on the control thread, or before the launch.
 """
 
 from __future__ import annotations
 
+import enum
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -19,25 +20,28 @@ from nodes.parameters.store import ParameterError
 if TYPE_CHECKING:
     from nodes.stability.judge import Verdict
 
-_SOFTEST = 1e-12  # a stiffness is looked for from this part of what was asked
-# significant digits of a value that would be taken: the measured delay moves the fourth
+_SOFTEST = 1e-12  # part of the requested stiffness from which a stable one is searched
+# significant digits of a suggested value; the measured delay changes the fourth
 _DIGITS = 3
 
 
-VIRTUAL, ASKED_FOR = (
-    "the device is virtual, and its driver ends what swings",
-    "somebody took it while it was felt",
-)
-"""Why a node may start, or start again, with a law that would be refused as a change."""
+class StartAnyway(enum.Enum):
+    """Why a coupling may start with a law that would be refused as a change."""
+
+    NO_REASON = ""
+    VIRTUAL = "the device is virtual and its driver stops an unstable loop"
+    ACCEPTED_BEFORE = "it was accepted before the restart"
 
 
-def refuses_start(policy: str, because: str) -> bool:
-    """Whether a coupling refuses to start unstable; `because`: why it may where changes are refused, empty for no reason.
+def refuses_start(policy: str, reason: StartAnyway) -> bool:
+    """Return whether a coupling refuses to start with an unstable law.
 
-    What was granted outlives a process: one that refused it when it is started again would leave
-    the run without a law.
+    A law that was accepted before a restart is accepted again, because the run would have no law
+    otherwise.
     """
-    return because != ASKED_FOR and (policy == "refuse" or (policy == "changes" and not because))
+    if reason is StartAnyway.ACCEPTED_BEFORE:
+        return False
+    return policy == "refuse" or (policy == "changes" and reason is StartAnyway.NO_REASON)
 
 
 class Judgement:
@@ -52,7 +56,7 @@ class Judgement:
     book : LawBook
         Its laws.
     known : mapping of str to float
-        What the other nodes of the chain know of the plant (`nodes.base.node.Node.plant`).
+        What other nodes of the chain know of the plant (`nodes.base.node.Node.plant`).
     """
 
     def __init__(
@@ -63,10 +67,10 @@ class Judgement:
     def refuse_contradiction(
         self, parameters: CouplingParameters, now: CouplingParameters | None = None
     ) -> None:
-        """Refuse a plant on which laws would be judged more stable than they are on the device that is known.
+        """Check that a plant does not make laws look more stable than the known device does.
 
-        `now`: the parameters before a change; what was taken before may stay. A device's delay is
-        not compared in a change, because it may have changed since the start.
+        `now` has the parameters before a change; values accepted earlier may stay. A change does
+        not compare a device's delay, because it may have changed since the start.
         """
         plant, before = parameters.plant, now and now.plant
         if plant is None or parameters.stability in ("warn", "off") or plant == before:
@@ -85,7 +89,7 @@ class Judgement:
     def verdict(
         self, parameters: CouplingParameters, law: CompiledLaw, measured_delay: float
     ) -> Verdict | None:
-        """Judge a compiled law on the declared device, where its mass makes the loop worst."""
+        """Return the verdict on a compiled law with the declared device, at its worst mass."""
         if parameters.plant is None or parameters.stability == "off":
             return None
         from nodes.stability.judge import judge
@@ -107,11 +111,11 @@ class Judgement:
         )
 
     def of_moving_world(self, parameters: CouplingParameters, delay: float) -> list[str]:
-        """Return what is certain of the law of tick 0 whatever a world that moves is, for this hand and for any hand.
+        """Return certificates of the law of tick 0 for every moving world, this hand and any hand.
 
-        A world that answers in the same tick may be any; a tool that is stepped may touch anything;
-        a second device may be in any hand, as this one. Empty for a coupling to a wall, and for a
-        law without poles.
+        A world that answers in the same tick may be any; a stepped tool may touch anything; a
+        second device may be in any hand, as this one. Empty for a coupling to a wall, and for a law
+        without poles.
         """
         plant = parameters.plant
         if plant is None or parameters.stability == "off":
@@ -140,7 +144,7 @@ class Judgement:
         ]
 
     def unjudged(self, parameters: CouplingParameters) -> str:
-        """Return why a law that will render has no verdict; empty when all of them have."""
+        """Return why a law that will render has no verdict; empty if all have one."""
         if parameters.plant is None or parameters.stability == "off":
             return self.why_not(parameters)
         for name in _rendering(parameters):
@@ -149,10 +153,17 @@ class Judgement:
         return ""
 
     def at_start(
-        self, parameters: CouplingParameters, delay: float, because: str = ""
+        self,
+        parameters: CouplingParameters,
+        delay: float,
+        reason: StartAnyway = StartAnyway.NO_REASON,
     ) -> list[str]:
-        """Judge the law of tick 0, those that are scheduled, and the fallback; `because`: as of `refuses_start`."""
-        if parameters.stability == "refuse" and parameters.plant is None and because != ASKED_FOR:
+        """Judge the law of tick 0, the scheduled laws and the fallback. Return warnings.
+
+        `reason` allows a start with an unstable law, as in `refuses_start`.
+        """
+        accepted = reason is StartAnyway.ACCEPTED_BEFORE
+        if parameters.stability == "refuse" and parameters.plant is None and not accepted:
             raise ParameterError(
                 f"{self._node}.stability: refuse needs {self._node}.plant, the device that a law is"
                 " judged with; declare its mass and damping, or set stability to warn"
@@ -167,9 +178,13 @@ class Judgement:
                 )
         warnings += self._of_fallback(parameters, delay)
         policy = parameters.stability
-        if warnings and refuses_start(policy, because):
+        if warnings and refuses_start(policy, reason):
             raise ParameterError(f"{warnings[0]}, or set {self._node}.stability to warn")
-        why = because if policy in ("changes", "refuse") else f"{self._node}.stability is {policy}"
+        why = (
+            reason.value
+            if policy in ("changes", "refuse")
+            else f"{self._node}.stability is {policy}"
+        )
         return [f"{warning}; started anyway: {why}" for warning in warnings]
 
     def _of_fallback(self, parameters: CouplingParameters, delay: float) -> list[str]:
@@ -189,7 +204,7 @@ class Judgement:
         delay: float,
         force: bool,
     ) -> tuple[Verdict | None, str]:
-        """Judge a law that would render after a change."""
+        """Judge a law that would render after a change. Return the verdict and a warning."""
         verdict = self.verdict(wanted, law, delay)
         if verdict is None or verdict.stable:
             return verdict, ""
@@ -205,7 +220,7 @@ class Judgement:
     def refuse_fallback(
         self, now: CouplingParameters, wanted: CouplingParameters, delay: float, force: bool
     ) -> None:
-        """Refuse a changed fallback that would be unstable, as a law is."""
+        """Reject a changed fallback that would be unstable."""
         if now.fallback != wanted.fallback and not force and wanted.stability != "warn":
             for text in self._of_fallback(wanted, delay):
                 raise ParameterError(f"{text}; nothing was changed")
@@ -274,7 +289,10 @@ class Judgement:
     def _start(
         self, now: CouplingParameters | None, name: str, asked: dict[str, Any]
     ) -> dict[str, float]:
-        """Where the way to what is asked begins: the values before, else no stiffness; nothing when the law has none."""
+        """Return the start of the path to a refused law: the values before, or no stiffness.
+
+        Empty if the law has no such value.
+        """
         ends = _numbers(asked)
         if now is not None and name in self._book.names(now):
             before = self._book.description(now, name)
@@ -290,7 +308,8 @@ class Judgement:
         return compile_law(parse_law(description), self._period)
 
 
-_CLOSE = 0.01  # relative difference up to which a written value is the known one, rounded
+# relative difference up to which a written value equals the known one, because of rounding
+_CLOSE = 0.01
 _UNITS = {
     "mass": "kg",
     "heaviest": "kg",
@@ -306,7 +325,7 @@ _UNITS |= {
     "partner_damping": "N s/m",
     "partner_stiffness": "N/m",
 }
-_MOVABLE = ("device_delay", "scale")  # what a driver may change while it runs
+_MOVABLE = ("device_delay", "scale")  # fields that a driver may change while it runs
 _WHOSE = {
     "tool_mass": "the tool of the scene weighs",
     "tool_damping": "the tool of the scene is damped to ground by",
@@ -320,15 +339,15 @@ _WHOSE = {
 
 
 def contradictions(plant: PlantParameters, known: Mapping[str, float]) -> dict[str, str]:
-    """Return the fields of a plant that make a loop look more stable than it is on the known device.
+    """Return the fields of a plant with which a loop looks more stable than it is.
 
-    Less mass or damping, a stiffer hand, a lighter tool and a longer delay are a worse device,
+    Less mass or damping, a stiffer hand, a lighter tool and a longer delay make a worse device,
     which a user may ask for.
 
     Parameters
     ----------
     plant : PlantParameters
-        As it is written.
+        The plant as written.
     known : mapping of str to float
         What the nodes of the chain know of it.
 
@@ -350,7 +369,7 @@ def contradictions(plant: PlantParameters, known: Mapping[str, float]) -> dict[s
         elif field == "heaviest":
             kept = value is None or value >= low
         elif field == "partner_later":
-            kept = True  # what is worse, an earlier or a later one, no number tells
+            kept = True  # no value shows whether earlier or later is worse
         elif field in ("stiffness", "partner_stiffness", "device_delay"):
             kept = value >= low
         else:
@@ -361,7 +380,7 @@ def contradictions(plant: PlantParameters, known: Mapping[str, float]) -> dict[s
 
 
 def _rendering(parameters: CouplingParameters) -> list[str]:
-    """Return the names of the laws that render by themselves: that of tick 0, and those that are scheduled."""
+    """Return the names of the laws of tick 0 and of the schedule."""
     return list(dict.fromkeys([parameters.law, *(swap.law for swap in parameters.schedule)]))
 
 
@@ -370,7 +389,7 @@ def _shown(value: float | None, unit: str) -> str:
 
 
 def _numbers(tree: Any) -> dict[str, float]:
-    """All floats of a law's description by their path."""
+    """Return all floats of a law's description by path."""
     found: dict[str, float] = {}
 
     def note(path: str, value: float) -> float:
@@ -381,7 +400,7 @@ def _numbers(tree: Any) -> dict[str, float]:
 
 
 def _mapped(tree: Any, change: Callable[[str, float], float], path: str = "") -> Any:
-    """Change the floats of a description."""
+    """Return a description with its floats changed."""
     if isinstance(tree, float):
         return change(path, tree)
     if isinstance(tree, dict):
@@ -400,7 +419,7 @@ def _scaled(law: CompiledLaw, factor: float) -> CompiledLaw:
 
 
 def _rounded(value: float, towards: float) -> float:
-    """Round to a few digits, towards another value."""
+    """Return a value rounded to a few digits towards another value."""
     if value == 0.0:
         return value
     unit = 10.0 ** (math.floor(math.log10(abs(value))) + 1 - _DIGITS)

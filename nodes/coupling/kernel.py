@@ -1,4 +1,4 @@
-"""The coupling's tick, compiled: nodes/coupling/render.py as it stands, over laws of taps and recursive sections."""
+"""Compiled tick of the coupling: nodes/coupling/render.py over laws of taps and sections."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ _render, _bridge = make_render(LawPort(_ring, _force_of, _see, _gain_of, _revise
 
 @compilable
 def _note(s: CouplingState, saves: bool) -> None:
-    """Save what a tick overwrites, or put it back."""
+    """Save, or restore, the state that a tick overwrites."""
     undo = reals_at(s.undo, s.undo_count)
     at = 0
     if s.turning == 1:
@@ -132,7 +132,7 @@ def _note(s: CouplingState, saves: bool) -> None:
 
 @compilable
 def ticks(address: int) -> int:
-    """Answer proxies with forces until something is unusual."""
+    """Answer proxies with forces until a case for the plain tick comes. Return how many."""
     s = _look(address)
     done = 0
     position, proxy, normal = (
@@ -151,14 +151,15 @@ def ticks(address: int) -> int:
             or s.wholes[_REBASED] != s.rebased
             or s.jumps != 0
         ):
-            break  # a beginning or a jump: the plain tick begins the histories anew
+            break  # a start or a jump: the plain tick restarts the histories
         if overtaken(s, s.reals[_STAMP]):
             continue
         contact, distance = s.wholes[_CONTACT] != 0, s.reals[_DISTANCE]
         if seq > s.seq + 1:
             missing = seq - s.seq - 1
             _bridge(s, position, proxy, normal, distance, contact, missing)
-            count_gap(s, missing)  # whoever takes the tick over from here must not do it again
+            # counted here, so that the plain tick does not count the gap again
+            count_gap(s, missing)
             s.seq += missing
             s.answered = s.seq
         _note(s, True)
@@ -174,7 +175,7 @@ def ticks(address: int) -> int:
             force,
             s.pushes[s.axes - 1] + 1,
         ):
-            _note(s, False)  # the plain tick does it, and falls back
+            _note(s, False)  # the plain tick repeats it, and falls back
             break
         s.frames = 0
         s.seq = s.answered = seq
@@ -187,7 +188,7 @@ def ticks(address: int) -> int:
         s.out_reals[_TO_STAMP] = (
             monotonic(s) + s.clock_offset if s.realtime != 0 else s.reals[_STAMP]
         )
-        # before it is sent: whoever has the answer and asks for the count finds it there
+        # before sending: a client that has the answer must find it counted
         s.ticks += 1
         at = out_at(s)
         answer(s, at, _encode(at, s.out_keys, s.out_reals, s.out_wholes, s.text, s.text_size) - at)

@@ -1,4 +1,4 @@
-"""The named laws of a coupling: compiled and described before they may render."""
+"""The named laws of a coupling, compiled and described before they render."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ MAX_TEXT = 4000  # longest description of a law in a receipt [characters]
 
 
 class LawBook:
-    """Looks laws up by name."""
+    """Finds laws by name."""
 
     def __init__(self, node: str, period: float) -> None:
         self._node, self._period = node, period
 
     def names(self, parameters: CouplingParameters) -> list[str]:
-        """List what can be switched to."""
+        """Return the names of all laws that can become active."""
         kinds = [
             kind for kind in law_names() if kind not in PRESETS and self._usual(parameters, kind)
         ]
@@ -32,11 +32,11 @@ class LawBook:
         ]
 
     def description(self, parameters: CouplingParameters, name: str) -> dict[str, Any]:
-        """Describe a law completely."""
+        """Return the complete description of a law."""
         return law_to_dict(parse_law(self._find(parameters, name), f"{self._node}.laws.{name}"))
 
     def text(self, parameters: CouplingParameters, name: str) -> str:
-        """Describe a law in one line, for receipts."""
+        """Return a law's description in one line, for receipts."""
         whole = {"law": name, **self.description(parameters, name)}
         if len(text := describe(whole)) > MAX_TEXT:
             text = describe(
@@ -61,7 +61,7 @@ class LawBook:
         )
 
     def _usual(self, parameters: CouplingParameters, kind: str) -> bool:
-        """Whether a kind is a law with what is usual here."""
+        """Return whether law `kind` can be built from the default fields."""
         try:
             used = set(parameters.usual) & set(_fields(kind))
             law_to_dict(parse_law(self._find(parameters, kind)))
@@ -70,7 +70,7 @@ class LawBook:
         return bool(used)
 
     def compile(self, parameters: CouplingParameters, name: str) -> CompiledLaw:
-        """Compile a law."""
+        """Return a law by name, compiled."""
         where = f"{self._node}.laws.{name}"
         compiled = compile_law(parse_law(self._find(parameters, name), where), self._period, where)
         if len(compiled.taps) > parameters.memory:
@@ -83,7 +83,7 @@ class LawBook:
     def figures(
         self, parameters: CouplingParameters, law: CompiledLaw | str, measured_delay: float
     ) -> dict[str, Any]:
-        """Tell what a law, compiled or by its name, really renders."""
+        """Return what a law, compiled or by name, renders."""
         compiled = self.compile(parameters, law) if isinstance(law, str) else law
         if parameters.plant is None:
             from nodes.stability.closed_loop import law_figures
@@ -92,7 +92,7 @@ class LawBook:
         return worst_figures(compiled, parameters.plant, self._period, measured_delay)
 
     def unfit(self, parameters: CouplingParameters) -> list[str]:
-        """List the laws that cannot be rendered as they are: nothing to refuse until one is switched to."""
+        """Return why laws cannot render as they are; only activating them is refused."""
         reasons = []
         for name in parameters.laws:
             try:
@@ -102,7 +102,7 @@ class LawBook:
         return reasons
 
     def check(self, parameters: CouplingParameters) -> None:
-        """Check what belongs together, and compile the laws that will render."""
+        """Check the laws and the schedule, and compile the laws that will render."""
         for name, law in parameters.laws.items():
             parse_law(law, f"{self._node}.laws.{name}")
         self.compile(parameters, parameters.law)
@@ -122,7 +122,7 @@ class LawBook:
             taken_until = tick + max(swap.ramp, 1)
 
     def refuse_fixed(self, now: CouplingParameters, wanted: CouplingParameters) -> None:
-        """Refuse a change of what cannot change while the node runs."""
+        """Reject a change of parameters that are fixed while the node runs."""
         for name in FIXED:
             if getattr(now, name) != getattr(wanted, name):
                 raise ParameterError(
@@ -133,7 +133,7 @@ class LawBook:
 def worst_figures(
     compiled: CompiledLaw, plant: PlantParameters, period: float, delay: float
 ) -> dict[str, Any]:
-    """Tell what a law renders on a device; where its mass depends on its position, with the mass that is worst for the loop."""
+    """Return what a law renders on a device; for a variable mass, at the worst mass."""
     from nodes.stability.closed_loop import law_figures
 
     found = [law_figures(compiled, device) for device in plant.over_workspace(period, delay)]
@@ -148,5 +148,5 @@ def worst_figures(
 
 
 def _fields(name: str) -> tuple[str, ...]:
-    """Parameters of a preset or kind."""
+    """Return the parameter names of a preset or kind."""
     return load_law(str(expand({"kind": name})["kind"])).__struct_fields__

@@ -1,8 +1,8 @@
-"""Rendering on one axis: one deflection history that all laws share, and the law that reads it now.
+"""Rendering on one axis: a deflection history that all laws share, and the active law.
 
-A swap replaces the law between two ticks; because the history is shared there is no start-up
+A change replaces the law between two ticks. Because the history is shared there is no start-up
 transient, and a cross-fade is a weighted sum of laws over the same history. Laws with recursive
-sections are brought up to date by replaying it.
+sections catch up by replaying it.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from nodes.compiled.layout import state_of
 from nodes.coupling.state import LEAVING, CouplingState
 from nodes.laws import CompiledLaw
 
-# of more, numpy's multiply and running sum are faster than a written-out sum: ``haptic bench taps``
+# number of taps above which numpy is faster than a written-out sum: ``haptic bench taps``
 UNROLLED_TAPS = 30
 
 
 def _in_state(name: str) -> Any:
-    """Let a number of a history stand in the coupling's state, by its axis."""
+    """Return a property that stores a number of a history in the coupling's state, by axis."""
 
     def store(history: History, value: int) -> None:
         getattr(history._state, name)[history._n] = value
@@ -32,41 +32,43 @@ def _in_state(name: str) -> Any:
 
 
 class History:
-    """The newest deflections of the n-th axis, each written twice so that they are contiguous (see arithmetic.push)."""
+    """Deflections of the n-th axis in a ring, stored twice for contiguous reading.
+
+    See `nodes.arithmetic.push`.
+    """
 
     def __init__(self, length: int, state: Any = None, n: int = 0) -> None:
         state = state_of(CouplingState) if state is None else state
         self._state, self._n = state, n
-        # how many of the newest values can be relied on: all, but for a snapshot
+        # number of newest values that are valid: all, except in a snapshot
         self.length = self.known = length
         self.values = array("d", [0.0]) * (2 * length)  # the ring [m], shape (2 * length,)
-        self.filled_at, self.level = 0, 0.0  # pushes after it was last filled, and with what [m]
+        self.filled_at, self.level = 0, 0.0  # pushes when it was last filled, and the value [m]
         state.history[n] = self.values.buffer_info()[0]
 
     head = _in_state("head")  # index of the newest value
     pushes = _in_state("pushes")  # values pushed so far
 
     def push(self, value: float) -> None:
-        """Put the newest deflection in front."""
+        """Add the newest deflection [m]."""
         self.head = push(self.values, self.head, self.length, value)
         self.pushes += 1
 
     def fill(self, value: float) -> None:
-        """Replace all values by one: the deflection has always been the same."""
+        """Set all values [m], as if the deflection had always been the same."""
         self.values[:] = array("d", [value]) * len(self.values)
-        # for a snapshot under way, and for laws that have seen what is gone now
+        # invalidates a snapshot under way, and laws that saw the old values
         self.pushes += self.length
         self.filled_at, self.level = self.pushes, value
 
     def snapshot(self) -> History:
-        """Copy the history from another thread than the one that pushes, once: a long one takes longer than a tick."""
+        """Return a copy made from another thread, which may take longer than a tick."""
         copy = History(0)
         copy.pushes = self.pushes
         copy.values = self.values[:]
-        # Each push meanwhile has overwritten the oldest value, and one more may be under way.
+        # Each push during the copy overwrites the oldest value, and one more may be under way.
         copy.length, copy.known = self.length, max(self.length - 1 - (self.pushes - copy.pushes), 0)
-        # Not self.head, which a push under way may have moved already: each push moves it down by
-        # one.
+        # Not self.head, which a push under way may have moved: each push decrements it.
         copy.head = -copy.pushes % self.length
         return copy
 
@@ -75,18 +77,18 @@ class History:
 def _written_out(taps: int) -> Callable[..., Callable[[int], float]]:
     terms = ["0.0", *(f"tap_{m} * values[head + {m}]" for m in range(taps))]
     names = ["values", *(f"tap_{m}" for m in range(taps))]
-    # Made of our own names only. The first term is the kernel's own start: it turns −0.0 into 0.0.
+    # Contains our own names only. The first term is the kernel's own start: it turns −0.0 into 0.0.
     made = eval(f"lambda {', '.join(names)}: lambda head: {' + '.join(terms)}")  # noqa: S307
     return cast(Callable[..., Callable[[int], float]], made)
 
 
 def unrolled(taps: tuple[float, ...], values: Sequence[float]) -> Callable[[int], float]:
-    """Write out the sum of `arithmetic.fir`, term by term: the same additions in the same order, without a loop."""
+    """Return `arithmetic.fir` written out term by term: the same additions without a loop."""
     return _written_out(len(taps))(values, *taps)
 
 
 def sum_of_taps(taps: tuple[float, ...], history: History) -> Callable[[int], float]:
-    """Choose the fastest way to add the taps that gives the bits of `arithmetic.fir`."""
+    """Return the fastest sum of taps with the same bits as `arithmetic.fir`."""
     values = history.values
     if len(taps) <= UNROLLED_TAPS:
         return unrolled(taps, values)
@@ -100,15 +102,15 @@ def sum_of_taps(taps: tuple[float, ...], history: History) -> Callable[[int], fl
 
     def add(head: int) -> float:
         multiply(weights, ring[head : head + n], products)
-        # A running sum adds in order, as the kernel does; numpy's own sum and dot do not. + 0.0
-        # turns −0.0 into 0.0.
+        # A running sum adds in order, as the kernel does; numpy's sum and dot do not. + 0.0 turns
+        # −0.0 into 0.0.
         return float(running_sum(products, out=products)[-1]) + 0.0
 
     return add
 
 
 class LawOnAxis:
-    """A compiled law over one history, on one of the axes that the scene computes; ValueError when it is longer than that."""
+    """A compiled law over the history of one axis; ValueError if it is longer than that."""
 
     def __init__(self, law: CompiledLaw, history: History, axis: int = 0) -> None:
         if len(law.taps) > history.length:
@@ -116,40 +118,39 @@ class LawOnAxis:
                 f"{len(law.taps)} taps, but the history remembers {history.length}: raise memory"
             )
         self._history = history
-        # Taps and coefficients of its sections (see `nodes.arithmetic.sections`) as compiled ticks
-        # take them.
+        # Taps and section coefficients (`nodes.arithmetic.sections`) as compiled ticks use them.
         self.numbers = array("d", law.taps)
         self.coefficients = array("d", [c for section in law.sections for c in section])
         # state of the sections [N], shape (2 * s,)
         self.state = array("d", [0.0]) * (2 * len(law.sections))
         self._pushes = history.pushes
-        self.taps = law.taps  # its taps [N/m], shape (n + 1,)
-        # of taps and sections on the newest deflection [N/m]
+        self.taps = law.taps  # taps [N/m], shape (n + 1,)
+        # gain of taps and sections on the newest deflection [N/m]
         self.gain = newest_gain(self.numbers, self.coefficients)
-        self.plain = not law.sections and law.evaluate is None  # whether it is nothing but taps
-        # adds them, from the history's head to the force [N]
+        self.plain = not law.sections and law.evaluate is None  # whether the law has taps only
+        # sums the taps, from the history's head to a force [N]
         self.sum_of_taps = sum_of_taps(law.taps, history)
         self._own = law.own_code(axis)
         self._own_force: float | None = None
         self._law, self._axis = law, axis
 
     def warm_up(self, history: History) -> None:
-        """Bring the sections to where they would be had the law run all the time."""
+        """Set the sections as if the law had run all the time."""
         if self.state:
             self.state[:] = array("d", [0.0]) * len(self.state)
             warm_up(self.coefficients, self.state, history.values, history.head, history.known)
         self._pushes = history.pushes
 
     def settle(self, value: float) -> None:
-        """Put the sections where they rest under a deflection that has always been the same."""
+        """Set the sections at rest under a constant deflection [m]."""
         settle(self.coefficients, self.state, value)
         self._pushes = self._history.pushes
 
     def catch_up(self) -> None:
-        """Let the sections see what was pushed since they last did (loop's thread)."""
+        """Update the sections with deflections pushed since the last update (loop's thread)."""
         history = self._history
         if self._pushes < history.filled_at:
-            # What it has seen is gone: it rests, as the laws do that rendered then.
+            # The deflections it missed are gone: it rests, as the rendering laws do.
             settle(self.coefficients, self.state, history.level)
             self._pushes = history.filled_at
         if self.state:
@@ -160,23 +161,23 @@ class LawOnAxis:
         self._pushes = history.pushes
 
     def see(self, head: int) -> None:
-        """Let the sections see a deflection."""
+        """Update the sections with the deflection at `head`."""
         if self.state:
             values = self._history.values
             sections(self.coefficients, self.state, values[head], values[head + 1])
 
     def revise(self, by: float) -> None:
-        """Correct the sections for a newest deflection that was too large by so much [m]."""
+        """Correct the sections for a newest deflection that was too large by `by` [m]."""
         if self.state:
             revise_sections(self.coefficients, self.state, by)
 
     def first_force(self, history: History) -> float:
-        """Force that the law's own code begins with; nothing of it is remembered."""
+        """Return the first force of the law's own code [N], without changing its memory."""
         own = self._law.own_code(self._axis)
         return 0.0 if own is None else own(history.values, history.head)
 
     def force(self, head: int) -> float:
-        """Render the newest deflection, which is at `head`; once per tick."""
+        """Return the force for the newest deflection, at `head` [N]; call once per tick."""
         force = self.sum_of_taps(head)
         if self.state:
             values = self._history.values
@@ -188,18 +189,18 @@ class LawOnAxis:
         return force
 
     def present(self) -> float:
-        """Force for the newest deflection, which the sections have already seen; changes nothing."""
+        """Return the force for the newest deflection, already seen by the sections; pure."""
         force = self.sum_of_taps(self._history.head) + sum(self.state[::2])
         return force + (
             self.first_force(self._history) if self._own_force is None else self._own_force
         )
 
 
-Share: TypeAlias = tuple[LawOnAxis, float]  # a law and its part in the force
+Share: TypeAlias = tuple[LawOnAxis, float]  # a law and its weight in the force
 
 
 def _joined(shares: list[Share]) -> list[Share]:
-    """Bound the number of laws: those of taps alone add up to one of taps; beyond that the least give way to the most."""
+    """Reduce a mixture to `LEAVING` laws: merge laws of taps, drop the smallest others."""
     plain = [(law, share) for law, share in shares if law.plain]
     if len(plain) > 1:
         total = math.fsum(share for _, share in plain)
@@ -214,7 +215,7 @@ def _joined(shares: list[Share]) -> list[Share]:
 
 
 def weighted_taps(laws: list[tuple[tuple[float, ...], float]]) -> tuple[float, ...]:
-    """Mix laws of taps alone into one."""
+    """Return the weighted sum of laws of taps as one law."""
     if max(len(taps) for taps, _ in laws) > UNROLLED_TAPS:
         import numpy as np
 
@@ -222,7 +223,7 @@ def weighted_taps(laws: list[tuple[tuple[float, ...], float]]) -> tuple[float, .
         for taps, weight in laws:
             mixed[: len(taps)] += weight * np.array(taps)
         return tuple(mixed.tolist())
-    # Added in order, as numpy does above; the built-in sum rounds otherwise from Python 3.12 on.
+    # Added in order, as numpy does; the built-in sum rounds differently from Python 3.12 on.
     total = [0.0] * max(len(taps) for taps, _ in laws)
     for taps, weight in laws:
         for m, tap in enumerate(taps):
@@ -231,7 +232,10 @@ def weighted_taps(laws: list[tuple[tuple[float, ...], float]]) -> tuple[float, .
 
 
 def shares_of(leaving: Sequence[Share], new: LawOnAxis, weight: float) -> list[Share]:
-    """Tell what the force of the last tick was mixed of: `weight` of the law that came, to let just that mixture fade out."""
+    """Return the mixture that rendered the last tick, so that it can fade out.
+
+    `weight` is that of the arriving law.
+    """
     shares = [*((law, share * (1.0 - weight)) for law, share in leaving), (new, weight)]
     shares = [share for share in shares if share[1] > 0.0]
     return shares if len(shares) <= LEAVING else _joined(shares)

@@ -1,9 +1,9 @@
-"""The coupling node: renders a force for each proxy with the law that is active now, and swaps laws while the wall is felt.
+"""The coupling node: renders a force for each proxy, and changes laws during contact.
 
 A law is prepared on the control thread (validated, compiled, judged for stability, brought up to
-date, tried) and taken up between two ticks (nodes/coupling/renderer.py); what is refused leaves the
-running law untouched. A law that raises, returns a force that is not finite or overruns its budget
-twice within a second is replaced within the same tick.
+date, tested) and becomes active between two ticks (nodes/coupling/renderer.py); a refused change
+leaves the running law untouched. A law that raises, returns a force that is not finite or overruns
+its time budget twice within a second is replaced within the same tick.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.compiled.layout import NEVER, state_of
-from nodes.coupling.judgement import ASKED_FOR, VIRTUAL, Judgement, refuses_start
+from nodes.coupling.judgement import Judgement, StartAnyway, refuses_start
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.law_on_axis import History
 from nodes.coupling.parameters import LONGEST_DELAY, CouplingParameters
@@ -37,8 +37,9 @@ if TYPE_CHECKING:
     from nodes.compiled.library import Kernel
     from nodes.stability.judge import Verdict
 
-Scheduled: TypeAlias = tuple[int, ActiveLaw, int]  # tick, law and ramp [ticks] of a swap to come
-ATTEMPTS = 5  # how often a law's own code is tried before it is found too slow
+# tick, law and ramp [ticks] of a scheduled change
+Scheduled: TypeAlias = tuple[int, ActiveLaw, int]
+ATTEMPTS = 5  # tests of a law's own code before it counts as too slow
 
 
 def _least_delay(setup: Setup) -> float:
@@ -64,16 +65,16 @@ class Coupling(Node):
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Read every law, and compile those that will render, before anything is started."""
+        """Parse every law, and compile those that will render, before the launch."""
         parameters: CouplingParameters = convert(setup.parameters, CouplingParameters, setup.name)
         book = LawBook(setup.name, setup.period)
         book.check(parameters)
         _check_frame(parameters, setup)
         judgement = Judgement(setup.name, setup.period, book, setup.plant)
         judgement.refuse_contradiction(parameters)
-        because = VIRTUAL if setup.virtual else ""
-        if refuses_start(parameters.stability, because):
-            judgement.at_start(parameters, _least_delay(setup), because)
+        reason = StartAnyway.VIRTUAL if setup.virtual else StartAnyway.NO_REASON
+        if refuses_start(parameters.stability, reason):
+            judgement.at_start(parameters, _least_delay(setup), reason)
 
     @classmethod
     def unjudged(cls, setup: Setup) -> str:
@@ -83,15 +84,14 @@ class Coupling(Node):
             convert(setup.parameters, CouplingParameters, setup.name)
         )
 
-    # -- off the hot path
-    # --------------------------------------------------------------------------------------------
+    # -- off the hot path --
 
     def make_counters(self) -> Any:
-        """Make its state."""
+        """Return the state."""
         return state_of(CouplingState, self.setup.tick == "compiled", seq=-1, answered=-1)
 
     def configure(self) -> None:
-        """Compile the laws and the schedule, and load what later requests will need."""
+        """Compile laws and schedule, and import what later requests need."""
         parameters: CouplingParameters = self.store.current
         self._realtime = self.setup.pace == "realtime"
         self.counters.delay = _least_delay(self.setup)
@@ -106,8 +106,10 @@ class Coupling(Node):
         self.counters.ease_peak = self.setup.peak_force or 0.0
         for reason in self._book.unfit(parameters):
             self.events.emit_each("law", f"{reason}; it cannot be switched to")
-        because = ASKED_FOR if self.resumed_at >= 0 else VIRTUAL if self.setup.virtual else ""
-        for text in self._judgement.at_start(parameters, self._felt_delay, because):
+        anyway = StartAnyway.VIRTUAL if self.setup.virtual else StartAnyway.NO_REASON
+        if self.resumed_at >= 0:
+            anyway = StartAnyway.ACCEPTED_BEFORE
+        for text in self._judgement.at_start(parameters, self._felt_delay, anyway):
             self.events.emit_each("stability", text)
         for text in self._judgement.of_moving_world(parameters, self._felt_delay):
             self.events.emit_each("world", text)
@@ -117,27 +119,26 @@ class Coupling(Node):
             (round(swap.at / self.setup.period), swap)
             for swap in sorted(parameters.schedule, key=lambda swap: swap.at)
         ]
-        # What a predecessor has done already is in the parameters that it had.
+        # changes already made before a restart are in the saved parameters
         due = [(tick, swap) for tick, swap in swaps if tick > self.resumed_at]
         self._take_schedule(
             [(tick, self._prepare_law(parameters, swap.law), swap.ramp) for tick, swap in due]
         )
         if parameters.figures or parameters.plant is not None:
-            # Importing numpy takes tens of milliseconds with the interpreter's lock: now, not while
-            # the wall is felt.
+            # numpy takes tens of milliseconds to import and holds the GIL: now, not during contact
             self._book.figures(parameters, self._renderer.law.compiled, self._felt_delay)
 
     def _take_schedule(self, schedule: list[Scheduled]) -> None:
         self._schedule = schedule
         if self._realtime:
-            # Replaying the history at the swap would take longer than a tick. In lockstep nobody
+            # Replaying the history at the change would take longer than a tick. In lockstep nobody
             # waits, and the one-process scene replays it too.
             self._renderer.standby = [law for _, law, _ in schedule if law.compiled.sections]
 
     def _changed_schedule(
         self, now: CouplingParameters, parameters: CouplingParameters, force: bool
     ) -> list[Scheduled]:
-        """Compile anew what is scheduled and was changed."""
+        """Return the schedule, with the changed laws compiled again."""
         changed = []
         for tick, law, ramp in list(self._schedule):
             fresh = law
@@ -171,13 +172,13 @@ class Coupling(Node):
 
     @property
     def _felt_delay(self) -> float:
-        """Delay of the loop as measured by now [ticks], no more than a law is judged at; from any thread."""
+        """Delay of the loop as measured so far, limited for judging [ticks]; from any thread."""
         return min(float(self.counters.delay), LONGEST_DELAY)
 
     def _judge(
         self, now: CouplingParameters, wanted: CouplingParameters, law: ActiveLaw, force: bool
     ) -> dict[str, Any]:
-        """Refuse a change that the stability figures call unstable, or tell these figures, before and after it."""
+        """Return the stability figures before and after a change; reject an unstable one."""
         verdict, warning = self._judgement.of_change(
             now, wanted, law.name, law.compiled, self._felt_delay, force
         )
@@ -189,7 +190,7 @@ class Coupling(Node):
     def _judged(
         self, law: str, wanted: CouplingParameters, verdict: Verdict | None, before: Verdict | None
     ) -> dict[str, Any]:
-        """Return what a receipt says of a law's stability."""
+        """Return a law's stability for a receipt."""
         return {
             "law": law,
             "pole_radius": verdict and verdict.pole_radius,
@@ -202,7 +203,7 @@ class Coupling(Node):
     def _judge_set_aside(
         self, now: CouplingParameters, wanted: CouplingParameters, force: bool
     ) -> dict[str, Any]:
-        """Judge the changed laws that do not render; return the figures of the last one, none where nothing was judged."""
+        """Judge the changed laws that do not render. Return the figures of the last, or none."""
         figures: dict[str, Any] = {}
         for name, law in wanted.laws.items():
             if law == now.laws.get(name):
@@ -223,14 +224,14 @@ class Coupling(Node):
     def _before(
         self, now: CouplingParameters, wanted: CouplingParameters, name: str
     ) -> Verdict | None:
-        """Return the verdict on a law as it was before a change; None where it was none."""
-        # there was none of that name, or it was too long to render
+        """Return the verdict on a law as it was before a change, or None."""
+        # no law of that name, or too long to render
         with contextlib.suppress(ParameterError):
             return self._judgement.verdict(wanted, self._book.compile(now, name), self._felt_delay)
         return None
 
     def _bring_up(self, law: ActiveLaw, parameters: CouplingParameters) -> None:
-        """Replay the history into the law's sections, and try its own code, on copies."""
+        """Update the law's sections from the history, and test its own code, on copies."""
         snapshots = self._renderer.snapshots()
         law.warm_up(snapshots)
         if law.watched:
@@ -241,7 +242,7 @@ class Coupling(Node):
 
     def _try_out(self, law: ActiveLaw, snapshots: list[History], budget: Budget) -> None:
         over = ""
-        # This thread is not as urgent as the loop's: only a law that is never in time is too slow.
+        # This thread is less urgent than the loop's: only a law that is never in time is too slow.
         for _ in range(ATTEMPTS):
             budget.start()
             law.attempt(snapshots)
@@ -253,13 +254,13 @@ class Coupling(Node):
         )
 
     def prepare_forced(self, parameters: Any) -> Callable[[int], Any]:
-        """Prepare changed parameters even if the loop becomes unstable with them."""
+        """Prepare changed parameters even if they make the loop unstable."""
         return self.prepare(parameters, force=True)
 
     def prepare(
         self, parameters: Any, action: str = "", ramp: int | None = None, force: bool = False
     ) -> Callable[[int], Any]:
-        """Prepare changed parameters: compile the active law anew, refuse what must not change while it runs."""
+        """Prepare changed parameters: compile the active law and reject fixed ones."""
         now: CouplingParameters = self.store.current
         action = action or ("set" if parameters.law == now.law else "switch")
         ramp = parameters.ramp if ramp is None else ramp
@@ -276,8 +277,8 @@ class Coupling(Node):
         if judged != (self._renderer.law.compiled, now.plant, now.stability):
             stability = {"stability": self._judge(now, parameters, law, force)}
         if action == "set" and law.text == self._failed_text:
-            # What failed does not come back because something else was set; switching to it by name
-            # does that.
+            # A failed law does not return because another parameter is set; switching to it by name
+            # does it.
             law = fallback
         self._bring_up(law, parameters)
         schedule = self._changed_schedule(now, parameters, force)
@@ -291,7 +292,7 @@ class Coupling(Node):
         return apply
 
     def operations(self) -> dict[str, Callable[..., Any]]:
-        """Law operations beside the parameters."""
+        """Return the law operations."""
         return {
             "law.list": self._list_laws,
             "law.show": self._show_law,
@@ -346,8 +347,7 @@ class Coupling(Node):
             receipt["is"] = self._book.figures(parameters, law, self._felt_delay)
         return receipt
 
-    # -- between two ticks
-    # -------------------------------------------------------------------------------------------
+    # -- between two ticks --
 
     def _swap(
         self, seq: int, law: ActiveLaw, ramp: int, action: str, reason: str
@@ -405,17 +405,16 @@ class Coupling(Node):
                 self.store.accept(msgspec.structs.replace(self.store.current, law=law.name))
 
     def next_swap(self) -> int:
-        """Tell the tick of the next swap that is scheduled; one that does not come for none."""
+        """Return the tick of the next scheduled change, or NEVER."""
         return self._schedule[0][0] if self._schedule else NEVER
 
     def compiled_ticks(self, kernel: Kernel) -> CompiledTicks:
-        """Make the compiled ticks."""
+        """Return the compiled ticks."""
         from nodes.coupling.compiled_tick import CouplingTicks
 
         return CouplingTicks(self, kernel, self._renderer)
 
-    # -- the tick
-    # ----------------------------------------------------------------------------------------------------
+    # -- the tick --
 
     def _fall_back(self, proxy: Proxy, reason: str, due: int = 0) -> Vector:
         failed = self._renderer.law
@@ -429,7 +428,7 @@ class Coupling(Node):
         return force
 
     def _watched(self, proxy: Proxy) -> Vector:
-        """Render with a law that has code of its own, which may raise or take its time."""
+        """Render with a law that has own code, which may raise or take too long."""
         due = self._renderer.due()
         served = self.changes.serving.seconds()
         self._budget.start()
@@ -451,7 +450,7 @@ class Coupling(Node):
         return force
 
     def _report_jump(self, proxy: Proxy) -> None:
-        """Publish the force step of a jump."""
+        """Report the force step of a jump."""
         step, ramp = self._renderer.force_step, proxy.ease or self.counters.ease_usual
         if step > 0.0:
             began = self.counters.answered < 0
@@ -494,5 +493,5 @@ class Coupling(Node):
         )
 
     def loop(self) -> None:
-        """Answer until stopped."""
+        """Answer proxies until stopped."""
         answer_ticks(self, Proxy, topics.PROXY, topics.FORCE, self._answer)

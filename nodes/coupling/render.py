@@ -1,8 +1,7 @@
-"""From a proxy to a force: the rule of a coupling's tick, one source for the interpreter, the compiled tick and one process.
+"""From a proxy to a force: one source for interpreted, compiled and one-process ticks.
 
-`evaluate` is the force of one law on numbers, for whoever has them at hand. `make_render` makes the
-tick on the coupling's state; what differs between ways of playing is how a law in a slot is found
-and called, its `LawPort`.
+`evaluate` is the force of one law on numbers. `make_render` makes the tick on the coupling's state;
+ways of playing differ in how a law in a slot is found and called, its `LawPort`.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ def evaluate(
     history: Sequence[float],
     head: int,
 ) -> float:
-    """Force of one law over the history."""
+    """Return the force of one law over the history [N]."""
     force = fir(taps, history, head)
     if recursive is not None and len(recursive) > 0:
         force += sections(recursive, state, history[head], history[head + 1])
@@ -32,25 +31,26 @@ def evaluate(
 
 
 class LawPort(NamedTuple):
-    """What a tick needs of the laws; each takes the state first."""
+    """How a tick accesses the laws; every function has the state as first argument."""
 
-    ring: Callable[[Any, int], Any]  # gives the history of an axis
-    # renders the newest deflection with the law in a slot of that axis
+    ring: Callable[[Any, int], Any]  # returns the history of an axis
+    # returns the force for the newest deflection of the law in a slot of that axis [N]
     force_of: Callable[[Any, int, int, Any, int], float]
-    # lets that law's sections see a deflection that nobody renders
+    # updates that law's sections with a deflection that is not rendered
     see: Callable[[Any, int, int, Any, int], None]
-    gain_of: Callable[[Any, int, int], float]  # gain of that law on the newest deflection [N/m]
-    # corrects that law's sections for a newest deflection too large by so much
+    # returns the gain of that law on the newest deflection [N/m]
+    gain_of: Callable[[Any, int, int], float]
+    # corrects that law's sections for a newest deflection that was too large
     revise: Callable[[Any, int, int, float], None]
 
 
-# of how far a normal turns in a tick: beyond some 25° it is an edge, and the history stays
+# cosine of a normal's turn in a tick below which (some 25°) it is an edge, and axes stay
 LEAST_COSINE: Final = 0.9
-_SHORTEST: Final = 0.5  # length below which a normal is none; 1 for all that surfaces give
+_SHORTEST: Final = 0.5  # length below which a normal is absent; surfaces give 1
 
 
 def begin_turning(s: CouplingState, frame: str) -> None:
-    """Let the axes of the history turn with the surface from now on, or no more: what was pushed stays true either way."""
+    """Start or stop turning the history's axes with the surface; past deflections stay valid."""
     turns = frame == "surface" or (frame == "auto" and s.axes == 3)
     if turns == (s.turning == 1):
         return
@@ -66,7 +66,10 @@ def turn(
     normal: Sequence[float],
     contact: bool,
 ) -> None:
-    """Turn axes (rows of a matrix) as a normal turns, so that a deflection keeps its components; at an edge, leave them."""
+    """Turn axes (rows of a matrix) as a normal turns; at an edge, leave them.
+
+    A deflection keeps its components.
+    """
     a, b, c = upright[0], upright[1], upright[2]
     x, y, z = normal[0], normal[1], normal[2]
     if not contact or x * x + y * y + z * z < _SHORTEST:
@@ -86,7 +89,7 @@ def turn(
                 q + e + part * (w * d - u * f),
                 r + f + part * (u * e - v * d),
             )
-            # One step of Newton's towards length 1: rounding does not add up over hours.
+            # One Newton step towards length 1, so that rounding does not add up over hours.
             scale = 1.5 - 0.5 * (p * p + q * q + r * r)
             turned[row], turned[row + 1], turned[row + 2] = scale * p, scale * q, scale * r
     upright[0], upright[1], upright[2] = x, y, z
@@ -95,7 +98,7 @@ def turn(
 def deflections(
     s: CouplingState, position: Any, proxy: Any, distance: float, normal: Any, contact: bool
 ) -> list[float]:
-    """Return what a tick would push into each history [m], in the axes that the histories have now."""
+    """Return the deflections that a tick would push into the histories [m], in their axes."""
     world = [
         deflection(position[i], proxy[i], distance, normal[i], contact, s.raw != 0)
         for i in range(3)
@@ -105,11 +108,11 @@ def deflections(
     return [sum((s.turned[3 * n + i] * world[i] for i in range(3)), 0.0) for n in range(s.axes)]
 
 
-# Long: one compiled function: a call across it would cost what it saves.
+# Long: one compiled function, because a call would cost more than it saves.
 def make_render(  # noqa: C901, PLR0915
     port: LawPort, made: Callable[[Any], Any] = lambda function: function
 ) -> tuple[Callable[..., bool], Callable[..., None]]:
-    """Make the tick of a port, and the bridge over ticks that were left out."""
+    """Return the functions that render a tick, and that bridge missing ticks."""
     ring, force_of, see, gain_of, revise = port
     slots = SLOTS
     turn_axes = made(turn)
@@ -125,7 +128,7 @@ def make_render(  # noqa: C901, PLR0915
         contact: bool,
         raw: bool,
     ) -> float:
-        """Deflection along an axis that turns; all three of the world are computed then."""
+        """Return the deflection along a turned axis; the scene then computes all three axes."""
         value = 0.0
         for i in range(3):
             value += s.turned[3 * n + i] * deflection(
@@ -137,9 +140,9 @@ def make_render(  # noqa: C901, PLR0915
     def give_way(
         s: CouplingState, n: int, history: Any, head: int, force: float, compliance: float
     ) -> float:
-        """Return the force on a proxy that yields to it in the same tick; history and sections get the deflection left.
+        """Return the force on a proxy that yields in the same tick; correct history and sections.
 
-        F = F̂ − g·C·F with F̂ the force as if the proxy did not yield, g the gain on the newest
+        F = F̂ − g·C·F with F̂ the force on a proxy that does not yield, g the gain on the newest
         deflection, C the compliance.
         """
         fading = s.fade_ramp > 0
@@ -150,7 +153,7 @@ def make_render(  # noqa: C901, PLR0915
                 old += s.weight[slots * n + m] * gain_of(s, n, m)
             gain = cross_fade(old, gain, s.fade_done, s.fade_ramp)
         if not 1.0 + compliance * gain > 0.0 or not math.isfinite(force):
-            return force  # no law that is stable anywhere: it answers the proxy as it came
+            return force  # the law is unstable on anything: do not let the proxy yield
         force = force / (1.0 + compliance * gain)
         by = compliance * force
         history[head] -= by
@@ -159,7 +162,7 @@ def make_render(  # noqa: C901, PLR0915
             revise(s, n, m, by)
         return force
 
-    # Long: one compiled function: a call across it would cost what it saves.
+    # Long: one compiled function, because a call would cost more than it saves.
     @made
     def render(  # noqa: C901
         s: CouplingState,
@@ -172,7 +175,10 @@ def make_render(  # noqa: C901, PLR0915
         force: Any,
         due: int,
     ) -> bool:
-        """Render the force of one tick, whose deflection is the one number `due` in each history; whether it is finite."""
+        """Render the force of one tick into `force`. Return whether it is finite.
+
+        The tick's deflection has number `due` in each history.
+        """
         raw, clamp = s.raw != 0, s.clamp != 0
         fading = s.fade_ramp > 0
         force[0] = force[1] = force[2] = along = 0.0
@@ -219,8 +225,8 @@ def make_render(  # noqa: C901, PLR0915
         if s.ease_ramp > 0:
             for n in range(s.axes):
                 i = s.axis[n]
-                # Of what the driver does not hand over nothing is felt: eased in full, 500 N would
-                # be at its limit at once.
+                # A force beyond the driver's limit is not felt: eased in full, 500 N would reach
+                # the limit at once.
                 peak = s.ease_peak if s.ease_peak > 0.0 else math.inf
                 asked = limit(force[i], 0.0, peak, math.inf)
                 if s.ease_done == 0:
@@ -243,7 +249,7 @@ def make_render(  # noqa: C901, PLR0915
         contact: bool,
         missing: int,
     ) -> None:
-        """Fill ticks that were left out by a straight line up to the newest deflection: a jump would read as velocity."""
+        """Fill missing ticks with a straight line to the newest deflection: no velocity jump."""
         laws = 1 + s.leaving if s.fade_ramp > 0 else 1
         for n in range(s.axes):
             i = s.axis[n]
@@ -255,7 +261,7 @@ def make_render(  # noqa: C901, PLR0915
             else:
                 newest = deflection(position[i], proxy[i], distance, normal[i], contact, s.raw != 0)
             before = history[s.head[n]]
-            # Of a gap longer than the history only its end is ever seen.
+            # Of a gap longer than the history only the end is used.
             for k in range(max(1, missing + 1 - s.length), missing + 1):
                 value = before + (newest - before) * k / (missing + 1)
                 s.head[n] = head = push(history, s.head[n], s.length, value)

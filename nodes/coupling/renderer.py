@@ -1,7 +1,6 @@
-"""Which law renders on all axes now, how another takes over between two ticks, and what takes over when it fails.
+"""The active law on all axes, and its replacement between two ticks or after a failure.
 
-Everything here runs on the loop's thread but the making and warming up of a law, which happens
-before it is handed over.
+All of this runs on the loop's thread, except making and warming up a law, which happens before.
 """
 
 from __future__ import annotations
@@ -28,22 +27,22 @@ class ActiveLaw:
         self, name: str, text: str, compiled: CompiledLaw, histories: Sequence[History]
     ) -> None:
         self.name, self.text, self.compiled = name, text, compiled
-        # whether it has code of its own, which may raise or take its time
+        # whether it has own code, which may raise or take too long
         self.watched = compiled.evaluate is not None
         self.axes = [LawOnAxis(compiled, history, n) for n, history in enumerate(histories)]
 
     def warm_up(self, histories: Sequence[History]) -> None:
-        """Bring recursive sections up to date."""
+        """Update recursive sections from the histories."""
         for axis, history in zip(self.axes, histories, strict=True):
             axis.warm_up(history)
 
     def catch_up(self) -> None:
-        """Let recursive sections see what was pushed since they last did."""
+        """Update recursive sections with deflections pushed since the last update."""
         for axis in self.axes:
             axis.catch_up()
 
     def attempt(self, histories: Sequence[History]) -> None:
-        """Call the law's own code once, before it may render."""
+        """Call the law's own code once, before it renders."""
         for axis, history in zip(self.axes, histories, strict=True):
             try:
                 force = axis.first_force(history)
@@ -59,7 +58,7 @@ class ActiveLaw:
 
 
 def settle_conventions(s: CouplingState, parameters: CouplingParameters, period: float) -> None:
-    """Set contact conventions, axes of the history and easing; conventions that change are a jump that no motion made."""
+    """Set contact conventions, axes of the history and easing; new conventions cause a jump."""
     raw, clamp = int(parameters.history == "position"), int(parameters.clamp)
     if (s.raw, s.clamp) != (raw, clamp):
         s.jumps = 1
@@ -68,20 +67,20 @@ def settle_conventions(s: CouplingState, parameters: CouplingParameters, period:
 
 
 class Renderer:
-    """A history per axis, the law that renders, those that fade out, and the fallback; all of it stands in one state."""
+    """A history per axis, the active law, laws that fade out and the fallback, in one state."""
 
-    fallback: ActiveLaw  # what renders when the law fails
+    fallback: ActiveLaw  # renders when the law fails
 
     def __init__(self, axes: Sequence[int], memory: int, state: Any = None) -> None:
         s = self.state = state_of(CouplingState) if state is None else state
         self.axes = list(axes)
         s.axes, s.axis[:], s.length, s.clamp = len(self.axes), (*axes, 0, 0)[:3], memory, 1
         self.histories = [History(memory, s, n) for n in range(len(self.axes))]  # one per axis
-        # laws that will take over later and whose sections run along until then
+        # laws that become active later; their sections run along until then
         self.standby: list[ActiveLaw] = []
         self._leaving: list[list[Share]] = []
         self.watched = False  # whether a tick runs a law's own code
-        self.name = ""  # its name
+        self.name = ""  # name of the active law
         rings = [history.values for history in self.histories]
         laws = self._laws = [[] for _ in self.axes]  # type: list[list[LawOnAxis]]
         port = LawPort(
@@ -95,7 +94,7 @@ class Renderer:
 
     @property
     def law(self) -> ActiveLaw:
-        """What renders now."""
+        """The active law."""
         return self._law
 
     @law.setter
@@ -104,7 +103,7 @@ class Renderer:
         self._store_laws()
 
     def _store_laws(self) -> None:
-        """Put what renders into its slots, for interpreted and compiled ticks."""
+        """Store the rendering laws in their slots, for interpreted and compiled ticks."""
         s = self.state
         s.leaving = len(self._leaving[0]) if self._leaving else 0
         states = 0
@@ -123,11 +122,11 @@ class Renderer:
         s.undo, s.undo_count = self._undo.buffer_info()
 
     def due(self) -> int:
-        """Tell which number the next deflection has in each history."""
+        """Return the number that the next deflection has in each history."""
         return int(self.state.pushes[len(self.axes) - 1]) + 1
 
     def render(self, proxy: Proxy) -> Vector:
-        """Take one tick's deflection and render the force that answers it."""
+        """Push one tick's deflection and return the force that answers it [N]."""
         force = [0.0, 0.0, 0.0]
         self._render(
             self.state,
@@ -141,11 +140,11 @@ class Renderer:
             self.due(),
         )
         if self._leaving or self.standby:
-            self.went_on()
+            self.after_ticks()
         return force[0], force[1], force[2]
 
-    def went_on(self) -> None:
-        """Do what follows from ticks: a fade that is over ends, and laws that stand by see what was pushed."""
+    def after_ticks(self) -> None:
+        """Update after ticks: end a finished fade, and let standby laws catch up."""
         if self._leaving and self.state.fade_ramp == 0:
             self._end_fade()
         for waiting in self.standby:
@@ -157,15 +156,15 @@ class Renderer:
         self._store_laws()
 
     def follow(self, proxy: Proxy, last: int) -> bool:
-        """Prepare the histories for a tick after tick `last` (−1: none). Return whether it begins a jump, to be eased.
+        """Prepare the histories for a tick after tick `last` (−1: none). Return whether it jumps.
 
-        Lost ticks are bridged. The first deflection ever, and one after a jump that no motion made,
-        are no velocity.
+        Missing ticks are bridged. The first deflection, and one after a jump without motion, cause
+        no velocity.
         """
         s = self.state
         missing = proxy.seq - last - 1
         if not 0 <= last < proxy.seq:
-            last = -1  # the first tick, or the first of a driver that counts anew
+            last = -1  # the first tick, or the first of a restarted driver
         if last < 0 or proxy.rebased != s.rebased or s.jumps:
             conventions = last >= 0 and s.jumps != 0
             s.rebased, s.jumps = proxy.rebased, 0
@@ -176,7 +175,7 @@ class Renderer:
         return False
 
     def _rebase(self, proxy: Proxy, conventions: bool) -> bool:
-        """Begin the histories anew, at rest at the present deflection. Return whether that or the conventions are others."""
+        """Restart the histories at rest at the present deflection. Return whether any changed."""
         s = self.state
         values = deflections(
             s, proxy.position, proxy.proxy, proxy.distance, proxy.normal, proxy.contact
@@ -196,11 +195,11 @@ class Renderer:
 
     @property
     def force_step(self) -> float:
-        """Difference between the forces felt and asked for at the last jump, within the driver's limit [N]."""
+        """Force difference at the last jump, within the driver's limit [N]."""
         return math.hypot(*self.state.ease_offset)
 
     def bridge(self, proxy: Proxy, missing: int) -> None:
-        """Fill lost ticks by a straight line up to the present one, which is not yet rendered."""
+        """Fill missing ticks with a straight line to the present one, which is not yet rendered."""
         self._bridge(
             self.state,
             proxy.position,
@@ -212,7 +211,10 @@ class Renderer:
         )
 
     def swap(self, law: ActiveLaw, ramp: int) -> float:
-        """Let another law take over from the next tick on; all or nothing."""
+        """Make another law active from the next tick on. Return the force step [N].
+
+        Raises ParameterError, and changes nothing, if the law fails.
+        """
         law.catch_up()
         if law.watched:
             law.attempt(self.histories)
@@ -234,12 +236,12 @@ class Renderer:
         self._leaving = leaving if ramp > 0 else []
         s.fade_ramp, s.fade_done = ramp, 0
         self.law = law
-        # as long as the laws that leave run their own code
+        # as long as the leaving laws run own code
         self.watched = self.watched or (watched and ramp > 0)
         return step
 
     def fall_back(self, proxy: Proxy, due: int = 0) -> Vector:
-        """Replace a failed law by the fallback within the same tick; its deflection is pushed where it was not."""
+        """Replace a failed law by the fallback in the same tick. Return the force [N]."""
         self._law, self.name = self.fallback, self.fallback.name
         self._end_fade()
         force = [0.0, 0.0, 0.0]
@@ -258,5 +260,5 @@ class Renderer:
         return x, y, z
 
     def snapshots(self) -> list[History]:
-        """Copy the histories from another thread."""
+        """Return copies of the histories, made from another thread."""
         return [history.snapshot() for history in self.histories]

@@ -1,6 +1,6 @@
-"""The state of a coupling: one struct, which interpreted and compiled ticks read and write where it stands.
+"""State of a coupling: one struct that interpreted and compiled ticks update in place.
 
-Laws stand in slots, `SLOTS` for each axis of the scene: the one that renders, then those that fade
+Laws are stored in slots, `SLOTS` for each axis of the scene: the active one, then those that fade
 out.
 """
 
@@ -10,7 +10,7 @@ from typing import Annotated, Final, TypeAlias
 
 from nodes.compiled.layout import LoopState, Vector3, struct
 
-# laws that may fade out together, to bound a tick's work: of faster swaps some are joined
+# laws that may fade out at once, to limit a tick's work; faster changes are merged
 LEAVING: Final = 8
 SLOTS: Final = 1 + LEAVING
 
@@ -20,18 +20,18 @@ Slots: TypeAlias = Annotated[list[int], 3 * SLOTS]
 
 @struct
 class CouplingState(LoopState):
-    """Everything a coupling keeps from tick to tick."""
+    """State that a coupling keeps between ticks."""
 
-    raw: int  # 1 where the history goes on outside contact (`history: position`)
-    clamp: int  # 1 where a force never pulls
-    revision: int  # receipts given so far
-    delay: float  # delay of the loop, as measured [ticks]
+    raw: int  # 1 if the history continues outside contact (`history: position`)
+    clamp: int  # 1 if a force never pulls
+    revision: int  # receipts published so far
+    delay: float  # measured delay of the loop [ticks]
 
     # Axes of the scene, and per axis the history
-    axes: int  # how many
-    axis: Annotated[list[int], 3]  # which
+    axes: int  # number of axes
+    axis: Annotated[list[int], 3]  # index of each
     length: int  # values of a history
-    history: Annotated[list[int], 3]  # address of a history, its values twice
+    history: Annotated[list[int], 3]  # address of a history, which stores its values twice
     head: Annotated[list[int], 3]  # index of the newest value
     pushes: Annotated[list[int], 3]  # values pushed so far
 
@@ -41,34 +41,34 @@ class CouplingState(LoopState):
     sections: Slots  # address of the coefficients
     sections_count: Slots
     sections_state: Slots  # address
-    weight: Annotated[list[float], 3 * SLOTS]  # of the laws that leave [1]
+    weight: Annotated[list[float], 3 * SLOTS]  # weight of the leaving laws [1]
 
-    # The cross-fade under way
-    fade_ramp: int  # its length [ticks]; 0 for none
-    fade_done: int  # how much of it is done [ticks]
-    leaving: int  # laws that leave
+    # The present cross-fade
+    fade_ramp: int  # length [ticks]; 0 for none
+    fade_done: int  # ticks done
+    leaving: int  # number of leaving laws
 
-    # What a tick overwrites, for one that must be undone
+    # State that a tick overwrites, to undo it
     undo: int  # address of the sections' states
     undo_count: int
     oldest: Vector3  # value of a history that the newest one replaced [m]
 
     # Axes of the history
-    turning: int  # 0 the world's, 1 turning with the surface, 2 turned no more
-    turned: Annotated[list[float], 9]  # which ones, in rows
-    upright: Vector3  # normal that they turned to last
-    turned_before: Annotated[list[float], 12]  # both as they were before the tick
+    turning: int  # 0: the world's; 1: turning with the surface; 2: turned, but no longer turning
+    turned: Annotated[list[float], 9]  # the axes, by rows
+    upright: Vector3  # normal at their last turn
+    turned_before: Annotated[list[float], 12]  # both before the tick
 
-    # Jumps that no motion made
+    # Jumps without motion
     rebased: int  # tick of the latest one (Proxy.rebased)
-    jumps: int  # 1 where a change of conventions makes the next tick one
+    jumps: int  # 1 if changed conventions make the next tick a jump
 
     # The easing after a jump
-    ease_ramp: int  # its length [ticks]; 0 for none
+    ease_ramp: int  # length [ticks]; 0 for none
     ease_usual: int  # the coupling's own length [ticks]
-    ease_done: int  # how much of it is done [ticks]
+    ease_done: int  # ticks done
     felt: Vector3  # force of the last tick [N]
     ease_from: Vector3  # force at the jump [N]
-    ease_offset: Vector3  # how much that was more than was asked [N]
-    # largest force of the driver along an axis [N], beyond which nothing is felt; 0 for unknown
+    ease_offset: Vector3  # force at the jump minus the requested force [N]
+    # largest force of the driver along an axis [N]; beyond it nothing is felt; 0: unknown
     ease_peak: float

@@ -1,10 +1,10 @@
-"""A law's time budget: what it used itself, not what the machine took from it.
+"""A law's time budget: measures what the law used itself, not what the machine took.
 
-On a shared machine a thread may lose its core for milliseconds through no fault of its own. A law
-overruns when it computed for longer than its budget, or when it took longer because it went to
-sleep; being preempted is neither. Time that the host of a virtual machine takes counts as computed,
-though, and a wait for another thread of the interpreter as sleep: one overrun alone is the
-machine's, a second one within a second the law's.
+On a shared machine a thread may lose its core for milliseconds. A law overruns if it computed for
+longer than its budget, or took longer because it slept; preemption is neither. Time stolen by a
+virtual machine's host counts as computed, though, and a wait for another thread of the interpreter
+as sleep, so a single overrun may be the machine's; a second one within a second counts as the
+law's.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import math
 import resource
 import time
 
-FORGIVEN = 1.0  # how long one overrun alone is remembered [s]
+FORGIVEN = 1.0  # how long one overrun is remembered [s]
 
 
 class Budget:
-    """Watches one call per tick, which may take so many seconds; infinite for no watch."""
+    """Measures one call per tick against a budget [s]; infinite: no measurement."""
 
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds
@@ -26,13 +26,16 @@ class Budget:
         self._before = -math.inf
 
     def start(self) -> None:
-        """Begin to watch."""
+        """Start measuring."""
         self._slept = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw
         self._cpu = time.thread_time()
         self._wall = time.monotonic()
 
     def overrun(self, excused: float = 0.0) -> str:
-        """Judge what has passed since `start`, without what the law may have waited for others of its process [s]."""
+        """Return why the call since `start` overran, or an empty string.
+
+        `excused` is time that the law may have waited for other threads of its process [s].
+        """
         wall = time.monotonic() - self._wall
         if wall <= self.seconds:
             return ""
@@ -47,6 +50,6 @@ class Budget:
         return ""
 
     def again(self, now: float) -> bool:
-        """Note an overrun at a time of the loop [s]; whether it is the second one within `FORGIVEN`."""
+        """Record an overrun at a loop time [s]. Return whether it is the second in `FORGIVEN`."""
         before, self._before = self._before, now
         return now - before <= FORGIVEN

@@ -1,16 +1,16 @@
-"""A device behind two calls, which compiled ticks make by their addresses.
+"""The two calls of a device, which compiled ticks make by address.
 
-``int read(int64_t context, int64_t seq, double *out)`` gives the position at a tick in the first
-three of six numbers, and, for a simulated hand, where it pulls to in the others, which are zero
-before the call [m]; ``int write(int64_t context, const double *force, int64_t seq, double offset)``
-hands a force over, as the methods of `nodes.driver.device.Device` do. A negative status says that
-the call failed: `out` is left as it was then, and the driver asks the method, which raises or gives
-what there is. So no position is ever taken for 0 because it could not be read. `JUMPED` from
-``read`` says that the position is elsewhere without a motion; a device in Python has a counter of
-that, ``jumps``.
+``int read(int64_t context, int64_t seq, double *out)`` writes the position at a tick [m] into the
+first three of six numbers and, for a simulated hand, the point to which it pulls [m] into the
+others, which are zero before the call. ``int write(int64_t context, const double *force, int64_t
+seq, double offset)`` hands a force over, as the methods of `nodes.driver.device.Device` do. A
+negative status means that the call failed: `out` is unchanged, and the driver repeats the call in
+Python, which raises or returns a value. So a position that could not be read is never taken for 0.
+`JUMPED` from ``read`` means that the position changed without motion; a device in Python counts
+that in ``jumps``.
 
-A device that lives without the interpreter offers its own calls (`Compiled`); for any other one
-they are made here.
+A device that needs no interpreter provides its own calls (`Compiled`); for any other one they are
+made here.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ WRITE = ctypes.CFUNCTYPE(c_int, c_int64, POINTER(c_double), c_int64, c_double)
 
 
 class Calls(NamedTuple):
-    """Two addresses, and what they are called with."""
+    """Addresses of the two calls, and their context."""
 
-    read: int  # where the calls are: this and the next
+    read: int  # addresses of the calls
     write: int
     context: int  # their first argument
 
@@ -41,12 +41,12 @@ class Compiled(Protocol):
     """A device that can be called without the interpreter."""
 
     def calls(self) -> Calls | None:
-        """Give its calls, valid until it is closed; None where they could not be had."""
+        """Return its calls, valid until it is closed; None if not available."""
         ...
 
 
 class Jumps:
-    """The counter of a device whose position may jump without a motion; one without such a counter never jumps."""
+    """Detects jumps of a device's position without motion, by its counter ``jumps``, if any."""
 
     def __init__(self, device: Any) -> None:
         self._device = device
@@ -60,14 +60,14 @@ class Jumps:
 
 
 def own_calls(device: Any) -> Calls | None:
-    """Return the calls of a device that has its own; None for another one, whatever its attribute ``calls`` is."""
+    """Return the calls of a device that has its own, else None."""
     method = getattr(type(device), "calls", None)
     found = device.calls() if callable(method) else None
     return found if isinstance(found, Calls) else None
 
 
 def numbers_of(position: Any, what: str) -> Vector:
-    """Make plain numbers of the position that a device gave [m]; TypeError when it is not three numbers."""
+    """Return a device's position as floats [m]; TypeError if it is not three numbers."""
     try:
         x, y, z = position
         return float(x), float(y), float(z)
@@ -78,13 +78,13 @@ def numbers_of(position: Any, what: str) -> Vector:
 
 
 class DeviceCalls:
-    """The calls of a device, its own or made of its methods and of a simulated hand's target, and what one raised."""
+    """Calls of a device: its own, or made of its methods and a simulated hand's target."""
 
     def __init__(self, device: Device, target: Callable[[], Vector], jumps: Jumps) -> None:
         self._device, self._target, self._jumps = device, target, jumps
         self._kept = READ(self._read), WRITE(self._write)
         read, write = (ctypes.cast(function, ctypes.c_void_p).value or 0 for function in self._kept)
-        self.calls = own_calls(device) or Calls(read, write, 0)  # its two calls
+        self.calls = own_calls(device) or Calls(read, write, 0)  # the two calls
         self._error: BaseException | None = None
 
     def _read(self, _context: int, seq: int, out: Any) -> int:
@@ -93,7 +93,8 @@ class DeviceCalls:
                 self._device.read_position(seq), type(self._device).__name__
             )
             out[3], out[4], out[5] = self._target()
-        except BaseException as error:  # noqa: BLE001  # nothing can be raised through compiled code
+        # compiled code cannot propagate an exception
+        except BaseException as error:  # noqa: BLE001
             self._error = error
             return -1
         return JUMPED if self._jumps.again() else 0
@@ -101,13 +102,14 @@ class DeviceCalls:
     def _write(self, _context: int, force: Any, seq: int, offset: float) -> int:
         try:
             self._device.write_force((force[0], force[1], force[2]), seq, offset)
-        except BaseException as error:  # noqa: BLE001  # nothing can be raised through compiled code
+        # compiled code cannot propagate an exception
+        except BaseException as error:  # noqa: BLE001
             self._error = error
             return -1
         return 0
 
     def raise_error(self) -> None:
-        """Raise what the last call raised, if anything."""
+        """Raise the exception of the last call, if any."""
         if self._error is not None:
             error, self._error = self._error, None
             raise error

@@ -1,4 +1,4 @@
-"""The compiled ticks of a driver: its state, lent to the kernel where it stands, and the device's two calls."""
+"""Compiled ticks of a driver: its state, shared with the kernel, and the device's calls."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from nodes.driver.tick import SILENT, UNREAD
 
 
 class DriverTicks(CompiledTicks):
-    """The compiled ticks of one driver."""
+    """Compiled ticks of one driver."""
 
     def __init__(self, node: Any, kernel: Kernel, device: Device, jumps: Jumps) -> None:
         s: DriverState = node.driving
@@ -27,7 +27,7 @@ class DriverTicks(CompiledTicks):
         self._device = DeviceCalls(device, lambda: node.target, jumps)
         s.device_read, s.device_write, s.device_context = self._device.calls
         self._room("device_room", 48)
-        # struct pollfd: descriptor, then two shorts: POLLIN, and the answer
+        # struct pollfd: descriptor, then two shorts: POLLIN, and the result
         self._poll = array("i", [self._inbox.fd, 1])
         self.keep("poll", self._poll)
         self._texts = [
@@ -36,17 +36,17 @@ class DriverTicks(CompiledTicks):
         ]
         s.texts[:] = [ctypes.addressof(text) for text in self._texts]
         s.text_sizes[:] = [len(msgspec.msgpack.encode(text)) for text in SAFETY]
-        self.payload = b""  # the state that was published last
+        self.payload = b""  # last published state
         # in and out once without a tick: the first time, with cold caches, it takes some ticks of 8
-        # kHz
+        # a first call without a tick: with cold caches it takes several ticks of 8 kHz
         s.most = 0
         self.go()
 
     def run(self, s: DriverState) -> int:
-        """Tick until something waits; why it ended, as of nodes/driver/tick.py."""
+        """Tick until the driver is needed. Return why, as nodes/driver/tick.py defines it."""
         node = self._driver
-        s.attention = 0  # before looking: what comes in between stops it
-        # What waits between two ticks is not left waiting.
+        s.attention = 0  # before checking, so that a later request stops the ticks
+        # do not delay what waits between two ticks
         s.most = 1 if node.events.waiting or node.stopping else self._most
         node.publisher.flush()
         if not s.realtime:
@@ -60,5 +60,5 @@ class DriverTicks(CompiledTicks):
         return why
 
     def raise_error(self) -> None:
-        """Raise what a call of the device raised."""
+        """Raise the exception of the device's last call, if any."""
         self._device.raise_error()

@@ -1,4 +1,4 @@
-"""What a device says of itself, which is code of somebody else's on the thread that serves requests."""
+"""A device's own condition; third-party code, called on the control thread."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ if TYPE_CHECKING:
 
 
 class Condition:
-    """The condition of a driver's device: why it gives no force, or what it raised when it was asked."""
+    """Why a driver's device gives no force, or the exception of its condition()."""
 
     def __init__(self, node: Node, ask: Callable[[], str]) -> None:
         self._node, self._ask = node, ask
-        self._last = ""  # what it said last
-        self._failed = ""  # what it raised, which ends the run
+        self._last = ""  # last condition
+        self._failed = ""  # exception that ended the run
 
     def told(self) -> str:
-        """Return what keeps forces off; a device that raises ends the run softly, and is not asked again."""
+        """Return why no force is given; if the device raises, the run ends softly."""
         if self._failed:
             return self._failed
         try:
             return self._ask()
-        except Exception as error:  # noqa: BLE001  # whatever a vendor's library raises: requests go on being served
+        # any exception of a vendor's library; requests must still be served
+        except Exception as error:  # noqa: BLE001
             node = self._node
             self._failed = (
                 f"{node.setup.name}: condition() of the device failed: {type(error).__name__}:"
@@ -39,7 +40,7 @@ class Condition:
             return self._failed
 
     def report(self) -> None:
-        """Publish a condition that has changed."""
+        """Report a changed condition."""
         now = self.told()
         if now != self._last:
             self._last = now

@@ -1,6 +1,6 @@
-"""What a haptic device has to offer to become a driver node: one class, one file.
+"""Interface of a haptic device: one class in one file becomes a driver node.
 
-The driver node (nodes/driver/node.py) owns time, messages and safety; a device only opens, gives
+The driver node (nodes/driver/node.py) owns time, messages and safety; a device only opens, returns
 positions, takes forces and closes. A real one wraps its vendor's library; the virtual one is
 sim/device/driver.py.
 """
@@ -21,7 +21,7 @@ Workspace: TypeAlias = tuple[Bounds, Bounds, Bounds]
 
 
 class DeviceLimits(msgspec.Struct, frozen=True, kw_only=True):
-    """What the hardware can bear; no launch file can raise it.
+    """Limits of the hardware, which no launch file can raise.
 
     Attributes
     ----------
@@ -32,21 +32,19 @@ class DeviceLimits(msgspec.Struct, frozen=True, kw_only=True):
     slew : float
         Fastest change of force on any axis [N/s].
     silence : float
-        Longest time without a fresh force, and oldest force: bounds the driver's watchdog [s].
+        Longest time without a fresh force, and oldest force: limits the driver's watchdog [s].
     hold : float
-        How long the device itself holds a force when no other comes, before it lets go [s]: its own
-        last line, for a driver that hangs. A driver of hardware without one does not start unless
-        the launch file says so.
+        Time after which the device itself sets an old force to zero [s], in case the driver hangs.
+        A driver of hardware without it starts only if the launch file allows it.
     lets_go : float or None
-        The earliest that it may let go by itself [s], where that is before `hold`: from then on the
-        driver takes it to have no force, and brings one back by a ramp. None for `hold`.
+        Earliest time at which it may do so [s], if before `hold`: from then on the driver assumes
+        that there is no force, and ramps one up. None for `hold`.
     latency : float or None
-        From handing a force over until the device applies it [s]: energy and guard account for it.
-        None where it is not known, which the driver says; both then take forces to act when they
-        are handed over.
+        Time from handing a force over until the device applies it [s], used by energy and guard.
+        None if unknown, which the driver reports; then forces count from when they are handed over.
     opening, closing : float
-        How long `Device.open` and `Device.close` may take [s]; after that the device is taken to
-        hang. A launcher that ends its run waits for so long too.
+        Longest duration of `Device.open` and `Device.close` [s], after which the device counts as
+        hanging. A launcher that ends its run waits as long.
     workspace : tuple of tuple of float, shape (3, 2)
         Smallest and largest coordinate of each axis [m].
     """
@@ -64,19 +62,18 @@ class DeviceLimits(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Device(Protocol):
-    """A haptic device as the driver node sees it. All calls come from one thread.
+    """A haptic device as the driver node uses it. All calls come from one thread.
 
-    A call that waits must give up the interpreter's lock meanwhile, as ctypes does: a watchdog of
-    the driver then notices when it hangs.
+    A blocking call must release the GIL, as ctypes does, so that the driver's watchdog can notice
+    when it hangs.
 
-    A device whose position may be elsewhere without a motion (re-centred, clutched) counts that in
-    an attribute ``jumps``: an integer that another position goes with. Then history begins anew,
-    and the force goes from what is felt by a ramp.
+    A device whose position may change without motion (re-centred, clutched) counts such jumps in an
+    integer attribute ``jumps``. The history then restarts, and the force changes by a ramp.
     """
 
     @property
     def limits(self) -> DeviceLimits:
-        """What the hardware can bear."""
+        """Limits of the hardware."""
         ...
 
     def open(self) -> None:
@@ -85,12 +82,12 @@ class Device(Protocol):
         Raises
         ------
         OSError
-            When the device cannot be used; the text says what to do.
+            If the device cannot be used; the text has the remedy.
         """
         ...
 
     def read_position(self, seq: int) -> Vector:
-        """Sample the position at a tick.
+        """Return the position at a tick.
 
         Parameters
         ----------
@@ -105,7 +102,7 @@ class Device(Protocol):
         ...
 
     def write_force(self, force: Vector, seq: int, offset: float) -> None:
-        """Hand a force to the device, which holds it until the next one.
+        """Apply a force until the next one.
 
         Parameters
         ----------
@@ -114,8 +111,8 @@ class Device(Protocol):
         seq : int
             Tick during which it takes effect.
         offset : float
-            Where in that tick, 0 (its start) to 1 [ticks]; hardware, which lives in real time, has
-            no use for it.
+            Time within that tick, 0 (its start) to 1 [ticks]; of no use to hardware, which runs in
+            real time.
         """
         ...
 

@@ -1,9 +1,8 @@
-"""Forces from outside the loop (a ROS 2 graph, a program): taken on top of the law's, before ramp, guard and limits.
+"""Forces from outside the loop (ROS 2, a program), added to the law's before the limits.
 
-Nobody may push a device unasked: the launch file allows it, with the largest force and the age at
-which one that is not renewed counts as gone. Who gives a force is a control thread; the tick reads
-it where it stands. There are two places, and the one that counts is named by a single number, so a
-tick never sees half of a force.
+The launch file must allow them, with the largest force and the age at which a force that is not
+renewed expires. A control thread writes the force, the tick reads it in place. There are two
+places, and a single number selects the valid one, so that a tick never reads half a force.
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ from nodes.parameters.store import ParameterError, convert
 
 
 class ExternalParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which forces from outside a driver takes.
+    """Forces from outside that a driver accepts.
 
     peak: Largest norm of such a force [N]; a larger one is lowered to it.
-    age: After so long without a new one it counts as gone [s].
+    age: Time without a new force after which the last one expires [s].
     """
 
     peak: Annotated[float, msgspec.Meta(gt=0.0)] = 1.0
@@ -33,7 +32,7 @@ class ExternalParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 def give(
     s: DriverState, allowed: ExternalParameters | None, where: str, force: Sequence[float]
 ) -> dict[str, Any]:
-    """Let a force act from the next tick on, until it is renewed or too old (control thread)."""
+    """Apply a force from the next tick on, until it is renewed or expires (control thread)."""
     if allowed is None:
         raise ParameterError(
             f"{where}.external: no force from outside is taken; allow it in the launch file with "

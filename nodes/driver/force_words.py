@@ -1,8 +1,8 @@
-"""Why there is a force, or none, in words: one table for driver, page and command line.
+"""Why there is a force, or none, as text: one table for driver, page and command line.
 
-The rules of a driver note a code with numbers. `NOTES` names the numbers, which leave with the
-driver's event, and holds the sentence that is made from them. `STATES` says what each state of the
-safety does, and what to do about it.
+The rules of a driver note a code with numbers. `NOTES` names the numbers, which are sent with the
+driver's event, and contains the sentence that is made from them. `STATES` says what each state of
+the safety does, and the remedy.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from messages.types import DeviceState, Event, Force, Proxy, Vector
 from nodes.driver import notes
 from nodes.driver.state import FAULT, NOTE, SAFETY, DriverState
 
-SILENT_AFTER: Final = 0.5  # a driver that sent no state for this long counts as silent [s]
-NO_FORCE: Final = 1e-9  # a force below this counts as none [N]
+SILENT_AFTER: Final = 0.5  # time without a state after which a driver counts as silent [s]
+NO_FORCE: Final = 1e-9  # a force below this counts as zero [N]
 
 
 class StateWords(NamedTuple):
-    """What the driver does with forces in one state of its safety."""
+    """Action of the driver in one state of its safety."""
 
     text: str
-    remedy: str  # what a user can do about it; empty where nothing is needed
+    remedy: str  # remedy for the user; empty if none is needed
 
 
 STATES: Final[Mapping[str, StateWords]] = {
@@ -52,12 +52,12 @@ STATES: Final[Mapping[str, StateWords]] = {
 
 
 class Note(NamedTuple):
-    """What one code of the rules means."""
+    """Meaning of one code of the rules."""
 
     kind: EventKind
     fields: tuple[str, ...]  # names of its numbers, in the order in which the rules note them
     text: str  # sentence, filled by name
-    short: str = ""  # for the line of a page, where it differs
+    short: str = ""  # short form for the page, if different
 
 
 NOTES: Final[Mapping[int, Note]] = {
@@ -139,13 +139,13 @@ NOTES: Final[Mapping[int, Note]] = {
 
 
 class Noted(NamedTuple):
-    """What the rules noted once, as it leaves with an event."""
+    """A note of the rules, as its event carries it."""
 
     kind: EventKind
     reason: str
     data: dict[str, float]
     is_change: bool  # whether the state of the safety changed
-    nth: int  # number among those of its kind, where the rules count them; else 0
+    nth: int  # number among those of its kind, if the rules count them; else 0
 
 
 def _filled(text: str, data: Mapping[str, float]) -> str:
@@ -157,7 +157,7 @@ def _filled(text: str, data: Mapping[str, float]) -> str:
 
 
 def take_notes(s: DriverState) -> list[Noted]:
-    """Return what the rules have noted since the last call, and forget it."""
+    """Return and clear the notes of the rules since the last call."""
     found = []
     for n in range(s.notes_count):
         code, seq, change, *numbers = s.notes[NOTE * n : NOTE * (n + 1)]
@@ -168,7 +168,7 @@ def take_notes(s: DriverState) -> list[Noted]:
             before, after = divmod(int(change), 8)
             data |= {"before": float(before), "after": float(after)}
             reason = f"{SAFETY[before]} → {SAFETY[after]} at tick {seq:.0f}: {reason}"
-        # Rules count what they note seldom: forces that they refuse or lower.
+        # rules count the forces that they refuse or lower
         count = data.get("refused", data.get("lowered", 0.0))
         found.append(Noted(note.kind, reason, data, change >= 0.0, int(count)))
     s.notes_count = 0
@@ -176,18 +176,18 @@ def take_notes(s: DriverState) -> list[Noted]:
 
 
 def cause_of(event: Event) -> str:
-    """Return the cause of a driver's event, without the change of state; `reason` where it carries no cause."""
+    """Return the cause of a driver's event without the change of state, or its `reason`."""
     note = NOTES.get(int(event.data.get("cause", -1)))
-    # An event of an older recording has no numbers, and one that was not finite is left out.
+    # events of older recordings have no numbers, and values that are not finite are left out
     if note is None or not event.data.keys() >= {"tick", *note.fields}:
         return event.reason
     return _filled(note.short or note.text, event.data)
 
 
 def why_no_force(s: DriverState, condition: str = "") -> str:
-    """Return what prevents a force on the hand, or how large the force is, from a driver's own state.
+    """Return from the driver's state why there is no force on the hand, or how large it is.
 
-    `condition` is what the device itself says.
+    `condition` is the device's own.
     """
     if s.ticks == 0:
         return "the driver has not ticked yet"
@@ -232,7 +232,7 @@ def explain(
     ringing: str = "",
     device: str = "",
 ) -> tuple[str, str]:
-    """Return why there is a force or none, from the messages of a run: a level, and one sentence.
+    """Return why there is a force or none, from the messages of a run: a level and a sentence.
 
     Parameters
     ----------
@@ -243,9 +243,9 @@ def explain(
     why : str
         Cause of the last change of state (`cause_of`).
     ringing : str
-        How the loop rings; empty when it does not.
+        How the loop oscillates; empty if it does not.
     device : str
-        What keeps the device from giving forces; empty when nothing is known to.
+        Why the device gives no forces; empty if it does or nothing is known.
 
     Returns
     -------
@@ -268,7 +268,7 @@ def explain(
             return "stop", f"No force: {words}{because}."
         return "warn", f"{given:.2f} N: {words}{because}."
     if device:
-        # It takes the driver's forces, and does not give them.
+        # It accepts the driver's forces, and does not apply them.
         return "stop", f"No force, or another one: {device}."
     law = force.law if force is not None else ""
     if law == "fallback":
@@ -279,7 +279,7 @@ def explain(
     if state.safety == "ramp":
         return "warn", f"{given:.2f} N: {words}."
     if proxy is None:
-        # A recording of the states alone never holds an answer.
+        # A recording of states only has no answer.
         begin = f"{given:.2f} N" if given > NO_FORCE else "No force"
         return "warn", f"{begin}: the environment has not answered yet."
     if ringing:
@@ -290,7 +290,7 @@ def explain(
 def _in_contact(
     state: DeviceState, proxy: Proxy, force: Force | None, given: float
 ) -> tuple[str, str]:
-    """Return level and sentence of a loop in which nothing is wrong."""
+    """Return level and sentence of a loop without faults."""
     if not proxy.contact:
         if any(proxy.normal):
             return (
@@ -303,7 +303,7 @@ def _in_contact(
         return "rest", "No force: there is nothing to touch."
     law = force.law if force is not None and force.law else "the law"
     asked = size(force.force) if force is not None else 0.0
-    # Another tick's force says nothing about limits.
+    # another tick's force does not show limits
     same = force is not None and force.seq == state.force_seq
     if same and asked > given + 0.02 * asked + NO_FORCE and state.age == 0 and asked > 0.05:
         return (

@@ -1,4 +1,4 @@
-"""The driver's tick, compiled: nodes/driver/tick.py and its rules as they stand, with a port of C functions."""
+"""Compiled tick of the driver: nodes/driver/tick.py and its rules, with C functions."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _TO_POSITION, _TO_FORCE, _TO_MEAN, _TO_TARGET = slots(
     _OUT, "stamp", "changed_at", "response", "lateness", "energy", "delay", "guard", "surplus"
 )
 _TIMER_ABSTIME = 1
-# As long as ZeroMQ waits at least in `Subscription.receive_soon` [s].
+# shortest wait of ZeroMQ in `Subscription.receive_soon` [s]
 _SOON = 1e-3
 
 
@@ -113,14 +113,14 @@ def _publish(s: DriverState, seq: int, stamp: float) -> None:
     size = _encode(at, s.out_keys, out, whole, s.texts[s.safety], s.text_sizes[s.safety]) - at
     s.sent, s.sent_size = at, size
     s.states_sent += 1
-    # taken before sending: under FIFO the whole chain may run before the call returns
+    # before sending: under FIFO the whole chain may run before the call returns
     s.sampled = monotonic(s)
     send_hop(s, at, size)
 
 
 @compilable
 def _await(s: DriverState, deadline: float) -> bool:
-    """Wait for a message until an absolute time, to the microsecond (`Subscription.receive_until`)."""
+    """Wait for a message until an absolute time, to the microsecond, as `receive_until` does."""
     while True:
         if has_message(s, s.inbox):
             return True
@@ -137,7 +137,7 @@ def _await(s: DriverState, deadline: float) -> bool:
 def _receive(s: DriverState, until: float) -> int:
     flags = 0
     if s.realtime != 0:
-        # An answer that is late is waited for a little, as ZeroMQ's own time-outs do.
+        # wait a little for a late answer, as ZeroMQ's own time-outs do
         if not _await(s, max(until, monotonic(s) + _SOON) if s.patient != 0 else until):
             return NONE
         flags = hop.DONTWAIT
@@ -174,7 +174,7 @@ _lockstep, _realtime = make_ticks(
 
 @compilable
 def _settle(s: DriverState) -> None:
-    """Send what was collected; the message of a tick that goes on later keeps the place where the next one would stand."""
+    """Send collected messages; move the message of a pending tick out of the way."""
     flush(s)
     if s.aside != 0 and s.phase != BETWEEN and s.sent != s.held:
         for at in range(0, s.sent_size, 16):
@@ -184,7 +184,7 @@ def _settle(s: DriverState) -> None:
 
 @compilable
 def ticks(address: int) -> int:
-    """Tick until something waits; why it ended."""
+    """Tick until the driver is needed. Return why."""
     s = _look(address)
     why = _realtime(s) if s.realtime != 0 else _lockstep(s)
     _settle(s)

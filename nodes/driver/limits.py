@@ -1,4 +1,4 @@
-"""The driver's limits: of the device's and the launch file's, the lower of each; an event says where more was asked."""
+"""The driver's limits: the lower of the device's and the launch file's."""
 
 from __future__ import annotations
 
@@ -11,35 +11,34 @@ from nodes.driver.device import Bounds, DeviceLimits, Workspace
 from nodes.driver.state import PEAKS
 from nodes.parameters.checked import NonNegative, Positive
 
-# longest way from the largest force down to zero [s]; a launcher waits twice as long before it
-# presses on
+# longest ramp from the largest force down to zero [s]; a launcher waits twice as long
 STOP_TIME = 1.5
 
 
 class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Limits of the driver; what is None is left to the device's own limit.
+    """Limits of the driver; None means the device's own limit.
 
     watchdog: Ticks without a fresh force before damping begins; armed by the first force.
     damping_ticks: Ticks of damping before the force is zero.
-    damping: Damper against the device's own velocity meanwhile [N s/m].
+    damping: Damper on the device's own velocity during damping [N s/m].
     max_age: Oldest force that is accepted [ticks].
     peak_force: Largest magnitude on an axis [N].
     continuous_force: Largest root-mean-square force over `thermal_time` [N].
     thermal_time: Time constant of the motor's heating [s].
     slew: Fastest change of force [N/s].
-    ramp: Time in which forces grow to their full size after a start [s]. None for `recovery`,
-        unless the first force is zero: contacts that a motion makes have no ramp.
-    recovery: The same after a jump of the position, damping, zero force, a fault or a driver that
-        was started again [s]; `ramp` where that is longer. A force that was away for less than a
-        fifth of it begins with a part: each tick away costs five ticks of ramp.
-    workspace: Smallest and largest coordinate of each axis [m]; a position outside is a fault, not
-        data, and the force is zero.
-    stop_after: How often within 2 s the force may come to `peak_force` while the loop gives out
-        energy; then the loop is unstable, and the driver stops for good: damping, then no force
-        until ``haptic node rearm`` asks for it, or the driver is started again. A force that stays
-        there while energy is given out stops it after 1 s. At most 64; None for never.
-    hang: After so long within one tick the device is taken to hang, and the driver ends [s]; None
-        for a debugger.
+    ramp: Time over which forces grow to their full size after a start [s]. None for `recovery`,
+        unless the first force is zero: contacts due to motion have no ramp.
+    recovery: The same after a jump of the position, damping, zero force, a fault or a restart of
+        the driver [s]; `ramp` if that is longer. After a gap shorter than a fifth of it, the ramp
+        starts from a part: each missing tick costs five ticks of ramp.
+    workspace: Smallest and largest coordinate of each axis [m]; a position outside is a fault, and
+        the force is zero.
+    stop_after: Number of times within 2 s that the force may reach `peak_force` while the loop
+        generates energy. Then the loop is unstable and the driver stops: damping, then no force
+        until ``haptic node rearm`` or a restart of the driver. A force that stays at the peak while
+        energy is generated stops it after 1 s. At most 64; None for never.
+    hang: Duration of one tick after which the device counts as hanging, and the driver ends [s];
+        None for a debugger.
     without: Which of ``peak_force``, ``slew``, ``workspace`` and ``hold`` need not be declared; a
         virtual device then has none.
     """
@@ -61,17 +60,17 @@ class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
 
 def start_ramp(parameters: SafetyParameters) -> float:
-    """Return the time in which a first force that is not zero grows to its full size [s]."""
+    """Return the time over which a first, nonzero force grows to its full size [s]."""
     return parameters.recovery if parameters.ramp is None else parameters.ramp
 
 
 def recovery_ramp(parameters: SafetyParameters) -> float:
-    """Return the time in which a force that was away, or that jumped, grows to its full size [s]."""
+    """Return the time over which a force grows again after a gap or a jump [s]."""
     return max(parameters.recovery, parameters.ramp or 0.0)
 
 
 class Limits(msgspec.Struct, frozen=True, kw_only=True):
-    """What holds: of the device's limits and the launch file's, the lower of each."""
+    """The effective limits: the lower of the device's and the launch file's."""
 
     peak: float | None  # largest magnitude on an axis [N]
     slew: float | None  # largest change per tick [N]
@@ -80,12 +79,12 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
     damping_ticks: int
     max_age: int
     workspace: Workspace  # smallest and largest coordinate of each axis [m]
-    # what the launch file asked for in vain: path, value, limit and what holds instead
+    # overruled limits of the launch file: path, value, limit and what holds instead
     overruled: tuple[str, ...]
 
 
 def undeclared(parameters: SafetyParameters, device: DeviceLimits) -> str:
-    """Say which limits a real device must declare and does not: largest force, workspace, a deadline of its own."""
+    """Return which limits a real device must declare and does not, as an error text, or ""."""
     peak = parameters.peak_force is not None or math.isfinite(device.peak_force)
     bounded = parameters.workspace is not None or all(
         math.isfinite(low + high) for low, high in device.workspace
@@ -103,7 +102,7 @@ def undeclared(parameters: SafetyParameters, device: DeviceLimits) -> str:
 def lower(
     parameters: SafetyParameters, device: DeviceLimits, period: float, where: str = "safety"
 ) -> Limits:
-    """Take the lower of what a launch file asks for and what the device bears."""
+    """Return the lower of a launch file's and a device's limits."""
     overruled: list[str] = []
 
     def least(name: str, wanted: float | None, bears: float, unit: str) -> float | None:
@@ -118,8 +117,7 @@ def lower(
     peak = least("peak_force", parameters.peak_force, device.peak_force, "N")
     slew = least("slew", parameters.slew, device.slew, "N/s")
     if slew is not None and (peak is None or peak > slew * STOP_TIME):
-        # What could not be taken down in time is not built up: the soft stop must end, and within
-        # the slew.
+        # A force must be removable within the stop time at the slew limit.
         if peak is not None:
             overruled.append(
                 f"{where}.slew: {slew:g} N/s takes {peak / slew:.3g} s from {peak:g} N to zero,"

@@ -1,10 +1,10 @@
-"""How the device moves and comes to an end, and what the forces on it give out: rates are over the time that really passed.
+"""Motion of the device and energy of the forces on it, over the time that really passed.
 
-A tick can be lost because the driver was held up, or because the position it got is no position.
-Then the next sample ends a longer step: its displacement is divided by all the ticks that it took,
-and its energy is that of the mean force over them. Within a tick the mean force is split where the
-measured arrivals changed it, for energies exact under zero-order hold: between two samples the
-device is taken to move evenly, and with one force per tick nothing is assumed.
+A tick can be lost because the driver was held up, or because its position is invalid. The next
+sample then ends a longer step: its displacement is divided by all its ticks, and its energy is that
+of the mean force over them. Within a tick the mean force is split where measured arrivals changed
+it, which makes energies exact under zero-order hold. Between two samples even motion is assumed;
+with one force per tick nothing is assumed.
 """
 
 from __future__ import annotations
@@ -19,19 +19,18 @@ from nodes.compiled.rules import rule
 from nodes.driver.passivity import line_of, observe, through
 from nodes.driver.state import DriverState
 
-RECENT: Final = 0.25  # time at the end of a run that tells how it ends [s]; at least `LEAST` ticks
-LEAST: Final = 64
-# largest swing that counts as rest [m]: about what a fingertip feels at its most sensitive, near
-# 250 Hz
+# time at the end of a run that determines its ending [s]; at least `MIN_SAMPLES` ticks
+RECENT: Final = 0.25
+MIN_SAMPLES: Final = 64
+# largest oscillation that counts as rest [m]: about the threshold of a fingertip near 250 Hz
 REST = 1e-6
-# least acceleration without a force that is called falling [m/s²]: a damped device that glides has
-# less
+# least acceleration without force that counts as falling [m/s²]; a damped, gliding device has less
 _FALL = 1.0
 
 
 def set_motion(s: DriverState, latency: float) -> list[array[float]]:
-    """Lay down samples and forces under way, which act so many ticks late; the arrays must live as long as the state."""
-    s.places_count = max(LEAST, round(RECENT / s.period))
+    """Allocate samples and the force delay line. Return the arrays (keep a reference)."""
+    s.places_count = max(MIN_SAMPLES, round(RECENT / s.period))
     places = array("d", [0.0]) * (3 * s.places_count)
     s.places = places.buffer_info()[0]
     s.elapsed = 1
@@ -39,7 +38,10 @@ def set_motion(s: DriverState, latency: float) -> list[array[float]]:
 
 
 def set_latency(s: DriverState, latency: float) -> array[float]:
-    """Lay down the forces under way, with those that are; the array, which must live as long as the state."""
+    """Resize the force delay line, keeping forces in flight. Return its buffer.
+
+    The caller must keep a reference to the buffer.
+    """
     line, part = line_of(latency) if latency else ([], 0.0)
     length, before = len(line), s.line_length
     kept = array("d", [0.0]) * (3 * length)
@@ -53,7 +55,7 @@ def set_latency(s: DriverState, latency: float) -> array[float]:
 
 @rule
 def sample(s: DriverState, at: float) -> bool:
-    """Take the position that was read as the newest sample; whether ticks have passed since the one before.
+    """Use the position read as the newest sample. Return whether ticks have passed.
 
     A position that `jumped` ends no motion: its step is zero, and so are velocity and energy.
     """
@@ -93,7 +95,7 @@ def sample(s: DriverState, at: float) -> bool:
 
 @rule
 def act(s: DriverState, ticks: int) -> None:
-    """Let ticks pass with the mean force."""
+    """Advance by some ticks with the mean force."""
     covered = s.covered
     for i in range(3):
         if covered:
@@ -105,7 +107,7 @@ def act(s: DriverState, ticks: int) -> None:
 
 @rule
 def split(s: DriverState, offset: float) -> None:
-    """Take into the tick's mean force what acted up to a place in it."""
+    """Accumulate the mean force up to `offset` (0–1) of this tick."""
     share = offset - s.split
     if share > 0.0:
         for i in range(3):
@@ -115,7 +117,7 @@ def split(s: DriverState, offset: float) -> None:
 
 @rule
 def find_velocity(s: DriverState) -> None:
-    """Find the velocity between the last two samples; a real device goes on moving while a sample is late."""
+    """Set the velocity between the last two samples; real time counts for a real device."""
     span = s.elapsed * s.period
     if s.virtual == 0:
         span = max(span, s.at - s.at_before)
@@ -124,23 +126,23 @@ def find_velocity(s: DriverState) -> None:
 
 
 def endings(s: DriverState) -> list[Ending]:
-    """Tell how the device has moved lately, axis by axis."""
+    """Return how the device moved at the end, axis by axis."""
     places = reals_at(s.places, 3 * s.places_count)
     order = [n % s.places_count for n in range(max(0, s.samples - s.places_count), s.samples)]
     return [ending([places[3 * n + i] for n in order], s.force[i], s.period) for i in range(3)]
 
 
 class Ending(NamedTuple):
-    """The last samples of one axis in words and figures."""
+    """Motion at the end of a run on one axis."""
 
     motion: str  # ``at rest``, ``swinging``, ``falling`` or ``moving``
-    swing_m: float  # largest less smallest sample, in metres
-    frequency_hz: float  # how often it swings to and fro, in Hz; 0 for any other motion
-    velocity_m_per_s: float  # at the end, in m/s
+    swing_m: float  # range of the samples [m]
+    frequency_hz: float  # frequency of the oscillation [Hz]; 0 for any other motion
+    velocity_m_per_s: float  # at the end [m/s]
 
 
 def ending(samples: Sequence[float], force: float, period: float) -> Ending:
-    """Describe the last samples of one axis."""
+    """Return the motion of the last samples of one axis."""
     if len(samples) < 2:
         return Ending("at rest", 0.0, 0.0, 0.0)
     swing = max(samples) - min(samples)
@@ -150,12 +152,11 @@ def ending(samples: Sequence[float], force: float, period: float) -> Ending:
     middle = 0.5 * (max(samples) + min(samples))
     above = [value > middle for value in samples]
     crossings = [k for k in range(1, len(above)) if above[k] != above[k - 1]]
-    # Twice through the middle is there and back; a third time makes it a swing.
+    # two crossings of the middle are there and back; a third makes it an oscillation
     if len(crossings) >= 3:
         frequency = 0.5 * (len(crossings) - 1) / ((crossings[-1] - crossings[0]) * period)
         return Ending("swinging", swing, frequency, velocity)
-    # The newer half alone: a bounce before it is no fall, nor is one within it, which turns the
-    # device round.
+    # Only the newer half: a bounce before it, or within it, is no fall.
     half = (len(samples) - 1) // 4
     last = samples[-1 - 2 * half :]
     bend = last[-1] - 2.0 * last[half] + last[0]

@@ -1,16 +1,16 @@
-"""The motor's heating: a force may be large for a while, but not for long, and it must be taken down without a jump.
+"""Motor heating: limits the mean square of the force, without jumps.
 
-Heat is the mean square of the force, forgotten with one time constant. Cutting the force when the
-heat reaches its limit would be a jump of several newtons under somebody's hand, so the force is
-lowered early enough: at any time the way down to the continuous force, at the slew limit, still
-fits below the heat limit, even when so many ticks as the watchdog has are lost before each step of
-it, in which the device holds what it has.
+Heat is the mean square of the force with one time constant. Cutting the force when the heat reaches
+its limit would be a jump of several newtons in a hand, so the force is lowered early enough. At any
+time, the ramp down to the continuous force at the slew limit still fits below the heat limit, even
+if as many ticks as the watchdog allows are lost before each step, during which the device holds its
+force.
 
 Let φ = exp(−T/τ), h the heat [N²], C the limit, s the largest change in a tick, n the watchdog's
 ticks and κ = φ^(1+n). Before each tick holds κh + (1−κ)(F² + R(F)) ≤ C², where R(F) = (F³ −
-C³)/(3s) for F > C bounds the sum of the squares on the way down from F to C. Holding F for up to
-1+n ticks and then going down by s keeps that inequality, because (F−s)² + R(F−s) ≤ R(F): so there
-is always a force that respects it.
+C³)/(3s) for F > C bounds the sum of the squares on the ramp from F to C. Holding F for up to 1+n
+ticks and then going down by s preserves that inequality, because (F−s)² + R(F−s) ≤ R(F): so there
+is always a force that satisfies it.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from typing import Final
 from nodes.compiled.rules import rule
 from nodes.driver.state import DriverState
 
-# steps of the bisection between the forces that are safe and wanted: 1e-7 of their difference
+# bisection steps between the safe and the wanted force: 1e-7 of their difference
 HALVINGS: Final = 24
 
 
 def set_heat(s: DriverState, continuous: float | None, thermal_time: float, period: float) -> None:
-    """Lay down a limit, if there is one."""
+    """Set a heat limit, if any."""
     s.continuous = math.inf if continuous is None else continuous
     s.heat_keep = 1.0 if continuous is None else math.exp(-period / thermal_time)
     s.heat_reserve = s.heat_keep ** (1 + s.watchdog)
@@ -34,11 +34,11 @@ def set_heat(s: DriverState, continuous: float | None, thermal_time: float, peri
 
 @rule
 def close_tick(s: DriverState, ticks: int) -> None:
-    """Count the tick that is over, and further ones during which the force was held."""
+    """Account for the tick that is over, and further ones during which the force was held."""
     if s.heat_keep < 1.0 and ticks > 0:
         held = s.force[0] * s.force[0] + s.force[1] * s.force[1] + s.force[2] * s.force[2]
         s.heat = s.heat_keep * s.heat + (1.0 - s.heat_keep) * s.heat_largest
-        # To a power that is a float: compiled, a whole one would be products, and other last bits.
+        # float exponent: numba turns an integer power into products with other last bits
         rest = s.heat_keep ** float(ticks - 1)
         s.heat = rest * s.heat + (1.0 - rest) * held
         s.heat_largest = 0.0
@@ -46,7 +46,7 @@ def close_tick(s: DriverState, ticks: int) -> None:
 
 @rule
 def note_heat(s: DriverState) -> None:
-    """Note a force of this tick; the largest one counts."""
+    """Account for a force of this tick; the largest one counts."""
     squared = s.wanted[0] * s.wanted[0] + s.wanted[1] * s.wanted[1] + s.wanted[2] * s.wanted[2]
     s.heat_largest = max(s.heat_largest, squared)
 
@@ -57,7 +57,7 @@ def _fits(s: DriverState, x: float, y: float, z: float) -> bool:
     size = math.sqrt(squared)
     way = 0.0
     if size > s.continuous and math.isfinite(s.slew):
-        # Products, not powers: compiled code makes other last bits of a power.
+        # products, not powers, whose last bits differ when compiled
         limit = s.continuous
         way = (size * size * size - limit * limit * limit) / (3.0 * s.slew)
     reserved = s.heat_reserve * s.heat + (1.0 - s.heat_reserve) * (squared + way)
@@ -66,7 +66,7 @@ def _fits(s: DriverState, x: float, y: float, z: float) -> bool:
 
 @rule
 def lower_heat(s: DriverState) -> bool:
-    """Lower what is wanted as far as the heat asks for; whether it was."""
+    """Lower the wanted force as the heat requires. Return whether it was lowered."""
     a, b, c = s.wanted[0], s.wanted[1], s.wanted[2]
     if _fits(s, a, b, c):
         return False

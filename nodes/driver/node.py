@@ -1,9 +1,9 @@
-"""The driver node: the clock of the loop, and the only one that touches the device.
+"""The driver node: the clock of the loop, and the only node that accesses the device.
 
 At each tick it samples the position, publishes it, and waits for the force that answers this very
-tick. ``realtime`` waits until the next absolute deadline and goes on without an answer if it must;
-``lockstep`` waits for the answer, however long, so a run is deterministic and as fast as the
-machine allows. The next state message says what happened in a tick.
+tick. ``realtime`` waits until the next absolute deadline and continues without an answer if it
+must; ``lockstep`` waits for the answer, however long, so a run is deterministic and as fast as the
+machine allows. The next state message reports the outcome of a tick.
 """
 
 from __future__ import annotations
@@ -47,16 +47,16 @@ if TYPE_CHECKING:
 
 __all__ = ["ASK_AGAIN", "SOFT_STOP", "Driver"]
 
-# in lockstep, an unanswered tick is published again: its answer was lost with a node [s]
+# time after which an unanswered tick is published again in lockstep [s]: a node lost its answer
 ASK_AGAIN = 0.5
-STAND_STILL = 60.0  # longest that a loop in lockstep stands still at one request [s]
-LOOK_UP = 0.01  # how often it looks meanwhile at what waits between two ticks [s]
-# after so long on the way down to zero force the device is taken to hang [s]
+LONGEST_PAUSE = 60.0  # longest pause of a loop in lockstep per request [s]
+PAUSE_POLL = 0.01  # interval of checking requests during a pause [s]
+# longest soft stop [s], after which the device counts as hanging
 SOFT_STOP = STOP_TIME + 1.0
 
 
-def _kept(name: str) -> Any:
-    """Let a counter that every node has stand in the driver's state."""
+def state_property(name: str) -> Any:
+    """Return a property that stores a Node counter in the driver's state struct."""
     return property(
         lambda node: getattr(node.counters, name),
         lambda node, value: setattr(node.counters, name, value),
@@ -74,9 +74,9 @@ class Driver(Node):
         Module of the device's compiled calls (nodes/driver/calls.py); empty for a device written in
         Python, or in C.
     movable : str
-        Which of its parameters change while it runs, for errors.
+        Names of the parameters that may change while it runs, for errors.
     driving : DriverState
-        All that it keeps from tick to tick.
+        State between ticks.
     """
 
     Parameters: ClassVar[type[msgspec.Struct]] = DriverParameters
@@ -88,12 +88,12 @@ class Driver(Node):
     movable: ClassVar[str] = "passivity"
 
     compiled: DriverTicks | None
-    sent = _kept("states_sent")
-    received = _kept("taken")
+    sent = state_property("states_sent")
+    received = state_property("taken")
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        # the tick is every driver's; a kind only makes its device
+        # all drivers have the same tick; a kind only makes its device
         cls.kernel_module = Driver.kernel_module
 
     def __init__(self, setup: Setup) -> None:
@@ -101,34 +101,34 @@ class Driver(Node):
         self.driving = self.counters
         self._report = DriverReport(self.driving)
         self._condition = Condition(self, self.condition)
-        self._stands_until = 0.0
+        self._paused_until = 0.0
         self.events.interrupt = self._interrupt
 
     def make_counters(self) -> Any:
-        """Make its state."""
+        """Return the state."""
         return state_of(DriverState, self.setup.tick == "compiled")
 
     def counted(self) -> Counted:
-        """Tell how far it is: the tick that was sampled last."""
+        """Return the counters, with the tick that was sampled last."""
         return super().counted()._replace(seq=self.driving.asked)
 
     @classmethod
     def modules(cls, parameters: Mapping[str, Any]) -> set[str]:
-        """Tell what is compiled for a driver: the tick, and its device where it has compiled calls of its own."""
+        """Return the modules to compile: the tick, and the device's compiled calls, if any."""
         return super().modules(parameters) | {cls.device_module} - {""}
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Check pace and workspace before anything is started (`Node.check`)."""
+        """Check pace and workspace before the launch (`Node.check`)."""
         check(setup, convert(setup.parameters, cls.Parameters, setup.name), cls.virtual)
 
     @property
     def target(self) -> Vector:
-        """Where a simulated hand pulls the device to during this tick [m]; zero without one."""
+        """Point to which a simulated hand pulls the device in this tick [m]; zero without one."""
         return ZERO
 
     def make_device(self) -> Device:
-        """Make the device from the parameters; do not open it yet.
+        """Return the device, created from the parameters but not opened.
 
         Returns
         -------
@@ -138,7 +138,7 @@ class Driver(Node):
         raise TypeError(f"driver kind {self.setup.kind!r} does not define make_device()")
 
     def configure(self) -> None:
-        """Make the device and lay down what holds for the run."""
+        """Create the device and set the conditions of the run."""
         parameters, s, period = self.store.current, self.driving, self.setup.period
         self._device = self.make_device()
         limits = self._device.limits
@@ -149,8 +149,7 @@ class Driver(Node):
         s.period, s.realtime, s.virtual = period, self.setup.pace == "realtime", self.virtual
         s.next_tick = self.setup.apply == "next_tick"
         s.axes, s.axis[:] = len(axes), (*axes, 0, 0)[:3]
-        # The device lets go by itself so many ticks after the last force that was written; maybe
-        # not all of it yet.
+        # Ticks after the last write until the device lets go by itself, at the earliest.
         s.device_hold_ticks = (limits.hold if limits.lets_go is None else limits.lets_go) / period
         held = lower(parameters.safety, limits, period, f"{self.setup.name}.safety")
         if s.realtime == 0:
@@ -158,8 +157,7 @@ class Driver(Node):
         set_safety(s, parameters.safety, held, period)
         self._kept = set_motion(s, round((limits.latency or 0.0) / period, 9))
         set_guard(s, parameters.passivity)
-        # One that was started again may have a guard that somebody set while it ran, which is not
-        # the launch file's.
+        # A restarted driver may have a guard that a client set, not the launch file.
         written: DriverParameters = convert(self.setup.parameters, self.Parameters, self.setup.name)
         self._report.begin(
             self._device, held, written.passivity is not None and written.passivity.guard == "on"
@@ -178,10 +176,10 @@ class Driver(Node):
 
     def loop(self) -> None:
         """Tick until stopped or done."""
-        assert self.inbox is not None  # noqa: S101  # every kind that listens has one
+        assert self.inbox is not None  # noqa: S101  # every subscribing kind has one
         if self.stopping:
             return
-        self._open = True  # set first: a device that failed half-way is closed too
+        self._open = True  # set first, so that a device that failed half-way is closed too
         self._watch.begin("open()", self._device.limits.opening)
         self._device.open()
         self._watch.begin("")
@@ -209,13 +207,13 @@ class Driver(Node):
                 self.stop("done")
 
     def _tick(self, ticks: Callable[[Any], int]) -> None:
-        """Let ticks go on, and do what they cannot."""
+        """Run ticks; handle whatever makes them return."""
         s = self.driving
         asked = 0.0
         while s.seq < s.until and not self.stopping:
-            if s.phase == BETWEEN and time.monotonic() < self._stands_until:
+            if s.phase == BETWEEN and time.monotonic() < self._paused_until:
                 self.between_ticks(s.seq)
-                time.sleep(LOOK_UP)
+                time.sleep(PAUSE_POLL)
                 continue
             s.clock_offset = self.clock.offset
             why = ticks(s)
@@ -230,16 +228,16 @@ class Driver(Node):
                         self._plain.payload if self.compiled is None else self.compiled.last_sent()
                     )
                     self.publisher.send_hop(self.setup.topic(topics.DEVICE_STATE).encode(), payload)
-            # The middle of a tick is no time for what waits between two.
+            # in the middle of a tick, work between ticks must wait
             if why == BROKEN:
-                self._mend()
+                self._raise_device_error()
             elif why == UNREAD:
-                s.given = 1 + self._plain.take_up(s)
+                s.pending_result = 1 + self._plain.take_up(s)
             elif self.events.waiting or s.notes_count:
                 self.between_ticks(s.seq)
 
-    def _mend(self) -> None:
-        """Ask the device itself what a call of it that failed has to say, which raises it; else go on with what it gives."""
+    def _raise_device_error(self) -> None:
+        """Repeat the failed device call in Python, so that its exception is raised."""
         s = self.driving
         if self.compiled is not None:
             self.compiled.raise_error()
@@ -256,10 +254,10 @@ class Driver(Node):
                 f"{self.setup.name}: {type(self._device).__name__}",
             )
             s.jumped |= self._plain.jumps.again()
-            s.place_given = 1
+            s.position_ready = 1
 
     def _last_sample(self, stamp: float) -> None:
-        """Publish where the device came to rest."""
+        """Publish the final position of the device."""
         s = self.driving
         s.place[:] = numbers_of(self._device.read_position(s.seq), self.setup.name)
         s.jumped |= self._plain.jumps.again()
@@ -271,18 +269,21 @@ class Driver(Node):
 
     @classmethod
     def largest_force(cls, parameters: Mapping[str, Any], name: str, period: float) -> float | None:
-        """Return the largest force that the launch file allows [N]; the device itself may bear less."""
+        """Return the largest force that the launch file allows [N]; the device's may be lower."""
         safety = convert(parameters.get("safety", {}), SafetyParameters, f"{name}.safety")
         return lower(safety, DeviceLimits(), period, f"{name}.safety").peak
 
     def compiled_ticks(self, kernel: Kernel) -> DriverTicks:
-        """Make the compiled ticks."""
+        """Return the compiled ticks."""
         from nodes.driver.compiled_tick import DriverTicks
 
         return DriverTicks(self, kernel, self._device, self._plain.jumps)
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
-        """Prepare another guard, its account at zero: all of a driver that changes, where the launch file asked for none."""
+        """Prepare a new guard with zero accounts; other parameters are fixed.
+
+        It is refused if the launch file has a guard of its own.
+        """
         if msgspec.structs.replace(parameters, passivity=None) != msgspec.structs.replace(
             self.store.current, passivity=None
         ):
@@ -301,26 +302,26 @@ class Driver(Node):
 
         return apply
 
-    def _tell_notes(self) -> None:
+    def _report_notes(self) -> None:
         for note in self._report.notes():
-            # Every change of state is published, whatever else happened.
+            # every change of state is published, whatever else happened
             self.events.emit(
                 note.kind, note.reason, note.data, always=note.is_change, count=note.nth
             )
 
     def between_ticks(self, seq: int) -> None:
-        """Tell what happened, then do what every node does."""
-        self._tell_notes()
+        """Report notes, then do the work of every node between ticks."""
+        self._report_notes()
         super().between_ticks(seq)
 
-    def look_after(self) -> None:
-        """Look whether the loop goes on, and tell when the device keeps forces off (control thread)."""
+    def check_health(self) -> None:
+        """Check that the loop progresses, and report the device's condition (control thread)."""
         self._watch.look((*self.counted(), self._report.soft_stop_ticks))
         if self.state == "running":
             self._condition.report()
 
     def operations(self) -> dict[str, Callable[..., Any]]:
-        """Offer what the launcher's status line asks for, and take forces from outside."""
+        """Return the operations, with progress, rearming, pausing and external forces."""
         limits = self._device.limits
         return {
             "progress": lambda: {
@@ -329,7 +330,7 @@ class Driver(Node):
             },
             "device": lambda: {"opening_s": limits.opening, "closing_s": limits.closing},
             "rearm": self._rearm,
-            "stand": self._stand,
+            "stand": self._pause_for,
             "force": lambda: {"why": why_no_force(self.driving, self._condition.told())},
             "external": lambda force: give(
                 self.driving, self.store.current.external, self.setup.name, force
@@ -337,7 +338,7 @@ class Driver(Node):
         }
 
     def _rearm(self, beside: bool = False) -> dict[str, Any]:
-        """Take forces again after a stop; of a real device only where the request says that somebody stands beside it."""
+        """Rearm after a stop; a real device only if somebody is `beside` it."""
         name = self.setup.name
         if not (self.virtual or beside):
             raise ParameterError(
@@ -354,24 +355,24 @@ class Driver(Node):
         receipt: dict[str, Any] = self.changes.hand_over(apply)
         return receipt
 
-    def _stand(self, seconds: float) -> dict[str, Any]:
-        """Begin no tick for so long, or until 0 s are asked for: a loop that nobody follows takes the machine from others."""
+    def _pause_for(self, seconds: float) -> dict[str, Any]:
+        """Pause the lockstep loop for `seconds` (0 resumes), to free the CPU meanwhile."""
         name = self.setup.name
         if self.driving.realtime:
             raise ParameterError(
                 f"{name}: only a loop in lockstep can stand still; a device in real time cannot"
                 " wait"
             )
-        if not (isinstance(seconds, int | float) and 0.0 <= seconds <= STAND_STILL):
+        if not (isinstance(seconds, int | float) and 0.0 <= seconds <= LONGEST_PAUSE):
             raise ParameterError(
-                f"{name}: stand still for {seconds!r} s: expected 0 to {STAND_STILL:g} s"
+                f"{name}: stand still for {seconds!r} s: expected 0 to {LONGEST_PAUSE:g} s"
             )
-        self._stands_until = time.monotonic() + seconds
+        self._paused_until = time.monotonic() + seconds
         self.events.notify()
         return {}
 
     def condition(self) -> str:
-        """Say what keeps the device from giving the forces that it gets; empty when nothing is known to.
+        """Return why the device does not apply the forces that it gets, or "".
 
         Returns
         -------
@@ -381,15 +382,15 @@ class Driver(Node):
         return ""
 
     def report(self) -> dict[str, Any]:
-        """Summarise the run."""
+        """Return a summary of the run."""
         return self._report.summary()
 
     def _interrupt(self) -> None:
-        """Ask compiled ticks to come back."""
+        """Request the return of compiled ticks."""
         self.driving.attention = 1
 
     def _begin_at_epoch(self) -> None:
-        """Set when tick 0 is or was: a respawned driver goes on counting where its predecessor was killed."""
+        """Set the time of tick 0; a respawned driver continues its predecessor's count."""
         s = self.driving
         path = Path(self.setup.run_dir) / f"{self.setup.name}.epoch"
         if path.exists():
@@ -400,11 +401,11 @@ class Driver(Node):
             s.epoch = time.monotonic() + 0.002
             path.write_text(repr(s.epoch), encoding="ascii")
         s.seq = self._report.first_seq = max(0, math.ceil((time.monotonic() - s.epoch) / s.period))
-        # A rate is of deadlines: what passes until the first of them is no part of the run.
+        # A rate counts deadlines: the time before the first of them does not belong to the run.
         self._report.first = s.epoch + s.seq * s.period
 
     def finish(self) -> None:
-        """Bring the force down to zero and close the device, on every way out."""
+        """Ramp the force down to zero and close the device, on every way out."""
         if not self._open:
             return
         self._open = False
@@ -416,7 +417,8 @@ class Driver(Node):
             for n, force in enumerate(soft_stop((x, y, z), s.slew, period), 1):
                 self._report.soft_stop_ticks = n
                 if s.realtime and time.monotonic() >= written + s.device_hold_ticks * period:
-                    # Held up on the way, until the device let go by itself: nothing comes back.
+                    # The driver was held up until the device let go by itself: the force must not
+                    # return.
                     force = ZERO
                 self._device.write_force(force, s.seq + n - 1, 0.0)
                 s.handed[:] = force
@@ -429,4 +431,4 @@ class Driver(Node):
             self._watch.begin("close()", self._device.limits.closing)
             self._device.close()
             self._watch.end()
-            self._tell_notes()
+            self._report_notes()

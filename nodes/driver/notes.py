@@ -1,4 +1,4 @@
-"""Codes of what the rules of a driver note in a tick; nodes/driver/force_words.py puts them into words.
+"""Codes of the notes of a driver's rules; nodes/driver/force_words.py has their texts.
 
 A code is also the number `cause` of the driver's event (messages/PROTOCOL.md), so it never changes.
 """

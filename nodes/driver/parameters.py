@@ -1,4 +1,4 @@
-"""What every driver can be told, and what is checked before anything is started."""
+"""Parameters of every driver, and their check before the launch."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from nodes.parameters.store import ParameterError
 
 
 class DriverParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Parameters that every driver has.
+    """Parameters of every driver.
 
     safety: Limits; see nodes/driver/limits.py.
     passivity: Passivity observer and controller after the law; see nodes/driver/passivity.py. None
         for none.
-    external: Whether forces from outside the loop are taken, and which; see
-        nodes/driver/external.py. None for none.
+    external: Forces from outside the loop that are accepted; see nodes/driver/external.py. None for
+        none.
     """
 
     safety: SafetyParameters = SafetyParameters()

@@ -1,4 +1,4 @@
-"""The interpreter's ticks of a driver: nodes/driver/tick.py as it stands, with a port of pyzmq and msgspec."""
+"""Interpreted ticks of a driver: nodes/driver/tick.py with a port of pyzmq and msgspec."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _vector(values: Sequence[float]) -> Vector:
 
 
 class PlainTicks:
-    """The plain ticks of one driver."""
+    """Interpreted ticks of one driver."""
 
     def __init__(self, node: Any, device: Device) -> None:
         self._node, self._device, self._inbox = node, device, node.inbox
@@ -34,7 +34,7 @@ class PlainTicks:
         self._decoder, self._clock = Decoder(Force), time.monotonic
         self._what = f"{node.setup.name}: {type(device).__name__}"
         self.jumps = Jumps(device)
-        self.payload = b""  # the state that was published last
+        self.payload = b""  # last published state
         lockstep, paced = make_ticks(
             Port(
                 clock=lambda _: self._clock(),
@@ -47,7 +47,7 @@ class PlainTicks:
                 called=lambda _: bool(self._events.waiting or node.stopping),
             )
         )
-        # Ticks until something waits; why it ended, as of nodes/driver/tick.py.
+        # ticks until the driver is needed; returns why, as nodes/driver/tick.py defines it
         self.run = paced if node.driving.realtime else lockstep
 
     def _read(self, s: DriverState, seq: int) -> bool:
@@ -88,13 +88,13 @@ class PlainTicks:
             )
         )
         s.states_sent += 1
-        # taken before sending: under FIFO the whole chain may run before the call returns
+        # before sending: under FIFO the whole chain may run before the call returns
         s.sampled = self._clock()
         self._publisher.send_hop(self._topic, payload)
         self.payload = payload
 
     def receive(self, s: DriverState, until: float) -> int:
-        """Wait for a force until a time, or in lockstep for a while; what came of it."""
+        """Wait for a force until a time, in lockstep for a while. Return the outcome."""
         inbox = self._inbox
         if s.realtime == 0:
             try:
@@ -110,7 +110,7 @@ class PlainTicks:
         return self._read_force(s, frames)
 
     def take_up(self, s: DriverState) -> int:
-        """Take the message that compiled ticks put back when it came; what came of it."""
+        """Process the message that compiled ticks put back. Return the outcome."""
         return self._read_force(s, self._inbox.receive_until(0.0))
 
     def _read_force(self, s: DriverState, frames: tuple[bytes, bytes]) -> int:
@@ -128,7 +128,7 @@ class PlainTicks:
         return GOT
 
     def aside(self, s: DriverState) -> None:
-        """Send what was published last to the listeners."""
+        """Send the last published state to the listeners."""
         del s
         if self._publisher.apart:
             self._publisher.send_aside(self._topic, self.payload)

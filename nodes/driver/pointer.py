@@ -1,9 +1,9 @@
-"""The mouse as a hand: a page writes where the hand's target should be, a sim driver reads it every tick.
+"""The mouse as a hand: a page writes the hand's target, a sim driver reads it every tick.
 
 Both map one small file in the run's private directory. The value is sequence-locked: the writer
-counts up before and after, in the order of memory, and the reader takes it only when both counts
-agree. So a tick pays under a microsecond and nobody waits for anybody. A value that is not renewed
-expires: a page that falls silent lets go.
+increments a count before and after, in memory order, and the reader uses the value only if both
+counts agree. A tick pays less than a microsecond, and nobody waits. A value that is not renewed
+expires.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from nodes.base.setup import Setup
 from nodes.base.shared_file import PATIENCE, awaited, mapped
 
 _VALUE = struct.Struct("<QddddQ")
-"""Count after the value, target [m], when it was written [s], count before it: the reader reads in this order.
+"""Count after the value, target [m], time [s], count before; read in this order.
 
 sim/device/state.py reads it too.
 """
@@ -33,18 +33,18 @@ sim/device/state.py reads it too.
 _COUNT = struct.Struct("<Q")
 _TARGET = struct.Struct("<dddd")
 
-# after so long without a new value a pointer counts as let go: its view has ended, or stands still
-# [s]
+# time without a new value after which a pointer is released: its view has ended, or hangs [s]
 SILENCE = 2.0
 
 
 class PointerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """How a hand follows a pointer.
 
-    speed: Fastest movement of the hand's target [m/s].
-    silence: Without a new value for so long the hand lets go: its target goes back to its path [s].
-    beyond: Whether a page may make the loop unstable on purpose, and start the driver again when it
-        has stopped. Only a virtual driver has a pointer: nothing breaks, and nobody is pushed.
+    speed: Largest speed of the hand's target [m/s].
+    silence: Time without a new value after which the hand is released and its target returns to its
+        path [s].
+    beyond: Whether a page may make the loop unstable on purpose, and rearm the driver afterwards.
+        Only a virtual driver has a pointer, so nothing breaks and nobody is pushed.
     """
 
     speed: Annotated[float, msgspec.Meta(gt=0.0)] = 0.5
@@ -53,48 +53,48 @@ class PointerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
 
 
 def pointer_file(run_dir: str | Path, driver: str) -> Path:
-    """Place of a driver's pointer file."""
+    """Return the path of a driver's pointer file."""
     return Path(run_dir) / f"{driver}.pointer"
 
 
 def awaited_pointer(
     driver: Setup, given_up: Callable[[], bool], patience: float = PATIENCE
 ) -> Path:
-    """Place of a driver's pointer file, once it is there where the launch promises one."""
+    """Return the path of a driver's pointer file; wait for it if the launch promises one."""
     path = pointer_file(driver.run_dir, driver.name)
     promised = driver.parameters.get("pointer") is not None and driver.pace == "realtime"
     return awaited(path, _VALUE.size, driver, given_up, patience) if promised else path
 
 
 class PointerReader:
-    """The driver's end; it makes the file."""
+    """The driver's end; creates the file."""
 
     def __init__(self, path: Path, silence: float) -> None:
         self._map = mapped(path, _VALUE.size, make=True)
-        # Where compiled code finds what is mapped.
+        # address of the mapped file for compiled code
         self.address = ctypes.addressof(ctypes.c_char.from_buffer(self._map))
         self.silence = silence
         self._unpack = _VALUE.unpack_from
-        # The target read last [m], and when it was written [s].
+        # last target read [m], and when it was written [s]
         self.last: tuple[float, float, float, float] = (0.0, 0.0, 0.0, -math.inf)
 
     def read(self) -> Vector | None:
-        """Read the target."""
+        """Return the target [m], or None if it has expired."""
         after, x, y, z, when, before = self._unpack(self._map)
         if after == before:
             self.last = x, y, z, when
         else:
-            # Being written this moment: the value before is at most a frame of the page old.
+            # being written: the previous value is at most one frame of the page old
             x, y, z, when = self.last
         return (x, y, z) if time.monotonic() - when < self.silence else None
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._map.close()
 
 
 class PointerWriter:
-    """The page's end; FileNotFoundError when no driver has made the file: there is no hand to drag."""
+    """The page's end; FileNotFoundError if no driver has created the file."""
 
     def __init__(self, path: Path) -> None:
         self._map = mapped(path, _VALUE.size, make=False)
@@ -102,13 +102,13 @@ class PointerWriter:
         self._count = _COUNT.unpack_from(self._map, 0)[0]
 
     def write(self, target: Vector) -> None:
-        """Set the target; it holds until it expires."""
+        """Set the target [m], until it expires."""
         if not all(map(math.isfinite, target)):
             raise ValueError(f"pointer: {target} m, expected three finite numbers")
         self._write(target, time.monotonic())
 
     def take(self) -> bool:
-        """Have the hand alone among all views, until it is left; a view that dies leaves it. False where another has it."""
+        """Return whether this view has exclusive control of the hand, until it leaves or dies."""
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -116,11 +116,11 @@ class PointerWriter:
         return True
 
     def leave(self) -> None:
-        """Let others have it."""
+        """Leave the hand to others."""
         fcntl.flock(self._file, fcntl.LOCK_UN)
 
     def let_go(self) -> None:
-        """Give the hand back to its path at once."""
+        """Release the hand to its path at once."""
         self._write(ZERO, -math.inf)
 
     def _write(self, target: Vector, when: float) -> None:
@@ -130,6 +130,6 @@ class PointerWriter:
         _COUNT.pack_into(self._map, 0, self._count)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._map.close()
         os.close(self._file)

@@ -1,7 +1,7 @@
-"""Counting response times: one bin per microsecond, so that percentiles of any length of run cost no memory.
+"""Histogram of response times with microsecond bins, of constant size for any run.
 
-The bins lie scattered over memory, and a tick that touches them waits for it. So a tick only writes
-its response next to the last one; every `BLOCK` ticks they are counted together.
+The bins are scattered in memory, and a tick that touches them would wait. So a tick only writes its
+response next to the last one; every `BLOCK` ticks they are counted together.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from nodes.compiled.memory import wholes_at
 from nodes.compiled.rules import rule
 from nodes.driver.state import BINS, RECENT, DriverState
 
-BLOCK: Final = 64  # responses that are counted together; a divisor of RECENT
+BLOCK: Final = 64  # responses counted together; a divisor of RECENT
 
 
 @rule
 def note_response(s: DriverState, response: float) -> None:
-    """Note one response."""
+    """Record one response."""
     at = s.recent_at
     s.recent[at] = response
     at += 1
@@ -34,27 +34,26 @@ def note_response(s: DriverState, response: float) -> None:
 
 
 class ResponseTimes:
-    """A histogram of response times, on a driver's state or one of its own."""
+    """A histogram of response times, in a driver's state or one of its own."""
 
     def __init__(self, state: Any = None) -> None:
         self._state: Any = state_of(DriverState) if state is None else state
-        # How many took so many microseconds; the last one counts all that took longer, shape (BINS
-        # + 1,).
+        # counts by microseconds; the last one counts all longer responses, shape (BINS + 1,)
         self.bins = array("q", [0]) * (BINS + 1)
         self._state.bins = self.bins.buffer_info()[0]
 
     def add(self, response: float) -> None:
-        """Note one response."""
+        """Record one response [s]."""
         note_response(self._state, response)
 
     @property
     def recent(self) -> bytes:
-        """The newest responses as they stand [s], in no order; 0 where there was none yet."""
+        """The newest responses [s], unordered; 0 where there was none yet."""
         return array("d", self._state.recent).tobytes()
 
     @property
     def count(self) -> int:
-        """Ticks that were answered."""
+        """Number of answered ticks."""
         return int(self._state.counted + self._state.recent_at % BLOCK)
 
     @property
@@ -72,14 +71,14 @@ class ResponseTimes:
         return self.longest
 
     def percentiles(self, *shares: float) -> list[float]:
-        """Find the responses that shares of the ticks did not exceed."""
+        """Return the responses that the given shares of ticks did not exceed [s]."""
         bins, at = self.bins[:], self._state.recent_at
         for response in self._state.recent[at // BLOCK * BLOCK : at]:
             bins[min(int(response * 1e6), BINS)] += 1
         return [self._percentile(bins, share) if self.count else 0.0 for share in shares]
 
     def summary_us(self) -> dict[str, float]:
-        """Summarise in microseconds."""
+        """Return percentiles and maximum [µs]."""
         named = zip(("p50", "p99", "p999"), self.percentiles(0.5, 0.99, 0.999), strict=True)
         figures = {name: round(value * 1e6, 1) for name, value in named}
         return {**figures, "max": round(self.longest * 1e6, 1)}

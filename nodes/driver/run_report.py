@@ -1,4 +1,4 @@
-"""What a driver reports: its progress, the summary of its run, and what its rules had to say."""
+"""A driver's reports: progress, summary of its run, and notes of its rules."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nodes.driver.motion import Ending, endings
 from nodes.driver.response_times import ResponseTimes
 from nodes.driver.state import LIMITED, REFUSED, SAFETY
 
-# changes of state that the summary of a run tells; all of them are on the driver's event topic
+# changes of state in the summary of a run; all are on the driver's event topic
 REASONS: Final = 8
 
 
@@ -22,27 +22,27 @@ class DriverReport:
     def __init__(self, state: Any) -> None:
         self._state = state
         self.responses = ResponseTimes(state)  # its response times
-        self.first = self.last = 0.0  # when its first and its last tick were [s]
-        # its first tick, and what it took to bring the force down
+        self.first = self.last = 0.0  # times of its first and last tick [s]
+        # its first tick, and the ticks of the soft stop
         self.first_seq = self.soft_stop_ticks = 0
-        self.complete = False  # whether it came to its last tick
+        self.complete = False  # whether it reached its last tick
         self.own_guard = False
         self._overruled: tuple[str, ...] = ()
         self._limits = DeviceLimits()
         self._changes: deque[Noted] = deque(maxlen=REASONS)
 
     def begin(self, device: Device, limits: Limits, own_guard: bool) -> None:
-        """Note what holds for the run, and whether the launch file itself asks for a guard."""
+        """Record the limits of the run, and whether the launch file itself has a guard."""
         self._limits, self._overruled, self.own_guard = device.limits, limits.overruled, own_guard
 
     def notes(self) -> list[Noted]:
-        """Return what the rules have noted since the last call; changes of state enter the summary."""
+        """Return the notes of the rules since the last call; changes of state enter the summary."""
         notes = take_notes(self._state)
         self._changes.extend(note for note in notes if note.is_change)
         return notes
 
     def progress(self, ticks: int) -> dict[str, Any]:
-        """Tell what the launcher's status line asks for."""
+        """Return the data of the launcher's status line."""
         s = self._state
         return {
             "tick": s.ticks,
@@ -57,7 +57,7 @@ class DriverReport:
         }
 
     def safety(self) -> dict[str, Any]:
-        """Summarise what the safety did."""
+        """Return a summary of the safety."""
         s = self._state
         return {
             "state": SAFETY[s.safety],
@@ -72,7 +72,7 @@ class DriverReport:
         }
 
     def summary(self) -> dict[str, Any]:
-        """Summarise the run."""
+        """Return a summary of the run."""
         s = self._state
         span = self.last - self.first
         ends = endings(s)

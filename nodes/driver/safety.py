@@ -1,29 +1,27 @@
-"""The last line before the device: no force is handed over that is stale, unlimited or unasked for.
+"""The last check before the device: no stale, unlimited or unwanted force passes.
 
-A small machine of states, the same for the virtual device and for hardware::
+A small state machine, the same for the virtual device and for hardware::
 
     waiting ──first force──▶ ramp ──▶ active ──no fresh force for `watchdog` ticks──▶ damping ──▶
     zero
-                              ▲                                                                  │
-                              ├──────────────────────── a fresh force ───────────────────────────┘
-                            zero ◀──back inside── fault ◀──outside the workspace── any of them
-                         stopped ◀──the force swings between its limits, and gives out energy── any
-                         of them
+    damping, zero ──a fresh force──▶ ramp
+    any state ──outside the workspace──▶ fault ──back inside──▶ zero
+    any state ──the force oscillates between its limits and generates energy──▶ stopped
 
-``stopped`` is for good: damping, then no force, until somebody asks for it (`rearm`) or the driver
-is started again. While there is no force, a hand that keeps pushing sinks in, and the law then asks
-for far more than before. So every force that was away comes back by a ramp: each tick away takes
+``stopped`` is permanent: damping, then no force, until `rearm` is requested or the driver is
+restarted. While there is no force, a hand that keeps pushing sinks in, and the law then requests
+far more force than before. So every force returns by a ramp after a gap: each missing tick costs
 `REGAIN` ticks of ramp, up to the whole one (`recovery`). A ramp that pushes the device fast grows
-slowly, and goes back beyond `RETURN_SPEED`: whoever has sunk in is let out, not thrown.
+slowly, and shrinks beyond `RETURN_SPEED`, so that a hand that has sunk in is let out, not thrown.
 
-A force that no motion made has a ramp too: the first one of a run, unless it is zero, and the one
-after a jump of the position (`rebase`: a clutch, a re-centre, a device that was read again
-elsewhere), during which what was felt before fades.
+A force without a cause in motion has a ramp too: the first one of a run, unless it is zero, and the
+one after a jump of the position (`rebase`: a clutch, a re-centring, a device that was read again
+elsewhere), during which the previous force fades.
 
-Limits come from the device and from the launch file, whichever is lower; one that asks for more
-gets an event that says so. Whatever messages come in whatever order: on each axis the force stays
-within the peak, all changes made during one tick add up to no more than the slew, and the mean
-square of the force stays within the continuous limit, see motor_heat.py.
+Limits come from the device and from the launch file, whichever is lower; an overruled one is
+reported by an event. Whatever messages arrive, in whatever order: on each axis the force stays
+within the peak, all changes during one tick add up to no more than the slew, and the mean square of
+the force stays within the continuous limit (motor_heat.py).
 
 The rules are plain functions on the driver's state: the interpreter calls them, and the compiled
 tick compiles them.
@@ -55,19 +53,16 @@ from nodes.driver.state import (
     seldom,
 )
 
-# farther than this no device is: a position beyond is a fault of whoever measured it [m]
+# position beyond which no device can be: a measurement fault [m]
 REACH: Final = 1e6
 
-# a loop is stopped that reaches the largest force `stop_after` times in it, and gives out energy
-# [s]
+# a loop is stopped that reaches the peak `stop_after` times within it and generates energy [s]
 STOP_WINDOW: Final = 2.0
-# a force that stays at its limit and gives out energy stops the loop within the window divided by
-# this
+# a force that stays at its limit and generates energy stops the loop within STOP_WINDOW / PRESSES
 PRESSES: Final = 2
-# ticks of ramp that one tick without a force costs: after a fifth of `recovery` the whole ramp is
-# due
+# ticks of ramp per tick without force; after a fifth of `recovery` the whole ramp is due
 REGAIN: Final = 5
-# faster than this a force that comes back must not push [m/s]: the reduced speed of ISO 10218-1
+# speed above which a returning force must not push [m/s]: the reduced speed of ISO 10218-1
 RETURN_SPEED: Final = 0.25
 
 FUTURE, REPLAYED, STALE, NOT_FINITE = range(4)
@@ -75,7 +70,7 @@ PEAK, SLEW, HEAT = range(3)
 
 
 def set_safety(s: DriverState, parameters: SafetyParameters, limits: Limits, period: float) -> None:
-    """Lay down what holds for a run."""
+    """Set the limits of a run."""
     s.peak = math.inf if limits.peak is None else limits.peak
     s.slew = math.inf if limits.slew is None else limits.slew
     s.unlimited = limits.peak is None and limits.slew is None and limits.continuous is None
@@ -84,24 +79,24 @@ def set_safety(s: DriverState, parameters: SafetyParameters, limits: Limits, per
     s.start_ticks = round(start_ramp(parameters) / period)
     s.recovery_ticks = round(recovery_ramp(parameters) / period)
     s.ramp_ticks, s.ramp_seq = s.start_ticks, -1
-    # Before the first force nothing is felt, and whatever that force is, no motion made it.
+    # before the first force nothing is felt, and that force has no cause in motion
     s.begins, s.felt_seq, s.always_ramp = 1, -1, parameters.ramp is not None
     set_workspace(s, limits)
     s.reach = REACH
     set_heat(s, limits.continuous, parameters.thermal_time, period)
-    # Only a largest force tells what a swing is.
+    # oscillation is defined by a peak force
     s.stop_after = 0 if limits.peak is None else parameters.stop_after or 0
     s.pressed_since, s.pressed_ticks = -1, pressed_ticks(s.stop_after, period)
     s.safety, s.force_seq, s.since, s.limited_at = IDLE, -1, 0, -1
 
 
 def pressed_ticks(stop_after: int, period: float) -> int:
-    """Return after how many ticks at its limit a force counts once more as coming to it."""
+    """Return the ticks at its limit after which a force counts again as reaching it."""
     return max(round(STOP_WINDOW / (PRESSES * max(stop_after, 1) * period)), 1)
 
 
 def set_workspace(s: DriverState, limits: Limits) -> None:
-    """Lay down where there may be a force."""
+    """Set where there may be a force."""
     s.workspace[:] = [bound for bounds in limits.workspace for bound in bounds]
     s.bounded = any(map(math.isfinite, s.workspace))
 
@@ -117,7 +112,7 @@ def enter(
     c: float = 0.0,
     d: float = 0.0,
 ) -> None:
-    """Change what is done with forces."""
+    """Change the state of the safety."""
     before = s.safety
     if state == before or before == STOPPED:
         return
@@ -133,10 +128,10 @@ def enter(
 
 
 def rearm(s: DriverState, seq: int) -> bool:
-    """Let a driver that has stopped take forces again, on request, from nothing, by the whole ramp; whether it had."""
+    """Leave STOPPED on request, ramping from zero. Return whether it was stopped."""
     if s.safety != STOPPED:
         return False
-    # Swings are counted anew; what the motor has been heated by, and energy, are not forgotten.
+    # Oscillations are counted from zero; motor heat and energy are kept.
     s.peaks_count = s.peaked = 0
     s.pressed_since = -1
     s.regained, s.away_from = 0.0, float(seq)
@@ -150,7 +145,7 @@ def rearm(s: DriverState, seq: int) -> bool:
 
 @rule
 def admit(s: DriverState, seq: int) -> bool:
-    """Judge whether the message that was taken may be used at all."""
+    """Return whether the received message may be used at all."""
     answers = s.got_seq
     x, y, z = s.got[0], s.got[1], s.got[2]
     if not math.isfinite(x + y + z):
@@ -172,11 +167,10 @@ def admit(s: DriverState, seq: int) -> bool:
 
 @rule
 def command(s: DriverState, seq: int, share: float) -> None:
-    """Turn the admitted message into `force`; what is on the device acts for a `share` of the tick before it."""
+    """Turn the admitted message into `force`; the previous one acts for `share` of the tick."""
     s.force_seq = s.got_seq
     s.since = seq
-    # Along an axis that nobody computes there is no force, and none that ramp, guard and heat would
-    # reckon with.
+    # An axis that is not computed has no force, also for ramp, guard and heat.
     s.wanted[0] = s.wanted[1] = s.wanted[2] = 0.0
     for i in range(3):
         s.normal[i] = s.got_normal[i]
@@ -192,8 +186,8 @@ def command(s: DriverState, seq: int, share: float) -> None:
         asked = abs(s.wanted[0]) + abs(s.wanted[1]) + abs(s.wanted[2])
         guarded(s, share)
         if s.safety == RAMP and asked > 0.0:
-            # The ramp goes on from what the guard lets through: else a force that it took away
-            # would be back at once.
+            # The ramp continues from the guarded force; otherwise a removed force would return at
+            # once.
             passed = abs(s.wanted[0]) + abs(s.wanted[1]) + abs(s.wanted[2])
             s.regained = s.regained * min(passed / asked, 1.0)
     hand_over(s, seq)
@@ -201,7 +195,7 @@ def command(s: DriverState, seq: int, share: float) -> None:
 
 @rule
 def _become_active(s: DriverState, seq: int) -> None:
-    """Let forces in again: none in a fault, a brake when stopped, a growing share of them during the ramp."""
+    """Scale the wanted force while not active: none in a fault, a brake when stopped, a ramp."""
     if s.safety in (FAULT, STOPPED):
         for n in range(s.axes):
             i = s.axis[n]
@@ -211,7 +205,7 @@ def _become_active(s: DriverState, seq: int) -> None:
         s.ramp_ticks = s.recovery_ticks
         away = REGAIN * math.ceil(seq - s.away_from)
         s.regained = max(s.regained - away, 0.0) if s.begins == 0 else 0.0
-        # Nothing of before a jump is felt any more.
+        # nothing from before a jump is felt any more
         s.begins, s.fading = 0, 0.0
         enter(s, RAMP if s.ramp_ticks > 0 else ACTIVE, seq, notes.FRESH_FORCE)
     elif s.begins != 0 and not _begin(s, seq):
@@ -235,7 +229,7 @@ def _become_active(s: DriverState, seq: int) -> None:
     for i in range(3):
         s.wanted[i] = s.wanted[i] * share
     if s.fading > 0.0:
-        # It fades by one tick a tick, and the share grows by no more: together they are at most 1.
+        # It fades by one tick a tick, and the share grows by no more: their sum is at most 1.
         for n in range(s.axes):
             i = s.axis[n]
             s.wanted[i] += s.fading / s.ramp_ticks * s.felt[i]
@@ -243,9 +237,9 @@ def _become_active(s: DriverState, seq: int) -> None:
 
 @rule
 def _begin(s: DriverState, seq: int) -> bool:
-    """Begin the ramp of a force that no motion made; return whether the force may leave what is felt."""
+    """Begin the ramp of a force without motion. Return whether the force may change."""
     if s.got_seq < s.felt_seq:
-        # It answers a position before the jump.
+        # it answers a position before the jump
         for i in range(3):
             s.wanted[i] = s.felt[i]
         return False
@@ -264,7 +258,7 @@ def _begin(s: DriverState, seq: int) -> bool:
 
 @rule
 def rebase(s: DriverState, seq: int) -> None:
-    """Note that the position of a tick is elsewhere without a motion, and the force that is felt meanwhile."""
+    """Record a jump of the position without motion, and the force felt at that time."""
     s.rebased = s.felt_seq = seq
     s.begins = 1
     for i in range(3):
@@ -273,11 +267,11 @@ def rebase(s: DriverState, seq: int) -> None:
 
 @rule
 def _regrowth(pushed: float, size: float) -> float:
-    """Tell by how many ticks a ramp grows in one, by the power of the whole force [W] and its size [N].
+    """Return the growth of a ramp in a tick [ticks], by power [W] and size [N] of the force.
 
-    It slows down from half of `RETURN_SPEED` on. With whole steps, forth below that speed and
-    `REGAIN` back above it, a hand could swing around it without an end: one in thirty did, of three
-    thousand with other springs, devices and laws.
+    It slows down above half of `RETURN_SPEED`. With whole steps, forward below that speed and
+    `REGAIN` back above it, a hand could oscillate around it for ever; one in thirty of three
+    thousand did, with other springs, devices and laws.
     """
     if size <= 0.0:
         return 1.0
@@ -286,7 +280,7 @@ def _regrowth(pushed: float, size: float) -> float:
 
 @rule
 def missed(s: DriverState, seq: int) -> bool:
-    """Decide about a tick that closes without the force that answers it; whether `force` must be handed over."""
+    """Close a tick without its answer. Return whether `force` must be handed over."""
     for i in range(3):
         s.wanted[i] = s.force[i]
     if s.guard_on != 0:
@@ -317,7 +311,7 @@ def missed(s: DriverState, seq: int) -> bool:
 
 @rule
 def let_go(s: DriverState, seq: int, since: float) -> None:
-    """Note that the device let go by itself at a tick: a force then comes back as after any other gap."""
+    """Record that the device let go by itself; a force then returns as after any other gap."""
     for i in range(3):
         s.force[i] = s.handed[i] = 0.0
     if s.safety in (ACTIVE, RAMP):
@@ -327,7 +321,7 @@ def let_go(s: DriverState, seq: int, since: float) -> None:
 
 @rule
 def watch_position(s: DriverState, seq: int) -> bool:
-    """Look whether the position that was read is one, and inside the workspace; otherwise there is no force."""
+    """Return whether the position is valid and inside the workspace; else there is no force."""
     x, y, z = s.place[0], s.place[1], s.place[2]
     reach = s.reach
     if not (-reach <= x <= reach and -reach <= y <= reach and -reach <= z <= reach):
@@ -342,7 +336,7 @@ def watch_position(s: DriverState, seq: int) -> bool:
                 s.brake[0] = s.brake[1] = s.brake[2] = 0.0
                 return False
     if s.safety == FAULT:
-        # Not active yet: a force must come first, which then grows by the ramp. How it came here
+        # Not active yet: a fresh force must come first, which grows by the ramp. The motion back
         # was not seen.
         s.rebased = seq
         enter(s, NOTHING, seq, notes.BACK_INSIDE)
@@ -351,18 +345,18 @@ def watch_position(s: DriverState, seq: int) -> bool:
 
 @rule
 def watch_swings(s: DriverState, seq: int) -> None:
-    """Stop for good when the force comes to its limit again and again and the loop gives out energy meanwhile.
+    """Stop if the force repeatedly reaches its limit while the loop generates energy.
 
-    Energy is compared between moments at which the force comes to its limit, so that what a surface
-    has in store then is no part of it. A surface that takes energy, as one does that somebody taps
-    hard, is not stopped. A force that stays at its limit counts again and again while more was
-    given out than when it came there: a hand that pushes on only takes energy.
+    Energy is compared between moments at which the force reaches its limit, which excludes the
+    energy stored in the surface. A surface that absorbs energy, as one that is tapped hard does, is
+    not stopped. A force that stays at its limit counts repeatedly while more was generated than
+    when it came there: a hand that keeps pushing only absorbs energy.
     """
     if s.safety != STOPPED:
         _watch_press(s, seq)
     if s.safety != STOPPED and s.peaked != 0:
         s.peaked = 0
-        # A ring of the newest moments: tick, and the energy given out until then [J].
+        # ring of the newest moments: tick, and the energy generated until then [J]
         at = s.peaks_count % s.stop_after
         s.peaks[2 * at], s.peaks[2 * at + 1] = float(seq), s.energy
         s.peaks_count += 1
@@ -380,7 +374,7 @@ def watch_swings(s: DriverState, seq: int) -> None:
 
 @rule
 def _watch_press(s: DriverState, seq: int) -> None:
-    """Count a force that stays at its limit, and gives out energy, as one that comes to it again."""
+    """Count a force that stays at its limit and generates energy as reaching it again."""
     if s.sides[0] == 0 and s.sides[1] == 0 and s.sides[2] == 0:
         s.pressed_since = -1
     elif s.pressed_since < 0 or s.peaked != 0:
@@ -392,7 +386,7 @@ def _watch_press(s: DriverState, seq: int) -> None:
 
 @rule
 def hand_over(s: DriverState, seq: int) -> None:
-    """Apply all limits to what is wanted, tick by tick: several forces in one tick share one slew."""
+    """Apply all limits to the wanted force; several forces in one tick share one slew."""
     if s.unlimited != 0:
         s.force[0] = s.force[1] = s.force[2] = 0.0
         for n in range(s.axes):
@@ -427,7 +421,7 @@ def hand_over(s: DriverState, seq: int) -> None:
 
 
 def soft_stop(start: Vector, slew: float, period: float) -> list[Vector]:
-    """Plan the way to zero force for the end of the loop."""
+    """Return the forces of a soft stop, ending at zero."""
     if start == ZERO:
         return [ZERO]
     steps = max(1, min(10, int(STOP_TIME / period)))

@@ -1,9 +1,9 @@
-"""The tick of a driver, in real time and in lockstep: read, publish, wait for the answer, hand it over.
+"""The tick of a driver, in real time and lockstep: read, publish, await the force, apply.
 
-One source for the interpreter and the compiled tick. What differs is the `Port`: how time passes,
-how the device is called, and who brings a message (pyzmq and msgspec, or ZeroMQ by its address and
-the scanner). What a port cannot do by itself ends `ticks` with a reason; whoever called it mends
-that and calls it again, and the tick goes on where it stood.
+One source for the interpreter and the compiled tick. They differ in the `Port`: how time passes,
+how the device is called, and how messages arrive (pyzmq and msgspec, or ZeroMQ by address and the
+scanner). If a port cannot do something, `ticks` returns a reason; the caller handles it and calls
+again, and the tick continues.
 """
 
 from __future__ import annotations
@@ -38,35 +38,35 @@ from nodes.driver.state import (
     seldom,
 )
 
-# of waiting for a message: one; none in time; refused; the port cannot judge it
+# outcome of a wait for a message: valid; none in time; refused; the port cannot judge it
 GOT, NONE, REFUSED, UNREAD = range(4)
-# why `ticks` ended: nothing unusual; no answer for a while; the device did not do as asked
+# why `ticks` ended: nothing unusual; no answer for a while; a device call failed
 GO_ON, SILENT, BROKEN = range(3)
 
-# after so many ticks without their answer in a row a tick waits for one period more, after twice as
-# many for two
+# successive unanswered ticks after which a tick waits one period more, twice as many for two
 BEHIND = 3
-MOST_BEHIND = 64  # so far such ticks are counted; each answer that is on time halves the count
+MAX_BEHIND = 64  # largest count of such ticks; each answer in time halves the count
 
 
 class Port(NamedTuple):
-    """What a tick needs of the world; each takes the state first."""
+    """How a tick accesses the world; every function has the state as first argument."""
 
-    clock: Callable[[Any], float]  # the time [s]
-    sleep_until: Callable[[Any, float], float]  # gives the time on waking
-    # fills `place` and `jumped`; this and the next tell whether the device did it
+    clock: Callable[[Any], float]  # returns the time [s]
+    sleep_until: Callable[[Any, float], float]  # returns the time of waking
+    # sets `place` and `jumped`; this and the next return whether the device did it
     read: Callable[[Any, int], bool]
     write: Callable[[Any, int, float], bool]  # hands over `handed`
-    publish: Callable[[Any, int, float], None]  # sends the state of a tick
+    publish: Callable[[Any, int, float], None]  # publishes the state of a tick
     # waits for a message until a time, or in lockstep for a while
     receive: Callable[[Any, float], int]
-    aside: Callable[[Any], None]  # sends what listeners get when nothing waits for it any more
-    called: Callable[[Any], bool]  # tells whether something waits between two ticks
+    # sends the listeners' messages when no node waits for one any more
+    aside: Callable[[Any], None]
+    called: Callable[[Any], bool]  # returns whether something waits between two ticks
 
 
 @rule
 def lost(s: DriverState, seq: int, late: float) -> None:
-    """Leave out ticks that are over: they cannot be sampled any more, only counted; a device may let go by itself meanwhile."""
+    """Skip ticks that are over: they can only be counted. The device may let go meanwhile."""
     ticks = min(int(late / s.period), s.until - seq)
     s.overruns += ticks
     s.lateness = late
@@ -81,23 +81,22 @@ def lost(s: DriverState, seq: int, late: float) -> None:
         let_go(s, s.seq, s.written + s.device_hold_ticks)
         note(s, HELD_UP, s.seq, -1, float(s.written))
     elif s.has_following != 0 and s.seq - s.force_seq > s.max_age:
-        s.has_following = 0  # what was still to be handed over is too old by now
+        s.has_following = 0  # the force for the next deadline is too old by now
         for i in range(3):
             s.force[i] = s.handed[i]
 
 
 @rule
 def patience(s: DriverState, deadline: float, following: float) -> float:
-    """Return until when a tick waits for its answer [s]: the next tick, or later where several in a row were not answered.
+    """Return how long a tick waits for its answer [s]: longer after unanswered ticks.
 
-    Whoever answers is behind then, and a state more would only wait there and make the next answer
-    late as well. So a loop that is too fast for its machine goes on as fast as it is answered, and
-    loses the ticks that are too much. It waits no longer than a force may be old, and never past
-    the watchdog or the moment at which the device lets go.
+    The coupling is behind then; another state would only wait there and make the next answer late
+    as well. So a loop that is too fast for its machine runs as fast as it is answered, and loses
+    the excess ticks. It waits no longer than the largest age of a force, and never past the
+    watchdog or the time at which the device lets go.
     """
     more = min(s.unanswered // BEHIND, s.max_age)
-    # Under ``next_tick`` an answer has a tick to come anyway, and its force must take effect at a
-    # deadline.
+    # Under ``next_tick`` an answer has a whole tick, and its force must take effect at a deadline.
     if more == 0 or s.next_tick != 0 or s.safety == DAMPING or s.safety == FAULT:
         return following
     last = following + more * s.period
@@ -109,11 +108,11 @@ def patience(s: DriverState, deadline: float, following: float) -> float:
 
 @rule
 def in_time(s: DriverState, now: float, answers: int) -> bool:
-    """Return whether a force may still be written; otherwise the driver was held up, and what it holds stays.
+    """Return whether a force may still be written, or the driver was held up too long.
 
-    The device may have let go of the force before it meanwhile, which must not come back without a
-    ramp, and an answer may have become too old. `answers` is the tick of that answer, or -1 for a
-    force of the driver's own.
+    Meanwhile the device may have let go of the previous force, which must not return without a
+    ramp, and an answer may have become too old. `answers` is the tick of that answer, or -1 for the
+    driver's own force.
     """
     held = s.handed[0] != 0.0 or s.handed[1] != 0.0 or s.handed[2] != 0.0
     is_late = held and now >= s.epoch + (s.written + s.device_hold_ticks) * s.period
@@ -139,7 +138,7 @@ def in_time(s: DriverState, now: float, answers: int) -> bool:
 
 @rule
 def take_sample(s: DriverState, seq: int, stamp: float) -> None:
-    """Take the position that was read as the tick's sample, with what follows from it for energy, guard and safety."""
+    """Use the position read as the tick's sample, and update energy, guard and safety."""
     if watch_position(s, seq):
         if s.jumped != 0:
             rebase(s, seq)
@@ -154,7 +153,7 @@ def take_sample(s: DriverState, seq: int, stamp: float) -> None:
 
 @rule
 def decide(s: DriverState, seq: int) -> None:
-    """Take the answer of a tick in lockstep: `force` and `handed` are what follows from it, `mean` is what acts in the tick."""
+    """Apply the answer of a tick in lockstep: set `force`, `handed` and the tick's `mean`."""
     command(s, seq, float(s.next_tick))
     for i in range(3):
         s.mean[i] = s.handed[i] if s.next_tick != 0 else s.force[i]
@@ -170,18 +169,21 @@ def close(s: DriverState) -> None:
     s.phase = BETWEEN
 
 
-# Long: one compiled function: a call across it would cost what it saves.
+# Long: one compiled function, because a call would cost more than it saves.
 def make_ticks(  # noqa: C901, PLR0915
     port: Port, made: Callable[[Any], Any] = lambda function: function
 ) -> tuple[Callable[[Any], int], Callable[[Any], int]]:
-    """Make the ticks of a port, in lockstep and in real time: they go on until something waits, and tell why they ended."""
+    """Return the ticks of a port in lockstep and real time; they run until a caller is needed.
+
+    They return why they ended.
+    """
     clock, sleep_until, read, write, publish, receive, aside, called = port
 
     @made
     def begin(s: DriverState, seq: int, stamp: float) -> bool:
-        if s.place_given == 0 and not read(s, seq):
+        if s.position_ready == 0 and not read(s, seq):
             return False
-        s.place_given = 0
+        s.position_ready = 0
         take_sample(s, seq, stamp)
         publish(s, seq, stamp)
         s.phase = WAITING
@@ -199,8 +201,8 @@ def make_ticks(  # noqa: C901, PLR0915
     def hand_over_in_time(
         s: DriverState, force: Any, seq: int, offset: float, answers: int
     ) -> bool:
-        # The last look at the clock before the device is called: the driver may be held up after
-        # every wait.
+        # The last check of the clock before the device is called: every wait may have held the
+        # driver up.
         if not in_time(s, clock(s), answers):
             return False
         hand_over(s, force, seq, offset)
@@ -212,13 +214,13 @@ def make_ticks(  # noqa: C901, PLR0915
         if s.phase == BETWEEN and not begin(s, seq, seq * s.period):
             return BROKEN
         while True:
-            got = s.given - 1 if s.given != 0 else receive(s, 0.0)
-            s.given = 0
+            got = s.pending_result - 1 if s.pending_result != 0 else receive(s, 0.0)
+            s.pending_result = 0
             if got == UNREAD:
                 return UNREAD
             if got == NONE:
                 return SILENT
-            # Only the tick's own answer counts.
+            # only the tick's own answer counts
             if got == GOT and s.got_seq == seq and admit(s, seq):
                 break
             s.skipped += 1
@@ -230,7 +232,7 @@ def make_ticks(  # noqa: C901, PLR0915
         close(s)
         return GO_ON
 
-    # Long: one compiled function: a call across it would cost what it saves.
+    # Long: one compiled function, because a call would cost more than it saves.
     @made
     def realtime_tick(s: DriverState) -> int:  # noqa: C901, PLR0915
         seq = s.seq
@@ -238,7 +240,7 @@ def make_ticks(  # noqa: C901, PLR0915
         following = deadline + s.period
         if s.phase == BETWEEN:
             now = deadline + s.lateness
-            if s.place_given == 0:
+            if s.position_ready == 0:
                 now = sleep_until(s, deadline)
                 if now < deadline:
                     return GO_ON
@@ -247,15 +249,15 @@ def make_ticks(  # noqa: C901, PLR0915
                     return GO_ON
                 s.lateness = now - deadline
                 if s.has_following != 0:
-                    # under ``next_tick`` hardware, too, gets its force at the start of the tick
+                    # under ``next_tick`` hardware also gets its force at the start of the tick
                     s.has_following = 0
                     hand_over_in_time(s, s.following, seq, 0.0, s.force_seq)
             if not begin(s, seq, now + s.clock_offset):
                 return BROKEN
             s.age = max(seq - s.force_seq, 0) if s.force_seq >= 0 else 0
-            # An answer that comes a little late is waited for, and the next tick sampled late:
-            # sampled on time, it would take the processor from that answer and be answered late
-            # itself, and so would the next. Not so when nothing came.
+            # Wait for an answer that is a little late, and sample the next tick late. Sampling on
+            # time would steal the CPU from the late answer and delay every later one. Not so if
+            # nothing came.
             s.patient, s.heard, s.answered = s.heard, 0, 0
             s.split, s.changed_at = 0.0, 1.0
             for i in range(3):
@@ -266,15 +268,15 @@ def make_ticks(  # noqa: C901, PLR0915
             if s.late_answer != 0:
                 s.late_answer, s.arrival = 0, s.late_answer_at
             else:
-                got = s.given - 1 if s.given != 0 else receive(s, last)
-                s.given = 0
+                got = s.pending_result - 1 if s.pending_result != 0 else receive(s, last)
+                s.pending_result = 0
                 if got == NONE:
                     break
                 s.heard = 1
                 if got == UNREAD:
                     return UNREAD
                 if got == GOT and s.arrival >= last:
-                    # A flooded topic must not delay the next tick.
+                    # a flooded topic must not delay the next tick
                     s.late_answer, s.late_answer_at = 1, s.arrival
                     break
             if got == REFUSED or not admit(s, seq):
@@ -303,11 +305,11 @@ def make_ticks(  # noqa: C901, PLR0915
         if s.next_tick == 0:
             split(s, 1.0)
         if s.answered == 0:
-            # Only who is heard is behind: in a silence nobody is waited for, and every tick is
-            # sampled.
-            s.unanswered = min(s.unanswered + s.heard, MOST_BEHIND)
+            # Only a peer that is heard is behind: in a silence nobody is waited for, and every tick
+            # is sampled.
+            s.unanswered = min(s.unanswered + s.heard, MAX_BEHIND)
         elif s.arrival < following:
-            # on time again; an answer that had to be waited for leaves the patience as it is
+            # on time again; an answer that had to be waited for leaves the count as it is
             s.unanswered //= 2
         if s.answered == 0:
             # in a fault there is no position that could have been answered

@@ -1,4 +1,4 @@
-"""Watching over a loop that calls a device: nobody but the device itself can bring its force down while it hangs."""
+"""Supervision of a loop that calls a device, which alone can remove its force if it hangs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class Watch:
-    """What the loop's thread is at, and how long it may take; what ends the process when no other thread can run, if any."""
+    """Current activity of the loop's thread and its time limit; ends a process that hangs."""
 
     def __init__(self, node: Node, limits: DeviceLimits, last_resort: LastResort | None) -> None:
         self._node, self._limits, self._last_resort = node, limits, last_resort
@@ -21,20 +21,20 @@ class Watch:
         self._doing = ("", math.inf)
 
     def begin(self, what: str, limit: float = math.inf) -> None:
-        """Note what the loop's thread is at from now on, and how long it may take [s]."""
+        """Record the activity of the loop's thread and its longest duration [s]."""
         self._doing = (what, limit)
-        self._wind(limit)
+        self._postpone(limit)
 
     def end(self) -> None:
-        """Let the process end by itself."""
+        """End the supervision."""
         self.begin("")
         if self._last_resort is not None:
             self._last_resort.stop()
 
     def look(self, progress: tuple[int, ...]) -> None:
-        """End the process when there is no progress for too long (control thread)."""
+        """End the process if there is no progress for too long (control thread)."""
         what, limit = self._doing
-        self._wind(limit)
+        self._postpone(limit)
         if self._watchdog.look((what, *progress)) >= limit:
             hold = self._limits.hold
             lets_go = (
@@ -44,6 +44,6 @@ class Watch:
             )
             give_up(self._node, f"the device hangs: no end of {what} within {limit:g} s; {lets_go}")
 
-    def _wind(self, limit: float) -> None:
+    def _postpone(self, limit: float) -> None:
         if self._last_resort is not None:
-            self._last_resort.wind(limit if math.isfinite(limit) else self._limits.opening)
+            self._last_resort.postpone(limit if math.isfinite(limit) else self._limits.opening)

@@ -1,1 +1,1 @@
-"""The environment: surfaces, and the node that finds the proxy on them."""
+"""The environment: surfaces, and the nodes that find the proxy on them."""

@@ -1,4 +1,4 @@
-"""The environment's compiled ticks: surfaces that are numbers; any other one is met by the plain tick."""
+"""Compiled ticks of the environment, for surfaces given as numbers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nodes.environment.state import SHAPES, UNKNOWN
 
 
 class EnvironmentTicks(CompiledTicks):
-    """The compiled ticks of an environment, with a kernel that knows shapes or one that does not."""
+    """Compiled ticks of an environment, with a kernel that includes shapes or not."""
 
     def __init__(self, node: Any, kernel: Kernel, shapes: bool) -> None:
         super().__init__(node, kernel, topics.DEVICE_STATE, topics.PROXY)
@@ -19,9 +19,9 @@ class EnvironmentTicks(CompiledTicks):
         self._unmet = {UNKNOWN} if shapes else {UNKNOWN, SHAPES}
 
     def load_state(self) -> bool:
-        """Tell whether the surface is one that the kernel meets."""
+        """Return whether the kernel can meet the surface."""
         return self.state.kind not in self._unmet
 
     def store_state(self) -> None:
-        """Report what the ticks have found out."""
+        """Report what the ticks found."""
         self._environment.note_inside()

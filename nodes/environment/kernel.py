@@ -1,4 +1,4 @@
-"""The environment's tick, compiled; shapes/kernel.py is for shapes, whose geometry takes long to compile."""
+"""Compiled tick of the environment. Shapes compile slowly and have shapes/kernel.py."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from nodes.environment.state import INSIDE, JUMPED, EnvironmentState
 register_rules()
 _look = record_at(record_of(EnvironmentState))
 _scan = make_scan(DeviceState)
-# In a fault the position is no new one. A message without the word is of an active driver.
+# In a fault the position is outdated. A message without the field is of an active driver.
 _tells_fault = make_match("fault")
 _encode = make_encode(Proxy)
 _TEXTS, _JUMPED, _INSIDE = TEXTS, JUMPED, INSIDE
@@ -58,11 +58,11 @@ _SEQ, _REBASED, _STAMP, _POSITION, _DELAY = slots(
 def make_ticks(
     meet: Callable[[int, Any, Any, float, float, float, Any], bool],
 ) -> Callable[[int], int]:
-    """Make the ticks of an environment that meets its surface so."""
+    """Return the compiled ticks of an environment that finds its proxy by `meet`."""
 
     @compilable
     def ticks(address: int) -> int:
-        """Answer positions until something else is to be done; how many."""
+        """Answer positions until a case for the plain tick comes. Return how many were answered."""
         s = _look(address)
         done = 0
         taken, out = s.reals, s.out_reals
@@ -76,7 +76,7 @@ def make_ticks(
             if not in_order(s, seq) or (s.wholes[_TEXTS + 1] >= 0 and _tells_fault(s.wholes)):
                 break
             if s.wholes[_REBASED] != s.driver_rebased:
-                break  # a jump of the device: the plain tick meets it anew
+                break  # the device jumped: the plain tick restarts the proxy
             if overtaken(s, taken[_STAMP]):
                 continue
             s.frames = 0
@@ -101,13 +101,13 @@ def make_ticks(
                 end = monotonic(s)
                 out[_TO_STAMP] = end + s.clock_offset
                 note_spent(s.spent, end - begin)
-            # before it is sent: whoever has the answer and asks for the count finds it there
+            # before sending: a client that has the answer must find it counted
             s.ticks += 1
             at = out_at(s)
             answer(s, at, _encode(at, s.out_keys, out, s.out_wholes, s.text, s.text_size) - at)
             done += 1
             if s.met[_INSIDE] != s.inside or called(s):
-                break  # an event is due, or a request waits
+                break  # an event is due, or a request is waiting
         flush(s)
         return done
 
@@ -119,5 +119,5 @@ def _meet(kind: int, table: Any, memory: Any, x: float, y: float, z: float, met:
     return meet_flat(kind, table, x, y, z, met)
 
 
-# answer device states with proxies on a surface without shapes until something is unusual
+# Answer device states with proxies on a surface without shapes until the plain tick is needed.
 ticks = make_ticks(_meet)

@@ -1,7 +1,7 @@
-"""Where the proxy is: one function on numbers, which every way of playing a tick runs, interpreted or compiled.
+"""Proxy of a surface given as numbers: one function for interpreted and compiled ticks.
 
-A surface is a kind, a table of floats that never changes while it is touched, and a small table of
-what its proxy remembers.
+A surface is a kind, a table of floats that is constant while it is touched, and a small memory of
+its proxy.
 """
 
 from __future__ import annotations
@@ -27,7 +27,10 @@ from nodes.environment.state import ANCHOR, MET, PLANE, SHAPES
 
 
 class Numbers(NamedTuple):
-    """A surface as `meet` takes it: FREE, PLANE (axis, coordinate, side), ANCHOR (point) or SHAPES; its repairs in words."""
+    """Arguments of `meet`: kind, table and memory of a surface; and repairs of its meshes.
+
+    The table of a PLANE is (axis, coordinate, side), that of an ANCHOR the point.
+    """
 
     kind: int
     table: array[float]
@@ -37,7 +40,7 @@ class Numbers(NamedTuple):
 
 @rule
 def meet_plane(position: float, surface: float, side: float) -> tuple[float, float, bool]:
-    """Meet a plane across one axis: the proxy there and the signed distance [m], and whether there is contact."""
+    """Return the proxy on a plane's axis [m], the signed distance [m] and whether they touch."""
     distance = plane_distance(position, surface, side)
     contact = distance < 0.0
     return surface if contact else position, distance, contact
@@ -47,7 +50,10 @@ def meet_plane(position: float, surface: float, side: float) -> tuple[float, flo
 def meet_flat(
     kind: int, table: Sequence[float], x: float, y: float, z: float, met: MutableSequence[float]
 ) -> bool:
-    """Let a proxy follow the device to a position [m] on a surface without shapes."""
+    """Write the proxy of a surface without shapes for device position x, y, z [m] into `met`.
+
+    Return whether there is contact.
+    """
     met[0], met[1], met[2] = x, y, z
     met[3] = met[4] = met[5] = met[6] = met[7] = met[8] = 0.0
     if kind == PLANE:
@@ -70,7 +76,10 @@ def meet(
     z: float,
     met: MutableSequence[float],
 ) -> bool:
-    """Let a proxy follow the device to a position [m]: the answer is written into `met`; whether there is contact."""
+    """Move the proxy for device position x, y, z [m] and write the answer into `met`.
+
+    Return whether there is contact. `met` is laid out as `nodes.environment.state.MET` says.
+    """
     if kind != SHAPES:
         return meet_flat(kind, table, x, y, z, met)
     was_lost = memory[PLACED] == LOST
@@ -89,9 +98,9 @@ def meet(
 def meeting_of(
     numbers: Numbers, met: MutableSequence[float] | None = None
 ) -> Callable[[Vector], tuple[Vector, Vector, float, bool]]:
-    """Build the question of the plain tick: from a device position [m] to proxy, normal, distance and contact.
+    """Return the function of the plain tick: position [m] to proxy, normal, distance, contact.
 
-    The answer is written into `met`, too, where that is given.
+    The answer is also written into `met`, if given.
     """
     kind, table, memory = numbers.kind, numbers.table, numbers.memory
     met = [0.0] * MET if met is None else met

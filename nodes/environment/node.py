@@ -1,7 +1,7 @@
-"""The environment node: for each device position, where the proxy is.
+"""The environment node: answers each device position with the proxy on a surface.
 
-It holds no state but the surface, so a lost or repeated position costs nothing. It forwards
-position and measured delay, so that the coupling needs one input only.
+Its only state is the surface, so a lost or repeated position costs nothing. It forwards position
+and measured delay, so that the coupling needs one input only.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 class EnvironmentParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of the environment.
 
-    surface: ``kind`` and parameters of the surface: see nodes/environment/surfaces.py.
-    ease: Time in which the force goes from what was felt to what is asked when the surface is
-        changed [s]; None for the coupling's own ``ease``.
+    surface: ``kind`` and parameters of the surface (nodes/environment/surfaces.py).
+    ease: Time over which the force changes after the surface was replaced [s]; None for the
+        coupling's own ``ease``.
     """
 
     surface: dict[str, Any] = msgspec.field(default_factory=lambda: {"kind": "free"})
@@ -42,7 +42,7 @@ class EnvironmentParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=T
 
 
 class Environment(Node):
-    """Answers device states with proxies."""
+    """Answers device states with the proxy on a surface."""
 
     Parameters: ClassVar[type[msgspec.Struct]] = EnvironmentParameters
     publishes: ClassVar[tuple[str, ...]] = (topics.PROXY,)
@@ -52,7 +52,7 @@ class Environment(Node):
 
     @classmethod
     def kernel_of(cls, parameters: Mapping[str, Any]) -> str:
-        """Name its compiled ticks: shapes have some of their own, for their geometry takes long to compile."""
+        """Return the module of compiled ticks. Shapes have their own: they compile slowly."""
         surface = parameters.get("surface", {})
         kind = surface.get("kind", "free") if isinstance(surface, Mapping) else "free"
         known: Surface | None = SURFACES.load(kind) if kind in SURFACES.names() else None
@@ -60,7 +60,7 @@ class Environment(Node):
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Make the surface before anything is started."""
+        """Check the surface before the launch."""
         where = f"{setup.name}.surface"
         surface = parse_surface(setup.parameters.get("surface", {"kind": "free"}), where)
         meet_axes(surface, setup.axes, where)
@@ -68,7 +68,7 @@ class Environment(Node):
 
     @classmethod
     def axes(cls, parameters: Mapping[str, Any], name: str) -> tuple[Axis, ...]:
-        """Tell which axes the scene must compute."""
+        """Return the axes that the scene must compute."""
         return (
             parse_surface(parameters.get("surface", {"kind": "free"}), f"{name}.surface").pushes()
             or ()
@@ -80,13 +80,13 @@ class Environment(Node):
         self._touch(meet)
 
     def make_counters(self) -> Any:
-        """Make its state."""
+        """Return the state."""
         return state_of(
             EnvironmentState, self.setup.tick == "compiled", seq=-1, answered=-1, kind=UNKNOWN
         )
 
     def _touch(self, meet: Callable[[Vector], Meeting]) -> None:
-        """Meet the surface of `_place`; interpreted and compiled ticks go on with one memory of its proxy."""
+        """Use the surface of `_place`; interpreted and compiled ticks share its proxy's memory."""
         self._meet, s, numbers = meet, self.counters, self._place.numbers
         s.kind = self._place.kind
         if numbers is not None:
@@ -105,7 +105,7 @@ class Environment(Node):
         return place, place.meet if surface.pushes() is not None else self._watched(place.meet)
 
     def _watched(self, meet: Callable[[Vector], Meeting]) -> Callable[[Vector], Meeting]:
-        """Tell of a surface that pushes along an axis which the scene does not compute."""
+        """Report when a surface pushes along an axis that the scene does not compute."""
         left_out = [(i, axis) for axis, i in AXIS_INDEX.items() if axis not in self.setup.axes]
 
         def watched(position: Vector) -> Meeting:
@@ -123,9 +123,9 @@ class Environment(Node):
         return watched
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
-        """Prepare another surface: its proxy begins where it is now, and the coupling is told of the jump, to ease over it.
+        """Prepare a new surface; its proxy starts where the old one is.
 
-        Where only its friction is another, nothing jumps.
+        The coupling is told of the jump and eases it. If only the friction differs, nothing jumps.
         """
         if parameters.surface == self.store.current.surface:
             return lambda seq: {"seq": seq, "surface": parameters.surface}
@@ -146,7 +146,7 @@ class Environment(Node):
         return apply
 
     def compiled_ticks(self, kernel: Kernel) -> CompiledTicks:
-        """Make the compiled ticks."""
+        """Return the compiled ticks."""
         from nodes.environment.compiled_tick import EnvironmentTicks
 
         return EnvironmentTicks(
@@ -156,7 +156,7 @@ class Environment(Node):
     def _answer(self, state: DeviceState) -> bytes | None:
         simulated = self.clock.simulated
         if state.safety == "fault" and not simulated:
-            # The position is an old one; who follows bridges the gap. In lockstep somebody waits
+            # The position is outdated; the coupling bridges the gap. In lockstep the driver waits
             # for an answer.
             return None
         begin = 0.0 if simulated else time.monotonic()
@@ -188,18 +188,18 @@ class Environment(Node):
         )
 
     def _meet_anew(self, state: DeviceState) -> None:
-        """Begin at the first tick of a driver, or after a jump of its position: the proxy begins at the device."""
+        """Restart the proxy at the device: first tick of a driver, or a jump of its position."""
         s = self.counters
         if s.answered >= 0:
             self._place.begin()
         if not 0 <= s.answered < state.seq or state.rebased <= s.rebased:
-            # Also where the driver counts anew: a jump of its own from before must not hide this
-            # one.
+            # Also if the driver counts from zero again: an earlier jump of this node must not hide
+            # this one.
             s.rebased, s.ease = state.seq, 0
         s.driver_rebased = state.rebased
 
     def note_inside(self) -> None:
-        """Publish how many shapes are not felt because the tool began inside of them, when that changes."""
+        """Report a change in the number of solids not felt because the tool began inside."""
         inside = self._place.inside
         if inside > self.counters.inside:
             solids = "a solid that is" if inside == 1 else f"{inside} solids that are"
@@ -218,9 +218,9 @@ class Environment(Node):
         self.counters.inside = inside
 
     def report(self) -> dict[str, Any]:
-        """Tell how long its ticks took."""
+        """Return tick durations."""
         return {"spent_us": spent_us(self.counters.spent)}
 
     def loop(self) -> None:
-        """Answer until stopped."""
+        """Answer device states until stopped."""
         answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self._answer)

@@ -1,9 +1,9 @@
-"""Another hand as the environment: the coupling holds the device to where the partner's device is.
+"""Another device as the environment: the coupling pulls this device to its position.
 
-Two people, each with a device, a coupling and a law of their own; what travels between them are
-positions, as late as the network makes them. The position presented to the coupling never jumps: a
-partner that is first heard, or heard again, is met where the device is, and the offset to where it
-really is fades at `align`. So does the way back to free air when the partner falls silent.
+Two people each have a device, a coupling and a law; their nodes exchange positions, delayed by the
+network. The position presented to the coupling never jumps. When a partner is first heard, or heard
+again, the presented position starts at this device, and the offset to the real position decreases
+at `align`. When the partner falls silent, it returns to this device at the same speed.
 """
 
 from __future__ import annotations
@@ -25,20 +25,19 @@ from nodes.environment.spent import SpentCounters, note_spent, spent_us
 from nodes.parameters.store import ParameterError
 
 UNHEARD, HEARD, SILENT = range(3)
-"""What is known of a partner: nothing yet, its position, or nothing any more."""
+"""What is known of a partner: nothing yet, its position, or only its last position."""
 
 Patience = Annotated[float, msgspec.Meta(gt=0.0, le=10.0)]
 MetresPerSecond = Annotated[float, msgspec.Meta(gt=0.0, le=100.0)]
 
 
 class PartnerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Parameters of an environment that is another device.
+    """Parameters of an environment that follows another device.
 
-    silence: Time without a message of the partner after which it counts as gone [s].
-    align: MetresPerSecond at which an offset to the partner fades, so that nobody is pushed by a
-        jump [m/s].
-    fastest: MetresPerSecond beyond which a step of the partner's position is a jump and no motion
+    silence: Time without a message after which the partner counts as gone [s].
+    align: Speed at which an offset to the partner decreases, so that nobody is pushed by a jump
         [m/s].
+    fastest: Speed above which a step of the partner's position counts as a jump [m/s].
     """
 
     silence: Patience = 0.1
@@ -47,28 +46,20 @@ class PartnerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
 
 
 class Partner:
-    """The partner's position as the coupling sees it: continuous, whatever the network does.
-
-    Parameters
-    ----------
-    period : float
-        Sampling period T [s].
-    parameters : PartnerParameters
-        Limits of silence and speed.
-    """
+    """Position of the partner as the coupling sees it: continuous despite network gaps."""
 
     def __init__(self, period: float, parameters: PartnerParameters) -> None:
         self._period, self._parameters = period, parameters
         self.state = UNHEARD
-        self.place: Vector = ZERO  # where the partner was last heard to be [m]
-        self._offset: Vector = ZERO  # from there to the position presented [m]
-        self._seq = -1  # the partner's tick that it was heard of
-        self._heard_at = 0  # own tick at which a message came last
-        self._fresh = False  # whether one came since the last tick
-        self.credit = 0.0  # energy that it has put in so far, by what was heard last [J]
+        self.place: Vector = ZERO  # last position heard of the partner [m]
+        self._offset: Vector = ZERO  # presented position minus `place` [m]
+        self._seq = -1  # seq of the last message used
+        self._heard_at = 0  # own tick of the last message
+        self._fresh = False  # whether a message arrived since the last tick
+        self.credit = 0.0  # energy that the partner had put in by its last message [J]
 
     def hear(self, state: DeviceState) -> bool:
-        """Take a message of the partner; return False for one that is old or tells no position."""
+        """Use a message of the partner; return False if it is outdated or has no valid position."""
         if state.safety == "fault" or state.seq == self._seq:
             return False
         if (
@@ -76,7 +67,7 @@ class Partner:
             and self.state == HEARD
             and self._seq - state.seq < 1.0 / self._period
         ):
-            # overtaken on the way; a partner that began anew is older by far, or was silent
+            # Overtaken in the network. A restarted partner would be far older, or silent before.
             return False
         if self.state == HEARD:
             step = _minus(state.position, self.place)
@@ -88,12 +79,12 @@ class Partner:
         return True
 
     def present(self, own: Vector, seq: int) -> tuple[Vector, bool]:
-        """Return the position presented at an own tick [m], and whether there is a partner to feel."""
+        """Return the position presented at own tick `seq` [m], and whether a partner is felt."""
         known = self.state
         if self._fresh:
             self._fresh, self._heard_at = False, seq
             if known != HEARD:
-                # `presented` goes on from where it was: at the device, or on its way there.
+                # The presented position continues from its last value, or starts at the device.
                 begin = own if known == UNHEARD else self._presented
                 self._offset, self.state = _minus(begin, self.place), HEARD
         elif known == HEARD and (seq - self._heard_at) * self._period > self._parameters.silence:
@@ -110,7 +101,7 @@ class Partner:
         self._presented = _plus(self.place, self._offset)
         return self._presented, True
 
-    _presented: Vector = ZERO  # the position presented last [m]
+    _presented: Vector = ZERO  # last presented position [m]
 
 
 def _plus(a: Vector, b: Vector) -> Vector:
@@ -122,7 +113,7 @@ def _minus(a: Vector, b: Vector) -> Vector:
 
 
 def _shorter(a: Vector, by: float) -> Vector:
-    """Return a vector shortened by a length, zero at most."""
+    """Return vector `a` shortened by the length `by`, or zero."""
     length = math.hypot(*a)
     if length <= by:
         return ZERO
@@ -131,7 +122,7 @@ def _shorter(a: Vector, by: float) -> Vector:
 
 
 class PartnerEnvironment(Node):
-    """Answers device states with where the partner is."""
+    """Answers device states with the partner's position."""
 
     Parameters: ClassVar[type[msgspec.Struct]] = PartnerParameters
     publishes: ClassVar[tuple[str, ...]] = (topics.PROXY,)
@@ -140,7 +131,7 @@ class PartnerEnvironment(Node):
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Refuse lockstep: two drivers that wait for answers each have a time of their own."""
+        """Reject lockstep: each of the two drivers would wait in its own simulated time."""
         if setup.pace == "lockstep":
             raise ParameterError(
                 f"{setup.name}: a partner is heard in real time, but run.pace is lockstep; "
@@ -149,19 +140,19 @@ class PartnerEnvironment(Node):
 
     @classmethod
     def axes(cls, parameters: Mapping[str, Any], name: str) -> tuple[Axis, ...]:
-        """Return no axis: a partner is felt along whatever the scene computes."""
+        """Return no axes: the partner is felt along every axis that the scene computes."""
         del parameters, name
         return ()
 
     def make_counters(self) -> SpentCounters:
-        """Return the counters of its ticks."""
+        """Return the tick counters."""
         return SpentCounters()
 
     def configure(self) -> None:
-        """Begin without a partner."""
+        """Start without a partner."""
         self._partner = Partner(self.setup.period, self.store.current)
         self._decoder = Decoder(DeviceState)
-        # messages of the partner that counted, and that came too late to
+        # messages of the partner that were used, and that arrived too late
         self.heard = self.late = 0
 
     def _hear(self, payload: bytes) -> None:
@@ -175,15 +166,14 @@ class PartnerEnvironment(Node):
 
     def _answer(self, state: DeviceState) -> bytes | None:
         if state.safety == "fault":
-            # The position is an old one; who follows bridges the gap.
+            # The position is outdated; the coupling bridges the gap.
             return None
         begin = time.monotonic()
         before = self._partner.state
         proxy, contact = self._partner.present(state.position, state.seq)
         self._report(before, state)
         note_spent(self.counters.spent, time.monotonic() - begin)
-        # The coupling holds the device to the partner from all sides: no normal, and nothing to
-        # clamp.
+        # The partner is felt from all sides: no normal, and no clamping.
         return encode(
             Proxy(
                 seq=state.seq,
@@ -210,20 +200,20 @@ class PartnerEnvironment(Node):
         elif now == SILENT and before == HEARD:
             self.events.emit(
                 "partner",
-                f"silent for {parameters.silence:g} s (silence): the device is let go at"
+                f"silent for {parameters.silence:g} s (silence): the device is released at"
                 f" {parameters.align:g} m/s",
                 {"silent_s": parameters.silence, "align_m_per_s": parameters.align},
             )
 
     def report(self) -> dict[str, Any]:
-        """Return the time its ticks took, and how many messages of the partner came, and came too late."""
+        """Return tick durations, and the partner's messages that were used and overtaken."""
         return {
             "spent_us": spent_us(self.counters.spent),
             "partner": {"heard": self.heard, "overtaken": self.late},
         }
 
     def loop(self) -> None:
-        """Answer until stopped, with the newest position of the partner."""
+        """Answer device states with the partner's newest position until stopped."""
         partner = self.setup.topic(topics.PARTNER).encode()
         answer_ticks(
             self,

@@ -1,8 +1,8 @@
-"""How long an environment takes for its part of a tick: counted in bins of equal ratios, compiled and interpreted alike.
+"""Histogram of tick durations of an environment, in logarithmic bins.
 
-In real time only: in lockstep nobody looks at a clock. A compiled tick counts from the message in
-hand to the answer's stamp, decoding included; an interpreted one, and a scene of bodies, from the
-decoded message to the proxy. Receiving and sending are the transport's.
+Durations are measured in real time only, not in lockstep. A compiled tick counts from receiving the
+message to stamping the answer, decoding included; an interpreted tick, and a scene of bodies,
+counts from the decoded message to the proxy. Receiving and sending are not included.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from typing import Final
 from nodes.base.status_report import Counters
 from nodes.compiled.rules import rule
 
-BINS: Final = 136  # room for counts: from `LEAST` to 13 ms
-LEAST: Final = 1e-7  # where the first bin begins [s]
-PER_OCTAVE: Final = 8  # bins for each doubling: a quantile is known to 4.4 %
+BINS: Final = 136  # bins, from SHORTEST_SPENT to 13 ms
+SHORTEST_SPENT: Final = 1e-7  # lower edge of the first bin [s]
+PER_OCTAVE: Final = 8  # bins for each doubling, so a quantile is exact to 4.4 %
 _AT = (("p50", 0.5), ("p99", 0.99), ("p999", 0.999))
 
 
@@ -31,21 +31,21 @@ class SpentCounters(Counters):
 
 @rule
 def note_spent(counts: MutableSequence[int], seconds: float) -> None:
-    """Count one tick."""
+    """Count a tick that took `seconds`."""
     place = 0
-    if seconds > LEAST:
-        place = min(int(PER_OCTAVE * math.log2(seconds / LEAST)), BINS - 1)
+    if seconds > SHORTEST_SPENT:
+        place = min(int(PER_OCTAVE * math.log2(seconds / SHORTEST_SPENT)), BINS - 1)
     counts[place] += 1
 
 
 def spent_us(counts: Sequence[int]) -> dict[str, float]:
-    """Tell quantiles, each by the middle of its bin, and the largest by its bin's end [µs]; empty where nothing was counted."""
+    """Return quantiles (bin centres) and maximum (bin edge) [µs]; empty without ticks."""
     ticks = sum(counts)
     if not ticks:
         return {}
 
     def edge(place: float) -> float:
-        return float(f"{1e6 * LEAST * 2.0 ** (place / PER_OCTAVE):.3g}")
+        return float(f"{1e6 * SHORTEST_SPENT * 2.0 ** (place / PER_OCTAVE):.3g}")
 
     below = list(accumulate(counts))
     found = {

@@ -1,7 +1,7 @@
-"""What the device can touch: surfaces as a registry, each one a few numbers and the question "where is the proxy?".
+"""Surfaces: a registry of what the device can touch, each described by a few numbers.
 
-A surface answers on plain floats and computes only the axis it lies across. Other packages add
-surfaces through the entry points ``haptic.surfaces``.
+A surface answers one question, "where is the proxy?", on plain floats, and only for the axis that
+it lies across. Other packages add surfaces through the entry points ``haptic.surfaces``.
 """
 
 from __future__ import annotations
@@ -46,16 +46,16 @@ Meeting: TypeAlias = tuple[Vector, Vector, float, bool]
 
 
 class AxisSurface(NamedTuple):
-    """A surface as one axis sees it: what one process plays.
+    """A surface reduced to one axis, for the one-process simulator.
 
     Attributes
     ----------
     shape : str
         ``free``, ``plane`` (one-sided) or ``anchor`` (both sides).
     position : float
-        Where it is on that axis [m].
+        Coordinate on that axis [m].
     side : float
-        Side of a plane that is free: 1.0 towards larger coordinates, −1.0 towards smaller ones.
+        Free side of a plane: 1.0 towards larger coordinates, −1.0 towards smaller ones.
     """
 
     shape: Literal["free", "plane", "anchor"]
@@ -71,19 +71,20 @@ class Surface(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     kind : str
         Class variable: the registered name.
     kernel_module : str
-        Class variable: module of the compiled ticks that meet it.
+        Class variable: module of the compiled ticks that can meet it.
     """
 
     kind: ClassVar[str] = ""
     kernel_module: ClassVar[str] = "nodes.environment.kernel"
 
     def meeting(self) -> Callable[[Vector], Meeting]:
-        """Build the question of the hot path.
+        """Return the function that finds the proxy for a device position.
 
         Returns
         -------
         callable
-            From a device position [m] to proxy, normal, distance and contact.
+            Maps a device position [m] to proxy [m], outward normal, signed distance [m] and
+            contact.
         """
         numbers = self.numbers(0.0)
         if numbers is None:
@@ -93,7 +94,7 @@ class Surface(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         return meeting_of(numbers)
 
     def meeting_every(self, period: float) -> Callable[[Vector], Meeting]:
-        """Build the question of the hot path, for a surface that goes by time.
+        """Return the function that finds the proxy, for a surface that depends on time.
 
         Parameters
         ----------
@@ -103,13 +104,13 @@ class Surface(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         Returns
         -------
         callable
-            As `meeting` does, and what that gives where time does not matter.
+            As `meeting` returns; the same function for surfaces that do not depend on time.
         """
         numbers = numbers_of(self, period)
         return self.meeting() if numbers is None else meeting_of(numbers)
 
     def numbers(self, period: float) -> Numbers | None:
-        """Describe the surface by numbers, so that compiled ticks know it too.
+        """Return the surface as numbers, so that compiled ticks can meet it.
 
         Parameters
         ----------
@@ -119,64 +120,66 @@ class Surface(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         Returns
         -------
         Numbers or None
-            As nodes/environment/meet.py takes it; None for one that only its own code knows.
+            Arguments of `nodes.environment.meet.meet`; None if only the surface's own code can meet
+            it.
         """
         del period
         return None
 
     def check(self, where: str) -> None:
-        """Refuse what cannot be touched, beyond what its fields alone tell, before anything is started.
+        """Check the surface before the launch, beyond what its field types check.
 
         Parameters
         ----------
         where : str
-            Path of the surface, for errors.
+            Parameter path of the surface, for errors.
         """
 
     def pushes(self) -> tuple[Axis, ...] | None:
-        """Tell along which axes the surface can push: a scene must compute all of them, or nothing would be felt.
+        """Return the axes along which the surface can push.
+
+        The scene must compute all of them, or the force along the others would be missing.
 
         Returns
         -------
         tuple of str or None
-            The axes; None when it is not known beforehand, and looked for at each contact.
+            The axes; None if unknown in advance, then each contact is checked.
         """
         return None
 
     def on_axis(self, axis: Axis) -> AxisSurface | None:
-        """Reduce the surface to one axis, so that one process can play it too.
+        """Return the surface reduced to one axis, for the one-process simulator.
 
         Parameters
         ----------
         axis : str
-            The axis that the scene computes.
+            Axis that the scene computes.
 
         Returns
         -------
         AxisSurface or None
-            The same surface on that axis; None when it is more than that, and only a launch plays
-            it.
+            The same surface on that axis; None if it cannot be reduced and needs a launch.
         """
         del axis
         return None
 
 
 class Free(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Nothing to touch: what a device does by itself."""
+    """Free space: nothing to touch."""
 
     kind: ClassVar[str] = "free"
 
     def numbers(self, period: float) -> Numbers:
-        """Describe the surface by numbers."""
+        """Return the surface as numbers."""
         del period
         return Numbers(FREE, array("d"), array("d"))
 
     def pushes(self) -> tuple[Axis, ...]:
-        """Tell along which axes it can push."""
+        """Return no axes."""
         return ()
 
     def on_axis(self, axis: Axis) -> AxisSurface:
-        """Reduce to one axis."""
+        """Return free space on one axis."""
         del axis
         return AxisSurface("free")
 
@@ -189,9 +192,9 @@ class Plane(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
     axis : str
         Axis that it lies across.
     position : float
-        Its coordinate on that axis [m].
+        Coordinate on that axis [m].
     normal : int
-        Side that is free: 1 towards larger coordinates (a floor, on z), −1 towards smaller ones.
+        Free side: 1 towards larger coordinates (a floor, on z), −1 towards smaller ones.
     """
 
     kind: ClassVar[str] = "plane"
@@ -200,18 +203,18 @@ class Plane(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
     normal: Literal[1, -1] = 1
 
     def numbers(self, period: float) -> Numbers:
-        """Describe the surface by numbers."""
+        """Return the surface as numbers."""
         del period
         return Numbers(
             PLANE, array("d", (AXIS_INDEX[self.axis], self.position, self.normal)), array("d")
         )
 
     def pushes(self) -> tuple[Axis, ...]:
-        """Tell along which axes it can push."""
+        """Return the axis that the plane lies across."""
         return (self.axis,)
 
     def on_axis(self, axis: Axis) -> AxisSurface:
-        """Reduce to one axis."""
+        """Return the plane on its own axis, and free space on the others."""
         return (
             AxisSurface("plane", self.position, float(self.normal))
             if axis == self.axis
@@ -220,7 +223,7 @@ class Plane(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class Anchor(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A point that holds the device from both sides: the linear loop of the theory, without any contact.
+    """Spring to a point: pulls the device from both sides, as in linear theory; no contact.
 
     Attributes
     ----------
@@ -232,28 +235,28 @@ class Anchor(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
     position: Vector = ZERO
 
     def numbers(self, period: float) -> Numbers:
-        """Describe the surface by numbers."""
+        """Return the surface as numbers."""
         del period
         return Numbers(ANCHOR, array("d", self.position), array("d"))
 
     def pushes(self) -> tuple[Axis, ...]:
-        """Tell along which axes a device that is not there is pulled, wherever it moves."""
+        """Return the axes on which the point is away from the origin, where the device rests."""
         return tuple(axis for axis, i in AXIS_INDEX.items() if self.position[i] != 0.0)  # type: ignore[misc]
 
     def on_axis(self, axis: Axis) -> AxisSurface:
-        """Reduce to one axis."""
+        """Return the anchor on one axis."""
         return AxisSurface("anchor", self.position[AXIS_INDEX[axis]])
 
 
 def parse_surface(data: dict[str, Any], where: str) -> Surface:
-    """Make a surface from its parameters.
+    """Return the surface that parameters describe.
 
     Parameters
     ----------
     data : dict
         ``kind`` and the fields of that kind.
     where : str
-        What the path starts with in errors.
+        Parameter path, the beginning of every error.
 
     Returns
     -------
@@ -263,7 +266,7 @@ def parse_surface(data: dict[str, Any], where: str) -> Surface:
     Raises
     ------
     ParameterError
-        When the kind is unknown or a field is refused.
+        If the kind is unknown or a field is invalid.
     """
     if not isinstance(data, Mapping):
         raise ParameterError(f"{where}: expected a mapping with kind and parameters, got {data!r}")
@@ -276,19 +279,19 @@ def parse_surface(data: dict[str, Any], where: str) -> Surface:
 
 
 def numbers_of(surface: Surface, period: float) -> Numbers | None:
-    """Describe a surface by numbers, unless code of its own says how it is met.
+    """Return a surface as numbers, unless the surface has its own code to meet it.
 
     Parameters
     ----------
     surface : Surface
-        Any.
+        The surface.
     period : float
         Sampling period [s].
 
     Returns
     -------
     Numbers or None
-        None for one that only the interpreter can meet.
+        None if only the interpreter can meet the surface.
     """
     lines = type(surface).__mro__
 
@@ -300,7 +303,7 @@ def numbers_of(surface: Surface, period: float) -> Numbers | None:
 
 
 def meet_axes(surface: Surface, axes: Sequence[str], where: str) -> None:
-    """Refuse a surface that pushes where the scene computes no force.
+    """Check that the scene computes every axis along which a surface pushes.
 
     Parameters
     ----------
@@ -309,12 +312,12 @@ def meet_axes(surface: Surface, axes: Sequence[str], where: str) -> None:
     axes : sequence of str
         Axes that the scene computes.
     where : str
-        Path of the surface, for the error.
+        Parameter path of the surface, for errors.
 
     Raises
     ------
     ParameterError
-        Naming both.
+        If an axis is missing.
     """
     left_out = [axis for axis in surface.pushes() or () if axis not in axes]
     if left_out:

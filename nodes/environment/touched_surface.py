@@ -1,4 +1,4 @@
-"""A surface as it is touched now: its numbers, the memory of its proxy, and how another surface takes its place."""
+"""The surface being touched, its proxy's memory, and the change to another surface."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nodes.environment.surfaces import Meeting, Surface, numbers_of
 class TouchedSurface:
     """A surface with its proxy."""
 
-    # from a device position [m] to proxy, normal, distance and contact
+    # maps a device position [m] to proxy, normal, distance and contact
     meet: Callable[[Vector], Meeting]
 
     def __init__(
@@ -23,7 +23,7 @@ class TouchedSurface:
     ) -> None:
         self.numbers = numbers_of(surface, period)
         self._met = [0.0] * MET if met is None else met
-        # Made with the surface, not when it is taken: that is between two ticks.
+        # Computed with the surface, not when it is replaced, which happens between two ticks.
         self._identity = (
             identity_of(self.numbers.table)
             if self.numbers is not None and self.kind == SHAPES
@@ -37,17 +37,17 @@ class TouchedSurface:
 
     @property
     def kind(self) -> int:
-        """Kind of the surface, as numbers have it."""
+        """Kind of the surface: FREE, PLANE, ANCHOR, SHAPES or UNKNOWN."""
         return UNKNOWN if self.numbers is None else self.numbers.kind
 
     @property
     def jumped(self) -> bool:
-        """Whether the proxy jumped without motion in the last call: its device was lost, or has come back."""
+        """Whether the proxy jumped in the last call: its device was lost, or came back."""
         return self.numbers is not None and self._met[JUMPED] != 0.0
 
     @property
     def inside(self) -> int:
-        """How many solids are not felt because the tool began inside of them."""
+        """Number of solids that are not felt because the tool began inside them."""
         return (
             int(self.numbers.memory[INSIDE])
             if self.numbers is not None and self.kind == SHAPES
@@ -55,9 +55,9 @@ class TouchedSurface:
         )
 
     def take(self, other: TouchedSurface) -> bool:
-        """Become another surface, whose proxy begins where this one's is. Return whether that is a jump.
+        """Become another surface whose proxy starts at this one's. Return whether it jumps.
 
-        Where nothing or only friction is another, the proxy stays as it is, and nothing jumps.
+        If only the friction differs, the proxy keeps its memory and nothing jumps.
         """
         before, after = self.numbers, other.numbers
         jump = True
@@ -78,6 +78,6 @@ class TouchedSurface:
         return jump
 
     def begin(self) -> None:
-        """Begin the proxy anew at the device."""
+        """Restart the proxy at the device."""
         if self.numbers is not None and self.kind == SHAPES:
             self.numbers.memory[PLACED] = NEVER

@@ -24,7 +24,7 @@ from messages.transport.context import new_context
 from messages.transport.endpoints import bind, split
 from messages.transport.gate import Gate
 from messages.transport.keys import identity
-from messages.transport.requests import Desk, Reply, decode_request
+from messages.transport.requests import Reply, ReplySocket, decode_request
 from nodes.base import realtime
 from nodes.base.node import Node
 from nodes.base.node_kinds import load, node_kinds
@@ -96,26 +96,26 @@ class Starter:
             context,
             lambda reason: print(f"[{self._name}] denied: {reason}", file=sys.stderr, flush=True),
         )
-        desk = Desk(context)
+        inbox = ReplySocket(context)
         try:
-            bind(desk.socket, self.control)
-            gate.watch(desk.socket)
+            bind(inbox.socket, self.control)
+            gate.watch(inbox.socket)
             gate.start()
-            desk.socket.rcvtimeo = 200
-            return self._serve(desk)
+            inbox.socket.rcvtimeo = 200
+            return self._serve(inbox)
         finally:
             gate.stop()
             # Long enough for the last answer to leave.
-            desk.socket.close(linger=1000)
+            inbox.socket.close(linger=1000)
             context.term()
 
     def _on_signal(self, *_: object) -> None:
         self._stopping = True
 
-    def _serve(self, desk: Desk) -> Setup | None:
+    def _serve(self, inbox: ReplySocket) -> Setup | None:
         while not self._stopping:
             try:
-                frames = desk.take()
+                frames = inbox.receive()
             except zmq.Again:
                 continue
             setup = None
@@ -126,7 +126,7 @@ class Starter:
                 reply = self._reply(request.op)
             except (MessageRefusedError, ParameterError, runs.RunError) as error:
                 reply = Reply(False, error=f"{self._name}: {error}"[:4000])
-            desk.answer(msgspec.msgpack.encode(reply))
+            inbox.answer(msgspec.msgpack.encode(reply))
             if setup is not None:
                 return setup
         return None

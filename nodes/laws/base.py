@@ -1,9 +1,10 @@
-"""The coupling laws: parameters in, taps out. One law per file; other packages add laws through entry points ``haptic.laws``.
+"""Base of the coupling laws: parameters in, taps out.
 
-A law is a frozen msgspec struct whose fields are its parameters, with one method, ``compile``. What
-it compiles to is the same for all: a vector of taps over the shared deflection history (every law
-of the paper is just that, eq. 1, 6, 10) and, for recursive realisations of D^α, parallel
-second-order sections beside them. So a swap of laws is a swap of numbers.
+Each law has a file of its own; other packages add laws through the entry points ``haptic.laws``. A
+law is a frozen msgspec struct whose fields are its parameters, with one method, ``compile``. The
+result has the same form for all laws: taps over the shared deflection history (every law of the
+paper is just that, eq. 1, 6, 10) and, for recursive realisations of D^α, parallel second-order
+sections. Changing the law therefore only changes numbers.
 """
 
 from __future__ import annotations
@@ -37,14 +38,13 @@ def _wrong_law(name: str, found: Any) -> str:
 
 
 LAWS = Registry("haptic.laws", "law", _wrong_law)
-# What is worked out of a law beside its coefficients, by packages above this one: its response, its
-# plane of K and B.
+# Functions that packages above this one compute from a law: its response, its K–B plane.
 RESULTS = Registry("haptic.results", "result of a law")
 
 
 @dataclass(frozen=True)
 class CompiledLaw:
-    """What a law renders at one sampling period.
+    """A law's coefficients at one sampling period.
 
     Attributes
     ----------
@@ -53,11 +53,11 @@ class CompiledLaw:
     sections : tuple of tuple of float, shape (s, 4)
         b0, b1 [N/m], a1, a2 of parallel sections y = b0·x + b1·x₋₁ − a1·y₋₁ − a2·y₋₂.
     evaluate : callable or None
-        A law's own code beside taps and sections, for what is not linear: from (ring, head), with
-        ``ring[head + m]`` the deflection m ticks ago, to a force [N] that is added. It is tried
-        once before it may render, and watched then: when it raises, returns a force that is not
-        finite or overruns its budget, the fallback takes over within the same tick. Code that
-        remembers something from tick to tick has a method ``on_axis`` (see `own_code`).
+        Nonlinear code of a law, in addition to taps and sections: from (ring, head), with
+        ``ring[head + m]`` the deflection m ticks ago, to a force [N] that is added. It is tested
+        before it may render and monitored afterwards: if it raises, returns a force that is not
+        finite or exceeds its time budget, the fallback takes over within the same tick. Code with a
+        memory has a method ``on_axis`` (see `own_code`).
     """
 
     taps: tuple[float, ...]
@@ -65,18 +65,18 @@ class CompiledLaw:
     evaluate: Callable[[Sequence[float], int], float] | None = None
 
     def own_code(self, axis: int = 0) -> Callable[[Sequence[float], int], float] | None:
-        """Give the law's own code for one axis, before its first tick.
+        """Return the law's own code for one axis; called before the first tick.
 
         Parameters
         ----------
         axis : int
-            Which of the axes that the scene computes, from 0. Code with a method ``on_axis`` is
-            made anew by it, for this axis.
+            Index among the axes that the scene computes. Code with a method ``on_axis`` is created
+            for each axis by that method.
 
         Returns
         -------
         callable or None
-            `evaluate`, or what its ``on_axis`` makes; None for a law without code of its own.
+            `evaluate`, or the result of its ``on_axis``; None for a law without own code.
         """
         made = getattr(self.evaluate, "on_axis", None)
         return (
@@ -92,7 +92,7 @@ class CompiledLaw:
     def response(self, z: NDArray[np.complex128]) -> NDArray[np.complex128]: ...
 
     def response(self, z: Any) -> Any:
-        """Transfer function from deflection to force.
+        """Return the transfer function from deflection to force.
 
         Parameters
         ----------
@@ -114,12 +114,12 @@ class CompiledLaw:
 
     @property
     def h1(self) -> float:
-        """Stiffness rendered to a held deflection, H(1) [N/m]."""
+        """Stiffness rendered to a constant deflection, H(1) [N/m]."""
         return self.response(1.0).real
 
     @property
     def h_nyquist(self) -> float:
-        """Gain at the Nyquist frequency, H(−1) [N/m]: what encoder noise is multiplied with."""
+        """Gain at the Nyquist frequency, H(−1) [N/m], which amplifies encoder noise."""
         return self.response(-1.0).real
 
     @property
@@ -130,12 +130,12 @@ class CompiledLaw:
         )
 
     def stable_sections(self) -> bool:
-        """Whether the recursive sections themselves decay.
+        """Return whether the recursive sections are stable.
 
         Returns
         -------
         bool
-            True when all their poles lie inside the unit circle (True without sections).
+            True if all their poles lie inside the unit circle (also without sections).
         """
         for _, _, a1, a2 in self.sections:
             root = cmath.sqrt(a1 * a1 - 4.0 * a2)
@@ -155,17 +155,17 @@ class Law(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     Raises
     ------
     ParameterError
-        When a parameter is of the wrong type, out of its limits or not finite.
+        If a parameter has the wrong type, is out of its limits or not finite.
     """
 
     kind: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
-        """Check what Python code gives as YAML is checked."""
+        """Check values given in Python as those of a YAML file are checked."""
         check_fields(self, self.kind)
 
     def compile(self, period: float) -> CompiledLaw:
-        """Turn the parameters into taps.
+        """Return the taps and sections of these parameters.
 
         Parameters
         ----------
@@ -180,7 +180,7 @@ class Law(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         Raises
         ------
         ValueError
-            When the parameters cannot be realised; the text names the parameter, its value and the
+            If the parameters cannot be realised; the text names the parameter, its value and the
             limit.
         """
         raise TypeError(
@@ -188,12 +188,12 @@ class Law(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         )
 
     def response(self, plant: Any = None, **options: Any) -> Any:
-        """Return stiffness and damping that are rendered against frequency.
+        """Return rendered stiffness and damping over frequency.
 
         Parameters
         ----------
         plant : Plant, optional
-            Gives period [s] and delay [ticks]; 2 ms without a delay where there is none.
+            Source of period [s] and delay [ticks]; by default 2 ms without delay.
         **options : object
             See ``haptic.response``.
 
@@ -205,14 +205,14 @@ class Law(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         return RESULTS.load("response")(self, plant, **options)
 
     def bode(self, plant: Any = None, ax: Any = None, **options: Any) -> Any:
-        """Draw magnitude and phase of what is rendered.
+        """Plot magnitude and phase of the rendered impedance.
 
         Parameters
         ----------
         plant : Plant, optional
-            Gives period [s] and delay [ticks]; 2 ms without a delay where there is none.
+            Source of period [s] and delay [ticks]; by default 2 ms without delay.
         ax : pair of matplotlib.axes.Axes, optional
-            Where to draw magnitude and phase; a figure of its own where none is given.
+            Axes of magnitude and phase; by default a new figure.
         **options : object
             See ``haptic.bode``.
 
@@ -224,12 +224,12 @@ class Law(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         return RESULTS.load("bode")(self, plant, ax=ax, **options)
 
     def z_width(self, plant: Any = None, **options: Any) -> Any:
-        """Return the K–B plane: how stiff the law may be at each gain of its damper.
+        """Return the K–B plane: the largest stable stiffness for each damping gain.
 
         Parameters
         ----------
         plant : Plant, optional
-            The device; 0.1 kg and 1 N s/m at 500 Hz where there is none.
+            The device; by default 0.1 kg and 1 N s/m at 500 Hz.
         **options : object
             See ``haptic.z_width``.
 
@@ -242,7 +242,7 @@ class Law(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
 
 
 def law_kinds() -> dict[str, type[Law]]:
-    """Find all installed laws that can be imported.
+    """Return all installed laws that can be imported.
 
     Returns
     -------
@@ -253,7 +253,7 @@ def law_kinds() -> dict[str, type[Law]]:
 
 
 def law_names() -> list[str]:
-    """List the installed laws without importing any.
+    """Return the names of the installed laws without importing any.
 
     Returns
     -------
@@ -264,7 +264,7 @@ def law_names() -> list[str]:
 
 
 def load_law(kind: str) -> type[Law]:
-    """Import one law.
+    """Import a law and return its class.
 
     Parameters
     ----------
@@ -279,7 +279,8 @@ def load_law(kind: str) -> type[Law]:
     Raises
     ------
     NotInstalledError
-        When none of that name is installed, it cannot be imported, or what is registered is no law.
+        If no law of that name is installed, or the registered object cannot be imported or is no
+        law.
     """
     found: type[Law] = LAWS.load(kind)
     return found

@@ -1,9 +1,9 @@
-"""A safe push for identifying a device: two pseudo-random forces over a soft spring that keeps it where it is.
+"""Safe excitation for identifying a device: pseudo-random forces over a soft spring.
 
-It is a law like any other, so it takes over in a running launch by a swap and goes through all of
-the driver's limits. The fast force tells mass and delay, the slow one damping and friction. Beyond
-`reach` it only pushes back; a device that stays there (the edge of the workspace, a hand that pulls
-it away) ends it for good, and so does the end of its time: what is left is the soft spring.
+It is a law like any other: it takes over in a running launch, and all of the driver's limits apply.
+The fast force identifies mass and delay, the slow one damping and friction. Beyond `reach` it only
+pushes back. If the device stays there (at the edge of its workspace, or pulled by a hand), the push
+ends; so does it after `duration`. Then only the soft spring remains.
 """
 
 from __future__ import annotations
@@ -19,14 +19,13 @@ from nodes.parameters.checked import NonNegative, Positive
 
 ClockTicks = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
 
-# time in which the load fades out when the push is over: a force that nobody asks for any more does
-# not stay [s]
+# time over which the load fades out after the push, so that no unrequested force remains [s]
 FADE = 1.0
-ASTRAY = 100  # ticks in a row beyond twice the reach after which the push ends for good
+ASTRAY = 100  # successive ticks beyond twice the reach after which the push ends
 
 
 def held_back(wanted: float, deflection: float, reach: float) -> float:
-    """Turn a push towards the centre when the device is far from it."""
+    """Return a push [N], directed towards the centre when the device is beyond `reach` [m]."""
     if deflection > reach:
         return abs(wanted)
     if deflection < -reach:
@@ -35,7 +34,10 @@ def held_back(wanted: float, deflection: float, reach: float) -> float:
 
 
 def went_on(k: int, astray: int, deflection: float, reach: float, ticks: int) -> tuple[int, int]:
-    """Count the ticks pushed, and those in a row in which the device is astray; the last one when it is for too long."""
+    """Return the counts of ticks pushed and of successive ticks beyond twice the reach.
+
+    After `ASTRAY` of the latter, the first count is `ticks`, which ends the push.
+    """
     astray = astray + 1 if abs(deflection) > 2.0 * reach else 0
     if astray < ASTRAY:
         return k + 1, astray
@@ -43,22 +45,22 @@ def went_on(k: int, astray: int, deflection: float, reach: float, ticks: int) ->
 
 
 def faded(load: float, since: int, fade: int) -> float:
-    """Lower the load so many ticks after the push."""
+    """Return the load `since` ticks after the push, fading linearly to zero over `fade` ticks."""
     return load * float(fade - since) / fade
 
 
 class Telegraph:
-    """Pseudo-random telegraph signals in equal shares, each of which may change its sign after so many ticks."""
+    """Sum of pseudo-random telegraph signals; each may change its sign every `clock` ticks."""
 
     def __init__(self, amplitude: float, clocks: Sequence[int], seed: int) -> None:
-        self._signs = random.Random(seed)  # noqa: S311  # a repeatable push, no secret
+        self._signs = random.Random(seed)  # noqa: S311  # a reproducible push, not a secret
         self._clocks = list(enumerate(clocks))
         self._share = amplitude / len(clocks)
         self._parts = [0.0] * len(clocks)
         self._ticks = 0
 
     def next(self) -> float:
-        """Go on by one tick."""
+        """Return the force of the next tick [N]."""
         for i, clock in self._clocks:
             if self._ticks % clock == 0:
                 self._parts[i] = self._share if self._signs.random() < 0.5 else -self._share
@@ -67,18 +69,18 @@ class Telegraph:
 
 
 class Excitation(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Two-rate pseudo-random push over a centring spring; for an ``anchor`` surface at the place where the device is.
+    """Two-rate pseudo-random push over a centring spring, for an ``anchor`` at the device.
 
     amplitude: Largest pseudo-random force [N].
-    duration: How long it pushes [s]; then only the spring is left.
+    duration: Duration of the push [s]; then only the spring remains.
     clocks: Ticks after which each of the forces may change its sign.
     stiffness: Centring spring [N/m].
     damping: Centring damper [N s/m].
-    reach: Deflection beyond which it pushes back only [m].
-    start: Time in which the push grows to its full size [s].
-    seed: Of the pseudo-random signs; every axis has its own.
-    load: Constant force on every axis, for a device whose weight nothing else carries [N]; fades
-        out when the push is over.
+    reach: Deflection beyond which the force only pushes back [m].
+    start: Ramp-up time of the push [s].
+    seed: Seed of the pseudo-random signs; every axis has its own signs.
+    load: Constant force on every axis that carries the device's weight [N]; fades out after the
+        push.
     """
 
     kind: ClassVar[str] = "excitation"
@@ -94,13 +96,13 @@ class Excitation(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     load: float = 0.0
 
     def compile(self, period: float) -> CompiledLaw:
-        """Turn the spring and the damper into taps; the push is the law's own code."""
+        """Return the taps of spring and damper; the push is the law's own code."""
         damper = self.damping / period
         return CompiledLaw((self.stiffness + damper, -damper), evaluate=Push(self, period))
 
 
 class Push:
-    """The push, over the newest deflection of one axis; `axis` is its number, so that each has signs of its own."""
+    """The push on one axis, from its newest deflection; each axis has signs of its own."""
 
     def __init__(self, law: Excitation, period: float, axis: int = 0) -> None:
         self.law, self._period = law, period
@@ -109,15 +111,15 @@ class Push:
         self._pushed, self._astray, self._signal = 0, 0, self.signal(axis)
 
     def on_axis(self, axis: int) -> Push:
-        """Give the push of an axis before its first tick."""
+        """Return the push of an axis; called before the first tick."""
         return Push(self.law, self._period, axis)
 
     def signal(self, axis: int) -> Telegraph:
-        """Give the pseudo-random force of an axis."""
+        """Return the pseudo-random force of an axis."""
         return Telegraph(self.law.amplitude, self.law.clocks, self.law.seed + axis)
 
     def __call__(self, ring: Sequence[float], head: int) -> float:
-        """Push for a tick [N]."""
+        """Return the push of a tick [N]."""
         load, reach, k = self.law.load, self.law.reach, self._pushed
         if k >= self.ticks:
             self._pushed = min(k + 1, self.ticks + self.fade)

@@ -1,7 +1,4 @@
-"""Parameter types that the laws share: what a stiffness, an order or a number of taps may be.
-
-One place, so that every law refuses the same values with the same limits.
-"""
+"""Parameter types shared by the laws: valid stiffnesses, orders and numbers of taps."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ import msgspec
 
 from nodes.laws.derivatives.gl import coefficients
 
-MAX_TAPS = 8192  # longest tap vector of any law; at 500 Hz that is 16 s of memory
+MAX_TAPS = 8192  # longest tap vector of any law: 16 s of memory at 500 Hz
 
 Stiffness: TypeAlias = Annotated[float, msgspec.Meta(gt=0.0)]
 Damping: TypeAlias = Annotated[float, msgspec.Meta(ge=0.0)]
@@ -21,7 +18,7 @@ Gains: TypeAlias = Literal["physical", "paper", "unlimited"]
 
 
 def term_gain(gain: float, order: float, gains: Gains, period: float, taps: int) -> float:
-    """Gain of one fractional term in physical units."""
+    """Return the gain of one fractional term in physical units."""
     if gains == "physical":
         return gain
     unlimited: float = gain * (0.5 * period) ** (order - 1.0)
@@ -31,6 +28,9 @@ def term_gain(gain: float, order: float, gains: Gains, period: float, taps: int)
 
 
 def alternating_sum(order: float, taps: int) -> float:
-    """Σ (−1)^m c_m of the Grünwald–Letnikov coefficients: T^α D(−1), which tends to 2^α with the memory (THEORY.md §1)."""
+    """Return Σ (−1)^m c_m of the Grünwald–Letnikov coefficients, i.e. T^α D(−1).
+
+    It tends to 2^α with the number of taps (THEORY.md §1).
+    """
     series = coefficients(order, taps)
     return sum(series[0::2]) - sum(series[1::2])

@@ -1,7 +1,6 @@
-"""FIR: raw taps, for laws designed at tap level (``haptic study design``) rather than through a formula.
+"""FIR: raw taps, for laws designed at tap level (``haptic study design``).
 
-A designed law may have a recursive part beside its taps: sections, as every law of this package
-compiles to.
+A designed law may have recursive sections besides its taps, like every compiled law.
 """
 
 from __future__ import annotations
@@ -15,10 +14,10 @@ from nodes.laws.fields import MAX_TAPS
 
 
 class RecursiveSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One recursive part of a law.
+    """One recursive section of a law.
 
     b0, b1: Gains on the newest deflection and the one before it [N/m].
-    a1, a2: Feedback of its last force and the one before it.
+    a1, a2: Feedback of the section's last force and the one before it.
     """
 
     b0: float
@@ -28,12 +27,11 @@ class RecursiveSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
 
 class FIR(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """F[k] = Σ h_m x[k−m] with the taps as they are given, and recursive sections beside them where there are any.
+    """F[k] = Σ h_m x[k−m] with the given taps, plus recursive sections if any.
 
-    taps: h_0 ... h_n [N/m]. They were made for one sampling period; at another one they are another
-        law.
-    period: Sampling period that the taps were made for [s]. When given, the law refuses to run at
-        any other.
+    taps: h_0 ... h_n [N/m]. They are designed for one sampling period; at another the law differs.
+    period: Sampling period that the taps were designed for [s]. If given, the law refuses any
+        other.
     recursive: Parallel sections y = b0·x + b1·x₋₁ − a1·y₋₁ − a2·y₋₂, added to the taps.
     """
 
@@ -43,7 +41,7 @@ class FIR(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     recursive: Annotated[tuple[RecursiveSection, ...], msgspec.Meta(max_length=8)] | None = None
 
     def compile(self, period: float) -> CompiledLaw:
-        """Hand out the taps."""
+        """Return taps and sections as given."""
         if self.period is not None and abs(period / self.period - 1.0) > 1e-6:
             raise ValueError(
                 f"period: these taps were made for T = {self.period:g} s and the loop runs at T ="

@@ -1,9 +1,9 @@
-"""Fractional standard linear solid: a spring beside an arm that relaxes; Kelvin and Voigt's and Maxwell's are within it.
+"""Fractional standard linear solid: a spring parallel to a relaxing arm.
 
-The arm is a spring in series with a fractional damper: τ^α D^α of its force is felt back. Without
-relaxation the law is `pd_alpha` (Kelvin–Voigt); with order 1 the arm is a velocity behind a filter;
-without the spring it is Maxwell's, which bears nothing for ever. With its whole memory the arm is a
-sum of exponentials (`nodes.laws.derivatives.relaxation`), and relaxes.
+The arm is a spring in series with a fractional damper. Special cases are `pd_alpha` (Kelvin–Voigt,
+without relaxation), a filtered velocity (order 1) and a Maxwell element (without the spring), which
+supports no permanent load. With full memory the arm is a sum of exponentials
+(`nodes.laws.derivatives.relaxation`) and relaxes completely.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from nodes.laws.fields import Damping, Taps
 
 
 class FractionalSLS(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """F = K x + A, A + τ^α D^α A = B_α D^α x, with D^α by Grünwald and Letnikov's sum (THEORY.md §16).
+    """F = K x + A, A + τ^α D^α A = B_α D^α x, with the Grünwald–Letnikov D^α (THEORY.md §16).
 
     stiffness: K of the spring [N/m]; 0 for a Maxwell element alone.
     damping: B_α of the arm [N s^α/m]; at high frequency the arm is a spring of B_α/τ^α.
     order: α, 0 < α ≤ 1.
     relaxation: τ [s].
-    taps: Length of a short memory, n + 1 deflections: its end leaks, H(1) is not K. None: the whole
-        memory, which relaxes.
+    taps: Length of a short memory, n + 1 deflections; its truncation leaks, so H(1) is not K. None:
+        full memory, which relaxes.
     """
 
     kind: ClassVar[str] = "fractional_sls"
@@ -36,7 +36,7 @@ class FractionalSLS(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     taps: Taps | None = None
 
     def compile(self, period: float) -> CompiledLaw:
-        """Turn the parameters into taps and sections: one section at order 1, eleven below it, none for a short memory."""
+        """Return taps and sections: one section at order 1, else eleven, none with short memory."""
         spring = self.damping / self.relaxation**self.order
         if self.taps is not None:
             answer = step_answer(self.order, (self.relaxation / period) ** self.order, self.taps)

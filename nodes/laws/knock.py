@@ -1,9 +1,9 @@
-"""A law on trial: for some ticks its taps feel a step of the deflection, then a soft spring holds the device again.
+"""Step test of a law: its taps feel a deflection step for some ticks, then a soft spring.
 
-How a loop is tried whose stability is in question. The law takes over in a running launch by a
-swap, knocks in that very tick, and gives up by itself: after its time, or as soon as the device
-swings far. Both are counted in ticks, whoever asked for it, and whether or not that process still
-lives. So no law stays that was only tried.
+This tests a loop whose stability is in doubt. The law takes over in a running launch, steps in that
+very tick, and gives up by itself after its time or as soon as the device swings far. Both are
+counted in ticks, whether or not the requesting process still lives, so no law under test stays
+active.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ Ticks = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
 
 
 class Knock(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """F[k] = F₀ + Σ h_m e[k−m] while it is on trial, e the deflection since its start plus a step; a soft spring after that.
+    """F[k] = F₀ + Σ h_m e[k−m] during the test; e: deflection since its start plus a step.
 
-    taps: h_0 ... h_n of the law on trial [N/m].
-    step: Step of the deflection in its first tick, on the first axis [m].
-    ticks: How long the trial lasts [ticks].
-    far: The trial is over when a deflection is more than so many steps.
-    stiffness: Spring before and after the trial [N/m]. Its force at the start, F₀, goes on
-        meanwhile: it carries a weight.
-    damping: Damper before and after the trial [N s/m].
-    load: Constant force on the first axis, for a device whose weight nothing else carries [N].
+    taps: h_0 ... h_n of the law under test [N/m].
+    step: Step of the deflection in the first tick, on the first axis [m].
+    ticks: Duration of the test [ticks].
+    far: Deflection that ends the test, in multiples of the step.
+    stiffness: Spring before and after the test [N/m]. Its force at the start, F₀, continues during
+        the test to carry a weight.
+    damping: Damper before and after the test [N s/m].
+    load: Constant force on the first axis that carries the device's weight [N].
     """
 
     kind: ClassVar[str] = "knock"
@@ -44,37 +44,37 @@ class Knock(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     load: float = 0.0
 
     def compile(self, period: float) -> CompiledLaw:
-        """Turn spring and damper into taps; the trial is the law's own code beside them."""
+        """Return the taps of spring and damper; the test is the law's own code."""
         damper = self.damping / period
         return CompiledLaw((self.stiffness + damper, -damper), evaluate=Trial(self, damper))
 
 
 class Trial:
-    """The trial on one axis; the first one is knocked and carries the load."""
+    """The step test on one axis; the first axis gets the step and carries the load."""
 
     def __init__(self, law: Knock, damper: float, axis: int = 0) -> None:
         self._law, self._damper = law, damper
         self._step, self._load = (law.step, law.load) if axis == 0 else (0.0, 0.0)
         self._far = law.far * abs(law.step)
-        # Deflection at its start, ticks since, and where the head was in its last tick; nothing
-        # before the first.
+        # deflection at the start [m], ticks since, ring head of the last tick (−1: before the
+        # first)
         self._start, self._since, self._last = 0.0, 0, -1
 
     def on_axis(self, axis: int) -> Trial:
-        """Give the trial of an axis before its first tick."""
+        """Return the test of an axis; called before the first tick."""
         return Trial(self._law, self._damper, axis)
 
     def __call__(self, ring: Sequence[float], head: int) -> float:
-        """Force of a tick beside spring and damper [N]."""
+        """Return the force of a tick in addition to spring and damper [N]."""
         law, damper, newest = self._law, self._damper, ring[head]
         if self._since > law.ticks:
             return self._load
         if self._last < 0:
-            # it takes over after the deflection of the tick before
+            # it takes over after the deflection of the previous tick
             self._start, self._since = ring[head + 1], 1
         else:
-            # A ring holds everything twice, and its head goes down by one a tick; lost ticks are
-            # filled in.
+            # The ring stores everything twice, and its head moves down by one a tick, lost ticks
+            # included.
             self._since += (self._last - head) % (len(ring) // 2)
         self._last = head
         start, step = self._start, self._step

@@ -1,4 +1,4 @@
-"""Multi-term: spring and a sum of fractional derivatives (paper, eq. 10)."""
+"""Multi-term law: spring and a sum of fractional derivatives (paper, eq. 10)."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ class Term(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 class MultiTerm(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """F = K x + B Σ_i A_i D^{α_i} x.
 
-    stiffness: Nominal K [N/m]; what is felt at rest is H(1) (THEORY.md §1).
+    stiffness: Nominal K [N/m]; the stiffness at rest is H(1) (THEORY.md §1).
     damping: B, common to all terms [N s/m].
     terms: Gains and orders, at least one term.
     taps: Length of each derivative's tap vector; the paper's FIR order n is ``taps`` − 1.
-    gains: Unit of the terms' gains, see `nodes.laws.fields.term_gain`; there is no default because
-        with T in seconds they differ by (T/2)^(α−1) per term.
+    gains: Unit of the terms' gains, see `nodes.laws.fields.term_gain`; no default, because the
+        units differ by (T/2)^(α−1) per term.
     derivative: Registered realisation of D^α (entry points ``haptic.derivatives``).
     """
 
@@ -44,7 +44,7 @@ class MultiTerm(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     derivative: str = "gl"
 
     def compile(self, period: float) -> CompiledLaw:
-        """Turn the parameters into taps."""
+        """Return the taps and sections."""
         gains = (
             self.damping * term_gain(term.gain, term.order, self.gains, period, self.taps)
             for term in self.terms

@@ -1,8 +1,7 @@
-"""From a parsed YAML mapping to a law, from a law to taps that may be rendered, and back; errors carry the path.
+"""Parsing, checking and describing laws; errors name path, value, limit and remedy.
 
-Everything that changes a law at run time goes through here (launch file, ``haptic param``, ``haptic
-law``), so what is refused is refused everywhere, with the path, the value, the limit and what to
-do.
+Every change of a law (launch file, ``haptic param``, ``haptic law``) uses these functions, so they
+all reject the same laws.
 """
 
 from __future__ import annotations
@@ -22,11 +21,14 @@ from nodes.parameters.store import ParameterError, convert
 
 
 class LawRefusedError(ParameterError):
-    """A law that is not rendered; the text says path, value, limit and remedy."""
+    """A law that must not be rendered; the text has path, value, limit and remedy."""
 
 
 def parse_law(data: object, path: str = "law") -> Law:
-    """Read a law's mapping, or a preset's bare name; its parameters are valid one by one then. LawRefusedError has the path."""
+    """Return the law of a mapping or of a preset's name; each parameter is checked by itself.
+
+    Raises LawRefusedError with the path of what is invalid.
+    """
     if isinstance(data, str) and data in PRESETS:
         data = {"kind": data}
     if not isinstance(data, Mapping):
@@ -65,8 +67,8 @@ def parse_law(data: object, path: str = "law") -> Law:
 
 
 def law_to_dict(law: Law) -> dict[str, Any]:
-    """Describe a law so that `parse_law` reads the same law back; parameters that are not set are left out."""
-    # Through JSON: tuples become lists, and floats come back with the same bits.
+    """Return a law as a mapping that `parse_law` reads; parameters that are None are left out."""
+    # JSON turns tuples into lists and preserves every bit of a float.
     try:
         values: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(law))
     except Exception as error:  # a law of another package may have a field of any type
@@ -77,7 +79,11 @@ def law_to_dict(law: Law) -> dict[str, Any]:
 
 
 def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
-    """Compile a law; LawRefusedError when it cannot be realised, is not finite, has a section that grows or H(1) ≤ 0."""
+    """Compile a law for a sampling period [s].
+
+    Raises LawRefusedError if the law cannot be realised, is not finite, has an unstable section or
+    H(1) ≤ 0.
+    """
     if not (math.isfinite(period) and period > 0.0):
         raise LawRefusedError(f"{path}: sampling period {period!r} s is not a positive number")
     try:
@@ -100,7 +106,7 @@ def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
             f"{path}: compiles to {type(compiled).__name__}, expected CompiledLaw (law kind"
             f" {law.kind})"
         )
-    # The sum of the taps is only known to rounding: what is below it has no sign.
+    # The sum of the taps is exact to rounding only; below that its sign is undefined.
     rounding = 2.0**-52 * sum(map(abs, compiled.taps))
     if not (compiled.finite and math.isfinite(rounding)):
         raise LawRefusedError(
@@ -119,7 +125,7 @@ def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
             raise LawRefusedError(
                 f"{path}: its own code cannot be made for an axis: {type(error).__name__}: {error}"
             ) from error
-        # it adds a force that no transfer function tells; the coupling watches it at run time
+        # its force appears in no transfer function; the coupling monitors it at run time
         return compiled
     h1 = compiled.h1
     if not h1 > rounding:

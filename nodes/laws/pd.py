@@ -20,5 +20,5 @@ class PD(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     damping: NonNegative = 0.0
 
     def compile(self, period: float) -> CompiledLaw:
-        """Turn the parameters into taps."""
+        """Return the taps."""
         return CompiledLaw((self.stiffness + self.damping / period, -self.damping / period))

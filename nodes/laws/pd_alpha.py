@@ -12,12 +12,12 @@ from nodes.laws.fields import Damping, Gains, Order, Stiffness, Taps, term_gain
 class PDAlpha(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """F = K x + B_α D^α x.
 
-    stiffness: Nominal K [N/m]. What is felt at rest is H(1) = K + B_α·D(1): a truncated derivative
-        leaks (THEORY.md §1).
-    damping: B_α: [N s^α/m] with physical gains, [N s/m] with the others.
+    stiffness: Nominal K [N/m]. The stiffness at rest is H(1) = K + B_α·D(1), because a truncated
+        derivative leaks (THEORY.md §1).
+    damping: B_α: [N s^α/m] with physical gains, else [N s/m].
     order: α, 0 < α < 4.
     taps: Length of the derivative's tap vector; the paper's FIR order n is ``taps`` − 1.
-    gains: Unit of `damping`, see `nodes.laws.fields.term_gain`; there is no default because they
+    gains: Unit of `damping`, see `nodes.laws.fields.term_gain`; no default, because the units
         differ by (T/2)^(α−1).
     derivative: Registered realisation of D^α (entry points ``haptic.derivatives``).
     """
@@ -31,14 +31,14 @@ class PDAlpha(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     derivative: str = "gl"
 
     def compile(self, period: float) -> CompiledLaw:
-        """Turn the parameters into taps."""
+        """Return the taps and sections."""
         gain = term_gain(self.damping, self.order, self.gains, period, self.taps)
         unit = realise(self.derivative, self.order, self.taps, period)
         return combine(self.stiffness, [(gain, unit)])
 
 
 def combine(stiffness: float, terms: list[tuple[float, CompiledLaw]]) -> CompiledLaw:
-    """Add a spring and weighted derivatives into one law."""
+    """Return the sum of a spring and weighted derivatives as one law."""
     taps = [0.0] * max([1, *(len(unit.taps) for _, unit in terms)])
     sections = []
     for gain, unit in terms:

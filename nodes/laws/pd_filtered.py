@@ -1,4 +1,4 @@
-"""PD with a filtered velocity: what most haptic software renders, a backward difference behind a first-order low-pass."""
+"""PD with low-pass filtered velocity, as most haptic software renders it."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from nodes.laws.fields import Damping, Stiffness
 
 
 class PDFiltered(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """F = K x + B v, v[k] = a v[k−1] + (1−a)(x[k] − x[k−1])/T with a = exp(−2π·cutoff·T) (THEORY.md §14).
+    """F = K x + B v, v[k] = a v[k−1] + (1−a)(x[k] − x[k−1])/T, a = exp(−2π·cutoff·T).
 
-    stiffness: K, felt at rest as it is [N/m].
+    See THEORY.md §14.
+
+    stiffness: K, also at rest [N/m].
     damping: B [N s/m].
-    cutoff: Of the low-pass [Hz]; far above the loop's rate it is plain PD.
+    cutoff: Cut-off frequency of the low-pass [Hz]; far above the loop's rate the law is plain PD.
     """
 
     kind: ClassVar[str] = "pd_filtered"
@@ -25,7 +27,7 @@ class PDFiltered(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     cutoff: Annotated[float, msgspec.Meta(gt=0.0)]
 
     def compile(self, period: float) -> CompiledLaw:
-        """Turn the parameters into a tap and a section."""
+        """Return one tap and one section."""
         pole = math.exp(-2.0 * math.pi * self.cutoff * period)
         gain = self.damping * (1.0 - pole) / period
         return CompiledLaw((self.stiffness,), ((gain, -gain, -pole, 0.0),))

@@ -1,10 +1,10 @@
-"""PD with a velocity by adaptive windowing (Janabi-Sharifi, Hayward & Chen 2000): long windows at rest, short ones in motion.
+"""PD with adaptive windowing of the velocity: long windows at rest, short ones in motion.
 
 The velocity is the slope of the longest line from the newest sample back that passes within an
-encoder step of every sample
-between: both ends and the sample are wrong by half a step at most. That is no sum of taps: the law
-    has code of its own, a pure
-function of the deflection history. Its stability is known by simulation and launches, not by poles.
+encoder step of every sample between (Janabi-Sharifi, Hayward and Chen 2000): both ends and the
+samples are wrong by half a step at most. That is no sum of taps, so the law has code of its own, a
+pure function of the deflection history. Its stability is known from simulation and launches, not
+from poles.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class PDWindowed(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     stiffness: K [N/m].
     damping: B [N s/m].
-    resolution: Step of the encoder: samples within it of the line count as on it [m].
+    resolution: Step of the encoder; samples within it of a line count as on the line [m].
     window: Longest window [ticks].
     """
 
@@ -35,7 +35,7 @@ class PDWindowed(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     window: Annotated[int, msgspec.Meta(ge=1, le=64)] = 15
 
     def compile(self, period: float) -> CompiledLaw:
-        """Turn the spring into a tap; the damper is the law's own code."""
+        """Return the tap of the spring; the damper is the law's own code."""
         taps = (self.stiffness, *(0.0,) * self.window)
         return CompiledLaw(
             taps, evaluate=WindowedDamper(self.damping / period, self.resolution, self.window)
@@ -43,9 +43,9 @@ class PDWindowed(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 def windowed_slope(ring: Sequence[float], head: int, error: float, window: int) -> float:
-    """Slope of the longest line from the newest sample back that passes within the error of all samples between."""
+    """Return the slope of the longest line back whose samples all lie within `error` of it."""
     newest = ring[head]
-    error *= 1.0 + 1e-9  # A shade over the error: samples of an encoder lie exactly on it
+    error *= 1.0 + 1e-9  # slightly more than the error, because encoder samples lie exactly on it
     slope = newest - ring[head + 1]
     for n in range(2, window + 1):
         wider = (newest - ring[head + n]) / n
@@ -59,12 +59,12 @@ def windowed_slope(ring: Sequence[float], head: int, error: float, window: int) 
 
 @dataclass(frozen=True)
 class WindowedDamper:
-    """The damper's code of its own, over three numbers: a simulator can compile it."""
+    """The damper's code, over three numbers, so that a simulator can compile it."""
 
     gain: float
     error: float
     window: int
 
     def __call__(self, ring: Sequence[float], head: int) -> float:
-        """Force of the damper [N]."""
+        """Return the damper's force [N]."""
         return self.gain * windowed_slope(ring, head, self.error, self.window)

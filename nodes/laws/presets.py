@@ -1,8 +1,7 @@
-"""Named presets: laws that can be used wherever the kind of a law is named, published ones and designed ones.
+"""Presets: named laws, published and designed, usable wherever a law's kind is.
 
-A preset is a kind with most of its parameters filled in; what is written beside its name replaces
-the preset's values, so ``{kind: paper_optimum, stiffness: 800}`` is the paper's optimum on another
-spring.
+A preset is a kind with most parameters filled in. Parameters given beside the name replace the
+preset's, so ``{kind: paper_optimum, stiffness: 800}`` is the paper's optimum on another spring.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
         # Paper, end of its section on the optimum: A = [1.69, 1.32], α = [1.50, 3.47]. The
         # normalisation (f(ω_N) = 1 per term) and n = 3 are inferred from the flatness of f
-        # (THEORY.md §2); the paper prints neither. K and B are ours.
+        # (THEORY.md §2); the paper prints neither. K and B are our choice.
         "paper_optimum": {
             "kind": "multi_term",
             "stiffness": 1000.0,
@@ -26,14 +25,14 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         },
         # haptic study design --delay 0..0.5: 50 to 200 g, b = 1 N s/m, 500 Hz, pole radius <= 0.99,
         # |H(-1)| <= 1e4 N/m. For apply: on_arrival, where a force arrives within half a tick. H(1)
-        # is 3736 N/m; the best PD there has 2813 N/m.
+        # is 3736 N/m; the best PD under the same constraints has 2813 N/m.
         "designed_d0": {
             "kind": "fir",
             "taps": [10007.78, -6048.18, -3158.42, 2934.69],
             "period": 0.002,
         },
         # haptic study design --delay 1: the same for apply: next_tick. H(1) is 2396 N/m; the best
-        # PD there has 1836 N/m. The search ends within 1 % of that (sim/README.md).
+        # PD has 1836 N/m. The search ends within 1 % of the optimum (sim/README.md).
         "designed_d1": {
             "kind": "fir",
             "taps": [9329.46, -7062.28, -3142.96, 3271.69],
@@ -42,8 +41,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         # haptic study design --for any_hand --delay 0, 1, 1.5, 2 --taps 1, 5, 4, 6: stable for any
         # hand, of any mass, and any passive world that answers within the tick, on a device with b
         # = 1 N s/m at 500 Hz (THEORY.md §20). H(1) is 999.9, 469.4, 383.8 and 310.5 N/m; PD has
-        # 1000, 384.9, 305.5 and 241.7 there, and no causal linear law more than 1000, 500, 400 and
-        # 333.3.
+        # 1000, 384.9, 305.5 and 241.7, and no causal linear law more than 1000, 500, 400 and 333.3.
         "any_hand_d0": {"kind": "fir", "taps": [999.9], "period": 0.002},
         "any_hand_d1": {
             "kind": "fir",
@@ -58,16 +56,16 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         },
     }
 )
-"""Preset name to parameters, the law's kind among them."""
+"""Preset name to parameters, including the law's kind."""
 
 
 def preset_names() -> list[str]:
-    """List the presets."""
+    """Return the sorted names of the presets."""
     return sorted(PRESETS)
 
 
 def expand(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace the name of a preset by what it stands for."""
+    """Return a law's mapping with a preset's name replaced by its parameters."""
     preset = PRESETS.get(data["kind"]) if isinstance(data.get("kind"), str) else None
     if preset is None:
         return dict(data)

@@ -1,1 +1,1 @@
-"""Parameters of a node: typed and validated, changed all or nothing, read from and written to YAML."""
+"""Parameters of a node: typed, validated, changed all or nothing, stored as YAML."""

@@ -1,4 +1,4 @@
-"""Structs that Python code makes are checked as those that YAML makes: types, limits, numbers of numpy; common limits."""
+"""Checking structs created in Python like those from YAML: types, limits, numpy numbers."""
 
 import functools
 from typing import Annotated, Any, TypeAlias, get_type_hints
@@ -13,7 +13,7 @@ NonNegative: TypeAlias = Annotated[float, msgspec.Meta(ge=0.0)]
 
 @functools.cache
 def _unchecked(kind: type[msgspec.Struct]) -> type[Any]:
-    """Make a struct of the same fields that does not check itself, for msgspec to check."""
+    """Return a struct type with the same fields and no check of its own, for msgspec."""
     hints = get_type_hints(kind, include_extras=True)
     return msgspec.defstruct(
         kind.__name__, [(name, hints[name]) for name in kind.__struct_fields__], kw_only=True
@@ -21,14 +21,14 @@ def _unchecked(kind: type[msgspec.Struct]) -> type[Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Turn structs and numbers of numpy into what YAML gives."""
+    """Convert structs and numpy numbers to what YAML would give."""
     if hasattr(value, "tolist"):
         return value.tolist()
     return msgspec.to_builtins(value, enc_hook=lambda other: other.tolist())
 
 
 def check_fields(made: msgspec.Struct, name: str = "") -> None:
-    """Check all fields of a struct that was just made, as `convert` checks a mapping; for ``__post_init__``."""
+    """Check all fields of a new struct as `convert` checks a mapping; for ``__post_init__``."""
     kind = type(made)
     values = {field: getattr(made, field) for field in kind.__struct_fields__}
     whole = convert(

@@ -1,4 +1,4 @@
-"""What a parameter is: type, unit, limits, default and meaning, from the struct that types it."""
+"""Descriptions of parameters: type, unit, limits, default and meaning, from their struct."""
 
 import re
 import sys
@@ -26,12 +26,12 @@ _LIMITS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
 
 
 class Description(msgspec.Struct, kw_only=True):
-    """What a parameter is."""
+    """Description of a parameter."""
 
-    type: str  # in words; for a branch ``parameters``
-    unit: str = ""  # its unit; empty without one
-    limits: str = ""  # in words; empty without any
-    default: Any = None  # what holds when it is left out; None with `required` when nothing does
+    type: str  # as text; ``parameters`` for a branch
+    unit: str = ""  # unit; empty without one
+    limits: str = ""  # as text; empty without any
+    default: Any = None  # default value; None with `required` if there is none
     required: bool = False  # whether it must be given
     meaning: str = ""  # one sentence
 
@@ -39,7 +39,7 @@ class Description(msgspec.Struct, kw_only=True):
 def described(
     target: type[Any], values: Any, path: str, struct_of: Callable[[str], type[Any] | None]
 ) -> Description:
-    """Describe a parameter."""
+    """Return the description of the parameter at `path`."""
     info: inspect.Type = inspect.type_info(target)
     found = Description(
         type=_words(info), meaning=(target.__doc__ or "").strip().partition("\n")[0]
@@ -87,7 +87,7 @@ def described(
 
 
 def _kind(values: Any) -> str:
-    """Read the kind that a free value names: a mapping with one, or the bare name of a preset."""
+    """Return the kind that a free value names: a mapping's ``kind``, or a preset's name."""
     if isinstance(values, dict):
         return str(values.get("kind", ""))
     return values if isinstance(values, str) else ""
@@ -148,7 +148,7 @@ def _limits(info: inspect.Type) -> str:
     found = []
     for name, word in _LIMITS.items():
         limit = getattr(info, name, None)
-        # The largest double is how a finite number is asked for.
+        # The largest double is how a finite number is required.
         if limit is not None and abs(limit) != sys.float_info.max:
             found.append(f"{word} {limit:g}")
     return ", ".join(found)

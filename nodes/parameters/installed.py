@@ -1,8 +1,7 @@
-"""What is installed on Python's path: packages, their versions and their entry points, as installers write them down.
+"""Installed packages, their versions and entry points, read from their metadata files.
 
-``importlib.metadata`` reads the same files, but importing it and reading five groups with it takes
-40 ms: a tenth of the time from `haptic launch` to the first tick. Here the path is read once for
-all groups.
+``importlib.metadata`` reads the same files, but importing it and reading five groups takes 40 ms, a
+tenth of the time from `haptic launch` to the first tick. Here the path is read once for all groups.
 """
 
 import importlib
@@ -12,7 +11,7 @@ from functools import cache, reduce
 from pathlib import Path
 from typing import Any, NamedTuple
 
-OURS = "haptic-nodes"  # the name of this project's package
+OURS = "haptic-nodes"  # name of this project's package
 
 
 class EntryPoint(NamedTuple):
@@ -24,11 +23,11 @@ class EntryPoint(NamedTuple):
 
     @property
     def module(self) -> str:
-        """The module it is in."""
+        """Name of the module."""
         return self.value.partition(":")[0].strip()
 
     def load(self) -> Any:
-        """Import what it names: an attribute of a module, or the module."""
+        """Import the module, or its attribute, and return it."""
         attributes = self.value.partition(":")[2].strip()
         return reduce(
             getattr, filter(None, attributes.split(".")), importlib.import_module(self.module)
@@ -36,35 +35,35 @@ class EntryPoint(NamedTuple):
 
 
 def groups() -> list[str]:
-    """List the groups of entry points that are of this project's kinds."""
+    """Return the names of the entry point groups of this project."""
     return sorted(_points(tuple(sys.path)))
 
 
 def points(group: str) -> dict[str, EntryPoint]:
-    """List the entry points of a group, by name."""
+    """Return the entry points of a group, by name."""
     return _points(tuple(sys.path)).get(group, {})
 
 
 def version(package: str) -> str | None:
-    """Tell the version of a package; None for one that is not installed as one."""
+    """Return the version of a package; None if it is not installed."""
     folder = _folders(tuple(sys.path)).get(_same(package))
     return None if folder is None else _header(folder, "Version")
 
 
 def _same(name: str) -> str:
-    """Bring a package's name into the one form that tells whether two are the same."""
+    """Return a package's name in normalised form."""
     return name.lower().replace("-", "_").replace(".", "_")
 
 
 @cache
 def _folders(path: tuple[str, ...]) -> dict[str, Path]:
-    """Find each package's folder of metadata; the first on the path counts, as for imports."""
+    """Return each package's metadata folder; the first on the path counts, as for imports."""
     found: dict[str, Path] = {}
     for place in path:
         try:
             names = os.listdir(place or ".")
         except OSError:
-            # No folder: an archive, or one that is not there.
+            # not a folder: an archive, or missing
             continue
         for name in names:
             stem, _, kind = name.rpartition(".")
@@ -75,7 +74,7 @@ def _folders(path: tuple[str, ...]) -> dict[str, Path]:
 
 @cache
 def _points(path: tuple[str, ...]) -> dict[str, dict[str, EntryPoint]]:
-    """Read the entry points of all groups: that takes milliseconds, and a running loop asks at every change."""
+    """Return the entry points of all groups; cached, because reading takes milliseconds."""
     groups: dict[str, dict[str, EntryPoint]] = {}
     for folder in _folders(path).values():
         try:
@@ -90,7 +89,7 @@ def _points(path: tuple[str, ...]) -> dict[str, dict[str, EntryPoint]]:
             elif group.startswith("haptic.") and line and not line.startswith("#"):
                 name, _, value = (word.strip() for word in line.partition("="))
                 package = package or _header(folder, "Name") or folder.stem.partition("-")[0]
-                # What stands in brackets are extras, which nothing here asks for.
+                # Extras in brackets are not used here.
                 groups.setdefault(group, {})[name] = EntryPoint(
                     name, value.partition("[")[0].strip(), package
                 )
@@ -98,7 +97,7 @@ def _points(path: tuple[str, ...]) -> dict[str, dict[str, EntryPoint]]:
 
 
 def _header(folder: Path, field: str) -> str | None:
-    """Read one field of a package's metadata."""
+    """Return one field of a package's metadata."""
     for name in ("METADATA", "PKG-INFO"):
         try:
             with open(folder / name, encoding="utf-8", errors="replace") as file:
@@ -106,7 +105,7 @@ def _header(folder: Path, field: str) -> str | None:
                     if line.startswith(f"{field}:"):
                         return line.partition(":")[2].strip()
                     if not line.strip():
-                        # Here the description begins.
+                        # the description begins
                         break
         except OSError:
             continue

@@ -1,8 +1,8 @@
-"""Paths and libraries in parameters: which of them a node may take from a launcher on another machine.
+"""Paths and libraries in parameters, and which of them a remote launcher may set.
 
-A launcher on this machine runs as the same user and may name any file. One elsewhere may name only
-what lies in the directories that the node's own command line allows (``--allow-path``): a path can
-be a library to load or a file to replace.
+A launcher on this machine runs as the same user and may name any file. A remote one may only name
+files in the directories that the node's own command line allows (``--allow-path``), because a path
+may be a library to load or a file to replace.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,17 +20,20 @@ _LOCAL = "decided where the node runs"
 # type of a parameter that names a file or a library
 LocalPath: TypeAlias = Annotated[str, msgspec.Meta(extra={_LOCAL: True})]
 
-# switch that decides what happens to a file
+# type of a switch that decides what happens to a file
 LocalChoice: TypeAlias = Annotated[bool, msgspec.Meta(extra={_LOCAL: True})]
 
 
 def check_paths(parameters: msgspec.Struct, allowed: Sequence[Path], where: str) -> None:
-    """Refuse parameters that name what was not allowed: a declared path, or in any other text what a slash makes one."""
+    """Reject parameters that name files outside the allowed folders.
+
+    A path is a parameter declared as one, or any text with a slash.
+    """
     folders = [folder.resolve() for folder in allowed]
-    # So a kind of node that does not declare its paths is covered too.
+    # covers also kinds of node that do not declare their paths
     for path, value, is_declared in _local(parameters, where):
         if isinstance(value, str):
-            # Links are followed: what counts is where it leads.
+            # Links are resolved: their target counts.
             refused = "\0" in value or not any(
                 Path(value).resolve().is_relative_to(folder) for folder in folders
             )
@@ -45,10 +48,13 @@ def check_paths(parameters: msgspec.Struct, allowed: Sequence[Path], where: str)
 
 
 def _local(value: Any, where: str) -> Iterator[tuple[str, Any, bool]]:
-    """Find what names files: path, value and whether the parameter is declared to; what has its default is left out."""
+    """Yield path, value and whether declared as a path, of all parameters that may name files.
+
+    Parameters with their default value are skipped.
+    """
     if isinstance(value, msgspec.Struct):
         info = inspect.type_info(type(value))
-        assert isinstance(info, inspect.StructType)  # noqa: S101  # what a struct's type is
+        assert isinstance(info, inspect.StructType)  # noqa: S101  # the type info of a struct
         for field in info.fields:
             found, place = getattr(value, field.name), f"{where}.{field.name}"
             kind = field.type
@@ -68,7 +74,7 @@ def _local(value: Any, where: str) -> Iterator[tuple[str, Any, bool]]:
 
 
 def needed(parameters: msgspec.Struct) -> list[str]:
-    """List the directories that a node on another machine must be allowed for its parameters to be taken."""
+    """Return the directories that a remote node must allow for these parameters."""
     found = [
         str(Path(value).parent) if isinstance(value, str) else "."
         for _, value, _ in _local(parameters, "")

@@ -1,7 +1,7 @@
-"""What msgspec refuses, in words: which parameter, what was given, what could have been, and what was probably meant.
+"""Rewords msgspec's errors: parameter, value, what is allowed, and the probable intention.
 
-Of msgspec's own text only the path and the names of fields are read; the rest is said by the type
-and the value found there.
+Only path and field names are taken from msgspec's text; the rest comes from the type and the value
+at that path.
 """
 
 import difflib
@@ -19,7 +19,7 @@ STEP = re.compile(r"([^.\[\]]+)|\[(\d+|\.\.\.)\]")
 _UNKNOWN = re.compile(r"Object contains unknown field `(?P<name>.*)`", re.DOTALL)
 _MISSING = re.compile(r"Object missing required field `(?P<name>.*)`", re.DOTALL)
 
-# what a type is called, in the order in which alternatives are named
+# names of types, in the order in which alternatives are listed
 _NAMES: dict[type[inspect.Type], str] = {
     inspect.BoolType: "true or false",
     inspect.IntType: "a whole number",
@@ -33,7 +33,7 @@ _NAMES: dict[type[inspect.Type], str] = {
     inspect.NoneType: "nothing",
 }
 
-# values that are of a type, and may break its bounds
+# Python types of the values whose bounds are checked
 _KINDS: dict[type[inspect.Type], tuple[type, ...]] = {
     inspect.IntType: (int,),
     inspect.FloatType: (int, float),
@@ -51,11 +51,11 @@ _BOUNDS: tuple[tuple[str, str, Callable[[Any, Any], bool]], ...] = (
     ("min_length", "of length at least", lambda value, limit: len(value) >= limit),
     ("max_length", "of length at most", lambda value, limit: len(value) <= limit),
 )
-"""Each bound of a type: how it is called, in words, and whether a value keeps it."""
+"""Attribute of a bound, its wording, and whether a value keeps it."""
 
 
 def choices(given: object, known: Iterable[str]) -> str:
-    """Say what there is in place of a name that is not, and which was probably meant."""
+    """Return the known names, and the most similar one, for an error about an unknown name."""
     names = list(known)
     close = difflib.get_close_matches(given, names, 1) if isinstance(given, str) else []
     return f"there is: {', '.join(names) or 'nothing yet'}" + "".join(
@@ -64,13 +64,13 @@ def choices(given: object, known: Iterable[str]) -> str:
 
 
 def short(value: object) -> str:
-    """Show a value in an error, short however long it is."""
+    """Return a value's repr, cut to 80 characters."""
     text = repr(value)
     return text if len(text) <= 80 else text[:77] + "..."
 
 
 def worded(refusal: str, data: Any, target: Any) -> tuple[str, str]:
-    """Word a refusal."""
+    """Return path and text of a refusal by msgspec."""
     match = _AT.match(refusal)
     reason, path = (match["reason"], match["path"] or "") if match else (refusal, "")
     if unknown := _UNKNOWN.fullmatch(reason):
@@ -84,7 +84,7 @@ def worded(refusal: str, data: Any, target: Any) -> tuple[str, str]:
         return f"{path}.{missing['name']}", "is missing, and has no default"
     value, known = look_up(data, path)
     shown = f", got {_called(value)}" if known else ""
-    # What a type checks by itself says its own words.
+    # errors raised by a type's own checks are passed on
     types = (
         _types_at(target, path) if reason.startswith(("Expected ", "Invalid enum value ")) else []
     )
@@ -110,7 +110,7 @@ def worded(refusal: str, data: Any, target: Any) -> tuple[str, str]:
 
 
 def _broken(info: inspect.Type, value: Any) -> str:
-    """Word the bound of a type that a value of it breaks; empty where it is of another type, or keeps them all."""
+    """Return the bound that a value breaks, as text; empty if of another type or valid."""
     if (
         isinstance(info, inspect.TupleType)
         and isinstance(value, list | tuple)
@@ -139,7 +139,10 @@ def _called(value: Any) -> str:
 
 
 def look_up(data: Any, path: str) -> tuple[Any, bool]:
-    """Follow a path; the value, and whether it is known: msgspec does not say which of a mapping's values it means."""
+    """Return the value at a path, and whether it is known.
+
+    It is unknown below a mapping whose key msgspec does not name.
+    """
     for name, index in STEP.findall(path):
         try:
             data = data[name] if name else data[int(index)]
@@ -149,7 +152,7 @@ def look_up(data: Any, path: str) -> tuple[Any, bool]:
 
 
 def _types_at(target: Any, path: str) -> list[inspect.Type]:
-    """All types that a value may have at a path."""
+    """Return all types that a value may have at a path."""
     found = list(_members(inspect.type_info(target)))
     for name, index in STEP.findall(path):
         found = [

@@ -1,7 +1,6 @@
-"""What is installed beside us: laws, realisations of D^α, surfaces, kinds of node and verbs, found through entry points.
+"""Registries of installed laws, derivatives, surfaces, node kinds and verbs.
 
-Nothing is imported until it is asked for by name, and of what cannot be imported only the name
-becomes unavailable.
+Nothing is imported until requested by name; an import error makes only that name unavailable.
 """
 
 from collections.abc import Callable
@@ -15,11 +14,11 @@ from nodes.parameters.store import ParameterError
 
 
 class NotInstalledError(ParameterError):
-    """Nothing of that name is installed, or it cannot be imported; the text says which package it comes from."""
+    """No object of that name is installed or importable; the text names its package."""
 
 
 class Registry:
-    """One group of entry points; `wrong` says why what is registered under a name is not of its kind, or nothing."""
+    """One group of entry points; `wrong` returns why an object is not of its kind, or ""."""
 
     def __init__(
         self, group: str, noun: str, wrong: Callable[[str, Any], str] = lambda _name, _found: ""
@@ -29,15 +28,15 @@ class Registry:
         self._wrong = wrong
 
     def names(self) -> list[str]:
-        """List what is installed, without importing any."""
+        """Return the installed names without importing any."""
         return sorted(self.points())
 
     def points(self) -> dict[str, installed.EntryPoint]:
-        """Find the entry points."""
+        """Return the entry points."""
         return installed.points(self.group)
 
     def load(self, name: str) -> Any:
-        """Import one, or say in NotInstalledError why not."""
+        """Import an object by name, or raise NotInstalledError with the reason."""
         point = self.points().get(name) if isinstance(name, str) else None
         if point is None:
             raise NotInstalledError(
@@ -46,11 +45,11 @@ class Registry:
         try:
             found = point.load()
             if isinstance(found, type) and issubclass(found, msgspec.Struct):
-                # Its first decoder looks up the types of its fields: made here, where it can be
-                # said whose they are.
+                # The first decoder resolves the types of the fields: done here, where an error can
+                # name the owner.
                 msgspec.msgpack.Decoder(found)
             wrong = self._wrong(name, found)
-        # another package's module may raise anything while it is imported
+        # another package's module may raise anything on import
         except (Exception, SystemExit) as error:
             raise NotInstalledError(
                 f"{name!r}: the {self._noun} cannot be imported: {type(error).__name__}: {error} "
@@ -64,7 +63,7 @@ class Registry:
         return found
 
     def all(self) -> tuple[dict[str, Any], dict[str, str]]:
-        """Import all: those that could be, by name and sorted, and why the rest could not."""
+        """Import all. Return the imported by name, sorted, and why the rest failed."""
         found: dict[str, Any] = {}
         broken: dict[str, str] = {}
         for name in self.names():

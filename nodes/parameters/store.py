@@ -1,8 +1,8 @@
-"""A node's parameters: one typed tree, addressed by paths such as ``laws.pd.stiffness``, changed all or nothing.
+"""A node's parameters: one typed tree, addressed by path, changed all or nothing.
 
-The struct that types the tree is the only place where names, types, limits and defaults are
-written; the YAML reader, the command line and the control requests all go through it, so an error
-always carries the path, the value and the limit.
+A path is, for example, ``laws.pd.stiffness``. Names, types, limits and defaults are defined only in
+the struct that types the tree. The YAML reader, the command line and control requests all use it,
+so an error always has path, value and limit.
 """
 
 import math
@@ -30,11 +30,11 @@ _PATH = re.compile(r"[^.\[\]]+(?:\.[^.\[\]]+|\[\d+\])*")
 
 
 class ParameterError(HapticError, ValueError):
-    """A parameter that cannot be taken; the text names node, path, value, limit and remedy."""
+    """An invalid parameter; the text has node, path, value, limit and remedy."""
 
 
 def convert(data: Any, target: Any, where: str) -> Any:
-    """Type and validate builtins.
+    """Convert builtins to a validated struct.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def convert(data: Any, target: Any, where: str) -> Any:
     target : type
         The struct to make.
     where : str
-        What the path starts with in errors, e.g. ``coupling``.
+        Start of the path in errors, e.g. ``coupling``.
 
     Returns
     -------
@@ -63,11 +63,11 @@ def convert(data: Any, target: Any, where: str) -> Any:
         raise ParameterError(f"{where}{path}: {text}") from error
 
 
-MAX_ENTRIES: Final = 100_000  # longest list, and most names of a mapping, in any parameter
+MAX_ENTRIES: Final = 100_000  # longest list, and largest mapping, in any parameter
 
 
 def _refuse_unbounded(data: Any, where: str) -> None:
-    """Refuse numbers that are not finite, and lists and mappings too long for any parameter."""
+    """Reject numbers that are not finite, and lists and mappings that are too long."""
     if isinstance(data, float) and not math.isfinite(data):
         raise ParameterError(f"{where}: {data} is not a finite number")
     if isinstance(data, Mapping | list | tuple) and len(data) > MAX_ENTRIES:
@@ -81,13 +81,13 @@ def _refuse_unbounded(data: Any, where: str) -> None:
 
 
 def merge(base: Any, over: Any) -> Any:
-    """Lay a partial tree over a whole one.
+    """Return a whole tree with a partial one merged over it.
 
     Parameters
     ----------
     base, over : object
-        Builtins. Mappings are merged name by name, everything else is replaced; a mapping that
-        names another ``kind`` replaces the one that is there, whose parameters would not fit it.
+        Builtins. Mappings are merged name by name, everything else is replaced; a mapping with
+        another ``kind`` replaces the old one, whose parameters would not fit it.
 
     Returns
     -------
@@ -102,7 +102,7 @@ def merge(base: Any, over: Any) -> Any:
 
 
 def of_node(tree: Any, node: str) -> Any:
-    """Take a top level of just the `node`'s name off the `tree` that a file holds.
+    """Return the parameters in `tree`, without a top level that is just the `node`'s name.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def of_node(tree: Any, node: str) -> Any:
     Raises
     ------
     ParameterError
-        When it is not a mapping.
+        If it is not a mapping.
     """
     if isinstance(tree, Mapping) and set(tree) == {node}:
         tree = tree[node]
@@ -122,7 +122,7 @@ def of_node(tree: Any, node: str) -> Any:
 
 
 def flattened(tree: Any, path: str = "") -> dict[str, Any]:
-    """Lay out a `tree` of parameters, builtins, by path; it stands at `path` itself.
+    """Return a `tree` of parameters as a flat mapping; `path` is that of the tree itself.
 
     Returns
     -------
@@ -138,12 +138,12 @@ def flattened(tree: Any, path: str = "") -> dict[str, Any]:
 
 
 def differences(before: msgspec.Struct, after: msgspec.Struct) -> dict[str, list[Any]]:
-    """Tell what a change of parameters changed: two structs of one type, from `before` and `after` it.
+    """Return what differs between the parameters `before` and `after` a change.
 
     Returns
     -------
     dict of str to list
-        Path to the values before and after; None where there was or is none.
+        Path to the values before and after; None where absent.
     """
     old, new = flattened(msgspec.to_builtins(before)), flattened(msgspec.to_builtins(after))
     return {
@@ -154,7 +154,7 @@ def differences(before: msgspec.Struct, after: msgspec.Struct) -> dict[str, list
 
 
 def describe(parameters: Mapping[str, Any]) -> str:
-    """Write `parameters`, builtins, in one line.
+    """Return `parameters` in one line.
 
     Returns
     -------
@@ -165,7 +165,7 @@ def describe(parameters: Mapping[str, Any]) -> str:
 
 
 class ParameterStore:
-    """The parameters a node runs with, and how to make changed ones.
+    """The parameters of a running node, and functions that make changed ones.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ class ParameterStore:
     Attributes
     ----------
     current : msgspec.Struct
-        The parameters now.
+        The present parameters.
     """
 
     def __init__(self, node: str, target: type[msgspec.Struct], data: Mapping[str, Any]) -> None:
@@ -188,11 +188,11 @@ class ParameterStore:
         self.current: Any = convert(data, target, node)
 
     def accept(self, parameters: Any) -> None:
-        """Take changed `parameters`, which the loop applied, as the current ones."""
+        """Set changed `parameters`, which the loop has applied, as the current ones."""
         self.current = parameters
 
     def dump(self) -> dict[str, Any]:
-        """Give all parameters, as `merged` and a launch file take them.
+        """Return all parameters, as `merged` and a launch file read them.
 
         Returns
         -------
@@ -203,7 +203,7 @@ class ParameterStore:
         return built
 
     def flat(self) -> dict[str, Any]:
-        """List all parameters by path.
+        """Return all parameters by path.
 
         Returns
         -------
@@ -214,7 +214,7 @@ class ParameterStore:
         return flattened(built) if built else {}
 
     def get(self, name: str) -> Any:
-        """Read one parameter or one branch by its `name`, a path.
+        """Return the parameter or branch `name`, a path.
 
         Returns
         -------
@@ -224,7 +224,7 @@ class ParameterStore:
         Raises
         ------
         ParameterError
-            When there is none of that name; the text lists what is there.
+            If there is no such parameter; the text lists the existing names.
         """
         return self._walk(self.dump(), self._steps(name))
 
@@ -237,7 +237,7 @@ class ParameterStore:
         return [key if key else int(index) for key, index in STEP.findall(name)]
 
     def _walk(self, value: Any, steps: Sequence[str | int]) -> Any:
-        """Go down a tree."""
+        """Return the value at some steps below `value`."""
         for depth, step in enumerate(steps):
             value = self._down(value, step, steps[:depth])
         return value
@@ -259,10 +259,10 @@ class ParameterStore:
         raise ParameterError(f"{self._node}.{path.removeprefix('.')}: no such parameter; {there}")
 
     def changed(self, values: Mapping[str, Any]) -> Any:
-        """Make the parameters that result from setting some of them: `values`, from path to new value.
+        """Return the parameters with `values`, a mapping of path to new value, set.
 
-        A name that is not there yet is taken where names are free (a new law, a parameter that a
-        law did not state); what reads that mapping refuses those it does not know.
+        A new name is accepted where names are free (a new law, a parameter that a law did not
+        state); the reader of that mapping rejects unknown ones.
 
         Returns
         -------
@@ -272,7 +272,7 @@ class ParameterStore:
         Raises
         ------
         ParameterError
-            When a name is unknown or a value is refused; nothing has changed then.
+            If a name is unknown or a value is invalid; then nothing has changed.
         """
         if not isinstance(values, Mapping) or not values:
             raise ParameterError(f"{self._node}: expected names and values, got {values!r}")
@@ -286,7 +286,7 @@ class ParameterStore:
         return convert(data, self._target, self._node)
 
     def _free(self, upper: list[str | int]) -> bool:
-        """Whether names are free at a place: within a field that is typed as a mapping, not as a struct."""
+        """Return whether new names are allowed at a place: within a mapping, not a struct."""
         info: msgspec.inspect.Type = msgspec.inspect.type_info(self._target)
         for step in upper:
             if not isinstance(info, msgspec.inspect.StructType):
@@ -295,9 +295,9 @@ class ParameterStore:
         return isinstance(info, msgspec.inspect.DictType | msgspec.inspect.AnyType)
 
     def merged(self, values: Any) -> Any:
-        """Make the parameters that result from loading a tree of `values`, whole or in part, over the current ones.
+        """Return the parameters with a tree of `values`, whole or partial, merged over them.
 
-        A top level of just the node's name is taken off.
+        A top level that is just the node's name is removed.
 
         Returns
         -------
@@ -307,6 +307,6 @@ class ParameterStore:
         Raises
         ------
         ParameterError
-            When anything is refused.
+            If anything is invalid.
         """
         return convert(merge(self.dump(), of_node(values, self._node)), self._target, self._node)

@@ -1,8 +1,8 @@
-"""YAML as the project reads and writes it: bounded, without surprises, and never half-written.
+"""Reading and writing YAML: bounded, unambiguous, and never half-written.
 
 Numbers are what they look like (``1e3`` is a number, ``010`` is ten, ``1:30`` and ``off`` are
-text), a key stands once, and aliases are refused because a kilobyte of them expands to gigabytes.
-What `write_yaml` writes reads back to the same bits.
+text), keys are unique, and aliases are rejected because a kilobyte of them expands to gigabytes.
+`parse_yaml` reads what `write_yaml` writes to the same bits.
 """
 
 import contextlib
@@ -17,14 +17,14 @@ import yaml
 
 from nodes.parameters.store import ParameterError
 
-MAX_CHARACTERS = 1_000_000  # longest document: several laws of the greatest length
+MAX_CHARACTERS = 1_000_000  # longest document: several laws of maximum length
 
 MAX_DEPTH = 32
-MAX_INT = 2**63 - 1  # integers travel between the processes as 64 bits
+MAX_INT = 2**63 - 1  # integers are sent between processes as 64 bits
 
 _BREAKS = re.compile("[\x85\u2028\u2029]")
 
-# plain scalars that are not text: those of YAML 1.2, and digits may be grouped with _
+# plain scalars that are not text: those of YAML 1.2, with optional _ between digits
 _RESOLVED = (
     ("bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), "tTfF"),
     ("null", re.compile(r"^(?:~|null|Null|NULL|)$"), ["~", "n", "N", ""]),
@@ -41,7 +41,7 @@ _RESOLVED = (
 
 
 class _Loader(yaml.SafeLoader):
-    """Builds mappings, lists, text, numbers, truth values and None, whatever tag is written."""
+    """Builds mappings, lists, text, numbers, booleans and None, whatever tag is written."""
 
     yaml_constructors: ClassVar[dict[str | None, Any]] = {
         f"tag:yaml.org,2002:{name}": yaml.SafeLoader.yaml_constructors[f"tag:yaml.org,2002:{name}"]
@@ -85,8 +85,7 @@ class _Loader(yaml.SafeLoader):
 
     def construct_int(self, node: Any) -> int:
         text = str(self.construct_scalar(node)).replace("_", "")
-        # The length first: Python refuses to read very long numbers, with advice that helps nobody
-        # here.
+        # Length first: Python refuses very long integers with advice that does not help here.
         value = int(text, 16 if text.startswith("0x") else 10) if len(text) < 100 else MAX_INT + 1
         if not -MAX_INT <= value <= MAX_INT:
             raise yaml.YAMLError(f"{text[:40]}: limit ±{MAX_INT}; write a float{node.start_mark}")
@@ -94,7 +93,7 @@ class _Loader(yaml.SafeLoader):
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes what `_Loader` would not read as text."""
+    """Quotes text that `_Loader` would not read as text."""
 
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012  # as PyYAML declares it
 
@@ -113,16 +112,16 @@ _Loader.yaml_constructors[None] = yaml.SafeLoader.construct_undefined
 
 _TAB = r"found character '\t' that cannot start any token"
 
-# what PyYAML calls a file of which it was given the text; its name stands before that
+# PyYAML's name for text without a file; the file's name precedes it
 _NAMELESS = ' in "<unicode string>"'
 
 
 def parse_yaml(text: str, source: str) -> Any:
-    """Read one YAML document, bounded in size and depth."""
+    """Return the content of a YAML document, bounded in size and depth."""
     if len(text) > MAX_CHARACTERS:
         raise ParameterError(f"{source}: {len(text)} characters, limit {MAX_CHARACTERS}")
     try:
-        # _Loader is a SafeLoader: it constructs builtins only.
+        # _Loader is a SafeLoader and constructs builtins only.
         return yaml.load(text, Loader=_Loader)  # noqa: S506
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         reason = (
@@ -134,7 +133,7 @@ def parse_yaml(text: str, source: str) -> Any:
 
 
 def lines_of(path: str | os.PathLike[str]) -> dict[str, int]:
-    """Tell on which line of a YAML file each value stands."""
+    """Return the line number of each value of a YAML file, by path."""
     found: dict[str, int] = {}
 
     def walk(node: Any, place: str) -> None:
@@ -157,7 +156,7 @@ def lines_of(path: str | os.PathLike[str]) -> dict[str, int]:
 
 
 def write_yaml(data: Any, width: int = 120) -> str:
-    """Write builtins as YAML that `parse_yaml` reads back unchanged."""
+    """Return builtins as YAML that `parse_yaml` reads back unchanged."""
     for plain in (True, False):
         text: str = yaml.dump(
             data,
@@ -167,15 +166,15 @@ def write_yaml(data: Any, width: int = 120) -> str:
             default_flow_style=None,
             width=width,
         )
-        # PyYAML writes Unicode's own line breaks as they are and then reads them as blanks; escaped
-        # they are safe.
+        # PyYAML writes Unicode line breaks unescaped and reads them as blanks; escaped they are
+        # safe.
         if not _BREAKS.search(text):
             break
     return text
 
 
 def read_yaml(path: str | os.PathLike[str]) -> Any:
-    """Read a YAML file."""
+    """Return the content of a YAML file."""
     try:
         with open(path, "rb") as file:
             # A document of that many characters has at most four times as many bytes; a device
@@ -193,7 +192,7 @@ def read_yaml(path: str | os.PathLike[str]) -> Any:
 
 
 class WatchedFile:
-    """A YAML file whose saved changes are picked up, never half-written ones.
+    """A YAML file whose saved changes are detected, never half-written ones.
 
     A file is read only when size and time have stayed the same for two polls and the kernel
     confirms, by granting a read lease, that no process has it open for writing. A writer that opens
@@ -204,7 +203,7 @@ class WatchedFile:
     def __init__(self, path: str, applied: tuple[int, int, int] | None = None) -> None:
         self.path = path
         self._seen: tuple[int, int, int] | None = None
-        self.applied = applied  # which save was given last: time, size and number of the file
+        self.applied = applied  # last save that was returned: time, size and inode number
 
     def _signature(self) -> tuple[int, int, int] | None:
         try:
@@ -214,15 +213,17 @@ class WatchedFile:
         return found.st_mtime_ns, found.st_size, found.st_ino
 
     def poll(self) -> Any:
-        """Look whether the file was saved anew; the first time it counts as such, unless it is known to be `applied`."""
+        """Return the file's content if it was saved since the last poll, else None.
+
+        The first poll counts as a save, unless it equals `applied`.
+        """
         try:
             signature = self._signature()
             steady = signature == self._seen
             self._seen = signature
             if signature is None or not steady or signature == self.applied:
                 return None
-            # A pipe would be waited for until somebody writes to it, by the thread that answers
-            # requests.
+            # Opening a pipe would block the thread that answers requests.
             descriptor = os.open(self.path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
                 os.close(descriptor)
@@ -232,8 +233,7 @@ class WatchedFile:
                     return None
                 content = file.read(4 * MAX_CHARACTERS + 1)
                 self._lease(file.fileno(), fcntl.F_UNLCK)
-            # Saved again, or replaced by another file, while it was read: the next polls will see
-            # that one.
+            # Saved or replaced while it was read: a later poll reads it again.
             if self._signature() != signature:
                 return None
             self.applied = signature
@@ -250,7 +250,7 @@ class WatchedFile:
         except BlockingIOError:
             return False
         except OSError:
-            # The file system or the file's owner gives no leases (NFS, another user's file): two
-            # equal polls must do.
+            # No leases on this file system or for this owner (NFS, another user's file): two equal
+            # polls must suffice.
             return True
         return True

@@ -1,6 +1,6 @@
-"""A ROS 2 graph without ROS: Cyclone DDS, with types made from rosbags' definitions.
+"""A ROS 2 graph without ROS: Cyclone DDS, with types from rosbags' definitions.
 
-To DDS a topic ``/haptic/force`` is ``rt/haptic/force``, and a type ``std_msgs/msg/Bool`` is
+In DDS a topic ``/haptic/force`` is ``rt/haptic/force``, and a type ``std_msgs/msg/Bool`` is
 ``std_msgs::msg::dds_::Bool_``.
 """
 
@@ -13,12 +13,12 @@ from typing import Any
 
 QUEUE = 10
 
-_LENIENT = (  # types with sequences match other vendors' by their names only, not as described
+_LENIENT = (  # types with sequences match those of other vendors by name only
     "<CycloneDDS><Domain><Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility></Domain>"
     "</CycloneDDS>"
 )
 
-# as the vendors do it for ROS: no multicast, which a loopback may lack, but every port asked
+# as ROS vendors do: no multicast, which a loopback may lack, but every port polled
 _ON_THIS_MACHINE = (
     '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"'
     ' multicast="false"/></Interfaces></General><Discovery>'
@@ -37,7 +37,7 @@ class DdsGraph:
             or os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST"
         )
         own = os.environ.get("CYCLONEDDS_URI", "")
-        # What the user says comes last, and counts.
+        # The user's own settings come last and override.
         os.environ["CYCLONEDDS_URI"] = ",".join(
             filter(None, [_LENIENT, _ON_THIS_MACHINE if local else "", own])
         )
@@ -51,7 +51,7 @@ class DdsGraph:
         self._readers: list[tuple[Any, Callable[[Any], None]]] = []
 
     def _field(self, description: Any) -> Any:
-        """Give the type of a field, as rosbags describes it."""
+        """Return the type of a field that rosbags describes."""
         kind, inner = description
         types = import_module("cyclonedds.idl.types")
         if kind.name == "NAME":
@@ -89,7 +89,7 @@ class DdsGraph:
         )
 
     def look_up(self, name: str) -> Any:
-        """Give what builds a message; what is not given is zero or empty, as in ROS."""
+        """Return a constructor of messages; missing fields are zero or empty, as in ROS."""
         made, (_, fields) = self._class(name), self._store.fielddefs[name]
 
         def build(**given: Any) -> Any:
@@ -108,7 +108,7 @@ class DdsGraph:
         )
 
     def publisher(self, topic: str, name: str) -> Callable[[Any], None]:
-        """Offer a topic; with the type's hash, by which newer versions of ROS know it."""
+        """Return a publish function for a topic, with the type hash for newer ROS versions."""
         policy = self._core.Policy
         qos = self._core.Qos(
             policy.Reliability.Reliable(0),
@@ -123,7 +123,7 @@ class DdsGraph:
         return write
 
     def listen(self, topic: str, name: str, take: Callable[[Any], None]) -> None:
-        """Listen to a topic."""
+        """Subscribe to a topic."""
         policy = self._core.Policy
         qos = self._core.Qos(policy.Reliability.BestEffort, policy.History.KeepLast(QUEUE))
         subscribing = import_module("cyclonedds.sub")
@@ -133,19 +133,19 @@ class DdsGraph:
         self._readers.append((reader, take))
 
     def serve(self, values: Mapping[str, Any], change: Callable[[str, Any], str]) -> bool:
-        """Parameters are services of a ROS node: there is none."""
+        """Return False: parameters are services of a ROS node, which DDS alone lacks."""
         del values, change
         return False
 
     def take(self) -> None:
-        """Hand over what has come."""
+        """Deliver received messages."""
         for reader, take in self._readers:
             for sample in reader.take(QUEUE):
-                # A writer that leaves shows as a sample without fields.
+                # A leaving writer appears as a sample without fields.
                 if hasattr(sample, "header"):
                     take(sample)
 
     def close(self) -> None:
-        """Leave the graph: with the participant goes all that is its."""
+        """Leave the graph; the participant closes all its readers and writers."""
         self._readers.clear()
         del self._participant

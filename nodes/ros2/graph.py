@@ -1,4 +1,4 @@
-"""A ROS 2 graph as the node needs it, and which library reaches it."""
+"""Interface to a ROS 2 graph, and the choice of the library."""
 
 from __future__ import annotations
 
@@ -10,35 +10,35 @@ from nodes.parameters.store import ParameterError
 
 Backend = Literal["auto", "rclpy", "cyclonedds"]
 
-# sets a parameter by its full name; answers why it was refused, or nothing
+# sets a parameter by its full name; returns why it was refused, or ""
 SetParameter = Callable[[str, Any], str]
 
 
 class Graph(Protocol):
-    """A place on a ROS 2 graph. One thread uses it."""
+    """A participant of a ROS 2 graph, used by one thread."""
 
     def look_up(self, name: str) -> Any:
-        """Give what builds a message of a type, from its fields; ImportError where the type is not installed."""
+        """Return the constructor of a message type; ImportError if the type is not installed."""
 
     def publisher(self, topic: str, name: str) -> Callable[[Any], None]:
-        """Offer a topic, reliable; gives what publishes on it."""
+        """Return a reliable publish function for a topic."""
 
     def listen(self, topic: str, name: str, take: Callable[[Any], None]) -> None:
-        """Listen to a topic, best effort: an old force or target is of no use."""
+        """Subscribe to a topic, best effort, because an old force or target is useless."""
 
     def serve(self, values: Mapping[str, Any], change: SetParameter) -> bool:
-        """Serve parameters, where the library can; whether it does."""
+        """Serve parameters. Return whether the library can."""
 
     def take(self) -> None:
-        """Hand what has come to who listens, without waiting."""
+        """Deliver received messages to their subscribers, without waiting."""
 
     def close(self) -> None:
         """Leave the graph."""
 
 
 def choose(backend: Backend, where: str) -> str:
-    """Choose the library: rclpy where it imports, else cyclonedds."""
-    # Both by what they need besides: rclpy without a message package says so itself.
+    """Return the library to use: rclpy if it can be imported, else cyclonedds."""
+    # Both are tested through their dependencies: rclpy reports a missing message package itself.
     there = {
         "rclpy": find_spec("rclpy") is not None,
         "cyclonedds": find_spec("cyclonedds") and find_spec("rosbags"),

@@ -1,10 +1,9 @@
-"""The node kind ``ros2``: a chain on a ROS 2 graph, at a decimated rate, and a force and a target from there.
+"""The node kind ``ros2``: a chain on a ROS 2 graph at a reduced rate, and its input.
 
-It only listens: the loop does not wait for it, and a graph that is slow or gone leaves the loop
-unmoved. What comes from the graph goes to the driver as anybody's request: the force through
-`nodes.driver.external` and all limits behind it, the target through the hand of a virtual device,
-at its limited speed. Both count as gone when they are not renewed within the age that the driver
-states.
+It only subscribes: the loop does not wait for it, and a slow or missing graph does not affect the
+loop. Input from the graph reaches the driver as any client's request does: a force through
+`nodes.driver.external` and all limits behind it, a target through the hand of a virtual device, at
+its limited speed. Both expire if not renewed within the age that the driver states.
 """
 
 from __future__ import annotations
@@ -33,27 +32,25 @@ from nodes.ros2.graph import Backend, Graph, choose, join
 
 POSE, WRENCH = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped"
 
-MOST_FRAMES = 16  # other frames that are told of
-SELDOM = 1.0  # how often what seldom changes is published [s]: the law, the wall
+MAX_FRAMES = 16  # foreign frames that are reported
+SELDOM = 1.0  # period of publishing law and wall, which rarely change [s]
 ASKING = 0.5  # longest wait for a node's answer [s]
-ACROSS, THICK = 0.3, 0.002  # how large and how thick a plane is drawn [m]
+ACROSS, THICK = 0.3, 0.002  # drawn extent and thickness of a plane [m]
 
 
 class Ros2Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of a ros2 node.
 
-    rate: How often the newest of each is published [Hz].
-    prefix: What stands before the topics, behind the namespace of the chain:
-        ``/left/haptic/device/pose``.
-    frame: Frame of positions and forces; of what comes from the graph too, where it names one:
-        others are refused.
-    backend: ``rclpy``, ``cyclonedds``, or ``auto``: rclpy where it imports.
-    wrench: Topic of a WrenchStamped, behind the namespace of the chain, whose force is handed to
-        the driver on top of the law's; empty for none. The driver must allow it (``external``).
-    target: Topic of a PoseStamped, behind that namespace too, where the hand of a virtual device is
-        pulled to; empty for none. It needs a ``pointer``.
-    age_limit: What is stamped so much before its arrival, or after it, is refused [s]. A stamp of 0
-        is not looked at.
+    rate: Publishing rate of the newest messages [Hz].
+    prefix: Prefix of the topics, after the namespace of the chain: ``/left/haptic/device/pose``.
+    frame: Frame of positions and forces; input from the graph in any other named frame is refused.
+    backend: ``rclpy``, ``cyclonedds``, or ``auto``: rclpy if it can be imported.
+    wrench: Topic of a WrenchStamped, after the namespace of the chain, whose force is added to the
+        law's; empty for none. The driver must allow it (``external``).
+    target: Topic of a PoseStamped, after that namespace too, to which the hand of a virtual device
+        is pulled; empty for none. It needs a ``pointer``.
+    age_limit: Largest difference between stamp and arrival of an accepted message [s]; a stamp of 0
+        is not checked.
     """
 
     rate: Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)] = 100.0
@@ -68,7 +65,7 @@ class Ros2Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
 
 class Ros2(Node):
-    """Puts a chain on a ROS 2 graph."""
+    """Publishes a chain on a ROS 2 graph."""
 
     Parameters: ClassVar[type[msgspec.Struct]] = Ros2Parameters
     listens_to: ClassVar[tuple[str, ...]] = ("*",)
@@ -76,7 +73,7 @@ class Ros2(Node):
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Check that there is a library, and that nothing from outside reaches a run that must be deterministic."""
+        """Check that a library is installed, and that a deterministic run has no outside input."""
         parameters: Ros2Parameters = convert(setup.parameters, Ros2Parameters, setup.name)
         choose(parameters.backend, setup.name)
         for name in ("wrench", "target"):
@@ -100,12 +97,12 @@ class Ros2(Node):
         self._lines: dict[str, Connection] = {}
         self._roles: dict[str, str] = {}
         self._hand: PointerWriter | None = None
-        # what was refused for its frame, and told: what it is, and the frame
+        # kinds and frames of messages that were refused and reported
         self._foreign: set[tuple[str, str]] = set()
-        self._wrench: Any = None  # the newest force from the graph that was not handed on yet
+        self._wrench: Any = None  # newest force from the graph that is not yet sent to the driver
 
     def configure(self) -> None:
-        """Join the graph, which may take seconds, before the loop is waited for."""
+        """Join the graph, which may take seconds, before the loop starts."""
         parameters: Ros2Parameters = self.store.current
         namespace = self._namespace = f"/{self.setup.namespace}".rstrip("/")
         backend = choose(parameters.backend, self.setup.name)
@@ -119,7 +116,7 @@ class Ros2(Node):
         )
 
     def _publish(self, topic: str, kind: str, build: Callable[..., Any], *content: Any) -> None:
-        """Build a message and publish it; a type whose package is not installed is left out, said once."""
+        """Publish a message; a type whose package is not installed is skipped and reported once."""
         if topic not in self._publishers:
             try:
                 self._graph.look_up(kind)
@@ -168,7 +165,7 @@ class Ros2(Node):
             self._wall = self._see_wall()
 
     def _see_wall(self) -> tuple[int, Any, Any] | None:
-        """Ask the environment what is touched: shape, place [m] and size [m] of a marker; None for what has no marker."""
+        """Return shape, position [m] and size [m] of a marker for the surface, or None."""
         if "environment" not in self._roles:
             return None
         surface: dict[str, Any] = {}
@@ -179,7 +176,7 @@ class Ros2(Node):
             size, place = [ACROSS] * 3, [0.0] * 3
             across = AXIS_INDEX[surface.get("axis", "z")]
             size[across] = THICK
-            # Its free side is where it is touched.
+            # The free side is the surface that is touched.
             place[across] = surface.get("position", 0.0) - surface.get("normal", 1) * THICK / 2.0
             return CUBE, tuple(place), tuple(size)
         if kind == "sphere":
@@ -200,7 +197,7 @@ class Ros2(Node):
         return self._lines[role].call(op, ASKING, **args)
 
     def _fresh(self, name: str, stamp: Any) -> bool:
-        """Whether a message is young enough; the driver judges how long it lasts."""
+        """Return whether a message is recent enough, and report if not."""
         age = (
             time.time() - (stamp.sec + stamp.nanosec * 1e-9) if stamp.sec or stamp.nanosec else 0.0
         )
@@ -215,14 +212,14 @@ class Ros2(Node):
         return False
 
     def _is_ours(self, name: str, frame: str) -> bool:
-        """Whether a message is in our frame, or names none; another one is refused, and told once.
+        """Return whether a message is in our frame or names none; report a foreign one once.
 
-        A force in a tool's frame would push in some other direction. tf is not asked: what it knows
-        may be old.
+        A force in a tool's frame would push in some other direction. tf is not used, because its
+        transform may be outdated.
         """
-        # tf 1 had a slash before it.
+        # tf 1 used a leading slash.
         ours = frame.removeprefix("/") in ("", self.store.current.frame.removeprefix("/"))
-        if not ours and (name, frame) not in self._foreign and len(self._foreign) < MOST_FRAMES:
+        if not ours and (name, frame) not in self._foreign and len(self._foreign) < MAX_FRAMES:
             self._foreign.add((name, frame))
             self.events.emit_each(
                 "frame",
@@ -237,12 +234,11 @@ class Ros2(Node):
             self._wrench = message
 
     def _push(self) -> None:
-        """Ask for the newest force that came: a request takes some ms, and one for each would hold up the graph."""
+        """Send the newest force to the driver; one request per message would hold up the graph."""
         message, self._wrench = self._wrench, None
         if message is not None and self._fresh("wrench", message.header.stamp):
             force = message.wrench.force
-            # A sensor's has parts along every axis; along one that the scene does not compute
-            # nobody would feel them.
+            # A sensor has components along all axes; discard those that the scene does not compute.
             computed = [AXIS_INDEX[axis] for axis in self._run.nodes[self._roles["driver"]].axes]
             parts = [
                 part if i in computed else 0.0 for i, part in enumerate((force.x, force.y, force.z))
@@ -264,7 +260,7 @@ class Ros2(Node):
                 self.events.emit("target", str(error))
 
     def _change(self, name: str, value: Any) -> str:
-        """Set a parameter of a node for the graph; why it was refused, or nothing."""
+        """Set a parameter of a node for the graph. Return why it was refused, or ""."""
         node, _, path = name.partition(".")
         try:
             self._ask(
@@ -277,7 +273,7 @@ class Ros2(Node):
         return ""
 
     def _listen(self, parameters: Ros2Parameters) -> None:
-        """Take what the graph may give, and serve the nodes' parameters."""
+        """Subscribe to the enabled topics, and serve the nodes' parameters."""
         driver = self._roles.get("driver", "")
         if parameters.wrench:
             if not driver or not self._run.nodes[driver].parameters.get("external"):
@@ -303,7 +299,7 @@ class Ros2(Node):
         self._graph.serve(self._parameters(), self._change)
 
     def _parameters(self) -> dict[str, Any]:
-        """All parameters of driver, environment and coupling that ROS has a type for, by full name."""
+        """Return all parameters of driver, environment and coupling that have a ROS type."""
         found: dict[str, Any] = {}
         for node in self._roles.values():
             with suppress(HapticError):
@@ -331,19 +327,19 @@ class Ros2(Node):
     def _serve(self, names: dict[bytes, str], period: float) -> None:
         newest: dict[str, bytes] = {}
         following, inbox = time.monotonic(), self.inbox
-        assert inbox is not None  # noqa: S101  # every kind that listens has one
+        assert inbox is not None  # noqa: S101  # every subscribing kind has one
         while not self.stopping:
             left = following - time.monotonic()
             frames = inbox.receive(max(0, min(50, int(left * 1e3 + 1.0))))
             now = time.monotonic()
             due = now >= following
-            # When it is time, whatever waits is taken first: what the graph gets is the newest.
+            # Before publishing, receive everything that waits, so that the newest is published.
             while frames is not None:
                 if (topic := names.get(frames[0])) is not None:
                     newest[topic] = frames[1]
                 frames = inbox.receive(0) if due else None
             if due:
-                # What is late by a period or more is left out: never more than the rate.
+                # Periods that were missed are skipped, never made up for.
                 following = following + period if now < following + period else now + period
                 self._newest(newest)
                 newest.clear()

@@ -1,4 +1,4 @@
-"""A ROS 2 graph through rclpy: a node with its right name, and parameters."""
+"""A ROS 2 graph through rclpy: a named node with parameters."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ QUEUE = 10
 
 
 class RclpyGraph:
-    """A node of rclpy, called as ``ros2 node list`` shows it."""
+    """An rclpy node, listed by ``ros2 node list``."""
 
     def __init__(self, name: str, namespace: str) -> None:
         rclpy = self._rclpy = import_module("rclpy")
@@ -18,7 +18,7 @@ class RclpyGraph:
         executors = import_module("rclpy.executors")
         signals = import_module("rclpy.signals")
         self._context = context.Context()
-        # What ends this process is its launcher's business.
+        # the launcher handles signals
         rclpy.init(
             args=[], context=self._context, signal_handler_options=signals.SignalHandlerOptions.NO
         )
@@ -27,24 +27,24 @@ class RclpyGraph:
         self._executor.add_node(self._node)
 
     def look_up(self, name: str) -> Any:
-        """Give the class of a type."""
+        """Return the class of a message type."""
         package, kind, message = name.split("/")
         return getattr(import_module(f"{package}.{kind}"), message)
 
     def publisher(self, topic: str, name: str) -> Callable[[Any], None]:
-        """Offer a topic."""
+        """Return a publish function for a topic."""
         publish: Callable[[Any], None] = self._node.create_publisher(
             self.look_up(name), topic, QUEUE
         ).publish
         return publish
 
     def listen(self, topic: str, name: str, take: Callable[[Any], None]) -> None:
-        """Listen to a topic."""
+        """Subscribe to a topic."""
         sensor_data = import_module("rclpy.qos").qos_profile_sensor_data
         self._node.create_subscription(self.look_up(name), topic, take, sensor_data)
 
     def serve(self, values: Mapping[str, Any], change: Callable[[str, Any], str]) -> bool:
-        """Serve parameters: ``ros2 param set`` asks the node that has it, and passes its refusal on."""
+        """Serve parameters: ``ros2 param set`` sets them on their node and returns its refusal."""
         result = import_module("rcl_interfaces.msg").SetParametersResult
         dynamic = import_module("rcl_interfaces.msg").ParameterDescriptor
 
@@ -62,7 +62,7 @@ class RclpyGraph:
         return True
 
     def take(self) -> None:
-        """Hand over what has come: as much as one round may bring."""
+        """Deliver received messages, a limited number per call."""
         for _ in range(QUEUE):
             self._executor.spin_once(timeout_sec=0.0)
 

@@ -1,1 +1,1 @@
-"""What is stable, and how stiff it may be: exact closed loop, passivity, largest stable stiffness."""
+"""Stability: exact closed loop, passivity, largest stable stiffness."""

@@ -1,8 +1,8 @@
-"""What a law really renders, and whether the loop with a known device is stable: exact, whatever the law or the delay.
+"""The rendered impedance of a law and the exact poles of its loop with a known device.
 
-Between two ticks the force is held, so device, delay and taps close to a polynomial in z without
-any approximation (THEORY.md §3): stable iff its largest root lies inside the unit circle. Nothing
-here is on the hot path: a law is judged when it is parsed, shown, switched or designed.
+The force is held between two ticks, so device, delay and taps form one polynomial in z without
+approximation (THEORY.md §3): the loop is stable iff its largest root lies inside the unit circle.
+Nothing here runs in the loop: a law is judged when it is parsed, displayed, changed or designed.
 """
 
 from __future__ import annotations
@@ -26,27 +26,30 @@ from nodes.stability.roots import largest_root
 class Rendered:
     """What a law renders at one sampling period and delay."""
 
-    h1_n_per_m: float  # H(1): the stiffness felt at rest [N/m]
-    h_nyquist_n_per_m: float  # H(−1): what encoder noise is multiplied with [N/m]
-    # Least f(ω) over 0 < ω ≤ ω_N, of the law without delay [N s/m]; the lower, the more damping
-    # (paper, eq. 9).
+    h1_n_per_m: float  # H(1), the stiffness at rest [N/m]
+    h_nyquist_n_per_m: float  # H(−1), which amplifies encoder noise [N/m]
+    # least f(ω) over 0 < ω ≤ ω_N of the law without delay [N s/m]; a lower one damps more (paper,
+    # eq. 9)
     f_min_n_s_per_m: float
-    f_min_rad_per_s: float  # where that is [rad/s]
-    # f(ω_N), H(1) as the spring unless `nominal` is given; with K, as in the paper, it is larger by
-    # the leak D(1)·T/2 [N s/m].
+    f_min_rad_per_s: float  # frequency of that minimum [rad/s]
+    # f(ω_N) with H(1) as the spring, or `nominal` if given; with K, as in the paper, larger by the
+    # leak D(1)·T/2 [N s/m]
     f_nyquist_n_s_per_m: float
-    # mean of f over (0, ω_N): T·D(1)/2, the waterbed (THEORY.md §2) [N s/m]
+    # mean of f over (0, ω_N): T·D(1)/2 (waterbed, THEORY.md §2) [N s/m]
     f_mean_n_s_per_m: float
-    # Least damping of the device with which the law is passive at this delay (Colgate) [N s/m].
+    # least device damping with which the law is passive at this delay (Colgate) [N s/m]
     damping_needed_n_s_per_m: float
-    # Largest factor on the whole law that keeps it passive on this device; None when no damping was
-    # declared.
+    # largest factor on the whole law that is passive on this device; None without a declared
+    # damping
     passive_scale: float | None
-    pole_radius: float | None  # largest pole of the closed loop; None when no mass was declared
+    pole_radius: float | None  # largest pole of the closed loop; None without a declared mass
 
 
 def closed_loop(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
-    """Characteristic polynomial of taps, delay and device, highest power first; not for sections, whose poles it would lose."""
+    """Return the characteristic polynomial of taps, delay and device, highest power first.
+
+    Raises ValueError for laws with sections and for pairs, whose polynomial is ill-conditioned.
+    """
     plant = as_one(plant)
     if plant.partner is not None:
         raise ValueError("plant: a pair has no well-conditioned polynomial; use pole_radius")
@@ -56,9 +59,9 @@ def closed_loop(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
         )
     held = held_plant(plant)
     numerator = np.array(held.numerator)
-    # a damping of 1e300 N s/m holds it still
+    # a damping of 1e300 N s/m leaves no motion
     numerator = np.trim_zeros(numerator, "b") if numerator.any() else numerator
-    # With z² N + z N' the loop has one common factor z when the delay is whole.
+    # With z² N + z N' the loop has one common factor z if the delay is whole.
     padding = held.whole + len(numerator) - 2 + len(law.taps) - 1
     total = np.concatenate([held.denominator, np.zeros(padding)])
     feedback = np.convolve(numerator, law.taps)
@@ -67,23 +70,23 @@ def closed_loop(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
 
 
 def pole_radius(law: CompiledLaw, plant: Plant) -> float:
-    """Return the largest pole of the closed loop; stable iff below 1, inf where no double holds it."""
+    """Return the largest pole radius of the loop; stable iff below 1, inf if it overflows."""
     try:
         plant = as_one(plant)
         if not law.sections and plant.partner is None:
             return largest_root(closed_loop(law, plant))
         return float(np.abs(np.linalg.eigvals(state_matrix(law, plant))).max())
     except (ArithmeticError, np.linalg.LinAlgError):
-        # of a mass of 1e-300 kg, say, nothing can be computed: such a loop is taken for unstable
+        # a loop that overflows, e.g. with a mass of 1e-300 kg, counts as unstable
         return math.inf
 
 
 def state_matrix(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
-    """One tick of the closed loop as a matrix: device, deflection history, sections and forces on their way.
+    """Return one tick of the closed loop as a matrix: device, history, sections, forces.
 
-    Of the state [x, v·T, x₋₁ … x₋ₙ, (y₋₁, y₋₂) per section, u₋₁ … u₋ᵢ₋₁]; forces are scaled by T²/m
-    to lengths: balanced. A pair has the states of both bodies (`nodes.stability.pair.held_pair`) in
-    place of x and v·T.
+    The state is [x, v·T, x₋₁ … x₋ₙ, (y₋₁, y₋₂) per section, u₋₁ … u₋ᵢ₋₁]; forces are scaled to
+    lengths by T²/m for balance. A pair has the states of both bodies
+    (`nodes.stability.pair.held_pair`) in place of x and v·T.
     """
     plant = as_one(plant)
     if plant.partner is not None:
@@ -103,11 +106,11 @@ def tick_matrix(
     device: NDArray[np.float64],
     pushes: Sequence[tuple[int, NDArray[np.float64]]],
 ) -> NDArray[np.float64]:
-    """One tick of the closed loop of a law and any linear device whose first state is the position.
+    """Return one tick of the loop of a law and any linear device with position as first state.
 
     `unit`: T²/m, which scales forces to lengths [m/N]. `device`, shape (s, s): its own matrix.
-    `pushes`: ticks ago, and what the force of that tick adds, shape (s,). Of [its state, x₋₁ … x₋ₙ,
-    (y₋₁, y₋₂) per section, u₋₁ … of the longest lag].
+    `pushes`: age of a force [ticks] and its effect on the state, shape (s,). The state is [device
+    state, x₋₁ … x₋ₙ, (y₋₁, y₋₂) per section, u₋₁ … of the longest lag].
     """
     states = len(device)
     history = max(len(law.taps) - 1, 1 if law.sections else 0)
@@ -143,10 +146,10 @@ def tick_matrix(
 
 
 def rendered(law: CompiledLaw, loop: Plant | float, nominal: float | None = None) -> Rendered:
-    """Tell what a law really renders, in a loop with a device or, by its sampling period [s], without one.
+    """Return what a law renders, in a loop with a device or for a sampling period [s] alone.
 
-    `nominal`: K that f(ω) takes as the spring [N/m]: H(1), the one that is really there, when left
-    out; with the law's nominal K, f is the paper's and its mean tells the leak.
+    `nominal` is the K that f(ω) uses as the spring [N/m]; by default H(1), the actual stiffness.
+    With the law's nominal K, f is the paper's and its mean shows the leak.
     """
     plant = loop if isinstance(loop, Plant) else None
     period, delay = (loop.period, loop.delay) if isinstance(loop, Plant) else (loop, 0.0)
@@ -170,7 +173,10 @@ def rendered(law: CompiledLaw, loop: Plant | float, nominal: float | None = None
 
 
 def law_figures(law: CompiledLaw, loop: Plant | float) -> dict[str, Any]:
-    """Tell what `rendered` does as JSON has it, with taps and delay; of a law with code of its own only H(1) is known."""
+    """Return `rendered` with taps and delay as JSON values.
+
+    For a law with own code only H(1) is known.
+    """
     delay = loop.delay if isinstance(loop, Plant) else 0.0
     figures: dict[str, Any] = {
         "taps_n_per_m": list(law.taps),

@@ -1,10 +1,9 @@
-"""Cosine sums Σ c_j cos jθ, and whether one is positive at *every* θ: what turns a check on a grid into a proof.
+"""Cosine sums Σ c_j cos jθ, and a proof that one is positive at *every* θ.
 
 A frequency condition on a sampled loop is Re{N(w)} > 0 or Re{N(w)/(1 − w)} > 0 on the unit circle,
-w = e^{−jθ}, N with real
-coefficients: both are cosine sums (THEORY.md §19). Between two neighbouring points a sum is above
-    its chord less h²/8 times
-the bound Σ j² |c_j| of its curvature; where that does not decide, the cell is divided.
+w = e^{−jθ}, with real coefficients of N; both are cosine sums (THEORY.md §19). Between two
+neighbouring points a sum is above its chord less h²/8 times the bound Σ j² |c_j| of its curvature;
+where that does not decide, the cell is divided.
 """
 
 from __future__ import annotations
@@ -17,12 +16,12 @@ from numpy.typing import NDArray
 Cosines = NDArray[np.float64]
 
 _DEPTH = 40
-_CELLS = 2_000_000  # cells that are looked at before the answer is "not decided"
+_CELLS = 2_000_000  # cells that are checked before the answer is "undecided"
 
 
 @dataclass(frozen=True)
 class Laurent:
-    """N(w) = Σ c_k w^(low + k), real coefficients.
+    """N(w) = Σ c_k w^(low + k) with real coefficients.
 
     Attributes
     ----------
@@ -36,11 +35,11 @@ class Laurent:
     low: int = 0
 
     def __mul__(self, other: Laurent) -> Laurent:
-        """Product of both."""
+        """Return the product of both."""
         return Laurent(np.convolve(self.coefficients, other.coefficients), self.low + other.low)
 
     def __add__(self, other: Laurent) -> Laurent:
-        """Sum of both."""
+        """Return the sum of both."""
         low = min(self.low, other.low)
         high = max(one.low + len(one.coefficients) for one in (self, other))
         total = np.zeros(high - low)
@@ -54,21 +53,21 @@ class Laurent:
         return Laurent(self.coefficients[::-1].copy(), -(self.low + len(self.coefficients) - 1))
 
     def at(self, theta: Cosines) -> NDArray[np.complex128]:
-        """Values at w = e^{−jθ}."""
+        """Return the values at w = e^{−jθ}."""
         powers = self.low + np.arange(len(self.coefficients))
         return np.asarray(
             np.exp(-1j * np.multiply.outer(theta, powers)) @ self.coefficients, dtype=np.complex128
         )
 
     def real(self) -> Cosines:
-        """Coefficients of the cosine sum Re{N(w)}."""
+        """Return the coefficients of the cosine sum Re{N(w)}."""
         size = max(abs(self.low), abs(self.low + len(self.coefficients) - 1)) + 1
         cosines = np.zeros(size)
         np.add.at(cosines, np.abs(self.low + np.arange(len(self.coefficients))), self.coefficients)
         return cosines
 
     def real_over_one_less_w(self) -> Cosines:
-        """Coefficients of the cosine sum Re{N(w)/(1 − w)}, which has no singularity at w = 1.
+        """Return the coefficients of the cosine sum Re{N(w)/(1 − w)}, regular at w = 1.
 
         Re{w^k/(1 − w)} = ½ + Σ_{j=1..−k} cos jθ for k ≤ 0 and −½ − Σ_{j=1..k−1} cos jθ for k ≥ 1.
         """
@@ -82,34 +81,37 @@ class Laurent:
 
 
 def one_less_cosine(multiple: int) -> Cosines:
-    """Coefficients of (1 − cos nθ)/(1 − cos θ) = n + 2 Σ_{j<n} (n − j) cos jθ, n ≥ 1."""
+    """Return the coefficients of (1 − cos nθ)/(1 − cos θ), n ≥ 1.
+
+    The sum is n + 2 Σ_{j<n} (n − j) cos jθ.
+    """
     cosines = 2.0 * np.arange(multiple, 0.0, -1.0)
     cosines[0] = multiple
     return cosines
 
 
 def values(cosines: Cosines, theta: Cosines) -> Cosines:
-    """Σ c_j cos jθ at some angles [rad]."""
+    """Return Σ c_j cos jθ at angles θ [rad]."""
     return np.asarray(
         np.cos(np.multiply.outer(theta, np.arange(len(cosines)))) @ cosines, dtype=np.float64
     )
 
 
 def positive(cosines: Cosines, rounding: float = 1e-13) -> bool | None:
-    """Whether a cosine sum is above 0 at every θ.
+    """Return whether a cosine sum is above 0 at every θ.
 
     Parameters
     ----------
     cosines : ndarray of float, shape (n + 1,)
         c_0 ... c_n.
     rounding : float
-        Relative error of each coefficient; the sum must be positive whatever it does.
+        Relative error of each coefficient; the sum must be positive despite it.
 
     Returns
     -------
     bool or None
-        True is a proof; False where a value is not above what rounding may do; None when too many
-        cells stay undecided.
+        True is a proof; False if a value is not above the rounding error; None if too many cells
+        stay undecided.
     """
     order = np.arange(len(cosines))
     floor = rounding * float(np.abs(cosines).sum())

@@ -1,4 +1,4 @@
-"""The deepest minima of a function of the frequency: a grid, then zooms into its lowest cells."""
+"""The deepest minima of a function of frequency: a grid, then zooms into its lowest cells."""
 
 from __future__ import annotations
 
@@ -15,15 +15,14 @@ _CELLS = 17
 
 
 def dips(function: Callable[[Reals], Reals], theta: Reals, value: Reals) -> tuple[Reals, Reals]:
-    """Return where the deepest minima of a function are, and its values there.
+    """Return the positions of a function's deepest minima, and its values there.
 
     Parameters
     ----------
     function : callable
-        Of frequencies ωT, shape (n,) to (n,); where it is infinite or not a number it is not
-        searched.
+        Of frequencies ωT, shape (n,) to (n,); infinite values and NaN are skipped.
     theta, value : ndarray, shape (n,)
-        The grid, which separates the minima, and the function there.
+        A grid that separates the minima, and the function on it.
     """
     value = np.where(np.isnan(value), np.inf, value)
     padded = np.concatenate([[np.inf], value, [np.inf]])

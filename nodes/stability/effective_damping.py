@@ -1,9 +1,9 @@
-"""f(ω), what a law takes from or adds to the damping of the device, and the damping with which it is passive (Colgate).
+"""Effective damping f(ω) of a law, and the device damping that makes it passive (Colgate).
 
-H(z) − H(1) is divisible by 1 − z; what is left of f(ω) = T·Re{D(z)/(1−z)} (paper, eq. 9) is then a
-cosine sum without a singularity at ω = 0, T·Σ t_j cos((j+1)ωT) with t_j = Σ_{m>j} h_m, whose mean
-is zero by construction: the waterbed (THEORY.md §2) cannot get lost in rounding. Delay is whole
-zeros in front of the taps; a fraction of a tick is exact too.
+H(z) − H(1) is divisible by 1 − z, so f(ω) = T·Re{D(z)/(1−z)} (paper, eq. 9) is a cosine sum without
+a singularity at ω = 0: T·Σ t_j cos((j+1)ωT) with t_j = Σ_{m>j} h_m. Its mean is zero by
+construction, so the waterbed (THEORY.md §2) cannot get lost in rounding. A delay adds zeros in
+front of the taps; fractions of a tick are exact too.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _ZOOMS = 6
 def effective_damping(
     law: CompiledLaw, period: float, omega: NDArray[np.float64], delay: int = 0
 ) -> NDArray[np.float64]:
-    """f(ω) = T·Re{(z^{−d} H(z) − H(1))/(1 − z)}: negative where the law damps.
+    """Return f(ω) = T·Re{(z^{−d} H(z) − H(1))/(1 − z)} [N s/m]: negative where the law damps.
 
-    Strictly passive iff b > H(1)·T/2 + f(ω) for all 0 < ω ≤ ω_N (THEORY.md §2). `omega`: 0 ≤ ω ≤
-    π/T [rad/s], at 0 the limit. `delay`: whole [ticks]. f in N s/m.
+    The loop is strictly passive iff b > H(1)·T/2 + f(ω) for all 0 < ω ≤ ω_N (THEORY.md §2).
+    `omega`: 0 ≤ ω ≤ π/T [rad/s], at 0 the limit. `delay`: whole ticks.
     """
     return _effective(law, period, np.asarray(omega, dtype=np.float64) * period, delay, _power_sum)
 
@@ -40,19 +40,19 @@ def _effective(
     # t_j = Σ_{m>j} h_m, the quotient of the taps by w − 1
     tails = np.cumsum(np.array(law.taps[::-1]))[::-1][1:]
     total = (power_sum(tails, w) + _section_tails(law, w)) * w ** (delay + 1)
-    # (w^d − 1)/(1 − z) = w + … + w^d is what the delay does to the spring.
+    # The delay's effect on the spring: (w^d − 1)/(1 − z) = w + … + w^d.
     for j in range(1, delay + 1):
         total = total + law.h1 * w**j
     return np.asarray(period * total.real, dtype=np.float64)
 
 
 def damping_needed(law: CompiledLaw, period: float, delay: float = 0.0) -> float:
-    """Least device damping with which the sampled law is passive, whatever mass or hand is attached.
+    """Return the least device damping with which the law is passive in any hand [N s/m].
 
     For a whole delay this is Colgate's limit, max over ω of T·Re{z^{−d}H/(1−z)}. With a fraction φ
-    of a tick, held force and sampled position no longer see the same aliases; with s the
-    interpolation (1−φ)s_d + φ s_{d+1} of the two whole delays it becomes ½(Re s + √((Re s)² +
-    φ(1−φ)T²|H|²)), from the eigenvalue of the lifted loop at each ω.
+    of a tick, held force and sampled position see different aliases; with s the interpolation
+    (1−φ)s_d + φ s_{d+1} of the two whole delays it becomes ½(Re s + √((Re s)² + φ(1−φ)T²|H|²)),
+    from the eigenvalue of the lifted loop at each ω.
     """
     return -_lowest(
         law, lambda theta, power_sum: -_needed_at(law, period, delay, theta, power_sum)
@@ -60,7 +60,7 @@ def damping_needed(law: CompiledLaw, period: float, delay: float = 0.0) -> float
 
 
 def least(law: CompiledLaw, period: float) -> tuple[float, float]:
-    """Where f(ω) is least [rad/s], and how much it is there, with the spring taken as H(1) [N s/m]."""
+    """Return frequency [rad/s] and value [N s/m] of the least f(ω), with H(1) as the spring."""
     theta, value = _lowest(
         law, lambda theta, power_sum: _effective(law, period, theta, 0, power_sum)
     )
@@ -88,7 +88,7 @@ def _needed_at(
 
 
 def _section_tails(law: CompiledLaw, w: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Take the same quotient of the sections, (R(w) − R(1))/(w − 1), exact at w = 1 too."""
+    """Return the same quotient of the sections, (R(w) − R(1))/(w − 1), exact at w = 1 too."""
     total = np.zeros_like(w)
     for b0, b1, a1, a2 in law.sections:
         gain = (b0 + b1) / (1.0 + a1 + a2)
@@ -97,7 +97,7 @@ def _section_tails(law: CompiledLaw, w: NDArray[np.complex128]) -> NDArray[np.co
 
 
 def _power_sum(c: NDArray[np.float64], w: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Σ c_j w^j, Horner over blocks of 64 powers: thousands of taps at tens of thousands of frequencies in one go."""
+    """Return Σ c_j w^j by Horner's scheme over blocks of 64 powers, for thousands of taps."""
     block = min(64, max(1, len(c)))
     blocks = max(1, -(-len(c) // block))
     padded = np.zeros(blocks * block)
@@ -117,14 +117,17 @@ def _power_sum(c: NDArray[np.float64], w: NDArray[np.complex128]) -> NDArray[np.
 def _lowest(
     law: CompiledLaw, function: Callable[[NDArray[np.float64], PowerSum], NDArray[np.float64]]
 ) -> tuple[float, float]:
-    """Least value over 0 ≤ θ ≤ π: a grid finer than the fastest cosine, then zooms into the lowest cells."""
+    """Return position and value of the minimum over 0 ≤ θ ≤ π: a grid, then zooms.
+
+    The grid is finer than the fastest cosine.
+    """
     theta = np.linspace(0.0, np.pi, max(256, 8 * len(law.taps)) + 1)
     if law.sections:
-        # Slow sections live in the lowest decades.
+        # Slow sections act in the lowest decades.
         theta = np.unique(
             np.concatenate([theta, np.geomspace(1e-6, np.pi, 2001)[:-1], resonances(law)])
         )
-    # Where w goes from 1 to −1 in equal angles, a sum of powers is a Fourier transform.
+    # On equal angles from w = 1 to w = −1, a sum of powers is a Fourier transform.
     value = function(
         theta, _power_sum if law.sections else lambda c, w: np.fft.rfft(c, 2 * (w.size - 1))
     )

@@ -1,14 +1,14 @@
-"""Stable for every sequence of delays within a range: a certificate, not a replay.
+"""Certificate of stability for every sequence of delays within a range.
 
-A delay that jitters can be worse than each of its values, and no pole radius tells. Each tick the
-loop is multiplied by one of a family of matrices; it is stable for every sequence iff the joint
-spectral radius of the family is below 1 (THEORY.md §10). The family is enclosed by a few matrices:
-within a tick the force's share of the motion moves along a curve, which lies in the triangles of a
-few parabolas but for a remainder that is added to every norm. A norm is sought in which each of
-them shrinks (an ellipsoid, by gradients); where one tick does not shrink, all products that begin
-with it are followed until they do. When all are closed, every sequence is a chain of words that
-shrink: stable, with a rate. A product that grows by itself is a sequence of delays that the loop
-does not survive.
+A jittering delay can be worse than each of its values, which no pole radius shows. Each tick
+multiplies the loop's state by one of a family of matrices; it is stable for every sequence iff the
+joint spectral radius of the family is below 1 (THEORY.md §10). The family is enclosed by a few
+matrices: within a tick, the force's share of the motion moves along a curve, which lies in the
+triangles of a few parabolas except for a remainder that is added to every norm. Gradients search
+for an ellipsoidal norm in which every matrix contracts. If one does not, all longer products
+starting with it are checked until their norm is below 1. If all products contract, every sequence
+of delays is stable, with a known rate. A product that grows is a sequence of delays that makes the
+loop unstable.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from nodes.laws import CompiledLaw
 from nodes.stability.flexible import FlexiblePlant, Matrix, loop_matrix
 from nodes.stability.plant import Plant
 
-# longest state that a norm is sought for; a law of n + 1 taps has n + 3 and the delay's ticks
+# longest state for which a norm is searched; n + 1 taps give n + 3 states and the delay's ticks
 MAX_STATES = 40
 
 _SEGMENTS = 2
@@ -36,16 +36,15 @@ _ENOUGH = 1e-6
 class EveryDelay:
     """Whether a loop is stable for every sequence of delays."""
 
-    # True with a certificate, False with a sequence that grows; None when neither was found
+    # True with a certificate, False with a growing sequence; None if neither was found
     stable: bool | None
-    # Factor per tick by which every motion shrinks at least, in the norm of the certificate; None
-    # without one.
+    # factor per tick by which every motion contracts in the certificate's norm; None without one
     rate: float | None
-    words: int  # words of the certificate: each is a run of delays over which the norm shrinks
-    longest: int  # longest of them [ticks]
-    # delays of a sequence that, repeated, grows [ticks]; empty without one
+    words: int  # products in the certificate: runs of delays over which the norm contracts
+    longest: int  # ticks of the longest of them
+    # delays of a sequence that grows when repeated [ticks]; empty without one
     growing: tuple[float, ...]
-    growth: float  # its factor per tick; the largest found, growing or not
+    growth: float  # its factor per tick, the largest found, growing or not
 
 
 def every_delay(
@@ -55,13 +54,13 @@ def every_delay(
     rate: float = 1.0,
     period: float | None = None,
 ) -> EveryDelay:
-    """Certify a loop for every sequence of delays of a range, or find one that it does not survive.
+    """Certify a loop for every sequence of delays of a range, or find an unstable one.
 
-    `delay`: shortest and longest, in place of the plant's, at most one tick apart: then no force
-    overtakes another [ticks]. `rate`: factor per tick that every motion must shrink by; 1 asks for
-    stability alone. `period`: sampling period of a flexible device [s]; a `Plant` has its own.
-    Raises ValueError for another range, for a law too long for a norm to be sought, and for a
-    flexible device without a period.
+    `delay`: shortest and longest delay, in place of the plant's, at most one tick apart, so that no
+    force overtakes another [ticks]. `rate`: factor per tick by which every motion must contract; 1
+    requires stability only. `period`: sampling period of a flexible device [s]; a `Plant` has its
+    own. Raises ValueError for any other range, for a law that is too long, and for a flexible
+    device without a period.
     """
     low, high = delay
     if not 0.0 <= low <= high <= low + 1.0:
@@ -100,19 +99,18 @@ def _device(plant: Plant | FlexiblePlant, period: float | None) -> tuple[Flexibl
 
 
 class _Ticks:
-    """Matrices of one tick: by the delays of two forces that follow each other, and a hull of those of all delays."""
+    """Matrices of one tick for the delays of two successive forces, and their hull."""
 
     def __init__(
         self, law: CompiledLaw, plant: FlexiblePlant, period: float, delay: tuple[float, float]
     ) -> None:
         self._low, self._high = delay
         self._first = math.floor(delay[0])
-        # Of the forces on their way, that of age `depth` arrives in each tick, or may; where the
-        # range crosses a whole tick the one after it may arrive late in the same tick.
+        # The pending force of age `depth` arrives in each tick, or may; if the range crosses a
+        # whole tick, the next one may arrive late in the same tick.
         self._depth = self._first + 1 if delay[1] > self._first + 1 else self._first
         self._crosses = self._depth > self._first
-        # Lengths, lengths per tick, and forces by what they move within one: so that the matrix is
-        # balanced.
+        # Scaled to lengths, lengths per tick and displacements per force, to balance the matrix.
         self._matrix_of_motion, self._push = plant.continuous()
         self.states = len(self._push)
         units = np.array([1.0, period, 1.0, period][: self.states - (plant.lag > 0.0)])
@@ -131,7 +129,7 @@ class _Ticks:
         self._base = base
 
     def _held(self, ticks: float) -> tuple[Matrix, Matrix]:
-        """Motion over a part of a tick, free and per force."""
+        """Return the motion over a part of a tick: free, and per force."""
         from scipy.linalg import expm
 
         whole = np.zeros((self.states + 1, self.states + 1))
@@ -140,11 +138,14 @@ class _Ticks:
         return moved[:-1, :-1], moved[:-1, -1]
 
     def _share(self, s: float) -> Matrix:
-        """Motion per force that acts from s to the end of a tick, in the units of the state."""
+        """Return the motion per force acting from s to the end of a tick, in units of the state."""
         return self._held(max(1.0 - s, 0.0))[1]
 
     def _polygon(self, low: float, high: float) -> list[Matrix]:
-        """Corners whose hull holds that curve, but for `_remainder`: of each piece its ends and what bends it between them."""
+        """Return corners whose hull encloses the curve of shares, except for `_remainder`.
+
+        Each piece contributes its ends and the control point of its parabola.
+        """
         if high <= low:
             return [self._share(low)]
         knots = np.linspace(low, high, 2 * _SEGMENTS + 1).tolist()
@@ -155,13 +156,13 @@ class _Ticks:
         return corners
 
     def _remainder(self, low: float, high: float) -> Matrix:
-        """Bound, state by state, how far the curve is from the parabolas that the corners hold."""
+        """Return a bound, state by state, of the curve's distance from those parabolas."""
         from scipy.linalg import expm
 
         if high <= low:
             return np.zeros(self.states)
-        # The third derivative against s is −A² e^{A(1−s)} b: sampled, and between samples by what
-        # it may change.
+        # The third derivative with respect to s is −A² e^{A(1−s)} b: sampled, and bounded between
+        # samples.
         motion, push = self._matrix_of_motion, self._push
         times = np.linspace(1.0 - high, 1.0 - low, 65).tolist()
         moved = np.array([self._held(t)[0] for t in times])
@@ -170,7 +171,7 @@ class _Ticks:
         steepest = np.abs(powers[2]) @ expm(np.abs(motion) * times[-1]) @ np.abs(push)
         for power in (powers[1], powers[0]):
             steepest = np.abs(moved @ push @ power.T).max(axis=0) + half * steepest
-        # A parabola through both ends and the middle is off by at most h³/(72√3) of it.
+        # A parabola through both ends and the middle is off by at most h³/(72√3) times it.
         width = (high - low) / _SEGMENTS
         return np.asarray(width**3 / (72.0 * math.sqrt(3.0)) * steepest, dtype=np.float64)
 
@@ -183,19 +184,19 @@ class _Ticks:
         return step
 
     def _parts(self) -> list[tuple[float, float]]:
-        """Where in a tick forces may arrive: one part of it, or the one that comes early and the one that comes late."""
+        """Return when forces may arrive within a tick: one interval, or an early and a late one."""
         low, high = self._low - self._first, self._high - self._first
         return [(0.0, high - 1.0), (low, 1.0)] if self._crosses else [(low, high)]
 
     def hull(self) -> Matrix:
-        """Matrices whose hull holds those of every two delays, but for `off`."""
+        """Return matrices whose hull encloses those of every two delays, except for `off`."""
         polygons = [self._polygon(*part) for part in self._parts()]
         if not self._crosses:
             return np.array([self._matrix(corner, None) for corner in polygons[0]])
         return np.array([self._matrix(a, b) for a in polygons[0] for b in polygons[1]])
 
     def off(self, norm: Matrix) -> float:
-        """Bound in a norm how far the matrix of any two delays is from that hull."""
+        """Return a bound, in a norm, of the distance of any tick's matrix from that hull."""
         inverse, largest = np.linalg.inv(norm), 0.0
         for part, newer in zip(self._parts(), (self._depth, self._depth - 1), strict=False):
             change = (self._forces[newer] - self._forces[newer + 1]) @ inverse
@@ -204,7 +205,10 @@ class _Ticks:
         return largest
 
     def matrix(self, older: float, newer: float) -> Matrix:
-        """Matrix of the tick in which the force with the older delay arrives, the next force's delay being `newer`."""
+        """Return the matrix of the tick in which the force with delay `older` arrives.
+
+        `newer` is the delay of the next force.
+        """
         if not self._crosses:
             return self._matrix(self._share(older - self._first), None)
         late = self._share(newer - self._first) if newer < self._depth else None
@@ -214,7 +218,10 @@ class _Ticks:
 def _worst_word(
     ticks: _Ticks, delay: tuple[float, float], longest: int = 8
 ) -> tuple[float, tuple[float, ...]]:
-    """Largest growth per tick of a repeated sequence of delays: of each length only the most promising words go on."""
+    """Return the largest growth per tick of a repeated sequence of delays, and the sequence.
+
+    It is a beam search: of each length, only the fastest-growing sequences are extended.
+    """
     values = sorted(
         {
             *np.linspace(*delay, 3).tolist(),
@@ -240,13 +247,16 @@ def _worst_word(
 
 
 def _norm(hull: Matrix) -> Matrix:
-    """Seek L with the least largest ‖L M L⁻¹‖: gradients of a soft maximum, from the Lyapunov norm of the mean matrix."""
+    """Return L with a small maximum of ‖L M L⁻¹‖ over the family.
+
+    It follows gradients of a soft maximum, from the Lyapunov norm of the mean matrix.
+    """
     from scipy.linalg import matrix_balance, solve_discrete_lyapunov
     from scipy.optimize import minimize
 
     size = hull.shape[1]
-    # States differ by orders of magnitude (sections, old forces): balanced first, then where the
-    # mean matrix shrinks evenly.
+    # States differ by orders of magnitude (sections, old forces): balance first, then start where
+    # the mean matrix contracts evenly.
     _, (scales, _) = matrix_balance(np.abs(hull).max(axis=0), permute=False, separate=True)
     mean = hull.mean(axis=0)
     radius = float(np.abs(np.linalg.eigvals(mean)).max())
@@ -272,7 +282,7 @@ def _norm(hull: Matrix) -> Matrix:
         return value, np.asarray((gradient @ inverse.T)[lower], dtype=np.float64)
 
     for sharp in (30.0, 100.0, 300.0, 1000.0, 1000.0, 3000.0, 3000.0):
-        # In the coordinates of the best norm so far, where all directions weigh the same.
+        # in the coordinates of the best norm so far, where all directions weigh the same
         white = norm @ hull @ np.linalg.inv(norm)
         if np.linalg.norm(white, ord=2, axis=(1, 2)).max() < 1.0 - _ENOUGH:
             break
@@ -292,7 +302,10 @@ def _norm(hull: Matrix) -> Matrix:
 
 
 def _close(family: Matrix, off: float) -> tuple[int, int, float] | None:
-    """Follow all products, each off by so much, until their norm is below 1: words, longest, slowest rate; None: too many."""
+    """Extend products, each with error `off`, until their norm is below 1.
+
+    Return the number of products, the longest and the slowest rate; None if there are too many.
+    """
     words, slowest = 0, 0.0
     single = np.linalg.norm(family, ord=2, axis=(1, 2))
     front, doubt = family, np.full(len(family), off)
@@ -308,6 +321,6 @@ def _close(family: Matrix, off: float) -> tuple[int, int, float] | None:
         if len(front) * len(family) > _WORDS:
             return None
         front = np.einsum("nij,mjk->mnik", family, front).reshape(-1, *family.shape[1:])
-        # ‖(M + E)(P + D)‖ is off from ‖MP‖ by ‖M‖‖D‖ + ‖E‖‖P + D‖, and the norms know D already.
+        # ‖(M + E)(P + D)‖ differs from ‖MP‖ by ‖M‖‖D‖ + ‖E‖‖P + D‖; the norms include D already.
         doubt = (doubt[:, None] * single + off * norms[:, None]).ravel()
     return None

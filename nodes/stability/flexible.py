@@ -1,8 +1,8 @@
-"""A device that is more than one mass: a second mass on a joint, and an actuator with a lag. Poles of its loop, exact.
+"""Exact loop with a flexible device: a second mass on a joint, and a first-order actuator.
 
 Motor, encoder, damping and friction are on one side of the joint, the rest of the mass on the
 other. The force is held between ticks, so the device is one matrix per tick (a matrix exponential,
-no integration), whatever the delay.
+no integration), for any delay.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FlexiblePlant:
-    """What the law is coupled to."""
+    """A device of two masses and an actuator with a lag."""
 
-    mass: float  # all that moves, on both sides of the joint [kg]
-    damping: float  # viscous damping against the ground, on the motor's side [N s/m]
-    delay: float = 0.0  # from the sample to the force that answers it, the lag not included [ticks]
-    stiffness: float = 0.0  # stiffness of a hand, on the motor's side [N/m]
-    # time constant of the actuator, first order [s]; 0 for a force that is there at once
+    mass: float  # moving mass on both sides of the joint [kg]
+    damping: float  # viscous damping to ground on the motor's side [N s/m]
+    delay: float = 0.0  # from the sample to the force that answers it, without the lag [ticks]
+    stiffness: float = 0.0  # stiffness of a hand on the motor's side [N/m]
+    # time constant of the actuator, first order [s]; 0 for an immediate force
     lag: float = 0.0
-    # part of the mass that lies beyond the joint, in [0, 1); 0 for a rigid device
+    # share of the mass beyond the joint, in [0, 1); 0 for a rigid device
     share: float = 0.0
-    frequency: float = math.inf  # of the two masses against each other, undamped [Hz]
+    frequency: float = math.inf  # undamped frequency of the two masses against each other [Hz]
     loss: float = 0.0  # damping ratio of that mode
 
     def __post_init__(self) -> None:
@@ -50,7 +50,7 @@ class FlexiblePlant:
 
     @property
     def rigid(self) -> bool:
-        """Whether no joint moves."""
+        """Whether the device has no moving joint."""
         return self.share == 0.0 or math.isinf(self.frequency)
 
     @property
@@ -61,7 +61,7 @@ class FlexiblePlant:
         return reduced * pulse * pulse, 2.0 * self.loss * reduced * pulse
 
     def continuous(self) -> tuple[Matrix, Matrix]:
-        """Give A and B of position and velocity on both sides of the joint and the actuator's force [m, m/s, N]."""
+        """Return A and B of the state: position and velocity on both sides, force [m, m/s, N]."""
         own, states = self.mass, 2
         matrix = np.zeros((5, 5))
         matrix[0, 1] = 1.0
@@ -85,7 +85,11 @@ class FlexiblePlant:
         return full, push
 
     def held(self, period: float) -> tuple[int, Matrix, Matrix, Matrix]:
-        """One tick, force held: whole ticks of delay, own matrix, what the force so many ticks ago adds and the one before."""
+        """Return one tick under a held force.
+
+        Whole ticks of delay, the device's matrix, and the effect of the force of that age and of
+        the one before.
+        """
         whole = math.floor(self.delay)
         fraction = self.delay - whole
         late, new = self._over((1.0 - fraction) * period)
@@ -93,7 +97,7 @@ class FlexiblePlant:
         return whole, late @ early, new, late @ old
 
     def pulled(self, period: float, gravity: float) -> Matrix:
-        """Motion that gravity, against the coordinate [m/s²], adds within one tick, shape (s,)."""
+        """Return the motion within one tick due to gravity [m/s²], shape (s,)."""
         matrix, _ = self.continuous()
         pull = np.zeros(len(matrix))
         pull[1 : 2 if self.rigid else 4 : 2] = -gravity
@@ -111,11 +115,14 @@ class FlexiblePlant:
         return moved[:size, :size], moved[:size, size]
 
     def rational(self, period: float) -> tuple[int, Matrix, Matrix]:
-        """Position over force: whole ticks of delay, numerator [m/N] over z^(whole + 1) denominator, highest power first."""
+        """Return position over force [m/N] as whole ticks of delay, numerator and denominator.
+
+        The function is numerator / (z^(whole + 1) · denominator), highest powers first.
+        """
         whole, step, new, old = self.held(period)
         size = len(new)
-        # det(zI − A + b c) − det(zI − A) is the numerator; in units in which the force's effect is
-        # about 1.
+        # det(zI − A + b c) − det(zI − A) is the numerator; the force is scaled so that its effect
+        # is near 1.
         unit = period * period / self.mass
         denominator = np.real(np.poly(step))
         parts = np.zeros(size + 2)
@@ -123,16 +130,16 @@ class FlexiblePlant:
             closed = step.copy()
             closed[:, 0] -= vector / unit
             parts[shift : shift + size + 1] += (np.real(np.poly(closed)) - denominator) * unit
-        # the first is 1 − 1: position follows force one tick later
+        # the first coefficient is 1 − 1: position follows force one tick later
         return whole, parts[1:], denominator
 
 
 def flexible_radius(law: CompiledLaw, period: float, plant: FlexiblePlant) -> float:
-    """Largest pole of the loop of a law and a flexible device, as `nodes.stability.closed_loop.pole_radius` of a rigid one."""
+    """Return the largest pole radius of the loop of a law and a flexible device."""
     return float(np.abs(np.linalg.eigvals(loop_matrix(law, period, plant))).max())
 
 
 def loop_matrix(law: CompiledLaw, period: float, plant: FlexiblePlant) -> Matrix:
-    """One tick of the loop of a law and a flexible device (`nodes.stability.closed_loop.tick_matrix`)."""
+    """Return one tick of that loop as a matrix (`nodes.stability.closed_loop.tick_matrix`)."""
     whole, step, new, old = plant.held(period)
     return tick_matrix(law, period * period / plant.mass, step, [(whole, new), (whole + 1, old)])

@@ -1,4 +1,4 @@
-"""A grasp: a mass that a hand hangs on the device, behind a spring and a damper."""
+"""A grasp: a mass that a hand adds to the device, behind a spring and a damper."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Grasp:
     damping: float
 
     def __post_init__(self) -> None:
-        """Refuse what no grasp is."""
+        """Check the fields."""
         for name in ("mass", "stiffness", "damping"):
             value = getattr(self, name)
             if not math.isfinite(value) or value < 0.0 or (value == 0.0 and name != "damping"):
@@ -47,8 +47,8 @@ class Grasp:
         Parameters
         ----------
         mass, damping, delay, stiffness : float
-            Mass [kg] and damping [N s/m] of the device, delay [ticks], stiffness of what else holds
-            it [N/m].
+            Mass [kg] and damping [N s/m] of the device, delay [ticks], stiffness of any other
+            spring to ground [N/m].
         """
         whole = mass + self.mass
         reduced = mass * self.mass / whole

@@ -1,7 +1,7 @@
-"""Whether a law may render on a known device, and how far a change may go: the figures behind a refusal, or behind a map.
+"""Whether a law is stable on a known device, and how far a change may go.
 
-Pure functions of taps, device and period. One point costs one pole radius, 0.1 to 1 ms for a law of
-a few taps.
+These pure functions of taps, device and period give the figures of a refusal and of the stability
+map. One point costs one pole radius, 0.1 to 1 ms for a law of a few taps.
 """
 
 from __future__ import annotations
@@ -15,28 +15,27 @@ from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.plant import Plant
 
-# how far outside the unit circle rounding may put the pole that a loop without any spring has at z
-# = 1
+# distance outside the unit circle to which rounding may move the pole at z = 1 of a springless loop
 MARGINAL = 1e-6
 
 _POINTS = 64
 _POINTS_OF_LONG = 12
-_LONG = 100  # a law of more taps takes up to a second a point, so that fewer are looked at
+_LONG = 100  # taps above which fewer points are checked: a point may take a second
 _BISECTIONS = 24
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the stability figures say of a law on a device."""
+    """Stability of a law on a device."""
 
-    # largest pole of the closed loop: it decays, or grows, by this factor per tick
+    # largest pole radius: the loop decays, or grows, by this factor per tick
     pole_radius: float
-    plant: Plant  # what it was computed for, the delay included
+    plant: Plant  # the device, including the delay
     stable: bool  # whether the loop is stable; without any spring, whether its motion decays
 
 
 def judge(law: CompiledLaw, plant: Plant) -> Verdict | None:
-    """Judge a law on a device; None for one with code of its own, which is not linear: no pole tells whether it is stable."""
+    """Return the verdict on a law with a device; None for a law with own code (no poles)."""
     if law.evaluate is not None:
         return None
     try:
@@ -50,7 +49,7 @@ def judge(law: CompiledLaw, plant: Plant) -> Verdict | None:
 def last_inside(
     holds: Callable[[float], bool], inside: float, outside: float, halvings: int
 ) -> float:
-    """Narrow down by bisection where something ceases to hold; the last value found at which it does."""
+    """Return the last value from `inside` to `outside` at which `holds` is true, by bisection."""
     for _ in range(halvings):
         middle = 0.5 * (inside + outside)
         inside, outside = (middle, outside) if holds(middle) else (inside, middle)
@@ -58,7 +57,7 @@ def last_inside(
 
 
 def furthest_stable(way: Callable[[float], CompiledLaw], plant: Plant) -> float | None:
-    """Find the largest share (0 to 1) of a way to an unstable law at which the loop is stable; None where none looked at is."""
+    """Return the largest stable share (0 to 1) of a path to an unstable law, or None."""
 
     def stable(share: float) -> bool:
         try:
@@ -84,11 +83,11 @@ def furthest_stable(way: Callable[[float], CompiledLaw], plant: Plant) -> float 
 
 
 def between(start: float, end: float, share: float) -> float:
-    """Take a point between two values, exact at both ends: by equal ratios where both are of one sign, else by equal steps."""
+    """Return a point between two values, exact at both ends: geometric, or linear across zero."""
     if share in (0.0, 1.0):
         return end if share else start
     if start * end > 0.0:
-        # In logarithms, so that from 1e3 to 1e300 all decades are looked at and none overflows.
+        # Logarithmic, so that all decades from 1e3 to 1e300 are checked and none overflows.
         return math.copysign(
             math.exp((1.0 - share) * math.log(abs(start)) + share * math.log(abs(end))), end
         )

@@ -1,8 +1,8 @@
-"""How stiff a law may get before the loop with a known device becomes unstable, without simulating it.
+"""Largest stable stiffness of a law with a known device, without simulation.
 
 The stiffness enters the closed loop in one tap, so on the stability boundary K = −1/P(z) − D(z) for
 a z on the unit circle (P the device with its delay, D the derivative part). All boundaries are
-therefore the real values of one curve; between two of them the loop is stable throughout or not at
+therefore the real values of one curve. Between two of them the loop is stable throughout or not at
 all, and one pole radius decides which. For PD without delay the Jury conditions are linear in K and
 give the same in closed form.
 """
@@ -29,34 +29,36 @@ from nodes.stability.resonances import resonances
 class KMax:
     """Where raising the nominal stiffness makes the loop unstable."""
 
-    # Upper end of the lowest stable interval of nominal K [N/m]; None when no K is stable, infinite
-    # when every one is.
+    # upper end of the lowest stable interval of nominal K [N/m]; None if no K is stable, infinite
+    # if all are
     k_max_n_per_m: float | None
-    h1_max_n_per_m: float | None  # the stiffness H(1) that is really rendered there [N/m]
+    h1_max_n_per_m: float | None  # the stiffness H(1) rendered there [N/m]
     method: str  # ``closed_form`` or ``pole_radius``
-    # Stable intervals of nominal K that were found, lowest first [N/m]; the closed form has at most
-    # one.
+    # stable intervals of nominal K, lowest first [N/m]; the closed form has at most one
     stable: tuple[tuple[float, float], ...]
 
 
 def without_spring(law: Law, period: float) -> CompiledLaw:
-    """Take K from a law's newest tap, which leaves the derivative part D; without a parameter ``stiffness`` K is H(1)."""
+    """Return a compiled law without its spring K: the derivative part D.
+
+    K is the parameter ``stiffness``, or H(1) for a law without it.
+    """
     compiled = law.compile(period)
     spring = getattr(law, "stiffness", None)
     return with_spring(compiled, -(compiled.h1 if spring is None else spring))
 
 
 def with_spring(derivative: CompiledLaw, stiffness: float) -> CompiledLaw:
-    """Add a nominal stiffness to the newest tap."""
+    """Return a derivative part with a nominal stiffness [N/m] added to its newest tap."""
     return replace(derivative, taps=(derivative.taps[0] + stiffness, *derivative.taps[1:]))
 
 
 def k_max(derivative: CompiledLaw, plant: Plant, method: str | None = None) -> KMax:
-    """Find the largest stable nominal stiffness of a derivative part (`without_spring`), where K > 0 and H(1) > 0.
+    """Return the largest stable nominal stiffness of a derivative part; K > 0 and H(1) > 0.
 
-    `method`: None takes the closed form where there is one. Raises ValueError when it is asked for
-    and there is none: more than two taps, sections, or a delay; and for a law with code of its own,
-    which has no poles.
+    `derivative` comes from `without_spring`. `method`: None uses the closed form if there is one.
+    Raises ValueError if the closed form is requested and there is none (more than two taps,
+    sections, or a delay), and for a law with own code, which has no poles.
     """
     if derivative.evaluate is not None:
         raise ValueError(
@@ -88,13 +90,13 @@ def k_max(derivative: CompiledLaw, plant: Plant, method: str | None = None) -> K
 
 
 def _jury(derivative: CompiledLaw, plant: Plant, floor: float) -> list[tuple[float, float]]:
-    """Stable interval of z³ + a₂z² + a₁z + a₀ with a₂, a₁ linear in K and a₀ free of it."""
+    """Return the stable interval of z³ + a₂z² + a₁z + a₀; a₂ and a₁ are linear in K."""
     held = held_plant(plant)
     n1, n0, _ = held.numerator
     _, trace, determinant = held.denominator
     h0, h1 = (*derivative.taps, 0.0)[:2]
     a2, a1, a0 = trace + n1 * h0, determinant + n1 * h1 + n0 * h0, n0 * h1
-    # Each condition reads c + s·K > 0.
+    # each condition reads c + s·K > 0
     conditions = [
         (1.0 + a2 + a1 + a0, n1 + n0),
         (1.0 - a2 + a1 - a0, n0 - n1),
@@ -109,7 +111,7 @@ def _jury(derivative: CompiledLaw, plant: Plant, floor: float) -> list[tuple[flo
             high = min(high, -constant / slope)
         elif constant <= 0.0:
             return []
-    # P(1) > 0 repeats the floor up to rounding: keep the floor itself.
+    # P(1) > 0 repeats the floor up to rounding: use the floor itself.
     low = floor if low <= floor + 1e-12 * high else low
     return [(low, high)] if abs(a0) < 1.0 and low < high else []
 
@@ -117,7 +119,10 @@ def _jury(derivative: CompiledLaw, plant: Plant, floor: float) -> list[tuple[flo
 def _between_boundaries(
     derivative: CompiledLaw, plant: Plant, floor: float
 ) -> list[tuple[float, float]]:
-    """Cut the K axis at all boundaries, keep the cells whose middle is stable; above the last one K is taken as open."""
+    """Return the stable cells of the K axis, which all boundaries divide.
+
+    The middle of a cell decides; the last cell is unbounded.
+    """
     cuts = [floor, *(k for k in boundaries(derivative, plant) if k > floor * (1.0 + 1e-12) + 1e-12)]
     stable = []
     for low, high in zip(cuts, [*cuts[1:], math.inf], strict=True):
@@ -130,12 +135,15 @@ def _between_boundaries(
 
 
 def boundaries(derivative: CompiledLaw, plant: Plant) -> list[float]:
-    """All nominal stiffnesses at which a pole is on the unit circle."""
+    """Return all nominal stiffnesses at which a pole is on the unit circle [N/m]."""
     return [stiffness for stiffness, _ in crossings(derivative, plant)]
 
 
 def edge_of(derivative: CompiledLaw, plant: Plant) -> Edge | None:
-    """Tell which frequency occurs at K_max (THEORY.md §9); None without one, at ω = 0 or ω_N, and for a pair of bodies."""
+    """Return the oscillation at K_max (THEORY.md §9).
+
+    None without a K_max, at ω = 0 or ω_N, and for a pair of bodies.
+    """
     plant = as_one(plant)
     if plant.partner is not None:
         return None
@@ -149,7 +157,7 @@ def edge_of(derivative: CompiledLaw, plant: Plant) -> Edge | None:
 
 
 def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]]:
-    """All nominal stiffnesses [N/m] at which a pole is on the unit circle, and the ωT where, by increasing stiffness."""
+    """Return all nominal stiffnesses [N/m] with a pole on the unit circle and its ωT, sorted."""
     from scipy.optimize import brentq
 
     plant = as_one(plant)
@@ -167,8 +175,7 @@ def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]
     def imaginary(theta: float) -> float:
         return float(curve(theta).imag)
 
-    # Sixteen points per fastest turn of the curve; the slow end, where a heavy device lives, in
-    # logarithmic steps.
+    # Sixteen points per fastest turn of the curve; logarithmic at low frequency, for heavy devices.
     turns = held.whole if other is None else max(held.whole, math.ceil(other.delay)) + 8
     count = 16 * (len(derivative.taps) + turns + 8)
     grid = np.union1d(np.linspace(0.0, np.pi, count + 1)[1:-1], np.geomspace(1e-7, np.pi, 801)[:-1])
@@ -178,8 +185,8 @@ def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]
     for i in np.flatnonzero(signs[:-1] * signs[1:] < 0.0):
         theta = brentq(imaginary, grid[i], grid[i + 1], xtol=1e-15, rtol=8.9e-16)
         found.append((float(curve(theta).real), float(theta)))
-    # z = 1 and z = −1 are always on the curve; without friction the device does not answer at z =
-    # −1 at all.
+    # z = 1 and z = −1 are always on the curve; without friction the device does not respond at z =
+    # −1.
     found.append((-_stiffness_of(plant) - derivative.h1, 0.0))
     if _answers_at_nyquist(plant) or (other is not None and _answers_at_nyquist(other)):
         found.append((float(curve(math.pi).real), math.pi))
@@ -187,7 +194,7 @@ def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]
 
 
 def _stiffness_of(plant: Plant) -> float:
-    """Return how stiff the ground holds it, by both ends in series where there is a partner [N/m]."""
+    """Return the stiffness to ground, of a pair that of both ends in series [N/m]."""
     if plant.partner is None:
         return plant.stiffness
     both = plant.stiffness + plant.partner.stiffness
@@ -195,26 +202,26 @@ def _stiffness_of(plant: Plant) -> float:
 
 
 def _answers_at_nyquist(plant: Plant) -> bool:
-    """Return whether a force that alternates moves it: without friction it does not."""
+    """Return whether an alternating force moves the device; without friction it does not."""
     numerator = np.array(held_plant(plant).numerator)
     return bool(abs(np.polyval(numerator, -1.0)) > 1e-12 * np.abs(numerator).sum())
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far one property of the loop may change, the others fixed, until it is unstable. None: no limit was found."""
+    """Tolerances of one property each, the others fixed; None where no limit was found."""
 
     # limits of the moving mass; searched from 1e-4 to 1e4 of the declared one
     mass_min_kg: float | None
     mass_max_kg: float | None
-    # least damping of the device; None when it is stable without any
+    # least damping of the device; None if stable without damping
     damping_min_n_s_per_m: float | None
     hand_stiffness_max_n_per_m: float | None  # largest stiffness of a hand; searched up to 1e6 N/m
     delay_max_ticks: float | None  # largest delay, fractions included; searched up to 100 ticks
 
 
 def tolerance(law: CompiledLaw, plant: Plant) -> Tolerance | None:
-    """Tell how far mass, damping, a hand and delay may be from what is declared; None when that is beyond the limit itself."""
+    """Return tolerances of mass, damping, hand stiffness and delay; None if already unstable."""
 
     def within(other: Plant) -> bool:
         return pole_radius(law, other) < 1.0
@@ -230,7 +237,7 @@ def tolerance(law: CompiledLaw, plant: Plant) -> Tolerance | None:
         return replace(plant, **fields)
 
     def edge(field: str, steps: NDArray[np.float64]) -> float | None:
-        """First limit along the steps, by bisection between the last one inside and the first outside."""
+        """Return the first limit along the steps, by bisection."""
         inside: float = getattr(plant, field)
         for step in steps.tolist():
             if not within(changed(field, step)):

@@ -2,8 +2,8 @@
 
 At each frequency the inequality a K² + b K + c > 0 excludes an interval of K, or all but one. The
 window is the lowest gap between the excluded intervals in which the loop with the wall is stable
-too. Its edges are found by exchange: a finer search at the ends and in the middle adds the
-frequencies that are violated to the grid, until there are none.
+too. Its edges are found by exchange: a finer search at the ends and in the middle adds violated
+frequencies to the grid until there are none.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from nodes.stability.loop_region import Region
 
 _EXCHANGES = 60
 _HALVINGS = 40
-_ROUNDING = 1e-12  # largest violation that is rounding, relative to the terms of the inequality
-_NEAR = np.geomspace(1e-9, 1e-2, 22)  # relative distances from a frequency at which a member swings
+_ROUNDING = 1e-12  # largest violation due to rounding, relative to the terms of the inequality
+_NEAR = np.geomspace(1e-9, 1e-2, 22)  # relative distances from an oscillation frequency
 _EMPTY = 1e-9  # narrowest window, relative to the sum of the taps
 
 
@@ -30,9 +30,9 @@ class Window:
     """Nominal stiffnesses for which a certificate is valid."""
 
     low_n_per_m: float  # lower end [N/m]
-    # upper end, K_max [N/m]; infinite where every stiffness above `low_n_per_m` is certified
+    # upper end, K_max [N/m]; infinite if every stiffness above `low_n_per_m` is certified
     high_n_per_m: float
-    theta: float  # ωT at which the upper end is reached [rad]; π where there is no upper end
+    theta: float  # ωT at which the upper end is reached [rad]; π without an upper end
 
 
 def k_window(
@@ -41,20 +41,20 @@ def k_window(
     stable: Callable[[float], bool],
     swings: Sequence[tuple[float, float]] = (),
 ) -> Window | None:
-    """Return the lowest window of K above max(0, −D(1)); None when no K is certified.
+    """Return the lowest window of K above max(0, −D(1)); None if no K is certified.
 
     Parameters
     ----------
     derivative : CompiledLaw
         The law without its spring (`nodes.stability.k_max.without_spring`).
     region : Region
-        Where device and world may lie.
+        Region of device and world.
     stable : callable
-        Whether the loop of one member of the region is stable with a stiffness K [N/m]: the others
+        Whether the loop of one member of the region is stable with a stiffness K [N/m]. The others
         follow, because none of them can cross the unit circle within the window.
     swings : sequence of (float, float)
-        K [N/m] and ωT at which that member itself swings. They end a gap even where the region is
-        so small that the interval excluded there is lost between the frequencies.
+        K [N/m] and ωT at which that member itself oscillates. They end a gap even if the region is
+        so small that the excluded interval lies between the frequencies of the grid.
     """
     floor = max(0.0, -derivative.h1)
     narrow = _EMPTY * (
@@ -108,7 +108,7 @@ def k_window(
 
 
 def outside(law: CompiledLaw, region: Region) -> bool:
-    """Return whether a whole law is outside a region at every frequency."""
+    """Return whether a law is outside a region at every frequency."""
     theta = region.frequencies(law)
     terms = region.quadratic(law, theta)
     return bool(np.all(terms[2] > 0.0)) and not _violated(law, region, 0.0, theta, terms).size
@@ -121,10 +121,10 @@ def _violated(
     theta: Reals,
     terms: tuple[Reals, Reals, Reals],
 ) -> Reals:
-    """Return the frequencies at the bottom of the deepest dips at which the inequality fails by more than rounding."""
+    """Return frequencies of the deepest dips where the inequality fails beyond rounding."""
 
     def margin(at: Reals) -> Reals:
-        # Divided by 1 − cos ωT, which is what all terms shrink with: smooth down to 0.
+        # Divided by 1 − cos ωT, with which all terms shrink, it is smooth down to 0.
         a, b, c = region.quadratic(derivative, at)
         return np.asarray(
             ((a * stiffness + b) * stiffness + c) / np.sin(0.5 * at) ** 2, dtype=np.float64
@@ -152,7 +152,10 @@ def _joined(
 
 
 def _roots(a: Reals, b: Reals, c: Reals) -> tuple[Reals, Reals, Reals]:
-    """Return the discriminant of a K² + b K + c and its two roots in order; without real roots their common real part."""
+    """Return discriminant and sorted roots of a K² + b K + c.
+
+    Without real roots, both are their common real part.
+    """
     square = b * b - 4.0 * a * c
     with np.errstate(divide="ignore", invalid="ignore"):
         half = -0.5 * (b + np.copysign(np.sqrt(np.maximum(square, 0.0)), b))
@@ -161,9 +164,9 @@ def _roots(a: Reals, b: Reals, c: Reals) -> tuple[Reals, Reals, Reals]:
 
 
 def _unresolved(theta: Reals, a: Reals, b: Reals, c: Reals) -> Reals:
-    """Return frequencies between neighbours whose excluded intervals lie apart.
+    """Return frequencies between neighbours whose excluded intervals are disjoint.
 
-    The interval moves without a jump, so what lies between them is missing from the grid.
+    The interval is continuous in frequency, so the grid misses frequencies between them.
     """
     square, below, above = _roots(a, b, c)
     whole = (a > 0.0) & (square > 0.0)
@@ -176,7 +179,7 @@ def _unresolved(theta: Reals, a: Reals, b: Reals, c: Reals) -> Reals:
 def _divided(
     gaps: Sequence[tuple[float, float, float]], swings: Sequence[tuple[float, float]]
 ) -> list[tuple[float, float, float]]:
-    """Return gaps of K that end where a member of the region swings."""
+    """Return gaps of K, divided where a member of the region oscillates."""
     parts = []
     for low, high, at in gaps:
         inner = sorted({one for one in swings if low < one[0] < high})
@@ -195,10 +198,13 @@ def _divided(
 def _gaps(
     theta: Reals, a: Reals, b: Reals, c: Reals, floor: float
 ) -> list[tuple[float, float, float]]:
-    """Return the gaps of K above `floor` that no frequency excludes: low, high, and the frequency of the upper end."""
+    """Return the gaps of K above `floor` that no frequency excludes.
+
+    Each is low, high, and the ωT of its upper end.
+    """
     square, below, above = _roots(a, b, c)
     if not np.isfinite(np.concatenate([a, b, c])).all():
-        return []  # beyond what a double holds
+        return []  # a double overflows
     if np.any((a <= 0.0) & (square < 0.0)) or np.any((a == 0.0) & (b == 0.0) & (c <= 0.0)):
         return []
     inner = (a < 0.0) & (square >= 0.0)

@@ -1,11 +1,11 @@
-"""A proof that every drop settles: Zames–Falb multipliers for a wall that only pushes.
+"""Proof of impact stability: Zames–Falb multipliers for a wall that only pushes.
 
-Contact comes and goes, so no pole radius tells whether a drop on a wall settles. Where penetration
+Contact comes and goes, so no pole radius shows whether a drop on a wall settles. If penetration
 feeds the law and its force is not clamped, the wall is one static nonlinearity max(p, 0) of slope 0
 to 1 around the loop G = z^{−d} H P. If a multiplier M = 1 − Σ m_i w^i with m_i ≥ 0, Σ m_i ≤ 1 has
 Re{M (1 + G)} > 0 on the unit circle and the loop in contact is stable, every motion under a
-constant pull comes to rest, from any height and at any speed (THEORY.md §19). The multiplier is
-found by a linear programme on a grid; what it proves is then checked at every frequency
+constant pull comes to rest, from any height and at any speed (THEORY.md §19). A linear programme on
+a grid finds the multiplier; the result is then proved at every frequency
 (`nodes.stability.cosine_sums`).
 """
 
@@ -22,7 +22,7 @@ from nodes.stability.cosine_sums import Cosines, Laurent, positive
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.plant import Plant, held_plant
 
-# the one convention of contact that is one nonlinearity
+# the one contact convention that is a static nonlinearity
 CONVENTION = "penetration history, force not clamped"
 TAPS = 8  # multiplier taps on each side
 
@@ -31,18 +31,18 @@ _ROUNDS = 12
 
 @dataclass(frozen=True)
 class LandingProof:
-    """Whether every drop settles on a wall of penetration history and no clamp.
+    """Whether every drop settles on a wall of penetration history without clamp.
 
     Attributes
     ----------
     proven : bool
-        True is a proof; False says only that none was found.
+        True is a proof; False means only that none was found.
     convention : str
-        The convention of contact that the answer is about.
+        Contact convention of the answer.
     multiplier : tuple of float, shape (2 taps,)
         m_i of w^−taps … w^−1, w^1 … w^taps; empty without a proof.
     margin : float
-        Least Re{M (1 + G)} that was found; not above 0 without a proof.
+        Least Re{M (1 + G)} found; not above 0 without a proof.
     why : str
         Why there is no proof; empty with one.
     """
@@ -66,29 +66,32 @@ class _Loop:
 
     top: Laurent
     below: Laurent
-    free: bool  # whether nothing holds the device: a pole at w = 1
+    free: bool  # whether the device is free: a pole at w = 1
 
     def sum_of(self, multiplier: Laurent) -> Cosines:
-        """Cosine sum that has the sign of Re{M (1 + G)} at every frequency."""
+        """Return a cosine sum with the sign of Re{M (1 + G)} at every frequency."""
         product = multiplier * self.top * self.below.conjugate
         return product.real_over_one_less_w() if self.free else product.real()
 
     def scale(self, theta: Cosines) -> Cosines:
-        """Return what the sums are divided by to be Re{M (1 + G)}: |below|² (a pole at w = 1 has cancelled)."""
+        """Return the divisor that turns these sums into Re{M (1 + G)}: |below|².
+
+        A pole at w = 1 has cancelled.
+        """
         return np.asarray(np.abs(self.below.at(theta)) ** 2, dtype=np.float64)
 
 
 def prove_landing(
     law: CompiledLaw, plant: Plant | FlexiblePlant, period: float | None = None, taps: int = TAPS
 ) -> LandingProof:
-    """Prove that every drop settles on a wall of a law, penetration feeding it and its force not clamped.
+    """Search for a proof that every drop on a wall settles, without clamping the force.
 
     Parameters
     ----------
     law : CompiledLaw
-        Taps and sections; a law with code of its own has no proof.
+        Taps and sections; a law with own code has no proof.
     plant : Plant or FlexiblePlant
-        The device and the loop's delay; positive damping, or a hand that holds it.
+        The device and the loop's delay; with positive damping, or held by a hand.
     period : float or None
         Sampling period of a flexible device [s]; a `Plant` has its own.
     taps : int
@@ -129,18 +132,17 @@ def _none(why: str, margin: float = -math.inf) -> LandingProof:
 
 
 def _loop(law: CompiledLaw, plant: Plant | FlexiblePlant, period: float | None) -> _Loop:
-    """Put law, delay and device into polynomials of w."""
+    """Return law, delay and device as polynomials in w."""
     if isinstance(plant, Plant):
         held = held_plant(plant)
         whole, above, below = held.whole, np.array(held.numerator), np.array(held.denominator)
     else:
         whole, above, below = plant.rational(period or math.nan)
-    # In z: above / (z^(whole + 1) below), degrees equal; in w the same with w^(whole + 1) before
-    # it.
+    # In z: above / (z^(whole + 1) below), of equal degree; in w, the same after w^(whole + 1).
     path = Laurent(np.asarray(above, dtype=np.float64), whole + 1)
     free = plant.stiffness == 0.0
     if free:
-        below = np.cumsum(below)[:-1]  # over 1 − w, the remainder being 0 but for rounding
+        below = np.cumsum(below)[:-1]  # divided by 1 − w; the remainder is 0 up to rounding
     top, bottom = law_polynomials(law)
     device = Laurent(np.asarray(below, dtype=np.float64))
     whole_device = device * Laurent(np.array([1.0, -1.0])) if free else device
@@ -148,7 +150,7 @@ def _loop(law: CompiledLaw, plant: Plant | FlexiblePlant, period: float | None) 
 
 
 def law_polynomials(law: CompiledLaw) -> tuple[Laurent, Laurent]:
-    """Numerator [N/m] and denominator of a law as polynomials in w; the denominator is 1 for taps alone."""
+    """Return numerator [N/m] and denominator of a law as polynomials in w."""
     top, bottom = Laurent(np.array(law.taps)), Laurent(np.array([1.0]))
     for b0, b1, a1, a2 in law.sections:
         own = Laurent(np.array([1.0, a1, a2]))
@@ -157,7 +159,7 @@ def law_polynomials(law: CompiledLaw) -> tuple[Laurent, Laurent]:
 
 
 def _search(loop: _Loop, taps: int) -> LandingProof:
-    """Maximise the least Re{M (1 + G)} over a grid that grows where it is found too coarse, and certify."""
+    """Maximise the least Re{M (1 + G)} on a grid, refine the grid, and certify the result."""
     from scipy.optimize import linprog
 
     shifts = [i for i in range(-taps, taps + 1) if i]
@@ -173,7 +175,7 @@ def _search(loop: _Loop, taps: int) -> LandingProof:
     margin, weights = -math.inf, np.zeros(2 * taps)
     for _ in range(_ROUNDS):
         rows = values_of(table, theta) / loop.scale(theta)
-        # Of m and the margin: margin + Σ m_i rows_i ≤ rows_0, Σ m_i ≤ 1.
+        # Unknowns are m and the margin: margin + Σ m_i rows_i ≤ rows_0, Σ m_i ≤ 1.
         matrix = np.column_stack([rows[1:].T, np.ones(len(theta))])
         matrix = np.vstack([matrix, np.append(np.ones(2 * taps), 0.0)])
         objective = np.append(np.zeros(2 * taps), -1.0)
@@ -208,7 +210,7 @@ def _search(loop: _Loop, taps: int) -> LandingProof:
 
 
 def values_of(table: Cosines, theta: Cosines) -> Cosines:
-    """Values of several cosine sums (s, n + 1) at some angles: (s, t)."""
+    """Return several cosine sums, shape (s, n + 1), at some angles: shape (s, t)."""
     return np.asarray(
         table @ np.cos(np.multiply.outer(np.arange(table.shape[1]), theta)), dtype=np.float64
     )

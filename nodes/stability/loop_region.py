@@ -1,12 +1,12 @@
-"""The region in which device and world lie at each frequency, and the stiffness that it allows.
+"""The region in which device and world lie at each frequency, and the stiffness it allows.
 
-Deflection x = p − y, force F = H x. The device answers p = −P F, the world D' y = V F, with
-D' = 1 − w and w = exp(−jωT). The loop swings at ω iff D'/H + D' P + V = 0. What is not known about
-P and V is a region of the complex plane:
+Deflection x = p − y, force F = H x. The device answers p = −P F, the world D' y = V F, with D' = 1
+− w and w = exp(−jωT). The loop oscillates at ω iff D'/H + D' P + V = 0. The unknown parts of P and
+V form a region of the complex plane:
 
 - a device of damping b in any hand, its force held and late by d = i + φ ticks: a disc of radius
   T/2b about ψ T/2b with ψ = (1 − φ) w^(1+i) + φ w^(2+i), aliases included. A stepped tool with
-  anything passive hung on it is another disc;
+  anything passive attached is another disc;
 - any passive world that answers the force in the same tick: the half plane Re V ≥ 0.
 
 Discs add up. With H = K + h, the loop is outside the region iff a quadratic inequality in K holds
@@ -33,14 +33,14 @@ Complexes = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Disc:
-    """Everything passive that a force moves against one damper, the force held and late."""
+    """Everything passive that a held, late force moves against one damper."""
 
     radius: float | Callable[[Reals], Reals]  # T/2b, or a function of ωT [m/N]
-    delay: float  # of the force, whole or fractional [ticks]
+    delay: float  # delay of the force, whole or fractional [ticks]
 
     @property
     def lags(self) -> tuple[tuple[int, float], ...]:
-        """Whole lags and their weights, of which ψ is the sum [ticks], [1]."""
+        """Whole lags [ticks] and their weights [1], whose sum is ψ."""
         whole = math.floor(self.delay)
         late = self.delay - whole
         return ((whole + 1, 1.0),) if late == 0.0 else ((whole + 1, 1.0 - late), (whole + 2, late))
@@ -52,18 +52,18 @@ class Disc:
 
 @dataclass(frozen=True)
 class Region:
-    """Where D'P + V may lie: a known device or none, discs, and the half plane of implicit worlds."""
+    """Region of D'P + V: a known device or none, discs, and the half plane of implicit worlds."""
 
     period: float  # sampling period [s]
-    known: Plant | None  # device whose mass, damping and hand are known
+    known: Plant | None  # device of known mass, damping and hand
     discs: tuple[Disc, ...] = ()
-    any_world: bool = False  # whether every passive world that answers in the same tick is added
+    any_world: bool = False  # whether every passive world that answers in the same tick is included
 
     def quadratic(self, derivative: CompiledLaw, theta: Reals) -> tuple[Reals, Reals, Reals]:
-        """Return a, b, c of a K² + b K + c > 0, which holds iff K + h is outside the region at these frequencies.
+        """Return a, b, c of a K² + b K + c > 0, which holds iff K + h is outside the region.
 
-        Each is accurate relative to its own size down to small frequencies: differences of numbers
-        near 1 are written as sines.
+        Each is accurate relative to its own size at small frequencies, because differences of
+        numbers near 1 are written as sines.
         """
         w = np.exp(-1j * theta)
         step = 2.0 * np.sin(0.5 * theta) ** 2 + 1j * np.sin(theta)  # D' = 1 − w
@@ -74,7 +74,7 @@ class Region:
             centre += disc.radii(theta) * sum(weight * w**lag for lag, weight in disc.lags)
         turned = np.conj(step) * centre
         if self.any_world:
-            # Re{D'/H} + Re centre − radius > 0, times |H|².
+            # Re{D'/H} + Re centre − radius > 0, times |H|²
             room = known.real - sum(
                 (disc.radii(theta) * _short_of_one(disc, theta) for disc in self.discs),
                 np.zeros_like(theta),
@@ -84,7 +84,7 @@ class Region:
                 2.0 * room * h.real + step.real,
                 room * np.abs(h) ** 2 + (np.conj(step) * h).real,
             )
-        # |D'/H + centre|² − radius² > 0, times |H|².
+        # |D'/H + centre|² − radius² > 0, times |H|²
         room = (
             np.abs(known) ** 2
             + 2.0 * (np.conj(known) * (centre - known)).real
@@ -105,9 +105,10 @@ class Region:
         )
 
     def grown(self, law: CompiledLaw, disc: Disc, theta: Reals) -> tuple[Reals, Reals, Reals]:
-        """Return a, b, c of a r² + 2 b r + c > 0, which holds iff a law is outside the discs and one more of radius r.
+        """Return a, b, c of a r² + 2 b r + c > 0, which holds iff a law stays outside.
 
-        `disc`: its lags; its radius does not matter. For a region without the half plane of worlds.
+        The region is that of the discs plus one more of radius r, with the lags of `disc`; only for
+        a region without the half plane of worlds.
         """
         w = np.exp(-1j * theta)
         h = law.response(1.0 / w)
@@ -120,7 +121,7 @@ class Region:
         return -_apart(disc, disc, theta), near, self.quadratic(law, theta)[2] / np.abs(h) ** 2
 
     def frequencies(self, law: CompiledLaw) -> Reals:
-        """Return frequencies ωT in (0, π] that show every turn of the region and of the law [rad]."""
+        """Return frequencies ωT in (0, π] that resolve every turn of region and law [rad]."""
         longest = max(
             [0.0 if self.known is None else self.known.delay, *(disc.delay for disc in self.discs)]
         )
@@ -131,7 +132,7 @@ class Region:
             corner = self.known.damping * self.period / self.known.mass
             lowest = min(lowest, max(1e-3 * corner, 1e-9))
             if self.known.stiffness > 0.0:
-                # A hand and the mass ring together, in a band that may be narrow.
+                # Hand and mass resonate, in a band that may be narrow.
                 rings = self.period * math.sqrt(self.known.stiffness / self.known.mass)
                 around = np.geomspace(1e-6, 0.5, 60)
                 parts.append(rings * np.concatenate([1.0 - around, [1.0], 1.0 + around]))
@@ -141,7 +142,10 @@ class Region:
 
 
 def known_answer(plant: Plant, theta: Reals) -> Complexes:
-    """Return D'P of a known device, force held and late [m/N]; without a hand the pole at z = 1 is cancelled exactly."""
+    """Return D'P of a known device, force held and late [m/N].
+
+    Without a hand the pole at z = 1 is cancelled exactly.
+    """
     whole, (a11, a12, a21, a22), new, old = held_step(plant)
     w = np.exp(-1j * theta)
     position, speed = new[0] + w * old[0], new[1] + w * old[1]
@@ -162,7 +166,7 @@ def _short_of_one(disc: Disc, theta: Reals) -> Reals:
 
 
 def _apart(one: Disc, other: Disc, theta: Reals) -> Reals:
-    """Return 1 − Re{ψ₁ ψ₂*} as sines: 0 where both have the same whole delay."""
+    """Return 1 − Re{ψ₁ ψ₂*} as sines: 0 if both have the same whole delay."""
     total = np.zeros_like(theta)
     for lag, weight in one.lags:
         for late, share in other.lags:

@@ -1,4 +1,4 @@
-"""What device or tool a law needs for a certificate: least damping of the device, least damping or mass of the tool."""
+"""Least damping of device or tool, or mass of the tool, for a law's certificate."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from nodes.stability.worlds import (
 )
 
 _DECADES = range(-4, 5)
-_MOST = 1e6
-_HALVINGS = 34  # of a decade: to 1e-10 of the value
+_LARGEST_FACTOR = 1e6
+_HALVINGS = 34  # per decade: to 1e-10 of the value
 
 
 def needed_device_damping(
     law: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool = False
 ) -> float | None:
-    """Return the least damping of the device with which a law is certified [N s/m]; None when none is enough.
+    """Return the least device damping that certifies a law [N s/m]; None if none is enough.
 
     Parameters
     ----------
     law : CompiledLaw
         The law.
     plant : Plant
-        The device and its loop; its damping does not matter.
+        The device and its loop; its damping is ignored.
     world : WorldKind
         The kind of world.
     any_hand : bool
@@ -66,7 +66,10 @@ def needed_device_damping(
 
 
 def _for_any_hand_any_world(law: CompiledLaw, plant: Plant) -> float | None:
-    """Return max (1 − Re ψ)/(2 Re{D/H}), which is a proof where Re{D/H} > 0 and H has no zero outside the unit circle."""
+    """Return max (1 − Re ψ)/(2 Re{D/H}).
+
+    It is a proof where Re{D/H} > 0 and H has no zero outside the unit circle.
+    """
     region = Region(plant.period, None, (Disc(1.0, plant.delay),), any_world=True)
 
     def below(theta: Reals) -> Reals:
@@ -84,8 +87,7 @@ def _for_any_hand_any_world(law: CompiledLaw, plant: Plant) -> float | None:
     _, lowest = dips(below, theta, values)
     if np.isneginf(lowest).any():
         return None
-    # The loop of a damped device is a member of the family; with this damping it has to be stable
-    # itself.
+    # The loop of a damped device belongs to the family; with this damping it must be stable.
     damping = 0.5 * plant.period * max(0.0, -float(lowest.min()))
     return damping if is_stable(law, replace(plant, damping=damping * (1.0 + 1e-9))) else None
 
@@ -93,7 +95,9 @@ def _for_any_hand_any_world(law: CompiledLaw, plant: Plant) -> float | None:
 def needed_tool_damping(
     law: CompiledLaw, plant: Plant, any_hand: bool = False, delay: float | None = None
 ) -> float | None:
-    """Return the least damping to the ground of a stepped tool with anything passive on it [N s/m]; None: none is enough.
+    """Return the least damping to ground of a stepped tool that certifies a law [N s/m].
+
+    None if none is enough, with anything passive attached to the tool.
 
     Parameters
     ----------
@@ -111,16 +115,19 @@ def needed_tool_damping(
 
 
 def needed_tool_mass(law: CompiledLaw, plant: Plant, any_hand: bool = False) -> float | None:
-    """Return the least mass of a tool of semi-implicit Euler with implicit bodies behind it [kg]; None: none is enough."""
+    """Return the least mass of a semi-implicit Euler tool that certifies a law [kg].
+
+    None if none is enough, with implicit bodies behind the tool.
+    """
     return _least_tool(law, plant, any_hand, euler_disc(plant, 1.0), plant.mass)
 
 
 def _least_tool(
     law: CompiledLaw, plant: Plant, any_hand: bool, unit: Disc, most: float
 ) -> float | None:
-    """Return the least number by which the disc of a unit tool must be divided until the law is outside it.
+    """Return the least divisor of a unit tool's disc that leaves the law outside it.
 
-    None from a million times `most` on: where the limit is reached at ω → 0, it is infinite.
+    None above a million times `most`: a limit reached at ω → 0 is infinite.
     """
     region = region_of(plant, Wall(), any_hand)
     if plant.damping == 0.0 or not (
@@ -139,4 +146,4 @@ def _least_tool(
     if not least.size:
         return 0.0
     needed = 1.0 / float(least.min())
-    return needed if needed < _MOST * most else None
+    return needed if needed < _LARGEST_FACTOR * most else None

@@ -1,13 +1,13 @@
-"""The frequency that occurs: at the edge of stability a known device rings at one ω_c, and passivity there is all it takes.
+"""The oscillation at the edge of stability: Colgate's condition at one frequency is exact.
 
-On the edge z = exp(jω_c T) is a pole, so law and held device balance: H(z) z^{−d} = −1/P(z). The
+At the edge z = exp(jω_c T) is a pole, so law and held device balance: H(z) z^{−d} = −1/P(z). The
 real part of that over 1 − z is Colgate's condition at this one frequency, with the device's damping
 as the held device shows it there (THEORY.md §9):
 
     K_max = 2 (b R(ω_c) − f(ω_c))/T,    R = 1 + tan²(ω_c T/2)/3 for light damping,
 
-exactly. Leaving R out, K ≈ 2 (b − f(ω_c))/T is always low, and needs no mass: only the swing that
-one can see.
+exactly. Without R, K ≈ 2 (b − f(ω_c))/T is always low, and needs no mass, only the visible
+oscillation.
 """
 
 from __future__ import annotations
@@ -23,26 +23,32 @@ from nodes.stability.plant import Plant, held_plant
 
 @dataclass(frozen=True)
 class Edge:
-    """What a loop does at its edge of stability."""
+    """A loop at its edge of stability."""
 
-    # ω_c, the frequency that occurs [rad/s]; 0 where the loop drifts rather than rings
+    # ω_c, the frequency of oscillation [rad/s]; 0 if the loop drifts instead
     omega_rad_per_s: float
-    # f(ω_c) of the law with the loop's delay, nominal K taken as the spring [N s/m]
+    # f(ω_c) of the law with the loop's delay, nominal K as the spring [N s/m]
     f_n_s_per_m: float
-    damping_factor: float  # R(ω_c): by how much the held device damps more than b
+    damping_factor: float  # R(ω_c), damping shown by the held device over b
     k_simple_n_per_m: float  # 2 (b − f(ω_c))/T, Colgate's condition at ω_c alone [N/m]
-    k_exact_n_per_m: float  # 2 (b R − f(ω_c))/T: K_max itself [N/m]
+    k_exact_n_per_m: float  # 2 (b R − f(ω_c))/T, K_max itself [N/m]
 
 
 def damping_shown(plant: Plant, theta: float) -> float:
-    """Damping b R that a held device shows at one ωT [N s/m], T Re{−1/((1 − z) P(z))}; light: b (1 + tan²(ωT/2)/3)."""
+    """Return the damping b R that a held device shows at ωT [N s/m]: T Re{−1/((1 − z) P(z))}.
+
+    For light damping it is b (1 + tan²(ωT/2)/3).
+    """
     z = cmath.exp(1j * theta)
     shown: complex = -1.0 / ((1.0 - z) * position_over_force(z, replace(plant, delay=0.0)))
     return plant.period * shown.real
 
 
 def edge_at(derivative: CompiledLaw, plant: Plant, omega: float, light: bool = False) -> Edge:
-    """Tell what Colgate's condition allows at one frequency [rad/s]; `light`: b ≪ m/T, and the mass plays no part."""
+    """Return what Colgate's condition allows at one frequency [rad/s].
+
+    With `light`, b ≪ m/T is assumed and the mass is not used.
+    """
     period, damping = plant.period, plant.damping
     theta = omega * period
     if not 0.0 < theta < math.pi:
@@ -54,14 +60,13 @@ def edge_at(derivative: CompiledLaw, plant: Plant, omega: float, light: bool = F
     whole = math.floor(plant.delay)
     late = z**-whole
     if plant.delay > whole:
-        # A fraction of a tick splits the hold; of a free, light device that is the delay's own
-        # share of the response.
+        # A fraction of a tick splits the hold; for a free, light device that is the delay's own
+        # response.
         body = replace(plant, mass=1.0, damping=0.0) if light else plant
         late *= position_over_force(
             z, replace(body, delay=plant.delay - whole)
         ) / position_over_force(z, replace(body, delay=0.0))
-    # D late + K (late − 1): what law and delay do beside the spring K/2. It is linear in K, which
-    # is solved for.
+    # D late + K (late − 1): contribution of law and delay beyond the spring K/2, linear in K.
     by_law = period * (derivative.response(z) * late / (1.0 - z)).real
     by_spring = period * (late / (1.0 - z)).real
     if light:
@@ -73,7 +78,10 @@ def edge_at(derivative: CompiledLaw, plant: Plant, omega: float, light: bool = F
 
 
 def position_over_force(z: Any, plant: Plant) -> Any:
-    """Return P(z), what the held device answers to a force, its delay included; of a pair the way between both [m/N]."""
+    """Return P(z), the response of the held device to a force, with its delay [m/N].
+
+    Of a pair it is that of the distance between both.
+    """
     if plant.other is not None:
         return position_over_force(z, replace(plant, partner=None)) + position_over_force(
             z, plant.other

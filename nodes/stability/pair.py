@@ -1,9 +1,9 @@
-"""Two bodies at the ends of one coupling, exact: a device and a tool that moves, or two devices.
+"""Two bodies at the ends of one coupling, exact: a device and a tool, or two devices.
 
-The law sees the way between them, x = x₁ − x₂; its force acts on the first and, turned round, on
-the second, each held and late by its own delay. One tick is one matrix of 4 states, or 3 where no
-spring holds either to ground: then where both are together does not matter, and would be a pole at
-z = 1 for ever.
+The law sees their distance x = x₁ − x₂; its force acts on the first body and, negated, on the
+second, each held and late by its own delay. One tick is one matrix of 4 states, or of 3 if no
+spring ties either body to ground: then their common position does not matter and would be a
+permanent pole at z = 1.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from nodes.stability.plant import Plant, held_step
 
 
 def as_one(plant: Plant) -> Plant:
-    """Return a pair that moves like one mass as that mass, another one as it is.
+    """Return a pair that moves like one mass as that mass, any other plant unchanged.
 
-    Two undamped bodies, free and pushed at the same instants, keep their momentum: their way moves
-    as m₁ m₂/(m₁ + m₂).
+    Two undamped bodies, free and pushed at the same instants, conserve momentum: their distance
+    moves like m₁ m₂/(m₁ + m₂).
     """
     partner = plant.partner
     if partner is None or plant.anchored or plant.damping or partner.damping or partner.later:
@@ -31,7 +31,7 @@ def as_one(plant: Plant) -> Plant:
 
 
 def reduced_mass(plant: Plant) -> float:
-    """Return the mass that the way between both moves with right after a push [kg]."""
+    """Return the mass with which the distance moves right after a push [kg]."""
     return (
         plant.mass
         if plant.partner is None
@@ -50,10 +50,9 @@ def held_pair(plant: Plant) -> tuple[NDArray[np.float64], list[tuple[int, NDArra
     Returns
     -------
     matrix : ndarray, shape (s, s)
-        Of the state [x, v₁ T, v₂ T], and x₂ where a spring holds one of them to ground; lengths
-        [m].
+        Of the state [x, v₁ T, v₂ T], plus x₂ if a spring ties one of them to ground; lengths [m].
     pushes : list of (int, ndarray)
-        Ticks ago, and what the force of that tick adds to the state [m/N].
+        Age of a force [ticks] and its effect on the state [m/N].
     """
     other = plant.other
     if other is None:

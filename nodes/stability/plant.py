@@ -1,8 +1,8 @@
-"""The device between two ticks, as the stability theory sees it: exact, the force held and late by any delay.
+"""The device between two ticks, exact: the force held, and late by any delay.
 
-The virtual device of a simulation (sim/device/model.py) has its own closed forms of the same map;
-this one is computed another way, by the series of the matrix exponential, so that each can be
-tested against the other.
+The virtual device of a simulation (sim/device/model.py) has its own closed forms of the same map.
+This module uses the series of the matrix exponential instead, so that each can be tested against
+the other.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ import math
 from dataclasses import dataclass, replace
 
 MAX_DELAY = 1100.0  # longest delay of a loop [ticks]: its matrix has a row and a column for each
-_SHORTEST = 1e-15  # part of a tick that is none: a delay of some ticks is not known to it [ticks]
+_SHORTEST = 1e-15  # fraction of a tick that counts as zero, because of rounding [ticks]
 
 
 @dataclass(frozen=True)
 class Counterpart:
-    """What stands at the other end of a coupling and moves: a tool in a scene, or a second device on the same law.
+    """The moving body at the other end of a coupling: a tool, or a second device.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class Counterpart:
     stiffness : float
         Stiffness of a hand, or of a spring to ground [N/m].
     later : float
-        How much later the force acts on it than on the device; negative for earlier [ticks].
+        Delay of its force relative to that on the device; negative for earlier [ticks].
     """
 
     mass: float
@@ -39,7 +39,7 @@ class Counterpart:
 
 @dataclass(frozen=True)
 class Plant:
-    """What a law is coupled to: the device, a hand's share included, sampled by a loop.
+    """The device that a law is coupled to, including a hand's share, sampled by a loop.
 
     Attributes
     ----------
@@ -54,12 +54,12 @@ class Plant:
     stiffness : float
         Stiffness of a hand [N/m].
     partner : Counterpart or None
-        What moves at the other end of the coupling; None for a wall or a point.
+        Moving body at the other end of the coupling; None for a wall or a point.
 
     Raises
     ------
     ValueError
-        When a field is out of its limits.
+        If a field is out of its limits.
 
     Examples
     --------
@@ -75,7 +75,7 @@ class Plant:
     partner: Counterpart | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what no device is."""
+        """Check the fields."""
         if self.partner is not None:
             Plant(
                 self.period,
@@ -100,9 +100,9 @@ class Plant:
             raise ValueError(f"delay = {self.delay!r}: must be at most {MAX_DELAY:g} ticks")
 
     def with_tool(self, mass: float, damping: float = 0.0) -> Plant:
-        """Return this device coupled to a tool that is free to move: the force on the device is the tool's, turned round.
+        """Return this device coupled to a tool that is free to move.
 
-        Pressed on a wall the tool gives way no more, and the device alone is what counts.
+        Pressed on a wall the tool no longer moves, and the device alone counts.
 
         Parameters
         ----------
@@ -124,7 +124,7 @@ class Plant:
         Parameters
         ----------
         other : Plant
-            The other device, with the delay of its own loop; its period is that of this one.
+            The other device, with the delay of its own loop; its period must be equal.
 
         Returns
         -------
@@ -148,18 +148,18 @@ class Plant:
 
     @property
     def _delay_of_partner(self) -> float:
-        """Delay of the partner [ticks]; what rounding puts below 0 is 0."""
+        """Delay of the partner [ticks]; rounding below 0 is 0."""
         delay = self.delay + (0.0 if self.partner is None else self.partner.later)
         return 0.0 if -1e-12 < delay < 0.0 else delay
 
     @property
     def anchored(self) -> bool:
-        """Whether a spring holds it, or its partner, to ground."""
+        """Whether a spring ties the device, or its partner, to ground."""
         return self.stiffness > 0.0 or (self.partner is not None and self.partner.stiffness > 0.0)
 
     @property
     def damping_of_any_hand(self) -> float:
-        """Damping that a proof for any hand may count on, b b'/(b + b') of two that are pushed equally late [N s/m]."""
+        """Damping that a proof for any hand may use [N s/m]; b b'/(b + b') for two devices."""
         if self.partner is None:
             return self.damping
         both = self.damping * self.partner.damping
@@ -168,37 +168,35 @@ class Plant:
 
 @dataclass(frozen=True)
 class HeldPlant:
-    """The device between ticks, force held and late by a whole or fractional delay, as a rational function of z.
+    """The device as a rational function of z, its force held and delayed.
 
     x/u = (numerator[0] z² + numerator[1] z + numerator[2]) / (z^{whole+1} (z² + denominator[1] z +
-    denominator[2])), u the force on the device. A device with stiffness (a hand's) is the same with
-    other numbers.
+    denominator[2])), u the force on the device, with or without the stiffness of a hand.
     """
 
-    whole: int  # whole ticks of the delay, i of d = i + φ
+    whole: int  # whole ticks i of the delay d = i + φ
     numerator: tuple[float, float, float]  # [m/N]
     denominator: tuple[float, float, float]
 
 
 def held_plant(plant: Plant) -> HeldPlant:
-    """Discretise m x'' + b x' + k x = u exactly for a held force that arrives `delay` ticks after its sample."""
+    """Discretise m x'' + b x' + k x = u exactly for a held force that is `delay` ticks late."""
     whole, transition, new, old = held_step(plant)
     a11, a12, _, a22 = transition
-    # First row of adj(zI − A) times each input vector: (z − a22) g1 + a12 g2.
+    # first row of adj(zI − A) times each input vector: (z − a22) g1 + a12 g2
     new_1, new_0 = new[0], a12 * new[1] - a22 * new[0]
     old_1, old_0 = old[0], a12 * old[1] - a22 * old[0]
     determinant = math.exp(-plant.damping * plant.period / plant.mass)
-    # tr A = 1 + det A − k·(...): written so that the pole of a free device at z = 1 stays at 1 to
-    # the last bit.
+    # tr A = 1 + det A − k·(...), written so that the pole of a free device is exactly at z = 1
     trace = 1.0 + determinant if plant.stiffness == 0.0 else a11 + a22
     return HeldPlant(whole, (new_1, new_0 + old_1, old_0), (1.0, -trace, determinant))
 
 
-@functools.lru_cache(maxsize=1024)  # a search asks for the same few devices thousands of times
+@functools.lru_cache(maxsize=1024)  # a search uses the same few devices thousands of times
 def held_step(
     plant: Plant,
 ) -> tuple[int, tuple[float, float, float, float], tuple[float, float], tuple[float, float]]:
-    """Give one tick of m x'' + b x' + k x = u in position and velocity.
+    """Return one tick of m x'' + b x' + k x = u in position and velocity.
 
     Whole ticks of the delay; a11, a12, a21, a22 of the free motion [1], [s], [1/s], [1]; position
     and velocity per force [m/N], [m/(N s)], of the force that arrives within this tick, and of the
@@ -221,7 +219,10 @@ def held_step(
 def _transition(
     mass: float, damping: float, stiffness: float, duration: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Exact map of position and velocity under a held force: matrix exponential by its series, halved and squared."""
+    """Return the exact map of position and velocity under a held force.
+
+    It is the series of the matrix exponential, with halving and squaring.
+    """
     halvings = max(
         0,
         math.ceil(
@@ -230,8 +231,7 @@ def _transition(
         + 2,
     )
     h = duration / 2.0**halvings
-    # Series of φ(t) = response of the velocity-free device to a unit force: x = Σ c_j t^j/j!, from
-    # the equation itself.
+    # Series of φ(t), the response to a unit force: x = Σ c_j t^j/j!, from the equation itself.
     older, newer = 0.0, h * h / (2.0 * mass)
     g1, g2 = newer, h / mass
     for j in range(1, 40):

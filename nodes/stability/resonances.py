@@ -1,4 +1,4 @@
-"""Frequencies near the poles of a law's sections, where its response may turn within a band narrower than any grid."""
+"""Frequencies near the poles of a law's sections, where its response is narrow-band."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
 
-_STEPS = 80  # to either side of a pole
-_NARROWEST = 1e-12  # distance of a pole from the unit circle that is looked at
+_STEPS = 80  # on either side of a pole
+_NARROWEST = 1e-12  # smallest distance of a pole from the unit circle that is resolved
 
 
 def resonances(law: CompiledLaw) -> NDArray[np.float64]:

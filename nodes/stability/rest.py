@@ -1,14 +1,15 @@
-"""Whether a device comes to rest on a wall seen through an encoder: what friction a law asks for, and what stiffness it allows.
+"""Friction that stops limit cycles on a wall seen through an encoder.
 
-The encoder's error, at most half a step Δ, goes through the law and comes out as a force that may
-drive the device for ever (a limit cycle, felt as buzz). Friction f_c takes more than that out when
-it exceeds the force (THEORY.md §5). Two bounds and an estimate, which is no bound: small swings
-below one step of the encoder live on at 1.5 times its friction.
+The encoder's error, at most half a step Δ, passes through the law and becomes a force that may
+drive the device for ever (a limit cycle, felt as buzz). Coulomb friction f_c dissipates more than
+that force supplies if it exceeds the force (THEORY.md §5). There are two bounds and an estimate,
+which is no bound: small oscillations below one encoder step persist at 1.5 times its friction.
 
-- any motion: f_c ≥ (Δ/2) Σ|h_m|. A proof where the law itself is passive on the device's damping;
-- alternation: f_c ≥ Δ |H(−1)|/2, the motion across one encoder edge and back every tick (Abbott &
+- any motion: f_c ≥ (Δ/2) Σ|h_m|. This is a proof if the law itself is passive on the device's
+  damping;
+- alternation: f_c ≥ Δ |H(−1)|/2, for motion across one encoder edge and back every tick (Abbott and
   Okamura 2005 for a spring);
-- describing function: the swing across one edge at the frequency that the known device allows
+- describing function: the oscillation across one edge at the frequency that the known device allows
   (Diolaiti et al. 2006).
 """
 
@@ -32,19 +33,22 @@ _POINTS = 2000
 class Rest:
     """Friction with which a device comes to rest on a law, in three ways."""
 
-    # the error's force is never larger: with at least so much friction no motion goes on [N]
+    # bound of the error's force: with at least this friction no motion persists [N]
     friction_bound_n: float
-    # whether that is a proof: the law, without the encoder, is passive on the damping of the device
+    # whether that is a proof: the law, without the encoder, is passive on the device's damping
     certain: bool
-    # no chatter across one encoder edge, tick by tick, with at least so much [N]
+    # no tick-by-tick chatter across one encoder edge with at least this friction [N]
     friction_alternating_n: float
-    # No swing of a known device across one edge, by describing function [N]: an estimate, from
-    # either side. None without a mass.
+    # no oscillation of a known device across one edge, by describing function [N]; an estimate that
+    # may err either way; None without a mass
     friction_estimated_n: float | None
-    buzz_hz: float | None  # frequency of that swing [Hz]; None where there is none
+    buzz_hz: float | None  # frequency of that oscillation [Hz]; None if there is none
 
     def free(self, friction: float) -> Literal[True, False, "estimated"]:
-        """Tell whether Coulomb friction [N] keeps it at rest: True by proof, ``"estimated"`` from the estimate on."""
+        """Return whether Coulomb friction [N] keeps the device at rest.
+
+        True is a proof; ``"estimated"`` means at least the estimate.
+        """
         if friction >= self.friction_bound_n:
             return True if self.certain else "estimated"
         return (
@@ -54,7 +58,7 @@ class Rest:
         )
 
     def text(self) -> str:
-        """Say the frictions in words."""
+        """Return the frictions as text."""
         kind = "proof" if self.certain else "no proof: the law is not passive on this damping"
         guess = (
             ""
@@ -68,8 +72,8 @@ class Rest:
 
 
 def rest(law: CompiledLaw, loop: Plant | float, resolution: float) -> Rest:
-    """Tell the friction that a law asks for to come to rest; a sampling period alone [s] leaves out the estimate."""
-    # a pair answers otherwise than m, b and k
+    """Return the friction with which a law comes to rest; a period [s] gives no estimate."""
+    # the estimate needs a single body of mass, damping and stiffness
     plant = loop if isinstance(loop, Plant) and loop.partner is None else None
     period, damping, delay = (
         (loop.period, loop.damping, loop.delay) if isinstance(loop, Plant) else (loop, 0.0, 0.0)
@@ -85,13 +89,19 @@ def rest(law: CompiledLaw, loop: Plant | float, resolution: float) -> Rest:
 
 
 def stiffest_at_rest(derivative: CompiledLaw, resolution: float, friction: float) -> float:
-    """Largest nominal stiffness with Σ|h_m| ≤ 2 f_c/Δ [N/m], for PD 2 f_c/Δ − 2B/T; may be negative: D alone asks for more."""
+    """Return the largest nominal stiffness with Σ|h_m| ≤ 2 f_c/Δ [N/m].
+
+    For PD it is 2 f_c/Δ − 2B/T. It is negative if D alone needs more friction.
+    """
     newest = derivative.taps[0] + sum(b0 for b0, *_ in derivative.sections)
     return 2.0 * friction / resolution - (absolute_sum(derivative) - abs(newest)) - newest
 
 
 def absolute_sum(law: CompiledLaw) -> float:
-    """Σ|h_m|, the largest force per deflection [N/m], for PD H(−1); sections are summed until the rest is below rounding."""
+    """Return Σ|h_m|, the largest force per deflection [N/m]; for PD H(−1).
+
+    Sections are summed until the rest is below rounding.
+    """
     if not law.sections:
         return sum(map(abs, law.taps))
     total, settled = 0.0, 0
@@ -110,10 +120,11 @@ def absolute_sum(law: CompiledLaw) -> float:
 
 
 def _describing(law: CompiledLaw, plant: Plant, resolution: float) -> tuple[float, float | None]:
-    """Largest f_c at which a swing across one edge balances: relay of Δ/2 in the encoder, relay of f_c against the velocity.
+    """Return the largest f_c at which an oscillation across one edge balances; its frequency.
 
-    With amplitude A at ω: (k − m ω²) A + (2Δ/π) Re G = 0 and ω b A + 4 f_c/π + (2Δ/π) Im G = 0, G
-    the law with its hold and delay, k the hand's stiffness.
+    The encoder is a relay of Δ/2, friction a relay of f_c against the velocity. With amplitude A at
+    ω: (k − m ω²) A + (2Δ/π) Re G = 0 and ω b A + 4 f_c/π + (2Δ/π) Im G = 0, G the law with its hold
+    and delay, k the hand's stiffness.
     """
     best, at = 0.0, None
     for i in range(1, _POINTS + 1):

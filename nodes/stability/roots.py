@@ -1,10 +1,10 @@
-"""The largest root of a real polynomial, for two taps or for thousands.
+"""The largest root of a real polynomial, of two coefficients or of thousands.
 
-Up to a hundred coefficients the companion matrix is fast and accurate. Beyond, its cubic cost would
-make a law of 2000 taps wait for minutes, so the roots outside a circle are counted instead
-(argument principle) and the radius of the circle is narrowed down. The count is certified: between
-two neighbouring points of the circle the polynomial is bounded away from zero by its slope and a
-bound on its curvature, or the arc is divided further.
+Up to a hundred coefficients the companion matrix is fast and accurate. Its cubic cost would take
+minutes for 2000 taps, so for long polynomials the roots outside a circle are counted (argument
+principle) and the radius is narrowed down. The count is certified: between two neighbouring points
+of the circle the polynomial is bounded away from zero by its slope and a bound on its curvature, or
+the arc is divided further.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-COMPANION_LIMIT = 100  # highest degree that goes to the companion matrix
+COMPANION_LIMIT = 100  # highest degree for the companion matrix
 
 _BLOCK = 64
 _DEPTH = 30
 
 
 def largest_root(coefficients: NDArray[np.float64]) -> float:
-    """Modulus of the largest root."""
+    """Return the modulus of the largest root."""
     c = np.asarray(coefficients, dtype=np.float64)
     if c.size == 0 or c[0] == 0.0 or not np.isfinite(c).all():
         raise ValueError("coefficients: the leading one must not be zero and all must be finite")
@@ -30,7 +30,7 @@ def largest_root(coefficients: NDArray[np.float64]) -> float:
 
 
 def largest_roots(coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Modulus of the largest root of many polynomials of the same, low degree at once (companion matrices)."""
+    """Return the moduli of the largest roots of many polynomials of one low degree."""
     c = np.asarray(coefficients, dtype=np.float64)
     degree = c.shape[-1] - 1
     if degree == 0:
@@ -42,9 +42,9 @@ def largest_roots(coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def roots_outside(coefficients: NDArray[np.float64], radius: float) -> int | None:
-    """Count the roots outside a circle, by a certified winding number."""
-    # In w = radius/z the roots outside become zeros inside the unit circle. In logarithms:
-    # radius**-2000 overflows.
+    """Count the roots outside a circle, by a certified winding number; None if undecided."""
+    # In w = radius/z, roots outside become zeros inside the unit circle. Logarithms avoid overflow
+    # of radius**-2000.
     j = np.arange(len(coefficients), dtype=np.float64)
     size = np.abs(coefficients)
     with np.errstate(divide="ignore"):
@@ -84,7 +84,7 @@ def roots_outside(coefficients: NDArray[np.float64], radius: float) -> int | Non
 def _evaluate(
     c: NDArray[np.float64], w: NDArray[np.complex128]
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Σ c_j w^j and Σ j c_j w^j at a few points, in blocks of powers so that it is two small matrix products."""
+    """Return Σ c_j w^j and Σ j c_j w^j at a few points, as two small matrix products."""
     blocks = -(-len(c) // _BLOCK)
     padded = np.zeros(blocks * _BLOCK)
     padded[: len(c)] = c
@@ -98,7 +98,7 @@ def _evaluate(
 
 
 def _narrow(c: NDArray[np.float64]) -> float:
-    """Bracket the largest modulus by counting, polish the root with Newton, and certify what came out by counting."""
+    """Return the largest modulus: bracketed by counts, polished, certified by a count."""
     j = np.arange(1, len(c))
     nonzero = c[1:] != 0.0
     # Fujiwara's bound above; the geometric mean of all roots below.
@@ -128,7 +128,7 @@ def _narrow(c: NDArray[np.float64]) -> float:
 
 
 def _newton(c: NDArray[np.float64], low: float, high: float) -> float | None:
-    """Largest modulus in [low, high) that Newton's iteration reaches from the circle between them."""
+    """Return the largest modulus in [low, high) that Newton's iteration finds, or None."""
     middle = float(np.sqrt(low * high))
     j = np.arange(len(c), dtype=np.float64)
     scaled = c * np.exp(-j * np.log(middle))
@@ -142,7 +142,7 @@ def _newton(c: NDArray[np.float64], low: float, high: float) -> float | None:
     for _ in range(30):
         value, slope = _evaluate(scaled, w)
         change = value / np.where(slope == 0.0, 1.0, slope)
-        # Never further than a tenth in one step: a start that belongs to no root must not overflow.
+        # At most a tenth per step, so that a start without a root does not overflow.
         change *= np.minimum(1.0, 0.1 / np.maximum(np.abs(change), 1e-300))
         w = w * (1.0 - change)
         if np.abs(change).min() < 1e-15:

@@ -1,9 +1,9 @@
 """A law against a spring that answers in the same tick, for every stiffness of a range.
 
-The spring adds a compliance s to the device's answer: 1/H + P + s = 0 at a swing. At a fixed
-frequency its imaginary part is a quadratic equation in K that does not depend on s, and its real
-part then gives s. All swings with springs of the range are therefore points on two curves over the
-frequency; the window ends where such a point begins (THEORY.md §18).
+The spring adds a compliance s to the device's response: 1/H + P + s = 0 at an oscillation. At a
+fixed frequency its imaginary part is a quadratic equation in K that does not depend on s, and its
+real part then gives s. All oscillations with springs of the range are therefore points on two
+curves over the frequency; the window ends where such a point begins (THEORY.md §18).
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ _ZOOMS = 12
 def spring_window(
     derivative: CompiledLaw, plant: Plant, softest: float, stiffest: float
 ) -> Window | None:
-    """Return the lowest window of K above max(0, −D(1)) that is stable with every spring of a range; None without one.
+    """Return the lowest window of K above max(0, −D(1)) stable with every spring of a range.
 
-    `softest`, `stiffest`: ends of the range [N/m]; an infinite `stiffest` includes the wall.
+    `softest`, `stiffest`: ends of the range [N/m]; an infinite `stiffest` includes the wall. None
+    if there is no such window.
     """
     floor = max(0.0, -derivative.h1)
     swings = _Swings(derivative, plant, 1.0 / stiffest, 1.0 / softest)
@@ -57,7 +58,7 @@ def spring_window(
 
 
 def wall_swings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]]:
-    """Return the K [N/m] at which the loop with a wall swings, and the ωT there."""
+    """Return the K [N/m] and ωT at which the loop with a wall oscillates."""
     return _Swings(derivative, plant, 0.0, 0.0).cuts()
 
 
@@ -114,7 +115,7 @@ def _answer(plant: Plant, theta: Reals) -> Complexes:
 
 @dataclass(frozen=True)
 class _Swings:
-    """The stiffnesses and compliances with which the loop swings, over the frequency."""
+    """Stiffnesses and compliances with which the loop oscillates, over the frequency."""
 
     derivative: CompiledLaw
     plant: Plant
@@ -122,7 +123,7 @@ class _Swings:
     most: float
 
     def points(self, theta: Reals) -> tuple[Reals, Reals]:
-        """Return K [N/m] and compliance [m/N] on both branches, shape (2, n); NaN where there is none."""
+        """Return K [N/m] and compliance [m/N] on both branches, shape (2, n); NaN if undefined."""
         h, p = self.derivative.response(np.exp(1j * theta)), _answer(self.plant, theta)
         with np.errstate(invalid="ignore", divide="ignore"):
             root = np.sqrt(h.imag / p.imag - h.imag**2)
@@ -131,7 +132,7 @@ class _Swings:
         return k, compliance
 
     def cuts(self) -> list[tuple[float, float]]:
-        """Return the K at which swings within the range begin or end, and the ωT there."""
+        """Return the K and ωT at which oscillations within the range begin or end."""
         theta = Region(self.plant.period, self.plant).frequencies(self.derivative)[:-1]
         found = [
             cut
@@ -140,7 +141,7 @@ class _Swings:
             for cut in self._ends(theta, end)
         ]
         h = self.derivative.response(np.exp(1j * theta))
-        # a bare spring has one frequency for all compliances, and no turns
+        # a bare spring has one frequency for all compliances, and no extrema
         if np.abs(h.imag).max() > 0.0:
             k, _ = self.points(theta)
             found += [turn for branch in (0, 1) for turn in self._turns(branch, theta, k[branch])]
@@ -175,7 +176,7 @@ class _Swings:
         return found
 
     def _ends(self, theta: Reals, end: float) -> list[tuple[float, float]]:
-        """Return where the loop swings with the spring at one end of the range: K is real there."""
+        """Return K and ωT of oscillations with the spring at one end of the range (real K)."""
 
         def curve(at: Reals) -> Complexes:
             answer = _answer(self.plant, at) + end

@@ -1,6 +1,6 @@
-"""Two devices coupled to each other, a law each or one in the middle, and any two hands: Colgate's condition for a two-port.
+"""Two coupled devices in any two hands: Colgate's condition for a two-port.
 
-The forces on both devices are F = M(z)·x of both sampled positions, row by row a law at its own
+The forces on both devices are F = M(z)·x of both sampled positions, each row a law at its own
 delays,
 
     M = [[ψ₁₁ H₁, −ψ₁₂ H₁], [−ψ₂₁ H₂, ψ₂₂ H₂]],   ψ = (1 − φ) w^i + φ w^(i+1) for d = i + φ ticks,
@@ -11,11 +11,11 @@ With the forces held, whatever passive hands hold the devices, the loop is passi
 
     diag(b₁, b₂) − T/(2 (1 − cos θ)) · ½[(1 − w) M + ((1 − w) M)*] − T²/(8 (1 − cos θ)) Σ_i E_i/b_i
 
-is positive definite. E_i, 0 where the delays of a row are whole, is the variance over the aliases
-of the force that changes within a tick on device i, as a form in both positions (THEORY.md §17).
-For one device this is Colgate's condition, and for one law in the middle the discs of
-`nodes.stability.loop_region`. At θ → 0 it needs H₁(1) = H₂(1): two different springs on one way
-make energy at any speed.
+is positive definite. E_i, 0 if the delays of a row are whole, is the variance over the aliases of
+the force that changes within a tick on device i, as a form in both positions (THEORY.md §17). For
+one device this is Colgate's condition, and for one law in the middle it gives the discs of
+`nodes.stability.loop_region`. At θ → 0 it needs H₁(1) = H₂(1): two different springs on one path
+generate energy at any speed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from nodes.laws import CompiledLaw
 from nodes.stability.resonances import resonances
 
 _ZOOMS = 8
-_SOFTEST = 1e-9  # relative difference of H(1) of both sides that counts as none
+_SOFTEST = 1e-9  # relative difference of the two H(1) that counts as zero
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class TwoHands:
     Attributes
     ----------
     laws : tuple of CompiledLaw
-        That of the first device, and of the second.
+        Law of the first device, and of the second.
     delays : tuple of tuple of float
         By law, then by position: from the sample of that position to the force taking effect, whole
         or fractional [ticks].
@@ -52,7 +52,7 @@ class TwoHands:
 
     @classmethod
     def in_the_middle(cls, law: CompiledLaw, first: float, second: float) -> TwoHands:
-        """Return one law on the way between the devices, whose force reaches them after `first` and `second` ticks."""
+        """Return one law between the devices, reaching them after `first` and `second` ticks."""
         return cls((law, law), ((first, first), (second, second)))
 
     @classmethod
@@ -68,18 +68,20 @@ class TwoHands:
         Parameters
         ----------
         laws : tuple of CompiledLaw
-            Of the first device and of the second.
+            Law of the first device and of the second.
         there, back : float
-            Delay of the first position on its way to the second device, and of the second's to the
-            first [ticks].
+            Delay of the first position to the second device, and of the second's to the first
+            [ticks].
         own : tuple of float
-            Delay of either loop itself [ticks].
+            Delay of each loop itself [ticks].
         """
         return cls(laws, ((own[0], own[0] + back), (own[1] + there, own[1])))
 
 
 def damping_share(coupling: TwoHands, period: float, damping: tuple[float, float]) -> float:
-    """Return the share of both devices' damping that the coupling uses: below 1 it is passive for any two hands.
+    """Return the share of both devices' damping that the coupling uses.
+
+    Below 1 it is passive for any two hands.
 
     Parameters
     ----------
@@ -93,8 +95,8 @@ def damping_share(coupling: TwoHands, period: float, damping: tuple[float, float
     Returns
     -------
     float
-        Largest eigenvalue over all frequencies [1]; infinite where both sides render different
-        stiffnesses, or a device without damping is asked for some.
+        Largest eigenvalue over all frequencies [1]; infinite if both sides render different
+        stiffnesses, or if an undamped device would need damping.
     """
     first, second = (law.h1 for law in coupling.laws)
     if abs(first - second) > _SOFTEST * max(abs(first), abs(second)):
@@ -115,7 +117,7 @@ def _share(
     coupling: TwoHands, period: float, damping: tuple[float, float], theta: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     w = np.exp(-1j * theta)
-    # (1 − w)/(2 (1 − cos θ)) = 1/(1 − w̄): written so, nothing cancels.
+    # (1 − w)/(2 (1 − cos θ)) = 1/(1 − w̄): this form avoids cancellation.
     sampled = period / (1.0 - np.conj(w))
     rows = [sampled * law.response(1.0 / w) for law in coupling.laws]
     (d11, d12), (d21, d22) = coupling.delays
@@ -123,8 +125,7 @@ def _share(
     across = -0.5 * (rows[0] * lag(w, d12) + np.conj(rows[1] * lag(w, d21)))
     with np.errstate(divide="ignore", invalid="ignore"):
         for i, (row, (first, second)) in enumerate(zip(rows, coupling.delays, strict=True)):
-            # What a force that changes within a tick takes beside its mean, of the positions x₁ and
-            # −x₂.
+            # Additional need of a force that changes within a tick, of the positions x₁ and −x₂.
             size = np.abs(row) ** 2 / (4.0 * damping[i])
             own[0] = own[0] + size * _spread(w, first, first).real
             own[1] = own[1] + size * _spread(w, second, second).real
@@ -143,14 +144,14 @@ def lag(w: NDArray[np.complex128], delay: float) -> NDArray[np.complex128]:
 
 
 def _spread(w: NDArray[np.complex128], first: float, second: float) -> NDArray[np.complex128]:
-    """Return the mean of the product of two lags over the aliases less the product of their means, the first conjugated."""
+    """Return the covariance over the aliases of two lags, the first conjugated."""
     return lag(w, second - first) - np.conj(lag(w, first)) * lag(w, second)
 
 
 def _highest(
     function: Callable[[NDArray[np.float64]], NDArray[np.float64]], grid: NDArray[np.float64]
 ) -> float:
-    """Largest value: the highest cells of a grid, each zoomed into."""
+    """Return the largest value: the highest cells of a grid, each zoomed into."""
     value = function(grid)
     padded = np.concatenate([[-np.inf], value, [-np.inf]])
     peaks = np.flatnonzero((value >= padded[:-2]) & (value >= padded[2:]))
@@ -188,16 +189,16 @@ def k_max_two_hands(
     Returns
     -------
     float or None
-        K [N/m]; None where no stiffness is passive. The condition is convex in K, so one interval
-        is all there is.
+        K [N/m]; None if no stiffness is passive. The condition is convex in K, so there is one
+        interval only.
     """
 
     def excess(stiffness: float) -> float:
         return damping_share(coupling_at(stiffness), period, damping) - 1.0
 
     softest = 1e-6
-    # The share is convex in K: where the derivative part alone asks for too much, a stiffer spring
-    # may still ask for less.
+    # The share is convex in K: if the derivative part alone needs too much, a stiffer spring may
+    # need less.
     tried: list[float] = [softest, *np.geomspace(1e-2, highest, 121).tolist()]
     start = next((k for k in tried if excess(k) < 0.0), None)
     if start is None:

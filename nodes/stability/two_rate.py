@@ -1,13 +1,12 @@
-"""A device whose own servo is faster than the loop: a damper between the loop's ticks, and how stiff the wall may be then.
+"""A device with a servo faster than the loop, and the stiffness that its damper allows.
 
 The servo samples the device every T/N and answers with a damper on the backward difference; the
-coupling's force comes every T, some servo ticks late. Over one period of the loop this is one
-linear map (N exact steps, lifted), so the loop is stable iff the pole radius of that map is below
-1: no approximation is involved.
+coupling's force comes every T, some servo ticks late. One period of the loop is one linear map (N
+exact steps, lifted), so the loop is stable iff the pole radius of that map is below 1, without
+approximation.
 
-A heavy device leaves a closed form, for any delay and damping: at the edge the motion is slow
-against both rates, the servo's damper counts in full, and H(1) ≤ (b + B_s)/(T (½ + d)). THEORY.md
-§13.
+A heavy device has a closed form, for any delay and damping: at the edge the motion is slow against
+both rates, the servo's damper counts in full, and H(1) ≤ (b + B_s)/(T (½ + d)) (THEORY.md §13).
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ class TwoRate:
 
     mass: float  # of the device [kg], [N s/m]
     damping: float
-    servo_damping: float  # B_s of the servo's damper [N s/m]
+    servo_damping: float  # B_s, damping gain of the servo [N s/m]
     ratio: int  # N, servo ticks per tick of the loop
     delay: int = 0  # from the loop's sample to its force taking effect [servo ticks]
 
@@ -46,16 +45,16 @@ class TwoRate:
 
 
 def heavy_limit(device: TwoRate, period: float) -> float:
-    """Largest stiffness of a spring for a heavy device, (b + B_s)/(T (½ + d)), d in ticks of the loop [N/m]."""
+    """Return the stiffness limit of a heavy device, (b + B_s)/(T (½ + d)), d in ticks [N/m]."""
     return (device.damping + device.servo_damping) / (period * (0.5 + device.delay / device.ratio))
 
 
 def lifted(law: CompiledLaw, period: float, device: TwoRate) -> NDArray[np.float64]:
-    """Write one period of the loop as one matrix.
+    """Return one period of the loop as a matrix.
 
     The state at a tick of the loop is position, velocity, position one servo tick ago, the n older
     samples of the loop, and the forces that have not taken effect, oldest first. Raises ValueError
-    when the law has sections.
+    if the law has sections.
     """
     if law.sections:
         raise ValueError("law: only taps can be lifted over the servo's ticks")
@@ -73,8 +72,8 @@ def lifted(law: CompiledLaw, period: float, device: TwoRate) -> NDArray[np.float
     )
     queue = [*forces, newest]
     for j in range(device.ratio):
-        # queue[-1] is this tick's force; it acts from servo tick `delay` on, those before it each N
-        # servo ticks earlier.
+        # queue[-1] is this tick's force; it acts from servo tick `delay` on, each older one N servo
+        # ticks earlier.
         age = (device.delay - j + device.ratio - 1) // device.ratio if j < device.delay else 0
         acting = queue[-1 - age]
         servo = -device.servo_damping / short * (x - before)
@@ -84,16 +83,17 @@ def lifted(law: CompiledLaw, period: float, device: TwoRate) -> NDArray[np.float
 
 
 def two_rate_radius(law: CompiledLaw, period: float, device: TwoRate) -> float:
-    """Pole radius of the loop of a law of taps only."""
+    """Return the pole radius of the loop of a law of taps only."""
     return float(np.max(np.abs(np.linalg.eigvals(lifted(law, period, device)))))
 
 
 def two_rate_k_max(
     derivative: CompiledLaw, period: float, device: TwoRate, steps: int = 400
 ) -> float | None:
-    """Find the upper end of the lowest stable interval of K [N/m], in steps over six decades about `heavy_limit`.
+    """Return the upper end of the lowest stable interval of K [N/m].
 
-    None when none of them is stable, infinite when the stiffest still is.
+    It searches in steps over six decades about `heavy_limit`. None if no step is stable, infinite
+    if the stiffest is.
     """
 
     def stable(k: float) -> bool:

@@ -1,4 +1,4 @@
-"""The stiffness of a law for each kind of world that a device may be coupled to, and the damping that its law needs there."""
+"""Largest stiffness of a law for each kind of world, and the damping it needs there."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ _WALL = Springs(math.inf, math.inf)
 
 @dataclass(frozen=True)
 class Moving:
-    """Which moving worlds are asked about beside a wall and any implicit one."""
+    """Moving worlds to check besides a wall and any implicit world."""
 
     springs: tuple[float, float] | None = None  # softest and stiffest spring [N/m]
-    tool_damping: float | None = None  # of a stepped tool to the ground [N s/m]
-    tool_mass: float | None = None  # of a tool that semi-implicit Euler moves [kg]
+    tool_damping: float | None = None  # of a stepped tool to ground [N s/m]
+    tool_mass: float | None = None  # of a tool moved by semi-implicit Euler [kg]
     other: OtherDevice | None = None  # a second device, any hands on both
 
     def asked(self) -> dict[str, tuple[WorldKind, bool]]:
-        """Return the worlds and whether any hand is meant, by the name of their figure."""
+        """Return worlds, and whether any hand is allowed, by the name of their figure."""
         found: dict[str, tuple[WorldKind, bool]] = {
             "wall": (_WALL, False),
             "any_world": (AnyWorld(), False),
@@ -56,14 +56,14 @@ class Moving:
 
 @dataclass(frozen=True)
 class WorldLimits:
-    """Largest nominal stiffness for each kind of world, by name; None: none is certified, infinite: every one is."""
+    """Largest nominal stiffness per kind of world; None: none is certified, infinite: all are."""
 
     k_max_n_per_m: Mapping[str, float | None]
-    about: Mapping[str, str]  # which worlds and hands each figure is about
+    about: Mapping[str, str]  # worlds and hands of each figure
     worst_world: WorstWorld | None = None  # at the edge of ``any_world``
 
     def as_json(self) -> dict[str, object]:
-        """Return the figures with their units in the keys; null: none, and for a stiffness without limit too."""
+        """Return the figures with units in their keys; null: none certified, or unlimited."""
         found: dict[str, object] = {
             f"k_max_{name}_n_per_m": finite(k) for name, k in self.k_max_n_per_m.items()
         }
@@ -103,14 +103,14 @@ def world_limits(
     plant : Plant
         The device and its loop.
     moving : Moving or None
-        Worlds beside a wall, any implicit world, and both any hand and any implicit world.
+        Worlds besides a wall, any implicit world, and any implicit world with any hand.
     worst : bool
-        Whether the worst world is built as well.
+        Whether to build the worst world as well.
 
     Raises
     ------
     ValueError
-        For a law with code of its own, which has no transfer function.
+        For a law with own code, which has no transfer function.
     """
     found, about = {}, {}
     for name, (world, any_hand) in (moving or Moving()).asked().items():
@@ -123,10 +123,10 @@ def world_limits(
 
 
 def world_needs(law: CompiledLaw, plant: Plant) -> dict[str, float | None]:
-    """Return what a law as it is needs for each kind of moving world; None: nothing is enough.
+    """Return what a law needs for each kind of moving world; None: nothing is enough.
 
-    ``device_damping_…`` of the device [N s/m], ``tool_damping_…`` of a stepped tool to the ground
-    [N s/m], ``tool_mass_…`` of a tool that semi-implicit Euler moves [kg].
+    ``device_damping_…`` of the device [N s/m], ``tool_damping_…`` of a stepped tool to ground [N
+    s/m], ``tool_mass_…`` of a tool moved by semi-implicit Euler [kg].
     """
     return {
         "device_damping_any_world_n_s_per_m": needed_device_damping(law, plant, AnyWorld()),

@@ -1,4 +1,4 @@
-"""The loop of a law, a known device and one body as its world, as a matrix of one tick: exact, whatever the body's integrator.
+"""The exact loop of a law, a known device and one body as its world, one tick as a matrix.
 
 The deflection is x = p − y. An implicit body answers the force of the same tick, so force and
 motion are solved together; a stepped body moves after the force (THEORY.md §18).
@@ -26,25 +26,25 @@ HeldStep: TypeAlias = tuple[
 
 @dataclass(frozen=True)
 class Body:
-    """A mass, a spring and a damper between the coupling's point in the world and the ground, all moved together.
+    """A mass, a spring and a damper to ground, at the coupling's point in the world.
 
     Attributes
     ----------
     mass, damping, stiffness : float
-        [kg], [N s/m], [N/m]; 0 where absent, not all three.
+        [kg], [N s/m], [N/m]; 0 if absent, not all three.
     integrator : str
-        ``implicit``: backward Euler, solved with the force of the same tick and damped by the rule
-        itself. ``lossless``: solved so as well; the velocity (y_k − y_k₋₁)/T obeys the trapezoidal
-        rule. ``semi_implicit``: moved after the force, which is held and as late as on the device,
-        by `steps` steps a tick with implicit damping, as MuJoCo does. ``exact``: the differential
-        equation under that held force. The last two need a mass.
+        ``implicit``: backward Euler, solved with the force of the same tick; adds damping.
+        ``lossless``: also solved in the same tick; the velocity (y_k − y_k₋₁)/T obeys the
+        trapezoidal rule. ``semi_implicit``: moved after the force, which is held and as late as on
+        the device, by `steps` steps a tick with implicit damping, as MuJoCo does. ``exact``: the
+        differential equation under that held force. The last two need a mass.
     steps : int
         Steps a tick of ``semi_implicit``.
 
     Raises
     ------
     ValueError
-        When a field is out of its limits.
+        If a field is out of its limits.
     """
 
     mass: float = 0.0
@@ -54,7 +54,7 @@ class Body:
     steps: int = 1
 
     def __post_init__(self) -> None:
-        """Refuse what no passive body is."""
+        """Check the fields."""
         values = (self.mass, self.damping, self.stiffness)
         if not all(math.isfinite(value) and value >= 0.0 for value in values) or not any(values):
             raise ValueError(
@@ -68,10 +68,11 @@ class Body:
     def rational(
         self, period: float, free: bool = False, delay: float = 0.0
     ) -> tuple[list[float], list[float]]:
-        """Return y/F of the coupling's point, or with `free` its way in a tick over F, by rising powers of w [m/N].
+        """Return y/F of the coupling's point by rising powers of w: numerator, denominator [m/N].
 
-        `free` needs a body without a spring. `delay`: of the force, which matters to stepped bodies
-        only [ticks]. Numerator and denominator have no common factor.
+        With `free` it is the motion in a tick over F, for a body without a spring. `delay` of the
+        force matters to stepped bodies only [ticks]. Numerator and denominator have no common
+        factor.
         """
         inertia, loss, k = self.mass / period**2, self.damping / period, self.stiffness
         if self.integrator in STEPPED:
@@ -102,7 +103,7 @@ class Body:
             )
         else:
             whole, (a11, a12, a21, a22), new, old = self._euler(period, delay)
-        # y = [1 0](zI − A)⁻¹ (new + w old) wⁱ F.
+        # y = [1 0](zI − A)⁻¹ (new + w old) wⁱ F
         above = [0.0] * (whole + 1) + [
             new[0],
             a12 * new[1] - a22 * new[0] + old[0],
@@ -113,7 +114,7 @@ class Body:
         return above, [1.0, -a11 - a22, a11 * a22 - a12 * a21]
 
     def _euler(self, period: float, delay: float) -> HeldStep:
-        """Return one tick of semi-implicit Euler in the terms of `held_step`; a part of a tick is rounded to a step."""
+        """Return one tick of semi-implicit Euler like `held_step`, the delay rounded to a step."""
         step, whole = period / self.steps, math.floor(delay)
         late = round((delay - whole) * self.steps)
         whole, late = (whole + 1, 0) if late == self.steps else (whole, late)
@@ -138,17 +139,17 @@ class Body:
 
 
 def world_radius(law: CompiledLaw, plant: Plant, body: Body) -> float:
-    """Return the largest pole of the loop of a law, a device and a body: it decays, or grows, by this factor per tick."""
+    """Return the largest pole radius of the loop of a law, a device and a body."""
     return float(np.abs(np.linalg.eigvals(world_matrix(law, plant, body))).max())
 
 
 def world_matrix(law: CompiledLaw, plant: Plant, body: Body) -> NDArray[np.float64]:
     """Return one tick of the loop of a law, a device and a body.
 
-    Of [p, v T, x₋₁ … x₋ₙ, (s₋₁, s₋₂) per section, u₋₁ … u₋ᵢ₋₁, the body's own], forces in lengths,
-    by T²/m. Where neither hand nor spring ties device and body to the ground, p counts from the
-    body: both may drift together, which is no instability. Raises ValueError where force and body
-    have no common solution in a tick.
+    The state is [p, v T, x₋₁ … x₋ₙ, (s₋₁, s₋₂) per section, u₋₁ … u₋ᵢ₋₁, the body's own], forces
+    scaled to lengths by T²/m. If neither hand nor spring ties device and body to ground, p is
+    relative to the body, because a common drift is no instability. Raises ValueError if force and
+    body have no common solution in a tick.
     """
     unit = plant.period**2 / plant.mass
     whole, (a11, a12, a21, a22), new, old = held_step(plant)

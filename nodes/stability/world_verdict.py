@@ -1,4 +1,4 @@
-"""Whether a law is certified for the kind of world that a launch couples its device to, and what would make it so."""
+"""Whether a law is certified for a launch's kind of world, and what would certify it."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from nodes.stability.worlds import (
 
 @dataclass(frozen=True)
 class WorldVerdict:
-    """What is certified of a law for every world of one kind."""
+    """Certificate of a law for every world of one kind."""
 
     certified: bool
-    about: str  # which worlds and hands
+    about: str  # worlds and hands of the certificate
     h1_n_per_m: float  # stiffness of the law, H(1) [N/m]
-    # largest certified H(1) of its kind, the rest as it is [N/m]; None: none
+    # largest certified H(1) of this law [N/m]; None: none
     h1_max_n_per_m: float | None
     # least damping of the device with which the law is certified; None: none
     device_damping_n_s_per_m: float | None
-    # least damping of a stepped tool; None for other worlds, or when none is enough
+    # least damping of a stepped tool; None for other worlds, or if none is enough
     tool_damping_n_s_per_m: float | None
-    # least mass of a tool of semi-implicit Euler; None for other worlds, or when none is enough
+    # least mass of a semi-implicit Euler tool; None for other worlds, or if none is enough
     tool_mass_kg: float | None
 
     @property
     def text(self) -> str:
-        """The verdict in one sentence, with what would make it so."""
+        """Verdict in one sentence, with remedies."""
         limit = (
             "no stiffness"
             if self.h1_max_n_per_m is None
@@ -67,14 +67,14 @@ class WorldVerdict:
 def judge_world(
     law: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool = False
 ) -> WorldVerdict | None:
-    """Judge a law on a device for every world of a kind; None for a law with code of its own, which has no poles.
+    """Return the verdict on a law for every world of a kind; None for a law with own code.
 
     Parameters
     ----------
     law : CompiledLaw
         The law as it renders.
     plant : Plant
-        The device itself and its loop (no tool reduced into its mass).
+        The device itself and its loop (no tool included in its mass).
     world : WorldKind
         `SteppedTool` for a body that is stepped with the force held (kind ``mujoco``), its damping
         as measured or declared; `EulerTool`, `OtherDevice`, `AnyWorld`, `Springs` or `Wall`.

@@ -1,7 +1,7 @@
-"""Worlds that a coupling may be asked to render, and the stiffness and damping that are certified for all of one kind.
+"""Kinds of worlds that a coupling renders, and the stiffness certified for all of a kind.
 
-A wall is not the worst world. Which worlds a certificate is about decides everything, so each kind
-names them: how they are integrated, how late they answer, what damping they have (THEORY.md §18).
+A wall is not the worst world. A certificate depends on the worlds that it covers, so each kind
+names them: their integration, delay and damping (THEORY.md §18).
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ class Wall:
 
     @property
     def about(self) -> str:
-        """Which worlds these are."""
+        """Description of these worlds."""
         return "a wall"
 
 
 @dataclass(frozen=True)
 class Springs:
-    """A spring between surface and ground, at rest in the same tick; any stiffness of a range."""
+    """A spring between surface and ground, settled in the same tick; any stiffness of a range."""
 
     softest: float  # [N/m]
     stiffest: float = math.inf  # [N/m]; infinite: up to a wall
 
     def __post_init__(self) -> None:
-        """Refuse an empty range."""
+        """Check the range."""
         if not 0.0 < self.softest <= self.stiffest:
             raise ValueError(
                 f"softest = {self.softest!r}, stiffest = {self.stiffest!r} N/m: expected 0 <"
@@ -49,7 +49,7 @@ class Springs:
 
     @property
     def about(self) -> str:
-        """Which worlds these are."""
+        """Description of these worlds."""
         return (
             f"a spring of {self.softest:g} to {self.stiffest:g} N/m that answers in the same tick"
         )
@@ -57,11 +57,11 @@ class Springs:
 
 @dataclass(frozen=True)
 class AnyWorld:
-    """Every passive world that answers the force in the same tick: implicit and lossless bodies, static springs, proxies."""
+    """Every passive world that answers in the same tick: implicit bodies, springs, proxies."""
 
     @property
     def about(self) -> str:
-        """Which worlds these are."""
+        """Description of these worlds."""
         return (
             "any passive world that answers in the same tick (implicit or lossless, a static"
             " spring, a proxy)"
@@ -70,23 +70,23 @@ class AnyWorld:
 
 @dataclass(frozen=True)
 class SteppedTool:
-    """A tool with viscous damping to the ground and anything passive hung on it, stepped with the force held.
+    """A tool with viscous damping to ground, anything passive attached, stepped.
 
-    Sub-steps do not matter: a hold of the force over any number of implicit or exact sub-steps is
+    Sub-steps do not matter: holding the force over any number of implicit or exact sub-steps is
     covered.
     """
 
-    damping: float  # of the tool to the ground [N s/m]
+    damping: float  # of the tool to ground [N s/m]
     # from the sample to the force that moves the tool; None: as late as on the device [ticks]
     delay: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a tool that promises nothing."""
+        """Check damping and delay."""
         _check_damped(self.damping, self.delay)
 
     @property
     def about(self) -> str:
-        """Which worlds these are."""
+        """Description of these worlds."""
         if self.damping == 0.0:
             return "a stepped tool without damping to the ground, of which nothing is provable"
         late = "as late as on the device" if self.delay is None else f"{self.delay:g} ticks late"
@@ -98,18 +98,18 @@ class SteppedTool:
 
 @dataclass(frozen=True)
 class EulerTool:
-    """A tool of known mass, stepped once a tick by semi-implicit Euler, with implicit passive bodies behind it."""
+    """A tool of known mass, stepped by semi-implicit Euler, implicit bodies behind it."""
 
     mass: float  # least mass of the tool [kg]
 
     def __post_init__(self) -> None:
-        """Refuse a tool without mass."""
+        """Check the mass."""
         if not (math.isfinite(self.mass) and self.mass > 0.0):
             raise ValueError(f"mass = {self.mass!r} kg: expected a finite value above 0")
 
     @property
     def about(self) -> str:
-        """Which worlds these are."""
+        """Description of these worlds."""
         return (
             f"a tool of at least {self.mass:g} kg, one step of semi-implicit Euler a tick, "
             "with any passive bodies behind it that are solved implicitly"
@@ -118,23 +118,23 @@ class EulerTool:
 
 @dataclass(frozen=True)
 class OtherDevice:
-    """A second device on the same law, its deflection the way between the two, in any hand."""
+    """A second device on the same law, in any hand; the deflection is their distance."""
 
     damping: float  # [N s/m]
     delay: float  # of its loop [ticks]
 
     def __post_init__(self) -> None:
-        """Refuse what no device is."""
+        """Check damping and delay."""
         _check_damped(self.damping, self.delay)
 
     @property
     def about(self) -> str:
-        """Which worlds these are."""
+        """Description of these worlds."""
         return f"a second device of {self.damping:g} N s/m at {self.delay:g} ticks, in any hand"
 
 
 def _check_damped(damping: float, delay: float | None) -> None:
-    """Refuse a damping that is negative or not finite, and a delay that no loop has."""
+    """Check that a damping is finite and at least 0, and a delay within the loop's limits."""
     if not 0.0 <= damping < math.inf:
         raise ValueError(f"damping = {damping!r} N s/m: expected a finite value of at least 0")
     if delay is not None and not 0.0 <= delay <= MAX_DELAY:
@@ -148,20 +148,20 @@ WorldKind: TypeAlias = Wall | Springs | AnyWorld | SteppedTool | EulerTool | Oth
 class WorldKMax:
     """Largest certified stiffness for one kind of world."""
 
-    # nominal stiffness [N/m]; None: no stiffness is certified; infinite: every one is
+    # nominal stiffness [N/m]; None: none is certified; infinite: all are
     k_max_n_per_m: float | None
     low_n_per_m: float | None  # lower end of the window [N/m]
-    frequency_hz: float | None  # where the upper end is reached [Hz]
-    about: str  # which worlds and hands it is about
+    frequency_hz: float | None  # frequency at which the upper end is reached [Hz]
+    about: str  # worlds and hands of the certificate
 
 
 def region_of(plant: Plant, world: WorldKind, any_hand: bool) -> Region:
-    """Return where device and world may lie; for `Springs` see `nodes.stability.spring_world`.
+    """Return the region of device and world; for `Springs` see `nodes.stability.spring_world`.
 
     Parameters
     ----------
     plant : Plant
-        The device and its loop; with `any_hand` its mass and its hand do not matter.
+        The device and its loop; with `any_hand` its mass and its hand are ignored.
     world : WorldKind
         The kind of world.
     any_hand : bool
@@ -186,7 +186,7 @@ def region_of(plant: Plant, world: WorldKind, any_hand: bool) -> Region:
 
 
 def refuse_partner(plant: Plant) -> None:
-    """Refuse a plant with a partner: for a certificate that is a kind of world."""
+    """Reject a plant with a partner, which a certificate names as a kind of world."""
     if plant.partner is not None:
         raise ValueError(
             "plant.partner: judge the device alone, and name the partner as its world: OtherDevice"
@@ -200,7 +200,7 @@ def held_disc(plant: Plant, damping: float, delay: float) -> Disc:
 
 
 def euler_disc(plant: Plant, mass: float) -> Disc:
-    """Return the disc of a mass that semi-implicit Euler moves once a tick, with anything implicit on it."""
+    """Return the disc of a mass stepped by semi-implicit Euler, anything implicit attached."""
 
     def radius(theta: Reals) -> Reals:
         return np.asarray(
@@ -220,8 +220,8 @@ def world_k_max(
     derivative : CompiledLaw
         The law without its spring (`nodes.stability.k_max.without_spring`).
     plant : Plant
-        The device and its loop; its partner does not matter, the world takes its place. Without
-        damping nothing but a wall or a spring is certified.
+        The device and its loop; its partner is ignored, the world takes its place. Without damping
+        only a wall or a spring is certified.
     world : WorldKind
         The kind of world.
     any_hand : bool
@@ -230,12 +230,12 @@ def world_k_max(
     Returns
     -------
     WorldKMax
-        The edge, and which worlds it is about.
+        The edge, and the worlds that it covers.
 
     Raises
     ------
     ValueError
-        For a law with code of its own, which has no transfer function; for springs with any hand.
+        For a law with own code, which has no transfer function; for springs with any hand.
     """
     plant = replace(plant, partner=None)
     if derivative.evaluate is not None:
@@ -259,7 +259,7 @@ def world_k_max(
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
             window = _window(derivative, plant, world, any_hand)
     except ArithmeticError:
-        return none  # of a mass of 1e300 kg, say, nothing can be computed
+        return none  # a double overflows, e.g. with a mass of 1e300 kg
     if window is None:
         return none
     finite = math.isfinite(window.high_n_per_m)
@@ -287,14 +287,14 @@ def is_stable(law: CompiledLaw, plant: Plant) -> bool:
 
 
 def undamped(plant: Plant, world: WorldKind) -> bool:
-    """Return whether device or tool lack the damping without which nothing is provable."""
+    """Return whether device or tool lack the damping that every proof needs."""
     return plant.damping == 0.0 or (
         isinstance(world, SteppedTool | OtherDevice) and world.damping == 0.0
     )
 
 
 def hand_text(plant: Plant, any_hand: bool) -> str:
-    """Return which hands a certificate is about."""
+    """Return a description of the hands that a certificate covers."""
     if any_hand:
         return (
             f"a device of at least {plant.damping:g} N s/m, its hand's share included, in any"
@@ -305,7 +305,7 @@ def hand_text(plant: Plant, any_hand: bool) -> str:
 
 
 def certified(law: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool = False) -> bool:
-    """Return whether a law as it is is certified for every world of a kind; parameters as of `world_k_max`."""
+    """Return whether a law is certified for every world of a kind (see `world_k_max`)."""
     plant = replace(plant, partner=None)
     if law.evaluate is not None:
         raise ValueError("law: has code of its own and no transfer function")

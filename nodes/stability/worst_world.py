@@ -1,8 +1,8 @@
-"""The worst world for a law on a known device: one body of first order with which the loop swings just above the limit.
+"""The worst world for a law on a known device: one that oscillates just above the limit.
 
-At the edge of "any world that answers in the same tick" the answer of law and device is purely
-imaginary at one frequency. A lossless mass or spring has the opposite there, so it puts a pole on
-the unit circle: the certificate is necessary, not only sufficient (THEORY.md §18).
+At the edge of "any world that answers in the same tick" the response of law and device is purely
+imaginary at one frequency. A lossless mass or spring has the opposite response there, so it puts a
+pole on the unit circle: the certificate is necessary, not only sufficient (THEORY.md §18).
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from nodes.stability.worlds import AnyWorld, world_k_max
 
 @dataclass(frozen=True)
 class WorstWorld:
-    """A body that swings just above `k_max_n_per_m` and rests just below."""
+    """A body that oscillates just above `k_max_n_per_m` and comes to rest just below."""
 
     mass_kg: float | None
     stiffness_n_per_m: float | None
     damping_n_s_per_m: float | None
-    frequency_hz: float  # at which the loop swings [Hz]
-    integrator: str  # how the body is integrated (`nodes.stability.world_loop.Body`)
+    frequency_hz: float  # frequency of the oscillation [Hz]
+    integrator: str  # integrator of the body (`nodes.stability.world_loop.Body`)
     k_max_n_per_m: float  # the edge [N/m]
 
     @property
     def text(self) -> str:
-        """What it is, and what it does."""
+        """Description of the body and its oscillation."""
         what = (
             f"a mass of {self.mass_kg:.4g} kg"
             if self.mass_kg
@@ -46,7 +46,7 @@ class WorstWorld:
 
     @property
     def body(self) -> Body:
-        """Return the body."""
+        """The body."""
         return Body(
             self.mass_kg or 0.0,
             self.damping_n_s_per_m or 0.0,
@@ -68,7 +68,7 @@ def worst_world(derivative: CompiledLaw, plant: Plant) -> WorstWorld | None:
     Returns
     -------
     WorstWorld or None
-        None where no stiffness or every one is certified, and where a wall is the worst world.
+        None if no stiffness or every one is certified, or if a wall is the worst world.
     """
     edge = world_k_max(derivative, plant, AnyWorld())
     if edge.k_max_n_per_m is None or edge.frequency_hz is None:

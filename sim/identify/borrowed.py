@@ -20,7 +20,7 @@ from nodes.base.node_kinds import load
 from nodes.base.setup import AXIS_INDEX
 from nodes.client.launches import ask, roles
 from nodes.client.listen import listen
-from nodes.driver.node import STAND_STILL
+from nodes.driver.node import LONGEST_PAUSE
 from nodes.launcher.runs import RunInfo
 from sim.identify.signals_once import undisturbed, whole
 
@@ -131,7 +131,7 @@ class PushedLaunch:
         try:
             # A launch that has ended is told of by whoever asks it next.
             with contextlib.suppress(RefusedError):
-                self.change(self.driver, "stand", seconds=STAND_STILL)
+                self.change(self.driver, "stand", seconds=LONGEST_PAUSE)
             yield
         finally:
             with contextlib.suppress(RefusedError), undisturbed():

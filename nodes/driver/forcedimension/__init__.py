@@ -1,1 +1,1 @@
-"""Force Dimension omega, delta, sigma and lambda, and the Novint Falcon, through the vendor's DHD."""
+"""Force Dimension devices and the Novint Falcon, through the vendor's DHD."""

@@ -1,4 +1,4 @@
-"""DHD (Force Dimension SDK) as its driver needs it: functions, constants, words; a static library is linked once.
+"""DHD (Force Dimension SDK): functions, constants, texts; a static library is linked once.
 
 Checked against the header and the library of SDK 3.17.5 (dhdc.h, libdrd.a for Linux).
 """
@@ -42,7 +42,7 @@ REMEDY: Final = (
 )
 WHAT: Final = "Force Dimension's library (libdhd, libdrd)"
 
-ERRORS: Final = (  # by number, as dhdc.h numbers them
+ERRORS: Final = (  # indexed by number, as in dhdc.h
     *(
         "no error",
         "error",
@@ -75,7 +75,7 @@ ERRORS: Final = (  # by number, as dhdc.h numbers them
     *("invalid value", "robotic regulation is not running"),
 )
 
-CONDITIONS: Final = {  # why forces are off, as the device's own status says (DHD_FORCE_OFF_*)
+CONDITIONS: Final = {  # causes of missing forces in the device's status (DHD_FORCE_OFF_*)
     1: "the device's FORCE button is off: press it",
     2: (
         "the handle moved faster than the device allows and it braked: let it rest, then press its"
@@ -88,13 +88,13 @@ CONDITIONS: Final = {  # why forces are off, as the device's own status says (DH
 }
 
 STATUS: Final = 17
-RESET: Final = 3  # in the status: whether the device must be calibrated
-WATCHDOG_UNIT: Final = 125e-6  # unit of the firmware's watchdog [s]; at most 255 of them
+RESET: Final = 3  # index in the status: whether the device must be calibrated
+WATCHDOG_UNIT: Final = 125e-6  # unit of the firmware's watchdog [s]; at most 255 units
 
 _ID: Final = c_char
 _D: Final = POINTER(c_double)
 
-FUNCTIONS: Final[Functions] = {  # all that is used of it
+FUNCTIONS: Final[Functions] = {  # the functions used
     **dict.fromkeys(("dhdErrorGetLast", "dhdGetDeviceCount", "dhdEnableExpertMode"), (c_int, [])),
     **dict.fromkeys(("dhdOpenID", "dhdClose", "dhdStop"), (c_int, [_ID])),
     **dict.fromkeys(("dhdEnableForce", "dhdSetWatchdog"), (c_int, [c_ubyte, _ID])),
@@ -119,7 +119,7 @@ FUNCTIONS: Final[Functions] = {  # all that is used of it
 }
 
 
-SERVO_CALLS: Final = {  # what the servo loop calls, by its name there
+SERVO_CALLS: Final = {  # functions called by the servo loop, by its own names
     "get_position": "dhdGetPosition",
     "get_velocity": "dhdGetLinearVelocity",
     "get_orientation": "dhdGetOrientationFrame",
@@ -133,7 +133,7 @@ SERVO_CALLS: Final = {  # what the servo loop calls, by its name there
 
 
 class DhdServo(ctypes.Structure):
-    """What driver and servo loop share, as in nodes/driver/forcedimension/servo.c."""
+    """Memory shared by driver and servo loop, as in nodes/driver/forcedimension/servo.c."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
         ("box", Mailbox),
@@ -147,17 +147,17 @@ class DhdServo(ctypes.Structure):
 
 
 def error_text(code: int) -> str:
-    """Put an error in words."""
+    """Return an error as text."""
     return f"{ERRORS[code] if 0 <= code < len(ERRORS) else 'error'} ({code})"
 
 
 def identity(device: int) -> bytes:
-    """Give the number of a device as DHD takes it: a char."""
+    """Return the number of a device as DHD expects it: a char."""
     return bytes([device & 0xFF])
 
 
 def load_library(name: str) -> Any:
-    """Load the vendor's library and declare what is used of it; a static one is linked first, once."""
+    """Load the vendor's library and declare its functions; a static one is linked first, once."""
     if name.endswith(".a"):
         path = Path(name).absolute()
         if not path.exists():
@@ -170,12 +170,12 @@ def load_library(name: str) -> Any:
 
 
 def _linked(archive: Path) -> Any:
-    """Link a static library into a shared one."""
+    """Return a static library linked into a shared one."""
     usb = find(
         "libusb-1.0.so.0", ("/usr/lib", "/usr/lib/x86_64-linux-gnu", "/lib/x86_64-linux-gnu")
     )
     if usb.library is not None:
-        ctypes.CDLL(usb.library, mode=ctypes.RTLD_GLOBAL)  # the archive leaves its functions open
+        ctypes.CDLL(usb.library, mode=ctypes.RTLD_GLOBAL)  # the archive needs its functions
     with tempfile.TemporaryDirectory(prefix="haptic-dhd-") as folder:
         stubs = Path(folder) / "stubs.c"
         stubs.write_text(_stubs(archive), encoding="ascii")
@@ -201,7 +201,7 @@ def _linked(archive: Path) -> Any:
 
 
 def _stubs(archive: Path) -> str:
-    """Write what the vendor's archive uses of a logger that it does not hold: functions that do nothing."""
+    """Return C source of no-op functions for the vendor's logger, which its archive lacks."""
     names: dict[str, set[str]] = {"U": set(), "T": set()}
     done = subprocess.run(["nm", archive], capture_output=True, text=True, check=False)
     if done.returncode:
@@ -214,7 +214,7 @@ def _stubs(archive: Path) -> str:
         if kind in ("U", "T", "D", "B", "R", "W"):
             names["U" if kind == "U" else "T"].add(name)
     missing = sorted(name for name in names["U"] - names["T"] if "forcedimension6logger" in name)
-    # Weak, and enough for a number as for a function without a result.
+    # weak, and sufficient for a number as for a function without a result
     return (
         "".join(f"__attribute__((weak)) long {name}(void) {{ return 0; }}\n" for name in missing)
         or "int unused;\n"

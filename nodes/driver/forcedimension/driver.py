@@ -1,4 +1,4 @@
-"""Force Dimension devices as a driver node, through the vendor's DHD and a servo loop in C (servo.c).
+"""Force Dimension devices as a driver node, through DHD and a servo loop in C (servo.c).
 
 Checked against the header and the static library of SDK 3.17.5 without a device, and against a
 stand-in (sim/emulators); not yet on hardware. Positions are in metres; the axes of a device on a
@@ -30,20 +30,22 @@ class ForceDimensionParameters(
 ):
     """Parameters of the device.
 
-    serial: Its serial number; None for the first one that is found.
+    serial: Its serial number; None for the first one found.
     library: DHD's library: a name that the dynamic linker finds, or a path; a static one (``.a``)
         is linked once.
-    watchdog: After so long without a force command the firmware itself cuts the forces and brakes
-        [s]: what holds when the whole process is gone. 0 for a device without one, which must then
+    watchdog: Time without a force command after which the firmware itself cuts the forces and
+        brakes [s], even if the whole process is gone. 0 for a device without one, which must then
         be allowed by ``safety.without: [hold]``.
-    peak_force: What the model bears along each axis [N]: the device does not tell it. An omega.3
-        bears 12, a delta.3 and a sigma.7 20, a Falcon 8.
-    continuous_force: What it bears for long [N]; None for as much.
-    workspace: Of the model, along its own axes [m]; a device outside of it gets no force.
-    gravity_compensation: Whether the library carries the device's own weight; beside the forces of
-        the scene.
-    tool_mass: Mass of what is mounted on it, for that [kg]; None for the one that the device knows.
-    base_angles: How its base stands, about x and z of its own, for that [degrees].
+    peak_force: Largest force of the model along each axis [N], which the device does not report. An
+        omega.3 has 12, a delta.3 and a sigma.7 20, a Falcon 8.
+    continuous_force: Largest lasting force [N]; None for the peak force.
+    workspace: Workspace of the model, along its own axes [m]; a device outside of it gets no force.
+    gravity_compensation: Whether the library carries the device's own weight, in addition to the
+        forces of the scene.
+    tool_mass: Mass mounted on the device, for gravity compensation [kg]; None for the device's own
+        value.
+    base_angles: Rotation of the base about its own x and z axes, for gravity compensation
+        [degrees].
     ready_time: Longest wait for a device that must be moved to calibrate itself [s].
     """
 
@@ -72,7 +74,7 @@ class ForceDimensionDriverParameters(
 
 
 class ForceDimensionDevice(MailboxDevice):
-    """One device. `connect` takes hold of it with forces off; `open` waits for its calibration and lets forces through."""
+    """One device: `connect` opens it with forces off; `open` waits for its calibration."""
 
     TITLE: ClassVar[str] = "Force Dimension"
     SECTION: ClassVar[str] = "force_dimension"
@@ -86,7 +88,7 @@ class ForceDimensionDevice(MailboxDevice):
         self._id: bytes | None = None
 
     def connect(self) -> None:
-        """Load the vendor's library, take hold of the device that is meant, and read what it is; no force yet."""
+        """Load the vendor's library, open the wanted device, read its properties; no force yet."""
         self._dhd: Any = sdk.load_library(self._wants.library)
         count = self._dhd.dhdGetDeviceCount()
         if count <= 0:
@@ -134,8 +136,7 @@ class ForceDimensionDevice(MailboxDevice):
             "serial": str(serial),
             "firmware": version.value.decode(errors="replace") if has_version else "unknown",
             "sdk": self._sdk(),
-            # A limit that was set in the library, and no property of the device; −1: none, or no
-            # answer.
+            # A limit set in the library, not a property of the device; −1: none, or no answer.
             "force_limit_n": float(dhd.dhdGetMaxForce(self._id)),
         }
         has_watchdog = False
@@ -149,8 +150,7 @@ class ForceDimensionDevice(MailboxDevice):
         )
         limit = self.facts["force_limit_n"]
         peak = min(wants.peak_force, limit) if limit > 0.0 else wants.peak_force
-        # The thread's own deadline lets go first, while the process lives; the firmware's, when it
-        # does not.
+        # The thread's deadline acts while the process lives; the firmware's, when it does not.
         hold = max(wants.deadline, wants.watchdog) if has_watchdog else math.inf
         continuous = min(peak, wants.continuous_force or peak)
         self.prepare(peak, continuous, wants.workspace, hold=hold, opening=wants.ready_time + 10.0)
@@ -168,14 +168,14 @@ class ForceDimensionDevice(MailboxDevice):
         return sdk.error_text(self._dhd.dhdErrorGetLast())
 
     def _call(self, name: str, *arguments: Any) -> int:
-        """Call DHD; only what is negative is an error."""
+        """Call DHD and return the result; negative results are errors."""
         result: int = getattr(self._dhd, name)(*arguments, self._id)
         if result < 0:
             raise OSError(f"Force Dimension: {name}: {self._last()}")
         return result
 
     def open(self) -> None:
-        """Wait for the calibration, start the servo loop, then let forces through, at zero."""
+        """Wait for the calibration, start the servo loop, then enable forces, at zero."""
         wants, dhd = self._wants, self._dhd
         assert self._id is not None  # noqa: S101  # it is connected
         self._await_ready()
@@ -196,7 +196,7 @@ class ForceDimensionDevice(MailboxDevice):
             raise OSError(error, "Force Dimension: the servo loop cannot be started")
         self.await_samples()
         self._call("dhdEnableForce", 1)
-        self._box.condition = 0  # the status of before said that they were off
+        self._box.condition = 0  # the old status said that forces were off
 
     def _await_ready(self) -> None:
         until = time.monotonic() + self._wants.ready_time
@@ -214,7 +214,7 @@ class ForceDimensionDevice(MailboxDevice):
             time.sleep(0.02)
 
     def close(self) -> None:
-        """End the servo loop, set forces off and give the device back; also after a failure half-way."""
+        """End the servo loop, set forces off and close the device; also after a partial failure."""
         if self._id is None:
             return
         if self._shared is not None and self._code.servo_end(ctypes.byref(self._shared)):
@@ -222,17 +222,17 @@ class ForceDimensionDevice(MailboxDevice):
                 "Force Dimension: a call of the device does not return; its watchdog cuts the"
                 " forces"
             )
-        # Forces off first; a device that is gone refuses both, and that is no news at the end.
+        # Forces off first; a device that is gone refuses both, which does not matter here.
         self._dhd.dhdStop(self._id)
         self._dhd.dhdClose(self._id)
         self._id = None
 
     def error_text(self, code: int) -> str:
-        """Put an error of DHD in words."""
+        """Return an error of DHD as text."""
         return sdk.error_text(code)
 
     def condition(self) -> str:
-        """Say why the device gives no force."""
+        """Return why the device gives no force."""
         cause = int(self._box.condition)
         return (
             sdk.CONDITIONS.get(cause, f"the device says that forces are off (cause {cause})")
@@ -241,11 +241,11 @@ class ForceDimensionDevice(MailboxDevice):
         )
 
     def inertia(self) -> Inertia | None:
-        """Tell the inertia that forces of the scene move where the device stands [kg]."""
+        """Return the inertia that forces of the scene move at the present position [kg]."""
         if self._id is None:
             return None
         joints, matrix = (ctypes.c_double * 8)(), (ctypes.c_double * 36)()
-        # While the servo loop runs it alone reads the device; what follows is computed.
+        # While the servo loop runs, only it reads the device; the rest is computed.
         if self._shared.running:
             known = bool(self._code.servo_joints(ctypes.byref(self._shared), joints))
         else:
@@ -256,7 +256,10 @@ class ForceDimensionDevice(MailboxDevice):
 
 
 def inertia_in_scene(theirs: ArrayLike, turn: Inertia) -> Inertia:
-    """Turn a device's inertia m into the scene's, T⁻ᵀ m T⁻¹ [kg]: the same energy for v = T u, T a turn times the scale."""
+    """Return a device's inertia m in the scene's axes, T⁻ᵀ m T⁻¹ [kg].
+
+    The energy is the same for v = T u, with T a rotation times the scale.
+    """
     rows = np.array(turn)
     ours: Inertia = msgspec.convert(
         (rows @ theirs @ rows.T / (rows[0] @ rows[0]) ** 2).tolist(), Inertia

@@ -1,7 +1,7 @@
 """Haply Inverse3 as a driver node, through the WebSocket of Haply's Inverse Service.
 
-A thread exchanges forces for states, as fast as the service answers and at most at `servo_rate`;
-driver and thread share a mailbox, as with every other device, so the driver's tick never waits for
+A thread exchanges forces for states, as fast as the service answers and at most at `servo_rate`.
+Driver and thread share a mailbox, as with every other device, so the driver's tick never waits for
 the service. Written from the vendor's guide and checked against a stand-in service (sim/emulators),
 not yet on hardware.
 """
@@ -24,7 +24,7 @@ from nodes.driver.device import Workspace
 from nodes.driver.haply.service import (
     ENDS,
     EVENTS,
-    MOST_BUTTONS,
+    MAX_BUTTONS,
     REMEDY,
     Inverse3,
     Inverse3State,
@@ -38,9 +38,9 @@ from nodes.driver.hardware.driver import HardwareDriver
 from nodes.driver.hardware.libraries import Search
 from nodes.driver.hardware.mailbox import SAMPLE, HardwareParameters, MailboxDevice, ServoParameters
 
-COLD_START: Final = 25.0  # what the service takes after it was started, by the vendor's guide [s]
+COLD_START: Final = 25.0  # start time of the service, by the vendor's guide [s]
 CLOSED, SLOW, FORCELESS, UNPLUGGED, NO_STATE, UNREADABLE, SURPLUS, BROKEN = range(1, 9)
-"""What can go wrong, as numbers for the mailbox."""
+"""Errors, as numbers for the mailbox."""
 
 ERRORS: Final = {
     CLOSED: "the Inverse Service closed the connection",
@@ -58,24 +58,23 @@ ERRORS: Final = {
     ),
     BROKEN: "the exchange with the Inverse Service failed",
 }
-# from so much force on it is looked whether the service takes it [N]; and so much may come from
-# others
+# force from which its effect is checked, and that other sessions may add [N]
 ASKED: Final = 0.1
-FORCELESS_AFTER: Final = 0.3  # after so long without an effect forces are taken to be refused [s]
+FORCELESS_AFTER: Final = 0.3  # time without an effect after which forces count as refused [s]
 SURPLUS_BURST, SURPLUS_RATE = 100, 10.0
-"""Surplus answers that are forgiven at once, and each second [1/s]; each was 1 round trip old at most."""
+"""Surplus answers tolerated at once, and per second [1/s]; each was one round trip old."""
 
 
 class Inverse3Parameters(ServoParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of the device.
 
     serial: Its identifier in the service (``device_id``); empty for the first one.
-    host: Where the service runs.
-    port, events_port: Of its WebSocket, and of its events; 0 for no events.
+    host: Host of the service.
+    port, events_port: Port of its WebSocket, and of its events; 0 for no events.
     start_time: Longest wait for the service and the device [s]: a cold start takes up to 25.
-    peak_force: Largest force along an axis [N]: the service does not tell what the device bears.
-    continuous_force: What it bears for long [N].
-    workspace: Along its own axes [m].
+    peak_force: Largest force along an axis [N], which the service does not report.
+    continuous_force: Largest lasting force [N].
+    workspace: Workspace along its own axes [m].
     """
 
     serial: str = ""
@@ -100,11 +99,11 @@ class Inverse3DriverParameters(
 
 
 class _SurplusError(Exception):
-    """The service goes on sending more answers than it was asked for."""
+    """The service keeps sending more answers than requested."""
 
 
 class Inverse3Device(MailboxDevice):
-    """One device. Nothing but `open` needs the service: a cold start takes longer than a node may take to be configured."""
+    """One device; only `open` needs the service, because its cold start takes long."""
 
     TITLE: ClassVar[str] = "Inverse3"
     SECTION: ClassVar[str] = "inverse3"
@@ -121,18 +120,18 @@ class Inverse3Device(MailboxDevice):
         self._others: Vector = ZERO
         self._withheld = self._many_buttons = self._unreadable = False
         self._surplus, self._forgiven, self._counted = 0, float(SURPLUS_BURST), 0.0
-        self._broken = ""  # what ended the exchange though it should not have
+        self._broken = ""  # exception that ended the exchange
 
     @classmethod
     def find(cls, parameters: Any) -> Search:
-        """Look whether the service answers."""
+        """Return whether the service answers."""
         wants = parameters.inverse3
         address = f"ws://{wants.host}:{wants.port}"
         version = ask(wants.host, wants.port, "/version")
         return Search(None if version is None else f"the Inverse Service {version}", (address,))
 
     def connect(self) -> None:
-        """Lay down what the driver asks of it; the service is not needed yet."""
+        """Prepare the mailbox; the service is not needed yet."""
         wants = self._wants
         continuous = min(wants.peak_force, wants.continuous_force)
         self.prepare(wants.peak_force, continuous, wants.workspace, opening=wants.start_time + 10.0)
@@ -144,7 +143,7 @@ class Inverse3Device(MailboxDevice):
         code.mailbox_failed.argtypes = [ctypes.c_void_p, ctypes.c_int, ctypes.c_int]
 
     def identify(self) -> None:
-        """Wait for the service and the device, and read what it is; no force."""
+        """Wait for the service and the device, and read its properties; no force."""
         if self._socket is not None:
             return
         wants = self._wants
@@ -194,8 +193,7 @@ class Inverse3Device(MailboxDevice):
             "model": "Haply Inverse3",
             "serial": device.device_id,
             "service": ask(wants.host, wants.port, "/version") or "unknown",
-            # What the service does to positions and forces on the way: it changes what is felt, and
-            # its meaning.
+            # Settings of the service that change positions and forces.
             "basis": (
                 ask(wants.host, wants.port, "/inverse3/0/config/basis")
                 or device.config.get("basis", "unknown")
@@ -206,7 +204,7 @@ class Inverse3Device(MailboxDevice):
         }
 
     def open(self) -> None:
-        """Wait for the service, start the exchange, and let forces through, at zero."""
+        """Wait for the service, start the exchange, and enable forces, at zero."""
         self.identify()
         self._ending.clear()
         for work in (self._exchange, *([self._listen] if self._wants.events_port else [])):
@@ -219,19 +217,20 @@ class Inverse3Device(MailboxDevice):
         self._code.mailbox_failed(self._at, error, int(fatal))
 
     def _exchange(self) -> None:
-        """Exchange until the end (its own thread); whatever ends it, ends forces too."""
+        """Exchange until the end (own thread); any error also ends the forces."""
         try:
             self._go_on_exchanging()
         except _SurplusError:
             self._failed(SURPLUS, fatal=True)
         except (ConnectionClosed, OSError):
             self._failed(CLOSED, fatal=not self._ending.is_set())
-        except Exception as error:  # noqa: BLE001  # a thread that is gone renews no force and would tell nobody
+        # a dead thread would renew no force and report nothing
+        except Exception as error:  # noqa: BLE001
             self._broken = f"{type(error).__name__}: {error}"
             self._failed(BROKEN, fatal=True)
 
     def _go_on_exchanging(self) -> None:
-        """Send forces and take states."""
+        """Send forces and receive states."""
         socket, code, at = self._socket, self._code, self._at
         assert socket is not None  # noqa: S101  # it is connected
         force = (ctypes.c_double * 3)()
@@ -240,13 +239,12 @@ class Inverse3Device(MailboxDevice):
         owed = blind = proven = False
         refused_since = math.inf
         while not self._ending.is_set():
-            # Without a position nothing is known of where a force acts.
+            # without a position, a force might act anywhere
             acts = code.mailbox_force(at, force, int(blind))
             wanted = (force[0], force[1], force[2]) if acts else ZERO
             begun = begun if owed else time.monotonic()
             try:
-                # A second question would leave every later answer one behind, and so does an answer
-                # that nobody asked for.
+                # A second request, or an unrequested answer, would delay every later answer by one.
                 if not owed:
                     self._newest(socket, "")
                     socket.send(command(self._id, wanted if acts else None, first))
@@ -265,8 +263,8 @@ class Inverse3Device(MailboxDevice):
             )
             blind = state is None
             if state is None:
-                # What is zero may be left out of a state, but a state that is not there is no state
-                # of zeros.
+                # Zero fields may be missing in a state, but a missing state is not a state of
+                # zeros.
                 self._failed(NO_STATE)
             else:
                 self._publish_sample(state, answered)
@@ -279,8 +277,8 @@ class Inverse3Device(MailboxDevice):
                 refused_since = math.inf if taken else min(refused_since, begun)
                 self._withheld = begun - refused_since > FORCELESS_AFTER
                 proven = proven or acting
-                # A service that has taken forces is of the right version: now something else keeps
-                # them off, its brake for one.
+                # A service that has applied forces has the right version: something else, e.g. its
+                # brake, prevents them now.
                 if self._withheld and not proven and not self._remark:
                     self._failed(FORCELESS, fatal=True)
                     return
@@ -303,11 +301,10 @@ class Inverse3Device(MailboxDevice):
         self._code.mailbox_ticked(self._at)
 
     def _newest(self, socket: ClientConnection, answer: str | bytes) -> str | bytes:
-        """Return the newest answer that has come, `answer` if none has; count those beyond it.
+        """Return the newest answer received, `answer` if none; count surplus ones.
 
-        One answer was asked for each time. Were the others left in line, each would make every
-        later position older by one period, without limit. Raises _SurplusError when they go on
-        coming.
+        One answer was requested each time. If surplus ones stayed queued, each would make every
+        later position older by one period, without limit. Raises _SurplusError if they keep coming.
         """
         while True:
             try:
@@ -324,7 +321,7 @@ class Inverse3Device(MailboxDevice):
                 raise _SurplusError
 
     def _listen(self) -> None:
-        """Take the service's events, until the end (its own thread); a service without them has none."""
+        """Receive the service's events until the end (own thread), if it has any."""
         address = f"ws://{self._wants.host}:{self._wants.events_port}"
         try:
             with _connection(address) as events:
@@ -344,12 +341,12 @@ class Inverse3Device(MailboxDevice):
             return
 
     def error_text(self, code: int) -> str:
-        """Put an error in words."""
+        """Return an error as text."""
         why = f": {self._broken}" if code == BROKEN else ""
         return ERRORS.get(code, f"error {code}") + why
 
     def condition(self) -> str:
-        """Return what is wrong with the service, mostly why another force acts than was asked for."""
+        """Return why the service applies another force than the wanted one, or ""."""
         if self._box.fault:
             return (
                 f"{self.error_text(self._box.fault)}: forces are off until the node is started"
@@ -372,26 +369,26 @@ class Inverse3Device(MailboxDevice):
             )
         if self._many_buttons:
             return (
-                f"the grip has more than {MOST_BUTTONS} buttons: the first {MOST_BUTTONS} by name"
+                f"the grip has more than {MAX_BUTTONS} buttons: the first {MAX_BUTTONS} by name"
                 " are read"
             )
         return ""
 
     def close(self) -> None:
-        """Send zero, end the exchange and hang up; also after a failure half-way."""
+        """Send zero, end the exchange and disconnect; also after a partial failure."""
         self._ending.set()
         for thread in self._threads:
             thread.join(timeout=1.5)
         self._threads.clear()
         socket, self._socket = self._socket, None
         if socket is not None:
-            # When it is gone already it has forgotten every force by itself.
+            # a closed connection has already cleared every force
             with self._open, suppress(ConnectionClosed, OSError):
                 socket.send(command(self._id, ZERO))
 
 
 def _connection(address: str) -> AbstractContextManager[ClientConnection]:
-    """Prepare a connection; no proxy of the environment stands between a device and its driver, and no compression."""
+    """Return a connection without compression and without any proxy of the environment."""
     return connect(address, open_timeout=2.0, close_timeout=0.5, compression=None, proxy=None)
 
 

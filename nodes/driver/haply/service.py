@@ -1,7 +1,7 @@
-"""Haply's Inverse Service (3.5): what is said over its WebSocket, and the little that its HTTP side is asked.
+"""Messages of Haply's Inverse Service (3.5): its WebSocket, and a few HTTP requests.
 
-The first message holds all that there is; after it exactly one state answers each message sent.
-What is zero may be left out of a state. A force acts once and is forgotten; forces of several
+The first message contains the complete state; after it exactly one state answers each message sent.
+Zero fields may be missing in a state. A force acts once and is then cleared; forces of several
 sessions add up.
 """
 
@@ -17,7 +17,7 @@ import msgspec
 from messages.types import Vector
 
 PROFILE: Final = "haptic-nodes"
-MOST_BUTTONS: Final = 32  # buttons of a grip that are read
+MAX_BUTTONS: Final = 32  # largest number of buttons of a grip
 REMEDY: Final = "install and start Haply's Inverse Service 3.5, and plug the Inverse3 in"
 
 
@@ -35,11 +35,11 @@ class _Quaternion(_Vector):
 
 
 class Inverse3State(msgspec.Struct):
-    """The state of a device; what is left out is zero.
+    """State of a device; missing fields are zero.
 
     cursor_position, cursor_velocity, current_cursor_force: In the session's own axes [m], [m/s],
         [N].
-    body_orientation: Of the device's body.
+    body_orientation: Orientation of the device's body.
     """
 
     cursor_position: _Vector = msgspec.field(default_factory=_Vector)
@@ -49,7 +49,7 @@ class Inverse3State(msgspec.Struct):
 
 
 class Inverse3(msgspec.Struct):
-    """One device as the service tells it; a device without a state was not read."""
+    """One device of the service; without a state it was not read."""
 
     device_id: str = ""
     config: dict[str, Any] = {}
@@ -58,7 +58,7 @@ class Inverse3(msgspec.Struct):
 
 
 class Grip(msgspec.Struct):
-    """A VerseGrip: its buttons, where the service tells them."""
+    """A VerseGrip and its buttons, if the service reports them."""
 
     state: dict[str, Any] = {}
 
@@ -75,7 +75,7 @@ _DECODER: Final = msgspec.json.Decoder(ServiceMessage)
 
 
 def read(message: str | bytes) -> ServiceMessage:
-    """Read a message of the service; ValueError when it is none."""
+    """Decode a message of the service; ValueError if it is invalid."""
     try:
         return _DECODER.decode(message)
     except (msgspec.DecodeError, RecursionError, UnicodeError) as error:
@@ -88,16 +88,17 @@ def buttons(service_state: ServiceMessage) -> tuple[int, bool]:
         return 0, False
     pressed = service_state.wireless_verse_grip[0].state.get("buttons", {})
     names = sorted(pressed) if isinstance(pressed, dict) else []
-    bits = sum(1 << n for n, name in enumerate(names[:MOST_BUTTONS]) if pressed[name] is True)
-    return bits, len(names) > MOST_BUTTONS
+    bits = sum(1 << n for n, name in enumerate(names[:MAX_BUTTONS]) if pressed[name] is True)
+    return bits, len(names) > MAX_BUTTONS
 
 
 def command(device: str, force: Vector | None, first: bool = False) -> str:
-    """Write a message: a force, or None to ask for the position only; the first one names this session."""
+    """Return a message with a force, or None for the position; `first` names the session."""
     if force is None:
         commands: dict[str, Any] = {"probe_position": {}}
     else:
-        # ``vector`` as of 3.5; 3.1 had ``values``, and takes this for no force: which is looked at.
+        # ``vector`` since 3.5; 3.1 had ``values`` and would apply no force, which the driver
+        # checks.
         commands = {"set_cursor_force": {"vector": dict(zip("xyz", force, strict=True))}}
     said: dict[str, Any] = {"inverse3": [{"device_id": device, "commands": commands}]}
     if first:
@@ -106,7 +107,7 @@ def command(device: str, force: Vector | None, first: bool = False) -> str:
 
 
 def ask(host: str, port: int, path: str) -> Any:
-    """Ask the service's HTTP side; None where it has no answer: an older one has not all of it."""
+    """Return the answer of the service's HTTP side, or None; older versions lack some."""
     try:
         # http only
         with urllib.request.urlopen(f"http://{host}:{port}{path}", timeout=1.0) as answer:
@@ -120,7 +121,7 @@ def ask(host: str, port: int, path: str) -> Any:
     )
 
 
-# what the service's events mean, by the word that is in them; those in `ENDS` end it
+# meaning of the service's events, by a word in them; those in `ENDS` end a condition
 EVENTS: Final = {
     "device-disconnected": "the Inverse3 was unplugged",
     "device-busy": "another program has the Inverse3",

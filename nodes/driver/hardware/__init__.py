@@ -1,1 +1,1 @@
-"""What all drivers of real devices share: the mailbox of a servo loop, the mapping into the scene, libraries, words."""
+"""Common parts of real-device drivers: mailbox, mapping into the scene, libraries, texts."""

@@ -1,4 +1,4 @@
-"""Compiling a servo loop, or linking a vendor's static library, once: what is kept is made anew when a source changes."""
+"""Compiling a servo loop or linking a vendor's static library, cached per source version."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from nodes.compiled import cache
 def shared_library(
     name: str, sources: Iterable[Path], options: Sequence[str | Path], what: str
 ) -> Any:
-    """Load what a C compiler makes of some options; OSError when there is none, or it fails."""
-    # A path that is absolute stands for itself.
+    """Return the shared library that a C compiler makes; OSError without one, or if it fails."""
+    # an absolute path stands for itself
     digests = {
         str(
             path.relative_to(cache.ROOT) if path.is_relative_to(cache.ROOT) else path
@@ -30,14 +30,14 @@ def shared_library(
         found = None
     if found is None:
         found = cache.CacheEntry(kind="so", content=_compiled(options, what))
-        # Where nothing can be kept it is compiled at each start.
+        # without a cache it is compiled at each start
         with contextlib.suppress(cache.CacheRefusedError):
             cache.write(name, found, digests)
     return cache.load(found.content)
 
 
 def servo_library(source: Path) -> Any:
-    """Load a servo loop, which is compiled once per version of its source."""
+    """Return a servo loop's library, compiled once per version of its source."""
     sources = [source, Path(__file__).with_name("mailbox.h")]
     name = f"{source.parent.name}-{source.stem}.so"
     return shared_library(
@@ -49,7 +49,7 @@ def servo_library(source: Path) -> Any:
 
 
 def compiler() -> str:
-    """Find a C compiler."""
+    """Return the path of a C compiler."""
     found = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if found is None:
         raise OSError(

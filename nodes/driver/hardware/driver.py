@@ -1,4 +1,4 @@
-"""Base of the driver nodes of real devices: beside the loop it publishes the handle, and says why no force is felt."""
+"""Base of the driver nodes of real devices; also publishes the handle."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from nodes.driver.node import Driver
 from nodes.driver.safety import set_workspace
 from nodes.parameters.store import ParameterError, convert
 
-# how often the handle is looked at; published when it has changed, and each second [s]
+# interval of reading the handle; published on change, and each second [s]
 HANDLE_PERIOD: Final = 0.02
 
 
@@ -29,24 +29,24 @@ class HardwareDriver(Driver):
 
     Parameters: ClassVar[type[msgspec.Struct]] = HardwareParameters
     publishes: ClassVar[tuple[str, ...]] = (*Driver.publishes, topics.HANDLE)
-    hardware: ClassVar[type[MailboxDevice]]  # the device
+    hardware: ClassVar[type[MailboxDevice]]  # class of the device
     checked: ClassVar[str] = ""  # what its driver was tested against
 
     @classmethod
     def find(cls, parameters: Any) -> Search:
-        """Look for what the device needs on this machine."""
+        """Search this machine for what the device needs."""
         return cls.hardware.find(parameters)
 
     @classmethod
     def plant(
         cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]
     ) -> dict[str, float]:
-        """Return the scale at which the scene feels the device; its mass is not known before it is identified."""
+        """Return the scale of the device in the scene; its mass is not known yet."""
         del axes
         return {"scale": convert(parameters, cls.Parameters, name).mapping.scale}
 
     def make_device(self) -> Device:
-        """Take hold of the device, forces off."""
+        """Connect the device, forces off."""
         self.held = self.hardware(self.store.current)
         self._masses = SeenMasses()
         self.held.say = lambda text: self.events.emit_each("device_waits", text)
@@ -54,7 +54,7 @@ class HardwareDriver(Driver):
         return self.held
 
     def loop(self) -> None:
-        """Tick, and look at the handle beside it."""
+        """Tick, and read the handle in another thread."""
         ended = threading.Event()
         thread = threading.Thread(
             target=self._watch_handle, args=(ended,), name="handle", daemon=True
@@ -74,7 +74,8 @@ class HardwareDriver(Driver):
                 continue
             try:
                 handle = self.held.handle()
-            except Exception as error:  # noqa: BLE001  # code of a device, in a thread of its own: the loop goes on
+            # a device's code, in a separate thread: the loop continues
+            except Exception as error:  # noqa: BLE001
                 self.events.emit(
                     "device", f"the handle cannot be read and is not published any more: {error}"
                 )
@@ -89,18 +90,18 @@ class HardwareDriver(Driver):
                 self.events.publish(self.setup.topic(topics.HANDLE), message)
 
     def condition(self) -> str:
-        """Say what keeps the device from giving forces; empty when nothing does."""
+        """Return why the device gives no forces, or ""."""
         return self.held.condition()
 
-    def look_after(self) -> None:
-        """Look which masses the device has, too (control thread)."""
-        super().look_after()
+    def check_health(self) -> None:
+        """Check health, and record the device's masses (control thread)."""
+        super().check_health()
         if self.state == "running":
-            # a device passes through poses that nobody asks about
+            # a device passes through poses without any request
             self._masses.look(self.held.inertia())
 
     def operations(self) -> dict[str, Callable[..., Any]]:
-        """Offer what the device is, the mass that a law meets on it, and to put its handle into the middle of the scene."""
+        """Return the operations, with the device's facts, its inertia and re-centring."""
         return {
             **super().operations(),
             "facts": lambda: self.held.facts,
@@ -122,6 +123,7 @@ class HardwareDriver(Driver):
             )
             return {"moved_m": list(moved)}
 
-        # Between two ticks: a tick with the new place and the old workspace would be a fault.
+        # Between two ticks, because a tick with the new position and the old workspace would be a
+        # fault.
         receipt: dict[str, Any] = self.changes.hand_over(apply)
         return receipt

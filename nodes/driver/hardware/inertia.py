@@ -1,8 +1,8 @@
-"""The mass that a law meets on a device whose inertia depends on where it stands and which way it is pushed.
+"""The mass that a law feels on a device of direction- and position-dependent inertia.
 
-A force along a direction u moves a device of inertia M as one mass 1/(uᵀ M⁻¹ u), because the other
-directions give way. Over all directions that lies between the least and the largest eigenvalue of
-M.
+A force along a direction u moves a device of inertia M like one mass 1/(uᵀ M⁻¹ u), because the
+other directions yield. Over all directions that lies between the smallest and the largest
+eigenvalue of M.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ Inertia = tuple[Vector, Vector, Vector]
 
 
 def masses_along(inertia: Sequence[Sequence[float]]) -> tuple[Vector, tuple[float, float]]:
-    """Give the mass along x, y and z, and the least and greatest along any direction [kg]; ValueError when it is no inertia."""
+    """Return the mass along x, y and z, and the extremes over all directions [kg].
+
+    Raises ValueError if the inertia is invalid.
+    """
     matrix = np.array(inertia, dtype=float)
     if not np.isfinite(matrix).all():
         raise ValueError("the device's inertia is not finite")
@@ -31,14 +34,14 @@ def masses_along(inertia: Sequence[Sequence[float]]) -> tuple[Vector, tuple[floa
 
 
 class SeenMasses:
-    """The least and greatest mass of a device in all poses that it was in so far; several threads may look."""
+    """Smallest and largest mass of a device over all its poses so far; thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._range: tuple[float, float] | None = None
 
     def look(self, inertia: Inertia | None) -> dict[str, Any] | None:
-        """Take a pose, and tell its masses and those of all poses so far [kg]; None where it is not known."""
+        """Record a pose. Return its masses and those of all poses so far [kg]; None if unknown."""
         if inertia is None:
             return None
         try:

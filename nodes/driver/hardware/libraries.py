@@ -1,4 +1,4 @@
-"""Finding and loading a vendor's library: what is missing is named, and where it was looked for."""
+"""Finding and loading a vendor's library; errors name what is missing and where it was."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-# of each function that is used: what it gives, and what it takes
+# result type and argument types of each function used
 Functions = Mapping[str, tuple[Any, Sequence[Any]]]
 
 
 class Search(NamedTuple):
-    """Where a library was looked for."""
+    """Result of a search for a library."""
 
-    library: str | None  # where it is; None where it is not found
-    searched: tuple[str, ...]  # where it was looked for
+    library: str | None  # its path; None if not found
+    searched: tuple[str, ...]  # places searched
 
 
 def find(name: str, folders: Sequence[str]) -> Search:
-    """Look for a library: a path, or a name in what the dynamic linker knows and in the vendor's folders."""
+    """Search for a library, by path or name, as the dynamic linker and in vendor folders."""
     if "/" in name:
         return Search(name if Path(name).exists() else None, (name,))
     loader = [
@@ -35,7 +35,7 @@ def find(name: str, folders: Sequence[str]) -> Search:
 
 
 def load(name: str, folders: Sequence[str], remedy: str, what: str, functions: Functions) -> Any:
-    """Load a library and declare what is used of it; OSError when it cannot be loaded, or is another one."""
+    """Load a library and declare its functions; OSError if it is missing or another one."""
     found = find(name, folders)
     try:
         library: Any = ctypes.CDLL(found.library or name)
@@ -49,7 +49,7 @@ def load(name: str, folders: Sequence[str], remedy: str, what: str, functions: F
 
 
 def declared(library: Any, name: str, what: str, functions: Functions) -> Any:
-    """Declare what is used of a library."""
+    """Declare the functions of a library, and return it."""
     for function_name, (result, arguments) in functions.items():
         try:
             function = getattr(library, function_name)

@@ -1,8 +1,8 @@
-"""A device behind a mailbox: a servo loop samples it and brings it forces, the driver takes the newest at each tick.
+"""A device behind a mailbox: a servo loop samples it and applies forces.
 
-Base of all drivers of real devices. mailbox.h is the mailbox itself; the driver's two calls are in
-it, so that compiled ticks need no interpreter, and so is the deadline after which a force that
-nobody renews is zero.
+Base of all drivers of real devices. mailbox.h is the mailbox itself. It also contains the driver's
+two calls, so that compiled ticks need no interpreter, and the deadline after which a force that is
+not renewed becomes zero.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from nodes.driver.hardware.mapping import Mapping, limits_in_scene, matrix
 from nodes.driver.limits import SafetyParameters, recovery_ramp
 from nodes.driver.parameters import DriverParameters
 
-# what ``device_read`` of mailbox.h fails with, as negative numbers
+# errors of ``device_read`` in mailbox.h, as negative numbers
 FAULT, STALLED, UNREAD = 1, 2, 3
 
-# after so long without a sample a device is given up; until then there is no force [s]
+# time without a sample after which a device counts as lost [s]; until then there is no force
 LOST: Final = 0.8
 SAMPLE: Final = 12
-SILENCE: Final = 0.1  # longest watchdog that a launch file may ask for on these devices [s]
+SILENCE: Final = 0.1  # longest watchdog that a launch file may set for these devices [s]
 
-# mailboxes of servo loops that may hang: they must not write into freed memory
+# mailboxes of servo loops that may hang, which must not write into freed memory
 _kept: Final[list[Any]] = []
 
 
@@ -44,7 +44,7 @@ def _named(kind: Any, *names: str) -> list[tuple[str, Any]]:
 
 
 class Mailbox(ctypes.Structure):
-    """What driver and servo loop share, as in nodes/driver/hardware/mailbox.h."""
+    """Memory shared by driver and servo loop, as in nodes/driver/hardware/mailbox.h."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
         ("turn", ctypes.c_double * 9),
@@ -69,7 +69,7 @@ class Mailbox(ctypes.Structure):
 
 
 class HardwareParameters(DriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Parameters that every driver of a real device has.
+    """Parameters of every driver of a real device.
 
     mapping: From the device into the scene; see nodes/driver/hardware/mapping.py.
     """
@@ -80,8 +80,8 @@ class HardwareParameters(DriverParameters, frozen=True, forbid_unknown_fields=Tr
 class ServoParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of a servo loop.
 
-    servo_rate: Its rate [Hz]; where a device refuses it, its own holds.
-    deadline: How long it holds a force without a new one [s].
+    servo_rate: Its rate [Hz]; a device that refuses it uses its own.
+    deadline: Time for which it applies a force without a new one [s].
     """
 
     servo_rate: Annotated[int, msgspec.Meta(ge=100, le=10_000)] = 1000
@@ -89,23 +89,23 @@ class ServoParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
 
 class HandleSample(NamedTuple):
-    """What a device gives beside its position, in the scene's axes."""
+    """Data of a device besides its position, in the scene's axes."""
 
-    # Quaternion x, y, z, w; (0, 0, 0, 1) for a device without one, shape (4,).
+    # quaternion x, y, z, w, shape (4,); (0, 0, 0, 1) for a device without orientation
     orientation: tuple[float, float, float, float]
-    gripper: float  # how far it is open [m]; 0 without one
+    gripper: float  # opening [m]; 0 without one
     buttons: int  # one bit each
     velocity: Vector  # as the vendor computes it [m/s]: recorded, not used, shape (3,)
 
 
 class MailboxDevice(ABC):
-    """One device; a kind defines how it is found, opened and closed, and what its errors mean."""
+    """One device; subclasses define how it is found, opened and closed, and its error texts."""
 
-    TITLE: ClassVar[str] = ""  # what it is called in errors
-    SECTION: ClassVar[str] = ""  # which of the node's parameters are its own
-    # where its vendor's library may be, beside what the dynamic linker knows
+    TITLE: ClassVar[str] = ""  # name in errors
+    SECTION: ClassVar[str] = ""  # section of the node's parameters
+    # folders of its vendor's library, besides the dynamic linker's
     FOLDERS: ClassVar[Sequence[str]] = ()
-    # Its axes that are forward, left and up here, where it stands upright.
+    # its axes that point forward, left and up if it stands upright
     AXES: ClassVar[Sequence[str]] = ("+x", "+y", "+z")
     UNIT: ClassVar[float] = 1.0  # its unit of length [m]
     SERVO: ClassVar[Path] = Path(__file__).with_name("mailbox.c")
@@ -114,13 +114,13 @@ class MailboxDevice(ABC):
     def __init__(self, parameters: Any) -> None:
         self.parameters = parameters
         self._wants: Any = getattr(parameters, self.SECTION)
-        # what is known of it once it is connected: model, serial number, versions
+        # properties known once it is connected: model, serial number, versions
         self.facts: dict[str, Any] = {}
         self.servo_rate, self.deadline = self._wants.servo_rate, self._wants.deadline
-        # Told what is waited for while it is opened, which may take long; its maker sets it.
+        # called with what is waited for while opening, which may take long; set by the owner
         self.say: Callable[[str], Any] = str
         self._waits = ""
-        # what a scene may ask for, by what the device says it bears; known after `connect`
+        # limits in the scene, known after `connect`
         self.limits = DeviceLimits()
         self.turn = matrix(parameters.mapping, self.AXES)  # from the device's axes into the scene's
         self._code: Any = None
@@ -129,51 +129,54 @@ class MailboxDevice(ABC):
 
     @property
     def let_go(self) -> int:
-        """How often the servo loop set the force to zero by itself, because none came."""
+        """How often the servo loop set the force to zero because none came."""
         return int(self._box.let_go)
 
     @property
     def jumps(self) -> int:
-        """Which jump of the position the last reading told."""
+        """Count of position jumps at the last reading."""
         return int(self._box.told)
 
     @classmethod
     def find(cls, parameters: Any) -> Search:
-        """Look for what it needs on this machine: its vendor's library, or what a kind needs in its place."""
+        """Search this machine for what it needs, usually its vendor's library."""
         return find(getattr(parameters, cls.SECTION).library, cls.FOLDERS)
 
     @property
     def ticks(self) -> int:
-        """How many ticks of the servo loop have read a position."""
+        """Number of servo ticks that have read a position."""
         return int(self._box.ticks)
 
     def wait_for(self, what: str) -> None:
-        """Say what is waited for, once until it is something else."""
+        """Report what is waited for, once per change."""
         if what != self._waits:
             self._waits = what
             self.say(f"{self.TITLE}: {what}")
 
     @abstractmethod
     def connect(self) -> None:
-        """Take hold of the device, forces off, and read its limits and facts; OSError when it cannot be used, with a remedy."""
+        """Open the device with forces off and read its limits; OSError with a remedy on failure."""
 
     def identify(self) -> None:  # noqa: B027  # most kinds know all by then
-        """Read what is not known after `connect`; for a device that is far away."""
+        """Read what is unknown after `connect`, for a remote device."""
 
     @abstractmethod
     def open(self) -> None:
-        """Start the servo loop, calibrate with forces off, then let forces through, at zero; OSError as `connect`."""
+        """Start the servo loop, calibrate with forces off, then enable forces, at zero.
+
+        Raises OSError, as `connect` does.
+        """
 
     @abstractmethod
     def close(self) -> None:
-        """Switch forces off, end the servo loop and give the device back; also after a failure half-way, and twice."""
+        """Switch forces off, end the servo loop, close the device; also after a failure."""
 
     @abstractmethod
     def error_text(self, code: int) -> str:
-        """Put an error of the device in words."""
+        """Return an error of the device as text."""
 
     def condition(self) -> str:
-        """Say why the device gives no force although it is asked to; empty when nothing keeps it from it."""
+        """Return why the device gives no force although requested, or ""."""
         fault = self._box.fault
         return (
             f"the device reported {self.error_text(fault)}: forces are off until the node is"
@@ -190,7 +193,7 @@ class MailboxDevice(ABC):
         hold: float | None = None,
         opening: float | None = None,
     ) -> None:
-        """Make the mailbox, with what the device bears along its axes [N, m], and how long it holds a force [s]."""
+        """Create the mailbox, with the device's limits along its axes [N, m] and hold time [s]."""
         mapping: Mapping = self.parameters.mapping
         safety: SafetyParameters = self.parameters.safety
         theirs = self._theirs = DeviceLimits(
@@ -230,11 +233,11 @@ class MailboxDevice(ABC):
         self.limits = limits_in_scene(theirs, mapping, self.turn)
 
     def come_back_within(self, safety: SafetyParameters) -> None:
-        """Take the ramp by which a force comes back that was lost for a moment."""
+        """Set the ramp of a force that was lost for a moment."""
         self._box.recovery = recovery_ramp(safety)
 
     def await_samples(self) -> None:
-        """Wait until the servo loop runs, and set its force to zero; where asked for, the device stands in the middle then."""
+        """Wait until the servo loop runs, set its force to zero, and re-centre if requested."""
         until = time.monotonic() + 2.0
         while self._box.ticks < 2:
             if self._box.fault or time.monotonic() > until:
@@ -247,7 +250,10 @@ class MailboxDevice(ABC):
         self.write_force(ZERO, 0, 0.0)
 
     def recentre(self) -> Vector:
-        """Put the device, and its workspace with it, into the middle of the scene; by how much that moved it [m]."""
+        """Move the device's origin and workspace so that it is at the scene's centre.
+
+        Return the change [m].
+        """
         mapping: Mapping = self.parameters.mapping
         here, centre = self.read_position(0), mapping.centre
         x, y, z = (c - at for c, at in zip(centre, here, strict=True))
@@ -256,7 +262,7 @@ class MailboxDevice(ABC):
         for i, step in enumerate((x, y, z)):
             self._box.origin[i] += step
         self._box.jumps += 1
-        # Where the device stands is known now.
+        # the position of the device is known now
         a, b, c = self._box.origin
         self.limits = limits_in_scene(
             self._theirs,
@@ -270,7 +276,7 @@ class MailboxDevice(ABC):
         return ctypes.addressof(self._box)
 
     def read_position(self, seq: int) -> Vector:
-        """Take the newest sample; one that is too old is no position, and a device that goes on giving none is lost."""
+        """Return the newest sample; NaN if it is too old, OSError if the device is lost."""
         position = (ctypes.c_double * 3)()
         status = -self._code.device_read(self._at, seq, position)
         box = self._box
@@ -295,22 +301,22 @@ class MailboxDevice(ABC):
         self._code.device_write(self._at, (ctypes.c_double * 3)(*force), seq, offset)
 
     def calls(self) -> Calls:
-        """Give the mailbox as it stands in C."""
+        """Return the calls of the mailbox in C."""
         both = self._code.device_read, self._code.device_write
         read, write = (ctypes.cast(function, ctypes.c_void_p).value or 0 for function in both)
         return Calls(read, write, self._at)
 
     def handle(self) -> HandleSample | None:
-        """Tell what the device gives beside its position."""
+        """Return the data besides the position, or None."""
         sample = (ctypes.c_double * SAMPLE)()
         if self._code.mailbox_sample(self._at, sample):
             return None
         rows = np.array(self.turn)
         x, y, z = (self.UNIT * rows @ sample[3:6]).tolist()
-        # The axis of a turn goes into the scene as a position does.
+        # The axis of a rotation transforms like a position.
         a, b, c = (rows @ sample[6:9] / self.parameters.mapping.scale).tolist()
         return HandleSample((a, b, c, sample[9]), sample[10], int(sample[11]), (x, y, z))
 
     def inertia(self) -> tuple[Vector, Vector, Vector] | None:
-        """Tell the inertia that forces of the scene move where the device stands [kg]; None where that is not known."""
+        """Return the inertia that forces of the scene move at this position [kg], or None."""
         return None

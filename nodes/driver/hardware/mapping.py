@@ -1,9 +1,9 @@
-"""From the device into the scene: axes, mount, scale, centre and clutch, as one matrix that forces go back through.
+"""From the device into the scene (axes, mount, scale, centre, clutch), as one matrix.
 
-A position p of the device is at s R A p + origin in the scene: A says which of the device's axes is
-forward, left and up, R how the device stands, s the scale. A force F goes back as s Aᵀ Rᵀ F, so
-that force times velocity is the same on both sides: a scene that is drawn twice as large is felt
-with twice the force for the same law, and a loop that is passive stays so.
+A position p of the device is at s R A p + origin in the scene: A selects the device's axes that
+point forward, left and up, R is the orientation of the device, s the scale. A force F goes back as
+s Aᵀ Rᵀ F, so that force times velocity is the same on both sides: a scene of twice the size is felt
+with twice the force for the same law, and a passive loop stays passive.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ Turn = tuple[Vector, Vector, Vector]
 
 
 class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How positions of the device become positions of the scene.
+    """Mapping of device positions to scene positions.
 
-    axes: Which axis of the device, in its vendor's directions, is forward, left and up here, e.g.
-        ``["-z", "-x", "+y"]``; None for those of the device as it stands upright on a table.
-    rotation: How the device is turned from there: about x, then y, then z of the scene [degrees].
-    scale: Metres of the scene for a metre of the device; forces on the device are those of the
-        scene times it.
-    centre: Where the middle of the device is in the scene [m].
-    recentre: Whether ``centre`` is where the device stands when it is opened.
-    clutch: Number of the button, from 0, that holds the scene still while the device is moved; None
-        for none.
-    reach: How far the clutch may move the device against the scene, along an axis [m].
-    clutch_ramp: Time in which the force comes back after the clutch [s].
+    axes: Axes of the device, in its vendor's directions, that point forward, left and up, e.g.
+        ``["-z", "-x", "+y"]``; None for those of a device standing upright on a table.
+    rotation: Rotation of the device from there, about x, then y, then z of the scene [degrees].
+    scale: Metres of the scene per metre of the device; forces on the device are those of the scene
+        times it.
+    centre: Position of the device's origin in the scene [m].
+    recentre: Whether ``centre`` is where the device is when it is opened.
+    clutch: Number of the button, from 0, that freezes the scene's position while the device is
+        moved; None for none.
+    reach: Largest shift by the clutch, along an axis [m].
+    clutch_ramp: Time over which the force returns after the clutch [s].
     """
 
     axes: tuple[AxisName, AxisName, AxisName] | None = None
@@ -68,7 +68,7 @@ def _rows(names: Sequence[str]) -> NDArray[np.float64]:
 
 
 def _cosine_sine(degrees: float) -> tuple[float, float]:
-    """Take both of an angle, exactly at right angles: a device that stands on its side has no rounding in its axes."""
+    """Return cosine and sine of an angle, exact at right angles, so that axes stay exact."""
     if degrees % 90.0 == 0.0:
         return ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[int(degrees // 90.0) % 4]
     angle = math.radians(degrees)
@@ -76,7 +76,7 @@ def _cosine_sine(degrees: float) -> tuple[float, float]:
 
 
 def matrix(mapping: Mapping, usual: Sequence[str]) -> Turn:
-    """Make s R A by rows, from the axes that are forward, left and up (`usual`: where none are asked for) into the scene's."""
+    """Return s R A by rows; `usual` are the axes if none are given."""
     turned = _rows(mapping.axes or usual)
     for axis, degrees in enumerate(mapping.rotation):
         cosine, sine = _cosine_sine(degrees)
@@ -89,16 +89,16 @@ def matrix(mapping: Mapping, usual: Sequence[str]) -> Turn:
 
 
 def limits_in_scene(limits: DeviceLimits, mapping: Mapping, turn: Turn) -> DeviceLimits:
-    """Turn what the device bears along its own axes into what a scene may ask for, whatever the direction of a force."""
+    """Return a device's limits in the scene's axes, whatever the direction of a force."""
     rows = np.array(turn)
-    # On axis j of the device acts Σ turn[i][j] F[i].
+    # axis j of the device gets Σ turn[i][j] F[i]
     worst = float(np.abs(rows).sum(axis=0).max())
-    # An axis that plays no part adds nothing, not even where it has no end.
+    # an unused axis adds nothing, even if it is unbounded
     ends = np.multiply(
         rows[:, :, None], limits.workspace, out=np.zeros((3, 3, 2)), where=rows[:, :, None] != 0.0
     )
     low, high = ends.min(axis=2).sum(axis=1), ends.max(axis=2).sum(axis=1)
-    # Where the device stands when it is opened is not known yet.
+    # the device's position at opening is not known yet
     beyond = (mapping.reach if mapping.clutch is not None else 0.0) + (
         high - low if mapping.recentre else 0.0
     )

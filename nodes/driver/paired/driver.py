@@ -1,9 +1,9 @@
 """Two devices coupled position to position: one law between two hands.
 
-The position of the pair is that of the first device less that of the second; a force on the pair
-acts on the first, and its opposite on the second. So the deflection of the law is how far the hands
-are apart, and everything that holds for one device holds for the pair: history, swaps, limits, and
-energy, because F·(v₁ − v₂) is the power on both. The stability figures take the second device as
+The position of the pair is that of the first device minus that of the second; a force on the pair
+acts on the first, and its opposite on the second. So the law's deflection is the distance of the
+hands, and everything that holds for one device holds for the pair: history, changes of law, limits,
+and energy, because F·(v₁ − v₂) is the power on both. The stability figures use the second device as
 the `partner` of the coupling's `plant` (nodes/stability/pair.py).
 """
 
@@ -28,11 +28,11 @@ from nodes.parameters.store import ParameterError, convert
 
 
 class PairedMember(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One of the two.
+    """One device of the pair.
 
     kind: Kind of driver.
-    parameters: As that driver takes them. Of its ``safety`` largest forces, slew and workspace
-        hold; the rest is the pair's.
+    parameters: Parameters of that driver. Of its ``safety``, forces, slew and workspace apply; the
+        rest is the pair's.
     """
 
     kind: str
@@ -45,11 +45,10 @@ class PairedDriverParameters(
     """Parameters of the driver of a pair.
 
     first, second: The devices.
-    align: Speed at which devices that stand apart at the start, or when one of them is read again,
-        are taken to come together [m/s]: their distance counts as none at first, and fades. 0 keeps
-        that offset for good.
-    apart: Largest distance at the start along an axis [m]; the driver refuses to begin beyond it.
-        None for any.
+    align: Speed at which an initial distance of the devices, or one after a gap, is closed [m/s]:
+        it counts as zero at first, and this offset decreases. 0 keeps the offset for ever.
+    apart: Largest initial distance along an axis [m]; the driver refuses to start beyond it. None
+        for any.
     """
 
     first: PairedMember
@@ -59,14 +58,14 @@ class PairedDriverParameters(
 
 
 class Alignment(msgspec.Struct, frozen=True, kw_only=True):
-    """How two devices that stand apart are brought together.
+    """How two devices with an initial distance are brought together.
 
     Attributes
     ----------
     step : float
-        By how much their offset fades in a tick [m].
+        Decrease of their offset per tick [m].
     apart : float
-        Largest distance at the start along an axis [m].
+        Largest initial distance along an axis [m].
     """
 
     step: float
@@ -74,37 +73,37 @@ class Alignment(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PairedDevice:
-    """Two devices as one; `bears` is what each of them bears, where that is less than it says itself.
+    """Two devices as one; `limits` are those of each device, if lower than its own.
 
-    With an `alignment` the pair begins at zero, wherever its devices stand: the distance that no
-    motion made is an offset, which fades. After a gap in either position, or a jump of either, the
-    pair goes on from where it was in the same way.
+    With an `alignment` the pair begins at zero, wherever its devices are: a distance without motion
+    is an offset, which decreases. After a gap in either position, or a jump of either, the pair
+    continues from its last position in the same way.
     """
 
     def __init__(
         self,
         first: Device,
         second: Device,
-        bears: Sequence[DeviceLimits] = (),
+        limits: Sequence[DeviceLimits] = (),
         alignment: Alignment | None = None,
     ) -> None:
         self.first, self.second = first, second
         self._alignment = alignment
         self._jumps = Jumps(first), Jumps(second)
-        self._place: Vector = ZERO  # position of the pair that was given last
+        self._place: Vector = ZERO  # last position of the pair
         self._offset: Vector = ZERO
         self._read_at = -1
-        # how far from the pair's position they were when they were aligned last [m]
+        # offset when they were last aligned [m]
         self.met_apart = 0.0
-        self._bears = tuple(bears) or (first.limits, second.limits)
+        self._device_limits = tuple(limits) or (first.limits, second.limits)
         nowhere = (math.nan, math.nan, math.nan)
         self.places: tuple[Vector, Vector] = (nowhere, nowhere)
-        self._known = False  # whether both gave a position that a force may act at
+        self._known = False  # whether both positions are valid, so that a force may act
 
     @property
     def limits(self) -> DeviceLimits:
-        """The lower of each limit; of the workspaces, all that one position less another can be."""
-        a, b = self._bears
+        """The lower of each limit; as workspace, all possible differences of positions."""
+        a, b = self._device_limits
         x, y, z = (
             (p[0] - q[1], p[1] - q[0]) for p, q in zip(a.workspace, b.workspace, strict=True)
         )
@@ -115,8 +114,8 @@ class PairedDevice:
             continuous_force=min(a.continuous_force, b.continuous_force),
             slew=min(a.slew, b.slew),
             silence=min(a.silence, b.silence),
-            # No force is left when the later one has let go; one of them is alone from when the
-            # earlier has.
+            # No force remains once the later device has let go; after the earlier one, a single
+            # device is left.
             hold=max(a.hold, b.hold),
             lets_go=min(one.hold if one.lets_go is None else one.lets_go for one in (a, b)),
             latency=max(a.latency or 0.0, b.latency or 0.0) if known else None,
@@ -134,10 +133,10 @@ class PairedDevice:
             opened.pop_all()
 
     def read_position(self, seq: int) -> Vector:
-        """Tell how far they are apart; unknown where one of them is, or is outside its own workspace."""
+        """Return their distance; NaN if a position is unknown, or outside its own workspace."""
         a, b = self.first.read_position(seq), self.second.read_position(seq)
         self.places = a, b
-        # A jump is taken note of while a position is unknown, too.
+        # record jumps also while a position is unknown
         jumped = [jumps.again() for jumps in self._jumps]
         was_known = self._known and not any(jumped)
         self._known = all(math.isfinite(x) for x in (*a, *b)) and not self.outside()
@@ -151,7 +150,7 @@ class PairedDevice:
         )
 
     def _aligned(self, apart: Vector, seq: int, was_known: bool, alignment: Alignment) -> Vector:
-        """Return the position of the pair: how far its devices are apart, less an offset that fades."""
+        """Return the position of the pair: the devices' distance less an offset that decreases."""
         if self._read_at < 0 and max(map(abs, apart)) > alignment.apart:
             raise OSError(
                 f"the devices stand ({', '.join(f'{x:.4g}' for x in apart)}) m apart, limit apart:"
@@ -171,9 +170,11 @@ class PairedDevice:
         return self._place
 
     def outside(self) -> str:
-        """Say which of them is outside its own workspace; empty for none."""
-        for name, place, bears in zip(("first", "second"), self.places, self._bears, strict=True):
-            for axis, at, (low, high) in zip("xyz", place, bears.workspace, strict=True):
+        """Return which of them is outside its own workspace, or ""."""
+        for name, place, limits in zip(
+            ("first", "second"), self.places, self._device_limits, strict=True
+        ):
+            for axis, at, (low, high) in zip("xyz", place, limits.workspace, strict=True):
                 if not low <= at <= high and math.isfinite(at):
                     return (
                         f"{name}: {axis} = {at:.4g} m, outside its workspace of {low:.4g} to"
@@ -182,13 +183,13 @@ class PairedDevice:
         return ""
 
     def write_force(self, force: Vector, seq: int, offset: float) -> None:
-        """Push the first, and the second the other way; where one does not know its place or is outside, neither."""
+        """Push the first device, and the second the opposite way; none if a position is unknown."""
         x, y, z = force if self._known else (0.0, 0.0, 0.0)
         self.first.write_force((x, y, z), seq, offset)
         self.second.write_force((-x, -y, -z), seq, offset)
 
     def close(self) -> None:
-        """Close both, whatever becomes of the first."""
+        """Close both, even if the first fails."""
         try:
             self.first.close()
         finally:
@@ -202,7 +203,7 @@ class PairedDriver(Driver):
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Check the pair, and each of the two as a driver of its own, before anything is started."""
+        """Check the pair, and each device as a driver of its own, before the launch."""
         super().check(setup)
         for kind, own in _members(setup):
             kind.check(own)
@@ -211,7 +212,7 @@ class PairedDriver(Driver):
     def substitute_device(
         cls, parameters: Mapping[str, Any], name: str, device: str
     ) -> tuple[dict[str, Any], dict[str, Any]] | None:
-        """Put a preset in the place of both devices, where they are virtual ones."""
+        """Replace both devices by a preset, if they are virtual."""
         changed, plants = dict(parameters), []
         for which, member in _both(convert(parameters, PairedDriverParameters, name)):
             stood = _kind_of(member, f"{name}.{which}")[1].substitute_device(
@@ -227,7 +228,7 @@ class PairedDriver(Driver):
     def plant(
         cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]
     ) -> dict[str, float]:
-        """Return the plant of two known devices, each with its hand; of two real ones the scale that both have."""
+        """Return the plant of two known devices with their hands, or the scale of two real ones."""
         known = []
         for which, member in _both(convert(parameters, PairedDriverParameters, name)):
             where = f"{name}.{which}"
@@ -240,7 +241,7 @@ class PairedDriver(Driver):
 
     @classmethod
     def largest_force(cls, parameters: Mapping[str, Any], name: str, period: float) -> float | None:
-        """Return the lowest of the pair's limit and those of its devices [N]."""
+        """Return the lowest of the pair's and the devices' limits [N]."""
         known = [super().largest_force(parameters, name, period)]
         for which, member in _both(convert(parameters, PairedDriverParameters, name)):
             kind = _kind_of(member, f"{name}.{which}")[1]
@@ -248,15 +249,15 @@ class PairedDriver(Driver):
         return min((peak for peak in known if peak is not None), default=None)
 
     def make_device(self) -> Device:
-        """Take hold of both, forces off."""
+        """Connect both, forces off."""
         self._drivers = [kind(own) for kind, own in _members(self.setup)]
         with ExitStack() as held:
             made = []
             for driver in self._drivers:
                 made.append(driver.make_device())
                 held.callback(made[-1].close)
-            bears = [
-                self._bears(driver, device)
+            limits = [
+                self._limits_of(driver, device)
                 for driver, device in zip(self._drivers, made, strict=True)
             ]
             held.pop_all()
@@ -265,16 +266,19 @@ class PairedDriver(Driver):
             step=wanted.align * self.setup.period,
             apart=math.inf if wanted.apart is None else wanted.apart,
         )
-        self.pair = PairedDevice(made[0], made[1], bears, alignment)
+        self.pair = PairedDevice(made[0], made[1], limits, alignment)
         for _, device in self._hardware():
             device.come_back_within(self.store.current.safety)
         return self.pair
 
-    def _bears(self, driver: Driver, device: Device) -> DeviceLimits:
-        """Lower what one of the two bears by its own parameters; refuse a real one that does not declare what it must."""
+    def _limits_of(self, driver: Driver, device: Device) -> DeviceLimits:
+        """Return a device's limits lowered by its own parameters.
+
+        Raises ParameterError if a real device does not declare the required limits.
+        """
         name, own, period = driver.setup.name, driver.store.current.safety, self.setup.period
         pair: SafetyParameters = self.store.current.safety
-        # Either is pushed with what the pair is pushed with.
+        # each device gets the force of the pair
         peak = own.peak_force if own.peak_force is not None else pair.peak_force
         declared = msgspec.structs.replace(
             own, peak_force=peak, without=[*own.without, *pair.without]
@@ -293,15 +297,15 @@ class PairedDriver(Driver):
         )
 
     def operations(self) -> dict[str, Any]:
-        """Offer where each of the two is."""
+        """Return the operations, with the position of each device."""
         return {
             **super().operations(),
             "places": lambda: {"first_m": self.pair.places[0], "second_m": self.pair.places[1]},
         }
 
-    def look_after(self) -> None:
-        """Report devices that are being brought together (control thread)."""
-        super().look_after()
+    def check_health(self) -> None:
+        """Check health, and report devices that are brought together (control thread)."""
+        super().check_health()
         met, self.pair.met_apart = self.pair.met_apart, 0.0
         if met > 0.0:
             speed = self.store.current.align
@@ -310,7 +314,7 @@ class PairedDriver(Driver):
             self.events.emit_each("device", text, {"apart_m": met, "align_m_per_s": speed})
 
     def condition(self) -> str:
-        """Say which of them keeps forces off, and why."""
+        """Return which device gives no forces, and why."""
         facts = ((name, device.condition()) for name, device in self._hardware())
         told = (f"{name}: {condition}" for name, condition in facts if condition)
         return "; ".join(filter(None, (self.pair.outside(), *told)))
@@ -323,7 +327,7 @@ class PairedDriver(Driver):
 
 
 def _pair(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
-    """Return two plants as the plant of their coupling: the first one, and the second one as its partner."""
+    """Return the plant of two devices' coupling: the first, with the second as its partner."""
     own = ("mass", "damping", "stiffness")
     found = {name: first[name] for name in (*own, "device_delay")} | {
         f"partner_{name}": second[name] for name in own
@@ -338,7 +342,7 @@ def _both(
 
 
 def _kind_of(member: PairedMember, where: str) -> tuple[str, type[Driver]]:
-    """Find the driver of one of the two: where its class is, and the class."""
+    """Return factory and class of a device's driver."""
     factory = node_kinds().get(member.kind)
     if factory is None:
         raise ParameterError(f"{where}.kind: {member.kind!r} is no installed kind of driver")
@@ -349,7 +353,7 @@ def _kind_of(member: PairedMember, where: str) -> tuple[str, type[Driver]]:
 
 
 def _members(setup: Setup) -> Iterator[tuple[type[Driver], Setup]]:
-    """Give for each of the two its driver, and the setup that it has as a node of its own."""
+    """Yield each device's driver, and its setup as a node of its own."""
     for which, member in _both(convert(setup.parameters, PairedDriverParameters, setup.name)):
         where = f"{setup.name}.{which}"
         factory, kind = _kind_of(member, where)
@@ -358,5 +362,5 @@ def _members(setup: Setup) -> Iterator[tuple[type[Driver], Setup]]:
             "kind": member.kind,
             "parameters": member.parameters,
         }
-        # Each is called as one that is written in Python.
+        # both are called through Python
         yield kind, msgspec.structs.replace(setup, factory=factory, tick="plain", **changed)

@@ -1,10 +1,10 @@
-"""3D Systems Touch and Touch X as a driver node, through OpenHaptics' HDAPI (libHD) and a servo loop in C (servo.c).
+"""3D Systems Touch and Touch X as a driver node, through HDAPI and a servo loop in C.
 
 Written from the facts in public headers and bindings, and not yet run on hardware; what can be
 checked without is checked against a stand-in library (sim/emulators).
 
-HDAPI counts in millimetres with +x right, +y up, +z towards the user; here +x is forward, +y left,
-+z up, in metres.
+HDAPI (libHD of OpenHaptics) counts in millimetres with +x right, +y up, +z towards the user; here
++x is forward, +y left, +z up, in metres.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class TouchDriverParameters(
 
 
 class TouchDevice(MailboxDevice):
-    """One device. `connect` takes hold of it with forces off; `open` calibrates it and lets forces through."""
+    """One device: `connect` opens it with forces off; `open` calibrates it and enables forces."""
 
     TITLE: ClassVar[str] = "Touch"
     SECTION: ClassVar[str] = "touch"
@@ -69,7 +69,7 @@ class TouchDevice(MailboxDevice):
         self._scheduled: int | None = None
 
     def connect(self) -> None:
-        """Load the vendor's library, take hold of the device, and read its limits; no force yet."""
+        """Load the vendor's library, open the device and read its limits; no force yet."""
         if TouchDevice.held:
             raise OSError(
                 "Touch: this process has one already, and HDAPI has one scheduler a process: give"
@@ -116,7 +116,7 @@ class TouchDevice(MailboxDevice):
 
     def _text(self, name: int) -> str:
         text = self._hd.hdGetString(name)
-        # A library of an older version may not know it: the facts are for people.
+        # A library of an older version may not know it; the facts are for people only.
         return "" if self._errors() or not text else str(text.decode(errors="replace"))
 
     def _doubles(self, name: int, count: int) -> list[float]:
@@ -126,7 +126,7 @@ class TouchDevice(MailboxDevice):
         return list(values)
 
     def _prepare(self) -> None:
-        """Make the mailbox with the device's own limits."""
+        """Create the mailbox with the device's own limits."""
         ends = [end * self.UNIT for end in self._doubles(hdapi.MAX_WORKSPACE, 6)]
         workspace: Workspace = ((ends[0], ends[3]), (ends[1], ends[4]), (ends[2], ends[5]))
         (peak,), (continuous,) = (
@@ -141,11 +141,10 @@ class TouchDevice(MailboxDevice):
         self.prepare(peak, continuous, workspace)
 
     def open(self) -> None:
-        """Start the servo loop, calibrate with forces off, then let forces through, at zero."""
+        """Start the servo loop, calibrate with forces off, then enable forces, at zero."""
         hd = self._hd
         hd.hdSetSchedulerRate(self._wants.servo_rate)
-        # Where it is refused the device's own rate holds: the driver takes the newest sample at
-        # each of its own ticks.
+        # If refused, the device's own rate applies; the driver uses the newest sample at each tick.
         self._errors()
         servo = self._shared
         for field, name in hdapi.SERVO_CALLS.items():
@@ -194,7 +193,7 @@ class TouchDevice(MailboxDevice):
                     f"Touch: not calibrated within {self._wants.calibration_time:g} s"
                     f" (0x{state:04X}): {remedy}"
                 )
-            # What an update mends at once needs nobody.
+            # an update completes some calibrations without help
             if by_hand:
                 self.wait_for(
                     f"waits up to {self._wants.calibration_time:g} s for its calibration: {remedy}"
@@ -203,11 +202,11 @@ class TouchDevice(MailboxDevice):
         self._check("the calibration cannot be checked")
 
     def error_text(self, code: int) -> str:
-        """Put an error of HDAPI in words."""
+        """Return an error of HDAPI as text."""
         return hdapi.error_text(code)
 
     def close(self) -> None:
-        """Switch forces off, stop the servo loop and give the device back; also after a failure half-way."""
+        """Switch forces off, stop the servo loop, close the device; also after a failure."""
         if self._device is None:
             return
         hd = self._hd

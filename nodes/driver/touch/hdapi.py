@@ -1,4 +1,4 @@
-"""HDAPI (OpenHaptics, libHD) as the Touch's driver needs it: constants, shared structures, axes, the servo loop's library.
+"""HDAPI (OpenHaptics, libHD): constants, structures, and loading of the library.
 
 From public headers and bindings; HDAPI counts in millimetres with +x right, +y up, +z towards the
 user.
@@ -16,23 +16,38 @@ FORCE_OUTPUT = 0x4000
 CALIBRATION_OK, CALIBRATION_NEEDS_UPDATE, CALIBRATION_NEEDS_MANUAL = 0x5000, 0x5001, 0x5002
 MODEL_TYPE, DRIVER_VERSION, SERIAL_NUMBER = 0x2501, 0x2502, 0x2504
 MAX_WORKSPACE, MAX_FORCE, MAX_CONTINUOUS_FORCE = 0x2550, 0x2603, 0x2604
-CALIBRATION_STYLE = 0x2555  # which ways of calibrating the device has, one bit each
-# the ways, the best first, as the vendor's examples prefer them
+CALIBRATION_STYLE = 0x2555  # calibration methods of the device, one bit each
+# the methods, the best first, as the vendor's examples prefer them
 AUTOMATIC, INKWELL, ENCODER_RESET = 2, 4, 1
 
 INVALID_HANDLE = 0xFFFFFFFF
 ERRORS = {
-    0x0100: "invalid enum", 0x0101: "invalid value", 0x0102: "invalid operation", 0x0103: "invalid input type",
-    0x0104: "bad handle", 0x0200: "warm motors", 0x0201: "exceeded maximum force", 0x0202: "exceeded maximum force impulse",
-    0x0203: "exceeded maximum velocity", 0x0204: "force error", 0x0300: "device fault", 0x0301: "device already initiated",
-    0x0302: "communication error", 0x0303: "communication configuration error", 0x0304: "timer error",
-    0x0400: "illegal begin", 0x0401: "illegal end", 0x0402: "frame error", 0x0500: "invalid priority",
-    0x0501: "scheduler full", 0x0600: "invalid licence",
-}  # fmt: skip
+    0x0100: "invalid enum",
+    0x0101: "invalid value",
+    0x0102: "invalid operation",
+    0x0103: "invalid input type",
+    0x0104: "bad handle",
+    0x0200: "warm motors",
+    0x0201: "exceeded maximum force",
+    0x0202: "exceeded maximum force impulse",
+    0x0203: "exceeded maximum velocity",
+    0x0204: "force error",
+    0x0300: "device fault",
+    0x0301: "device already initiated",
+    0x0302: "communication error",
+    0x0303: "communication configuration error",
+    0x0304: "timer error",
+    0x0400: "illegal begin",
+    0x0401: "illegal end",
+    0x0402: "frame error",
+    0x0500: "invalid priority",
+    0x0501: "scheduler full",
+    0x0600: "invalid licence",
+}
 
 
 class ErrorInfo(ctypes.Structure):
-    """What ``hdGetError`` returns, by value."""
+    """Result of ``hdGetError``, by value."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
         ("error", ctypes.c_uint),
@@ -41,7 +56,7 @@ class ErrorInfo(ctypes.Structure):
     ]
 
 
-SERVO_CALLS = {  # what the servo loop calls, by its name there
+SERVO_CALLS = {  # functions called by the servo loop, by its own names
     "begin_frame": "hdBeginFrame",
     "end_frame": "hdEndFrame",
     "make_current": "hdMakeCurrentDevice",
@@ -55,7 +70,7 @@ SERVO_CALLS = {  # what the servo loop calls, by its name there
 
 
 class TouchServo(ctypes.Structure):
-    """What driver and servo loop share, as in nodes/driver/touch/servo.c."""
+    """Memory shared by driver and servo loop, as in nodes/driver/touch/servo.c."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
         ("box", Mailbox),
@@ -67,7 +82,7 @@ class TouchServo(ctypes.Structure):
 
 
 def error_text(code: int) -> str:
-    """Put an error in words."""
+    """Return an error as text."""
     return f"{ERRORS.get(code, 'error')} (0x{code:04X})"
 
 
@@ -78,7 +93,7 @@ FOLDERS = (
     "/usr/local/lib",
     "/opt/OpenHaptics",
 )
-"""Where 3D Systems' packages put the library, beside what the dynamic linker knows."""
+"""Folders of 3D Systems' packages, besides those of the dynamic linker."""
 
 REMEDY = (
     "install OpenHaptics and the Touch device driver of 3D Systems, or give the library's path as"
@@ -87,7 +102,7 @@ REMEDY = (
 
 
 def load_library(name: str) -> Any:
-    """Load the vendor's library and declare what is used of it."""
+    """Load the vendor's library and declare its functions."""
     uint, void = ctypes.c_uint, None
     doubles, whole = ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_int)
     functions: Functions = {

@@ -1,1 +1,1 @@
-"""Things that move: a scene in MJCF, and the tool in it that the coupling holds to the device."""
+"""Moving bodies: a MuJoCo scene and its tool, which the coupling connects to the device."""

@@ -1,7 +1,7 @@
-"""How stiff the contacts of a tool are in N/m: measured, because MuJoCo's parameters of a contact do not tell it.
+"""Contact stiffness of a tool in N/m, measured because MuJoCo's parameters do not give it.
 
-A ball with the tool's contact parameters and mass is pressed on a plane with those of each other
-geom, by three loads. Geoms with equal parameters are pressed once.
+A ball with the tool's contact parameters and mass is pressed on a plane with the contact parameters
+of each other geom, under three loads. Geoms with equal parameters are measured once.
 """
 
 from __future__ import annotations
@@ -11,23 +11,26 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 _OF_CONTACT = ("solref", "solimp", "friction", "solmix", "priority", "condim")
-_LOADS = (0.5, 1.5, 4.5)  # forces by which a contact is pressed [N]
+_LOADS = (0.5, 1.5, 4.5)  # contact forces of the measurement [N]
 _FINE = 5e-4
-_STILL = 1e-5  # of the ball that has settled [m/s]: at half a second more it is within 5 µm
-_SHALLOW = 1e-9  # least difference of depths that tells a stiffness [m]
-_CURVED = 1.2  # ratio of the stiffness under the higher loads from which a contact is called curved
-_MOST_NAMES = 6  # geoms of one stiffness that are named
-_PRESS = """<mujoco><option timestep="{step!r}" cone="{cone}" impratio="{ratio!r}" gravity="0 0 0"/><worldbody>
-<geom type="plane" size="1 1 0.1" {wall}/>
-<body pos="0 0 0.005"><joint type="slide" axis="0 0 1"/><geom type="sphere" size="0.005" mass="{mass!r}" {tip}/></body>
+# speed at which the ball has settled [m/s]: half a second later it moves less than 5 µm
+_STILL = 1e-5
+_SHALLOW = 1e-9  # least difference of depths that gives a stiffness [m]
+# ratio of stiffnesses at high and low load from which a contact is reported as nonlinear
+_CURVED = 1.2
+_MOST_NAMES = 6  # geoms of equal stiffness that are named
+_PRESS = """<mujoco><option timestep="{step!r}" cone="{cone}" impratio="{ratio!r}" gravity="0 0 0"/>
+<worldbody><geom type="plane" size="1 1 0.1" {wall}/>
+<body pos="0 0 0.005"><joint type="slide" axis="0 0 1"/>
+<geom type="sphere" size="0.005" mass="{mass!r}" {tip}/></body>
 </worldbody></mujoco>"""
 
 
 class PairStiffness(NamedTuple):
-    """What a contact of the tool is."""
+    """Stiffness of a contact between the tool and one geom."""
 
-    geom: str  # what the tool presses on, held where it is
-    # force over depth between 0.5 and 1.5 N [N/m]; None for one that does not settle
+    geom: str  # the geom that the tool presses on, held fixed
+    # force over depth between 0.5 and 1.5 N [N/m]; None if the ball does not settle
     stiffness: float | None
     pressed: float | None = None  # the same between 1.5 and 4.5 N
 
@@ -35,7 +38,7 @@ class PairStiffness(NamedTuple):
 def measure_contacts(
     mujoco: Any, model: Any, of_tool: Sequence[int], mass: float
 ) -> list[PairStiffness]:
-    """Press the first geom of a tool on each other geom that it can meet.
+    """Measure the contact of a tool's first geom with each geom that it can touch.
 
     Parameters
     ----------
@@ -71,7 +74,7 @@ def measure_contacts(
 
 
 def _attributes(model: Any, geom: int) -> str:
-    """Return the attributes of a geom that say how it touches."""
+    """Return the contact attributes of a geom as MJCF."""
     found = {name: getattr(model, f"geom_{name}")[geom] for name in _OF_CONTACT}
     return " ".join(
         f'{name}="{" ".join(map(repr, numbers.ravel().tolist()))}"'
@@ -82,7 +85,7 @@ def _attributes(model: Any, geom: int) -> str:
 def _press(
     mujoco: Any, option: Any, wall: str, tip: str, mass: float
 ) -> tuple[float | None, float | None]:
-    # A pyramid's slope is part of how stiff a contact is.
+    # The friction cone is part of a contact's stiffness.
     scene = {
         "cone": "elliptic" if option.cone else "pyramidal",
         "ratio": float(option.impratio),
@@ -106,7 +109,7 @@ def _press(
 
 
 def contacts_text(found: Sequence[PairStiffness]) -> str:
-    """Return how stiff contacts are in words, geoms of one stiffness together."""
+    """Return contact stiffnesses as text; geoms of equal stiffness share an entry."""
     groups: dict[tuple[float | None, float | None], list[str]] = {}
     for pair in found:
         groups.setdefault(pair[1:], []).append(pair.geom)

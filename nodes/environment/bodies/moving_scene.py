@@ -1,9 +1,9 @@
-"""A MuJoCo scene that is stepped by the ticks of the loop: the tool feels what the device feels, at the same instants.
+"""A MuJoCo scene stepped by the ticks of the loop: device and tool feel the same force.
 
-The coupling is between two masses, the device and the tool. So the force that a law renders acts on
-the tool with the other sign, from when it acts on the device to when the next one does: between two
-steps of the scene no momentum is made or lost. A body that is led by a constraint (a mocap body and
-a weld) would be a coupling of its own in place of the law.
+The coupling acts between two masses, the device and the tool. The negative of the rendered force
+acts on the tool from the instant at which the force acts on the device until the next force does,
+so that no momentum is created or lost between two steps of the scene. A tool led by a constraint (a
+mocap body and a weld) would replace the law by a coupling of its own.
 """
 
 from __future__ import annotations
@@ -28,29 +28,28 @@ from nodes.environment.bodies.tool import (
 from nodes.parameters.store import ParameterError
 
 EXTRA = "pip install 'haptic-nodes[mujoco]'"
-LARGEST = 64_000_000  # largest MJCF file that is read [bytes]
-# largest radius around a geom of the tool [m]: what is larger was probably drawn in millimetres
+LARGEST = 64_000_000  # largest MJCF file [bytes]
+# largest radius around a geom of the tool [m]; a larger one was probably drawn in millimetres
 WIDEST = 1.0
 
-# of a longer time without a state only so much is stepped: a scene that made up for all of it would
-# be late [s]
+# longest gap without a state that the scene catches up with [s]; more would make it late
 GAP = 0.1
 
-HEAVIEST = 1e6  # heaviest body [kg]
-LARGEST_NUMBER = 1e10  # largest number of a scene: MuJoCo's own limit of what it steps
+HEAVIEST = 1e6  # largest mass of a body [kg]
+LARGEST_NUMBER = 1e10  # largest number in a scene, MuJoCo's own limit
 
 _NUMBERS = (  # of a model: with one that is none the scene diverges at its first step
     *("gravity", "body_inertia", "body_pos", "geom_size", "geom_pos", "qpos0", "qpos_spring"),
     *("jnt_stiffness", "dof_damping", "dof_armature", "dof_frictionloss"),
 )
 _MOST_STEPS = 1000
-# deeper than this in another body the tool begins unfelt [m]: MuJoCo would throw it out
+# depth in another body from which the tool begins unfelt [m]: MuJoCo would throw it out
 _OVERLAP = 1e-4
 _LIGHTEST = 1e-6
 
 
 def load_mujoco(where: str) -> Any:
-    """Import MuJoCo, or say how it is had."""
+    """Return the module mujoco, or raise ParameterError with how to install it."""
     try:
         import mujoco
     except ImportError as error:
@@ -59,7 +58,10 @@ def load_mujoco(where: str) -> Any:
 
 
 class MovingScene:
-    """A scene and its tool on three slide joints; `held`: all else is held. ParameterError says why it cannot be had."""
+    """A scene and its tool on three slide joints; with `held`, all other bodies are fixed.
+
+    Raises ParameterError if the scene cannot be loaded or used.
+    """
 
     def __init__(
         self,
@@ -75,10 +77,10 @@ class MovingScene:
         tool = wanted.body
         self._mujoco = mujoco = load_mujoco(f"{where}.scene")
         if file.exists() and not (file.is_file() or file.is_dir()):
-            # A pipe would be waited for, and a device has no end.
+            # Reading a pipe would block, and a device has no end.
             raise ParameterError(f"{where}.scene: {file} is no regular file")
         try:
-            # Opened here: the words of the operating system are clearer.
+            # Opened here because the operating system's message is clearer than MuJoCo's.
             with open(file, "rb") as opened:
                 size = opened.seek(0, os.SEEK_END)
         except OSError as error:
@@ -98,15 +100,14 @@ class MovingScene:
                 f"{where}.scene: {file}: {' '.join(str(error).split())}"
             ) from error
         if warnings:
-            # MuJoCo would go on without the value: a mass that is not a number becomes that of
-            # water.
+            # MuJoCo would continue without the value: a mass of NaN becomes that of water.
             raise ParameterError(f"{where}.scene: {file}: {' '.join(' '.join(warnings).split())}")
         self._refuse_odd_numbers(file, where)
         self.data = mujoco.MjData(self.model)
         self.tool, self._slides = self._find_tool(tool, file, where)  # the tool's body in the model
         first = int(self.model.body_dofadr[self.tool])
         self._speeds = slice(first, first + 3)
-        # of the tool, with what is fixed to it [kg]
+        # mass of the tool and everything fixed to it [kg]
         self.mass = float(self.model.body_subtreemass[self.tool])
         if self.mass < _LIGHTEST:
             raise ParameterError(
@@ -122,7 +123,7 @@ class MovingScene:
                 f"{where}.scene: {file}: a geom of body {tool!r} reaches {widest:.4g} m, expected"
                 f" at most {WIDEST:g} m; MJCF is in metres"
             )
-        # Steps of the scene in a tick: its own step, made shorter so that a whole number fits.
+        # Sub-steps per tick: the scene's step is shortened so that a whole number fits.
         self.steps = max(1, math.ceil(period / float(self.model.opt.timestep) - 1e-9))
         if self.steps > _MOST_STEPS:
             raise ParameterError(
@@ -131,21 +132,21 @@ class MovingScene:
             )
         self.model.opt.timestep = period / self.steps
         self._most = max(1, round(GAP / period)) * self.steps
-        # Forces handed to the device: when they take effect [steps], and what they are [N]. Before
-        # the first, none.
+        # Forces handed to the device: when they take effect [steps] and their value [N]; zero
+        # before.
         self._forces: deque[tuple[int, Vector]] = deque([(-1, (0.0, 0.0, 0.0))])
         self._done = 0
-        self.resets = 0  # how often the scene diverged and was put back to its beginning
+        self.resets = 0  # how often the scene diverged and was reset
         self._touches = {
             i: (int(self.model.geom_contype[i]), int(self.model.geom_conaffinity[i]))
             for i in self._geoms()
         }
-        # whether the tool meets nothing, because it began inside of another body
+        # whether contacts of the tool are off, because it began inside another body
         self.inside = False
         mujoco.mj_forward(self.model, self.data)
 
     def _refuse_odd_numbers(self, file: Path, where: str) -> None:
-        """Refuse what MuJoCo takes, and no step can be made with."""
+        """Reject values that MuJoCo accepts but cannot step."""
         model = self.model
         step = float(model.opt.timestep)
         if not (math.isfinite(step) and step > 0.0):
@@ -202,15 +203,15 @@ class MovingScene:
 
     @property
     def tool_position(self) -> Vector:
-        """Where the tool is now [m]."""
+        """Position of the tool [m]."""
         x, y, z = self.data.xpos[self.tool].tolist()
         return x, y, z
 
     def begin(self, position: Vector) -> None:
-        """Put the tool where the device is, at rest: a coupling that begins stretched would throw it.
+        """Move the tool to the device, at rest: a stretched coupling would throw it.
 
-        A tool that is inside of another body there meets nothing until it is outside of all: its
-        contacts would throw it.
+        If the tool is inside another body there, its contacts are off until it is outside all
+        bodies, because they would throw it.
         """
         self._meet_bodies(True)
         for at, wanted, now in zip(self._slides, position, self.tool_position, strict=True):
@@ -229,7 +230,7 @@ class MovingScene:
             )
 
     def _deepest(self) -> float:
-        """Depth of the tool in other bodies, by the contacts that were found last [m]."""
+        """Return the depth of the tool in other bodies, from the latest contacts [m]."""
         contact = self.data.contact
         of_tool = (int(i) in self._touches or int(j) in self._touches for i, j in contact.geom)
         return max(
@@ -238,7 +239,7 @@ class MovingScene:
         )
 
     def _leave_bodies(self) -> None:
-        """Meet other bodies again as soon as the tool is wholly outside of them."""
+        """Switch contacts on again once the tool is outside all bodies."""
         self._meet_bodies(True)
         self._mujoco.mj_collision(self.model, self.data)
         self.inside = self._deepest() > 0.0
@@ -255,14 +256,14 @@ class MovingScene:
         first: bool,
         jumped: bool = False,
     ) -> str:
-        """Go to a tick whose state tells the last force, the tick it answered and its delay.
+        """Step to `tick`, whose state has the last force, the tick it answered and its delay.
 
-        `first` and `jumped` say that no motion led the device to its position. Return why the tool
-        was put back to the device; empty where it was not.
+        `first` and `jumped` say that the device reached its position without motion. Return why the
+        tool was moved back to the device, or an empty string.
         """
         if first:
             self.begin(position)
-            self._done = tick * self.steps  # A node that was killed goes on with the present
+            self._done = tick * self.steps  # a restarted node continues with the present tick
             return "the scene begins"
         self.hand_over(force, since, delay)
         self.advance(tick)
@@ -287,13 +288,13 @@ class MovingScene:
         return why
 
     def hand_over(self, force: Vector, tick: int, delay: float) -> None:
-        """Note a force that was handed to the device at a tick, and how much later it took effect [ticks]."""
+        """Record a force handed to the device at `tick`, which took effect `delay` ticks later."""
         when = (tick + delay) * self.steps
-        # To the nearest step; what took effect before the scene's present acts from now on.
+        # To the nearest step; a force of the past acts from now on.
         self._forces.append((max(round(when), self._forces[-1][0]), force))
 
     def advance(self, tick: int) -> None:
-        """Step the scene up to the time of a tick; after a gap of more than `GAP` it has stood still meanwhile."""
+        """Step the scene to the time of a tick; skip what a gap above `GAP` leaves behind."""
         model, data = self.model, self.data
         self._done = max(self._done, tick * self.steps - self._most)
         push = data.xfrc_applied[self.tool]
@@ -305,15 +306,15 @@ class MovingScene:
             push[0], push[1], push[2] = -x, -y, -z
             self.step()
             self._done += 1
-        # Positions of bodies are those before the last step until they are computed anew.
+        # MuJoCo leaves body positions one step behind until they are recomputed.
         self._mujoco.mj_kinematics(model, data)
 
     def step(self) -> None:
-        """Go one step of the scene further, with the force that acts now."""
+        """Make one step of the scene under the present force."""
         self._mujoco.mj_step(self.model, self.data)
 
     def diverged(self) -> bool:
-        """Tell whether the scene had to be put back to its beginning since the last call: MuJoCo does so by itself."""
+        """Return whether MuJoCo has reset a diverging scene since the last call."""
         kinds = self._mujoco.mjtWarning
         bad = kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC
         found = sum(int(self.data.warning[int(kind)].number) for kind in bad)
@@ -321,11 +322,11 @@ class MovingScene:
         return new
 
     def stiffness(self) -> list[PairStiffness]:
-        """Measure the tool's contacts in N/m (`nodes.environment.bodies.contacts`)."""
+        """Return the stiffness of the tool's contacts (`nodes.environment.bodies.contacts`)."""
         return measure_contacts(self._mujoco, self.model, self._geoms(), self.mass)
 
     def response(self) -> ToolResponse:
-        """Measure what the tool answers to a push (`nodes.environment.bodies.tool`)."""
+        """Return the tool's response to a push (`nodes.environment.bodies.tool`)."""
         period = float(self.model.opt.timestep) * self.steps
         return measure_response(
             self._mujoco, self.model, self.tool, self._speeds, period, self.steps
@@ -333,13 +334,13 @@ class MovingScene:
 
     @property
     def damping(self) -> float:
-        """Viscous damping of the tool to ground, along the axis that has least [N s/m]."""
+        """Least viscous damping of the tool to ground, over its axes [N s/m]."""
         return float(self.model.dof_damping[self._speeds].min())
 
 
 @contextlib.contextmanager
 def _heard(mujoco: Any) -> Iterator[list[str]]:
-    """Collect what MuJoCo warns of, which it writes to the terminal otherwise."""
+    """Collect MuJoCo's warnings, which it would print to the terminal."""
     found: list[str] = []
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(found.append)
@@ -350,7 +351,7 @@ def _heard(mujoco: Any) -> Iterator[list[str]]:
 
 
 def _model(mujoco: Any, file: Path, tool: ToolParameters, held: bool, where: str) -> Any:
-    """Read a scene; its tool is added or damped if asked for, and `held` leaves out the joints of all other bodies."""
+    """Load a scene, add or damp its tool, and with `held` delete the joints of other bodies."""
     if tool.mass is None and tool.damping is None and not held:
         return mujoco.MjModel.from_xml_path(str(file))
     spec = mujoco.MjSpec.from_file(str(file))

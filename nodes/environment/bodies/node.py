@@ -1,4 +1,4 @@
-"""The environment in which things move: it steps a MuJoCo scene by the loop's ticks, and answers with where the tool is."""
+"""The environment with moving bodies: steps a MuJoCo scene and answers with the tool."""
 
 from __future__ import annotations
 
@@ -26,13 +26,14 @@ from nodes.parameters.store import ParameterError, convert
 
 
 class MujocoParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Parameters of an environment with things that move.
+    """Parameters of an environment with moving bodies.
 
-    scene: MJCF file; ``$(dirname)`` in a launch file is the folder that it stands in.
-    tool: Body of it that the coupling holds to the device; or what that is: ``{mass: 0.05, radius:
-        0.005}`` adds a ball, ``{body: NAME, damping: 0.5}`` damps a body of the scene to ground.
-    bodies: ``dynamic``, or ``fixed`` to hold all but the tool where it begins.
-    lost: Distance between device and tool from which the tool is put back to the device, without a
+    scene: MJCF file; ``$(dirname)`` in a launch file is the folder of that file.
+    tool: Body of the scene that the coupling connects to the device, or a mapping: ``{mass: 0.05,
+        radius: 0.005}`` adds a ball, ``{body: NAME, damping: 0.5}`` damps a body of the scene to
+        ground.
+    bodies: ``dynamic``, or ``fixed`` to fix all bodies but the tool.
+    lost: Distance between device and tool at which the tool is put back to the device, without a
         force [m].
     """
 
@@ -43,7 +44,7 @@ class MujocoParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
 
 class MujocoEnvironment(Node):
-    """Answers device states with where the tool is; it has a state, so every tick counts."""
+    """Answers device states with the tool's position. It has a state, so every tick counts."""
 
     Parameters: ClassVar[type[msgspec.Struct]] = MujocoParameters
     publishes: ClassVar[tuple[str, ...]] = (topics.PROXY,)
@@ -52,7 +53,7 @@ class MujocoEnvironment(Node):
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Read the scene before anything is started."""
+        """Load the scene before the launch."""
         load_world(
             convert(setup.parameters, MujocoParameters, setup.name), setup.period, setup.name
         )
@@ -64,7 +65,7 @@ class MujocoEnvironment(Node):
 
     @classmethod
     def axes(cls, parameters: Mapping[str, Any], name: str) -> tuple[Axis, ...]:
-        """Tell which axes the scene must compute."""
+        """Return the axes that the scene must compute."""
         del parameters, name
         return ("x", "y", "z")
 
@@ -72,11 +73,11 @@ class MujocoEnvironment(Node):
     def plant(
         cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]
     ) -> dict[str, float]:
-        """Return mass [kg] and damping [N s/m] of the tool, which gives way when the coupling pushes it."""
+        """Return the tool's mass [kg] and damping [N s/m], for the coupling's stability checks."""
         del axes
         wanted: MujocoParameters = convert(parameters, MujocoParameters, name)
         version = 0, 0
-        # `load_world` refuses in its own words what cannot be read
+        # `load_world` reports an unreadable file
         with contextlib.suppress(OSError):
             seen = Path(wanted.scene).expanduser().stat()
             version = seen.st_mtime_ns, seen.st_size
@@ -84,11 +85,11 @@ class MujocoEnvironment(Node):
         return {"tool_mass": mass, "tool_damping": damping}
 
     def make_counters(self) -> SpentCounters:
-        """Make its counters."""
+        """Return the tick counters."""
         return SpentCounters()
 
     def configure(self) -> None:
-        """Load the scene, measure its contacts, and say what the stability figures have to know."""
+        """Load the scene, measure its contacts, and report what the stability checks need."""
         self._rebased = self._driver_rebased = 0
         self._world = load_world(self.store.current, self.setup.period, self.setup.name)
         self._poses = Poses(
@@ -129,7 +130,7 @@ class MujocoEnvironment(Node):
         if seq % self._every == 0:
             self._poses.write(world.data.geom_xpos, world.data.geom_xmat)
         stamp = state.stamp if simulated else self.clock.now()
-        # The coupling holds the tool from all sides: no normal, and nothing to clamp.
+        # The tool is coupled from all sides: no normal, and no clamping.
         held: dict[str, Any] = {"proxy": at, "normal": ZERO, "distance": 0.0, "contact": True}
         held["rebased"] = max(self._rebased, state.rebased)
         return encode(
@@ -137,27 +138,30 @@ class MujocoEnvironment(Node):
         )
 
     def report(self) -> dict[str, Any]:
-        """Tell how long its ticks took."""
+        """Return tick durations."""
         return {"spent_us": spent_us(self.counters.spent)}
 
     def loop(self) -> None:
-        """Answer until stopped; asked again (lockstep), the scene is not stepped twice."""
+        """Answer device states until stopped. A repeated state (lockstep) steps the scene once."""
         answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self._answer)
 
 
-# a period that no scene is too fine for [s]: nothing is stepped, only the mass is read
+# period below every scene's own step [s]: nothing is stepped, only the mass is read
 _SHORT = 1e-6
 
 
-@functools.lru_cache(maxsize=64)  # a launch asks when it is read, and again when it is wired
+@functools.lru_cache(maxsize=64)  # called when a launch is read, and when it is wired
 def _tool_facts(parameters: MujocoParameters, name: str, *_version: int) -> tuple[float, float]:
-    """Return mass [kg] and damping [N s/m] of the tool of a scene; `_version` tells a file that has been saved again."""
+    """Return mass [kg] and damping [N s/m] of a scene's tool.
+
+    `_version` changes with the file, so that the cache notices.
+    """
     world = load_world(parameters, _SHORT, name)
     return world.mass, world.damping
 
 
 def load_world(parameters: MujocoParameters, period: float, name: str) -> MovingScene:
-    """Load the scene of a node of this name."""
+    """Return the scene of a node with these parameters."""
     held = parameters.bodies == "fixed"
     return MovingScene(
         Path(parameters.scene).expanduser(), parameters.tool, period, name, held, parameters.lost

@@ -1,8 +1,8 @@
-"""The tool of a scene: added to it, or given more damping, and what it answers when it is pushed at its port.
+"""The tool of a scene: adding or damping it, and measuring its response to a push.
 
-A scene is stepped after the force, so the tool answers late, by 1 − 1/(2n) ticks with n steps of
-Euler's a tick and by a whole one with a step that is exact. With a lag only damping of the tool to
-ground makes a loop certain to be stable, whatever it touches
+A scene is stepped after the force, so the tool answers late: by 1 − 1/(2n) ticks with n steps of
+Euler's method per tick, and by one tick with an exact step. With such a lag, only damping of the
+tool to ground makes a loop provably stable, whatever it touches
 (`nodes.stability.worlds.SteppedTool`).
 """
 
@@ -18,18 +18,18 @@ from nodes.parameters.checked import NonNegative
 from nodes.parameters.store import ParameterError
 
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-_TICKS = 40  # ticks after the push by which mass and damping are told apart
-_SPEED = 1e-3  # that the push gives the tool [m/s]
+_TICKS = 40  # ticks after the push over which mass and damping are fitted
+_SPEED = 1e-3  # speed that the push gives the tool [m/s]
 
 
 class ToolParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The tool that the coupling holds to the device.
+    """The tool that the coupling connects to the device.
 
     body: Name of its body in the scene.
     mass: Mass of a ball that is added as the tool [kg]; None for a body of the scene.
     radius: Radius of that ball [m].
-    position: Where it is before a device is known [m].
-    damping: Viscous damping to ground along each axis [N s/m]; None for what the scene has.
+    position: Position until the device's is known [m].
+    damping: Viscous damping to ground along each axis [N s/m]; None for the scene's own.
     """
 
     body: str = "tool"
@@ -40,16 +40,16 @@ class ToolParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
 
 class ToolResponse(NamedTuple):
-    """What a tool answers to a push of one tick, without contacts, gravity and other constraints."""
+    """Response of a tool to a push of one tick, without contacts, gravity and constraints."""
 
     mass: float  # [kg]
-    damping: float  # to ground, along the axis that has least [N s/m]
-    # how much later it answers than the lossless mass that answers in the same tick [ticks]
+    damping: float  # to ground, along the axis with the least [N s/m]
+    # delay relative to the lossless mass that answers in the same tick [ticks]
     lag: float
 
 
 def add_tool(mujoco: Any, spec: Any, tool: ToolParameters, where: str) -> None:
-    """Add a ball on three slide joints to a scene, or set the damping of a tool that it has.
+    """Add a ball on three slide joints to a scene, or set the damping of an existing tool.
 
     Parameters
     ----------
@@ -58,14 +58,14 @@ def add_tool(mujoco: Any, spec: Any, tool: ToolParameters, where: str) -> None:
     spec : MjSpec
         The scene, changed in place.
     tool : ToolParameters
-        What is asked for.
+        The wanted tool.
     where : str
-        Path of the tool, for errors.
+        Parameter path of the tool, for errors.
 
     Raises
     ------
     ParameterError
-        When a tool is to be added and the scene has a body of that name.
+        If a tool is to be added and the scene has a body of that name.
     """
     body = spec.body(tool.body)
     if tool.mass is not None:
@@ -88,10 +88,10 @@ def add_tool(mujoco: Any, spec: Any, tool: ToolParameters, where: str) -> None:
 def measure_response(
     mujoco: Any, model: Any, body: int, dofs: slice, period: float, steps: int
 ) -> ToolResponse:
-    """Push a tool for one tick along each axis and see it move, in a state of its own.
+    """Measure a tool's response to a push of one tick along each axis, in separate data.
 
     p = m v + b y holds at every tick for a push p, whatever the integrator, as long as the damper
-    is implicit or exact: mass and damping are its least squares.
+    is implicit or exact; mass and damping are its least squares.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def measure_response(
     period : float
         Sampling period [s].
     steps : int
-        Steps of the scene in a tick.
+        Steps of the scene per tick.
 
     Returns
     -------
@@ -116,8 +116,7 @@ def measure_response(
     disabled = model.opt.disableflags
     found = []
     try:
-        # Contacts, joints with dry friction and equalities are what hangs on the tool, or what it
-        # touches.
+        # Contacts, dry joint friction and equalities are not properties of the tool itself.
         model.opt.disableflags = (
             disabled | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_GRAVITY
         )
@@ -133,8 +132,8 @@ def measure_response(
             (inertia, damping), *_ = np.linalg.lstsq(
                 np.column_stack([v, y]), np.full(len(v), push * period), rcond=None
             )
-            # Of an exact step under a held force, which lags a tick: y = p T/(2 m) (1 − b T/(3 m))
-            # to second order.
+            # An exact step under a held force lags one tick: y = p T/(2 m) (1 − b T/(3 m)) to
+            # second order.
             exact = push * period**2 / (2.0 * inertia) * (1.0 - damping * period / (3.0 * inertia))
             found.append((inertia, damping, 1.0 - (y[0] - exact) * inertia / (push * period**2)))
     finally:
@@ -142,8 +141,8 @@ def measure_response(
     masses, dampings, lags = zip(*found, strict=True)
     least = max(min(dampings), 0.0)
     if model.opt.density == 0.0 and model.opt.viscosity == 0.0:
-        # Without a fluid only its joints damp it to ground; the rest that was measured is between
-        # it and other bodies.
+        # Without a fluid only its joints damp the tool to ground; other damping acts between
+        # bodies.
         least = min(least, float(model.dof_damping[dofs].min()))
     return ToolResponse(float(np.mean(masses)), least, float(max(lags)))
 
@@ -151,7 +150,7 @@ def measure_response(
 def _moved(
     mujoco: Any, model: Any, body: int, dofs: slice, steps: int, axis: int, force: float
 ) -> Any:
-    """Speed [m/s] and position [m] along an axis at the ticks after a push of one tick [N], shape (ticks, 2)."""
+    """Return speed [m/s] and position [m] along an axis after a one-tick push, shape (n, 2)."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     begin, found = float(data.xpos[body][axis]), []
@@ -165,7 +164,7 @@ def _moved(
 
 
 def response_text(found: ToolResponse) -> str:
-    """Return what a tool answers in words, and what that does and does not promise."""
+    """Return a tool's response as text, and what it means for stability."""
     text = (
         f"pushed, it answers {found.lag:.2f} ticks late, damped to ground by {found.damping:.3g}"
         " N s/m"

@@ -1,1 +1,1 @@
-"""Shapes to touch in three dimensions, and the proxy on them: geometry as plain functions on tables of floats."""
+"""Shapes in three dimensions and their proxy: geometry as plain functions on floats."""

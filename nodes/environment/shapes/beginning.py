@@ -1,8 +1,8 @@
-"""Where a proxy without a past begins: at the device, and free of the solids that the device is already inside of.
+"""Where a proxy starts: at the device, ignoring solids that the device is inside of.
 
 A half space pushes the device out, because its surface is known to be on one side; the coupling
-lets that force come by a ramp. The nearest surface of a solid may lie on any side of it, and far
-away. So a solid that the tool is deep inside of is not felt until the tool is wholly outside.
+ramps that force up. The nearest surface of a solid may lie on any side, and far away, so a solid
+that the tool is deep inside of is not felt until the tool is outside.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from nodes.environment.shapes.convex import gap
 from nodes.environment.shapes.tables import Memory, Table, Vector4
 from nodes.environment.shapes.tree import mesh_gap
 
-_SHALLOW = 5e-4  # a tool whose centre is less deep inside begins on the nearest surface [m]
+_SHALLOW = 5e-4  # depth up to which the tool begins on the nearest surface [m]
 _MOST_ROUNDS = 200
 
 
 def shape_gap(scene: Table, memory: Memory, n: int, x: float, y: float, z: float) -> Vector4:
-    """Distance of the tool's centre from where it touches a shape [m], negative inside, and the outward normal."""
+    """Return the signed distance of the tool's centre from contact [m], and the normal."""
     row = t.ROWS + t.ROW * n
     if scene[row + t.KIND] == t.MESH:
         return mesh_gap(scene, row, memory, t.LAST + n, x, y, z)
@@ -25,7 +25,7 @@ def shape_gap(scene: Table, memory: Memory, n: int, x: float, y: float, z: float
 
 
 def place(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
-    """Begin a proxy beside the device, or where it was on another surface, outside of all shapes that it feels."""
+    """Place a proxy outside felt shapes, at the device or at its position on the last surface."""
     if memory[t.PLACED] == t.CARRIED:
         x, y, z = memory[t.AT], memory[t.AT + 1], memory[t.AT + 2]
     memory[t.PLACED] = t.ON

@@ -1,4 +1,4 @@
-"""The geometry, for compiled callers: the functions of the interpreted proxy as they stand, so both give the same bits."""
+"""Registration of the interpreted geometry with numba, so that both give the same bits."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""Convex shapes that are a few floats: how far a point is, and when a moving one hits.
+"""Convex shapes of a few floats: distance of a point, and first hit along a step.
 
-The distance to a convex shape along a straight line is a convex function, so Newton's method from
-outside never steps over the first hit, and converges quadratically: one distance a shape is all
-that its sweep needs.
+The distance to a convex shape along a straight line is convex, so Newton's method from outside
+never steps past the first hit and converges quadratically, with one distance per iteration.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ _STRAIGHT = 1e-6
 
 
 def gap(scene: Table, row: int, x: float, y: float, z: float) -> Vector4:
-    """Distance of the tool's centre from where it touches a shape [m], negative inside, and the outward normal."""
+    """Return the signed distance of the tool's centre from contact [m], and the normal."""
     kind, at = scene[row + t.KIND], row + t.GIVEN
     px, py, pz = x - scene[at], y - scene[at + 1], z - scene[at + 2]
     if kind == t.PLANE:
@@ -102,12 +101,12 @@ def core(
     ny: float,
     nz: float,
 ) -> tuple[bool, float, float, float]:
-    """Whether the part at a normal that a point pulls to is round, and the centre of its curvature beside the point [m]."""
+    """Return whether the part at a normal is round, and its centre of curvature [m]."""
     kind, at = scene[row + t.KIND], row + t.GIVEN
     cx, cy, cz = scene[at], scene[at + 1], scene[at + 2]
     if kind == t.SPHERE:
         return True, cx, cy, cz
-    if kind == t.CAPSULE or kind == t.CYLINDER:  # compiled, floats are compared one by one
+    if kind == t.CAPSULE or kind == t.CYLINDER:  # numba compares floats one by one
         ux, uy, uz = scene[at + 3], scene[at + 4], scene[at + 5]
         along = (x - cx) * ux + (y - cy) * uy + (z - cz) * uz
         if kind == t.CAPSULE:
@@ -116,7 +115,8 @@ def core(
         if abs(nx * ux + ny * uy + nz * uz) < _STRAIGHT and abs(along) < scene[at + 6]:
             return True, cx + along * ux, cy + along * uy, cz + along * uz
     if kind == t.BOX or kind == t.CYLINDER:
-        # A ball on an edge: what pulls lies between the shape and the ball's way around it.
+        # A ball on an edge: the point that pulls lies between the shape and the ball's path around
+        # it.
         away, ox, oy, oz = gap(scene, row, x, y, z)
         away += scene[t.RADIUS]
         if away > t.LIP:
@@ -133,12 +133,13 @@ def core(
 def convex_hit(
     scene: Table, row: int, x: float, y: float, z: float, sx: float, sy: float, sz: float
 ) -> Vector4:
-    """Part of a straight step that the tool can go before it hits a convex shape, and the normal there; 2.0 for no hit."""
+    """Return the part of a step before the tool hits a convex shape (2.0: none); the normal."""
     part, nx, ny, nz = 0.0, 0.0, 0.0, 1.0
     for _ in range(_STEPS):
         left, nx, ny, nz = gap(scene, row, x + part * sx, y + part * sy, z + part * sz)
         closing = nx * sx + ny * sy + nz * sz
-        # A convex function lies above its tangent: what the tangent does not reach is not reached.
+        # A convex function lies above its tangent: if the tangent does not reach zero, nothing is
+        # hit.
         if left + closing * (1.0 - part) >= -t.TOLERANCE:
             return 2.0, nx, ny, nz
         if left <= t.TOLERANCE:

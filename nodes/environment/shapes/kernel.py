@@ -1,8 +1,8 @@
-"""The environment's tick on shapes, compiled; on any other surface, too, that is set meanwhile."""
+"""Compiled tick of the environment on shapes; it also meets every other surface."""
 
 from __future__ import annotations
 
-# Registers the geometry with numba.
+# registers the geometry with numba
 import nodes.environment.shapes.compiled_geometry as _registered
 from nodes.compiled.kernels.sources import kernel
 from nodes.environment.kernel import make_ticks
@@ -10,4 +10,4 @@ from nodes.environment.meet import meet
 
 del _registered
 
-ticks = make_ticks(kernel(meet))  # answer device states with proxies until something is unusual
+ticks = make_ticks(kernel(meet))  # answer device states until the plain tick is needed

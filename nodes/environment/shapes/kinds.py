@@ -1,4 +1,4 @@
-"""Surfaces in three dimensions, as the registry offers them: each is one solid or several, touched by a proxy with a memory."""
+"""Shapes in the registry of surfaces: one or several solids, and a proxy with memory."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ __all__ = [
     "Union",
 ]
 
-TOOL_RADIUS: Final = 1e-5  # radius of the tool where none is given [m]
+TOOL_RADIUS: Final = 1e-5  # default radius of the tool [m]
 Size = Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
 Coefficient = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
 Sizes = tuple[Size, Size, Size]
@@ -46,8 +46,8 @@ class FrictionParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     dynamic : float or None
         Coefficient while it slides; None for the static one.
     viscous : float
-        By how long a sliding proxy trails [s]: a viscous friction of this times the coupling's
-        stiffness.
+        Time by which a sliding proxy trails [s]; times the coupling's stiffness, this is a viscous
+        friction.
     """
 
     static: Coefficient = 0.0
@@ -60,25 +60,25 @@ class FrictionParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 
 
 class Touchable(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Base of what is touched in three dimensions.
+    """Base of surfaces in three dimensions.
 
     Attributes
     ----------
     tool_radius : float
-        Radius of the ball that touches; 0 for a point, which is caught by steps of nanometres
-        between solids that are meant to be flush [m].
+        Radius of the ball that touches [m]. 0 is a point, which catches on steps of nanometres
+        between solids that are meant to be flush.
     """
 
     kernel_module: ClassVar[str] = "nodes.environment.shapes.kernel"
     tool_radius: Annotated[float, msgspec.Meta(ge=0.0, le=0.1)] = TOOL_RADIUS
 
     def solids(self, where: str) -> list[Solid]:
-        """Make what the geometry works on.
+        """Return the solids that the geometry works on.
 
         Parameters
         ----------
         where : str
-            Path of the surface, for errors.
+            Parameter path of the surface, for errors.
 
         Returns
         -------
@@ -88,16 +88,16 @@ class Touchable(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
         Raises
         ------
         ParameterError
-            When a parameter is refused.
+            If a parameter is invalid.
         """
         raise TypeError(f"{where}: surface kind {type(self).kind!r} does not define solids()")
 
     def check(self, where: str) -> None:
-        """Refuse what could not be touched."""
+        """Check that the solids can be made."""
         self.solids(where)
 
     def numbers(self, period: float) -> Numbers:
-        """Describe the surface by numbers: the scene, and the memory of a proxy that has touched nothing yet."""
+        """Return the scene table and the memory of a proxy that has touched nothing yet."""
         solids = self.solids("surface")
         repairs = tuple(
             repair for solid in solids if solid.mesh is not None for repair in solid.mesh.repairs
@@ -110,7 +110,7 @@ class Touchable(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
         )
 
     def pushes(self) -> tuple[Axis, ...]:
-        """Tell along which axes it can push."""
+        """Return all axes."""
         return ("x", "y", "z")
 
 
@@ -120,14 +120,14 @@ class Shape(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):
     Attributes
     ----------
     friction : FrictionParameters
-        None by default.
+        Without friction by default.
     """
 
     friction: FrictionParameters = FrictionParameters()
 
     @property
-    def rubs(self) -> Friction:
-        """Friction as the geometry takes it."""
+    def coefficients(self) -> Friction:
+        """Friction coefficients with defaults filled in."""
         given = self.friction
         return Friction(
             given.static, given.static if given.dynamic is None else given.dynamic, given.viscous
@@ -135,14 +135,14 @@ class Shape(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class OrientedPlane(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Half a space below a plane that may lean.
+    """Half space below a plane of any orientation.
 
     Attributes
     ----------
     position : tuple of float, shape (3,)
         A point of the plane [m].
     normal : tuple of float, shape (3,)
-        The direction that is free, of any length.
+        Direction of the free side, of any length.
     """
 
     kind: ClassVar[str] = "oriented_plane"
@@ -150,10 +150,10 @@ class OrientedPlane(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True
     normal: Vector = (0.0, 0.0, 1.0)
 
     def solids(self, where: str) -> list[Solid]:
-        """Make the plane."""
+        """Return the half space."""
         if math.hypot(*self.normal) < 1e-6:
             raise ParameterError(f"{where}.normal: {list(self.normal)} has no direction")
-        return [scene.plane(self.position, self.normal, self.rubs)]
+        return [scene.plane(self.position, self.normal, self.coefficients)]
 
 
 class Ball(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -162,9 +162,9 @@ class Ball(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
     Attributes
     ----------
     position : tuple of float, shape (3,)
-        Its centre [m].
+        Centre [m].
     radius : float
-        Its radius [m].
+        Radius [m].
     """
 
     kind: ClassVar[str] = "sphere"
@@ -172,9 +172,9 @@ class Ball(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
     radius: Size
 
     def solids(self, where: str) -> list[Solid]:
-        """Make the sphere."""
+        """Return the sphere."""
         del where
-        return [scene.sphere(self.position, self.radius, self.rubs)]
+        return [scene.sphere(self.position, self.radius, self.coefficients)]
 
 
 class Box(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -183,11 +183,11 @@ class Box(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
     Attributes
     ----------
     position : tuple of float, shape (3,)
-        Its centre [m].
+        Centre [m].
     size : tuple of float, shape (3,)
         Lengths of its edges [m].
     rotation : tuple of float, shape (3,)
-        Roll, pitch and yaw [rad], about the fixed axes, as in URDF.
+        Roll, pitch and yaw about the fixed axes [rad], as in URDF.
     """
 
     kind: ClassVar[str] = "box"
@@ -196,9 +196,9 @@ class Box(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
     rotation: Vector = ZERO
 
     def solids(self, where: str) -> list[Solid]:
-        """Make the box."""
+        """Return the box."""
         del where
-        return [scene.box(self.position, self.size, self.rotation, self.rubs)]
+        return [scene.box(self.position, self.size, self.rotation, self.coefficients)]
 
 
 class _Rod(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -207,25 +207,25 @@ class _Rod(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
     radius: Size
 
     def solids(self, where: str) -> list[Solid]:
-        """Make the solid between the two ends."""
+        """Return the solid between the two ends."""
         if math.dist(self.start, self.end) < 1e-6:
             raise ParameterError(
                 f"{where}.end: {list(self.end)} is the start: the axis has no direction; a ball is"
                 " a sphere"
             )
         make = scene.capsule if type(self).kind == "capsule" else scene.cylinder
-        return [make(self.start, self.end, self.radius, self.rubs)]
+        return [make(self.start, self.end, self.radius, self.coefficients)]
 
 
 class Capsule(_Rod, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """All that is within a radius of a straight line.
+    """A capsule: all points within a radius of a straight line.
 
     Attributes
     ----------
     start, end : tuple of float, shape (3,)
         Ends of the line [m].
     radius : float
-        The radius [m].
+        Radius [m].
     """
 
     kind: ClassVar[str] = "capsule"
@@ -239,24 +239,23 @@ class Cylinder(_Rod, frozen=True, forbid_unknown_fields=True, kw_only=True):
     start, end : tuple of float, shape (3,)
         Centres of its two ends [m].
     radius : float
-        Its radius [m].
+        Radius [m].
     """
 
     kind: ClassVar[str] = "cylinder"
 
 
 class Mesh(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The solid that triangles bound, or a sheet of them.
+    """A solid bounded by triangles, or a sheet of them.
 
     Attributes
     ----------
     file : str
-        An ``.stl`` or ``.obj`` file; ``$(dirname)`` in a launch file is the folder that it stands
-        in.
+        An ``.stl`` or ``.obj`` file; ``$(dirname)`` in a launch file is the folder of that file.
     scale : float
         Metres per unit of the file: 0.001 for millimetres.
     position : tuple of float, shape (3,)
-        Where the origin of the file is [m].
+        Position of the file's origin [m].
     rotation : tuple of float, shape (3,)
         Roll, pitch and yaw [rad].
     sides : str
@@ -271,8 +270,8 @@ class Mesh(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
     sides: Literal["outer", "both"] = "outer"
 
     def solids(self, where: str) -> list[Solid]:
-        """Read the file and make the solid."""
-        import numpy as np  # A scene of plain shapes needs no numpy
+        """Read the file and return the solid."""
+        import numpy as np  # a scene of plain shapes needs no numpy
 
         from nodes.environment.shapes.mesh import prepare_mesh
         from nodes.environment.shapes.mesh_file import read_triangles
@@ -285,25 +284,26 @@ class Mesh(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
             )
         return [
             scene.mesh(
-                prepare_mesh(corners, self.sides == "both", f"{where}.file: {file}"), self.rubs
+                prepare_mesh(corners, self.sides == "both", f"{where}.file: {file}"),
+                self.coefficients,
             )
         ]
 
 
 class Union(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Several shapes, touched as one: several at once, too.
+    """Several shapes touched as one surface, also at the same time.
 
     Attributes
     ----------
     shapes : list of dict
-        Each with its kind and parameters.
+        Kind and parameters of each.
     """
 
     kind: ClassVar[str] = "union"
     shapes: Annotated[list[dict[str, Any]], msgspec.Meta(min_length=1, max_length=64)]
 
     def solids(self, where: str) -> list[Solid]:
-        """Make all of them."""
+        """Return the solids of all shapes."""
         found = []
         for i, data in enumerate(self.shapes):
             at = f"{where}.shapes[{i}]"

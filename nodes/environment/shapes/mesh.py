@@ -1,4 +1,4 @@
-"""A mesh made ready to be touched: checked, repaired where that is certain, and put into the scene table with its tree."""
+"""Preparing a mesh for contact: checks, safe repairs, and its bounding-volume tree."""
 
 from __future__ import annotations
 
@@ -10,30 +10,32 @@ from numpy.typing import NDArray
 from nodes.environment.shapes.tables import NODE
 from nodes.parameters.store import ParameterError
 
-Corners = NDArray[np.float64]  # Shape (n, 3, 3): triangles, corners, coordinates [m]
-LARGEST = 2.0  # largest extent of a mesh [m]: what is larger was probably drawn in millimetres
+Corners = NDArray[np.float64]  # triangles, corners, coordinates [m], shape (n, 3, 3)
+LARGEST = 2.0  # largest extent of a mesh [m]; a larger one was probably drawn in millimetres
 SMALLEST = 1e-3
 
-_LEAF = 4  # triangles in a leaf of the tree, at most
-_SLIVER = 1e-9  # a triangle lower than this is degenerate [m]
+_LEAF = 4  # largest number of triangles in a leaf of the tree
+_SLIVER = 1e-9  # height below which a triangle is degenerate [m]
 
 
 class PreparedMesh(NamedTuple):
-    """What the geometry needs of a mesh."""
+    """A mesh as the geometry uses it."""
 
     corners: Corners  # triangles in the order of the tree [m], shape (n, 3, 3)
     normals: NDArray[np.float64]  # outward normals, shape (n, 3)
     neighbours: NDArray[np.int64]  # triangle across each edge, −1 for none, shape (n, 3)
-    # Nodes of the tree in heap order, the root at 1: lower and upper corner [m], shape (2 * leaves,
-    # 6).
+    # bounding boxes in heap order, root at 1: lower, upper corner [m], shape (2 * leaves, 6)
     boxes: NDArray[np.float64]
     leaves: int  # leaves of the tree
-    closed: bool  # whether it is the border of a solid
-    repairs: tuple[str, ...]  # what was repaired, in words
+    closed: bool  # whether it bounds a solid
+    repairs: tuple[str, ...]  # what was repaired, as text
 
 
 def prepare_mesh(corners: Corners, both_sides: bool, where: str) -> PreparedMesh:
-    """Check triangles [m], and build what a proxy needs of a sheet or a solid; ParameterError says what is wrong with them."""
+    """Check triangles [m], shape (n, 3, 3), and return them with neighbours and tree.
+
+    Raises ParameterError if the triangles bound no solid (or form no sheet, with `both_sides`).
+    """
     repairs = []
     if not np.isfinite(corners).all():
         bad = int(np.flatnonzero(~np.isfinite(corners).all(axis=(1, 2)))[0])
@@ -46,7 +48,7 @@ def prepare_mesh(corners: Corners, both_sides: bool, where: str) -> PreparedMesh
             f"{where}: the mesh is {extent:.4g} m wide, expected {SMALLEST:g} to {LARGEST:g} m;"
             f" {hint}"
         )
-    # Corners at the same place are one: STL tells each triangle's own, to single precision.
+    # Corners at the same place are merged: STL repeats them per triangle, in single precision.
     corner, ids = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     ids = ids.reshape(-1, 3).astype(np.int64)
     corners = corner[ids]
@@ -69,7 +71,7 @@ def prepare_mesh(corners: Corners, both_sides: bool, where: str) -> PreparedMesh
         raise ParameterError(f"{where}: no triangle has an area")
     if both_sides:
         corners = np.concatenate([corners, corners[:, ::-1]])
-        # Corners of their own for the back, so that no triangle is its own neighbour.
+        # Separate corners for the back, so that no triangle is its own neighbour.
         ids = np.concatenate([ids, ids[:, ::-1] + len(corner)])
         normals = (
             np.concatenate([across, -across]) / np.concatenate([twice_area, twice_area])[:, None]
@@ -79,7 +81,7 @@ def prepare_mesh(corners: Corners, both_sides: bool, where: str) -> PreparedMesh
         normals = across / twice_area[:, None]
         if float(np.einsum("ij,ij->", corners[:, 0] - corner[0], across)) < 0.0:
             corners, ids, normals = corners[:, ::-1], ids[:, ::-1], -normals
-            repairs.append(f"{where}: all faces looked inwards, and were turned")
+            repairs.append(f"{where}: all faces pointed inwards and were flipped")
     order, leaves = _order(corners)
     corners, ids, normals = corners[order], ids[order], normals[order]
     boxes = _boxes(corners, leaves)
@@ -95,7 +97,7 @@ def prepare_mesh(corners: Corners, both_sides: bool, where: str) -> PreparedMesh
 
 
 def _edges(ids: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Give each directed edge a number: first corner times a large number, plus the second."""
+    """Return a number for each directed edge, unique to its two corners."""
     return np.asarray(ids * (int(ids.max()) + 1) + np.roll(ids, -1, axis=1), dtype=np.int64)
 
 
@@ -134,7 +136,7 @@ def _neighbours(ids: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _order(corners: Corners) -> tuple[NDArray[np.int64], int]:
-    """Sort triangles so that each node of a complete tree has neighbours: halves along the longest side, level by level."""
+    """Sort triangles into the leaves of a complete tree, halving along the longest side."""
     count = len(corners)
     leaves = 1
     while leaves * _LEAF < count:

@@ -1,4 +1,4 @@
-"""Triangles from a file: STL, binary or text, and OBJ. A file is refused by its size before it is read."""
+"""Reading triangles from STL (binary or text) and OBJ files."""
 
 from __future__ import annotations
 
@@ -11,14 +11,18 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-LARGEST: Final = 256_000_000  # largest file that is read [bytes]: some five million triangles
+# largest file [bytes], about five million triangles; checked before reading
+LARGEST: Final = 256_000_000
 
 _HEADER: Final = 84
 _RECORD: Final = 50
 
 
 def read_triangles(path: Path, where: str) -> NDArray[np.float64]:
-    """Read the corners of a file's triangles, in its unit, shape (n, 3, 3); ParameterError when it has none."""
+    """Return the corners of a file's triangles, in its unit, shape (n, 3, 3).
+
+    Raises ParameterError if the file cannot be read or has no triangles.
+    """
     kind = path.suffix.lower()
     if kind not in (".stl", ".obj"):
         raise ParameterError(f"{where}: {path} is no .stl and no .obj file")
@@ -47,7 +51,7 @@ def _stl(data: bytes) -> NDArray[np.float64]:
     import numpy as np
 
     count = int.from_bytes(data[80:_HEADER], "little") if len(data) >= _HEADER else 0
-    # A binary file may begin with "solid", too: its length tells it apart.
+    # A binary file may also begin with "solid"; its length distinguishes it.
     if count and len(data) == _HEADER + _RECORD * count:
         records = np.frombuffer(
             data,

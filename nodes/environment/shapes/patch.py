@@ -1,4 +1,4 @@
-"""The patch of a mesh around a contact, over edges so shallow that they stand for a smooth surface."""
+"""Searching the triangles around a contact, across edges shallow enough to be smooth."""
 
 from __future__ import annotations
 
@@ -18,16 +18,18 @@ from nodes.environment.shapes.tables import (
 from nodes.environment.shapes.triangle import nearest_on_triangle
 
 _SHALLOW = 1.0718
-"""Squared: how much further than the contact an edge may be from the device to be crossed. 1/cos²(15°), so that between two
-equally near faces an edge of up to 30° counts as part of a smooth surface."""
+"""Squared ratio of distances, edge over contact, for crossing an edge: 1/cos²(15°).
 
-_NEARER = 1e-13  # by how much another triangle must be nearer [m]
+Between two equally near faces, an edge of up to 30° then counts as part of a smooth surface.
+"""
+
+_NEARER = 1e-13  # least gain in distance for changing the triangle [m]
 
 
 def nearer_in_patch(
     scene: Table, row: int, memory: Memory, face: int, x: float, y: float, z: float
 ) -> tuple[bool, float, float, float]:
-    """Look over edges that are hardly further for a triangle nearer to the device: whether there is one, and its proxy [m]."""
+    """Search across shallow edges for a nearer triangle; return whether one is, and its proxy."""
     triangles, neighbours = int(scene[row + TRIANGLES]), int(scene[row + NEIGHBOURS])
     px, py, pz, _ = nearest_on_triangle(scene, triangles + TRIANGLE * face, x, y, z)
     least = sqrt((px - x) * (px - x) + (py - y) * (py - y) + (pz - z) * (pz - z))
@@ -58,7 +60,7 @@ def nearer_in_patch(
     if least >= first - _NEARER:
         return False, 0.0, 0.0, 0.0
     if least <= LIP:
-        # The device is on that triangle: what leads from one to the other is rounding, or nothing.
+        # The device is on that triangle: the direction between them is rounding error, or zero.
         at, out = triangles + TRIANGLE * best, scene[RADIUS]
         return True, bx + out * scene[at + 9], by + out * scene[at + 10], bz + out * scene[at + 11]
     out = scene[RADIUS] / least
@@ -66,7 +68,7 @@ def nearer_in_patch(
 
 
 def _edge(scene: Table, at: int, k: int, x: float, y: float, z: float) -> float:
-    """Squared distance to an edge of a triangle [m²]."""
+    """Return the squared distance to an edge of a triangle [m²]."""
     i, j = at + 3 * k, at + 3 * ((k + 1) % 3)
     ex, ey, ez = scene[j] - scene[i], scene[j + 1] - scene[i + 1], scene[j + 2] - scene[i + 2]
     px, py, pz = x - scene[i], y - scene[i + 1], z - scene[i + 2]

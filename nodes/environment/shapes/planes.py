@@ -1,4 +1,4 @@
-"""How far the proxy may go towards what pulls it, between up to eight planes at once: a small quadratic programme, exact."""
+"""The proxy's step between up to eight planes: a quadratic programme, solved exactly."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ _SLACK = 1e-13
 
 
 def step_between(memory: Memory, count: int, vx: float, vy: float, vz: float) -> Vector:
-    """Find the step nearest to a wanted one that stays on the free side of all planes touched.
+    """Return the step nearest to a wanted one that stays on the free side of all planes.
 
     It is the v that minimises |step − v|² subject to n·step ≥ −gap for each plane. In three
-    dimensions at most three planes carry it, so each one, pair and triple is tried, and the first
+    dimensions at most three planes are active, so each one, pair and triple is tried, and the first
     that satisfies the conditions of Karush, Kuhn and Tucker is the answer. The multipliers, which
     are the normal parts of the deflection [m], are written beside the planes.
     """
@@ -21,8 +21,8 @@ def step_between(memory: Memory, count: int, vx: float, vy: float, vz: float) ->
     for size in range(4):
         if best <= _SLACK or count < size:
             break
-        # Loops over nothing count as one turn with −1, so that each function is called at one
-        # place: they are compiled into it.
+        # Empty loops run once with −1, so that each function is called at one place, where numba
+        # inlines it.
         for i in range(-1 if size < 1 else 0, 0 if size < 1 else count):
             for j in range(-1 if size < 2 else i + 1, 0 if size < 2 else count):
                 for k in range(-1 if size < 3 else j + 1, 0 if size < 3 else count):
@@ -39,7 +39,7 @@ def step_between(memory: Memory, count: int, vx: float, vy: float, vz: float) ->
 
 
 def _needs(memory: Memory, i: int, vx: float, vy: float, vz: float) -> float:
-    """How far a step leads behind a plane [m]."""
+    """Return the depth of a step behind a plane [m]."""
     at = CONTACTS + CONTACT * i
     return -memory[at + GAP] - (memory[at] * vx + memory[at + 1] * vy + memory[at + 2] * vz)
 
@@ -58,7 +58,10 @@ def _dot(memory: Memory, i: int, j: int) -> float:
 
 
 def _against(memory: Memory, vx: float, vy: float, vz: float, i: int, j: int, k: int) -> Vector:
-    """Step on up to three planes at once (-1: none); their multipliers are written, 0 where they are all but parallel."""
+    """Project a step on up to three planes (−1: none) and write their multipliers.
+
+    The multipliers are 0 if the planes are almost parallel.
+    """
     if i < 0:
         return vx, vy, vz
     a = _needs(memory, i, vx, vy, vz)

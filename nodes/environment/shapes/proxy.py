@@ -1,14 +1,14 @@
-"""The proxy on shapes: where the tool would be if they were solid, with friction (Zilles, Salisbury 1995; Melder, Harwin).
+"""The proxy on shapes with friction (Zilles and Salisbury 1995; Melder and Harwin).
 
-The proxy goes from where it was towards the device, straight until it hits, then along what it
-touches, and so on until nothing lets it come nearer: all in one call, not one constraint a tick. It
-never begins from the nearest point, so it does not change sides in thin walls. It sticks while the
-deflection stays within the cone of friction, and slides until it is back on it.
+The proxy moves from its last position towards the device: straight until it hits a shape, then
+along what it touches, until it cannot come nearer. All constraints are found in one call, not one
+per tick. It never starts from the nearest point, so it does not change sides in thin walls. It
+sticks while the deflection stays within the friction cone, and slides until it is back on it.
 
-Over the shallow edges of a mesh, which stand for a smooth surface, a proxy that only ever descends
-would hang on to its triangle until the device has left the room under it: every edge would brake by
-a jump. There the proxy looks at its neighbours as well, and takes the nearest, so that its energy
-depends on where the device is, not on how it came there.
+On a mesh, shallow edges stand for a smooth surface. A proxy that only descends would stay on its
+triangle until the device has left the space under it, and every edge would brake by a jump. There
+the proxy also searches neighbouring triangles and moves to the nearest, so that its energy depends
+on the position of the device only, not on its path.
 """
 
 from __future__ import annotations
@@ -25,25 +25,24 @@ from nodes.environment.shapes.tables import Memory, Table
 from nodes.environment.shapes.tree import mesh_hit
 from nodes.environment.shapes.triangle import triangle_gap
 
-_STILL = 1e-14  # a shorter step is none [m]
+_STILL = 1e-14  # length below which a step counts as zero [m]
 _MOST_ROUNDS = 200
 
-# rounds in which a leap may lead away from the device, as deep in a round part; then it is a circle
+# rounds in which a leap may lead away from the device; after them it is taken for a cycle
 _TRUSTED = 50
-# a device that says it is further away than this is lost [m]: it touches nothing, and its proxy
-# waits for it
+# distance beyond which a device is lost [m]: it touches nothing, and its proxy waits
 _FAR = 1e3
-_WAITS = 0.05  # a device that comes back from there further away from its proxy is met anew [m]
-_FACING = 0.2  # cosine from which on the centre of a round part shows the way
+_WAITS = 0.05  # distance from its proxy beyond which a returning device restarts it [m]
+_FACING = 0.2  # least cosine at which the centre of a round part gives the direction
 
 _PARALLEL = 1e-9
-_BIT = 1e-6  # how far along a crease its bend is looked for [m]
-_FLATTEST = 0.1  # a step along a crease is lengthened up to ten times
+_BIT = 1e-6  # distance along a crease over which its curvature is measured [m]
+_FLATTEST = 0.1  # least curvature term: a step along a crease is lengthened at most tenfold
 _TURNS = 9  # descents in a call: the first, and two for each patch that is tried
 
 
 def meet(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
-    """Let the proxy follow the device to a position; proxy, normal, distance and contact are written into its memory."""
+    """Move the proxy to follow the device [m]; write proxy, normal, distance and contact."""
     memory[t.ROUNDS] = 0.0
     if not (abs(x) < _FAR and abs(y) < _FAR and abs(z) < _FAR):
         if memory[t.PLACED] == t.ON:
@@ -60,7 +59,7 @@ def meet(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
     gx, gy, gz = x, y, z
     before, trying = 0.0, False
     for turn in range(_TURNS):
-        # One place that calls it: compiled, it is the largest part by far.
+        # Called at one place only: numba inlines it, and it is the largest part.
         held = _descend(scene, memory, gx, gy, gz, turn == 0)
         if trying:
             trying, gx, gy, gz = False, x, y, z
@@ -80,13 +79,13 @@ def meet(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
 
 
 def _away(memory: Memory, x: float, y: float, z: float) -> float:
-    """Squared distance of a point to the proxy [m²]."""
+    """Return the squared distance of a point to the proxy [m²]."""
     ax, ay, az = memory[t.AT] - x, memory[t.AT + 1] - y, memory[t.AT + 2] - z
     return ax * ax + ay * ay + az * az
 
 
 def _go_back(memory: Memory) -> None:
-    """Be again where the last search of a patch began."""
+    """Restore the proxy as it was before the last patch was tried."""
     memory[t.AT], memory[t.AT + 1], memory[t.AT + 2] = (
         memory[t.BACK],
         memory[t.BACK + 1],
@@ -97,14 +96,14 @@ def _go_back(memory: Memory) -> None:
     memory[t.TOUCHED] = 1.0
 
 
-# Long: one compiled function: a call across it would cost what it saves.
+# Long: one compiled function, because a call would cost more than it saves.
 def _descend(scene: Table, memory: Memory, dx: float, dy: float, dz: float, rough: bool) -> bool:  # noqa: C901, PLR0915
-    """Bring the proxy as near as it can come, descending all the way; whether something holds it."""
+    """Descend with the proxy towards the device. Return whether a surface holds it."""
     x, y, z = memory[t.AT], memory[t.AT + 1], memory[t.AT + 2]
     count, sliding, slid, idle = int(memory[t.TOUCHED]), memory[t.SLIDING] == 1.0, 0.0, 0
     covered, nx, ny, nz, shape, face = 1.0, 0.0, 0.0, 1.0, -1.0, -1.0
-    # Where the last leap began, how far from the device that was (squared; −1 for none under way),
-    # and whether to leap now.
+    # State before the last leap: position, squared distance to the device (−1: no leap under way),
+    # and whether leaps are on.
     bx, by, bz, had_slid, before_leap, leaping = x, y, z, 0.0, -1.0, True
     for turn in range(_MOST_ROUNDS):
         memory[t.ROUNDS] += 1.0
@@ -131,14 +130,14 @@ def _descend(scene: Table, memory: Memory, dx: float, dy: float, dz: float, roug
         held = carrying > 0
         if held and before_leap >= 0.0:
             if turn > _TRUSTED and vx * vx + vy * vy + vz * vz > before_leap:
-                # It goes in circles: what the leap led to is not the round part that it was made
-                # for. Again, without a leap.
+                # It cycles: the leap did not lead to the round part that it was computed for.
+                # Repeat without it.
                 x, y, z, slid = bx, by, bz, had_slid
                 count, covered, shape, before_leap, leaping = 0, 1.0, -1.0, -1.0, False
                 continue
             before_leap = -1.0
         if rough and held and length > _STILL:
-            behind = coat / (pressed * scene[t.PERIOD])
+            behind = coat / (pressed * scene[t.CALL_PERIOD])
             if not sliding and length > cone:
                 sliding = True
                 cone = 0.0
@@ -166,7 +165,8 @@ def _descend(scene: Table, memory: Memory, dx: float, dy: float, dz: float, roug
         sx, sy, sz = part * sx, part * sy, part * sz
         go, nx, ny, nz, shape, face = _first_hit(scene, memory, x, y, z, sx, sy, sz)
         if go > 1.0 and not held:
-            go, x, y, z = 1.0, dx, dy, dz  # nothing in the way: the device itself, to the bit
+            # nothing in the way: the device position itself, to the bit
+            go, x, y, z = 1.0, dx, dy, dz
         else:
             go = min(go, 1.0)
             x, y, z = x + go * sx, y + go * sy, z + go * sz
@@ -197,7 +197,7 @@ def _around(
     sy: float,
     sz: float,
 ) -> Vector:
-    """On a round part: the step along its tangent plane to above where the proxy comes to rest, from where it only drops."""
+    """Return the step in a round part's tangent plane to above where the proxy comes to rest."""
     row = t.ROWS + t.ROW * int(memory[at + t.SHAPE])
     nx, ny, nz = memory[at], memory[at + 1], memory[at + 2]
     is_round, cx, cy, cz = core(scene, row, memory[at + t.FACE], dx, dy, dz, nx, ny, nz)
@@ -222,7 +222,7 @@ def _along_crease(
     sy: float,
     sz: float,
 ) -> Vector:
-    """Between two surfaces: the step along their crease by Newton's method, which knows how both bend along it."""
+    """Return the step along the crease of two surfaces (Newton's method, with curvature)."""
     tx = ty = tz = 0.0
     first = -1
     for i in range(count):
@@ -264,7 +264,7 @@ def _along_crease(
 def _first_hit(
     scene: Table, memory: Memory, x: float, y: float, z: float, sx: float, sy: float, sz: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Part of a step before anything is hit (2.0: nothing), the normal there, which shape, which of its triangles."""
+    """Return the part of a step before a hit (2.0: none), the normal, shape and triangle."""
     best, nx, ny, nz, shape, face = 2.0, 0.0, 0.0, 1.0, -1.0, -1.0
     shapes = int(scene[t.SHAPES])
     for n in range(shapes):
@@ -282,7 +282,7 @@ def _first_hit(
 
 
 def _touching(scene: Table, memory: Memory, count: int, x: float, y: float, z: float) -> int:
-    """Keep the triangles that are still touched, and look which of the other shapes are; how many contacts that makes."""
+    """Discard triangles no longer touched and add other shapes touched. Return the count."""
     kept = 0
     for i in range(count):
         at = t.CONTACTS + t.CONTACT * i
@@ -299,7 +299,7 @@ def _touching(scene: Table, memory: Memory, count: int, x: float, y: float, z: f
         solid = (
             scene[t.ROWS + t.ROW * n + t.KIND] != t.MESH and memory[t.LAST + shapes + n] == t.FELT
         )
-        if solid and kept < t.MOST:
+        if solid and kept < t.MAX_CONTACTS:
             away, nx, ny, nz = gap(scene, t.ROWS + t.ROW * n, x, y, z)
             if away <= t.TOUCH:
                 kept = _write(memory, kept, nx, ny, nz, away, float(n), -1.0)
@@ -333,7 +333,7 @@ def _add(
     y: float,
     z: float,
 ) -> int:
-    """Note what was hit, if it is not among the contacts yet; with all places taken, in place of the last."""
+    """Add a hit to the contacts unless it is there; if all places are taken, replace the last."""
     for i in range(count):
         at = t.CONTACTS + t.CONTACT * i
         if memory[at + t.SHAPE] == shape and memory[at + t.FACE] == face:
@@ -346,13 +346,16 @@ def _add(
         )
         if found <= t.TOUCH:
             away = found
-    return _write(memory, min(count, t.MOST - 1), nx, ny, nz, away, shape, face)
+    return _write(memory, min(count, t.MAX_CONTACTS - 1), nx, ny, nz, away, shape, face)
 
 
 def _other_patch(
     scene: Table, memory: Memory, dx: float, dy: float, dz: float
 ) -> tuple[bool, float, float, float]:
-    """On a smooth mesh without friction: whether a triangle over a shallow edge is nearer, and where the proxy would be."""
+    """Return whether a triangle across a shallow edge is nearer, and the proxy on it.
+
+    Always false with friction, or away from a single triangle of a mesh.
+    """
     carrier, carriers = 0, 0
     for i in range(int(memory[t.TOUCHED])):
         if memory[t.CONTACTS + t.CONTACT * i + t.SHARE] > 0.0:
@@ -370,7 +373,7 @@ def _other_patch(
 
 
 def _answer(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
-    """Write where the proxy is, how far, and whether there is contact."""
+    """Write proxy, normal, signed distance and contact into memory."""
     ax, ay, az = memory[t.AT], memory[t.AT + 1], memory[t.AT + 2]
     memory[t.PROXY], memory[t.PROXY + 1], memory[t.PROXY + 2] = ax, ay, az
     nx = ny = nz = 0.0
@@ -384,7 +387,7 @@ def _answer(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
         )
     length = sqrt(nx * nx + ny * ny + nz * nz)
     if length == 0.0:
-        # Held, but by nothing at its very end: on the way between two of many constraints.
+        # The proxy is held, but by nothing at its end point: it stopped between many constraints.
         nx, ny, nz = ax - x, ay - y, az - z
         length = sqrt(nx * nx + ny * ny + nz * nz)
     if length > 0.0:
@@ -400,7 +403,7 @@ def _answer(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
                 if found < away:
                     away, nx, ny, nz = found, px, py, pz
         if nx == 0.0 and ny == 0.0 and nz == 0.0:
-            away = 0.0  # nothing that is felt
+            away = 0.0  # no shape is felt
         memory[t.IN_CONTACT] = 0.0
     memory[t.NORMAL], memory[t.NORMAL + 1], memory[t.NORMAL + 2], memory[t.DISTANCE] = (
         nx,

@@ -1,4 +1,4 @@
-"""The scene table, filled in: shapes of a few floats as rows, meshes behind them."""
+"""Building the scene table: one row per shape, followed by the meshes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class Friction(NamedTuple):
-    """Coefficients of a surface: static and dynamic [1], and by how long a sliding proxy trails [s]."""
+    """Friction coefficients: static and dynamic [1], and the time a sliding proxy trails [s]."""
 
     static: float = 0.0
     dynamic: float = 0.0
@@ -27,7 +27,7 @@ SLIPPERY = Friction()
 
 
 class Solid(NamedTuple):
-    """One shape as the geometry takes it: its kind, its numbers, its friction, and the triangles of a mesh."""
+    """A shape as the geometry uses it: kind, numbers, friction and mesh."""
 
     kind: float
     numbers: tuple[float, ...]
@@ -36,19 +36,19 @@ class Solid(NamedTuple):
 
 
 def plane(point: Vector, normal: Vector, friction: Friction = SLIPPERY) -> Solid:
-    """Half a space, free on the side of its normal."""
+    """Return a half space, free on the side of its normal."""
     return Solid(t.PLANE, (*point, *unit(normal)), friction)
 
 
 def sphere(centre: Vector, radius: float, friction: Friction = SLIPPERY) -> Solid:
-    """Make a ball."""
+    """Return a ball."""
     return Solid(t.SPHERE, (*centre, radius), friction)
 
 
 def box(
     centre: Vector, size: Vector, turn: Vector = (0.0, 0.0, 0.0), friction: Friction = SLIPPERY
 ) -> Solid:
-    """Make a box with edges of these lengths, turned by roll, pitch and yaw [rad]."""
+    """Return a box of edge lengths `size` [m], turned by roll, pitch and yaw [rad]."""
     axes = zip(*rotation(turn), strict=True)
     return Solid(
         t.BOX,
@@ -58,14 +58,14 @@ def box(
 
 
 def capsule(start: Vector, end: Vector, radius: float, friction: Friction = SLIPPERY) -> Solid:
-    """Make all that is within a radius of a straight line."""
+    """Return all points within a radius of a straight line."""
     return Solid(
         t.CAPSULE, (*start, *_direction(start, end), _length(start, end), radius), friction
     )
 
 
 def cylinder(start: Vector, end: Vector, radius: float, friction: Friction = SLIPPERY) -> Solid:
-    """Make a cylinder between the centres of its ends."""
+    """Return a cylinder between the centres of its ends."""
     middle = tuple(0.5 * (a + b) for a, b in zip(start, end, strict=True))
     return Solid(
         t.CYLINDER, (*middle, *_direction(start, end), 0.5 * _length(start, end), radius), friction
@@ -73,19 +73,19 @@ def cylinder(start: Vector, end: Vector, radius: float, friction: Friction = SLI
 
 
 def mesh(prepared: PreparedMesh, friction: Friction = SLIPPERY) -> Solid:
-    """Make the solid, or the sheet, that triangles bound."""
+    """Return the solid, or the sheet, of a prepared mesh."""
     return Solid(t.MESH, (), friction, prepared)
 
 
 def unit(vector: Sequence[float]) -> Vector:
-    """Direction of a vector that is not zero."""
+    """Return the direction of a vector that is not zero."""
     x, y, z = vector
     length = sqrt(x * x + y * y + z * z)
     return x / length, y / length, z / length
 
 
 def rotation(turn: Vector) -> tuple[Vector, Vector, Vector]:
-    """Rows of the matrix that turns by roll, pitch and yaw [rad], about fixed x, then y, then z, as in URDF."""
+    """Return the rotation matrix of roll, pitch and yaw [rad]: fixed x, y, z axes, as in URDF."""
     (a, b, c), (d, e, f) = (tuple(map(cos, turn)), tuple(map(sin, turn)))
     return (
         (c * b, c * e * d - f * a, c * e * a + f * d),
@@ -95,9 +95,9 @@ def rotation(turn: Vector) -> tuple[Vector, Vector, Vector]:
 
 
 def scene_table(solids: Sequence[Solid], tool_radius: float, period: float) -> array[float]:
-    """Put shapes into a table (nodes/environment/shapes/tables.py) for a ball that touches them, or a point."""
+    """Return the scene table (nodes/environment/shapes/tables.py) of shapes for one tool."""
     rows = array("d", [0.0]) * (t.ROWS + t.ROW * len(solids))
-    rows[t.SHAPES], rows[t.RADIUS], rows[t.PERIOD] = len(solids), tool_radius + t.SKIN, period
+    rows[t.SHAPES], rows[t.RADIUS], rows[t.CALL_PERIOD] = len(solids), tool_radius + t.SKIN, period
     behind = array("d")
     for n, solid in enumerate(solids):
         at = t.ROWS + t.ROW * n
@@ -126,15 +126,15 @@ def scene_table(solids: Sequence[Solid], tool_radius: float, period: float) -> a
 
 
 class KnownShapes(NamedTuple):
-    """What tells the shapes of a scene from others, whatever their friction."""
+    """Identity of a scene's shapes, ignoring friction."""
 
-    common: tuple[float, ...]  # tool and period
-    # kind and numbers of each; of a mesh a digest of its triangles
+    common: tuple[float, ...]  # tool radius and period
+    # kind and numbers of each shape; for a mesh, a digest of its triangles
     shapes: tuple[tuple[float | bytes, ...], ...]
 
 
 def identity_of(table: array[float]) -> KnownShapes:
-    """Compute the identity of a scene; a large mesh takes milliseconds, which the loop's thread has not."""
+    """Return the identity of a scene; takes ms for a large mesh: not for the loop's thread."""
     return KnownShapes(
         tuple(table[: t.ROWS]), tuple(_shape(table, n) for n in range(int(table[t.SHAPES])))
     )
@@ -150,10 +150,10 @@ def _shape(table: array[float], n: int) -> tuple[float | bytes, ...]:
 
 
 def matched(before: KnownShapes, after: KnownShapes) -> dict[int, int]:
-    """Return which shape of one scene each shape of another is, each taken once: the same one, wherever it stands in the list.
+    """Map each shape of scene `after` to its counterpart in `before`; each is used once.
 
-    Of those that are left, one is taken to be the shape of its kind at its place where both scenes
-    have as many, or the only one of its kind that was left.
+    Equal shapes match wherever they stand in the lists. The rest match by kind: at the same place
+    if both scenes have as many shapes, or if only one of that kind is left.
     """
     left = list(range(len(before.shapes)))
     found: dict[int, int] = {}
@@ -184,7 +184,7 @@ def matched(before: KnownShapes, after: KnownShapes) -> dict[int, int]:
 
 
 def new_memory(solids: int) -> array[float]:
-    """Make the memory of a proxy that has not touched anything yet."""
+    """Return the memory of a proxy that has not touched anything yet."""
     return array("d", [0.0]) * (t.LAST + 2 * solids)
 
 
@@ -194,13 +194,13 @@ def carry_over(
     after: KnownShapes,
     to_memory: MutableSequence[float],
 ) -> None:
-    """Begin the proxy of another scene where that of one is [m]; shapes that it pressed on go on holding it.
+    """Start the proxy of scene `after` at that of `before`; pressed shapes keep holding it.
 
-    What becomes of it is decided at the next tick (nodes/environment/shapes/beginning.py).
+    The next tick decides which shapes are felt (nodes/environment/shapes/beginning.py).
     """
     if memory[t.PLACED] == t.NEVER:
         return
-    # A proxy whose device is lost waits on, for it to come back elsewhere.
+    # A proxy whose device is lost keeps waiting until the device comes back elsewhere.
     is_lost = memory[t.PLACED] == t.LOST
     to_memory[t.AT : t.AT + 3] = array("d", [inf] * 3 if is_lost else memory[t.AT : t.AT + 3])
     to_memory[t.PLACED] = t.LOST if is_lost else t.CARRIED

@@ -1,8 +1,8 @@
-"""The bounding-volume tree of a mesh: which of its triangles a step hits first, and which is nearest.
+"""The bounding-volume tree of a mesh: first triangle hit by a step, and nearest triangle.
 
-The tree is complete and stands in heap order, the root at 1 and the children of k at 2k and 2k + 1,
-so that walking it needs no
-stack: after a node comes the one to its right, above all that end with it.
+The tree is complete and stored in heap order: the root is 1, the children of k are 2k and 2k + 1.
+Walking it needs no stack, because the node after k is the one to the right of the highest ancestor
+that ends with it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from nodes.environment.shapes.triangle import height_above, nearest_on_triangle,
 def mesh_hit(
     scene: Table, row: int, x: float, y: float, z: float, sx: float, sy: float, sz: float
 ) -> tuple[float, float, float, float, float]:
-    """Part of a step before a mesh is hit (2.0: not at all), the normal there, and which triangle."""
+    """Return the part of a step before a mesh is hit (2.0: none), the normal and the triangle."""
     radius, count, leaves = scene[t.RADIUS], int(scene[row + t.COUNT]), int(scene[row + t.LEAVES])
     triangles, tree = int(scene[row + t.TRIANGLES]), int(scene[row + t.TREE])
     margin = radius + t.LIP
@@ -55,7 +55,10 @@ def mesh_hit(
 def mesh_gap(
     scene: Table, row: int, memory: Memory, last: int, x: float, y: float, z: float
 ) -> Vector4:
-    """Distance of the tool from where it touches a mesh [m], negative inside, and the normal; `last`: the nearest before."""
+    """Return the signed distance of the tool's centre from contact [m], and the normal.
+
+    `last` is the place in memory of the triangle that was nearest before.
+    """
     count, leaves = int(scene[row + t.COUNT]), int(scene[row + t.LEAVES])
     triangles, tree = int(scene[row + t.TRIANGLES]), int(scene[row + t.TREE])
     face = int(memory[last])
@@ -79,8 +82,8 @@ def mesh_gap(
                 away = (x - px) * (x - px) + (y - py) * (y - py) + (z - pz) * (z - pz)
                 if away <= best:
                     height = height_above(scene, at, x, y, z)
-                    # Of triangles that share the nearest point, the one that is seen the least from
-                    # its edge tells the side.
+                    # Of triangles that share the nearest point, the one least seen from its edge
+                    # gives the side.
                     if away < best * (1.0 - 1e-9) or abs(height) > abs(side):
                         face, side = i, height
                         qx, qy, qz = px, py, pz

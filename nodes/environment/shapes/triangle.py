@@ -1,6 +1,6 @@
 """One triangle: the nearest point on it, and when a moving point or ball hits it.
 
-A triangle stands in the scene table as three corners and its outward normal. It is hit from the
+A triangle is stored in the scene table as three corners and its outward normal. It is hit from the
 side of its normal only; a surface that is felt from both sides has each triangle twice, back to
 back.
 """
@@ -15,7 +15,10 @@ from nodes.environment.shapes.tables import EDGE, LIP, SKIN, TOLERANCE, TOUCH, T
 def nearest_on_triangle(
     scene: Table, at: int, x: float, y: float, z: float
 ) -> tuple[float, float, float, bool]:
-    """Nearest point of a triangle [m], and whether it lies inside of its edges (Ericson 2005, 5.1.5)."""
+    """Return the nearest point of a triangle [m], and whether it is inside the edges.
+
+    Source: Ericson, Real-Time Collision Detection, 2005, section 5.1.5.
+    """
     ax, ay, az = scene[at], scene[at + 1], scene[at + 2]
     bx, by, bz = scene[at + 3] - ax, scene[at + 4] - ay, scene[at + 5] - az
     cx, cy, cz = scene[at + 6] - ax, scene[at + 7] - ay, scene[at + 8] - az
@@ -43,14 +46,14 @@ def nearest_on_triangle(
     if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
         w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
         return ax + bx + w * (cx - bx), ay + by + w * (cy - by), az + bz + w * (cz - bz), False
-    # By the normal, not by the corners: it keeps the digits of a point that is close.
+    # By the normal, not by the corners, which would lose digits for a close point.
     nx, ny, nz = scene[at + 9], scene[at + 10], scene[at + 11]
     height = px * nx + py * ny + pz * nz
     return x - height * nx, y - height * ny, z - height * nz, True
 
 
 def height_above(scene: Table, at: int, x: float, y: float, z: float) -> float:
-    """Height of a point above the plane of a triangle [m]."""
+    """Return the height of a point above the plane of a triangle [m]."""
     return (
         (x - scene[at]) * scene[at + 9]
         + (y - scene[at + 1]) * scene[at + 10]
@@ -59,7 +62,7 @@ def height_above(scene: Table, at: int, x: float, y: float, z: float) -> float:
 
 
 def _within(scene: Table, at: int, x: float, y: float, z: float, lip: float) -> bool:
-    """Whether a point over the plane lies over the triangle or its lips."""
+    """Return whether the projection of a point lies on the triangle, widened by `lip`."""
     nx, ny, nz = scene[at + 9], scene[at + 10], scene[at + 11]
     for k in range(3):
         i, j = at + 3 * k, at + 3 * ((k + 1) % 3)
@@ -72,7 +75,7 @@ def _within(scene: Table, at: int, x: float, y: float, z: float, lip: float) -> 
 
 
 def triangle_gap(scene: Table, at: int, radius: float, x: float, y: float, z: float) -> Vector4:
-    """Distance of a tool's centre from where it touches a triangle [m], and the normal there; 1.0 where it is beside it."""
+    """Return a tool's distance from contact with a triangle [m] (1.0: beside), and the normal."""
     height = height_above(scene, at, x, y, z)
     if abs(height) <= radius + TOUCH and height >= 0.0 and _within(scene, at, x, y, z, LIP):
         return height - radius, scene[at + 9], scene[at + 10], scene[at + 11]
@@ -97,21 +100,21 @@ def triangle_hit(
     sy: float,
     sz: float,
 ) -> Vector4:
-    """Part of a straight step that a tool can go before it hits a triangle, and the normal there; 2.0 when it does not."""
+    """Return the part of a step before a tool hits a triangle, 2.0 for none, and the normal."""
     nx, ny, nz = scene[at + 9], scene[at + 10], scene[at + 11]
     before = height_above(scene, at, x, y, z)
     closing = nx * sx + ny * sy + nz * sz
     after = before + closing
     if before >= radius - SKIN:
-        # Along the plane, or away from it, it is not met, however deep in the skin the step begins.
+        # Moving along the plane or away from it never hits, however deep in SKIN the step begins.
         if closing >= 0.0 or after >= radius - TOLERANCE:
             return 2.0, nx, ny, nz
         part = max((radius - before) / closing, 0.0)
         if _within(scene, at, x + part * sx, y + part * sy, z + part * sz, EDGE):
             return part, nx, ny, nz
         if radius <= LIP:
-            # At an edge the way may lead past the skin of both sides: what is hit is the triangle
-            # itself.
+            # At an edge the path may lead past both sides' skin: the triangle itself is what is
+            # hit.
             if after < EDGE:
                 through = min(-before / closing, 1.0)
                 if _within(scene, at, x + through * sx, y + through * sy, z + through * sz, EDGE):
@@ -135,7 +138,7 @@ def _rim_hit(
     sy: float,
     sz: float,
 ) -> Vector4:
-    """When a moving ball hits an edge or a corner."""
+    """Return when a moving ball hits an edge or a corner, and the normal."""
     best, bx, by, bz = 2.0, 0.0, 0.0, 1.0
     for k in range(3):
         i, j = at + 3 * k, at + 3 * ((k + 1) % 3)
@@ -164,7 +167,7 @@ def _rim_hit(
 def _ball_hit(
     radius: float, px: float, py: float, pz: float, sx: float, sy: float, sz: float
 ) -> Vector4:
-    """When a point that moves from p by s comes within a radius of the origin."""
+    """Return when a point moving from p by s comes within a radius of the origin."""
     speed, coming = sx * sx + sy * sy + sz * sz, px * sx + py * sy + pz * sz
     if coming >= 0.0:
         return 2.0, 0.0, 0.0, 1.0
@@ -176,7 +179,7 @@ def _ball_hit(
     outside = px * px + py * py + pz * pz - radius * radius
     part = 0.0
     if outside > 0.0:
-        # The root written so that it keeps its digits.
+        # This form of the root avoids cancellation.
         part = outside / (-coming + sqrt(max(coming * coming - speed * outside, 0.0)))
     qx, qy, qz = px + part * sx, py + part * sy, pz + part * sz
     away = sqrt(qx * qx + qy * qy + qz * qz)

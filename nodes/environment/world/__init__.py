@@ -1,1 +1,1 @@
-"""A world of one body to feel: mass, spring and damper to ground, by integrators that answer in the same tick or later."""
+"""A world of one body (mass, spring and damper to ground) with a choice of integrators."""

@@ -1,24 +1,21 @@
-"""Integrators of a mass, a spring and a damper to ground, on one axis: what the coupling pushes, one tick at a time.
+"""Integrators of a mass with a spring and a damper to ground, on one axis, tick by tick.
 
 Whether a world is passive as the loop sees it depends on its integrator (THEORY.md §18). With F[k]
 the force on the device, −F[k] on the world and y[k] its position, passive means Σ F[k]·(y[k−1] −
 y[k]) ≥ −E₀: the energy that the world gives the coupling is bounded by what was stored in it
-before. So y[k] must answer F[k] *in the same tick*:
+before. So y[k] must answer F[k] *in the same tick*.
 
-==============  ==============================================================================  =======================
-integrator      rule                                                                            lag
-behind the second
-==============  ==============================================================================  =======================
-implicit        backward Euler; adds damping of its own                                         −½
-tick lossless        Z(s) at s = 2(1 − w)/(T(1 + w)); the trapezoidal rule; neither adds nor loses
-0 semi_implicit   velocity, then position, n sub-steps; the damper is implicit, as in MuJoCo      1
-− 1/(2n) ticks exact           the differential equation itself under the held force
-1 tick
-==============  ==============================================================================  =======================
+=============  ===================================================  ================== integrator
+rule                                                 lag behind lossless =============
+===================================================  ================== implicit       backward
+Euler; adds damping of its own              −½ tick lossless       trapezoidal rule, Z(s) at s = 2(1
+− w)/(T(1 + w))    0 semi_implicit  velocity, then position; implicit damper (MuJoCo)    1 − 1/(2n)
+ticks exact          exact solution under the held force                  1 tick =============
+===================================================  ==================
 
-The last two are *stepped*: F[k] is held from when it acts on the device and moves y[k + 1] first.
-They are not passive in this sense, however small the step is: only damping of the world itself
-makes a loop with them provable.
+The last two are *stepped*: F[k] is held from when it acts on the device, and moves y[k + 1] first.
+They are not passive in this sense, however small the step is (n sub-steps a tick): only damping of
+the world itself makes a loop with them provably stable.
 """
 
 from __future__ import annotations
@@ -30,13 +27,12 @@ from nodes.stability.plant import Plant, held_step
 
 
 class BodyMotion(Protocol):
-    """A body on one axis, about the rest of its spring.
+    """A body on one axis, relative to the rest position of its spring.
 
     Attributes
     ----------
     compliance : float
-        How far the force of the present tick moves it against that force, in the same tick [m/N]; 0
-        for a stepped one.
+        Motion against the force of the present tick, within that tick [m/N]; 0 if stepped.
     """
 
     compliance: float
@@ -46,15 +42,15 @@ class BodyMotion(Protocol):
     ) -> None: ...
 
     def free(self) -> float:
-        """Return where it is at the present tick if the force of this tick were zero [m]."""
+        """Return the position at the present tick if this tick's force were zero [m]."""
         ...
 
     def close(self, force: float) -> None:
-        """Complete the present tick with the force on the device that answered it [N], and go on to the next one."""
+        """Complete the present tick with the force on the device that answered it [N]."""
         ...
 
     def state(self) -> tuple[float, float]:
-        """Return position [m] and velocity [m/s], to go on with other parameters."""
+        """Return position [m] and velocity [m/s], to continue with other parameters."""
         ...
 
 
@@ -72,7 +68,7 @@ class Implicit:
         self._y, self._v = at
 
     def free(self) -> float:
-        """Return where it is without this tick's force [m]."""
+        """Return the position without this tick's force [m]."""
         return self.compliance * (self._position * self._y + self._inertia * self._v)
 
     def close(self, force: float) -> None:
@@ -86,7 +82,7 @@ class Implicit:
 
 
 class Lossless:
-    """Trapezoidal rule, also called bilinear, of m u' + c u + k ∫u = −F with the velocity u = (y − y₋₁)/T.
+    """Trapezoidal (bilinear) rule for m u' + c u + k ∫u = −F, with velocity u = (y − y₋₁)/T.
 
     With g = T/2 and ξ = ∫u: ξ = ξ₋₁ + g (u + u₋₁), and y = ξ + g u.
     """
@@ -104,7 +100,7 @@ class Lossless:
         self.compliance = period / self._impedance
         y, self._u = at
         self._xi = y - self._g * self._u
-        # Force on the body at the tick before: what holds it where it is, if it stands still.
+        # Force on the body at the previous tick: the one that holds it, if it stands still.
         self._push = 0.0 if self._u else stiffness * self._xi
 
     def _speed(self, push: float) -> float:
@@ -115,7 +111,7 @@ class Lossless:
         ) / self._impedance
 
     def free(self) -> float:
-        """Return where it is without this tick's force [m]."""
+        """Return the position without this tick's force [m]."""
         return self._xi + self._g * (self._u + 2.0 * self._speed(0.0))
 
     def close(self, force: float) -> None:
@@ -130,7 +126,7 @@ class Lossless:
 
 
 class Stepped:
-    """A body that moves between ticks: the force of a tick acts when it acts on the device, and moves the next position."""
+    """A body that moves between ticks, under the forces as they act on the device."""
 
     compliance = 0.0
 
@@ -141,20 +137,20 @@ class Stepped:
         self._period, self._steps = period, steps
         self._y, self._v = at
         self._acting = 0.0  # force on the device at the present instant [N]
-        # forces handed over, and when they act from the present tick on
+        # pending forces [N], each with the time from the present tick when it acts [ticks]
         self._coming: deque[tuple[float, float]] = deque()
 
     def hand_over(self, force: float, after: float) -> None:
-        """Note a force on the device and when it takes effect, from the present tick on [ticks]."""
+        """Add a pending force [N] that takes effect `after` ticks from the present one."""
         latest = self._coming[-1][0] if self._coming else 0.0
         self._coming.append((max(after, latest), force))
 
     def free(self) -> float:
-        """Return where it is: no force of this tick has moved it yet [m]."""
+        """Return the position [m]; this tick's force has not moved it yet."""
         return self._y
 
     def close(self, force: float) -> None:
-        """Move to the next tick under the forces that were handed over."""
+        """Move to the next tick under the pending forces."""
         del force
         now = 0.0
         while self._coming and self._coming[0][0] < 1.0:
@@ -173,10 +169,13 @@ class Stepped:
 
 
 class SemiImplicit(Stepped):
-    """Semi-implicit Euler in sub-steps of h: (m + h c) v = m v₋₁ − h (F + k y₋₁), y = y₋₁ + h v, as MuJoCo steps a joint."""
+    """Semi-implicit Euler in sub-steps h, as MuJoCo steps a joint.
+
+    (m + h c) v = m v₋₁ − h (F + k y₋₁), y = y₋₁ + h v.
+    """
 
     def hand_over(self, force: float, after: float) -> None:
-        """Note a force, to the nearest sub-step."""
+        """Add a pending force, rounded to the nearest sub-step."""
         super().hand_over(force, round(after * self._steps) / self._steps)
 
     def _move(self, part: float) -> None:
@@ -188,7 +187,7 @@ class SemiImplicit(Stepped):
 
 
 class Exact(Stepped):
-    """The exact motion under a held force (nodes/stability/plant.py), whatever part of a tick it is held for."""
+    """Exact motion under a held force (nodes/stability/plant.py), for any part of a tick."""
 
     def _move(self, part: float) -> None:
         if part <= 0.0:
@@ -209,7 +208,7 @@ INTEGRATORS: dict[str, type[BodyMotion]] = {
 
 
 def lag_of(integrator: str, steps: int) -> float:
-    """Return how much later than the trapezoidal rule one answers a force [ticks]."""
+    """Return the lag of an integrator behind the trapezoidal rule [ticks]."""
     return {"implicit": -0.5, "lossless": 0.0, "semi_implicit": 1.0 - 0.5 / steps, "exact": 1.0}[
         integrator
     ]

@@ -1,4 +1,4 @@
-"""The environment of one body to feel: mass, spring and damper, alike along all axes, that the coupling holds the device to."""
+"""The environment of one body: mass, spring and damper to ground, alike along all axes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from nodes.environment.world.dynamics import INTEGRATORS, BodyMotion, Stepped, l
 from nodes.parameters.checked import NonNegative
 from nodes.parameters.store import ParameterError, convert
 
-# longest time without a state that the world catches up with [s]; it stands still for the rest
+# longest time without a state that the world catches up with [s]; the rest is skipped
 GAP: Final = 0.1
 SOFTEST: Final = 1e-3  # least force that moves an implicit world by 1 m within one tick [N/m]
 LIGHTEST: Final = 1e-6  # least mass of a stepped world [kg]
@@ -29,15 +29,11 @@ LIGHTEST: Final = 1e-6  # least mass of a stepped world [kg]
 class WorldParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of a world of one body.
 
-    mass: Mass [kg].
-    stiffness: Spring to ground [N/m].
-    damping: Viscous damper to ground [N s/m].
+    mass: Mass [kg]. stiffness: Spring to ground [N/m]. damping: Viscous damper to ground [N s/m].
     integrator: ``implicit`` (backward Euler) and ``lossless`` answer a force in the same tick and
-        are passive whatever the body is; ``semi_implicit`` and ``exact`` step under the held force,
-        which moves the body a tick later.
-    steps: Sub-steps a tick of ``semi_implicit``.
-    position: Rest of the spring, where the body is at first [m]; None for where the device is at
-        the first tick.
+    are passive whatever the body is; ``semi_implicit`` and ``exact`` step under the held force,
+    which moves the body a tick later. steps: Sub-steps a tick of ``semi_implicit``. position: Rest
+    of the spring, where the body is at first [m]; None for where the device is at the first tick.
     """
 
     mass: NonNegative = 0.0
@@ -54,7 +50,7 @@ class WorldParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
 
 def check_world(parameters: WorldParameters, period: float, name: str) -> None:
-    """Refuse a body that the integrator cannot move.
+    """Check that the integrator can move a body.
 
     Parameters
     ----------
@@ -90,8 +86,8 @@ def check_world(parameters: WorldParameters, period: float, name: str) -> None:
             f" {parameters.integrator}; a body without mass needs integrator implicit or lossless"
         )
     h = period / parameters.steps
-    # Semi-implicit Euler with an implicit damper: (m + h c)(z − 1)² + … has a root outside iff h² k
-    # > 4 m + 2 h c.
+    # Semi-implicit Euler with an implicit damper: (m + h c)(z − 1)² + … is unstable iff h² k > 4 m
+    # + 2 h c.
     if (
         parameters.integrator == "semi_implicit"
         and h * h * stiffness >= 4.0 * mass + 2.0 * h * damping
@@ -104,23 +100,22 @@ def check_world(parameters: WorldParameters, period: float, name: str) -> None:
 
 
 def _steps_factor(mass: float, damping: float, stiffness: float) -> float:
-    """Return the sub-steps per second above which h² k < 4 m + 2 h c."""
+    """Return the least sub-steps per second for which h² k < 4 m + 2 h c."""
     return (
         stiffness / (damping + math.sqrt(damping * damping + 4.0 * mass * stiffness)) * (1.0 + 1e-9)
     )
 
 
 class BodyPlace(NamedTuple):
-    """Where the world is at a tick."""
+    """Position of the world at a tick."""
 
-    # where it would be without this tick's force; the device's position along axes that are not
-    # computed [m]
+    # position without this tick's force; the device's along axes that are not computed [m]
     proxy: Vector
-    compliance: float  # how far this tick's force moves it [m/N]
+    compliance: float  # motion due to this tick's force [m/N]
 
 
 class FeltWorld:
-    """A body along some axes, which follows the ticks of a loop."""
+    """A body along some axes that follows the ticks of a loop."""
 
     def __init__(self, parameters: WorldParameters, period: float, axes: Sequence[str]) -> None:
         self._period, self._axes = period, [AXIS_INDEX[axis] for axis in axes]
@@ -130,7 +125,7 @@ class FeltWorld:
         self.set(parameters)
 
     def set(self, parameters: WorldParameters) -> None:
-        """Use other parameters from now on; the body stays where it is and as fast."""
+        """Change the parameters; position and velocity of the body are kept."""
         states = (
             [motion.state() for motion in self._motions]
             if self._tick >= 0
@@ -146,7 +141,7 @@ class FeltWorld:
     def follow(
         self, tick: int, position: Vector, force: Vector, since: int, delay: float
     ) -> BodyPlace:
-        """Go on to a tick.
+        """Advance the body to a tick.
 
         Parameters
         ----------
@@ -155,16 +150,16 @@ class FeltWorld:
         position : tuple of float, shape (3,)
             Position of the device [m].
         force : tuple of float, shape (3,)
-            Force handed to the device last, after all limits [N].
+            Last force handed to the device, after all limits [N].
         since : int
             Tick that this force answers.
         delay : float
-            From that tick's sample to when the force took effect [ticks].
+            Time from that tick's sample to when the force took effect [ticks].
 
         Returns
         -------
         BodyPlace
-            Where the body is.
+            Position and compliance of the body.
         """
         if self._tick < 0:
             self._rest = (
@@ -175,8 +170,7 @@ class FeltWorld:
         for i, motion in zip(self._axes, self._motions, strict=True):
             if isinstance(motion, Stepped) and tick > self._tick:
                 motion.hand_over(force[i], max(since + delay - begin, 0.0))
-            # The force of a tick whose answer was late or lost is the one that was on the device
-            # meanwhile.
+            # If a tick's answer was late or lost, the force on the device at that time applies.
             for _ in range(begin, tick):
                 motion.close(force[i])
         self._tick = tick
@@ -187,7 +181,7 @@ class FeltWorld:
 
 
 class WorldEnvironment(Node):
-    """Answers device states with where a body is; it has a state, so every tick counts. It has no compiled tick."""
+    """Answers device states with a body's position. It has a state, so every tick counts."""
 
     Parameters: ClassVar[type[msgspec.Struct]] = WorldParameters
     publishes: ClassVar[tuple[str, ...]] = (topics.PROXY,)
@@ -196,7 +190,7 @@ class WorldEnvironment(Node):
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Refuse a body that cannot be moved before anything is started."""
+        """Check the body before the launch."""
         check_world(
             convert(setup.parameters, WorldParameters, setup.name), setup.period, setup.name
         )
@@ -205,7 +199,7 @@ class WorldEnvironment(Node):
     def plant(
         cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]
     ) -> dict[str, float]:
-        """Return a stepped body as a tool of the coupling; of one that answers in the same tick only that it does."""
+        """Return a stepped body as the coupling's tool; otherwise only that it has no lag."""
         del axes
         wanted: WorldParameters = convert(parameters, WorldParameters, name)
         if not issubclass(INTEGRATORS[wanted.integrator], Stepped):
@@ -220,18 +214,18 @@ class WorldEnvironment(Node):
         }
 
     def make_counters(self) -> SpentCounters:
-        """Make its counters."""
+        """Return the tick counters."""
         return SpentCounters()
 
     def configure(self) -> None:
-        """Make the body, and report which world it is."""
+        """Create the body and report it."""
         parameters: WorldParameters = self.store.current
         check_world(parameters, self.setup.period, self.setup.name)
         self._world = FeltWorld(parameters, self.setup.period, self.setup.axes)
         self.events.emit_each("world", described(parameters))
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
-        """Prepare another body in the same place."""
+        """Prepare another body at the same position."""
         check_world(parameters, self.setup.period, self.setup.name)
 
         def apply(seq: int) -> dict[str, Any]:
@@ -251,7 +245,7 @@ class WorldEnvironment(Node):
         if not simulated:
             note_spent(self.counters.spent, time.monotonic() - begin)
         stamp = state.stamp if simulated else self.clock.now()
-        # The coupling holds the body from both sides: no normal, and nothing to clamp.
+        # The body is coupled from both sides: no normal, and no clamping.
         met: dict[str, Any] = {
             "proxy": at.proxy,
             "normal": ZERO,
@@ -265,16 +259,16 @@ class WorldEnvironment(Node):
         )
 
     def report(self) -> dict[str, Any]:
-        """Return how long its ticks took."""
+        """Return tick durations."""
         return {"spent_us": spent_us(self.counters.spent)}
 
     def loop(self) -> None:
-        """BodyPlace until stopped; asked again (lockstep), the body is not moved twice."""
+        """Answer device states until stopped. A repeated state (lockstep) moves the body once."""
         answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self._answer)
 
 
 def described(parameters: WorldParameters) -> str:
-    """Return which world it is, in words: body, integrator, sub-steps and lag."""
+    """Return a world as text: body, integrator, sub-steps and lag."""
     mass, damping, stiffness = parameters.body
     integrator, steps = parameters.integrator, parameters.steps
     body = f"{mass:g} kg, {stiffness:g} N/m, {damping:g} N s/m"

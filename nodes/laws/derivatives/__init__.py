@@ -1,10 +1,9 @@
-"""Ways to realise D^α tick by tick; a law names the one it wants.
+"""Realisations of D^α tick by tick; a law names the one it uses.
 
-The derivative of a law is a choice of its own: the paper takes the Grünwald–Letnikov sum, but a
-dozen others are known, each with its own cost, phase, leak and gain at Nyquist. They all come down
-to a `CompiledLaw` (taps and parallel sections, unit gain), so the loop renders any of them with the
-same kernels. One realisation per file; other packages add theirs through the entry points
-``haptic.derivatives``.
+The paper uses the Grünwald–Letnikov sum, but a dozen others are known, each with its own cost,
+phase, leak and gain at Nyquist. All of them compile to a `CompiledLaw` (taps and parallel sections,
+unit gain), so the loop renders any of them with the same kernels. Each realisation has a file of
+its own; other packages add theirs through the entry points ``haptic.derivatives``.
 """
 
 from __future__ import annotations
@@ -27,17 +26,17 @@ Realise = Callable[[float, int, float], CompiledLaw]
 
 
 def derivative_kinds() -> dict[str, Realise]:
-    """Find all installed realisations of D^α that can be imported, sorted by name."""
+    """Return all installed realisations of D^α that can be imported, sorted by name."""
     return DERIVATIVES.all()[0]
 
 
 def realise(kind: str, order: float, taps: int, period: float) -> CompiledLaw:
-    """Realise D^α with unit gain and check that what came out can run.
+    """Realise D^α with unit gain and check that the result can run.
 
-    `order`: α, in (0, 4). `taps`: length n + 1, at least 2: the number of taps of a finite
-    realisation, the memory [ticks] of a long-memory one, the degree n plus one of a recursive one;
-    each says which. Raises ValueError when there is none, or not at this order, length and period;
-    the text names the parameter, its value, the limit and what to do.
+    `order` is α in (0, 4). `taps` is the length n + 1, at least 2: the number of taps of a finite
+    realisation, the memory [ticks] of a long-memory one, the degree n plus one of a recursive one.
+    Raises ValueError if the realisation does not exist, or not for this order, length and period
+    [s]; the text names the parameter, its value, the limit and a remedy.
     """
     if not 0.0 < order < MAX_ORDER:
         raise ValueError(f"order = {order!r}: must lie in (0, 4); for a plain damper use order 1")

@@ -1,9 +1,9 @@
-"""Al-Alaoui's map and a continued fraction: s^β ≈ ((8/7T)(z − 1)/(z + 1/7))^β of degree n (Chen & Vinagre 2003).
+"""Al-Alaoui's map and a continued fraction: s^β ≈ ((8/7T)(z − 1)/(z + 1/7))^β of degree n.
 
-Three quarters of the backward rectangle and one quarter of the trapezium: a finite gain at Nyquist,
-half-way between GL's and Tustin's, and poles in (−1/7, 1). It leaks about as a memory of n² ticks
-does. Expanded for the whole of α > 1 it stays stable but is wrong at low frequency, so the integer
-part is split off; beyond degree 200 it is not checked.
+Three quarters backward rectangle and one quarter trapezium (Chen and Vinagre 2003): a finite gain
+at Nyquist, half-way between those of GL and Tustin, and poles in (−1/7, 1). It leaks about as much
+as a memory of n² ticks. For α > 1 the integer part is split off, because the expansion of the whole
+is stable but wrong at low frequency. Degrees above 200 are not checked.
 """
 
 from __future__ import annotations

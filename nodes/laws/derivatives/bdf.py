@@ -1,10 +1,10 @@
-"""Lubich's convolution quadrature: the generating function of a BDF of order p, to the power α, as taps.
+"""Lubich's convolution quadrature: generating function of a BDF to the power α, as taps.
 
-T^−α (Σ_{j=1..p} (1 − w)^j / j)^α = Σ c_m w^m (Lubich 1986): p-th order accuracy at low frequency,
-phase right up to a large part of Nyquist. It pays with the gain there, (Σ 2^j/j)^α·T^−α: 13.9^α
-times that of GL for p = 6, and in the loop that is stiffness lost. Starting weights are left out:
-they depend on the time since start, and the loop has none. It breaks for p > 6, where the series no
-longer decays, and when cut shorter than p⌈α⌉ + 1 taps, its exact length at whole orders.
+T^−α (Σ_{j=1..p} (1 − w)^j / j)^α = Σ c_m w^m (Lubich 1986) has accuracy of order p at low frequency
+and the right phase up to a large part of Nyquist. Its cost is the gain there, (Σ 2^j/j)^α·T^−α:
+13.9^α times that of GL for p = 6, which reduces the stable stiffness. Starting weights are left out
+because they depend on the time since start. It fails for p > 6, where the series no longer decays,
+and if cut shorter than p⌈α⌉ + 1 taps, its exact length at whole orders.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ def lubich(order: float, taps: int, period: float, degree: int) -> CompiledLaw:
             f"taps = {taps}: BDF{degree} of order {order:g} needs at least {least} (p⌈α⌉ + 1, its"
             " length at whole orders); take more taps, a lower p, or gl"
         )
-    # Sums are rounded once (fsum): the built-in sum rounds otherwise from Python 3.12 on, and taps
-    # would differ. Power of a polynomial a_0 + a_1 w + ...: c_m = Σ_j ((α+1) j/m − 1) a_j c_{m−j} /
-    # a_0 (Euler; J. C. P. Miller).
+    # fsum rounds once: the built-in sum rounds differently from Python 3.12 on, and taps would
+    # differ. Power of a polynomial a_0 + a_1 w + ...: c_m = Σ_j ((α+1) j/m − 1) a_j c_{m−j} / a_0
+    # (Euler; J. C. P. Miller).
     polynomial = [
         math.fsum((-1.0) ** i * math.comb(j, i) / j for j in range(max(i, 1), degree + 1))
         for i in range(degree + 1)

@@ -1,15 +1,15 @@
 """Continued fractions of ((z − 1)/(z + a))^β without expanding a polynomial.
 
-The n-th convergent is the [n/n] Padé approximant at z = ∞, and because ((u − 1)/(u + 1))^β, 0 < β <
-1, is a Stieltjes function,
+The n-th convergent is the [n/n] Padé approximant at z = ∞. Because ((u − 1)/(u + 1))^β, 0 < β < 1,
+is a Stieltjes function,
 
     ((u − 1)/(u + 1))^β = 1 − (sin πβ/π) ∫ (1−t)^β (1+t)^−β /(u − t) dt, t from −1 to 1,
 
 that approximant is the Gauss–Jacobi rule of the integral: its poles are the nodes, real, simple and
 inside the interval, its residues the weights. So it is stable for every n, and free from the
-rounding that ruins the textbook's expanded polynomials beyond n ≈ 20. For β > 1 the weight is not
-integrable and one pole leaves the interval: that is why the whole of α > 1 must not be expanded
-(`whole_order` shows it), and why the integer part is split off.
+rounding errors of expanded polynomials beyond n ≈ 20. For β > 1 the weight is not integrable and
+one pole leaves the interval; so the whole of α > 1 must not be expanded (`whole_order` shows it),
+and the integer part is split off.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MAX_DEGREE = 200
 def mapped_fraction(
     order: float, taps: int, period: float, gain: float, left: float
 ) -> CompiledLaw:
-    """Realise D^α from s ≈ g (z − 1)/(z + a), as k backward differences and the n-th convergent of s^β."""
+    """Realise D^α from s ≈ g (z − 1)/(z + a): k backward differences and a convergent of s^β."""
     degree = taps - 1
     if degree > MAX_DEGREE:
         raise ValueError(
@@ -39,7 +39,7 @@ def mapped_fraction(
     from scipy.special import roots_jacobi
 
     nodes, weights = roots_jacobi(degree, fraction, -fraction)
-    # u in (−1, 1) ↔ z in (−a, 1); a Padé approximant at infinity does not change under z = centre +
+    # u in (−1, 1) ↔ z in (−a, 1); a Padé approximant at infinity is invariant under z = centre +
     # half·u.
     half = 0.5 * (1.0 + left)
     scale = float(gain) ** fraction
@@ -49,7 +49,7 @@ def mapped_fraction(
 
 
 def whole_order(order: float, degree: int, left: float) -> tuple[list[complex], list[complex]]:
-    """Zeros and poles of the whole ((z − 1)/(z + a))^α, to show why it must not be expanded for α > 1 (see above)."""
+    """Return zeros and poles of the whole ((z − 1)/(z + a))^α, unstable for α > 1 (see above)."""
     if degree > 12:
         raise ValueError(
             f"degree = {degree}: the expanded form is accurate up to 12 only; take a lower degree"

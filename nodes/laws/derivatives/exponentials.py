@@ -1,16 +1,16 @@
-"""Sum of exponentials: GL's memory of N ticks carried by O(log N) states.
+"""Sum of exponentials: GL's memory of N ticks in O(log N) states.
 
 D^β = D·I^{1−β}, and the weights of GL's fractional sum I^{1−β} are moments of a positive density on
 (0, 1),
 
-    g_m = (sin πβ/π) ∫ t^{m−β} (1−t)^{β−1} dt = (sin πβ/π) ∫ e^{−s(m+1−β)} (1−e^{−s})^{β−1} ds, s >
-    0.
+    g_m = (sin πβ/π) ∫ t^{m−β} (1−t)^{β−1} dt
+        = (sin πβ/π) ∫ e^{−s(m+1−β)} (1−e^{−s})^{β−1} ds, s > 0.
 
-With s = e^y the trapezium rule converges exponentially fast in its step, so a handful of
-exponentials per decade of memory gives every g_m alike; the first taps stay exact. All rates slower
-than the memory are put on the slowest pole. The difference D leaves no leak: beyond N ticks it goes
-over to a first difference instead. ``taps`` is the memory N, at least 8 (below that there is
-nothing to save) and at most 10⁶ (the slowest pole then lies 10⁻⁷ from the unit circle).
+With s = e^y the trapezium rule converges exponentially in its step, so a handful of exponentials
+per decade of memory gives every g_m; the first taps stay exact. All rates slower than the memory
+are put on the slowest pole. The difference D removes the leak: beyond N ticks the result becomes a
+first difference. ``taps`` is the memory N, at least 8 (below that there is nothing to save) and at
+most 10⁶ (the slowest pole is then 10⁻⁷ from the unit circle).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def exponentials(order: float, taps: int, period: float) -> CompiledLaw:
     whole, fraction = split(order)
     if fraction == 0.0:
         return difference(whole, period)
-    # Gain: D^β = (1−w)/T · T^{1−β} Σ g_m w^m, and `parallel` brings the 1/T of every difference.
+    # Gain: D^β = (1−w)/T · T^{1−β} Σ g_m w^m; `parallel` supplies the 1/T of every difference.
     gain = float(period) ** (1.0 - fraction)
     density = math.sin(math.pi * fraction) / math.pi
     low, high = math.log(_SLOWEST / taps), math.log(_FASTEST / (_HEAD + 1))
@@ -53,7 +53,7 @@ def exponentials(order: float, taps: int, period: float) -> CompiledLaw:
         * (-math.expm1(-s)) ** (fraction - 1.0)
         for s in rates
     ]
-    # Rates below the slowest: Σ of the geometric rest of the trapezium rule, whose terms go as s^β.
+    # Slower rates: Σ of the geometric rest of the trapezium rule, whose terms go as s^β.
     weights[-1] /= -math.expm1(-fraction * _STEP)
     exact = coefficients(fraction - 1.0, _HEAD)
     head = [exact[0]] + [

@@ -1,10 +1,10 @@
-"""L1: the deflection taken as straight between samples, and Caputo's integral done exactly on it.
+"""L1: Caputo's integral, exact for a deflection that is linear between samples.
 
-D^β x[k] ≈ T^−β/Γ(2−β) Σ_m ((m+1)^{1−β} − m^{1−β}) (x[k−m] − x[k−m−1]) (Oldham & Spanier 1974):
+D^β x[k] ≈ T^−β/Γ(2−β) Σ_m ((m+1)^{1−β} − m^{1−β}) (x[k−m] − x[k−m−1]) (Oldham and Spanier 1974):
 exact for a ramp, error O(T^{2−β}), and without a leak by construction. For α = k + β > 1 it follows
 k backward differences. For α just above a whole number it subtracts the oldest sample, x[k] −
-x[k−n] for β → 0, so there the memory has to outlast the contact. It breaks when the k differences
-leave it less than one interval to integrate over (n + 1 < k + 2).
+x[k−n] for β → 0, so the memory must then outlast the contact. It fails if the k differences leave
+it less than one interval to integrate over (n + 1 < k + 2).
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Grünwald–Letnikov with the leak moved into the last tap, so that D(1) = 0: a held offset gives no force.
+"""Grünwald–Letnikov with the leak moved into the last tap, so that D(1) = 0.
 
-A clear win for α > 1 with a short memory, where the leak would make the wall softer than its K; for
-α < 1 it makes a constant exact (as if it had been there for ever) but everything slower than the
-memory less accurate than plain GL. It breaks when the vector is shorter than the differences it
-stands for (n + 1 <= ⌈α⌉): then the correction is no longer the small remainder of a series but most
-of the answer.
+A constant offset then gives no force. This is clearly better for α > 1 with a short memory, where
+the leak would make the wall softer than its K. For α < 1 it makes a constant exact (as if it had
+been there for ever) but everything slower than the memory less accurate than plain GL. It fails if
+the vector is shorter than the differences it replaces (n + 1 <= ⌈α⌉): then the correction is most
+of the result, not the small remainder of a series.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Least squares with fixed stable poles: choose where the states are, fit what they weigh.
+"""Least squares with fixed stable poles: poles are chosen, residues fitted.
 
-With the poles fixed (n of them, evenly spread over the logarithm of the rate, from one tick to ten
-thousand), the response is linear in the residues, so the best fit to (jω)^β in relative error is
-one linear system, and stability cannot be lost. The fit runs up to half of Nyquist; asking for more
-buys phase there with gain at Nyquist. One difference is built in, so there is no leak. It breaks
-with one or two poles (wrong by half everywhere), and with more than fourteen it gains nothing but
-gain at Nyquist; both are refused.
+With n fixed poles, evenly spread over the logarithm of the rate from one tick to ten thousand, the
+response is linear in the residues. The best fit to (jω)^β in relative error is then one linear
+system, and always stable. The fit covers frequencies up to half of Nyquist; a wider fit would
+improve the phase there at the cost of gain at Nyquist. One difference is built in, so there is no
+leak. One or two poles are wrong by half everywhere, and more than fourteen only add gain at
+Nyquist; both are refused.
 """
 
 from __future__ import annotations

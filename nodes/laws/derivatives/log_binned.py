@@ -1,12 +1,12 @@
-"""Log-binned long memory: GL's weights averaged over bins that grow with age, so that a long past costs few numbers.
+"""Log-binned long memory: GL's weights averaged over bins that grow with age.
 
-The newest 16 taps stay as they are; older ones share one value per bin, eight bins to every
-doubling of age (the idea of Ford & Simpson's nested meshes, 2001). The sum of the weights, so the
-leak, stays GL's. With its own running sums it would need 16 + 8 log₂(n/16) multiplies; the loop
-renders it with the kernel for taps, so there it costs what GL of the same length costs. For 1 < α <
-2 the bins hold D^β and a difference follows, which leaves no leak. It breaks for α > 2, where the
-differences turn every edge of a bin into a click as an old corner of the motion passes it, and
-below 17 + k taps, where there is nothing to bin; both are refused.
+The newest 16 taps are exact; older ones share one value per bin, with eight bins to every doubling
+of age (the idea of Ford and Simpson's nested meshes, 2001). The sum of the weights, and so the
+leak, is GL's. With running sums it would need 16 + 8 log₂(n/16) multiplications; the loop renders
+it with the kernel for taps, at the cost of GL of the same length. For 1 < α < 2 the bins apply to
+D^β and a difference follows, which leaves no leak. It is refused for α > 2, where the differences
+turn every bin edge into a click when an old corner of the motion passes it, and below 17 + k taps,
+where there is nothing to bin.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _BINS = 8
 
 
 def bins(taps: int) -> list[tuple[int, int]]:
-    """Edges of the bins over the memory."""
+    """Return the edges of the bins over the memory."""
     edges = [(m, m + 1) for m in range(min(_EXACT, taps))]
     start, width = _EXACT, _EXACT // _BINS
     while start < taps:

@@ -1,10 +1,10 @@
-"""Oustaloup's recursive filter made discrete: poles and zeros alternating evenly over a logarithmic band.
+"""Oustaloup's filter, discretised: poles and zeros alternating over a logarithmic band.
 
-s^β ≈ ω_h^β Π (s + ω'_i)/(s + ω_i) between ω_b and ω_h (Oustaloup et al. 2000), n pairs, here from
-Nyquist down half a decade per pair, to at most five decades; more pairs then make it smoother. Two
-ways to z: Tustin's map of each factor, and matched poles and zeros (e^{−ωT}), with the gain matched
-in the middle of the band. Below ω_b it leaks ω_b^β. It breaks at one pair, which covers no band at
-all, and is not checked beyond 200; its ripple and its gain at Nyquist do not go away with n.
+s^β ≈ ω_h^β Π (s + ω'_i)/(s + ω_i) between ω_b and ω_h (Oustaloup et al. 2000), with n pairs from
+Nyquist down, half a decade per pair, at most five decades; more pairs then make it smoother. There
+are two discretisations: Tustin's map of each factor, and matched poles and zeros (e^{−ωT}), with
+the gain matched in the middle of the band. Below ω_b it leaks ω_b^β. One pair covers no band, and
+more than 200 are not checked. Ripple and gain at Nyquist do not vanish with n.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Integer part split off, and what is left as parallel sections with simple real poles.
+"""Fractional orders as backward differences and parallel sections with simple real poles.
 
 Recursive approximations of s^α are good for 0 < α < 1 and bad beyond (a continued fraction of
 Tustin's map is even unstable for α > 1), so α = k + β is realised as k backward differences of D^β.
-The loop renders taps and parallel sections side by side, not one after the other, so the
-differences are multiplied in here, by partial fractions. All poles of the realisations in this
-package are real: pairs of them share one second-order section, slow with fast, because two poles
-near z = 1 in one direct form would lose half the digits.
+The loop renders taps and sections in parallel, not in series, so the differences are multiplied in
+here by partial fractions. All poles of the realisations in this package are real. Pairs of them
+share one second-order section, slow with fast, because two poles near z = 1 in one direct form
+would lose half the digits.
 """
 
 from __future__ import annotations
@@ -23,11 +23,12 @@ _EPSILON = 1e-18
 
 Section = tuple[float, float, float, float]
 
-ROUNDING = 16 * sys.float_info.epsilon  # relative distance within which an order is a whole number
+# relative distance within which an order counts as a whole number
+ROUNDING = 16 * sys.float_info.epsilon
 
 
 def split(order: float) -> tuple[int, float]:
-    """Split α into differences and a fraction."""
+    """Split α into a number of differences and a fraction."""
     nearest = round(order)
     if abs(order - nearest) <= ROUNDING * nearest:
         return nearest, 0.0
@@ -36,13 +37,13 @@ def split(order: float) -> tuple[int, float]:
 
 
 def difference(times: int, period: float) -> CompiledLaw:
-    """Backward differences, ((1 − z⁻¹)/T)^k."""
+    """Return backward differences, ((1 − z⁻¹)/T)^k."""
     gain = float(period) ** -times
     return CompiledLaw(tuple(gain * c for c in coefficients(float(times), times + 1)))
 
 
 def differenced(taps: Sequence[float], times: int, period: float) -> CompiledLaw:
-    """Put k backward differences behind a tap vector."""
+    """Return a tap vector followed by k backward differences."""
     return CompiledLaw(tuple(_convolve(taps, difference(times, period).taps)))
 
 
@@ -56,9 +57,9 @@ def parallel(
     """Realise [Σ d_m w^m + Σ r_i w/(1 − p_i w)]·((1 − w)/T)^k, w = z⁻¹, as taps and sections.
 
     From tick k + 1 on, the differences of a geometric sequence are geometric again, with amplitude
-    multiplied by (p − 1)^k p^−k; what the first ticks differ by goes into the taps. A pole too
-    close to zero for that division (|p| < 0.01) is written out as taps: it is gone within nine of
-    them.
+    multiplied by (p − 1)^k p^−k; the deviation of the first ticks goes into the taps. A pole too
+    close to zero for that division (|p| < 0.01) is written as taps, because it decays within nine
+    of them.
     """
     binomial = difference(times, period).taps
     head = list(direct)
@@ -74,7 +75,7 @@ def parallel(
     taps = _convolve(head, binomial) if head else []
     shifted: list[tuple[float, float]] = []
     for pole, residue in single:
-        # Amplitude of the tail, counted from tick 1, after k differences.
+        # Amplitude of the tail after k differences, counted from tick 1.
         amplitude = residue * ((1.0 - 1.0 / pole) / period) ** times if times else residue
         for m in range(1, times + 1):
             early = math.fsum(binomial[j] * residue * pole ** (m - j - 1) for j in range(m))
@@ -85,8 +86,7 @@ def parallel(
 
 
 def _paired(terms: list[tuple[float, float]], taps: list[float]) -> list[Section]:
-    # A w/(1 − pw) = (A/p)/(1 − pw) − A/p: in this form two of them add up to one section with b0
-    # and b1 only.
+    # A w/(1 − pw) = (A/p)/(1 − pw) − A/p: two such terms add up to one section with b0 and b1 only.
     large = sorted(term for term in terms if abs(term[0]) >= _PAIRED)
     sections: list[Section] = [
         (0.0, gain, -pole, 0.0) for pole, gain in terms if abs(pole) < _PAIRED

@@ -1,15 +1,15 @@
-"""A fractional relaxation with its whole memory, as a sum of exponentials.
+"""A fractional relaxation with full memory, as a sum of exponentials.
 
-The arm of a fractional solid, A + τ^α D^α A = E τ^α D^α x with Grünwald and Letnikov's D^α = ((1 −
+The arm of a fractional solid, A + τ^α D^α A = E τ^α D^α x with the Grünwald–Letnikov D^α = ((1 −
 w)/T)^α, answers a step x with E s_m, where Σ s_m w^m = c (1 − w)^(α−1) / (1 + c (1 − w)^α), c =
-(τ/T)^α. For 0 < α < 1 this function is analytic but for a cut along w > 1, so s_m = ∫ t^m μ(t) dt
-over (0, 1) with a positive density: the jump across the cut (Gorenflo & Mainardi, "Fractional
-calculus", 1997, have it for continuous time). With t = e^−s and r = (1 − t)/t,
+(τ/T)^α. For 0 < α < 1 this function is analytic except for a cut along w > 1, so s_m = ∫ t^m μ(t)
+dt over (0, 1) with a positive density, the jump across the cut (for continuous time see Gorenflo
+and Mainardi, "Fractional calculus", 1997). With t = e^−s and r = (1 − t)/t,
 
     μ(t) dt = (1/π) sin(πα) u / (1 + 2 u cos(πα) + u²) (s/r) d ln s,   u = c r^α.
 
-Gauss's rule of two nodes in each cell of ln s makes exponentials of it, with positive weights: the
-sum relaxes to nothing, as the solid does, and stays passive where that is. The first answers are
+Gauss's rule with two nodes in each cell of ln s turns it into exponentials with positive weights:
+the sum relaxes to zero, as the solid does, and is passive where the solid is. The first values are
 exact.
 """
 
@@ -22,15 +22,18 @@ from nodes.laws import CompiledLaw
 from nodes.laws.derivatives.gl import coefficients
 from nodes.laws.derivatives.parallel import parallel
 
-_HEAD = 4  # answers that are exact
+_HEAD = 4  # values of the step response that are exact
 _CELL = 1.8  # width of a cell of ln s
-_POINTS = 48  # at which the density is taken in a cell
-_FASTEST = 12.0  # rate that is gone within a tick [1/tick]
-_SLOWEST = 5e-7  # rate; what is slower relaxes as fast as that [1/tick]
+_POINTS = 48  # samples of the density per cell
+_FASTEST = 12.0  # rate that decays within a tick [1/tick]
+_SLOWEST = 5e-7  # slowest rate [1/tick]; slower parts relax at this rate
 
 
 def relaxation(order: float, time: float, period: float) -> CompiledLaw:
-    """Return the arm of unit stiffness: relaxation time τ and sampling period T [s]; the step decays by t^−α at last."""
+    """Return the arm of unit stiffness for relaxation time τ and period T [s].
+
+    Its step response finally decays as t^−α.
+    """
     share = (time / period) ** order
     if order == 1.0:
         # One exponential, exactly: (1 − w) c/(1 + c) / (1 − p w).
@@ -46,7 +49,10 @@ def relaxation(order: float, time: float, period: float) -> CompiledLaw:
 
 
 def step_answer(order: float, share: float, count: int) -> list[float]:
-    """Return the first answers to a step, s_0 ... s_(count − 1): the quotient of two power series, summed."""
+    """Return the first `count` values of the step response, from s_0 on.
+
+    They are the summed quotient of two power series.
+    """
     series = coefficients(order, count)
     arm: list[float] = []
     for m, g in enumerate(series):
@@ -60,7 +66,7 @@ def step_answer(order: float, share: float, count: int) -> list[float]:
 
 
 def exponentials(order: float, share: float) -> tuple[list[float], list[float]]:
-    """Return poles and weights of the answer to a step, s_m ≈ Σ weight pole^m; the weights are positive."""
+    """Return poles and positive weights of the step response, s_m ≈ Σ weight pole^m."""
     top = math.log(_FASTEST)
     count = math.ceil((top - math.log(_SLOWEST)) / _CELL)
     poles: list[float] = []
@@ -75,13 +81,16 @@ def exponentials(order: float, share: float) -> tuple[list[float], list[float]]:
             for (fast, slow), s in zip(itertools.pairwise(below), rates, strict=True)
         ]
         _two_nodes(rates, masses, poles, weights)
-    # What is slower: t is 1 there.
+    # the slower rest, where t is 1
     slowest = math.exp(top - count * _CELL)
     return [*poles, math.exp(-slowest)], [*weights, _below(slowest, order, share)]
 
 
 def _below(rate: float, order: float, share: float) -> float:
-    """Return the integral of the density over ln r up to a rate s, in closed form: however narrow its peak is near order 1."""
+    """Return the integral of the density over ln r up to a rate s, in closed form.
+
+    It is exact however narrow the peak near order 1 is.
+    """
     u = share * math.expm1(rate) ** order
     angle = math.pi * order
     return math.atan2(u * math.sin(angle), 1.0 + u * math.cos(angle)) / angle

@@ -1,9 +1,9 @@
-"""Tustin's map and a continued fraction: s^β ≈ ((2/T)(z − 1)/(z + 1))^β of degree n (Chen & Vinagre 2003).
+"""Tustin's map and a continued fraction: s^β ≈ ((2/T)(z − 1)/(z + 1))^β of degree n.
 
-Right in phase over most of the band, because the map itself has no delay; but the exact function is
-infinite at Nyquist, and the gain there grows without bound with the degree, like n^{2β}. It leaks
-about as a memory of n² ticks does. It breaks when expanded for the whole of α > 1 (unstable, so the
-integer part is split off) and beyond degree 200 (not checked).
+The phase is right over most of the band, because the map itself has no delay. The exact function is
+infinite at Nyquist, so the gain there grows with the degree like n^{2β} (Chen and Vinagre 2003). It
+leaks about as much as a memory of n² ticks. For α > 1 the integer part is split off, because the
+expansion of the whole is unstable. Degrees above 200 are not checked.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ class Guarded:
 
     def listeners(self) -> int:
         """Tend both sockets, as the node's threads do all the time, and count who listens."""
-        self.reopening.tend()
+        self.reopening.maintain()
         return self.publisher.listeners()
 
     def close(self) -> None:
@@ -83,7 +83,7 @@ for seq in range(1_000_000):
     # Long enough for what a listener leaves behind to fill a queue; a stalled node is what it waits for.
     time.sleep(0.05)
     publisher.send(b"/t", b"x")
-    publisher.tend()
+    publisher.maintain()
     port.send(b"/t", b"x")
     port.keep()
     try:
@@ -138,8 +138,8 @@ def test_no_listener_however_unruly_ends_the_process(
 def test_a_listener_that_fills_the_memory_of_an_open_port_is_put_out(
     context: Context, place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("messages.transport.open_port.MOST_GROWTH", 16 << 20)
-    monkeypatch.setattr("messages.transport.open_port._PERIOD", 0.05)
+    monkeypatch.setattr("messages.transport.open_port.MAX_GROWTH", 16 << 20)
+    monkeypatch.setattr("messages.transport.open_port._CHECK_INTERVAL", 0.05)
     told: list[str] = []
     port = OpenPort(context, place, told.append)
     port.keep()

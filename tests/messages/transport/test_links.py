@@ -42,19 +42,19 @@ class Ear:
 
         def look() -> bool:
             publisher.send(b"/t", payload)
-            self.tend()
+            self.maintain()
             return self.inbox.receive(20) == (b"/t", payload)
 
         return look
 
-    def tend(self, heard: int | None = None) -> None:
+    def maintain(self, heard: int | None = None) -> None:
         """Do what the two threads of a node do."""
-        self.links.look(heard)
-        self.links.tend()
+        self.links.poll(heard)
+        self.links.maintain()
 
     def tended(self, found: object, heard: int | None = None) -> object:
         """Hand on what was found so far, and look once more."""
-        self.tend(heard)
+        self.maintain(heard)
         return found
 
     def close(self) -> None:
@@ -146,7 +146,7 @@ def test_a_node_that_ends_in_the_middle_of_a_greeting_is_no_intruder(
 
         def ends() -> bool:
             nonlocal gone
-            ear.tend()
+            ear.maintain()
             with contextlib.suppress(TimeoutError):
                 client, _ = server.accept()
                 client.close()
@@ -199,14 +199,14 @@ def test_a_publisher_without_the_key_in_place_of_a_killed_one(
 def test_silence_is_told_with_the_state_of_the_link(
     context: Context, place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("messages.transport.links.PATIENCE", 0.1)
+    monkeypatch.setattr("messages.transport.links.CONNECTED_SILENCE", 0.1)
     publisher, ear = Publisher(context, place), Ear(context, place)
     wait_for(ear.hears(publisher), "the publisher")
     wait_for(lambda: ear.tended(ear.told, heard=7), "the silence")
     assert "no message for 0.1 s (connected)" in ear.told[0]
     told = len(ear.told)
     for heard in range(8, 40):
-        ear.tend(heard)
+        ear.maintain(heard)
     assert len(ear.told) == told, "who hears is not silent"
     ear.close()
     publisher.close(0)
@@ -221,7 +221,7 @@ def test_who_is_connected_and_starved_is_waited_for(
     wait_for(ear.hears(publisher), "the publisher")
     begun = time.monotonic()
     while time.monotonic() - begun < 0.2:
-        ear.tend(7)
+        ear.maintain(7)
         ear.inbox.receive(5)
     assert ear.told == []
     ear.close()
@@ -248,13 +248,13 @@ def test_a_revoked_key_is_not_listened_to_any_more(
     ear = Ear(context, endpoint)
     wait_for(ear.hears(publisher), "the allowed machine")
     keys.revoke("far")
-    ear.tend()
+    ear.maintain()
     assert "not allowed here any more" in ear.told[-1]
     while ear.inbox.receive(200) is not None:
         pass
     for _ in range(50):
         publisher.send(b"/t", b"a command")
-        ear.tend()
+        ear.maintain()
         assert ear.inbox.receive(10) is None
     ear.close()
     gate.stop()

@@ -281,8 +281,8 @@ def test_a_forger_bound_in_a_nodes_place_is_not_heard(
     def forged() -> bool:
         fake.send(topics.FORCE.encode(), payload)
         assert victim.receive(5) is None
-        links.look()
-        links.tend()
+        links.poll()
+        links.maintain()
         return any("does not have the key" in reason for reason in told)
 
     wait_for(forged, "the report about the forger")

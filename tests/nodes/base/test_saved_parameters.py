@@ -45,7 +45,7 @@ def test_a_law_that_was_taken_by_force_renders_again(
     given = coupling(stability=policy)
     node = started_again(Coupling, tmp_path, UNSTABLE, **given)
     assert node.store.get("laws.pd.stiffness") == 1e6
-    why = "coupling.stability is warn" if policy == "warn" else "somebody took it while it was felt"
+    why = "coupling.stability is warn" if policy == "warn" else "it was accepted before the restart"
     assert f"started anyway: {why}" in capsys.readouterr().err
     # A launch that begins so is refused as before.
     if policy != "warn":

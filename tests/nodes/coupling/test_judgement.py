@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from nodes.coupling.judgement import Judgement
+from nodes.coupling.judgement import Judgement, StartAnyway
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
 from nodes.laws.parse import compile_law, parse_law
@@ -54,17 +54,19 @@ def test_the_stability_policy_refuses_warns_or_is_silent_at_the_edge() -> None:
         assert judgement.at_start(at(0.999 * low, policy), 0.0) == []
     assert judgement.at_start(at(1.001 * high, "off"), 0.0) == []
     (warned,) = judgement.at_start(at(1.001 * high, "warn"), 0.0)
-    (started,) = judgement.at_start(at(1.001 * high, "changes"), 0.0, "nothing can break")
+    (started,) = judgement.at_start(at(1.001 * high, "changes"), 0.0, StartAnyway.VIRTUAL)
     for policy in ("refuse", "changes"):
         with pytest.raises(ParameterError, match=r"set coupling\.stability to warn") as raised:
             judgement.at_start(
-                at(1.001 * high, policy), 0.0, "nothing can break" if policy == "refuse" else ""
+                at(1.001 * high, policy),
+                0.0,
+                StartAnyway.VIRTUAL if policy == "refuse" else StartAnyway.NO_REASON,
             )
         for text in (warned, started, str(raised.value)):
             assert "coupling.laws.pd: pole radius 1.0" in text
             assert "limit: < 1" in text
     assert warned.endswith("started anyway: coupling.stability is warn")
-    assert started.endswith("started anyway: nothing can break")
+    assert started.endswith(f"started anyway: {StartAnyway.VIRTUAL.value}")
     # The measured delay counts, unless the plant declares one; that of the device itself comes on
     # top of either.
     with pytest.raises(ParameterError, match=r"at a delay of 3 ticks"):
@@ -171,7 +173,7 @@ def test_a_fallback_is_judged_too_and_a_damper_alone_is_stable() -> None:
         for damping in (20.0, 1e4)
     )
     assert judgement.at_start(soft, 0.0) == []
-    assert "coupling.fallback: pole radius" in judgement.at_start(hard, 0.0, "made up")[0]
+    assert "coupling.fallback: pole radius" in judgement.at_start(hard, 0.0, StartAnyway.VIRTUAL)[0]
     with pytest.raises(
         ParameterError, match=r"coupling\.fallback: pole radius .*nothing was changed"
     ):

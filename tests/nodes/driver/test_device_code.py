@@ -76,7 +76,7 @@ def test_a_condition_that_raises_is_told_once_and_ends_the_driver(
     driver.configure()
     driver.state = "running"
     for _ in range(3):
-        driver.look_after()
+        driver.check_health()
     expected = (
         "driver: condition() of the device failed: RuntimeError: vendor library: connection reset"
     )
@@ -114,7 +114,7 @@ def test_whatever_a_node_does_beside_its_loop_the_control_thread_goes_on() -> No
         events=SimpleNamespace(emit=lambda kind, text: told.append(f"{kind}: {text}")),
         failing=False,
         stop=lambda reason: told.append(f"stop: {reason}"),
-        look_after=fails(ValueError("no number")),
+        check_health=fails(ValueError("no number")),
     )
     closed = SimpleNamespace(close=lambda **_: None)
     server: Any = SimpleNamespace(

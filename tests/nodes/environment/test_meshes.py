@@ -111,7 +111,7 @@ def test_a_file_of_ten_gigabytes_is_refused_unread(tmp_path: Path) -> None:
 
 def test_a_mesh_turned_inside_out_is_turned_back_and_told() -> None:
     prepared = prepare_mesh(CUBE[:, ::-1], False, "file")
-    assert prepared.repairs == ("file: all faces looked inwards, and were turned",)
+    assert prepared.repairs == ("file: all faces pointed inwards and were flipped",)
     outward = np.einsum("ij,ij->i", prepared.normals, prepared.corners.mean(axis=1))
     assert (outward > 0.0).all()
 
@@ -246,4 +246,4 @@ def test_a_launch_tells_what_was_repaired(tmp_path: Path) -> None:
         if one.kind == "mesh"
     ]
     assert "1 triangles of fewer than three corners left out" in told.reason
-    assert "ball.stl: all faces looked inwards, and were turned" in told.reason
+    assert "ball.stl: all faces pointed inwards and were flipped" in told.reason

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nodes.environment.spent import BINS, LEAST, PER_OCTAVE, note_spent, spent_us
+from nodes.environment.spent import BINS, PER_OCTAVE, SHORTEST_SPENT, note_spent, spent_us
 from tests.support.launching import launch_json
 
 
@@ -27,7 +27,7 @@ def test_quantiles_are_those_of_the_times_to_the_width_of_a_bin() -> None:
 
 def test_what_is_too_short_or_too_long_for_the_bins_is_counted_in_the_outermost() -> None:
     counts = [0] * BINS
-    for time in (0.0, -1e-9, 0.5 * LEAST, 1e3):
+    for time in (0.0, -1e-9, 0.5 * SHORTEST_SPENT, 1e3):
         note_spent(counts, time)
     assert (counts[0], counts[-1], sum(counts)) == (3, 1, 4)
     assert spent_us([0] * BINS) == {}

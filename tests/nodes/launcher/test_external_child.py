@@ -17,7 +17,7 @@ import pytest
 import zmq
 
 from messages.transport.endpoints import bind
-from messages.transport.requests import Desk, Reply, decode_request
+from messages.transport.requests import Reply, ReplySocket, decode_request
 from nodes.launcher import launch_file
 from nodes.launcher.child import Child
 from nodes.launcher.external_child import ByHand
@@ -69,16 +69,16 @@ def odd_node(context: Context, **answers: object) -> Iterator[Setup]:
     over = threading.Event()
     with private_runtime_dir() as folder:
         control = f"ipc://{folder}/driver.ctl"
-        desk = Desk(context)
-        desk.socket.rcvtimeo = 20
-        bind(desk.socket, control)
+        inbox = ReplySocket(context)
+        inbox.socket.rcvtimeo = 20
+        bind(inbox.socket, control)
 
         def serve() -> None:
-            with desk.socket:
+            with inbox.socket:
                 while not over.is_set():
                     with contextlib.suppress(zmq.Again):
-                        op = decode_request(desk.take()).op
-                        desk.answer(msgspec.msgpack.encode(Reply(op in answers, answers.get(op))))
+                        op = decode_request(inbox.receive()).op
+                        inbox.answer(msgspec.msgpack.encode(Reply(op in answers, answers.get(op))))
 
         thread = threading.Thread(target=serve)
         thread.start()

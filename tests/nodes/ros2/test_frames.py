@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from nodes.ros2.node import MOST_FRAMES, Ros2
+from nodes.ros2.node import MAX_FRAMES, Ros2
 from tests.support.setups import setup_of
 
 
@@ -78,5 +78,5 @@ def test_frames_without_end_are_not_told_without_end(
     for n in range(1000):
         ros2._take_wrench(message(f"tool{n}" * 1000))
     assert ros2._wrench is None
-    assert len(told) == MOST_FRAMES
+    assert len(told) == MAX_FRAMES
     assert max(len(text) for _, text in told) < 400
