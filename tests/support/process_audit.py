@@ -91,7 +91,7 @@ def _spawn_is_told() -> None:
         sys.audit("os.posix_spawn", path, arguments, os.environ)
         return spawn(path, arguments, descriptors)
 
-    util.spawnv_passfds = told
+    setattr(util, "spawnv_passfds", told)  # noqa: B010  # its stub has no variable there
 
 
 def pytest_configure() -> None:
