@@ -71,8 +71,16 @@ LONGEST = (
 """What takes minutes comes first: a long file that begins last is waited for by one processor alone."""
 
 
-def pytest_configure() -> None:
-    """Say at once that the installation is older than pyproject.toml: its entry points are other ones."""
+def _asks_for_all(config: pytest.Config) -> bool:
+    """Return whether folders, files or tests are named, and no markers: what is named is all run but the slow."""
+    named = config.args_source is pytest.Config.ArgsSource.ARGS
+    return named and not any(word.startswith("-m") for word in config.invocation_params.args)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Refuse an installation older than pyproject.toml; run what starts processes where it is named."""
+    if not hasattr(config, "workerinput") and _asks_for_all(config):
+        config.option.markexpr = "not slow"
     groups = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
         "entry-points"
     ]
@@ -148,7 +156,8 @@ def pytest_xdist_auto_num_workers() -> int:
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     """Hold the machine from before a test's fixtures are set up until they are gone."""
     worker = getattr(item.config, "workerinput", None)
-    if worker is None:
+    # What will be skipped needs no machine, and must not wait until it has one.
+    if worker is None or any(all(mark.args) for mark in item.iter_markers("skipif")):
         return (yield)
     with machine(worker["testrunuid"], alone=item.get_closest_marker("realtime") is not None):
         return (yield)
@@ -173,5 +182,4 @@ def me(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Identity:
     return keys.new_identity()
 
 
-pytest_plugins = ("tests.support.process_audit",) if os.environ.get("HAPTIC_PROCESS_LOG") else ()
-"""Only where its log is asked for: see tests/support/process_audit.py."""
+pytest_plugins = ("tests.support.process_audit",)

@@ -54,6 +54,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Pat
         yield folder, runtime_dir, fresh / "bin"
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("block", BLOCKS)
 def test_examples_install_and_run(block: Block, places: tuple[Path, Path, Path]) -> None:
     said = ""

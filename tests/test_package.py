@@ -63,6 +63,7 @@ def inside(wheel: Path) -> dict[str, bytes]:
         return {name: archive.read(name) for name in archive.namelist()}
 
 
+@pytest.mark.process
 def test_wheel_holds_packages_scenarios_markers_and_licence(wheel: Path) -> None:
     files = inside(wheel)
     metadata = f"haptic_nodes-{PROJECT['version']}.dist-info"
@@ -90,6 +91,7 @@ def test_wheel_holds_packages_scenarios_markers_and_licence(wheel: Path) -> None
     assert not [name for name in files if name.endswith((".pyc", ".png", ".mcap", ".so"))]
 
 
+@pytest.mark.process
 def test_wheel_says_what_it_is_and_what_it_needs(wheel: Path) -> None:
     files = inside(wheel)
     metadata = f"haptic_nodes-{PROJECT['version']}.dist-info"

@@ -78,7 +78,11 @@ BLOCKS = [  # tests/test_extending.py runs those of nodes/EXTENDING.md
         block,
         id=f"{name}: {block.lines[0].partition('#')[0].strip()}",
         # Those of the other pages measure and study, or launch what the README launches too.
-        marks=[pytest.mark.slow] * (name != "README.md"),
+        marks=[
+            pytest.mark.process,
+            *[pytest.mark.slow] * (name != "README.md"),
+            *[pytest.mark.smoke] * (block.lines[-1].startswith("haptic launch touch_wall --view")),
+        ],
     )
     for name, text in PAGES.items()
     for block in blocks(text)

@@ -138,6 +138,7 @@ def test_requests_and_replies_are_one_bounded_frame() -> None:
 
 
 # Long: one garbage after the other against the same node.
+@pytest.mark.process
 def test_garbage_sent_to_a_running_node_is_counted_and_told(tmp_path: Path) -> None:  # noqa: PLR0915
     """A real coupling process, fed by the test in the place of the environment."""
     with private_runtime_dir() as folder:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
+import pytest
 import zmq
 
 from messages import codec, topics, types
@@ -98,6 +99,8 @@ def test_page_has_the_limits_of_the_code() -> None:
     assert requests.MAX_REPLY == requests.MAX_REQUEST
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_live_traffic_with_zmq_and_msgpack_only(tmp_path: Path) -> None:
     with running(tmp_path, "floor_drop", "duration:=0", "rate:=250") as launch:
         nodes = json.loads((launch.run_dir / "run.json").read_bytes())["nodes"]
@@ -208,6 +211,7 @@ class ForeignCoupling(threading.Thread):
                 socket.close()
 
 
+@pytest.mark.process
 def test_a_coupling_in_nothing_but_zmq_and_msgpack_runs_the_loop(tmp_path: Path) -> None:
     scene = tmp_path / "foreign.yaml"
     scene.write_text(BY_HAND.format(pace="lockstep", duration=0.4))

@@ -9,14 +9,17 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 import subprocess
+import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import pytest
 
+from nodes.base.stderr_queue import STDERR, drain_stderr
 from nodes.cli.main import main
 from sim.measure.measured_launch import (
     DEADLINE,
@@ -100,25 +103,46 @@ def typed(launch: Running, *words: str, code: int | None = 0) -> subprocess.Comp
     return typed_in(launch.folder, *words, code=code, environment=launch.environment)
 
 
+@contextlib.contextmanager
+def _stderr_into(file: IO[bytes]) -> Iterator[None]:
+    """Let standard error go into a file, also what a launch writes past `sys.stderr` to its descriptor."""
+    sys.stderr.flush()
+    before = os.dup(STDERR)
+    os.dup2(file.fileno(), STDERR)
+    try:
+        with (
+            open(STDERR, "w", encoding="utf-8", errors="replace", closefd=False) as stream,
+            contextlib.redirect_stderr(stream),
+        ):
+            yield
+            drain_stderr()
+    finally:
+        os.dup2(before, STDERR)
+        os.close(before)
+
+
 def typed_in(
     folder: Path, *words: str, code: int | None = 0, environment: Mapping[str, str] | None = None
 ) -> subprocess.CompletedProcess[str]:
     """Run a verb in this process, as `haptic` does in one of its own: starting one costs half a second.
 
-    For what a verb says, asks and returns. What is of a process (signals, pipes, how it starts)
-    needs one, and so does a launch, which writes to the process's own standard error.
+    For what a verb says, asks and returns, a launch's refusal too. What is of a process (signals,
+    pipes, how it starts) needs one.
     """
-    out, err = io.StringIO(), io.StringIO()
-    with (
-        pytest.MonkeyPatch.context() as patched,
-        contextlib.chdir(folder),
-        contextlib.redirect_stdout(out),
-        contextlib.redirect_stderr(err),
-    ):
-        for name, value in (environment or {}).items():
-            patched.setenv(name, value)
-        found = exit_code(*words)
-    done = subprocess.CompletedProcess(["haptic", *words], found, out.getvalue(), err.getvalue())
+    out = io.StringIO()
+    with tempfile.TemporaryFile() as told:
+        with (
+            pytest.MonkeyPatch.context() as patched,
+            contextlib.chdir(folder),
+            contextlib.redirect_stdout(out),
+            _stderr_into(told),
+        ):
+            for name, value in (environment or {}).items():
+                patched.setenv(name, value)
+            found = exit_code(*words)
+        told.seek(0)
+        err = told.read().decode(errors="replace")
+    done = subprocess.CompletedProcess(["haptic", *words], found, out.getvalue(), err)
     assert code is None or found == code, (
         f"{done.args}: exit code {found}, expected {code}\n{done.stderr}"
     )

@@ -1,59 +1,165 @@
-"""Write down which tests start a process, and in which fixture: what a partition of the suite by cost begins with.
+"""Keep the marker ``process`` honest: a test that starts a process is marked so, and one that is marked starts one.
 
-Loaded where ``HAPTIC_PROCESS_LOG`` names a file; each line of it is a test and the fixture that was
-being set up, if any.
+A process costs a second of processor time where a call costs a millisecond, so README's line runs
+the tests without ``process``, and of those with it the ``smoke`` ones. An audit hook of the
+interpreter notices every start; a fixture's start counts for every test that uses the fixture.
+Where ``HAPTIC_TEST_COSTS`` names a file, each test leaves a line there: its name, the processor time
+of this process and of its children [s], and what it started.
 """
 
 from __future__ import annotations
 
 import os
+import resource
 import sys
 from collections.abc import Iterator
+from multiprocessing import util
+from pathlib import Path
 from typing import Any, Final
 
 import pytest
 
-STARTS: Final = ("subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn")
-LOG: Final = os.environ["HAPTIC_PROCESS_LOG"]
-
-_test: pytest.Item | None = None
-_fixtures: list[str] = []
-_installed = False
-
-
-def _watch(event: str, arguments: Any) -> None:
-    del arguments
-    if _test is None or event not in STARTS:
-        return
-    with open(LOG, "a", encoding="utf-8") as log:
-        log.write(f"{_test.nodeid}\t{_fixtures[-1] if _fixtures else ''}\n")
+STARTS: Final = frozenset({"subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn"})
+ASIDE: Final = frozenset({"git", "uname", "ldconfig", "cc", "gcc", "clang", "ar", "nm"})
+"""Programs of some milliseconds, most of whose answers are kept: which test asks first is chance."""
+CACHED: Final = ("nodes.compiled.machine_code", "nodes.driver.hardware.compile")
+"""Modules that compile what the machine does not have yet: whether they start anything is chance too."""
+COSTS: Final = os.environ.get("HAPTIC_TEST_COSTS")
 
 
-def install() -> None:
-    """Watch from now on; once a process."""
-    global _installed
-    if not _installed:
-        _installed = True
-        sys.addaudithook(_watch)
+class Watch:
+    """What the test that runs now has started, and the fixtures that are set up.
+
+    Parameters
+    ----------
+    fixtures : dict of int to list of str
+        What each fixture definition started when it was last set up, by its id.
+    """
+
+    def __init__(self) -> None:
+        self.started: list[str] | None = None
+        self.fixtures: dict[int, list[str]] = {}
+
+    def __call__(self, event: str, arguments: Any) -> None:
+        """Note a start; the interpreter's audit hook."""
+        if event not in STARTS or self.started is None:
+            return
+        program = _program(event, arguments)
+        if Path(program).name not in ASIDE and not _in_cache():
+            self.started.append(program)
+
+    def of(self, item: pytest.Item) -> list[str]:
+        """Return what a test and its fixtures started."""
+        definitions = getattr(item, "_fixtureinfo").name2fixturedefs.values()  # noqa: B009
+        shared = [
+            program
+            for several in definitions
+            for definition in several
+            for program in self.fixtures.get(id(definition), [])
+        ]
+        return [*(self.started or []), *shared]
+
+
+def _program(event: str, arguments: Any) -> str:
+    if event in {"os.fork", "os.forkpty"}:
+        return "fork"
+    if event == "os.posix_spawn":
+        return os.fsdecode(arguments[0])
+    executable, words = arguments[0], arguments[1]
+    if executable is not None:
+        return os.fsdecode(executable)
+    return os.fsdecode(words if isinstance(words, (str, bytes)) else words[0])
+
+
+def _in_cache() -> bool:
+    frame = sys._getframe()
+    while frame is not None:
+        if frame.f_globals.get("__name__") in CACHED:
+            return True
+        frame = frame.f_back  # type: ignore[assignment]
+    return False
+
+
+watch: Final = Watch()
+
+
+def _spawn_is_told() -> None:
+    """Make multiprocessing tell of its spawned processes, which the interpreter does not."""
+    spawn = util.spawnv_passfds
+
+    def told(path: Any, arguments: Any, descriptors: Any) -> Any:
+        sys.audit("os.posix_spawn", path, arguments, os.environ)
+        return spawn(path, arguments, descriptors)
+
+    setattr(util, "spawnv_passfds", told)  # noqa: B010  # its stub has no variable there
+
+
+def pytest_configure() -> None:
+    """Watch from now on; once an interpreter, as a hook cannot be removed."""
+    sys.addaudithook(watch)
+    _spawn_is_told()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Keep ``smoke`` at the parameters that it names, ``smoke("a-b", "c")``; without any it is of all."""
+    for item in items:
+        names = [name for mark in item.iter_markers("smoke") for name in mark.args]
+        if names and item.name.partition("[")[2].removesuffix("]") not in names:
+            item.own_markers[:] = [mark for mark in item.own_markers if mark.name != "smoke"]
+            item.keywords._markers.pop("smoke", None)  # type: ignore[attr-defined]
+
+
+def _cost() -> tuple[float, float]:
+    """Return the processor time of this process and of its ended children [s]."""
+    own, children = (
+        resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
+    return own.ru_utime + own.ru_stime, children.ru_utime + children.ru_stime
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
-    """Remember whose processes are started."""
-    global _test
-    install()
-    _test = item
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[Any]:
+    """Watch a test from before its fixtures until they are gone."""
+    watch.started = []
+    before = _cost()
     try:
         return (yield)
     finally:
-        _test = None
+        if COSTS:
+            own, children = (now - then for now, then in zip(_cost(), before, strict=True))
+            programs = ",".join(sorted({Path(program).name for program in watch.of(item)}))
+            with open(COSTS, "a", encoding="utf-8") as log:
+                log.write(f"{item.nodeid}\t{own:.3f}\t{children:.3f}\t{programs}\n")
+        watch.started = None
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_fixture_setup(fixturedef: Any) -> Iterator[Any]:
-    """Remember which fixture starts them."""
-    _fixtures.append(fixturedef.argname)
+    """Note what the fixture starts, for all tests that use it."""
+    outer, watch.started = watch.started, []
     try:
         return (yield)
     finally:
-        _fixtures.pop()
+        watch.fixtures[id(fixturedef)] = watch.started
+        watch.started = outer
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[Any]:
+    """Fail a test whose marker does not say what it did; a slow one needs none."""
+    result = yield
+    started = watch.of(item)
+    if item.get_closest_marker("slow") is None:
+        marked = item.get_closest_marker("process") is not None
+        if started and not marked:
+            pytest.fail(
+                f"starts {started[0]}, which needs @pytest.mark.process (README's line leaves it"
+                " out unless it is marked smoke too); or run it in this process: `typed_in` of"
+                " tests/support/launching.py types a verb in, `haptic.play` makes a recording"
+            )
+        if marked and not started:
+            pytest.fail(
+                "is marked process and starts none: remove the marker, and it runs by default"
+            )
+    return result

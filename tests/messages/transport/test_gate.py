@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import random
 import subprocess
 import sys
@@ -23,7 +22,7 @@ from messages.transport.sockets import Publisher, Subscription
 from sim.drill.intruders import visit
 from sim.measure.free_ports import free_ports
 from tests.support import slowly
-from tests.support.launching import haptic, wait_for
+from tests.support.launching import typed_in, wait_for
 from tests.support.strangers import as_somebody_else
 
 if TYPE_CHECKING:
@@ -101,6 +100,7 @@ print("ended", flush=True)
 """
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("which", ["hop", "listeners", "open port", "requests"])
 def test_no_listener_however_unruly_ends_the_process(
     context: Context, place: str, which: str
@@ -299,13 +299,9 @@ def test_without_an_identity_nobody_is_oneself(encrypted: Guarded, context: Cont
 
 def test_revoke_on_the_command_line(tmp_path: Path, me: Identity) -> None:
     keys.allow("robot", me.public)
-    environment = {**os.environ}
-    told = haptic(tmp_path, "keys", "revoke", "robbie", code=2, environment=environment).stderr
+    told = typed_in(tmp_path, "keys", "revoke", "robbie", code=2).stderr
     assert "there is: robot" in told
-    assert (
-        "no longer allowed"
-        in haptic(tmp_path, "keys", "revoke", "robot", environment=environment).stdout
-    )
+    assert "no longer allowed" in typed_in(tmp_path, "keys", "revoke", "robot").stdout
     assert keys.allowed() == {}
     with pytest.raises(KeyRefusedError, match="none"):
         keys.revoke("../identity")

@@ -29,7 +29,7 @@ from messages.transport.requests import ControlError, call
 from messages.transport.sockets import Publisher, Subscription
 from messages.types import Force
 from sim.measure.free_ports import free_ports
-from tests.support.launching import DEADLINE, HAPTIC, haptic, running, wait_for
+from tests.support.launching import DEADLINE, HAPTIC, haptic, running, typed_in, wait_for
 from tests.support.strangers import as_somebody_else
 
 if TYPE_CHECKING:
@@ -128,17 +128,19 @@ def test_what_is_no_key_is_refused(me: Identity, key: str) -> None:
 
 def test_keys_on_the_command_line(tmp_path: Path) -> None:
     environment = {**os.environ, "HAPTIC_KEYS": str(tmp_path / "k")}
-    assert "haptic keys new" in haptic(tmp_path, "keys", "list", environment=environment).stdout
-    public = haptic(tmp_path, "keys", "new", environment=environment).stdout.split()[0]
-    haptic(tmp_path, "keys", "allow", "10.0.0.2", public, environment=environment)
+    assert "haptic keys new" in typed_in(tmp_path, "keys", "list", environment=environment).stdout
+    public = typed_in(tmp_path, "keys", "new", environment=environment).stdout.split()[0]
+    typed_in(tmp_path, "keys", "allow", "10.0.0.2", public, environment=environment)
     assert (
         f"10.0.0.2      {public}"
-        in haptic(tmp_path, "keys", "list", environment=environment).stdout
+        in typed_in(tmp_path, "keys", "list", environment=environment).stdout
     )
-    assert "--replace" in haptic(tmp_path, "keys", "new", code=2, environment=environment).stderr
+    assert "--replace" in typed_in(tmp_path, "keys", "new", code=2, environment=environment).stderr
     assert (
         "name"
-        in haptic(tmp_path, "keys", "allow", "../x", public, code=2, environment=environment).stderr
+        in typed_in(
+            tmp_path, "keys", "allow", "../x", public, code=2, environment=environment
+        ).stderr
     )
 
 
@@ -353,6 +355,8 @@ def test_a_replayed_request_is_not_heard(door: Door, context: Context, me: Ident
 # ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_a_launch_over_curve_turns_strangers_away_and_goes_on(tmp_path: Path, me: Identity) -> None:
     port = free_ports(2)
     scene = tmp_path / "curve.yaml"
@@ -398,9 +402,7 @@ def test_a_launch_over_curve_turns_strangers_away_and_goes_on(tmp_path: Path, me
 def refused(folder: Path, text: str, environment: dict[str, Any]) -> str:
     scene = folder / "scene.yaml"
     scene.write_text(text)
-    return haptic(
-        folder, "launch", str(scene), code=2, environment={**os.environ, **environment}
-    ).stderr
+    return typed_in(folder, "launch", str(scene), code=2, environment=environment).stderr
 
 
 def test_a_launch_abroad_without_keys_is_refused_with_what_to_do(tmp_path: Path) -> None:
@@ -411,6 +413,7 @@ def test_a_launch_abroad_without_keys_is_refused_with_what_to_do(tmp_path: Path)
     assert "haptic keys allow 10.9.8.7 KEY" in refused(tmp_path, abroad, environment)
 
 
+@pytest.mark.process
 def test_the_cost_of_curve_is_measured_in_one_run(tmp_path: Path) -> None:
     done = haptic(tmp_path, "bench", "curve", "--rounds", "2", "--ticks", "20", "--json")
     found = json.loads(done.stdout.splitlines()[-1])

@@ -209,6 +209,8 @@ for line in sys.stdin:
 """
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_a_publisher_started_again_after_a_kill_is_heard_again(
     context: Context, place: str
 ) -> None:

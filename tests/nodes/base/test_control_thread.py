@@ -129,6 +129,7 @@ def test_half_a_request_of_one_who_is_gone_costs_nobody_an_answer(context: Conte
         assert control.stop()
 
 
+@pytest.mark.process
 def test_descriptors_that_run_out_end_no_loop_with_a_force_on(tmp_path: Path) -> None:
     """ZeroMQ aborts a process that has none left when somebody connects: a node takes what it may, or ends while it can."""
     with running(tmp_path, "wall_press", "duration:=0") as launch:
@@ -164,6 +165,8 @@ def test_descriptors_that_run_out_end_no_loop_with_a_force_on(tmp_path: Path) ->
         assert launch.figures["safety"]["soft_stop_ticks"] > 0
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_a_flooded_node_without_a_launcher_ends_by_its_lease(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -24,6 +24,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
 
 
+@pytest.mark.process
 def test_a_cut_holds_the_while_and_no_more(path: Path, tmp_path: Path) -> None:
     out = tmp_path / "part.mcap"
     assert main(["bag", "cut", str(path), "--from", "0.2", "--to", "0.4", "--out", str(out)]) == 0
@@ -36,6 +37,7 @@ def test_a_cut_holds_the_while_and_no_more(path: Path, tmp_path: Path) -> None:
     assert main(["bag", "plot", str(out), "--out", str(tmp_path / "p.png")]) == 0
 
 
+@pytest.mark.process
 def test_a_filter_takes_whole_names_and_patterns(path: Path, tmp_path: Path) -> None:
     def topics(*words: str) -> set[str]:
         out = tmp_path / "few.mcap"
@@ -49,6 +51,7 @@ def test_a_filter_takes_whole_names_and_patterns(path: Path, tmp_path: Path) -> 
     assert topics("--topics", FORCE, "-e", "state$") == {FORCE, DEVICE_STATE}
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("words", "told"),
     [
@@ -70,6 +73,7 @@ def test_what_cannot_be_is_refused(
     assert not path.with_suffix(".cut.mcap").exists()
 
 
+@pytest.mark.process
 def test_play_begins_later_and_under_other_names(
     path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -99,6 +103,7 @@ def wall(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
         yield launch
 
 
+@pytest.mark.process
 def test_patterns_choose_what_is_recorded(wall: Running, tmp_path: Path) -> None:
     out = tmp_path / "r.mcap"
     typed(
@@ -117,6 +122,7 @@ def test_patterns_choose_what_is_recorded(wall: Running, tmp_path: Path) -> None
     assert set(Recording(out).topics) == {DEVICE_STATE}
 
 
+@pytest.mark.process
 def test_a_force_from_outside_reaches_the_device(wall: Running) -> None:
     # From 2.3 s on the hand rests before the wall, and the law gives nothing.
     wait_for(lambda: wall.ticks() > 1300, "the hand to rest")
@@ -135,6 +141,7 @@ def test_a_force_from_outside_reaches_the_device(wall: Running) -> None:
     )
 
 
+@pytest.mark.process
 def test_what_cannot_be_published_is_refused(wall: Running) -> None:
     assert (
         "published 1"
@@ -150,6 +157,7 @@ def test_what_cannot_be_published_is_refused(wall: Running) -> None:
     )
 
 
+@pytest.mark.process
 def test_debug_tells_the_launch_and_its_processes(wall: Running) -> None:
     told = wall.errors
     assert "stiffness: 1000.0" in told

@@ -13,7 +13,7 @@ import pytest
 from nodes.base import realtime
 from nodes.cli.doctor import OPEN_FILES, interpreter, wake_ups
 from nodes.cli.main import main
-from tests.support.launching import haptic, private_runtime_dir
+from tests.support.launching import haptic, private_runtime_dir, typed_in
 
 
 def examined(folder: Path, code: int, **environment: str) -> dict[str, Any]:
@@ -22,6 +22,8 @@ def examined(folder: Path, code: int, **environment: str) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_this_machine_can_run_a_loop_and_each_remedy_belongs_to_a_finding(tmp_path: Path) -> None:
     with private_runtime_dir() as runtime_dir:
         figures = examined(tmp_path, 0, HAPTIC_RUNTIME_DIR=str(runtime_dir))
@@ -59,7 +61,9 @@ def test_this_machine_can_run_a_loop_and_each_remedy_belongs_to_a_finding(tmp_pa
 def test_a_runtime_directory_that_cannot_be_used_is_essential(tmp_path: Path, path: str) -> None:
     with private_runtime_dir() as folder:
         (folder / "file").write_text("")
-        figures = examined(tmp_path, 1, HAPTIC_RUNTIME_DIR=str(folder / path))
+        environment = {"HAPTIC_RUNTIME_DIR": str(folder / path)}
+        done = typed_in(tmp_path, "doctor", "--json", code=1, environment=environment)
+        figures = json.loads(done.stdout.splitlines()[-1])
     assert figures["fine"] is False
     (missing,) = (check for check in figures["checks"] if check["state"] == "missing")
     assert missing["name"] == "runtime directory"

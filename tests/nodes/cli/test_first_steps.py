@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import pty
-import subprocess
 from pathlib import Path
 
 import pytest
 
 from nodes.base.kept_line import is_smart
 from nodes.cli.main import main
-from tests.support.launching import HAPTIC, Running, haptic, launch_json
+from tests.support.launching import Running, haptic, launch_json, typed_in
 
 
 @pytest.fixture(scope="module")
@@ -22,6 +21,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
 
 
+@pytest.mark.process
 def test_the_summary_comes_before_the_picture(tmp_path: Path) -> None:
     done = haptic(tmp_path, "launch", "floor_drop", "duration:=0.2", "pace:=lockstep")
     lines = done.stdout.splitlines()
@@ -40,6 +40,7 @@ def test_a_backend_that_is_not_there_does_not_stop_a_plot(recording: Path) -> No
     assert out.stat().st_size > 10_000
 
 
+@pytest.mark.process
 def test_an_unknown_ending_is_no_directory(
     recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -89,16 +90,14 @@ def test_a_dumb_terminal_gets_no_escape_codes(monkeypatch: pytest.MonkeyPatch) -
 def test_keys_that_cannot_be_written_are_told_in_words(tmp_path: Path) -> None:
     in_the_way = tmp_path / "file"
     in_the_way.write_text("")
-    environment = {**os.environ, "HAPTIC_KEYS": str(in_the_way / "keys")}
-    done = subprocess.run(
-        [*HAPTIC, "keys", "new"], env=environment, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 2
+    environment = {"HAPTIC_KEYS": str(in_the_way / "keys")}
+    done = typed_in(tmp_path, "keys", "new", code=2, environment=environment)
     assert "Errno" not in done.stderr
     assert str(in_the_way) in done.stderr
     assert "in $HAPTIC_KEYS" in done.stderr
 
 
+@pytest.mark.process
 def test_a_verb_waits_for_a_launch_that_was_just_started(tmp_path: Path) -> None:
     """The page's lines, pasted: ``haptic launch … &``, then ``haptic law list``."""
     with Running("wall_press", "duration:=0", folder=tmp_path, ready=False) as launch:

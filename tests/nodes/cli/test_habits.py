@@ -38,6 +38,7 @@ from tests.support.launching import (
     private_runtime_dir,
     running,
     typed,
+    typed_in,
     wait_for,
 )
 
@@ -59,6 +60,7 @@ def told(launch: Running, *words: str, code: int = 0) -> Any:
 # -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.process
 def test_topic_options_of_ros2(launch: Running) -> None:
     assert launch.haptic("topic", "echo", DEVICE_STATE, "--once").stdout.count("---") == 1
     assert f"{FORCE} [haptic.Force]" in typed(launch, "topic", "list", "-t").stdout.splitlines()
@@ -71,6 +73,7 @@ def test_topic_options_of_ros2(launch: Running) -> None:
 # -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.process
 def test_a_topic_that_nobody_publishes_is_an_error(launch: Running, tmp_path: Path) -> None:
     out = tmp_path / "r.mcap"
     for topic, hint in (
@@ -83,6 +86,7 @@ def test_a_topic_that_nobody_publishes_is_an_error(launch: Running, tmp_path: Pa
         assert not out.exists()
 
 
+@pytest.mark.process
 def test_topics_are_whole_names(launch: Running, tmp_path: Path) -> None:
     # As a prefix, ZeroMQ's way, /driver/status would be all that begins like it.
     found = told(
@@ -115,19 +119,12 @@ def test_a_launch_refuses_a_logger_of_topics_that_nothing_publishes(tmp_path: Pa
             text.replace("[/device/state, ", f"[{wrong}, /device/state, "), encoding="utf-8"
         )
         with private_runtime_dir() as runtime:
-            done = subprocess.run(
-                [*HAPTIC, "launch", str(scenario)],
-                cwd=tmp_path,
-                env={**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime)},
-                capture_output=True,
-                text=True,
-                timeout=60,
-                check=False,
-            )
-        assert done.returncode == 2
+            environment = {"HAPTIC_RUNTIME_DIR": str(runtime)}
+            done = typed_in(tmp_path, "launch", str(scenario), code=2, environment=environment)
         assert f"topics[0]: nothing publishes '{wrong}'" in done.stderr
 
 
+@pytest.mark.process
 def test_play_loops_until_it_is_ended(launch: Running, tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     told(launch, "bag", "record", FORCE, "--out", str(path), "--duration", "0.2")
@@ -168,6 +165,7 @@ def test_play_loops_until_it_is_ended(launch: Running, tmp_path: Path) -> None:
 # ----------------------------------------------------------------------------
 
 
+@pytest.mark.process
 def test_param_describe(launch: Running) -> None:
     found = told(
         launch, "param", "describe", "coupling", "laws.pd.stiffness", "memory", "stability", "plant"
@@ -195,6 +193,7 @@ def test_param_describe(launch: Running) -> None:
     )
 
 
+@pytest.mark.process
 def test_every_parameter_of_every_node_is_described(launch: Running) -> None:
     for node, values in told(launch, "param", "list")["nodes"].items():
         found = told(launch, "param", "describe", node)["parameters"]
@@ -243,6 +242,7 @@ def test_out_dir_takes_all_recordings_and_the_plot(tmp_path: Path) -> None:
 # ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.process
 def test_the_run_may_be_named_once_for_all(
     launch: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -255,6 +255,8 @@ def test_the_run_may_be_named_once_for_all(
     assert told(launch, "node", "list", "--run", "floor_drop")["run"] == launch.run.run
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_stop_ends_a_launch_in_order(tmp_path: Path) -> None:
     with running(tmp_path, "floor_drop", "duration:=0") as launch:
         name = launch.run.run
@@ -316,6 +318,7 @@ def test_completion_never_fails(words: list[str]) -> None:
     assert all(word.startswith(last) for word in candidates(words))
 
 
+@pytest.mark.process
 def test_completion_knows_what_runs(launch: Running) -> None:
     for words, found in (
         (["topic", "echo", "/dev"], DEVICE_STATE),
@@ -323,9 +326,10 @@ def test_completion_knows_what_runs(launch: Running) -> None:
         (["stop", "--json", "floor"], launch.run.run),
         (["law", "switch", ""], "pd"),
     ):
-        assert found in launch.haptic("completion", "words", "--", *words).stdout.splitlines()
+        assert found in typed(launch, "completion", "words", "--", *words).stdout.splitlines()
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_scripts_are_taken_by_their_shells(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["completion", shell]) == 0
@@ -393,6 +397,7 @@ def on_terminal(
     return written.decode()
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("columns", slowly([40, 120], but=[40]))
 def test_the_status_line_fits_its_terminal(tmp_path: Path, columns: int) -> None:
     with private_runtime_dir() as runtime:
@@ -439,28 +444,20 @@ def test_colour_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
     assert coloured("x", "red", Terminal()) == "x"
 
 
+@pytest.mark.process
 def test_nothing_is_coloured_in_a_pipe(launch: Running) -> None:
     for words, code in (
         (["topic", "list"], 0),
         (["topic", "echo", "/nosuch"], 2),
         (["node", "list"], 0),
     ):
-        done = launch.haptic(*words, code=code)
+        done = typed(launch, *words, code=code)
         assert "\x1b" not in done.stdout + done.stderr
 
 
 def test_stop_of_what_is_gone(tmp_path: Path) -> None:
     with private_runtime_dir() as runtime:
-        environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime)}
-        done = subprocess.run(
-            [*HAPTIC, "stop", "x"],
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
-    assert done.returncode == 2
+        typed_in(tmp_path, "stop", "x", code=2, environment={"HAPTIC_RUNTIME_DIR": str(runtime)})
     wait_for(lambda: not list(tmp_path.iterdir()), "nothing written")
 
 
@@ -468,6 +465,8 @@ def test_stop_of_what_is_gone(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.process
+@pytest.mark.smoke("None-1")
 @pytest.mark.parametrize(("asked", "had"), [(None, "1"), ("4", "4")])
 def test_linear_algebra_has_one_thread_unless_somebody_asks_for_more(
     asked: str | None, had: str

@@ -13,7 +13,14 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.launching import DEADLINE, HAPTIC, haptic, private_runtime_dir, wait_for
+from tests.support.launching import (
+    DEADLINE,
+    HAPTIC,
+    haptic,
+    private_runtime_dir,
+    typed_in,
+    wait_for,
+)
 
 COMMAND = Path(sys.executable).parent / "haptic"
 
@@ -24,13 +31,13 @@ COMMAND = Path(sys.executable).parent / "haptic"
 )
 def test_tags_that_do_not_fit_are_refused_where_they_stand(value: str, tmp_path: Path) -> None:
     (tmp_path / "given.yaml").write_text(f"coupling:\n  ramp: {value}\n", encoding="utf-8")
-    told = haptic(tmp_path, "launch", "floor_drop", "--params", "given.yaml", code=2).stderr
+    told = typed_in(tmp_path, "launch", "floor_drop", "--params", "given.yaml", code=2).stderr
     assert "given.yaml" in told
     assert "Traceback" not in told
 
 
 def test_a_file_that_never_ends_is_not_read_to_its_end(tmp_path: Path) -> None:
-    told = haptic(tmp_path, "launch", "floor_drop", "--params", "/dev/zero", code=2).stderr
+    told = typed_in(tmp_path, "launch", "floor_drop", "--params", "/dev/zero", code=2).stderr
     assert told.startswith("haptic: /dev/zero: more than ")
 
 
@@ -43,12 +50,13 @@ def test_a_runtime_directory_that_is_none(what: str, tmp_path: Path) -> None:
         place.symlink_to(tmp_path / "nowhere")
     for words in (("launch", "floor_drop"), ("node", "list"), ("topic", "list")):
         environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(place)}
-        told = haptic(tmp_path, *words, environment=environment, code=2).stderr
+        told = typed_in(tmp_path, *words, environment=environment, code=2).stderr
         assert told.startswith(f"haptic: {place}: ")
         assert "HAPTIC_RUNTIME_DIR" in told
         assert "Traceback" not in told
 
 
+@pytest.mark.process
 def test_no_room_for_the_run_s_directory(tmp_path: Path) -> None:
     """A full disk: /dev/full cannot hold a directory, a tmpfs of no inodes can be mounted where one may."""
     mounted = tmp_path / "full"
@@ -73,6 +81,7 @@ def test_no_room_for_the_run_s_directory(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     "more",
     [{"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}, {"PYTHONOPTIMIZE": "2"}],
@@ -93,21 +102,22 @@ def test_odd_interpreters(more: dict[str, str], tmp_path: Path) -> None:
 def test_a_place_that_cannot_be_written_to_is_told_before_the_work(tmp_path: Path) -> None:
     (tmp_path / "notes").write_text("", encoding="utf-8")
     for out in ("notes/deeper", "/proc/nothing"):
-        told = haptic(tmp_path, "study", "kmax", "--gain", "1..5", "--out", out, code=2)
+        told = typed_in(tmp_path, "study", "kmax", "--gain", "1..5", "--out", out, code=2)
         assert told.stderr.startswith(f"haptic: {out}: ")
         assert "choose another --out" in told.stderr
         assert told.stdout == ""
 
 
 def test_a_launch_that_could_not_record_is_refused_before_it_starts(tmp_path: Path) -> None:
-    told = haptic(Path("/proc"), "launch", "floor_drop", code=2)
+    told = typed_in(Path("/proc"), "launch", "floor_drop", code=2)
     assert told.stderr.startswith("haptic: recordings/{run}.mcap: /proc cannot be written to: ")
     assert "choose another --out-dir" in told.stderr
     (tmp_path / "recordings").write_text("", encoding="utf-8")
-    told = haptic(tmp_path, "launch", "floor_drop", code=2)
+    told = typed_in(tmp_path, "launch", "floor_drop", code=2)
     assert "recordings is not a directory; choose another --out-dir" in told.stderr
 
 
+@pytest.mark.process
 def test_an_interrupt_while_the_plot_is_drawn_keeps_the_summary(tmp_path: Path) -> None:
     # matplotlib reads this when it is loaded, and waits for whoever writes it: so long is the plot
     # being drawn.
@@ -155,6 +165,8 @@ def catches_interrupts(pid: int) -> bool:
     return bool(int(caught.split()[1], 16) & 1 << (signal.SIGINT - 1))
 
 
+@pytest.mark.process
+@pytest.mark.smoke("0.1")
 @pytest.mark.parametrize("later", [0.0, 0.05, 0.1, 0.2])
 def test_an_interrupt_while_the_command_starts_is_quiet(later: float, tmp_path: Path) -> None:
     with private_runtime_dir() as runtime_dir:
@@ -222,7 +234,7 @@ def test_an_interrupt_while_the_command_starts_is_quiet(later: float, tmp_path: 
 def test_numbers_and_words_that_fit_nothing_are_refused(
     words: tuple[str, ...], told: str, tmp_path: Path
 ) -> None:
-    refused = haptic(tmp_path, *words, code=2).stderr
+    refused = typed_in(tmp_path, *words, code=2).stderr
     assert told in refused
     assert "Traceback" not in refused
 
@@ -231,5 +243,5 @@ def test_numbers_and_words_that_fit_nothing_are_refused(
 def test_a_tuning_that_was_cut_is_refused_with_its_file(kept: bytes, tmp_path: Path) -> None:
     (tmp_path / "tuning").mkdir()
     (tmp_path / "tuning" / "tune.json").write_bytes(kept)
-    refused = haptic(tmp_path, "tune", "--steps", "design", code=2).stderr
+    refused = typed_in(tmp_path, "tune", "--steps", "design", code=2).stderr
     assert refused.startswith("haptic: tuning/tune.json: is not what haptic tune wrote (")

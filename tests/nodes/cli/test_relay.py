@@ -17,7 +17,7 @@ import zmq
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.cli import main
-from tests.support.launching import HAPTIC, Running, private_runtime_dir, running
+from tests.support.launching import HAPTIC, Running, private_runtime_dir, running, typed
 
 
 @contextlib.contextmanager
@@ -89,6 +89,7 @@ def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
         yield found
 
 
+@pytest.mark.process
 def test_plotjuggler_sees_every_topic_at_one_address(launch: Running, tmp_path: Path) -> None:
     # A port of its own would be taken from other tests; what PlotJuggler does with it is the same.
     endpoint = f"ipc://{tmp_path}/r"
@@ -140,10 +141,11 @@ def test_the_address_stays_from_launch_to_launch(tmp_path: Path) -> None:
     assert set(answered["relayed"]) == {FORCE}
 
 
+@pytest.mark.process
 def test_what_is_refused(launch: Running, capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["relay", "tcp://0.0.0.0:9872"]) == 2
     assert "nothing is published for other machines" in capsys.readouterr().err
-    done = launch.haptic(
-        "relay", f"ipc://{launch.folder}/q", "--once", "--topics", "/device/stat", code=2
+    done = typed(
+        launch, "relay", f"ipc://{launch.folder}/q", "--once", "--topics", "/device/stat", code=2
     )
     assert "did you mean /device/state?" in done.stderr

@@ -59,6 +59,8 @@ def told(launch: Running, *words: str, code: int = 0) -> Any:
 # ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_list(launch: Running) -> None:
     found = told(launch, "topic", "list")
     assert found["run"] == launch.run.run
@@ -67,10 +69,12 @@ def test_list(launch: Running) -> None:
     expected = loop | {f"/{node}/{kind}": node for node in nodes for kind in ("status", "event")}
     assert {topic: entry["node"] for topic, entry in found["topics"].items()} == expected
     assert found["topics"][DEVICE_STATE]["type"] == "DeviceState"
-    text = launch.haptic("topic", "list").stdout
+    text = typed(launch, "topic", "list").stdout
     assert [line.split()[0] for line in text.splitlines()] == list(found["topics"])
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_info(launch: Running) -> None:
     found = told(launch, "topic", "info", FORCE)
     assert (found["type"], found["node"], found["per_tick"]) == ("Force", "coupling", True)
@@ -79,6 +83,8 @@ def test_info(launch: Running) -> None:
     assert "published by coupling" in typed(launch, "topic", "info", FORCE).stdout
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_echo(launch: Running) -> None:
     lines = typed(launch, "topic", "echo", DEVICE_STATE, "-n", "5", "--json").stdout.splitlines()
     states = [json.loads(line) for line in lines]
@@ -100,6 +106,7 @@ def test_echo(launch: Running) -> None:
 # ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.process
 def test_hz(launch: Running) -> None:
     found = told(launch, "topic", "hz", DEVICE_STATE, "-n", "250")
     assert found["topic"] == DEVICE_STATE
@@ -112,6 +119,7 @@ def test_hz(launch: Running) -> None:
     assert found["rate_hz"] == pytest.approx(RATE, rel=0.15)
 
 
+@pytest.mark.process
 def test_bw(launch: Running) -> None:
     found = told(launch, "topic", "bw", FORCE, "-n", "50")
     size = found["size_bytes"]
@@ -124,6 +132,7 @@ def test_bw(launch: Running) -> None:
     assert len(FORCE) + len(whole) <= size["min"] <= size["max"] <= len(FORCE) + len(whole) + 16
 
 
+@pytest.mark.process
 def test_delay(launch: Running) -> None:
     found = told(launch, "topic", "delay", DEVICE_STATE, "-n", "100")
     delay = found["delay_s"]
@@ -132,17 +141,20 @@ def test_delay(launch: Running) -> None:
     assert delay["min"] <= delay["mean"] <= delay["max"]
 
 
+@pytest.mark.process
 def test_duration_ends_the_listening(launch: Running) -> None:
     found = told(launch, "topic", "hz", DEVICE_STATE, "--duration", "0.4")
     # At most the ticks of that time, and the one at its end.
     assert 1 <= found["messages"] <= 0.4 * RATE + 1
 
 
+@pytest.mark.process
 def test_a_silent_topic_is_told_by_the_exit_code(launch: Running) -> None:
     assert told(launch, "topic", "hz", RECEIPT, "--duration", "0.2", code=1)["messages"] == 0
     assert typed(launch, "topic", "echo", RECEIPT, "--duration", "0.2", code=1).stdout == ""
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_prints_the_figures_so_far(launch: Running, number: int) -> None:
     with subprocess.Popen(
@@ -160,6 +172,8 @@ def test_a_signal_prints_the_figures_so_far(launch: Running, number: int) -> Non
     assert rest[-1].startswith("average rate: ")
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 @pytest.mark.parametrize("verb", ["info", "echo", "hz", "bw", "delay"])
 def test_unknown_topics(launch: Running, verb: str) -> None:
     done = typed(launch, "topic", verb, "/device/stat", code=2)
@@ -218,6 +232,7 @@ def test_spread_is_that_of_the_statistics_module(values: list[float]) -> None:
 # ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.process
 def test_record_for_a_while(launch: Running) -> None:
     path = launch.folder / "while.mcap"
     found = told(launch, "bag", "record", "--duration", "1", "--out", str(path))
@@ -236,6 +251,7 @@ def test_record_for_a_while(launch: Running) -> None:
     assert list(Recording(path).topics) == [FORCE]
 
 
+@pytest.mark.process
 def test_the_duration_begins_with_the_first_message(tmp_path: Path) -> None:
     """On a machine that needs longer to connect than is to be recorded, nothing was recorded."""
     path = tmp_path / "late.mcap"
@@ -281,6 +297,7 @@ def ticks_in(path: Path) -> int:
     return recording.topics[DEVICE_STATE].messages if DEVICE_STATE in recording.topics else 0
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_record_until_a_signal(launch: Running, number: int) -> None:
     path = launch.folder / f"signal{number}.mcap"
@@ -293,6 +310,7 @@ def test_record_until_a_signal(launch: Running, number: int) -> None:
     assert json.loads(out)["messages"] == sum(topic.messages for topic in recording.topics.values())
 
 
+@pytest.mark.process
 def test_who_ends_a_recorder_that_only_begins_gets_a_complete_recording(launch: Running) -> None:
     """It says that Ctrl-C ends it: so it does from there on. Nobody reads that line here, so that it stands still there."""
     path = launch.folder / "begun.mcap"
@@ -322,6 +340,7 @@ def test_who_ends_a_recorder_that_only_begins_gets_a_complete_recording(launch: 
     )
 
 
+@pytest.mark.process
 def test_a_killed_recorder_loses_at_most_half_a_second(launch: Running) -> None:
     path = launch.folder / "killed.mcap"
     with recording_into(launch, path) as process:
@@ -340,6 +359,7 @@ def test_a_killed_recorder_loses_at_most_half_a_second(launch: Running) -> None:
     assert saved["messages"][DEVICE_STATE] == cut.topics[DEVICE_STATE].messages
 
 
+@pytest.mark.process
 def test_a_full_disk_ends_the_logger_and_not_the_loop(tmp_path: Path) -> None:
     mount = [
         "unshare",

@@ -53,6 +53,8 @@ def kept(tiny: Path, place: Path) -> Path:
     return place / f"{TINY}.tick"
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_what_was_kept_is_found_and_runs(kept: Path) -> None:
     assert obtain(TINY)(41) == 42
     assert kept.stat().st_mode & 0o077 == 0
@@ -77,6 +79,7 @@ def _pipe(path: Path) -> None:
     os.mkfifo(path, 0o600)
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("steps", range(4), ids=["entry", "folder", "haptic-nodes", "base"])
 @pytest.mark.parametrize(
     "spoil",
@@ -101,6 +104,7 @@ def test_nothing_is_loaded_that_somebody_else_could_have_written(
     assert "compiled code is not taken from there" in told[0]
 
 
+@pytest.mark.process
 @needs_root
 def test_a_link_of_another_user_on_the_way_is_not_followed(kept: Path) -> None:
     base = kept.parent.parent.parent
@@ -110,6 +114,7 @@ def test_a_link_of_another_user_on_the_way_is_not_followed(kept: Path) -> None:
         obtain(TINY)
 
 
+@pytest.mark.process
 def test_an_entry_that_is_no_file_is_refused(kept: Path) -> None:
     _pipe(kept)
     with pytest.raises(NotCompilableError, match="must be a file of user"):
@@ -124,6 +129,7 @@ def test_names_are_bare(place: Path, name: str) -> None:
         cache.write(name, ENTRY, SOURCES)
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("kind", ["half", "empty", "one bit"])
 def test_half_a_library_counts_as_none_and_is_healed(kept: Path, kind: str) -> None:
     whole = kept.read_bytes()
@@ -144,6 +150,7 @@ def test_half_a_library_counts_as_none_and_is_healed(kept: Path, kind: str) -> N
         assert obtain(TINY)(41) == 42
 
 
+@pytest.mark.process
 def test_what_runs_is_what_was_checked(kept: Path) -> None:
     kernel = obtain(TINY)
     # A library that is mapped from its file would die of SIGBUS, or of what was written over it.
@@ -177,6 +184,7 @@ def test_every_source_counts_near_and_far(module: str, needs: str) -> None:
     assert needs in cache.sources_of(module)
 
 
+@pytest.mark.process
 def test_sources_are_those_that_are_loaded() -> None:
     code = (
         "import sys; import sim.lab.monte_carlo.virtual; from nodes.compiled import"
@@ -230,6 +238,7 @@ def test_the_one_process_loop_reads_no_pickle_of_others(place: Path, tmp_path: P
     assert not (tmp_path / "evil").exists()
 
 
+@pytest.mark.process
 def test_the_servo_loop_of_a_device_is_not_taken_from_others(place: Path) -> None:
     from nodes.driver.hardware.compile import servo_library
     from nodes.driver.touch.driver import TouchDevice
@@ -249,6 +258,7 @@ def test_the_servo_loop_of_a_device_is_not_taken_from_others(place: Path) -> Non
 # -------------------------------------------------------------------------------
 
 
+@pytest.mark.process
 def test_two_that_compile_at_once_do_no_harm(kept: Path) -> None:
     kept.unlink()
     build.build([TINY, TINY])
@@ -296,6 +306,7 @@ def test_who_waited_for_an_entry_finds_it(place: Path, monkeypatch: pytest.Monke
     os.close(folder)
 
 
+@pytest.mark.process
 def test_without_a_linker_the_object_file_runs(
     place: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -330,6 +341,7 @@ def test_where_nothing_can_be_kept_one_line_says_so(
         assert [path.name for path in place.iterdir()] == ["other.tick"]
 
 
+@pytest.mark.process
 def test_in_a_folder_that_cannot_be_written_to_one_line_says_so(tmp_path: Path) -> None:
     """As in a container whose root file system is read-only; root goes without the right to write anywhere."""
     base = tmp_path / "base"

@@ -75,6 +75,7 @@ def test_a_folder_in_the_place_of_an_entry_lets_the_plain_tick_run(empty_cache: 
     assert "must be a file of user" in CHECKS["compiled tick"]().found
 
 
+@pytest.mark.process
 def test_what_cannot_be_compiled_is_said_and_the_plain_tick_runs(
     empty_cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -100,6 +101,7 @@ def test_every_kernel_compiles_from_the_present_sources(module: str) -> None:
     assert reason(find(module)) == ""
 
 
+@pytest.mark.process
 def test_the_message_says_what_compiling_took_here_last_time(empty_cache: Path) -> None:
     told: list[str] = []
     assert choose("compiled", [TINY], told.append) == "compiled"
@@ -166,6 +168,7 @@ def background(base: Path) -> dict[int, str]:
     return found
 
 
+@pytest.mark.process
 def test_what_a_launch_lacked_is_compiled_in_the_background(
     empty_cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -191,6 +194,7 @@ def test_what_a_launch_lacked_is_compiled_in_the_background(
     assert choose("auto", [TINY], told.append) == "compiled"
 
 
+@pytest.mark.process
 def test_what_fails_in_the_background_is_not_tried_at_each_launch(
     empty_cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -210,6 +214,8 @@ def test_what_fails_in_the_background_is_not_tried_at_each_launch(
     assert choose("compiled", [TINY], told.append) == "compiled"
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_a_launch_says_which_tick_ran_and_has_the_other_made(
     empty_cache: Path, tmp_path: Path
 ) -> None:

@@ -40,6 +40,7 @@ def figures(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, object]
     return found, Recording(folder / str(found["recording"]))
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("node", TICKS)
 def test_a_status_says_where_the_node_is_now(
     figures: tuple[dict[str, object], Recording], node: str
@@ -60,6 +61,7 @@ def test_a_status_says_where_the_node_is_now(
     assert statistics.median(behind) <= 2 * 0.002 * RATE + 1
 
 
+@pytest.mark.process
 def test_all_that_was_told_was_sent_and_counted(
     figures: tuple[dict[str, object], Recording],
 ) -> None:

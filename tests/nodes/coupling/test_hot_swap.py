@@ -37,6 +37,8 @@ def refusal(launch: Running, op: str, **args: Any) -> str:
 # ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_every_request_has_its_receipt_and_equal_stiffness_swaps_without_a_step(
     tmp_path: Path,
 ) -> None:
@@ -218,6 +220,7 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
 ]
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("op", "args", "told"), REFUSED, ids=[f"{op}-{told[:40]}" for op, _, told in REFUSED]
 )
@@ -232,6 +235,7 @@ def test_what_is_refused_is_told_and_leaves_everything_as_it_was(
     ) == before
 
 
+@pytest.mark.process
 def test_the_policy_is_part_of_the_parameters_and_judges_at_once(held: Running) -> None:
     soft = {"laws.pd.stiffness": 500.0}
     hard = {"laws.pd.stiffness": 1000.0}
@@ -256,6 +260,7 @@ def test_the_policy_is_part_of_the_parameters_and_judges_at_once(held: Running) 
     assert held.call("coupling", "param.get", name="laws.pd.stiffness") == 500.0
 
 
+@pytest.mark.process
 def test_a_law_of_an_installed_package_works(held: Running) -> None:
     law = {"kind": "stiffening", "stiffness": 500.0, "damping": 3.0, "cubic": 1e8}
     held.call("coupling", "param.set", values={"laws.cubic": law, "law": "cubic", "ramp": 20})
@@ -271,6 +276,7 @@ def test_a_law_of_an_installed_package_works(held: Running) -> None:
     held.call("coupling", "param.set", values={"law": "pd", "ramp": 0})
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("kind", "told"),
     [
@@ -314,6 +320,7 @@ def test_a_law_that_breaks_at_once_is_refused_and_one_that_breaks_later_replaced
     launch.wait_ticks(300)
 
 
+@pytest.mark.process
 def test_the_record_of_all_that(held: Running, tmp_path: Path) -> None:
     """Last in this loop: every failure above fell back within its own tick, and was told."""
     figures = held.finish(signal.SIGINT, code=0)

@@ -31,6 +31,7 @@ def press(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
         yield launch
 
 
+@pytest.mark.process
 def test_an_unstable_change_is_refused_where_it_is_typed(press: Running) -> None:
     before = press.call("coupling", "param.dump")
     told = typed(press, "param", "set", "coupling", "laws.pd.stiffness", "1e9", code=1)
@@ -63,6 +64,7 @@ def test_an_unstable_change_is_refused_where_it_is_typed(press: Running) -> None
     typed(press, "param", "set", "coupling", "laws.pd.stiffness", "1000")
 
 
+@pytest.mark.process
 def test_a_file_and_a_switch_are_refused_as_well(press: Running) -> None:
     (press.folder / "hard.yaml").write_text(
         write_yaml({"coupling": {"laws": {"pd": {"stiffness": 1e7}}}})
@@ -147,6 +149,7 @@ def test_a_forced_one_saturates_and_ends_safely(press: Running) -> None:
     assert figures["safety"]["entered"]["stopped"] == 2
 
 
+@pytest.mark.process
 def test_a_watched_file_that_would_be_unstable_is_refused(tmp_path: Path) -> None:
     scenario = tmp_path / "press.yaml"
     text = (Path(__file__).parents[3] / "launch" / "wall_press.yaml").read_text(encoding="utf-8")
@@ -167,6 +170,7 @@ def test_a_watched_file_that_would_be_unstable_is_refused(tmp_path: Path) -> Non
         )
 
 
+@pytest.mark.process
 def test_a_device_that_answers_later_is_judged_first(press: Running) -> None:
     typed(press, "param", "set", "driver", "device.delay", "0.5")
     assert press.call("coupling", "param.get", name="plant.device_delay") == 0.5

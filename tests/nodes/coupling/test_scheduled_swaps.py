@@ -19,6 +19,7 @@ from tests.support.launching import launch_json, running
 # -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("ramp", slowly([0, 100], but=[100]))
 def test_scheduled_swaps_are_recorded_and_have_the_bits_of_one_process(
     tmp_path: Path, ramp: int
@@ -59,6 +60,7 @@ SCHEDULED = (
 )
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("ramp", [0, 40])
 def test_a_scheduled_recursive_law_has_the_bits_of_one_process(tmp_path: Path, ramp: int) -> None:
     # Long before the history is full, and when the swap replays less than all: memory is shorter

@@ -17,6 +17,7 @@ from tests.support.launching import Running, private_runtime_dir, running, wait_
 # ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.process
 def test_saving_the_watched_file_changes_the_running_law_all_or_nothing(tmp_path: Path) -> None:
     (tmp_path / "watching.yaml").write_text(
         HELD.replace("    kind: coupling\n", "    kind: coupling\n    watch: coupling.yaml\n")
@@ -99,6 +100,7 @@ class Verbs:
         return found
 
 
+@pytest.mark.process
 def test_the_command_line_beside_a_running_loop(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -90,7 +90,16 @@ def checks(module: ModuleType) -> set[str]:
     }
 
 
-@pytest.fixture(params=sorted(real_devices()))
+STANDS = [
+    # The service of an Inverse3 is a process of its own; a library is loaded into this one.
+    pytest.param(kind, marks=[pytest.mark.process, pytest.mark.smoke])
+    if kind == "inverse3_driver"
+    else kind
+    for kind in sorted(real_devices())
+]
+
+
+@pytest.fixture(params=STANDS)
 def stand(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
     with bench(request.param, tmp_path) as made:
         # what the driver asks of its device is looked at, not what the arm bears

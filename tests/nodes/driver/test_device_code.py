@@ -151,6 +151,7 @@ class Bad(SimDriver):
 '''
 
 
+@pytest.mark.process
 def test_a_launch_whose_device_cannot_tell_its_condition_ends_softly_with_its_reason(
     tmp_path: Path,
 ) -> None:

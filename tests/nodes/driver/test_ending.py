@@ -41,6 +41,7 @@ def test_a_fall_is_a_fall_only_without_a_force() -> None:
     assert ending([0.1 * k * T for k in range(64)], 0.0, T).motion == "moving"
 
 
+@pytest.mark.process
 def test_who_has_just_bounced_does_not_fall(tmp_path: Path) -> None:
     """On the way up after its first bounce the mass was told to fall, and to touch nothing."""
     final = launch_json(tmp_path, "floor_drop", "pace:=lockstep", "duration:=0.1")["final"]
@@ -48,6 +49,7 @@ def test_who_has_just_bounced_does_not_fall(tmp_path: Path) -> None:
     assert final["motion"] == "moving"
 
 
+@pytest.mark.process
 def test_launches_say_what_is(tmp_path: Path) -> None:
     words = ("pace:=lockstep", "--no-plot", "--without", "logger")
     rest = haptic(tmp_path, "launch", "floor_drop", *words).stdout

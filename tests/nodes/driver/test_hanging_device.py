@@ -14,6 +14,8 @@ from tests.support import INSTALLED, slowly
 from tests.support.launching import running, wait_for
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 @pytest.mark.parametrize(
     "call", slowly(["open", "read_position", "write_force", "close"], but=["write_force"])
 )
@@ -72,6 +74,8 @@ def test_closing_gets_the_time_that_the_device_declares(tmp_path: Path) -> None:
     assert diary(tmp_path)[-1][1] == "closed"
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_hardware_that_declares_no_limits_does_not_start_unless_told_to(tmp_path: Path) -> None:
     path = scene(tmp_path, declared={"workspace": [[-0.1, 0.1]] * 3})
     with running(tmp_path, path, environment=INSTALLED, ready=False) as launch:

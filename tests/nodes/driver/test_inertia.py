@@ -51,6 +51,7 @@ def test_poses_are_remembered() -> None:
     }
 
 
+@pytest.mark.process
 def test_a_running_device_tells_its_masses_to_whoever_judges_a_loop(tmp_path: Path) -> None:
     with (
         bench("force_dimension_driver", tmp_path) as stand,

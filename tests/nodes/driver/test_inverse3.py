@@ -24,6 +24,7 @@ def stand(tmp_path: Path) -> Iterator[Bench]:
         yield made
 
 
+@pytest.mark.process
 def test_a_cold_start_is_waited_for_and_says_why(tmp_path: Path) -> None:
     with bench("inverse3_driver", tmp_path, "--cold", str(COLD)) as stand:
         device = stand.device(start_time=30.0)
@@ -47,6 +48,8 @@ def test_a_cold_start_is_waited_for_and_says_why(tmp_path: Path) -> None:
         device.close()
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_a_service_that_does_not_answer_is_told_as_that(stand: Bench) -> None:
     """It takes the connection, and says nothing: the line must not end in nothing either."""
     said: list[str] = []
@@ -64,6 +67,7 @@ def test_a_service_that_does_not_answer_is_told_as_that(stand: Bench) -> None:
     assert said[1].startswith("Inverse3: is there after ")
 
 
+@pytest.mark.process
 def test_a_launch_waits_for_a_cold_start(stand: Bench, tmp_path: Path) -> None:
     scene = through(stand, tmp_path, start_time=100.0)
     stand.world.state.position[2] = -0.002
@@ -78,6 +82,7 @@ def test_a_launch_waits_for_a_cold_start(stand: Bench, tmp_path: Path) -> None:
         assert "device_waits: Inverse3: is there after" in launch.errors
 
 
+@pytest.mark.process
 def test_a_service_that_takes_forces_under_another_name_is_refused_loudly(tmp_path: Path) -> None:
     with bench("inverse3_driver", tmp_path, "--version", "3.1") as stand:
         device = stand.opened()
@@ -99,6 +104,8 @@ def test_a_service_that_takes_forces_under_another_name_is_refused_loudly(tmp_pa
         assert "takes no forces" in device.condition()
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_what_another_session_adds_is_told(stand: Bench) -> None:
     device = stand.opened()
     stand.press(device, (0.0, 0.0, 1.0))
@@ -113,6 +120,8 @@ def test_what_another_session_adds_is_told(stand: Bench) -> None:
     wait_for(lambda: device.condition() == "", "nobody adds any more")
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 @pytest.mark.parametrize("events", [True, False])
 def test_an_emergency_brake_is_told_and_ends_nothing(stand: Bench, events: bool) -> None:
     device = stand.opened() if events else stand.opened(events_port=0)
@@ -138,6 +147,8 @@ def test_an_emergency_brake_is_told_and_ends_nothing(stand: Bench, events: bool)
     wait_for(lambda: device.condition() == "", "the brake released")
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_a_service_that_answers_slowly_has_old_samples_counted_as_none(stand: Bench) -> None:
     """Each state 80 ms late, and the deadline is 50 ms: no position for most of the time, and no force with it."""
     device = stand.opened()
@@ -155,6 +166,7 @@ def test_a_service_that_answers_slowly_has_old_samples_counted_as_none(stand: Be
     wait_for(lambda: not math.isnan(device.read_position(0)[0]), "positions are back")
 
 
+@pytest.mark.process
 def test_surplus_answers_make_no_position_older(
     stand: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -174,6 +186,8 @@ def test_surplus_answers_make_no_position_older(
         assert seen < 500, "the position is older by each surplus answer"
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_a_service_that_goes_on_with_surplus_answers_is_given_up(stand: Bench) -> None:
     device = stand.opened()
     stand.press(device, (0.0, 0.0, 1.0))
@@ -192,6 +206,8 @@ def test_a_service_that_goes_on_with_surplus_answers_is_given_up(stand: Bench) -
     wait_for(lambda: not any(stand.world.force()), "no force acts")
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_messages_that_cannot_be_read_end_nothing(stand: Bench) -> None:
     """JSON nested 50 000 deep ended the thread of the exchange, and nobody said so."""
     device = stand.opened()
@@ -204,6 +220,8 @@ def test_messages_that_cannot_be_read_end_nothing(stand: Bench) -> None:
     wait_for(lambda: device.condition() == "", "it is readable again", 10.0)
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_fifteen_hundred_buttons_are_thirty_two(stand: Bench) -> None:
     device = stand.opened()
     stand.world.fail("buttons")
@@ -214,6 +232,7 @@ def test_fifteen_hundred_buttons_are_thirty_two(stand: Bench) -> None:
     assert not math.isnan(device.read_position(0)[0])
 
 
+@pytest.mark.process
 def test_whatever_ends_the_exchange_ends_forces_and_is_told(
     stand: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:

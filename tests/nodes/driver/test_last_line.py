@@ -88,6 +88,7 @@ def forces(folder: Path) -> list[float]:
 # -------------------------------------------------------------------------
 
 
+@pytest.mark.process
 @pytest.mark.realtime
 def test_a_driver_that_is_not_virtual_has_the_compiled_tick_too(tmp_path: Path) -> None:
     kernels = ["nodes.environment.kernel", "nodes.coupling.kernel", "nodes.driver.kernel"]
@@ -108,6 +109,7 @@ def test_a_driver_that_is_not_virtual_has_the_compiled_tick_too(tmp_path: Path) 
 # ---------------------------------------------------------------------------------
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("reader", ["paused", "gone"])
 def test_the_force_goes_down_and_the_launch_ends_whoever_reads_what_is_printed(
     tmp_path: Path, reader: str
@@ -145,6 +147,7 @@ def test_the_force_goes_down_and_the_launch_ends_whoever_reads_what_is_printed(
 # ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.process
 @pytest.mark.realtime
 def test_damping_knows_the_time_that_passed_while_the_driver_was_held_up(tmp_path: Path) -> None:
     speed = 0.1
@@ -185,6 +188,8 @@ def test_damping_knows_the_time_that_passed_while_the_driver_was_held_up(tmp_pat
     assert max(map(abs, damped)) >= 0.5 * DAMPING * speed
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_the_soft_stop_begins_at_the_force_that_is_on_the_device(tmp_path: Path) -> None:
     # Slewing all the time, under next_tick the force decided last has not been handed over yet.
     slew = 0.3
@@ -215,6 +220,7 @@ def killed(launch: Running, node: str) -> None:
     wait_for(back, f"{node} is back")
 
 
+@pytest.mark.process
 def test_a_coupling_started_again_has_its_parameters_and_no_jump(tmp_path: Path) -> None:
     with running(tmp_path, scene(tmp_path, chain=AGAIN), environment=INSTALLED) as launch:
         wait_for(lambda: forces(tmp_path)[-1:] == [1.0], "the arm is pressed")
@@ -242,6 +248,7 @@ def test_a_coupling_started_again_has_its_parameters_and_no_jump(tmp_path: Path)
     assert [event.kind for event in told].count("resumed") == 2
 
 
+@pytest.mark.process
 @pytest.mark.realtime
 def test_a_logger_started_again_leaves_alone_what_was_recorded(tmp_path: Path) -> None:
     with running(tmp_path, scene(tmp_path, chain=AGAIN), environment=INSTALLED) as launch:
@@ -274,6 +281,8 @@ def test_a_logger_started_again_leaves_alone_what_was_recorded(tmp_path: Path) -
 WRONG = (1.7e308, -1.7e308, None, 0.11)
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 @pytest.mark.realtime
 def test_positions_outside_the_workspace_are_a_fault_and_no_data(tmp_path: Path) -> None:
     # Each for a tenth of a second, and for a tick or two.
@@ -331,6 +340,7 @@ HAND = "hand: {mass: 0.1, damping: 2.0, stiffness: 150.0, path: [[0.0, -0.06]]}"
 WEIGHT = "gravity: 9.81"
 
 
+@pytest.mark.process
 @pytest.mark.realtime
 @pytest.mark.parametrize(
     ("tick", "pushes", "strength"),

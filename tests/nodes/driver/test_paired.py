@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import subprocess
 from contextlib import ExitStack
 from itertools import pairwise
 from pathlib import Path
@@ -27,10 +26,11 @@ from tests.nodes.driver.test_touch import needs_cc
 from tests.sim.emulators.test_emulators import SOFT, through
 from tests.support import ROOT, slowly
 from tests.support.devices import Bench, bench
-from tests.support.launching import HAPTIC, running, typed, wait_for
+from tests.support.launching import running, typed, typed_in, wait_for
 from tests.support.setups import setup_of
 
 
+@pytest.mark.process
 def test_two_hands_are_coupled_and_judged_at_the_measured_delay(tmp_path: Path) -> None:
     with running(tmp_path, "hands_coupled", "duration:=0") as launch:
 
@@ -233,6 +233,7 @@ def test_two_chains_of_real_devices_in_one_launch(kinds: tuple[str, str], tmp_pa
     assert len(list(tmp_path.rglob("*.mcap"))) == 2
 
 
+@pytest.mark.process
 @needs_cc
 @pytest.mark.parametrize(
     "kinds",
@@ -383,16 +384,7 @@ def test_a_member_that_is_no_device_is_refused_before_anything_starts(
         del parameters["second"]
     path = tmp_path / "wrong.yaml"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    done = subprocess.run(
-        [*HAPTIC, "launch", str(path), *device],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 2
-    assert told in done.stderr
-    assert "Traceback" not in done.stderr
+    assert told in typed_in(tmp_path, "launch", str(path), *device, code=2).stderr
 
 
 # -- devices that stand apart
@@ -455,6 +447,7 @@ def test_a_pair_goes_on_from_where_it_was_when_one_is_read_again_elsewhere_or_ju
     assert pair.read_position(87) == pytest.approx((0.011, 0.0, 0.04), abs=1e-16)
 
 
+@pytest.mark.process
 def test_two_hands_that_start_apart_feel_no_step(tmp_path: Path) -> None:
     """As hands_coupled, with the second 30 mm away: at 50 mm/s that is a force that grows by what law and speed make it."""
     scene = yaml.safe_load((ROOT / "launch" / "hands_coupled.yaml").read_text())

@@ -419,6 +419,7 @@ def test_credit_of_dissipated_energy_does_not_feed_an_instability() -> None:
 # ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("apply", "latency"),
     [

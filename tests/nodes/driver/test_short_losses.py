@@ -96,7 +96,11 @@ def test_a_force_that_was_decided_before_the_device_let_go_is_not_played_and_the
 
 @needs_cc
 @pytest.mark.parametrize(
-    ("kind", "call"), [("force_dimension_driver", "dhdGetPosition"), ("inverse3_driver", "state")]
+    ("kind", "call"),
+    [
+        ("force_dimension_driver", "dhdGetPosition"),
+        pytest.param("inverse3_driver", "state", marks=pytest.mark.process),
+    ],
 )
 def test_on_a_device_too(kind: str, call: str, tmp_path: Path) -> None:
     with bench(kind, tmp_path) as stand:

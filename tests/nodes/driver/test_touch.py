@@ -118,6 +118,7 @@ def test_a_refused_rate_and_a_missing_calibration(fake: Bench) -> None:
     assert (fake.world.state.open, fake.world.state.broken) == (0, 0)
 
 
+@pytest.mark.process
 def test_a_missing_library_is_told_with_what_to_do() -> None:
     with pytest.raises(
         OSError, match=r"libHD\.so\.none cannot be loaded .*install OpenHaptics .* kind sim_driver"
@@ -125,6 +126,7 @@ def test_a_missing_library_is_told_with_what_to_do() -> None:
         connected("libHD.so.none")
 
 
+@pytest.mark.process
 @needs_cc
 def test_a_missing_device_and_a_wrong_library_are_told(fake: Bench, tmp_path: Path) -> None:
     with pytest.raises(
@@ -181,6 +183,8 @@ def scenario(folder: Path, library: str) -> str:
     return str(path)
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 @needs_cc
 def test_a_whole_launch_on_the_stand_in(fake: Bench, tmp_path: Path) -> None:
     fake.world.state.position[2] = 0.022
@@ -203,6 +207,7 @@ def test_a_whole_launch_on_the_stand_in(fake: Bench, tmp_path: Path) -> None:
     assert pressing <= {0.0, 0.5}
 
 
+@pytest.mark.process
 def test_a_launch_without_the_library_fails_with_the_reason(tmp_path: Path) -> None:
     with running(tmp_path, scenario(tmp_path, "libHD.so.none"), ready=False) as launch:
         figures = launch.finish(code=1)
@@ -211,6 +216,7 @@ def test_a_launch_without_the_library_fails_with_the_reason(tmp_path: Path) -> N
         assert figures["ticks"] == 0
 
 
+@pytest.mark.process
 @needs_cc
 def test_a_launch_with_an_uncalibrated_device_fails_with_the_remedy(
     fake: Bench, tmp_path: Path

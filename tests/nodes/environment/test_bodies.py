@@ -179,6 +179,7 @@ def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         world(tmp_path)
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("scenario", "moved"),
     [

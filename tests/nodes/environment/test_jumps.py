@@ -66,6 +66,7 @@ def at(*places: Vector, first: int = 0, rebased: int = 0) -> list[DeviceState]:
     ]
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("tick", ["plain", "compiled"])
 def test_a_wall_that_is_moved_live_has_the_bits_of_one_process(tick: str, tmp_path: Path) -> None:
     """A hand presses it with 2.3 N when it comes 10 mm nearer: 52 N were asked in one tick."""
@@ -96,6 +97,7 @@ def test_a_wall_that_is_moved_live_has_the_bits_of_one_process(tick: str, tmp_pa
     assert f"a force step of {7.9 + felt:.4g} N, eased over 0.15 s" in reason
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("tick", slowly(["plain", "compiled"], but=["compiled"]))
 def test_shapes_that_are_begun_in_and_changed_live_have_the_bits_of_one_process(
     tick: str, tmp_path: Path

@@ -138,6 +138,7 @@ def test_what_is_presented_moves_no_faster_than_partner_device_and_alignment(
             before = where
 
 
+@pytest.mark.process
 def test_two_chains_feel_each_other_over_a_bad_network(tmp_path: Path) -> None:
     launch_json(tmp_path, "hands_apart", "duration:=1.5", "run.tick:=plain")
     (left,) = tmp_path.glob("recordings/*-left.mcap")

@@ -33,6 +33,7 @@ def test_what_is_too_short_or_too_long_for_the_bins_is_counted_in_the_outermost(
     assert spent_us([0] * BINS) == {}
 
 
+@pytest.mark.process
 def test_a_launch_tells_it_in_real_time_only(tmp_path: Path) -> None:
     """In lockstep nobody looks at a clock, so that a run repeats to the bit."""
     words = ("--tick", "plain", "--without", "logger", "duration:=0.4")

@@ -269,6 +269,7 @@ def test_the_worst_world_of_pd_swings_above_the_edge_and_rests_below() -> None:
     )
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("words", "tick"),
     [

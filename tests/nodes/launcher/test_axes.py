@@ -9,7 +9,7 @@ import pytest
 
 from nodes.launcher import launch_file
 from nodes.parameters.store import ParameterError
-from tests.support.launching import haptic, launch_json
+from tests.support.launching import haptic, launch_json, typed_in
 
 SCENE = """
 summary: A hand pushes into something
@@ -43,6 +43,7 @@ def test_axes_are_taken_from_the_surface(tmp_path: Path) -> None:
         launch_file.read(str(tmp_path / written(tmp_path, "{kind: free}", "[z, z]")), {})
 
 
+@pytest.mark.process
 def test_a_wall_across_x_without_axes_is_felt(tmp_path: Path) -> None:
     figures = launch_json(tmp_path, written(tmp_path, "{kind: plane, axis: x}"))
     assert figures["final"]["force_n"] > 1.0
@@ -66,7 +67,7 @@ def test_a_wall_across_x_without_axes_is_felt(tmp_path: Path) -> None:
 def test_a_scene_whose_parts_do_not_meet_is_refused(
     surface: str, axes: str, told: str, tmp_path: Path
 ) -> None:
-    assert told in haptic(tmp_path, "launch", written(tmp_path, surface, axes), code=2).stderr
+    assert told in typed_in(tmp_path, "launch", written(tmp_path, surface, axes), code=2).stderr
 
 
 SLOPE = '''
@@ -85,6 +86,7 @@ class Slope(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
 '''
 
 
+@pytest.mark.process
 def test_a_surface_of_another_package_that_pushes_elsewhere_is_told(tmp_path: Path) -> None:
     info = tmp_path / "site" / "slopes-1.0.dist-info"
     info.mkdir(parents=True)

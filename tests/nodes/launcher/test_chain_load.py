@@ -206,6 +206,7 @@ def test_the_meter_counts_the_processor_time_of_a_process_and_how_long_it_waits(
     assert meter.waiting() >= 0.0
 
 
+@pytest.mark.process
 def test_a_run_says_what_it_took_and_keeps_it_for_the_next(tmp_path: Path, cache: Path) -> None:
     figures = launch_json(
         tmp_path, "floor_drop", "duration:=1.5", "--without", "logger", "--tick", "plain"
@@ -219,6 +220,7 @@ def test_a_run_says_what_it_took_and_keeps_it_for_the_next(tmp_path: Path, cache
         assert cost * 1e6 == pytest.approx(load["tick_cost_us"], rel=LATE + 0.01)
 
 
+@pytest.mark.process
 def test_a_loop_too_fast_for_its_machine_ends_with_a_code_of_its_own(
     tmp_path: Path, cache: Path
 ) -> None:

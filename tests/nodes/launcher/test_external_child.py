@@ -180,6 +180,7 @@ def test_a_node_started_by_hand_ends_without_its_launcher(tmp_path: Path) -> Non
             node.wait()
 
 
+@pytest.mark.process
 def test_a_node_that_somebody_has_started_already_is_refused_and_goes_on(tmp_path: Path) -> None:
     with running(tmp_path, scene(tmp_path), ready=False) as launch:
         node = start(launch)
@@ -197,6 +198,7 @@ def test_a_node_that_somebody_has_started_already_is_refused_and_goes_on(tmp_pat
             node.wait()
 
 
+@pytest.mark.process
 def test_only_nodes_that_are_waited_for_are_started_by_hand(tmp_path: Path) -> None:
     with running(tmp_path, "floor_drop", "duration:=0") as launch:
         told = typed(launch, "node", "start", "coupling", code=2).stderr

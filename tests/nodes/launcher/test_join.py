@@ -128,6 +128,7 @@ def evil(tmp_path: Path) -> tuple[Path, Path]:
 # --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.process
 def test_another_user_of_this_machine_hands_it_nothing(
     waiting: Callable[..., Waiting], context: Context, evil: tuple[Path, Path]
 ) -> None:
@@ -146,6 +147,7 @@ def test_another_user_of_this_machine_hands_it_nothing(
 # -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.process
 def test_it_becomes_only_what_it_was_started_for(
     waiting: Callable[..., Waiting], context: Context, evil: tuple[Path, Path]
 ) -> None:
@@ -161,6 +163,7 @@ def test_it_becomes_only_what_it_was_started_for(
     assert not evil[1].exists()
 
 
+@pytest.mark.process
 def test_a_library_from_the_wire_is_loaded_only_where_the_command_line_allows_it(
     waiting: Callable[..., Waiting], context: Context, evil: tuple[Path, Path]
 ) -> None:
@@ -179,6 +182,7 @@ def test_a_library_from_the_wire_is_loaded_only_where_the_command_line_allows_it
     wait_for(mark.exists, "the library is loaded")
 
 
+@pytest.mark.process
 def test_a_file_of_mine_is_not_overwritten_from_the_wire(
     waiting: Callable[..., Waiting], context: Context, tmp_path: Path
 ) -> None:
@@ -294,6 +298,7 @@ nodes:
 """
 
 
+@pytest.mark.process
 def test_who_has_no_keys_is_told_the_one_command_that_is_missing(tmp_path: Path) -> None:
     environment = {**os.environ, "HAPTIC_KEYS": str(tmp_path / "k")}
     (tmp_path / "scene.yaml").write_text(SCENE)

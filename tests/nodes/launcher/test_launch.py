@@ -59,6 +59,8 @@ def assert_summary_is_true(figures: dict[str, Any], states: list[Any]) -> None:
     assert final in (*states[-1].position, list(states[-1].position))
 
 
+@pytest.mark.process
+@pytest.mark.smoke("floor_drop", "wall_press", "touch_wall")
 @pytest.mark.parametrize(
     "scenario",
     [*slowly(sorted(IN_LOCKSTEP)), *sorted(launch_file.scenarios().keys() - IN_LOCKSTEP)],
@@ -88,6 +90,7 @@ def test_every_scenario_runs_in_real_time(scenario: str, tmp_path: Path) -> None
         assert {message.force for message in recording.messages(FORCE)} == {(0.0, 0.0, 0.0)}
 
 
+@pytest.mark.process
 def test_floor_drop_settles_at_weight_over_stiffness(tmp_path: Path) -> None:
     figures = launch_json(tmp_path, "floor_drop", "stiffness:=800", "mass:=0.08", "pace:=lockstep")
     # 3 s are 60 time constants 2m/(b+B) = 50 ms: what is left of the bounce is below the rounding
@@ -100,6 +103,7 @@ def test_floor_drop_settles_at_weight_over_stiffness(tmp_path: Path) -> None:
         assert recording.topics[topic].messages == figures["ticks"] + 1
 
 
+@pytest.mark.process
 def test_wall_press_reaches_the_balance_of_hand_and_wall(tmp_path: Path) -> None:
     figures = launch_json(tmp_path, "wall_press", "pace:=lockstep", "duration:=2.0")
     states = Recording(tmp_path / figures["recording"]).messages(DEVICE_STATE)
@@ -145,6 +149,8 @@ def test_mistakes_are_told_with_path_value_and_limit(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 @pytest.mark.parametrize(
     ("word", "told"),
     [
@@ -162,6 +168,8 @@ def test_mistakes_that_a_node_would_make_are_told_before_it_starts(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_mistakes_are_told_before_anything_is_compiled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -295,6 +303,7 @@ def test_files_of_the_user_beside_the_recording_are_not_imported(tmp_path: Path)
 LAUNCHES = min(5, len(os.sched_getaffinity(0)) + 1)
 
 
+@pytest.mark.process
 def test_launches_at_once_keep_apart_and_safe(tmp_path: Path) -> None:
     """More than a small machine has processors for, in one runtime directory: each has its own run, limits and recording."""
     peak = 3.0

@@ -18,6 +18,7 @@ from tests.support.odd_nodes import odd_nodes as odd_nodes
 from tests.support.odd_nodes import scenario
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("required", slowly([True, False], but=[True]))
 def test_respawn_keeps_delay_and_maximum(
     tmp_path: Path, odd_nodes: dict[str, str], required: bool
@@ -55,6 +56,8 @@ def test_respawn_keeps_delay_and_maximum(
 
 
 # The coupling: tests/sim/drill/test_drill.py.
+@pytest.mark.process
+@pytest.mark.smoke
 @pytest.mark.parametrize("node", slowly(["environment", "driver"], but=["driver"]))
 def test_the_loop_resumes_by_itself_when_a_killed_node_is_respawned(
     tmp_path: Path, node: str
@@ -96,6 +99,7 @@ def test_the_loop_resumes_by_itself_when_a_killed_node_is_respawned(
     assert all(later.seq > earlier.seq for earlier, later in pairwise(states))
 
 
+@pytest.mark.process
 def test_a_required_node_that_is_killed_ends_the_launch(tmp_path: Path) -> None:
     with running(tmp_path, scenario(tmp_path)) as launch:
         os.kill(launch.pid("coupling"), signal.SIGKILL)
@@ -105,6 +109,7 @@ def test_a_required_node_that_is_killed_ends_the_launch(tmp_path: Path) -> None:
         assert figures["safety"]["soft_stop_ticks"] >= 1
 
 
+@pytest.mark.process
 def test_nobody_raises_a_limit_while_it_runs(tmp_path: Path) -> None:
     with running(tmp_path, scenario(tmp_path)) as launch:
         for name, value in (
@@ -117,6 +122,7 @@ def test_nobody_raises_a_limit_while_it_runs(tmp_path: Path) -> None:
         assert launch.call("driver", "param.get", name="safety.watchdog") == 10
 
 
+@pytest.mark.process
 def test_a_logger_that_is_not_required_may_be_killed(tmp_path: Path) -> None:
     with running(tmp_path, scenario(tmp_path, duration=1.0)) as launch:
         os.kill(launch.pid("logger"), signal.SIGKILL)
@@ -127,6 +133,7 @@ def test_a_logger_that_is_not_required_may_be_killed(tmp_path: Path) -> None:
         )
 
 
+@pytest.mark.process
 def test_a_loop_that_hears_nothing_takes_changes_and_ends_when_asked(tmp_path: Path) -> None:
     with running(tmp_path, "floor_drop", "duration:=0") as launch:
         launch.wait_ticks(10)

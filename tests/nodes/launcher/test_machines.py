@@ -319,6 +319,7 @@ def test_a_coupling_on_another_machine_over_a_slow_lossy_cable(pair: Pair) -> No
         assert 0.002 - coupling["clock_error"] <= delay
 
 
+@pytest.mark.process
 def test_lockstep_over_two_machines_answers_every_tick(pair: Pair) -> None:
     figures, _ = launch(pair, pace="lockstep")
     assert figures["exit_reason"] == "done"
@@ -402,6 +403,7 @@ def test_a_killed_node_is_taken_back_by_the_same_command(pair: Pair, node: str) 
     )
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("node", slowly(["driver", "coupling"], but=["coupling"]))
 def test_a_cut_cable_leaves_the_device_safe_and_ends_what_is_behind_it(
     pair: Pair, node: str

@@ -43,6 +43,8 @@ def unclocked(messages: list[Any]) -> list[Any]:
     ]
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_two_chains_do_what_each_does_alone(tmp_path: Path) -> None:
     figures = launch_json(
         tmp_path, "two_hands", "pace:=lockstep", "duration:=0.4", "stiffness:=800"
@@ -67,6 +69,7 @@ def two_hands(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
         yield launch
 
 
+@pytest.mark.process
 def test_verbs_name_nodes_and_topics_with_their_namespace(two_hands: Running) -> None:
     found = json.loads(typed(two_hands, "topic", "list", "--json").stdout)["topics"]
     assert {"/left/device/state", "/right/coupling/force", "/left/driver/status"} <= set(found)
@@ -79,6 +82,7 @@ def test_verbs_name_nodes_and_topics_with_their_namespace(two_hands: Running) ->
     assert "--run /left" in refused
 
 
+@pytest.mark.process
 def test_a_verb_takes_one_chain_as_if_it_were_alone(two_hands: Running) -> None:
     run = ("--run", "two_hands/left")
     found = json.loads(typed(two_hands, "topic", "list", "--json", *run).stdout)["topics"]

@@ -8,7 +8,7 @@ import pytest
 
 from nodes.launcher import launch_file
 from nodes.parameters.store import ParameterError
-from tests.support.launching import haptic
+from tests.support.launching import typed_in
 
 
 @pytest.mark.parametrize(
@@ -50,7 +50,7 @@ def test_a_mistake_in_a_launch_file_is_told_with_its_line(
     line = next(i for i, words in enumerate(text.splitlines(), 1) if after in words)
     assert (
         f"haptic: mine.yaml:{line}: {told}"
-        in haptic(tmp_path, "launch", "./mine.yaml", code=2).stderr
+        in typed_in(tmp_path, "launch", "./mine.yaml", code=2).stderr
     )
 
 
@@ -69,13 +69,13 @@ def test_what_was_probably_meant(tmp_path: Path) -> None:
         (("study", "kmax", "--gan", "3"), "--gain"),
         (("param", "gett", "coupling", "law"), "get"),
     ):
-        assert f"did you mean {meant}?" in haptic(tmp_path, *words, code=2).stderr, words
+        assert f"did you mean {meant}?" in typed_in(tmp_path, *words, code=2).stderr, words
 
 
 def test_an_argument_is_blamed_as_it_was_written(tmp_path: Path) -> None:
     text = launch_file.find("floor_drop").read_text(encoding="utf-8").splitlines()
     line = 1 + next(i for i, words in enumerate(text) if words.strip().startswith("pd: {kind"))
-    told = haptic(tmp_path, "launch", "floor_drop", "stiffness:=-1500", code=2).stderr
+    told = typed_in(tmp_path, "launch", "floor_drop", "stiffness:=-1500", code=2).stderr
     assert told.startswith(f"haptic: floor_drop.yaml:{line}: coupling.laws.pd.stiffness: ")
     assert told.rstrip().endswith("(given as stiffness:=-1500)")
 
@@ -84,7 +84,7 @@ def test_a_file_of_parameters_is_blamed_by_its_own_line(tmp_path: Path) -> None:
     (tmp_path / "over.yaml").write_text(
         "coupling:\n  laws:\n    pd:\n      stiffness: -5.0\n", encoding="utf-8"
     )
-    told = haptic(tmp_path, "launch", "floor_drop", "--params", "over.yaml", code=2).stderr
+    told = typed_in(tmp_path, "launch", "floor_drop", "--params", "over.yaml", code=2).stderr
     assert told.startswith("haptic: over.yaml:4: coupling.laws.pd.stiffness: ")
     assert "given as" not in told
 
@@ -99,12 +99,12 @@ def test_a_name_that_no_file_can_have_is_refused() -> None:
 def test_a_directory_is_no_launch_file(tmp_path: Path) -> None:
     assert (
         "/etc: is a directory, expected a launch file"
-        in haptic(tmp_path, "launch", "/etc", code=2).stderr
+        in typed_in(tmp_path, "launch", "/etc", code=2).stderr
     )
 
 
 def test_an_unknown_option_shows_the_usage_of_its_own_verb(tmp_path: Path) -> None:
-    assert haptic(
+    assert typed_in(
         tmp_path, "param", "set", "--jsn", "coupling", "a", "1", code=2
     ).stderr.startswith("usage: haptic param set")
 
@@ -121,7 +121,7 @@ def test_a_parameter_without_a_name_is_refused(name: str, tmp_path: Path) -> Non
         launch_file.find("floor_drop").read_text(encoding="utf-8").replace("gravity:", f"'{name}':")
     )
     (tmp_path / "mine.yaml").write_text(text, encoding="utf-8")
-    told = haptic(tmp_path, "launch", "./mine.yaml", code=2).stderr
+    told = typed_in(tmp_path, "launch", "./mine.yaml", code=2).stderr
     assert f"driver.device.{name}: no such parameter" in told
     # A bracket is read as a place in a list, which no line has.
     assert told.startswith("haptic: mine.yaml:") or "[" in name or "]" in name

@@ -19,6 +19,7 @@ from tests.support import slowly
 from tests.support.launching import haptic, private_runtime_dir, processes_of, running, wait_for
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("after", slowly([2, 3, 4, 5], but=[3]))
 def test_launcher_and_reaper_killed_during_the_start_leave_nobody(
     tmp_path: Path, after: int
@@ -46,6 +47,7 @@ def test_launcher_and_reaper_killed_during_the_start_leave_nobody(
         )
 
 
+@pytest.mark.process
 def test_a_node_whose_launcher_is_gone_before_it_asks_ends_before_it_does_anything(
     tmp_path: Path,
 ) -> None:
@@ -63,6 +65,7 @@ def test_a_node_whose_launcher_is_gone_before_it_asks_ends_before_it_does_anythi
 HIDDEN = "mount -t tmpfs none /proc && exec {command}"
 
 
+@pytest.mark.process
 def test_the_reaper_needs_no_look_into_proc(tmp_path: Path) -> None:
     command = f"{sys.executable} -S -E {reaper.__file__} {tmp_path / 'run'}"
     may = subprocess.run(

@@ -33,6 +33,7 @@ def wake_latency() -> int:
         os.close(latency)
 
 
+@pytest.mark.process
 @pytest.mark.skipif(
     not os.access(realtime.WAKE_LATENCY, os.R_OK | os.W_OK),
     reason=f"no rights to {realtime.WAKE_LATENCY}",
@@ -59,6 +60,7 @@ def test_where_processors_cannot_be_kept_awake_the_reason_is_told(
             assert refused.startswith(f"{tmp_path}/none: No such file or directory; ")
 
 
+@pytest.mark.process
 @pytest.mark.skipif(
     len(os.sched_getaffinity(0)) < 2, reason="one processor: nobody can leave it to the loop"
 )

@@ -50,6 +50,7 @@ def filled(path: Path) -> Path:
     return aged(path) / "precious"
 
 
+@pytest.mark.process
 def test_a_launch_leaves_what_it_did_not_make(tmp_path: Path, home: Path) -> None:
     """Whoever points HAPTIC_RUNTIME_DIR at a private directory of their own keeps what is in it."""
     (home / "runs").mkdir(mode=0o700)
@@ -130,6 +131,7 @@ def test_a_long_scenario_starts_where_desktops_keep_runs(
             new_run_dir(names[0])
 
 
+@pytest.mark.process
 def test_a_run_in_a_short_directory_is_found_by_its_name(
     home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -155,6 +157,7 @@ def test_a_run_in_a_short_directory_is_found_by_its_name(
     assert path.exists()
 
 
+@pytest.mark.process
 def test_a_run_in_a_short_directory_is_stopped_by_its_name(tmp_path: Path) -> None:
     """Its directory is not called as the run is: `haptic stop` sent no signal, and gave up after a minute."""
     file = tmp_path / f"{'a' * 64}.yaml"
@@ -190,6 +193,7 @@ def test_a_run_s_name_is_one_that_files_and_endpoints_bear(scenario: str) -> Non
     name.encode()
 
 
+@pytest.mark.process
 def test_a_launch_file_of_an_odd_long_name_runs(tmp_path: Path) -> None:
     file = tmp_path / f"wall #1, it's {'ü' * 110}.yaml"
     file.write_text(

@@ -56,6 +56,8 @@ def reaper(launch: Running) -> int:
 # ----------------------------------------------------------------------------------
 
 
+@pytest.mark.process
+@pytest.mark.smoke("2-True-130")
 @pytest.mark.parametrize(
     ("number", "to_group", "code"),
     [
@@ -80,6 +82,7 @@ def test_signals_end_a_launch_in_order(
     assert recording.topics["/device/state"].messages == figures["ticks"] + 1
 
 
+@pytest.mark.process
 def test_a_full_disk_at_the_end_does_not_keep_the_nodes_from_ending_in_order(
     tmp_path: Path,
 ) -> None:
@@ -100,6 +103,7 @@ def test_a_full_disk_at_the_end_does_not_keep_the_nodes_from_ending_in_order(
     assert Recording(tmp_path / "run.mcap").complete
 
 
+@pytest.mark.process
 def test_an_interrupt_during_the_start_ends_it_without_a_traceback(tmp_path: Path) -> None:
     with running(tmp_path, scenario(tmp_path, duration=600.0), ready=False) as launch:
         wait_for(lambda: len(processes_of(launch.runtime_dir)) >= 3, "a node is being started")
@@ -107,6 +111,8 @@ def test_an_interrupt_during_the_start_ends_it_without_a_traceback(tmp_path: Pat
         assert "Traceback" not in launch.errors
 
 
+@pytest.mark.process
+@pytest.mark.smoke("victims0")
 @pytest.mark.parametrize("victims", [("launcher",), ("reaper", "launcher"), ("launcher", "logger")])
 def test_killed_launcher(tmp_path: Path, victims: tuple[str, ...]) -> None:
     with running(tmp_path, scenario(tmp_path)) as launch:
@@ -124,6 +130,7 @@ def test_killed_launcher(tmp_path: Path, victims: tuple[str, ...]) -> None:
         launch.process.wait()
 
 
+@pytest.mark.process
 def test_reaper_and_launcher_killed_at_once_leave_it_to_the_kernel_and_the_next_launch(
     tmp_path: Path,
 ) -> None:
@@ -152,6 +159,7 @@ def test_reaper_and_launcher_killed_at_once_leave_it_to_the_kernel_and_the_next_
         assert not stale.exists()
 
 
+@pytest.mark.process
 def test_stopped_nodes_are_woken_up_to_end(tmp_path: Path) -> None:
     with running(tmp_path, scenario(tmp_path)) as launch:
         for node in ("environment", "logger"):
@@ -163,6 +171,7 @@ def test_stopped_nodes_are_woken_up_to_end(tmp_path: Path) -> None:
     assert Recording(tmp_path / "run.mcap").complete
 
 
+@pytest.mark.process
 def test_what_does_not_end_is_killed_in_the_end_and_sooner_when_asked_twice(
     tmp_path: Path, odd_nodes: dict[str, str]
 ) -> None:
@@ -208,6 +217,7 @@ def starved(pid: int, threads: str = "") -> Iterator[None]:
         yield
 
 
+@pytest.mark.process
 def test_a_logger_that_stops_waits_for_what_its_own_transport_still_holds(tmp_path: Path) -> None:
     """A while without messages was the end to it, also where its I/O thread had all of them and no processor."""
     with running(tmp_path, scenario(tmp_path)) as launch:
@@ -285,6 +295,8 @@ def test_what_not_even_sigkill_ends_does_not_hold_up_the_end(tmp_path: Path, ice
         wait_for(lambda: not (ice / "cgroup.procs").read_text(), "the killed process ends")
 
 
+@pytest.mark.process
+@pytest.mark.smoke("signal")
 @pytest.mark.parametrize("fails", ["device", "bug", "signal"])
 def test_on_every_way_out_the_force_goes_down_to_zero_and_the_device_is_closed(
     tmp_path: Path, odd_nodes: dict[str, str], fails: str
@@ -320,6 +332,7 @@ def test_on_every_way_out_the_force_goes_down_to_zero_and_the_device_is_closed(
 # --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.process
 def test_a_node_that_cannot_start_fails_the_launch_with_its_reason(
     tmp_path: Path, odd_nodes: dict[str, str]
 ) -> None:
@@ -331,6 +344,7 @@ def test_a_node_that_cannot_start_fails_the_launch_with_its_reason(
         assert figures["ticks"] == 0
 
 
+@pytest.mark.process
 def test_a_driver_that_a_library_ends_in_mid_run_is_not_done(
     tmp_path: Path, odd_nodes: dict[str, str]
 ) -> None:
@@ -342,6 +356,7 @@ def test_a_driver_that_a_library_ends_in_mid_run_is_not_done(
         assert figures["exit_reason"].startswith("driver: ended with exit code 0 in mid-run")
 
 
+@pytest.mark.process
 def test_a_stopped_reaper_does_not_hold_up_the_end(tmp_path: Path) -> None:
     with running(tmp_path, scenario(tmp_path)) as launch:
         os.kill(reaper(launch), signal.SIGSTOP)
@@ -349,6 +364,7 @@ def test_a_stopped_reaper_does_not_hold_up_the_end(tmp_path: Path) -> None:
         launch.finish(signal.SIGINT)
 
 
+@pytest.mark.process
 def test_a_process_of_its_own_is_what_strangers_listen_to_and_it_comes_back(tmp_path: Path) -> None:
     port = free_ports(1)
     path = scenario(tmp_path)

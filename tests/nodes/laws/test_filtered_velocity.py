@@ -103,6 +103,7 @@ def test_windowed_drop_settles_inside_and_not_outside() -> None:
     assert settles(scene, laws, Criterion(1500)) == [True, False]
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     "law",
     ["{kind: pd_filtered, stiffness: 900, damping: 3, cutoff: 60}",

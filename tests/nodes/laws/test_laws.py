@@ -330,6 +330,8 @@ def test_a_law_of_another_package_works_by_being_installed(
     assert compile_law(parse_law({"kind": "soft", "stiffness": 5.0}), T).taps == (5.0,)
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_laws_are_parsed_without_numpy() -> None:
     code = (
         "import sys; from nodes.laws.parse import parse_law, compile_law; "

@@ -177,6 +177,8 @@ def bounded() -> None:
     try_all()
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_every_registered_number_is_used_or_refused_within_bounds() -> None:
     code = "import tests.nodes.parameters.test_limits as limits; limits.bounded()"
     done = subprocess.run(

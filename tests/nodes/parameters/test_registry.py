@@ -54,6 +54,7 @@ def test_what_does_not_import_leaves_everything_else_alone(
     assert "of the package half-finished" in found["found"]
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("words", "noun"),
     [
@@ -130,6 +131,7 @@ class Soft(Law, frozen=True, kw_only=True, forbid_unknown_fields=True):
 """
 
 
+@pytest.mark.process
 def test_an_installed_law_is_taken_by_name_in_every_scenario(tmp_path: Path) -> None:
     info = tmp_path / "site" / "soft_laws-1.0.dist-info"
     info.mkdir(parents=True)
@@ -158,6 +160,8 @@ def test_an_installed_law_is_taken_by_name_in_every_scenario(tmp_path: Path) -> 
         assert launch.call("coupling", "law.show", law="soft")["h1_n_per_m"] == 1000.0
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_a_sub_verb_that_does_not_import_leaves_those_beside_it_alone(
     tmp_path: Path, broken: dict[str, str]
 ) -> None:
@@ -173,6 +177,7 @@ def test_a_sub_verb_that_does_not_import_leaves_those_beside_it_alone(
     )
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("verb", ["bag", "law", "study"])
 def test_one_module_is_a_sub_verb_of_any_verb_that_has_some(verb: str, tmp_path: Path) -> None:
     """`bag` took only modules without --json and `law` none: the page says the same module is a verb and a sub-verb."""

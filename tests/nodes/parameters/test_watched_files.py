@@ -67,6 +67,8 @@ with open(sys.argv[1], "w") as file:
 """
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 @pytest.mark.usefixtures("sigio_ignored")
 def test_half_written_files_are_never_applied(tmp_path: Path) -> None:
     path = tmp_path / "coupling.yaml"
@@ -118,6 +120,7 @@ for k in range(1, count + 1):
 """
 
 
+@pytest.mark.process
 @pytest.mark.usefixtures("sigio_ignored")
 def test_a_reader_beside_a_busy_writer_sees_whole_documents_only(tmp_path: Path) -> None:
     # The writer opens the file anew as soon as it has closed it, so leases are broken all the time;
@@ -134,6 +137,7 @@ def test_a_reader_beside_a_busy_writer_sees_whole_documents_only(tmp_path: Path)
     assert seen[-1] == {"first": 400400, "second": 400400}
 
 
+@pytest.mark.process
 def test_a_lease_that_is_broken_is_survived_by_a_node_that_ignores_sigio(tmp_path: Path) -> None:
     code = (
         "import signal, fcntl, os, sys\nsignal.signal(signal.SIGIO, signal.SIG_IGN if sys.argv[2]"

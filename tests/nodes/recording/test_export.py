@@ -17,6 +17,7 @@ from scipy.io import loadmat
 from messages import topics
 from messages.types import DeviceState, Event, Force, Handle, Message
 from nodes.cli import main
+from nodes.recording import table as table_of_ticks
 from nodes.recording.export import columns, export_mat, export_npz, plain_names
 from nodes.recording.reader import Recording
 from nodes.recording.table import COLUMNS, read
@@ -117,6 +118,22 @@ def test_a_row_holds_what_belongs_to_its_tick(bag: Path) -> None:
     np.testing.assert_array_equal(table["force_asked"], [force.force for force in forces])
     assert table["response"][[40, 41]].tolist() == [0.0, 0.0]
     assert (table["law"][99], table["law"][100]) == ("pd", "stiffer")
+
+
+def test_a_recording_longer_than_the_window_has_every_answer(tmp_path: Path) -> None:
+    """Rows leave while the file is read, each with what the next tick tells of it."""
+    path, ticks = tmp_path / "r.mcap", table_of_ticks._WINDOW + 200
+    sent = list(drop(ticks))
+    write(path, sent)
+    table = read(path)
+    states = [message for _, message in sent if isinstance(message, DeviceState)]
+    forces = [message for _, message in sent if isinstance(message, Force)]
+    assert len(table["seq"]) == ticks
+    for name in ("force", "mean_force", "response", "age", "delay", "force_seq", "changed_at"):
+        np.testing.assert_array_equal(
+            table[name][:-1], [getattr(state, name) for state in states[1:]], err_msg=name
+        )
+    np.testing.assert_array_equal(table["force_asked"], [force.force for force in forces])
 
 
 def test_what_was_not_recorded_is_told_as_missing(tmp_path: Path) -> None:

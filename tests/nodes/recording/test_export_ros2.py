@@ -39,6 +39,7 @@ def bag(recording: Path) -> Path:
     return out
 
 
+@pytest.mark.process
 def test_ros_2_s_own_layout_reads_back(bag: Path, recording: Path) -> None:
     store = get_typestore(Stores.ROS2_HUMBLE)
     table = read(recording)
@@ -64,6 +65,7 @@ def test_ros_2_s_own_layout_reads_back(bag: Path, recording: Path) -> None:
     assert all(abs(step - 2_000_000) <= 1 for step in steps)
 
 
+@pytest.mark.process
 def test_stamps_are_wall_clock_time(bag: Path, recording: Path) -> None:
     with open(next(bag.glob("*.mcap")), "rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
@@ -77,6 +79,7 @@ def test_stamps_are_wall_clock_time(bag: Path, recording: Path) -> None:
     assert "version: 8" in (bag / "metadata.yaml").read_text(encoding="utf-8")
 
 
+@pytest.mark.process
 def test_what_stands_there_is_kept(
     bag: Path, recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

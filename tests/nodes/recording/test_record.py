@@ -207,6 +207,8 @@ KILLED = """
 """
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_a_killed_writer_loses_nothing_that_was_flushed(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     with subprocess.Popen(
@@ -277,6 +279,8 @@ def check_full(process: subprocess.CompletedProcess[str], expected: str, path: s
     assert cut.endswith(": 0 bytes after it are no whole record")
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_a_file_size_limit_keeps_what_was_recorded(tmp_path: Path) -> None:
     path = str(tmp_path / "r.mcap")
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))"
@@ -290,6 +294,8 @@ def test_a_file_size_limit_keeps_what_was_recorded(tmp_path: Path) -> None:
     assert os.path.getsize(path) <= 200_000
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_a_full_disk_keeps_what_was_recorded(tmp_path: Path) -> None:
     path = str(tmp_path / "r.mcap")
     mount = [
@@ -340,6 +346,8 @@ LIMITED = """
 """
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_save_removes_what_could_not_be_finished(tmp_path: Path) -> None:
     path = tmp_path / "picture.png"
     done = subprocess.run(
@@ -396,6 +404,8 @@ LIGHT = """
 """
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_writing_needs_little_memory_and_no_numpy(tmp_path: Path) -> None:
     process = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(LIGHT), str(tmp_path / "r.mcap")],

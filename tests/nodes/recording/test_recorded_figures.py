@@ -294,8 +294,23 @@ def test_summary_is_true_to_the_recording(tmp_path: Path) -> None:
     assert summary.response_us["p99"] == pytest.approx(
         float(np.percentile(responses, 99)), rel=1e-14
     )
+    # A tick without an answer in time is missed; it has no response of 0 that would halve the median.
+    assert summary.response_us["p50"] == pytest.approx(float(np.median(responses)), rel=1e-14)
     assert summary.response_us["max"] == max(responses)
     assert summary.position_m == list(states[-1].position)
+
+
+def test_ticks_without_an_answer_have_no_response(tmp_path: Path) -> None:
+    """More than half of them: as responses of 0 µs they would be the median."""
+    path, missed = tmp_path / "r.mcap", tuple(range(10, 80))
+    sent = list(drop(101, missed=missed))
+    write(path, sent)
+    summary = summarise(Recording(path))
+    states = [message for _, message in sent if isinstance(message, DeviceState)]
+    answered = [state.response * 1e6 for state in states if state.response > 0.0]
+    assert (summary.missed, len(answered)) == (70, 30)
+    assert min(answered) <= summary.response_us["p50"] <= max(answered)
+    assert summary.response_us["p50"] == pytest.approx(float(np.median(answered)), rel=1e-14)
 
 
 def test_summary_of_nothing(tmp_path: Path) -> None:

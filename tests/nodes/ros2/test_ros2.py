@@ -52,15 +52,33 @@ class Heard(NamedTuple):
         ]
 
 
-@pytest.fixture(scope="module", params=["cyclonedds", "rclpy"])
+BACKENDS = [
+    pytest.param(
+        "cyclonedds",
+        marks=[
+            pytest.mark.process,
+            pytest.mark.skipif(
+                not PYTHON,
+                reason="no rclpy: pip install -e '.[rclpy]', or RCLPY_PYTHON names a Python with it",
+            ),
+        ],
+    ),
+    pytest.param(
+        "rclpy",
+        marks=[
+            pytest.mark.process,
+            pytest.mark.skipif(
+                find_spec("rclpy") is None,
+                reason="this Python has no rclpy: pip install -e '.[rclpy]'",
+            ),
+        ],
+    ),
+]
+
+
+@pytest.fixture(scope="module", params=BACKENDS)
 def heard(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Heard:
-    if not PYTHON:
-        pytest.skip(
-            "no rclpy: pip install -e '.[rclpy]', or RCLPY_PYTHON names a Python that has it"
-        )
     backend = request.param
-    if backend == "rclpy" and not find_spec("rclpy"):
-        pytest.skip("this Python has no rclpy: pip install -e '.[rclpy]'")
     folder = tmp_path_factory.mktemp(backend)
     # A domain of its own: nobody else's graph hears it, or is heard.
     domain = {

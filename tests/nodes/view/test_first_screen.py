@@ -136,6 +136,7 @@ def test_scene_and_force_share_the_first_screen(page: Page) -> None:
     page.set_viewport_size({"width": 1366, "height": 768})
 
 
+@pytest.mark.process
 def test_numbers_and_names_are_written_one_way(page: Page) -> None:
     found = page.evaluate(
         """async () => { const { fixed, figure, count, digits } = await import("./format.js");
@@ -170,6 +171,7 @@ def test_numbers_and_names_are_written_one_way(page: Page) -> None:
     page.evaluate("haptic.laws.choose('pd')")
 
 
+@pytest.mark.process
 def test_a_frame_without_a_force_costs_no_arrow(page: Page) -> None:
     """The first tick of a run has no force of the law yet, and a recording begins with it."""
     scale = page.evaluate(
@@ -189,6 +191,7 @@ def test_the_numbers_of_a_plot_are_as_large_on_a_fine_screen(
         assert page.evaluate("haptic.plots.panels[0].plot.axes[0].font[0]").startswith("24px")
 
 
+@pytest.mark.process
 def test_a_refused_slider_goes_back_to_what_renders(page: Page, launch: Running) -> None:
     launch.call("coupling", "law.switch", law="pd")
     page.evaluate("document.getElementById('lab').open = true")
@@ -239,6 +242,7 @@ def test_until_somebody_takes_it_the_hand_taps_and_asks_to_be_pulled(
     assert page.evaluate("!haptic.scene.grip.used")
 
 
+@pytest.mark.process
 def test_the_handle_does_not_jump_and_stays_in_the_hand(page: Page, launch: Running) -> None:
     x, y, held = 0.0, 0.0, math.inf
     # On a slow machine it taps once more between where it was seen and where it is taken.
@@ -372,6 +376,7 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
     )
 
 
+@pytest.mark.process
 def test_a_finger_is_a_hand(browser: Browser, launch: Running) -> None:
     phone = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
     with OpenPage(browser, url_of(launch), **phone) as page:
@@ -392,6 +397,7 @@ def test_a_finger_is_a_hand(browser: Browser, launch: Running) -> None:
         wait_for(lambda: abs(target(page)) < 1e-4, "it is let go")
 
 
+@pytest.mark.process
 def test_past_the_edge_it_rings_is_stopped_shown_slowly_and_goes_on(
     page: Page, launch: Running
 ) -> None:
@@ -454,6 +460,7 @@ def test_past_the_edge_it_rings_is_stopped_shown_slowly_and_goes_on(
     page.locator("#beyond").uncheck()
 
 
+@pytest.mark.process
 def test_what_is_changed_while_the_driver_is_started_again_comes_to_the_page(
     page: Page, launch: Running
 ) -> None:

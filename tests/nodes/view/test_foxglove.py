@@ -100,6 +100,7 @@ def _talk(client: Any, launch: Any) -> None:
     assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == 1000.0
 
 
+@pytest.mark.process
 def test_without_the_extra_it_says_how_to_get_it(tmp_path: Path) -> None:
     """An interpreter in which foxglove cannot be imported stands for one where it is not installed."""
     (tmp_path / "foxglove.py").write_text(

@@ -102,6 +102,7 @@ def test_the_shape_comes_once_and_what_moves_as_it_does(sphere: tuple[Path, Path
         assert stamp(entity) in {time for time, _ in updates}
 
 
+@pytest.mark.process
 def test_the_force_is_drawn_from_the_device(sphere: tuple[Path, Path]) -> None:
     recording, file = sphere
     lines = [entity["lines"][0]["points"] for entity in entities(scene_of(file)[1], "force")]
@@ -113,6 +114,7 @@ def test_the_force_is_drawn_from_the_device(sphere: tuple[Path, Path]) -> None:
     assert all(np.abs(given - force).sum(axis=1).min() < 1e-12 for force in drawn)
 
 
+@pytest.mark.process
 def test_everything_that_was_recorded_is_still_there(sphere: tuple[Path, Path]) -> None:
     recording, file = sphere
     with file.open("rb") as stream, recording.open("rb") as original:

@@ -147,6 +147,8 @@ def test_stop_ends_the_run_and_the_page_keeps_what_it_has(browser: Browser, tmp_
     assert (tmp_path / replayed).exists()
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_it_loads_moves_and_tells_the_map(page: Page, launch: Running) -> None:
     assert shown(page, "#scenario") == "touch_wall"
     before, picture = bins(page), page.locator(".plot canvas").first.screenshot()
@@ -166,6 +168,7 @@ def test_it_loads_moves_and_tells_the_map(page: Page, launch: Running) -> None:
     assert page.evaluate("performance.getEntriesByType('resource').length") <= 6
 
 
+@pytest.mark.process
 def test_the_mouse_is_a_hand(page: Page, launch: Running) -> None:
     # The scenario's own touch at its beginning is over.
     wait_for(lambda: launch.ticks() > 1300 and abs(state(launch)["x"]) < 0.003, "the hand rests")
@@ -178,6 +181,7 @@ def test_the_mouse_is_a_hand(page: Page, launch: Running) -> None:
     wait_for(lambda: "nothing is touched" in shown(page, "#words"), "the words")
 
 
+@pytest.mark.process
 def test_the_keyboard_is_a_hand_too(page: Page, launch: Running) -> None:
     page.locator("#scene").focus()
 
@@ -191,6 +195,7 @@ def test_the_keyboard_is_a_hand_too(page: Page, launch: Running) -> None:
     wait_for(lambda: abs(state(launch)["x"]) < 0.003, "Escape lets go")
 
 
+@pytest.mark.process
 def test_a_slider_is_answered_with_a_receipt_and_undone(page: Page, launch: Running) -> None:
     wait_for(
         lambda: page.locator("input[type=range][aria-label=stiffness]").count() == 1, "the sliders"
@@ -231,6 +236,7 @@ def test_a_slider_is_answered_with_a_receipt_and_undone(page: Page, launch: Runn
     )
 
 
+@pytest.mark.process
 def test_what_is_refused_is_shown_with_its_reason(page: Page, launch: Running) -> None:
     launch.call("coupling", "law.switch", law="pd")
     wait_for(lambda: page.evaluate("haptic.laws.state.active") == "pd", "the page to know its law")
@@ -249,6 +255,7 @@ def test_what_is_refused_is_shown_with_its_reason(page: Page, launch: Running) -
     wait_for(lambda: page.locator("#log li.refused").count() >= 2, "refusals are in the log")
 
 
+@pytest.mark.process
 def test_what_is_typed_is_not_overwritten_from_elsewhere(page: Page, launch: Running) -> None:
     launch.call("coupling", "law.switch", law="pd")
     exact = page.locator("input[aria-label='stiffness, exact value']")
@@ -312,6 +319,7 @@ def test_laws_are_swapped_in_two_tabs(page: Page, browser: Browser, launch: Runn
         page.mouse.up()
 
 
+@pytest.mark.process
 def test_a_wrong_token_and_a_foreign_origin_get_nothing(
     page: Page, browser: Browser, launch: Running
 ) -> None:
@@ -448,6 +456,7 @@ def test_plots_are_read_and_zoomed_by_mouse_and_fingers(
         )
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("size", [(390, 844), (1440, 900)])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_it_fits_a_phone_and_the_dark(size: tuple[int, int], scheme: str, page: Page) -> None:

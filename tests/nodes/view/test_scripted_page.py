@@ -164,6 +164,8 @@ def page(browser: Browser, script: Script) -> Iterator[Page]:
         yield found
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_an_ended_page_goes_on_when_its_view_comes_again(browser: Browser, script: Script) -> None:
     with served(script) as first, OpenPage(browser, first.url) as page:
         script.say("status", **{**script.status, "ended": "the view was stopped"})
@@ -177,6 +179,8 @@ def test_an_ended_page_goes_on_when_its_view_comes_again(browser: Browser, scrip
             assert page.evaluate("haptic.map.movable")
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_a_recording_that_fails_is_told_on_its_button(page: Page, script: Script) -> None:
     script.say("record", recording=True, path="recordings/a.mcap", error="")
     wait_for(lambda: shown(page, "#record") == "Recording", "it records")
@@ -192,6 +196,8 @@ def test_a_recording_that_fails_is_told_on_its_button(page: Page, script: Script
     assert "recorded recordings/a.mcap" not in page.locator("#log").inner_text()
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_the_map_is_of_the_law_that_renders(page: Page, script: Script) -> None:
     script.pages[-1].outbox.append(json.dumps(script.laws("stiff")))
     wait_for(lambda: page.evaluate("haptic.laws.state.active") == "stiff", "the other law")
@@ -217,6 +223,8 @@ def test_the_map_is_of_the_law_that_renders(page: Page, script: Script) -> None:
     wait_for(lambda: page.evaluate("haptic.dial.edge") is None, "no edge of another law")
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_a_screen_reader_has_names_for_all_and_hears_a_sentence_once(
     page: Page, script: Script
 ) -> None:
@@ -272,6 +280,8 @@ RING = """async (axes) => {
 """In the page: a ring of a second, filled by 0.8 s, and what plays it."""
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_slow_motion_is_of_the_stop_however_long_ago_that_is(page: Page) -> None:
     script = f"""async () => {{ const {{ store, add, slow, SlowMotion }} = await ({RING})(["x"]);
       add(0, {{ "force.x": -7 }});
@@ -292,6 +302,8 @@ def test_slow_motion_is_of_the_stop_however_long_ago_that_is(page: Page) -> None
     )
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_slow_motion_and_sound_know_all_axes(page: Page) -> None:
     script = f"""async () => {{ const {{ store, add, slow, Sound }} = await ({RING})(["x", "y", "z"]);
       const sound = new Sound(document.createElement("button"));

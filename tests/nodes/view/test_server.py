@@ -86,6 +86,7 @@ def texts(page: ClientConnection, kind: str, **wanted: Any) -> dict[str, Any]:
 # beside them.
 
 
+@pytest.mark.process
 def test_stop_waits_for_no_node_that_does_not_answer(tmp_path: Path) -> None:
     """Neither does the end: nobody has to kill a view that still waits for an answer."""
     with running(tmp_path, "touch_wall", "--view", "--without", "logger") as launch:
@@ -99,6 +100,7 @@ def test_stop_waits_for_no_node_that_does_not_answer(tmp_path: Path) -> None:
         assert "does not end" not in launch.errors
 
 
+@pytest.mark.process
 def test_other_addresses_are_refused_with_the_ssh_line(tmp_path: Path) -> None:
     told = haptic(tmp_path, "view", "--address", "0.0.0.0", "--port", "8080", code=2).stderr  # noqa: S104
     assert "ssh -L 8080:127.0.0.1:8080" in told
@@ -167,6 +169,7 @@ def test_a_recording_is_replayed_with_a_time_slider(tmp_path: Path) -> None:
         assert z == pytest.approx(figures["final"]["position_m"], abs=1e-6)
 
 
+@pytest.mark.process
 def test_a_replay_knows_its_driver_whatever_its_name(tmp_path: Path) -> None:
     text = (ROOT / "launch" / "floor_drop.yaml").read_text(encoding="utf-8")
     (tmp_path / "named.yaml").write_text(text.replace("  driver:", "  left_arm:"), encoding="utf-8")
@@ -175,6 +178,7 @@ def test_a_replay_knows_its_driver_whatever_its_name(tmp_path: Path) -> None:
     assert pages.live.ended == "done"
 
 
+@pytest.mark.process
 def test_reading_a_recording_is_told_and_can_be_interrupted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -204,12 +208,14 @@ def test_reading_a_recording_is_told_and_can_be_interrupted(
     assert capsys.readouterr().out == ""
 
 
+@pytest.mark.process
 def test_what_cannot_be_replayed_is_refused(tmp_path: Path) -> None:
     (tmp_path / "text.mcap").write_text("not a recording", encoding="utf-8")
     assert "text.mcap" in haptic(tmp_path, "view", "--replay", "text.mcap", code=2).stderr
     assert "none.mcap" in haptic(tmp_path, "view", "--replay", "none.mcap", code=2).stderr
 
 
+@pytest.mark.process
 def test_only_who_has_the_token_gets_anything(launch: Running) -> None:
     url = url_of(launch)
     root = url.split("/", 3)[0] + "//" + url.split("/")[2]
@@ -227,6 +233,7 @@ def test_only_who_has_the_token_gets_anything(launch: Running) -> None:
         pass
 
 
+@pytest.mark.process
 def test_a_foreign_page_and_a_foreign_name_are_turned_away(launch: Running) -> None:
     url = url_of(launch)
     for origin in ("https://elsewhere.example", "http://localhost:1", "null"):
@@ -252,6 +259,7 @@ def test_a_foreign_page_and_a_foreign_name_are_turned_away(launch: Running) -> N
         assert texts(page, "hello")["scenario"] == "touch_wall"
 
 
+@pytest.mark.process
 def test_a_page_asks_what_it_may_and_nothing_else(launch: Running) -> None:
     with live(url_of(launch)) as page:
 
@@ -284,6 +292,7 @@ def test_a_page_asks_what_it_may_and_nothing_else(launch: Running) -> None:
             texts(page, "never")
 
 
+@pytest.mark.process
 def test_a_slider_of_a_law_that_renders_no_more_changes_no_other(launch: Running) -> None:
     before = launch.call("coupling", "param.get", name="laws.pd.damping")
     with live(url_of(launch)) as page:
@@ -358,6 +367,7 @@ def test_a_client_that_reads_nothing_is_dropped_and_costs_no_memory(launch: Runn
         assert memory() - before < 4e6
 
 
+@pytest.mark.process
 def test_no_command_line_holds_the_token(launch: Running, tmp_path: Path) -> None:
     """Every user of the machine reads the command lines of all others; a browser gets a file that only its own user reads."""
     browser, seen = tmp_path / "browser", tmp_path / "seen"
@@ -398,6 +408,7 @@ def test_no_command_line_holds_the_token(launch: Running, tmp_path: Path) -> Non
         os.close(leader)
 
 
+@pytest.mark.process
 def test_the_delay_is_the_device_s_own_and_the_law_is_judged_with_it(launch: Running) -> None:
     with live(url_of(launch)) as page:
 
@@ -435,6 +446,7 @@ def test_the_delay_is_the_device_s_own_and_the_law_is_judged_with_it(launch: Run
         assert launch.call("coupling", "param.get", name="plant.device_delay") == 0.0
 
 
+@pytest.mark.process
 def test_a_view_beside_a_launch_sees_the_same(launch: Running) -> None:
     with viewing(launch.folder, environment=launch.environment) as url, live(url) as page:
         assert texts(page, "hello")["hand"]

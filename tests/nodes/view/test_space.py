@@ -194,6 +194,7 @@ def shade(normal: Sequence[float]) -> list[float]:
     ]
 
 
+@pytest.mark.process
 def test_the_picture_is_the_one_that_a_ray_through_each_pixel_gives(page: Page) -> None:
     """Colours of the canvas against rays through a ball: what is hit, and that the front hides the back."""
     yaw, pitch = -0.4, 0.6
@@ -238,6 +239,7 @@ def test_the_picture_is_the_one_that_a_ray_through_each_pixel_gives(page: Page) 
     assert told_apart > 60
 
 
+@pytest.mark.process
 def test_proxy_device_force_and_cone_are_drawn_where_they_are(page: Page) -> None:
     yaw, pitch = -0.4, 0.6
     camera = Camera(
@@ -300,6 +302,7 @@ def test_proxy_device_force_and_cone_are_drawn_where_they_are(page: Page) -> Non
         )
 
 
+@pytest.mark.process
 def test_the_hand_moves_in_the_plane_that_the_camera_looks_at(page: Page, launch: Running) -> None:
     rests = "haptic.space.now && Math.hypot(...haptic.space.now.target) < 1e-4"
     wait_for(lambda: launch.ticks() > 1300 and page.evaluate(rests), "the hand rests")
@@ -369,6 +372,7 @@ def test_a_plane_of_section_cuts_the_ball_and_gives_the_plots(page: Page) -> Non
     assert not page.locator("#lens").is_visible()
 
 
+@pytest.mark.process
 def test_keys_move_the_hand_in_three_dimensions_too(page: Page) -> None:
     page.locator("#space").focus()
 
@@ -383,6 +387,7 @@ def test_keys_move_the_hand_in_three_dimensions_too(page: Page) -> None:
     assert page.evaluate("haptic.space.held") is None
 
 
+@pytest.mark.process
 def test_it_touches_with_a_cone_and_a_spring(page: Page) -> None:
     """What is drawn when the ball is touched; the hand taps by itself along the first axis, or is pulled there."""
     page.evaluate("haptic.space.held = [0.03, 0.012, 0.0]; haptic.space.tell()")

@@ -71,6 +71,8 @@ haptic.lab("relatives", mass=0.1, fresh=True)
 """
 
 
+@pytest.mark.process
+@pytest.mark.smoke("launch")
 @pytest.mark.parametrize(
     ("code", "begun"),
     [(LAUNCH, shows_progress), pytest.param(STUDY, says_ready, marks=pytest.mark.slow)],
@@ -87,6 +89,7 @@ def test_an_interrupted_cell_leaves_nothing(
         assert_nothing_left(folder)
 
 
+@pytest.mark.process
 def test_a_killed_kernel_takes_its_launch_with_it() -> None:
     def kill(manager: KernelManager) -> None:
         manager.provisioner.process.send_signal(signal.SIGKILL)  # type: ignore[union-attr]

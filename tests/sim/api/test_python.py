@@ -42,6 +42,8 @@ def test_everything_that_is_offered_is_there_and_documented() -> None:
         _ = haptic.nonsense
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_it_loads_nothing_until_it_is_used() -> None:
     code = (
         "import sys; before = set(sys.modules); import haptic; print(*sorted(set(sys.modules) -"
@@ -138,6 +140,7 @@ def test_a_played_drop_tells_whether_it_settles() -> None:
     assert haptic.play("floor_drop", duration=0.014).settled is None
 
 
+@pytest.mark.process
 def test_a_launch_is_the_run_in_one_process(place: Path) -> None:
     with haptic.launch(
         "floor_drop", stiffness=1500, pace="lockstep", duration=0.4, out_dir=place / "r"
@@ -149,6 +152,8 @@ def test_a_launch_is_the_run_in_one_process(place: Path) -> None:
     assert haptic.read(run.recording.path).messages["/device/state"] == 201
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_the_readme_s_lines_run(place: Path) -> None:
     (block,) = re.findall(
         r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL
@@ -160,6 +165,7 @@ def test_the_readme_s_lines_run(place: Path) -> None:
     assert list(names["table"]["position_z"][:-1]) == list(names["played"].measured_m)
 
 
+@pytest.mark.process
 def test_a_launch_is_changed_recorded_and_left_while_it_runs(place: Path) -> None:
     with haptic.launch("wall_press", duration=0, out_dir=place / "r") as run:
         assert run.running
@@ -190,6 +196,7 @@ def test_several_chains_go_on_when_the_thread_that_started_them_has_ended(place:
     assert set(run.summary.all["chains"]) == {"left", "right"}
 
 
+@pytest.mark.process
 def test_a_scenario_that_does_not_start_says_why(place: Path) -> None:
     with pytest.raises(haptic.LaunchError, match=r"stiffness"):
         haptic.launch("floor_drop", stiffness=-1)
@@ -241,6 +248,7 @@ ENDS = {
 }
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("end", ENDS)
 def test_a_program_that_ends_leaves_nothing(place: Path, end: str) -> None:
     number, before, between = ENDS[end]

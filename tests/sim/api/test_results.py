@@ -74,6 +74,7 @@ def test_every_result_is_looked_at() -> None:
     assert {kind.__name__ for kind in kinds()} == set(MAKERS)
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("name", MAKERS)
 def test_a_result_shows_draws_and_tabulates_itself(name: str, run: haptic.Run) -> None:
     result = MAKERS[name](run)
@@ -93,6 +94,7 @@ def test_a_result_shows_draws_and_tabulates_itself(name: str, run: haptic.Run) -
     assert repr(result) == str(result)
 
 
+@pytest.mark.process
 def test_an_answer_is_the_rows_of_its_study_and_its_picture(place: Path) -> None:
     found = studied()
     assert list(found.to_pandas()["gain"]) == [1.0, 3.0, 5.0]

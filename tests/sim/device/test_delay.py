@@ -56,6 +56,7 @@ def test_what_the_driver_takes_to_be_under_way_goes_on_with_another_latency() ->
     assert state.line_length == 0
 
 
+@pytest.mark.process
 def test_in_lockstep_it_is_fixed_and_so_is_all_else(tmp_path: Path) -> None:
     with running(
         tmp_path, "touch_wall", "pace:=lockstep", "duration:=1e5", "--without", "logger"

@@ -132,6 +132,7 @@ def test_compiled_calls_move_a_device_as_the_interpreter_does(tmp_path: Path) ->
     writer.close()
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("tick", slowly(["plain", "compiled"], but=["compiled"]))
 def test_a_dragged_run_is_recorded_and_plays_again_in_one_process(
     tick: WantedTick, tmp_path: Path

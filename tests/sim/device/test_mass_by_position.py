@@ -182,6 +182,7 @@ def test_a_device_that_is_not_declared_is_taken_from_the_driver_with_all_its_mas
     assert found.heaviest == pytest.approx(0.35)
 
 
+@pytest.mark.process
 def test_a_launch_moves_as_one_process_does(tmp_path: Path) -> None:
     scene = with_device(
         spatial_scene(launch_file.read("sphere_feel", {"duration": 1.0, "pace": "lockstep"})),

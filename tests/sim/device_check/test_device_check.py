@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from tests.support.devices import Bench, bench, real_devices
-from tests.support.launching import HAPTIC, haptic, wait_for
+from tests.support.launching import HAPTIC, haptic, typed_in, wait_for
 
 MOVES = {
     "away from you": (0.05, 0.0, 0.0),
@@ -116,6 +116,7 @@ def test_check_finds_wrong_axes_before_any_force(tmp_path: Path) -> None:
         assert json.loads(out.splitlines()[-1])["axes_right"] is True
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("move", "told"),
     [
@@ -144,6 +145,7 @@ def test_a_handle_that_is_moved_otherwise_gives_no_axes(
         assert stand.world.state.largest == 0.0
 
 
+@pytest.mark.process
 def test_no_force_is_explained(tmp_path: Path) -> None:
     with bench("force_dimension_driver", tmp_path) as stand:
         stand.world.state.cause = 1
@@ -153,6 +155,7 @@ def test_no_force_is_explained(tmp_path: Path) -> None:
         assert "0.1 N NOT felt" in out
 
 
+@pytest.mark.process
 def test_a_handle_that_flies_off_is_let_go(tmp_path: Path) -> None:
     def light(stand: Bench, question: str) -> str:
         answer = felt(stand, question)
@@ -166,6 +169,7 @@ def test_a_handle_that_flies_off_is_let_go(tmp_path: Path) -> None:
         assert not any(stand.world.force())
 
 
+@pytest.mark.process
 def test_yes_to_everything_pushes_nobody(tmp_path: Path) -> None:
     """As `yes | haptic device check`: nobody moved the handle, so nobody is there."""
     with bench("touch_driver", tmp_path) as stand:
@@ -173,25 +177,19 @@ def test_yes_to_everything_pushes_nobody(tmp_path: Path) -> None:
         assert code == 1
         assert "the position changed by +0, +0, +0 mm" in said
         assert stand.world.state.largest == 0.0
-        refused = haptic(tmp_path, "device", "check", stand.kind, *words(stand), "--yes", code=2)
+        refused = typed_in(tmp_path, "device", "check", stand.kind, *words(stand), "--yes", code=2)
         assert "--yes" in refused.stderr
 
 
-def test_nobody_answers(tmp_path: Path) -> None:
-    with bench("touch_driver", tmp_path) as stand:
-        done = subprocess.run(
-            [*HAPTIC, "device", "check", stand.kind, *words(stand)],
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            check=False,
-            cwd=tmp_path,
-        )
-        assert done.returncode == 2
+def test_nobody_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with bench("touch_driver", tmp_path) as stand, open(os.devnull) as nobody:
+        monkeypatch.setattr("sys.stdin", nobody)
+        done = typed_in(tmp_path, "device", "check", stand.kind, *words(stand), code=2)
         assert "nobody answers" in done.stderr
         assert (stand.world.state.open, stand.world.state.forces) == (0, 0)
 
 
+@pytest.mark.process
 def test_info_and_free(stand: Bench, tmp_path: Path) -> None:
     told = json.loads(
         haptic(tmp_path, "device", "info", stand.kind, *words(stand), "--json").stdout.splitlines()[
@@ -216,6 +214,7 @@ def test_info_and_free(stand: Bench, tmp_path: Path) -> None:
     wait_for(lambda: stand.world.state.open == 0, "it is given back")
 
 
+@pytest.mark.process
 def test_free_names_who_holds_the_device(tmp_path: Path) -> None:
     with bench("touch_driver", tmp_path) as stand:
         path = stand.parameters["library"]

@@ -306,6 +306,8 @@ def test_the_virtual_device_lets_go_after_its_deadline(
 # ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.process
+@pytest.mark.smoke("kill coupling")
 @pytest.mark.parametrize(
     "name",
     [
@@ -326,6 +328,7 @@ def test_faults_end_safe_recover_and_leave_nothing(name: str) -> None:
     assert name == "killed in start-up" or outcome.lost_ticks > drill.WATCHDOG
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     "name",
     [
@@ -357,6 +360,7 @@ def test_intruders_libraries_and_people_do_no_harm_and_the_loop_goes_on(
     assert outcome.left == []
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     "name",
     [
@@ -379,6 +383,7 @@ def test_faults_of_real_devices_leave_no_force_on_the_arm(name: str) -> None:
     assert outcome.lost_ticks > drill.WATCHDOG
 
 
+@pytest.mark.process
 def test_a_force_that_stays_on_an_arm_fails_the_drill(monkeypatch: pytest.MonkeyPatch) -> None:
     stand = devices.StandIn(devices.KINDS[1])
 
@@ -397,6 +402,7 @@ def test_every_real_device_is_drilled() -> None:
     assert {kind.kind for kind in devices.KINDS} == set(real_devices())
 
 
+@pytest.mark.process
 def test_a_launch_that_does_not_recover_fails_the_drill() -> None:
     def strike(rig: Rig) -> None:
         rig.call("link", "param.set", values={"drop": 1.0})
@@ -417,6 +423,7 @@ def test_a_launch_that_does_not_recover_fails_the_drill() -> None:
     assert any("not recovered" in reason for reason in outcome.reasons)
 
 
+@pytest.mark.process
 def test_verb_lists_refuses_and_answers(tmp_path: Path) -> None:
     listed = json.loads(typed_in(tmp_path, "drill", "--list", "--json").stdout)["faults"]
     assert {
@@ -437,6 +444,7 @@ def test_verb_lists_refuses_and_answers(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("number", slowly([signal.SIGTERM, signal.SIGKILL], but=[signal.SIGKILL]))
 def test_a_drill_that_is_ended_itself_leaves_no_launch_behind(
     tmp_path: Path, number: signal.Signals

@@ -30,6 +30,7 @@ def _touch(path: Path, seconds: float) -> str:
     ).stdout
 
 
+@pytest.mark.process
 def test_a_lock_whose_holder_was_killed_is_taken_over(tmp_path: Path) -> None:
     path = tmp_path / "world"
     state = World(path).state

@@ -14,6 +14,7 @@ from tests.support.devices import bench
 from tests.support.launching import running, wait_for
 
 
+@pytest.mark.process
 @pytest.mark.realtime
 @pytest.mark.parametrize(
     "kind", slowly(["force_dimension_driver", "inverse3_driver"], but=["inverse3_driver"])

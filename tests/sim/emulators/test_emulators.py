@@ -108,6 +108,7 @@ def _recorded(path: Path, tick: int) -> Table | None:
     return table if table["seq"][-1] > tick else None
 
 
+@pytest.mark.process
 @pytest.mark.realtime
 def test_the_drop_renders_through_the_device(stand: Bench, virtual: Forces, tmp_path: Path) -> None:
     period, ticks = 0.002, len(virtual[0.0])

@@ -51,6 +51,7 @@ def positions(recording: Path) -> list[float]:
     return [state.position[2] for state in Recording(recording).messages(DEVICE_STATE)]
 
 
+@pytest.mark.process
 def test_the_same_law_gives_the_same_bits_and_another_what_a_launch_of_it_does(
     buzz: tuple[Path, Path],
 ) -> None:
@@ -65,6 +66,7 @@ def test_rounding_is_not_told_in_digits() -> None:
     assert [at_most(metres) for metres in (0.0, 3.47e-18, 2.5e-6)] == ["0 µm", "1e-06 µm", "2.5 µm"]
 
 
+@pytest.mark.process
 def test_tick_by_tick_is_the_compiled_loop(buzz: tuple[Path, Path]) -> None:
     """Forces at their recorded instants, interpreted: another way through the same scene, so the same to rounding."""
     recorded = rebuild(buzz[0])
@@ -72,6 +74,7 @@ def test_tick_by_tick_is_the_compiled_loop(buzz: tuple[Path, Path]) -> None:
     assert np.max(np.abs(slow.measured - recorded.position)) <= 1e-12
 
 
+@pytest.mark.process
 def test_an_identified_model_comes_back_tells_its_error_and_predicts_within_it(
     buzz: tuple[Path, Path],
 ) -> None:
@@ -95,6 +98,7 @@ def test_an_identified_model_comes_back_tells_its_error_and_predicts_within_it(
     assert told["predicted"]["settled"] is True
 
 
+@pytest.mark.process
 def test_a_drop_that_mostly_rests_is_identified_from_its_motion(buzz: tuple[Path, Path]) -> None:
     """Most windows are at rest and fit to the bit; those that move must not count as spoilt beside them."""
     found = identify(read(buzz[0]))
@@ -162,6 +166,7 @@ def test_a_guarded_run_in_real_time_comes_back(tmp_path: Path) -> None:
     assert np.max(np.abs(replay(recorded).measured - recorded.position)) < 1e-3
 
 
+@pytest.mark.process
 def test_a_device_at_the_end_of_its_workspace_comes_back(tmp_path: Path) -> None:
     """A floor of 2 N/m lets it down to its end."""
     words = ("floor_drop", "pace:=lockstep", "stiffness:=2", "duration:=1.2")
@@ -173,6 +178,7 @@ def test_a_device_at_the_end_of_its_workspace_comes_back(tmp_path: Path) -> None
     assert same.measured.tolist() == positions(recording)
 
 
+@pytest.mark.process
 def test_swaps_are_replayed_from_their_receipts(tmp_path: Path) -> None:
     words = ("floor_swap", "pace:=lockstep", "first:=1", "second:=2", "duration:=3")
     recording = tmp_path / launch_json(tmp_path, *words)["recording"]
@@ -219,6 +225,7 @@ def test_the_hand_that_moved_the_device_is_estimated(tmp_path: Path) -> None:
     assert np.max(np.abs(predicted.measured - truth.measured)) < 1e-5
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("words", "message"), [(("law:=nothing",), "nothing"), (("stifness:=3",), "stifness")]
 )
@@ -229,6 +236,7 @@ def test_what_cannot_be_replayed_is_refused(
     assert message in done.stderr
 
 
+@pytest.mark.process
 def test_a_law_that_is_none_is_refused_before_the_scene_is_rebuilt(
     buzz: tuple[Path, Path], tmp_path: Path
 ) -> None:
@@ -241,6 +249,7 @@ def test_a_law_that_is_none_is_refused_before_the_scene_is_rebuilt(
     )
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("missing", [7, 8])
 def test_ticks_before_the_driver_slept_are_replayed_where_they_are_enough(
     buzz: tuple[Path, Path], tmp_path: Path, missing: int
@@ -257,6 +266,7 @@ def test_ticks_before_the_driver_slept_are_replayed_where_they_are_enough(
     )
 
 
+@pytest.mark.process
 def test_of_two_answers_in_one_tick_both_are_replayed(
     buzz: tuple[Path, Path], tmp_path: Path
 ) -> None:
@@ -285,6 +295,7 @@ def test_of_two_answers_in_one_tick_both_are_replayed(
     assert recorded.given[first] == pytest.approx(5.0, abs=1e-14)
 
 
+@pytest.mark.process
 def test_nothing_read_from_a_recording_names_a_file(
     buzz: tuple[Path, Path], tmp_path: Path
 ) -> None:

@@ -284,6 +284,7 @@ def test_forces_without_their_mean_are_refused(tmp_path: Path) -> None:
         read(tmp_path / "old.mcap", "z")
 
 
+@pytest.mark.process
 def test_study_identify_reads_a_launch(tmp_path: Path) -> None:
     run = launch_json(
         tmp_path, "identify", "pace:=lockstep", "apply:=next_tick", "delay:=0.4", "duration:=5"
@@ -307,6 +308,7 @@ def test_study_identify_reads_a_launch(tmp_path: Path) -> None:
     assert figures["axis"] == "x"
 
 
+@pytest.mark.process
 def test_study_identify_of_a_run_without_force(tmp_path: Path) -> None:
     run = launch_json(tmp_path, "free_space", "pace:=lockstep", "duration:=3")
     done = typed_in(tmp_path, "study", "identify", run["recording"], "--json", code=1)

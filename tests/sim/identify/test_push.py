@@ -75,6 +75,7 @@ def test_three_axes_are_identified_in_three_places_held_by_a_hand(tmp_path: Path
             assert one[key]["value"] == pytest.approx(truth, rel=0.05), (key, one["axis"])
 
 
+@pytest.mark.process
 def test_device_list_tells_where_it_looked(tmp_path: Path) -> None:
     listed = json.loads(typed_in(tmp_path, "device", "list", "--json").stdout.splitlines()[-1])[
         "devices"

@@ -64,6 +64,7 @@ def test_identify_on_a_running_launch_and_put_everything_back(tmp_path: Path) ->
     assert len(figures["places"]) == 1
 
 
+@pytest.mark.process
 @pytest.mark.realtime
 def test_ctrl_c_puts_everything_back_and_tells_what_is_known(tmp_path: Path) -> None:
     with running(tmp_path, *SCENE) as launch:
@@ -100,6 +101,7 @@ def test_ctrl_c_puts_everything_back_and_tells_what_is_known(tmp_path: Path) -> 
         assert "done" not in err
 
 
+@pytest.mark.process
 def test_a_push_that_is_suspended_changes_nothing_when_it_goes_on(tmp_path: Path) -> None:
     """Ctrl-Z during the soft spring and ``fg`` after the leases had run out: law and wall were changed for good."""
     with running(tmp_path, *SCENE) as launch:

@@ -59,6 +59,7 @@ def limit_of(path: Path, delay: float = 0.0) -> float:
     return limit
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("words", "law", "delay"),
     [("law:=pd stiffness:=900 apply:=next_tick", "", 1.0), ("", PD_ALPHA, 0.0)],
@@ -167,6 +168,7 @@ def test_off_the_ringing_pole_it_cannot_tell(
     assert capsys.readouterr().out.startswith("cannot tell: ")
 
 
+@pytest.mark.process
 def test_where_nothing_was_touched_nothing_swings(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -204,6 +206,7 @@ def test_study_edge_compares_laws(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert main(["study", "edge", str(tmp_path / "none.mcap")]) == 2
 
 
+@pytest.mark.process
 def test_a_contact_with_ticks_that_are_missing_is_not_taken_for_a_faster_swing(
     tmp_path: Path,
 ) -> None:
@@ -217,6 +220,7 @@ def test_a_contact_with_ticks_that_are_missing_is_not_taken_for_a_faster_swing(
         recorded_swing(rewritten(path, lambda topic, seq: topic != DEVICE_STATE or seq % 10 != 0))
 
 
+@pytest.mark.process
 def test_a_law_that_changed_before_the_recording_began_is_not_taken_for_the_launch_file_s(
     tmp_path: Path,
 ) -> None:
@@ -226,6 +230,7 @@ def test_a_law_that_changed_before_the_recording_began_is_not_taken_for_the_laun
         recorded_swing(late)
 
 
+@pytest.mark.process
 def test_without_the_coupling_s_forces_nothing_tells_the_law(tmp_path: Path) -> None:
     path = recorded(tmp_path, "law:=pd stiffness:=2500")
     with pytest.raises(CannotTellError, match="were not recorded"):
@@ -254,6 +259,7 @@ def test_a_hand_that_holds_the_device_is_in_the_loop(stiffness: float) -> None:
     assert not low < limit < high
 
 
+@pytest.mark.process
 def test_the_hand_of_a_recorded_scene_is_taken_into_account(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

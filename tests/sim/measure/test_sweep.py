@@ -61,6 +61,8 @@ class Counting(ThreadPoolExecutor):
         return super().submit(*args, **kwargs)
 
 
+@pytest.mark.process
+@pytest.mark.smoke
 def test_workers_die_alone_hear_no_ctrl_c_and_end_when_nobody_wants_them(tmp_path: Path) -> None:
     jobs = [{"x": x, "folder": str(tmp_path)} for x in range(7)]
 
@@ -98,6 +100,7 @@ def test_workers_die_alone_hear_no_ctrl_c_and_end_when_nobody_wants_them(tmp_pat
     wait_for(lambda: not any(alive(pid) for pid in begun()), "the workers end")
 
 
+@pytest.mark.process
 def test_ctrl_c_ends_a_study_with_its_workers_in_one_line(tmp_path: Path) -> None:
     words = [
         *HAPTIC,

@@ -89,6 +89,12 @@ def bits(values: list[float]) -> list[int]:
     return [int(v) for v in np.array(values).view(np.int64)]
 
 
+@pytest.mark.process
+@pytest.mark.smoke(
+    "floor_guarded-compiled",
+    "floor_swap-compiled",
+    "wall_press delay:=1.3 law:=multi_term-compiled",
+)
 @pytest.mark.parametrize(
     ("words", "tick"),
     [
@@ -150,6 +156,7 @@ def assert_same_bits(
         assert bits(list(getattr(same, name)[:ticks])) == bits(list(values))
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("tick", ["plain", "compiled"])
 def test_a_device_that_comes_to_the_end_of_its_workspace_stops_there(
     tick: str, tmp_path: Path
@@ -169,6 +176,7 @@ def test_a_device_that_comes_to_the_end_of_its_workspace_stops_there(
     assert np.count_nonzero(trace.measured == -39 * 2.3e-5) > 100
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("tick", ["plain", "compiled"])
 def test_a_driver_that_limits_and_never_stops_does_the_same_everywhere(
     tick: str, tmp_path: Path
@@ -211,6 +219,7 @@ def test_designs_that_were_just_made_are_rendered_bit_for_bit(
     assert_same_bits(tmp_path, "floor_drop", "apply:=next_tick", SHORT, laid_over=files)
 
 
+@pytest.mark.process
 def test_files_of_parameters_are_checked_before_anything_starts(tmp_path: Path) -> None:
     for text, told in (
         ("coupling: {law: spring}", "coupling.law: no law is named 'spring'"),
@@ -233,6 +242,7 @@ def test_files_of_parameters_are_checked_before_anything_starts(tmp_path: Path) 
     )
 
 
+@pytest.mark.process
 def test_lockstep_twice_gives_the_same_recording(tmp_path: Path) -> None:
     found = []
     for part in ("one", "two"):
@@ -249,6 +259,8 @@ def test_lockstep_twice_gives_the_same_recording(tmp_path: Path) -> None:
     assert found[0] == found[1]
 
 
+@pytest.mark.process
+@pytest.mark.smoke("coupling")
 @pytest.mark.parametrize("node", ["environment", "coupling"])
 def test_a_question_asked_again_is_recorded_once(node: str, tmp_path: Path) -> None:
     """A machine under load stalls a node for longer than the driver waits; it asks again, and both questions are answered."""

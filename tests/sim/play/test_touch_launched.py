@@ -41,6 +41,7 @@ MOVING = [
 TICKS = pytest.mark.parametrize("tick", slowly(["plain", "compiled"], but=["compiled"]))
 
 
+@pytest.mark.process
 def test_no_scenario_is_left_out() -> None:
     assert {"sphere_feel", "box_edges", "mesh_pebble", "rough_plane"} <= set(SHAPES)
     assert {"puck_push", "knob_turn", "stack_boxes"} <= set(MOVING)
@@ -85,6 +86,8 @@ def launched(folder: Path, scenario: str, tick: str, compiled: set[str]) -> dict
     return found
 
 
+@pytest.mark.process
+@pytest.mark.smoke("mesh_pebble-compiled")
 @TICKS
 @pytest.mark.parametrize("scenario", SHAPES)
 def test_one_process_plays_the_same(scenario: str, tick: str, tmp_path: Path) -> None:
@@ -110,6 +113,7 @@ def test_one_process_plays_the_same(scenario: str, tick: str, tmp_path: Path) ->
     assert np.array_equal(alone.distance, [message.distance for message in found])
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("scenario", "tick"),
     [

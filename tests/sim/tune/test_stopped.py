@@ -138,6 +138,7 @@ def test_a_trial_that_the_driver_stops_is_a_verdict_and_the_launch_goes_on(tmp_p
             )
 
 
+@pytest.mark.process
 def test_a_launch_that_somebody_tunes_already_is_refused_and_left_to_him(tmp_path: Path) -> None:
     """The second one took the first one's soft spring for the user's own law, and put that back at the end."""
     (tmp_path / "held.yaml").write_text(json.dumps(unrecorded()))

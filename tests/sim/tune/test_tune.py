@@ -293,6 +293,7 @@ def test_a_signal_while_a_law_is_tried_leaves_the_launch_as_it_was(
         launch.finish(signal.SIGINT, code=None)
 
 
+@pytest.mark.process
 def test_a_launch_that_the_verb_started_ends_with_it_even_when_it_is_killed(tmp_path: Path) -> None:
     with private_runtime_dir() as place:
         process = subprocess.Popen(

@@ -1,20 +1,10 @@
-"""Mutations of the driver's safety rules, each of which some test must notice; run one by one on request.
-
-``python -m tests.support.mutations`` tries all of them, with the tests that are named for each, in
-a copy of the sources.
-"""
+"""Mutations of the driver's safety rules and of what lets a force through; every one is noticed."""
 
 from __future__ import annotations
 
-import os
-import shutil
-import subprocess
-import sys
-import tempfile
-from pathlib import Path
-from typing import NamedTuple
+from typing import Final
 
-from tests.support import ROOT
+from tests.support.mutations.mutation import Mutation
 
 ORACLES = "tests/nodes/driver/test_oracles.py"
 NO_PUSH = "tests/nodes/driver/test_no_push.py"
@@ -24,19 +14,8 @@ SWINGS = "tests/nodes/driver/test_swings.py"
 SHORT = "tests/nodes/driver/test_short_losses.py"
 PASSIVE = "tests/nodes/driver/test_passivity.py"
 
-
-class Mutation(NamedTuple):
-    """A change of a rule: what it is, the file, what stands there, what is put in its place, and the tests that must fail."""
-
-    name: str
-    file: str
-    old: str
-    new: str
-    tests: tuple[str, ...]
-
-
 DRIVER = "nodes/driver/"
-MUTATIONS = (
+SAFETY_RULES: Final = (
     Mutation(
         "half of the motor heat's reserve",
         f"{DRIVER}motor_heat.py",
@@ -299,64 +278,3 @@ MUTATIONS = (
         (SHORT,),
     ),
 )
-
-
-def survives(mutation: Mutation, folder: Path) -> bool:
-    """Apply a mutation in a copy of the sources, and return whether all its tests pass."""
-    path = folder / mutation.file
-    text = path.read_text(encoding="utf-8")
-    if text.count(mutation.old) != 1:
-        raise ValueError(
-            f"{mutation.name}: {mutation.old!r} stands {text.count(mutation.old)} times in"
-            f" {mutation.file}, not once"
-        )
-    path.write_text(text.replace(mutation.old, mutation.new), encoding="utf-8")
-    try:
-        command = [
-            sys.executable,
-            "-m",
-            "pytest",
-            "-n",
-            "0",
-            "-q",
-            "-x",
-            "-p",
-            "no:cacheprovider",
-            *mutation.tests,
-        ]
-        environment = {**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
-        return (
-            subprocess.run(
-                command, cwd=folder, env=environment, capture_output=True, check=False
-            ).returncode
-            == 0
-        )
-    finally:
-        path.write_text(text, encoding="utf-8")
-
-
-def copy_sources(folder: Path) -> None:
-    """Copy all that the tests of rules need."""
-    for name in ("messages", "nodes", "sim", "tests", "launch"):
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(ROOT / "pyproject.toml", folder)
-
-
-def main() -> int:
-    """Try all; return how many survive."""
-    with tempfile.TemporaryDirectory(prefix="haptic-mutations-") as name:
-        copy_sources(Path(name))
-        left = []
-        for mutation in MUTATIONS:
-            lives = survives(mutation, Path(name))
-            print(
-                f"{'SURVIVES' if lives else 'killed':9}{mutation.name} ({mutation.file})",
-                flush=True,
-            )
-            left += [mutation.name] if lives else []
-    print(f"{len(left)} of {len(MUTATIONS)} survive")
-    return len(left)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

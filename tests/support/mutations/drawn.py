@@ -1,0 +1,155 @@
+"""Mutations drawn from the syntax of a room: a comparison, a sign, a number, a condition, a statement that is left out.
+
+Libraries that do this (mutmut, cosmic-ray) rewrite a whole package or import it mutated; our kernels
+are compiled from their source and laid out by annotations, so a mutation here is a change of one
+place of one file's text.
+"""
+
+from __future__ import annotations
+
+import ast
+import random
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from tests.support import ROOT
+from tests.support.mutations.mutation import Mutation
+
+ROOMS: Final = {
+    "nodes/driver": ("tests/nodes/driver", "tests/nodes/compiled"),
+    "nodes/laws": ("tests/nodes/laws", "tests/nodes/stability"),
+    "nodes/stability": ("tests/nodes/stability", "tests/nodes/coupling"),
+    "nodes/coupling": ("tests/nodes/coupling", "tests/nodes/compiled"),
+    "nodes/recording": ("tests/nodes/recording",),
+    "sim/identify": ("tests/sim/identify", "tests/sim/design"),
+}
+"""Rooms whose lines are mutated, and the tests that are to notice."""
+
+_COMPARED: Final[dict[type[ast.cmpop], tuple[str, str]]] = {
+    ast.Lt: ("<", "<="),
+    ast.LtE: ("<=", "<"),
+    ast.Gt: (">", ">="),
+    ast.GtE: (">=", ">"),
+    ast.Eq: ("==", "!="),
+    ast.NotEq: ("!=", "=="),
+}
+_COMPUTED: Final[dict[type[ast.operator], tuple[str, str]]] = {
+    ast.Add: ("+", "-"),
+    ast.Sub: ("-", "+"),
+    ast.Mult: ("*", "/"),
+    ast.Div: ("/", "*"),
+}
+
+
+class _Places:
+    """Find what may be changed in a file's text; places are characters of it."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self._lines = [0]
+        for line in text.splitlines(keepends=True):
+            self._lines.append(self._lines[-1] + len(line))
+        self._bytes = [line.encode() for line in text.splitlines(keepends=True)]
+
+    def at(self, line: int, column: int) -> int:
+        """Return the place of a line and of a column in bytes, as ast counts them."""
+        return self._lines[line - 1] + len(self._bytes[line - 1][:column].decode())
+
+    def span(self, node: ast.expr | ast.stmt) -> tuple[int, int]:
+        """Return where a node begins and ends."""
+        assert node.end_lineno is not None
+        assert node.end_col_offset is not None
+        return (
+            self.at(node.lineno, node.col_offset),
+            self.at(node.end_lineno, node.end_col_offset),
+        )
+
+    def changes(self, node: ast.AST) -> Iterator[tuple[int, str, str]]:
+        """Go through the changes of one node: place, what stands there, what is put there."""
+        if isinstance(node, ast.Compare) and len(node.ops) == 1 and type(node.ops[0]) in _COMPARED:
+            old, new = _COMPARED[type(node.ops[0])]
+            yield from self._between(node.left, node.comparators[0], old, new)
+        elif isinstance(node, ast.BinOp) and type(node.op) in _COMPUTED:
+            if not isinstance(node.left, (ast.JoinedStr,)) and not _is_text(node):
+                yield from self._between(node.left, node.right, *_COMPUTED[type(node.op)])
+        elif isinstance(node, ast.BoolOp):
+            pair = ("and", "or") if isinstance(node.op, ast.And) else ("or", "and")
+            yield from self._between(node.values[0], node.values[1], *pair)
+        elif isinstance(node, (ast.If, ast.IfExp, ast.While)):
+            begin, end = self.span(node.test)
+            old = self.text[begin:end]
+            yield begin, old, f"(not ({old}))"
+        elif isinstance(node, ast.Constant):
+            begin, end = self.span(node)
+            if type(node.value) is int:
+                yield begin, self.text[begin:end], repr(node.value + 1)
+            elif type(node.value) is float:
+                yield begin, self.text[begin:end], repr(2.0 * node.value or 1.0)
+        elif isinstance(node, ast.AugAssign):
+            begin, end = self.span(node)
+            yield begin, self.text[begin:end], "pass"
+
+    def _between(
+        self, left: ast.expr, right: ast.expr, old: str, new: str
+    ) -> Iterator[tuple[int, str, str]]:
+        begin, end = self.span(left)[1], self.span(right)[0]
+        place = self.text.find(old, begin, end)
+        if place >= 0:
+            yield place, old, new
+
+
+def _is_text(node: ast.BinOp) -> bool:
+    return any(
+        isinstance(side, ast.Constant) and isinstance(side.value, (str, bytes))
+        for side in (node.left, node.right)
+    )
+
+
+def _of_code(node: ast.AST) -> Iterator[ast.AST]:
+    """Walk through what runs: no annotations, no decorators, no errors' words, nothing for checkers alone."""
+    for name, value in ast.iter_fields(node):
+        if name in {"annotation", "returns", "decorator_list"}:
+            continue
+        for child in value if isinstance(value, list) else [value]:
+            if not isinstance(child, ast.AST) or isinstance(child, (ast.Raise, ast.JoinedStr)):
+                continue
+            if isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING":
+                continue
+            yield child
+            yield from _of_code(child)
+
+
+def all_of(file: Path, tests: tuple[str, ...], root: Path = ROOT) -> list[Mutation]:
+    """Return every mutation of a file, in the order of its text."""
+    text = file.read_text(encoding="utf-8")
+    places, name = _Places(text), str(file.relative_to(root))
+    found = []
+    for node in _of_code(ast.parse(text)):
+        for place, old, new in places.changes(node):
+            line = text.count("\n", 0, place) + 1
+            said = f"{name}:{line}: {' '.join(old.split())} → {' '.join(new.split())}"
+            found.append(Mutation(said, name, old, new, tests, place))
+    return sorted(found, key=lambda one: one.place or 0)
+
+
+def draw(number: int, seed: str, rooms: list[str] | None = None) -> list[Mutation]:
+    """Draw mutations of the rooms in turn, each file as often as it has places."""
+    chance = random.Random(seed)  # noqa: S311  # which are tried is no secret
+    pools = []
+    for room in rooms or list(ROOMS):
+        files = sorted((ROOT / room).rglob("*.py"))
+        pools.append([one for file in files for one in all_of(file, _tests(room, file))])
+    for pool in pools:
+        chance.shuffle(pool)
+    return [pools[i % len(pools)][i // len(pools)] for i in range(number)]
+
+
+def _tests(room: str, file: Path) -> tuple[str, ...]:
+    """Return the tests of a file: those that bear its name first, so that most end soon."""
+    own = sorted(
+        str(path.relative_to(ROOT))
+        for folder in ROOMS[room]
+        for path in (ROOT / folder).glob(f"test_{file.stem}*.py")
+    )
+    return (*own, *ROOMS[room])

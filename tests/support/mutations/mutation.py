@@ -1,0 +1,87 @@
+"""What a mutation is, and how one is tried: in a copy of the sources, whose tests must fail."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+from tests.support import ROOT
+
+LONGEST = 900.0
+"""After so long the tests of a mutation count as failed: what never ends is noticed [s]."""
+
+_dates = itertools.count(int(time.time()) - 10**6)
+
+
+class Mutation(NamedTuple):
+    """A change of a rule, and the tests that must fail by it."""
+
+    name: str
+    file: str
+    old: str  # stands there once, or `place` says where
+    new: str
+    tests: tuple[str, ...]
+    place: int | None = None  # index of `old` in the text; None where it stands there once
+
+
+def mutated(text: str, mutation: Mutation) -> str:
+    """Return the text of a file with the mutation; ValueError where what it changes does not stand there."""
+    old, place = mutation.old, mutation.place
+    if place is None:
+        if text.count(old) != 1:
+            raise ValueError(
+                f"{mutation.name}: {old!r} stands {text.count(old)} times in {mutation.file},"
+                " not once"
+            )
+        place = text.index(old)
+    if not text.startswith(old, place):
+        raise ValueError(f"{mutation.name}: {old!r} does not stand at {place} of {mutation.file}")
+    return text[:place] + mutation.new + text[place + len(old) :]
+
+
+def survives(mutation: Mutation, folder: Path) -> bool:
+    """Apply a mutation in a copy of the sources, and return whether all its tests pass."""
+    path = folder / mutation.file
+    text = path.read_text(encoding="utf-8")
+    _write(path, mutated(text, mutation))
+    try:
+        return _passes(folder, mutation.tests)
+    finally:
+        _write(path, text)
+
+
+def _write(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
+    # Bytecode is known by date and size of its source: two versions of one second are two dates.
+    date = next(_dates)
+    os.utime(path, (date, date))
+
+
+def _passes(folder: Path, tests: tuple[str, ...]) -> bool:
+    command = [
+        *(sys.executable, "-m", "pytest", "-n", "0", "-q", "-x", "-p", "no:cacheprovider"),
+        *("-m", "not slow and not process", *tests),
+    ]
+    environment = {**os.environ, "PYTHONPATH": str(folder)}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
+    try:
+        done = subprocess.run(
+            command, cwd=folder, env=environment, capture_output=True, check=False, timeout=LONGEST
+        )
+    except subprocess.TimeoutExpired:
+        return False
+    return done.returncode == 0
+
+
+def copy_sources(folder: Path) -> None:
+    """Copy all that the tests of rules need."""
+    for name in ("messages", "nodes", "sim", "tests", "launch"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md"):
+        shutil.copy(ROOT / name, folder)
