@@ -1,4 +1,4 @@
-"""What sends a compiled tick back to the interpreter: the table of nodes/README.md, row by row, and nothing else."""
+"""What sends a compiled tick back to the interpreter: the table of nodes/ARCHITECTURE.md, row by row, and nothing else."""
 
 from __future__ import annotations
 
@@ -324,7 +324,7 @@ def test_nothing_else_brings_a_driver_back(row: str, tmp_path: Path) -> None:
 
 
 def test_the_page_has_these_rows() -> None:
-    text = (ROOT / "nodes" / "README.md").read_text(encoding="utf-8")
+    text = (ROOT / "nodes" / "ARCHITECTURE.md").read_text(encoding="utf-8")
     table = text.partition("| node | what goes back to the interpreter |")[2].partition("\n\n")[0]
     rows = {tuple(cell.strip() for cell in line.split("|")[1:3]) for line in table.splitlines()[2:]}
     assert rows == {*CASES, *(("driver", row) for row in DRIVER_CASES)}

@@ -1,0 +1,306 @@
+"""The page of results: each section is one command, what it printed, and where and when it ran.
+
+A measured section is a record, ``sim/figures/measured/NAME.json``; one that was measured before
+there were records is Markdown, ``NAME.md``, and its page says so. `page` renders all sections;
+`measure` runs a command and replaces its section's file. Nothing on the page is written by hand.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+import tempfile
+import textwrap
+import time
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import msgspec
+
+from messages.errors import HapticError
+from sim.measure.stopwatch import machine
+
+ROOT: Final = Path(__file__).parents[2]
+PAGE: Final = ROOT / "sim" / "RESULTS.md"
+MEASURED: Final = ROOT / "sim" / "figures" / "measured"
+COLUMNS: Final = 100
+
+
+class ResultsError(HapticError):
+    """A section cannot be measured or written; the text says why."""
+
+
+class ResultSection(NamedTuple):
+    """One section of the page."""
+
+    title: str
+    asks: str  # what the reader wants to know
+    command: str
+    minutes: float  # how long it takes on two idle cores, roughly
+
+
+SECTIONS: Final[dict[str, ResultSection]] = {
+    "k_max": ResultSection(
+        "K_max",
+        "The largest stable stiffness of PD, one tick late.",
+        "haptic study kmax --law pd --gain 3 --delay 1",
+        0.1,
+    ),
+    "world": ResultSection(
+        "Worlds that move",
+        "How stiff PD may be before a wall, a spring, any world, in any hand.",
+        "haptic study world --law pd --gain 3 --mass 0.1 --damping 1 --delay 1",
+        0.1,
+    ),
+    "hands": ResultSection(
+        "Two hands far apart",
+        "The stiffest spring that is passive for any two hands, against the one-way delay.",
+        "haptic study hands",
+        1.0,
+    ),
+    "designs": ResultSection(
+        "Designs",
+        "The stiffest taps for a device and its delay, beside the best-tuned known laws.",
+        "haptic study design --compare",
+        30.0,
+    ),
+    "any_hand": ResultSection(
+        "Designs for any hand",
+        "The stiffest laws for any hand and any world, one tick late.",
+        "haptic study design --for any_hand --delay 1 --taps 5",
+        1.0,
+    ),
+    "relatives": ResultSection(
+        "Relatives of a law",
+        "The nearest relatives of a fractional law, tuned to one demand.",
+        "haptic lab relatives",
+        30.0,
+    ),
+    "price": ResultSection(
+        "The price of not knowing",
+        "What stiffness it costs not to know a joint of the device.",
+        "haptic lab price",
+        60.0,
+    ),
+    "identification": ResultSection(
+        "Identification",
+        "How often intervals contain the truth, and what designs for identified devices reach.",
+        "haptic lab coverage --devices 240 --tune",
+        120.0,
+    ),
+    "outside": ResultSection(
+        "Devices that are not rigid",
+        "False certainty and needless refusals over twenty-one kinds of devices.",
+        "haptic lab coverage --outside --devices 84 --seconds 4",
+        60.0,
+    ),
+    "tuned": ResultSection(
+        "Tuning",
+        "Random devices tuned end to end, judged by their true poles.",
+        "haptic lab tuned --devices 40",
+        120.0,
+    ),
+    "paper": ResultSection(
+        "The paper's drop test",
+        "Whether the paper's optimum is stiffer than PD, claim by claim.",
+        "haptic lab fig4",
+        30.0,
+    ),
+    "chart": ResultSection(
+        "Speed against accuracy",
+        "Which realisation, integrator, rate and proxy is worth its time.",
+        "haptic study chart",
+        60.0,
+    ),
+    "proxies": ResultSection(
+        "Proxies in three axes",
+        "How exact and how fast the proxy on shapes and meshes is.",
+        "haptic lab proxies",
+        10.0,
+    ),
+    "loop": ResultSection(
+        "The loop",
+        "Ticks a second and response, beside bare pyzmq + msgpack and bare C.",
+        "haptic bench loop",
+        10.0,
+    ),
+    "page": ResultSection(
+        "The page", "What an open page costs the loop.", "haptic bench view", 5.0
+    ),
+    "faults": ResultSection(
+        "Faults",
+        "What each injected fault did to the loop, and how fast it was safe.",
+        "haptic drill",
+        5.0,
+    ),
+    "soak": ResultSection(
+        "Soak",
+        "Ten minutes in which loggers come and go, parameters change and nodes respawn.",
+        "haptic drill soak",
+        10.0,
+    ),
+}
+
+
+class MeasuredOutput(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What one command printed, and where.
+
+    Attributes
+    ----------
+    command : str
+        As it was typed.
+    date : str
+        UTC, ISO 8601.
+    commit : str
+        Of the sources; ``+`` at its end where they had changed since.
+    machine : str
+        Processor, cores, system, Python.
+    load : tuple of float
+        Mean number of running processes in the minute before it began, and when it had ended.
+    seconds : float
+        How long it took [s].
+    printed : str
+        Standard output.
+    """
+
+    command: str
+    date: str
+    commit: str
+    machine: str
+    load: tuple[float, float]
+    seconds: float
+    printed: str
+
+
+def commit() -> str:
+    """Return the commit of this checkout; a ``+`` says that tracked files have changed."""
+
+    def git(*words: str) -> str:
+        return subprocess.run(
+            ["git", *words], cwd=ROOT, capture_output=True, text=True, check=True
+        ).stdout.strip()
+
+    try:
+        # What is measured goes into the tree while more is measured.
+        changed = git("status", "--porcelain", "--untracked-files=no", "--", "*.py", "*.yaml")
+        return git("rev-parse", "--short=8", "HEAD") + ("+" if changed else "")
+    except (OSError, subprocess.CalledProcessError) as error:
+        raise ResultsError(f"{ROOT}: results are measured in a git checkout: {error}") from None
+
+
+def measure(name: str, folder: Path = MEASURED) -> MeasuredOutput:
+    """Run the command of a section, and store what it printed.
+
+    Parameters
+    ----------
+    name : str
+        A section.
+    folder : Path
+        Where the record goes.
+
+    Returns
+    -------
+    MeasuredOutput
+        As it was stored.
+
+    Raises
+    ------
+    ResultsError
+        The command failed, or this is no checkout. The section stays as it was.
+    """
+    line = SECTIONS[name].command
+    of, host = commit(), machine()
+    before = os.getloadavg()[0]
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="results-") as place:
+        done = subprocess.run(
+            [sys.executable, "-m", "nodes.cli.command", *shlex.split(line)[1:]],
+            cwd=place,
+            stdout=subprocess.PIPE,
+            text=True,
+            check=False,
+            env={**os.environ, "NO_COLOR": "1", "PYTHONPATH": str(ROOT)},
+        )
+    if done.returncode != 0:
+        raise ResultsError(f"{name}: {line} ended with exit code {done.returncode}; not recorded")
+    record = MeasuredOutput(
+        command=line,
+        date=time.strftime("%Y-%m-%dT%H:%MZ", time.gmtime()),
+        commit=of,
+        machine=f"{host['cpu']}, {host['cores']} cores, {host['system']}, Python {host['python']}",
+        load=(round(before, 1), round(os.getloadavg()[0], 1)),
+        seconds=round(time.monotonic() - began, 1),
+        printed=done.stdout,
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    text = msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n"
+    (folder / f"{name}.json").write_bytes(text)
+    (folder / f"{name}.md").unlink(missing_ok=True)
+    return record
+
+
+def recorded(name: str, folder: Path = MEASURED) -> MeasuredOutput | str | None:
+    """Return a section's record, its Markdown of before there were records, or None."""
+    path = folder / f"{name}.json"
+    if path.exists():
+        return msgspec.json.decode(path.read_bytes(), type=MeasuredOutput)
+    earlier = path.with_suffix(".md")
+    return earlier.read_text(encoding="utf-8") if earlier.exists() else None
+
+
+def _wrapped(printed: str) -> list[str]:
+    lines = []
+    for line in printed.rstrip().splitlines():
+        # Files of the study lie in a folder that is gone.
+        if line.startswith("studies/"):
+            continue
+        within = textwrap.wrap(
+            line,
+            COLUMNS,
+            subsequent_indent="    ",
+            break_long_words=False,
+            break_on_hyphens=False,
+            replace_whitespace=False,
+            drop_whitespace=True,
+        )
+        lines += [line] if len(line) <= COLUMNS else within
+    return lines
+
+
+def section(name: str, folder: Path = MEASURED) -> str:
+    """Render one section as Markdown."""
+    told, found = SECTIONS[name], recorded(name, folder)
+    head = f"## {told.title}\n\n{told.asks}\n\n"
+    typed = f"```console\n$ {told.command}\n"
+    if isinstance(found, MeasuredOutput):
+        where = (
+            f"*{found.date}, commit {found.commit}, {found.seconds:g} s at a load of"
+            f" {found.load[0]:g} to {found.load[1]:g}: {found.machine}.*"
+        )
+        typed = f"```console\n$ {found.command}\n"
+        printed = "\n".join(_wrapped(found.printed))
+        return f"{head}{textwrap.fill(where, COLUMNS)}\n\n{typed}{printed}\n```\n"
+    earlier = "*Not measured yet.*" if found is None else f"{EARLIER}\n\n{found.strip()}"
+    return f"{head}{typed}```\n\n{earlier}\n"
+
+
+EARLIER: Final = (
+    "*Not measured with this command yet. What follows was measured in November 2026; machine, load"
+    " and\ncommit are known only where the text names them.*"
+)
+
+HEAD: Final = """# Results
+
+Written by `haptic lab results`; do not edit. Each section names its command, and where and when
+it ran. *Xeon* is a quiet virtual machine (Intel Xeon, 2 cores, Linux 6.18, SCHED_FIFO, CPython
+3.11.7 without PGO), *EPYC* an AMD EPYC, also 2 cores. Absolute times move by 20 % from run to run:
+compare within one section, and between machines compare ratios only. All devices are virtual, or
+emulators of real ones.
+"""
+
+
+def page(folder: Path = MEASURED) -> str:
+    """Render the page from what has been measured."""
+    return "\n".join([HEAD, *(section(name, folder) for name in SECTIONS)])
