@@ -56,7 +56,18 @@ SOFT_STOP = STOP_TIME + 1.0
 
 
 def state_property(name: str) -> Any:
-    """Return a property that stores a Node counter in the driver's state struct."""
+    """Return a property that stores a Node counter in the driver's state struct.
+
+    Parameters
+    ----------
+    name : str
+        Field of the struct.
+
+    Returns
+    -------
+    property
+        Reads and writes that field.
+    """
     return property(
         lambda node: getattr(node.counters, name),
         lambda node, value: setattr(node.counters, name, value),
