@@ -22,7 +22,7 @@ from messages.schema import schema
 from messages.topics import DEVICE_STATE, split
 from messages.types import Message
 from nodes.recording.facts import DEEPEST, depth
-from nodes.recording.reader import Recording, plain_value
+from nodes.recording.reader import Recording, column_value
 from nodes.recording.table import COLUMNS, VECTORS, Row, read, rows
 from nodes.recording.writer import (
     LAUNCH_FILE,
@@ -102,7 +102,7 @@ def _flat(values: Iterable[Any]) -> Iterator[Any]:
         if isinstance(value, tuple):
             yield from value
         else:
-            yield int(value) if isinstance(value, bool) else plain_value(value)
+            yield int(value) if isinstance(value, bool) else column_value(value)
 
 
 def begin_of(recording: Recording) -> float:

@@ -58,8 +58,19 @@ class Entry(NamedTuple):
     message: Message
 
 
-def plain_value(value: Any) -> Any:
-    """Return a field as a column holds it: a mapping as its JSON text, all else as it is."""
+def column_value(value: Any) -> Any:
+    """Return a field as a column of a table holds it.
+
+    Parameters
+    ----------
+    value : object
+        Field of a message.
+
+    Returns
+    -------
+    object
+        A mapping's JSON text, anything else as it is.
+    """
     return msgspec.json.encode(value).decode() if isinstance(value, dict) else value
 
 
@@ -419,6 +430,6 @@ class Recording:
         found = {"log_time": np.array([entry.log_time for entry in entries], dtype=np.float64)}
         for field in msgspec.structs.fields(type(entries[0].message)):
             found[field.name] = np.array(
-                [plain_value(getattr(entry.message, field.name)) for entry in entries]
+                [column_value(getattr(entry.message, field.name)) for entry in entries]
             )
         return found
