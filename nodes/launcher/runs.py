@@ -216,7 +216,7 @@ def new_run_dir(run: str) -> Path:
     try:
         path.mkdir(mode=0o700)
     except FileExistsError as error:
-        raise RunError(f"{path}: a run of that name exists already") from error
+        raise RunError(f"{path}: a run of that name already exists") from error
     (path / MARK).write_text(_MARKED, encoding="utf-8")
     return path
 
@@ -246,7 +246,7 @@ def new_node_dir(run: str) -> Path:
     try:
         hold(path)
     except OSError as error:
-        raise RunError(f"{path}: a run of that name exists already") from error
+        raise RunError(f"{path}: a run of that name already exists") from error
     return path
 
 

@@ -127,7 +127,7 @@ def test_a_long_scenario_starts_where_desktops_keep_runs(
         for path in made:
             with socket.socket(socket.AF_UNIX) as longest:
                 longest.bind(str(path / ("n" * 32 + ".listen")))
-        with pytest.raises(RunError, match="exists already"):
+        with pytest.raises(RunError, match="already exists"):
             new_run_dir(names[0])
 
 

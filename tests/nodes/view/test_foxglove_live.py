@@ -173,5 +173,5 @@ def test_who_comes_late_is_told_that_bodies_are_not_drawn(tmp_path: Path) -> Non
             end(view)
     assert not [one for one in drawn if one["id"] == "bodies"]
     left_out = next(one for one in drawn if one["id"] == "left out")
-    assert "a page that was launched with the run knows" in left_out["texts"][0]["text"]
+    assert "known only to a view started with the run" in left_out["texts"][0]["text"]
     assert [one for one in drawn if one["id"] == "proxy"]
