@@ -15,7 +15,7 @@ from nodes.base.node_kinds import load, node_kinds
 from nodes.base.setup import Scheduling, Setup
 from nodes.compiled.choose_tick import SCARCE, choose
 from nodes.launcher.chain_load import estimated, spread
-from nodes.launcher.external_child import LEASE, ARRIVAL_TIMEOUT
+from nodes.launcher.external_child import ARRIVAL_TIMEOUT, LEASE
 from nodes.launcher.launch_spec import Launch, NodeSpec, unusual
 from nodes.launcher.plants import has_plant, known_peak, known_plant
 from nodes.parameters.refusals import choices
