@@ -38,10 +38,6 @@ class Argument(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 AWAKE_RATE = 1000.0
 
 
-# Rate from which idle processors must not sleep between ticks [Hz].
-AWAKE_RATE = 1000.0
-
-
 class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings of the loop: rate, pace, duration, axes, scheduling."""
 

@@ -12,7 +12,7 @@ import pytest
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.cli.main import main
 from nodes.recording.reader import Recording
-from sim.measure.measured_launch import beside
+from sim.measure.measured_launch import start_command
 from tests.support.launching import Running, launch_json, running, typed, wait_for
 
 
@@ -127,7 +127,7 @@ def test_a_force_from_outside_reaches_the_device(wall: Running) -> None:
     # From 2.3 s on the hand rests before the wall, and the law gives nothing.
     wait_for(lambda: wall.ticks() > 1300, "the hand to rest")
     words = ("topic", "pub", "/external/wrench", "{force: [0.25, 0, 0]}", "-r", "100", "-t", "300")
-    with beside(
+    with start_command(
         *words, cwd=wall.folder, env=wall.environment, stdout=subprocess.DEVNULL
     ) as pushing:
         try:
