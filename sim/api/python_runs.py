@@ -194,7 +194,9 @@ class Run:
             str(path),
             "--json",
         ]
-        process = start_command(*words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        process = start_command(
+            *words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        )
         try:
             printed = process.communicate()[1]
         except BaseException:

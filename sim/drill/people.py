@@ -95,7 +95,7 @@ def thrown(states: Sequence[DeviceState]) -> list[str]:
 
 
 def held_at_a_point(content: dict[str, Any]) -> None:
-    """Hold the device at a point without a hand, as for tuning a law."""
+    """Replace the hand by an anchor, as for tuning a law."""
     del content["nodes"]["driver"]["parameters"]["device"]["hand"]
     content["nodes"]["environment"]["parameters"]["surface"] = {
         "kind": "anchor",

@@ -299,7 +299,7 @@ def begins_in(log: Sequence[Sample], states: Sequence[DeviceState]) -> list[floa
 def pushed(
     log: Sequence[Sample], moved_at: Sequence[int], swapped_at: Sequence[int] = ()
 ) -> tuple[list[str], float]:
-    """Return forces that rose faster than their ramp after a move, and the largest ratio to it.
+    """Return forces that rose faster than their ramp after a move, and the largest ratio.
 
     A move near one of `swapped_at` is skipped, because the force also follows that swap's fade. A
     hand that moves meanwhile adds at most the stiffness times its distance and the damping times

@@ -1,4 +1,4 @@
-"""Emulator of Haply's Inverse Service: a WebSocket server with one Inverse3, HTTP and events.
+"""Emulator of Haply's Inverse Service: WebSocket server, HTTP, events, and one Inverse3.
 
 As the vendor's service does: the first message is the complete inventory, then one state answers
 each message; zeros are omitted from a state; a force expires soon after its message; forces of
