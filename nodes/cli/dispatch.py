@@ -1,7 +1,7 @@
-"""Verbs made of sub-verbs, importing only the one asked for: a study that needs scipy does not slow the others.
+"""Verbs made of sub-verbs: import only the requested one, so that scipy slows no other.
 
-The sub-verb NAME of a verb is registered beside the verbs, as ``"VERB.NAME"``, and is a module of
-the same shape.
+The sub-verb NAME is registered beside the verbs as ``"VERB.NAME"``, and is a module of the same
+shape.
 """
 
 import argparse
@@ -26,17 +26,17 @@ def dispatch(
     Parameters
     ----------
     parser : argparse.ArgumentParser
-        Of the verb.
+        Parser of the verb.
     verb, noun : str
-        The verb's name, and what a sub-verb of it is called.
+        Name of the verb, and the noun for its sub-verbs.
     moved : mapping of str to str, optional
-        Former sub-verbs, and the command that each is now: ``{"fig2": "lab fig2"}``.
+        Former sub-verbs to their present commands: ``{"fig2": "lab fig2"}``.
     """
     known = sub_verbs(verb)
     width = max(map(len, known))
     names = "".join(f"  {name:{width}}  {first_line(full)}\n" for name, full in known.items())
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = f"{noun}:\n{names}\nhaptic {verb} {noun.upper()} --help tells more."
+    parser.epilog = f"{noun}:\n{names}\nDetails: haptic {verb} {noun.upper()} --help"
     parser.add_argument(
         "chosen",
         metavar=noun.upper(),
@@ -76,7 +76,7 @@ def _current(verb: str, moved: Mapping[str, str], name: str) -> str:
 
 
 def refuse_unwritable(path: Path, option: str = "--out") -> None:
-    """Refuse a place that cannot be written to before the work is done, and name the option that chooses another."""
+    """Raise UsageError early if `path` cannot be written; name `option` as the remedy."""
     there = next(
         place for place in (path, *path.absolute().parents) if place.exists() or place.is_symlink()
     )
@@ -84,8 +84,7 @@ def refuse_unwritable(path: Path, option: str = "--out") -> None:
         raise UsageError(f"{path}: {there} is not a directory; choose another {option}")
     try:
         if there.is_dir():
-            # Asked by doing it: root may do what the mode forbids, and nobody may write to a
-            # read-only disk.
+            # Try it: root may write despite the mode, and nobody can write to a read-only disk.
             with tempfile.TemporaryFile(dir=there):
                 pass
         elif not os.access(there, os.W_OK):

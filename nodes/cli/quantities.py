@@ -1,4 +1,4 @@
-"""The quantities that many verbs ask for, declared once: one name, one unit, one range, whatever the verb.
+"""Quantities that many verbs accept, declared once: one name, one unit, one range.
 
 ``--damping`` is always the device's; the law's own is ``--gain``.
 """
@@ -10,18 +10,18 @@ from typing import Any, NamedTuple
 
 
 class Interval(NamedTuple):
-    """An option that takes LOW..HIGH, or one number that is both; without ends it has no default."""
+    """Default of an option that accepts LOW..HIGH or one number; without ends, no default."""
 
     low: float | None = None
     high: float | None = None
 
 
-# of any quantity that is not 0; and 1e12 at most: squares and quotients of both stay numbers
-_LEAST = 1e-12
+# Smallest nonzero quantity; its inverse is the largest, so that squares and quotients stay finite.
+_SMALLEST = 1e-12
 
 
 def positive(text: str) -> float:
-    """Read a positive, finite number."""
+    """Parse a positive, finite number."""
     value = number(text)
     if not value > 0.0:
         raise argparse.ArgumentTypeError(f"{text}: must be positive")
@@ -29,7 +29,7 @@ def positive(text: str) -> float:
 
 
 def not_negative(text: str) -> float:
-    """Read a finite number that is at least 0."""
+    """Parse a finite number of at least 0."""
     value = number(text)
     if not value >= 0.0:
         raise argparse.ArgumentTypeError(f"{text}: must be at least 0")
@@ -37,37 +37,39 @@ def not_negative(text: str) -> float:
 
 
 def above_zero(text: str) -> float:
-    """Read a number above 0, which may be inf."""
+    """Parse a number above 0; inf is allowed."""
     return math.inf if text.strip().lower() in ("inf", "infinity") else positive(text)
 
 
 def interval(text: str) -> tuple[float, float]:
-    """Read ``low..high``, or one number that is both."""
+    """Parse ``low..high``, or one number for both ends."""
     low, _, high = text.partition("..")
     ends = not_negative(low), not_negative(high or low)
     if ends[0] > ends[1]:
-        raise argparse.ArgumentTypeError(f"{text}: the lower end comes first")
+        raise argparse.ArgumentTypeError(f"{text}: the lower end must come first")
     return ends
 
 
 def number(text: str) -> float:
-    """Read a finite number of either sign, or 0."""
+    """Parse a finite number, of either sign or 0."""
     try:
         value = float(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text}: must be finite")
-    if value and not _LEAST <= abs(value) <= 1.0 / _LEAST:
-        raise argparse.ArgumentTypeError(f"{text}: must be between {_LEAST:g} and {1.0 / _LEAST:g}")
+    if value and not _SMALLEST <= abs(value) <= 1.0 / _SMALLEST:
+        raise argparse.ArgumentTypeError(
+            f"{text}: must be between {_SMALLEST:g} and {1.0 / _SMALLEST:g}"
+        )
     return value
 
 
 def between(low: float, high: float, zero: bool = False) -> Callable[[str], float]:
-    """Read a number within the limits of what is a device or a loop: beyond them figures overflow, or fill the memory."""
+    """Return a parser of numbers within physical limits, so that results stay finite."""
 
     def read(text: str) -> float:
-        """Read one."""
+        """Parse a number."""
         value = not_negative(text) if zero else positive(text)
         if value and not low <= value <= high:
             raise argparse.ArgumentTypeError(
@@ -79,10 +81,10 @@ def between(low: float, high: float, zero: bool = False) -> Callable[[str], floa
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:
-    """Read a whole number within limits."""
+    """Return a parser of integers from `low` to `high`."""
 
     def read(text: str) -> int:
-        """Read one."""
+        """Parse an integer."""
         try:
             value = int(text)
         except ValueError:
@@ -95,13 +97,13 @@ def whole(low: int, high: int) -> Callable[[str], int]:
 
 
 COUNT = whole(1, 100_000)
-ROUNDS = whole(1, 10_000)  # of a benchmark
-PORT = whole(0, 65_535)  # 0: a free one
+ROUNDS = whole(1, 10_000)  # rounds of a benchmark
+PORT = whole(0, 65_535)  # 0: any free port
 SEED = whole(0, 2**32 - 1)
-SECONDS = between(1e-3, 86_400.0)  # of a run
+SECONDS = between(1e-3, 86_400.0)  # duration of a run
 
 
-QUANTITIES: dict[str, tuple[Callable[[str], Any], str]] = {  # how each is read, and what it is
+QUANTITIES: dict[str, tuple[Callable[[str], Any], str]] = {  # parser and help of each
     "mass": (between(1e-6, 1e6), "moving mass of the device [kg]"),
     "damping": (between(1e-9, 1e9, zero=True), "viscous damping of the device [N s/m]"),
     "delay": (between(1e-9, 1000.0, zero=True), "delay of the loop [ticks], fractions allowed"),
@@ -115,7 +117,7 @@ QUANTITIES: dict[str, tuple[Callable[[str], Any], str]] = {  # how each is read,
 
 
 def declare(parser: argparse.ArgumentParser, **defaults: float | Interval | None) -> None:
-    """Declare some of them, each with its default here; None: there is none."""
+    """Declare options for some quantities, each with its default; None for no default."""
     for name, default in defaults.items():
         read, text = QUANTITIES[name]
         if isinstance(default, Interval):
@@ -133,7 +135,7 @@ def declare(parser: argparse.ArgumentParser, **defaults: float | Interval | None
 
 
 def declare_law(parser: argparse.ArgumentParser) -> None:
-    """Declare the parameters of a law that are most often varied."""
+    """Declare options for the law parameters that are most often varied."""
     declare(parser, stiffness=None, order=None, taps=None)
     parser.add_argument(
         "--gains", choices=("physical", "paper", "unlimited"), help="unit of the gain"

@@ -15,7 +15,7 @@ from nodes.base.node_kinds import load, node_kinds
 from nodes.base.setup import Scheduling, Setup
 from nodes.compiled.choose_tick import SCARCE, choose
 from nodes.launcher.chain_load import estimated, spread
-from nodes.launcher.external_child import LEASE, PATIENCE
+from nodes.launcher.external_child import ARRIVAL_TIMEOUT, LEASE
 from nodes.launcher.launch_spec import Launch, NodeSpec, unusual
 from nodes.launcher.plants import has_plant, known_peak, known_plant
 from nodes.parameters.refusals import choices
@@ -356,7 +356,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             control=places.far(name, 1) or f"ipc://{run_dir}/{name}.ctl",
             by_hand=name in by_hand,
             lease=LEASE if name in by_hand else 0.0,
-            patience=PATIENCE if by_hand else 10.0,
+            patience=ARRIVAL_TIMEOUT if by_hand else 10.0,
             sources=sources,
             remap=spec.remap,
             listeners=sum(

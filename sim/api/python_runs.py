@@ -25,7 +25,7 @@ from sim.api.controls import Laws, Parameters
 from sim.api.laws import plain
 from sim.api.progress import progress
 from sim.api.recordings import Recorded, RunSummary, read
-from sim.measure.measured_launch import HAPTIC, beside, end
+from sim.measure.measured_launch import HAPTIC, end, start_command
 
 STARTS_WITHIN = 60.0  # when a launch that has not ticked is given up [s]
 
@@ -194,7 +194,9 @@ class Run:
             str(path),
             "--json",
         ]
-        process = beside(*words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        process = start_command(
+            *words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        )
         try:
             printed = process.communicate()[1]
         except BaseException:
@@ -412,7 +414,7 @@ def launch(
         words += ["--out-dir", str(out_dir)]
     folder = Path(tempfile.mkdtemp(prefix="haptic-"))
     with open(folder / "stdout.txt", "wb") as out, open(folder / "stderr.txt", "wb") as errors:
-        process = beside(
+        process = start_command(
             "launch", scenario, *words, "--json", "--no-plot", stdout=out, stderr=errors
         )
     try:

@@ -20,7 +20,7 @@ from sim.api.laws import plain
 from sim.api.notebook_results import Result, bars, new_figure, pandas
 from sim.api.progress import progress
 from sim.api.python_runs import LaunchError
-from sim.measure.measured_launch import beside, end
+from sim.measure.measured_launch import end, start_command
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -107,7 +107,7 @@ def _words(options: dict[str, Any]) -> list[str]:
 
 def _run(*words: str) -> Answer:
     command = " ".join(("haptic", *words))
-    process = beside(*words, "--json", stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = start_command(*words, "--json", stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     out_pipe, error_pipe = process.stdout, process.stderr
     assert out_pipe is not None  # noqa: S101  # it is a pipe
     assert error_pipe is not None  # noqa: S101

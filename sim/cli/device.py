@@ -294,7 +294,7 @@ def identify_scenario(
     from sim.identify.experiment import read
     from sim.identify.identify import identify
     from sim.identify.push import Pushed
-    from sim.measure.measured_launch import beside, end
+    from sim.measure.measured_launch import end, start_command
 
     launch = launch_file.read(scenario, launch_file.parse_assignments(assignments))
     words = list(assignments)
@@ -302,7 +302,7 @@ def identify_scenario(
         named = {word.partition(":=")[0] for word in assignments}
         law = given(arguments, "duration", "amplitude", "reach")
         words += [f"{name}:={value}" for name, value in law.items() if name not in named]
-    process = beside(
+    process = start_command(
         "launch", scenario, *words, "--json", "--no-plot", stdout=subprocess.PIPE, text=True
     )
     try:

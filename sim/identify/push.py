@@ -15,7 +15,7 @@ from messages import topics
 from messages.errors import RefusedError
 from sim.identify.borrowed import RAMP, Borrowed, PushedLaunch, borrowed, carried
 from sim.identify.signals_once import undisturbed
-from sim.measure.measured_launch import beside, within
+from sim.measure.measured_launch import start_command, within
 
 # name that the excitation gets in the coupling; it stays defined afterwards, inactive
 LAW = "identify"
@@ -74,7 +74,7 @@ def push(
             loop.change(loop.coupling, "param.set", values=longer)
             # In lockstep a push is over in less time than a process takes to start.
             with loop.standing():
-                recorder = beside(*record, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+                recorder = start_command(*record, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
                 within(lambda: recorder.poll() is not None or out.exists(), START)
             _watch(loop, duration, held, say, result)
     except KeyboardInterrupt:

@@ -28,7 +28,7 @@ from nodes.base.kept_line import ERASE
 from nodes.cli import main
 from nodes.cli.completion import candidates
 from nodes.cli.main import VERBS, coloured
-from nodes.cli.status_line import KEEP, ORDER, fitted
+from nodes.cli.status_line import ORDER, PRIORITY, fitted
 from nodes.recording.reader import Recording
 from tests.support import slowly
 from tests.support.launching import (
@@ -361,7 +361,7 @@ def test_what_is_shown_fits(width: int, parts: dict[str, str]) -> None:
     assert len("  ".join(parts[name] for name in shown)) <= width
     assert shown == [name for name in ORDER if name in shown]
     # The first of those to keep that fits is there.
-    first = next((name for name in KEEP if parts.get(name) and len(parts[name]) <= width), None)
+    first = next((name for name in PRIORITY if parts.get(name) and len(parts[name]) <= width), None)
     assert first is None or first in shown
 
 

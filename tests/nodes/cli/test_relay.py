@@ -144,7 +144,7 @@ def test_the_address_stays_from_launch_to_launch(tmp_path: Path) -> None:
 @pytest.mark.process
 def test_what_is_refused(launch: Running, capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["relay", "tcp://0.0.0.0:9872"]) == 2
-    assert "nothing is published for other machines" in capsys.readouterr().err
+    assert "a relay serves this machine only" in capsys.readouterr().err
     done = typed(
         launch, "relay", f"ipc://{launch.folder}/q", "--once", "--topics", "/device/stat", code=2
     )

@@ -209,7 +209,7 @@ def test_lockstep_has_no_delay(
             RunInfo(run="quick", scenario="quick", launcher=os.getpid(), nodes={"driver": driver}),
         )
         assert main.main(["topic", "delay", DEVICE_STATE]) == 2
-    assert "stamps are simulated time in lockstep" in capsys.readouterr().err
+    assert "in lockstep stamps are simulated time" in capsys.readouterr().err
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=50))
@@ -246,7 +246,7 @@ def test_record_for_a_while(launch: Running) -> None:
     # It came late, and from then on has everything.
     assert recording.topics[DEVICE_STATE].first_seq > 0
     assert {DEVICE_STATE, PROXY, FORCE, "/driver/status"} <= set(recording.topics)
-    assert "exists already" in typed(launch, "bag", "record", "--out", str(path), code=2).stderr
+    assert "already exists" in typed(launch, "bag", "record", "--out", str(path), code=2).stderr
     told(launch, "bag", "record", FORCE, "--duration", "0.3", "--out", str(path), "--force")
     assert list(Recording(path).topics) == [FORCE]
 

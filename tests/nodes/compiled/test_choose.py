@@ -47,7 +47,7 @@ def test_plain_and_auto_never_wait_for_the_compiler(empty_cache: Path) -> None:
 def test_a_compilation_that_failed_is_said_at_every_rate_and_by_the_doctor(
     empty_cache: Path,
 ) -> None:
-    """The doctor said "built …, auto takes it", and a launch below 1 kHz nothing."""
+    """The doctor said "built …, auto uses it", and a launch below 1 kHz nothing."""
     failed = cache.CacheEntry(kind="failed", content=f"{KERNEL}: no such type".encode())
     cache.write(f"{KERNEL}.tick", failed, {})
     told: list[str] = []
@@ -58,7 +58,7 @@ def test_a_compilation_that_failed_is_said_at_every_rate_and_by_the_doctor(
     found = CHECKS["compiled tick"]()
     assert found.state == "limited"
     assert (
-        f"cannot be compiled here: {KERNEL}: no such type; auto takes the plain tick" in found.found
+        f"cannot be compiled here: {KERNEL}: no such type; auto uses the plain tick" in found.found
     )
 
 

@@ -101,7 +101,7 @@ def test_a_file_and_a_switch_are_refused_as_well(press: Running) -> None:
 def test_a_forced_one_saturates_and_ends_safely(press: Running) -> None:
     """Last: the loop is unstable from here on."""
     told = press.haptic("law", "switch", "hard", "--force").stdout
-    assert "UNSTABLE: taken by force" in told
+    assert "UNSTABLE: applied because of --force" in told
     # The hand comes back every 3 s.
     wait_for(lambda: press.call("driver", "progress")["safety"] == "stopped", "the safe stop")
     assert "[driver] stopped: active → stopped at tick" in press.errors

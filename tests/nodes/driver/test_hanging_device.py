@@ -54,7 +54,7 @@ def test_a_call_that_hangs_with_the_interpreter_s_lock_ends_the_driver_too(tmp_p
     with running(tmp_path, path, environment=INSTALLED, ready=False) as launch:
         figures = launch.finish(code=1)
     told = (
-        r"driver: ended with exit code 1: its last resort: a call let no other thread run for"
+        r"driver: ended with exit code 1: its last resort: a call blocked all other threads for"
         r" [\d.]+ s: File .*_devices\.py"
     )
     assert re.match(told, figures["exit_reason"])

@@ -78,7 +78,7 @@ def test_a_running_device_tells_its_masses_to_whoever_judges_a_loop(tmp_path: Pa
         wait_for(lambda: told()["here_kg"][2] == pytest.approx(0.1), "the first pose again")  # type: ignore[index]
         info = launch.haptic("node", "info", "driver")
         assert (
-            "mass: 0.15, 0.1, 0.1 kg along x, y, z where it stands; 0.1 to 0.3 kg in all poses"
+            "mass: 0.15, 0.1, 0.1 kg along x, y, z at its position; 0.1 to 0.3 kg in all poses"
             in info.stdout
         )
         figures = json.loads(

@@ -39,7 +39,7 @@ def test_axes_are_taken_from_the_surface(tmp_path: Path) -> None:
         ("{kind: anchor, position: [0.0, 0.01, 0.0]}", ["y"]),
     ):
         assert launch_file.read(str(tmp_path / written(tmp_path, surface)), {}).run.axes == axes
-    with pytest.raises(ParameterError, match=r"run\.axes: \[z, z\]: an axis stands twice"):
+    with pytest.raises(ParameterError, match=r"run\.axes: \[z, z\]: an axis is given twice"):
         launch_file.read(str(tmp_path / written(tmp_path, "{kind: free}", "[z, z]")), {})
 
 

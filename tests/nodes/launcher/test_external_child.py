@@ -118,7 +118,7 @@ def test_an_answer_that_is_none_of_the_protocol_ends_the_node_and_is_told(
         child.start(Path(setup.run_dir))
         try:
             wait_for(lambda: child.code is not None, "the end of the node")
-            assert child.end.startswith("an answer that is not of the protocol")
+            assert child.end.startswith("an answer that violates the protocol")
         finally:
             child.release()
 
@@ -188,7 +188,7 @@ def test_a_node_that_somebody_has_started_already_is_refused_and_goes_on(tmp_pat
             wait_for(lambda: launch.ticks() > 0, "the first tick")
             told = typed(launch, "node", "start", "coupling", code=2).stderr
             assert told.startswith(
-                f"haptic: coupling: process {node.pid} is this node already; end it first"
+                f"haptic: coupling: process {node.pid} is already this node; end it first"
             )
             launch.wait_ticks(50)
             assert launch.pid("coupling") == node.pid

@@ -195,7 +195,7 @@ def test_launch_files_are_checked_completely(
             "nodes.logger.requird: no such parameter; there is: kind, ",
         ),
         "gravity: 9.81": ("gravity: .nan", "not a finite number"),
-        "  logger:": ("  Logger!:", "a node's name is lower-case"),
+        "  logger:": ("  Logger!:", "a node's name has lower-case"),
     }
     for before, (after, told) in broken.items():
         path = tmp_path / "broken.yaml"

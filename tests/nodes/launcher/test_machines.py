@@ -305,7 +305,7 @@ def test_a_coupling_on_another_machine_over_a_slow_lossy_cable(pair: Pair) -> No
     # bound can be below half of the shortest round trip, 2 ms.
     assert abs(coupling["clock_offset"] + pair.far.ahead) <= coupling["clock_error"]
     assert coupling["clock_error"] >= 0.002
-    assert "coupling: is there; its clock is" in errors
+    assert "coupling: connected; its clock is" in errors
     # The stamps of the far node are in the time of the launcher's host: never before the state they
     # answer.
     recording = Recording(str(pair.folder / "near" / "far.mcap"))
@@ -378,7 +378,7 @@ def test_a_killed_node_is_taken_back_by_the_same_command(pair: Pair, node: str) 
             assert launch.await_safety("zero")["force_n"] == [0.0, 0.0, 0.0]
             launch.told("starting it again")
         launch.start_node()
-        launch.told(f"{node}: is there", times=2)
+        launch.told(f"{node}: connected", times=2)
         launch.await_safety("active")
         told = launch.near("node", "info", node)
         assert ", denied 0\n" in told

@@ -150,7 +150,7 @@ nodes:
     [
         (
             "include:\n  - launch: floor_drop\n  - launch: wall_press\n",
-            "is there twice; give one a namespace",
+            "exists twice; give one a namespace",
         ),
         (
             (
@@ -169,7 +169,7 @@ nodes:
             "nodes:\n  run: {kind: sim_driver}\n",
             "'run' is the name of the file that lists a run's nodes",
         ),
-        ('nodes:\n  "driver\\n": {kind: sim_driver}\n', "a node's name is lower-case letters"),
+        ('nodes:\n  "driver\\n": {kind: sim_driver}\n', "a node's name has lower-case letters"),
         ("include:\n  - {launch: floor_dorp}\n", "floor_drop"),
         ("include:\n  - {launch: floor_drop, arguments: {stifness: 1}}\n", "stiffness"),
         ("include:\n  - {launch: floor_drop, without: [loger]}\n", "logger"),

@@ -280,7 +280,7 @@ def test_parquet_reads_back_equal(
 def test_parameters_beside_a_file_are_not_replaced_unasked(bag: Path) -> None:
     beside = bag.with_name("x.parameters.json")
     beside.write_text("mine")
-    with pytest.raises(RecordError, match=r"x\.parameters\.json: exists already"):
+    with pytest.raises(RecordError, match=r"x\.parameters\.json: already exists"):
         export_npz(Recording(bag), bag.with_name("x.npz"))
     assert beside.read_text() == "mine"
     assert not bag.with_name("x.npz").exists()

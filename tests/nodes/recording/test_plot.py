@@ -166,7 +166,7 @@ def test_files_are_what_they_are_called(bag: Path, ending: str, start: bytes) ->
 def test_an_unknown_ending_is_refused(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = bag.with_name("picture.jpeg2")
     assert main.main(["bag", "plot", str(bag), "--out", str(out)]) == 1
-    assert "not a format of plots: .png, .svg, .pdf" in capsys.readouterr().err
+    assert "not a plot format: .png, .svg, .pdf" in capsys.readouterr().err
     assert not out.exists()
 
 
@@ -244,7 +244,7 @@ def test_plot_of_too_little(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert main.main(["bag", "plot", str(only)]) == 0
     for words, why in (
         (["--from", "5"], "nothing between 5 and inf s"),
-        (["--from", "2", "--to", "1"], "the end comes after the beginning"),
+        (["--from", "2", "--to", "1"], "the end must come after the beginning"),
     ):
         assert main.main(["bag", "plot", str(only), "--force", *words]) in (1, 2)
         assert why in capsys.readouterr().err

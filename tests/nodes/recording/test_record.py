@@ -263,7 +263,7 @@ def check_full(process: subprocess.CompletedProcess[str], expected: str, path: s
     assert process.returncode == 0, process.stderr
     first, second, third, last = process.stdout.splitlines()
     assert first.startswith(f"{path}: {expected} after ")
-    assert first.endswith(f"completed by: haptic bag recover {path}")
+    assert first.endswith(f"complete the file with: haptic bag recover {path}")
     assert (
         second
         == third
@@ -320,7 +320,7 @@ def test_a_full_disk_keeps_what_was_recorded(tmp_path: Path) -> None:
 def test_save_leaves_a_whole_file_or_none(tmp_path: Path) -> None:
     path = tmp_path / "picture.png"
     save(path, b"first", overwrite=False)
-    with pytest.raises(RecordError, match="exists already"):
+    with pytest.raises(RecordError, match="already exists"):
         save(path, b"second", overwrite=False)
     assert path.read_bytes() == b"first"
     save(path, b"second", overwrite=True)
@@ -370,10 +370,10 @@ def test_refusals(tmp_path: Path) -> None:
             writer.write(DEVICE_STATE, Force(seq=0, stamp=0.0, force=(0.0, 0.0, 0.0)), 0.0)
         writer.write(DEVICE_STATE, state(1), 0.0)
     writer.close()
-    with pytest.raises(RecordError, match="closed already"):
+    with pytest.raises(RecordError, match="already closed"):
         writer.write(DEVICE_STATE, state(2), 0.0)
     assert Recording(path).topics[DEVICE_STATE].messages == 2
-    with pytest.raises(RecordError, match="exists already"):
+    with pytest.raises(RecordError, match="already exists"):
         RecordWriter(path, {})
     with pytest.raises(RecordError, match="cannot be created: No such file or directory"):
         RecordWriter(tmp_path / "nowhere" / "r.mcap", {})
@@ -432,7 +432,7 @@ def test_a_file_that_somebody_writes_is_not_overwritten(tmp_path: Path) -> None:
             lambda: save(path, b"x", overwrite=True),
         ):
             with pytest.raises(
-                RecordError, match="another process is writing it, and both would be lost"
+                RecordError, match="another process is writing it; choose another name"
             ):
                 work()
         assert path.stat().st_size == size

@@ -53,7 +53,7 @@ def check_cut(whole: Whole, path: Path, cut: int) -> None:
     assert read(path) == kept
     out = path.with_name("out.mcap")
     if not kept:
-        with pytest.raises(RecordError, match="no message that could be saved"):
+        with pytest.raises(RecordError, match="no message could be recovered"):
             recover(path, out, overwrite=True)
         return
     saved = recover(path, out, overwrite=True)
@@ -199,7 +199,7 @@ def test_a_search_for_chunks_does_not_cost_the_square_of_a_file(
         return unpack(of, record)
 
     monkeypatch.setattr(mcap_walk, "unpack_chunk", spy)
-    with pytest.raises(RecordError, match="no message that could be saved"):
+    with pytest.raises(RecordError, match="no message could be recovered"):
         recover(path, tmp_path / "out.mcap")
     # Three passes: the walk, and two searches.
     assert looked_at <= 3 * len(body)
@@ -214,8 +214,7 @@ def test_a_small_file_of_a_million_messages_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     path.write_bytes(MAGIC + chunk(packed, b"zstd", len(body), zlib.crc32(body)))
     with pytest.raises(
-        RecordError,
-        match=r"damaged chunk at byte 8: more than \d+ records, as many as it has bytes",
+        RecordError, match=r"damaged chunk at byte 8: more than \d+ records, the limit for its size"
     ):
         Recording(path)
     assert sum(recover(path, tmp_path / "out.mcap").messages.values()) < len(packed) + 128
@@ -312,7 +311,7 @@ def test_a_sound_file_is_copied_and_nothing_is_reported(whole: Whole, tmp_path: 
     assert recover(path, out).problems == []
     assert not Recording(out).recovered
     assert read(out) == whole.sent
-    with pytest.raises(RecordError, match="exists already"):
+    with pytest.raises(RecordError, match="already exists"):
         recover(path, out)
 
 
@@ -366,7 +365,7 @@ def test_recordings_of_other_versions_and_of_others(tmp_path: Path) -> None:
     assert list(recording.topics) == [DEVICE_STATE, "/renamed", "/other", FORCE]
     expected = DeviceState(seq=1, stamp=2.0, position=(0.0, 0.0, 3e-3))
     assert recording.messages(DEVICE_STATE) == recording.messages("/renamed") == [expected]
-    with pytest.raises(RecordError, match="the type of /other is not known here"):
+    with pytest.raises(RecordError, match="unknown message type of /other"):
         recording.messages("/other")
     with pytest.raises(
         RecordError,

@@ -260,9 +260,9 @@ def test_law_show_says_what_it_leaves_out(capsys: pytest.CaptureFixture[str]) ->
         )
         == 0
     )
-    assert "its own code is left out of H(1)" in capsys.readouterr().out
+    assert "H(1) is that of its taps, without its own code" in capsys.readouterr().out
     assert main(["law", "show", "pd", "--stiffness", "900", "--gain", "3"]) == 0
-    assert "left out" not in capsys.readouterr().out
+    assert "without its own code" not in capsys.readouterr().out
 
 
 def test_kmax_says_when_nothing_is_stable(capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,7 +16,7 @@ import pytest
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-from sim.measure.measured_launch import beside, end
+from sim.measure.measured_launch import end, start_command
 from tests.support.launching import running, wait_for
 
 pytest.importorskip(
@@ -152,7 +152,7 @@ def test_who_comes_late_is_told_that_bodies_are_not_drawn(tmp_path: Path) -> Non
         launch.wait_ticks(200)
         told = tmp_path / "view.txt"
         with told.open("wb") as file:
-            view = beside(
+            view = start_command(
                 "view",
                 "--json",
                 "--foxglove",
@@ -173,5 +173,5 @@ def test_who_comes_late_is_told_that_bodies_are_not_drawn(tmp_path: Path) -> Non
             end(view)
     assert not [one for one in drawn if one["id"] == "bodies"]
     left_out = next(one for one in drawn if one["id"] == "left out")
-    assert "a page that was launched with the run knows" in left_out["texts"][0]["text"]
+    assert "known only to a view started with the run" in left_out["texts"][0]["text"]
     assert [one for one in drawn if one["id"] == "proxy"]

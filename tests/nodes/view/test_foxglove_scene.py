@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from nodes.cli.main import main
 from nodes.recording.reader import Recording
 from nodes.recording.table import read
-from nodes.view.foxglove_scene import MOST, PER_NEWTON
+from nodes.view.foxglove_scene import PER_NEWTON, RATE_LIMIT
 from tests.support.launching import launch_json
 
 Update = tuple[int, dict[str, Any]]
@@ -88,7 +88,7 @@ def test_the_shape_comes_once_and_what_moves_as_it_does(sphere: tuple[Path, Path
     for name in ("proxy", "position"):
         found = entities(updates, "device" if name == "position" else name)
         # The first tick's and then 60 a second.
-        assert 0.8 * MOST <= len(found) <= MOST + 1
+        assert 0.8 * RATE_LIMIT <= len(found) <= RATE_LIMIT + 1
         for entity in found:
             tick = round((stamp(entity) - begin) * 1e-9 * 500.0)
             if tick < len(table[name]):

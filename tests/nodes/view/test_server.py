@@ -200,7 +200,7 @@ def test_reading_a_recording_is_told_and_can_be_interrupted(
                 os.kill(os.getpid(), signal.SIGINT)
             return super().write(text)
 
-    monkeypatch.setattr("nodes.cli.view.TELL", 0.0)
+    monkeypatch.setattr("nodes.cli.view.PROGRESS_PERIOD", 0.0)
     monkeypatch.setattr("sys.stderr", error := Impatient())
     assert exit_code("view", "--replay", str(path)) == 130
     assert error.getvalue() == f"reading {path}: 0 %\n"
@@ -280,7 +280,7 @@ def test_a_page_asks_what_it_may_and_nothing_else(launch: Running) -> None:
             ("plant", {}),
         ):
             refused = ask(op="set", node="coupling", values={"ramp": 41, judge: value})
-            assert "judges what is set here" in refused["error"], judge
+            assert "limits the page's own changes" in refused["error"], judge
         done = ask(op="set", node="coupling", values={"ramp": 40})
         assert done["ok"]
         assert launch.call("coupling", "param.get", name="ramp") == 40
@@ -307,7 +307,7 @@ def test_a_slider_of_a_law_that_renders_no_more_changes_no_other(launch: Running
                 }
             )
         )
-        assert "pd renders by now, not multi_term" in texts(page, "answer", id=3)["error"]
+        assert "pd is now active, not multi_term" in texts(page, "answer", id=3)["error"]
         assert launch.call("coupling", "param.get", name="laws.pd.damping") == before
         page.send(
             json.dumps({"id": 4, "op": "law", "field": "damping", "value": before, "law": "pd"})

@@ -10,7 +10,7 @@ import pytest
 
 from messages.types import ZERO
 from nodes.driver.pointer import PointerReader
-from nodes.view.shared_hand import DEPTH, EVERY, PATIENCE, PRESS, REST, SLOWLY, SharedHand
+from nodes.view.shared_hand import DEPTH, EVERY, PRESS, REST, SILENCE_LIMIT, SLOWLY, SharedHand
 
 
 class Clock:
@@ -33,7 +33,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 def test_one_page_at_a_time_has_the_hand(tmp_path: Path) -> None:
     path = tmp_path / "p"
-    assert "nothing can be dragged" in SharedHand(path).move(1, [0.0, 0.0, 0.0])
+    assert "this launch has none" in SharedHand(path).move(1, [0.0, 0.0, 0.0])
     reader = PointerReader(path, 60.0)
     hand = SharedHand(path)
     assert hand.there
@@ -115,7 +115,7 @@ def test_a_page_that_stalls_keeps_the_hand_then_lets_it_go_slowly_and_takes_it_b
         return found
 
     # A stall of 0.5 s, or of 1.9 s: nothing moves.
-    assert set(wait(PATIENCE - 0.1)) == {0.021}
+    assert set(wait(SILENCE_LIMIT - 0.1)) == {0.021}
     away = [x for x in wait(1.0) if x is not None]
     steps = [b - a for a, b in itertools.pairwise(away)]
     assert min(steps) == pytest.approx(-SLOWLY * 0.01)

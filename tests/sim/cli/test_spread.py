@@ -235,7 +235,7 @@ def test_a_scheduler_that_dies_is_told(tmp_path: Path) -> None:
         wait_for(lambda: any(tmp_path.glob("1-*")), "the job to begin", 120.0)
         found.scheduler.kill()
         (tmp_path / "go").touch()
-        with pytest.raises(RefusedError, match="scheduler is gone"):
+        with pytest.raises(RefusedError, match="scheduler has ended"):
             result.result(timeout=240.0)
 
 

@@ -141,7 +141,7 @@ def test_a_handle_that_is_moved_otherwise_gives_no_axes(
         assert code == 1
         assert told in said
         assert "left is your left" in said
-        assert "Give it mapping" not in said
+        assert "Set mapping" not in said
         assert stand.world.state.largest == 0.0
 
 

@@ -416,7 +416,7 @@ def test_a_launch_that_does_not_recover_fails_the_drill() -> None:
     broken = drill.Fault(
         name="ended", what="the launcher is ended half-way", strike=strike, change=change
     )
-    outcome = drill.drill(broken, patience=0.2)
+    outcome = drill.drill(broken, timeout=0.2)
     assert not outcome.passed
     assert not outcome.recovered
     assert outcome.safe_ticks <= drill.LIMIT
