@@ -107,7 +107,9 @@ def _words(options: dict[str, Any]) -> list[str]:
 
 def _run(*words: str) -> Answer:
     command = " ".join(("haptic", *words))
-    process = start_command(*words, "--json", stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = start_command(
+        *words, "--json", stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     out_pipe, error_pipe = process.stdout, process.stderr
     assert out_pipe is not None  # noqa: S101  # it is a pipe
     assert error_pipe is not None  # noqa: S101

@@ -74,7 +74,9 @@ def push(
             loop.change(loop.coupling, "param.set", values=longer)
             # In lockstep a push is over in less time than a process takes to start.
             with loop.standing():
-                recorder = start_command(*record, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+                recorder = start_command(
+                    *record, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+                )
                 within(lambda: recorder.poll() is not None or out.exists(), START)
             _watch(loop, duration, held, say, result)
     except KeyboardInterrupt:
