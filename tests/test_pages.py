@@ -6,12 +6,14 @@ import json
 import re
 import shlex
 import subprocess
+import tomllib
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from nodes.cli.main import VERBS, Parser, parser_for, verbs
 from nodes.parameters.installed import OURS
@@ -167,6 +169,30 @@ def test_the_pasted_lines_install_launch_and_test() -> None:
     pattern = r"^python3 -m venv .*pytest"
     assert pattern in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
     assert re.findall(pattern + "$", README, re.MULTILINE) == [testing]
+
+
+def test_the_template_of_a_report_is_a_test_that_passes() -> None:
+    (code,) = re.findall(r"```python\n(.*?)```", PAGES[".github/CONTRIBUTING.md"], re.DOTALL)
+    names: dict[str, Any] = {}
+    exec(compile(code, "CONTRIBUTING.md", "exec"), names)  # noqa: S102  # our own page
+    (test,) = (found for name, found in names.items() if name.startswith("test_"))
+    test()
+
+
+def test_templates_and_citation_are_what_github_reads() -> None:
+    """Of an issue template the head: name and about; of CITATION.cff the fields that 1.2.0 demands."""
+    templates = sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.md"))
+    assert len(templates) >= 3
+    for path in templates:
+        _, head, body = path.read_text(encoding="utf-8").split("---\n", 2)
+        assert {"name", "about"} <= set(yaml.safe_load(head)), path
+        assert body.strip()
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert {"cff-version", "message", "title", "authors"} <= set(cited)
+    assert cited["cff-version"] == "1.2.0"
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert (cited["version"], cited["license"]) == (project["version"], project["license"])
+    assert f"## [{cited['version']}] - {cited['date-released']}" in CHANGES
 
 
 @pytest.mark.parametrize("name", PAGES)

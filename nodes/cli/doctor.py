@@ -11,7 +11,7 @@ import sysconfig
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from nodes.base import realtime
 from nodes.base.node_kinds import NODES, load, node_kinds
@@ -46,6 +46,11 @@ class Diagnosis(NamedTuple):
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
+    parser.add_argument(
+        "--report",
+        action="store_true",
+        help="print what a bug report needs: versions, machine, load, configuration; as Markdown",
+    )
     add_json(parser)
     parser.set_defaults(run=run)
 
@@ -339,6 +344,10 @@ def run(arguments: argparse.Namespace) -> int:
         text = f"{sys.platform}: haptic nodes run on Linux only"
         answer(arguments.json, {"fine": False, "checks": [], "wake_up_us": {}, "error": text}, text)
         return 1
+    from nodes.cli.bug_report import gathered, markdown
+
+    # Before this process is pinned, and before its own load.
+    found = gathered() if arguments.report else {}
     measured: dict[str, dict[str, float]] = {}
     findings = _findings(measured)
     states = [finding.state for finding in findings.values()]
@@ -351,7 +360,9 @@ def run(arguments: argparse.Namespace) -> int:
     verdict = "nothing essential is missing" if fine else "a loop cannot run here"
     lines.append(f"{verdict}{f'; {limited} settings could be better' if limited else ''}")
     checks = [{"name": name, **finding._asdict()} for name, finding in findings.items()]
-    answer(
-        arguments.json, {"fine": fine, "checks": checks, "wake_up_us": measured}, "\n".join(lines)
-    )
+    figures: dict[str, Any] = {"fine": fine, "checks": checks, "wake_up_us": measured}
+    text = "\n".join(lines)
+    if arguments.report:
+        text = f"{markdown(found, checks)}\n\n{verdict}"
+    answer(arguments.json, figures | found, text)
     return 0 if fine else 1
