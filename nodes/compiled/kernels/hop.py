@@ -1,4 +1,4 @@
-"""Receiving and sending as messages/transport/sockets.py does, on the addresses of its sockets."""
+"""Receiving and sending as messages/transport/sockets.py does, by socket address."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ overload(monotonic)(lambda s: lambda s: _read_clock(s))  # noqa: ARG005
 
 @compilable
 def receive(s: LoopState, flags: int) -> bool:
-    """Take one message of the expected topic; what else came is left in the buffers to be put back."""
+    """Receive one message of the expected topic; another one stays in the buffers."""
     s.frames = 0
     size = call_pass(s.zmq_recv, (s.inbox, s.frame, _ROOM_TOPIC, flags))
     if size < 0:
@@ -54,7 +54,8 @@ def receive(s: LoopState, flags: int) -> bool:
     more[0] = 0
     call_option(s.zmq_getsockopt, (s.inbox, _RCVMORE, s.events, s.events_size))
     if more[0] == 0:
-        s.frames, s.payload_size = 2, 0  # A message of one frame: the next one is another message's
+        # a message of one frame: the next frame belongs to another message
+        s.frames, s.payload_size = 2, 0
         return False
     size = call_pass(s.zmq_recv, (s.inbox, s.payload, _ROOM_IN, flags))
     if size < 0:
@@ -66,7 +67,7 @@ def receive(s: LoopState, flags: int) -> bool:
 
 @compilable
 def has_message(s: LoopState, socket: int) -> bool:
-    """Whether a socket has something to be received."""
+    """Return whether a message waits at a socket."""
     events = wholes_at(s.events, 1)
     events[0] = 0
     call_option(s.zmq_getsockopt, (socket, _EVENTS, s.events, s.events_size))
@@ -75,7 +76,7 @@ def has_message(s: LoopState, socket: int) -> bool:
 
 @compilable
 def out_at(s: LoopState) -> int:
-    """Choose where the next message is written: where it can wait for the listeners, if it has to."""
+    """Return the address for the next message: the batch for listeners, if there is one."""
     return int(s.held + s.held_count * _ROOM if s.aside != 0 else s.out)
 
 
@@ -88,7 +89,7 @@ def send_hop(s: LoopState, at: int, size: int) -> None:
 
 @compilable
 def flush(s: LoopState) -> None:
-    """Send what was collected for the listeners."""
+    """Send the batch for the listeners."""
     sizes = wholes_at(s.held_sizes, s.batch)
     for k in range(s.held_count):
         call_pass(s.zmq_send, (s.aside, s.topic, s.topic_size, SNDMORE))
@@ -98,7 +99,7 @@ def flush(s: LoopState) -> None:
 
 @compilable
 def keep(s: LoopState, size: int) -> bool:
-    """Keep the message written at `out_at` for the listeners; whether so many are kept that they should be sent."""
+    """Queue the message at `out_at` for the listeners. Return whether the batch is full."""
     if s.aside == 0:
         return False
     wholes_at(s.held_sizes, s.batch)[s.held_count] = size
@@ -120,7 +121,7 @@ def answer(s: LoopState, at: int, size: int) -> None:
 
 @compilable
 def called(s: LoopState) -> bool:
-    """Send what another thread has to say, once per batch; whether a listener has sent something, which Python takes in."""
+    """Send another thread's message, once per batch. Return whether listeners sent something."""
     s.unlooked += 1
     if s.unlooked < s.batch:
         return False
