@@ -33,7 +33,7 @@ from messages.transport.requests import Reply, ReplySocket, Request, decode_requ
 from nodes.base import descriptors, realtime
 from nodes.base.leases import Leases
 from nodes.base.node import Node
-from nodes.base.saved_parameters import keep
+from nodes.base.saved_parameters import save_parameters
 from nodes.base.status_report import report_of
 from nodes.parameters.store import ParameterError
 
@@ -43,14 +43,14 @@ if TYPE_CHECKING:
 STATUS_PERIOD = 0.5
 # memory growth taken as unbounded requests, after which all requesting peers are disconnected
 # [bytes]
-MOST_GROWTH = 256 << 20
+MAX_GROWTH = 256 << 20
 # requests served at once, and then per second: each takes the GIL from the loop
 BURST, RATE = 50, 100.0
 END_TIMEOUT = 10.0  # longest duration of a request at the node's end [s]
 
 WATCH_PERIOD = 0.1
 # limits of the change log: names listed, characters per value
-MOST, SHOWN = 4, 60
+LISTED_CHANGES, SHOWN_CHARACTERS = 4, 60
 
 
 class ControlServer(threading.Thread):
@@ -156,7 +156,7 @@ class ControlServer(threading.Thread):
         """Disconnect all requesting peers if memory keeps growing; ZeroMQ limits no request."""
         now = realtime.memory_bytes()
         self._usual_memory = self._usual_memory or now
-        if now - self._usual_memory > MOST_GROWTH:
+        if now - self._usual_memory > MAX_GROWTH:
             grown = now - self._usual_memory
             self._node.events.deny(
                 f"memory grew by {grown >> 20} MiB; all connections for requests are ended",
@@ -185,7 +185,7 @@ class ControlServer(threading.Thread):
             self._node.lost_launcher = True
             self._node.stop(reason)
 
-    def _put_back(self) -> None:
+    def _revert_expired(self) -> None:
         """Revert the changes of expired leases."""
         over = self._leases.run_out()
         for name, op, args in over:
@@ -203,7 +203,7 @@ class ControlServer(threading.Thread):
         if over:
             # Parameters first: if the process dies in between, a borrower's must not remain without
             # a lease.
-            self._keep()
+            self._save_parameters()
             try:
                 self._leases.save()
             except OSError as error:
@@ -261,7 +261,7 @@ class ControlServer(threading.Thread):
         self._asked = time.monotonic()
         reply = self._answer(frames)
         # before the answer: accepted changes survive a restart
-        self._keep()
+        self._save_parameters()
         try:
             encoded = msgspec.msgpack.encode(reply)
         except (TypeError, OverflowError, RecursionError) as error:
@@ -270,9 +270,9 @@ class ControlServer(threading.Thread):
             )
         self._requests.answer(encoded)
 
-    def _keep(self) -> None:
+    def _save_parameters(self) -> None:
         try:
-            keep(self._node)
+            save_parameters(self._node)
         except OSError as error:
             self._node.events.emit(
                 "kept", f"the parameters would not outlive this process: {error}"
@@ -288,10 +288,10 @@ class ControlServer(threading.Thread):
                 self._node.events.emit("control", f"a request could not be served: {error}")
             for duty in (
                 self._node.check_health,
-                self._keep,
+                self._save_parameters,
                 self._watch_lease,
-                self._put_back,
-                self._look_around,
+                self._revert_expired,
+                self._publish_status,
             ):
                 try:
                     duty()
@@ -314,7 +314,7 @@ class ControlServer(threading.Thread):
             node.failing = True
             node.stop(reason)
 
-    def _look_around(self) -> None:
+    def _publish_status(self) -> None:
         node, now = self._node, time.monotonic()
         if self._watched is not None and now >= self._next_watch:
             self._next_watch = now + WATCH_PERIOD
@@ -349,7 +349,7 @@ class ControlServer(threading.Thread):
             where = f"{watched.path}: "
             if values is not None and node.store.merged(values) != node.store.current:
                 receipt = self._change(lambda: node.store.merged(values))
-                node.events.log(f"applied {watched.path}: {_told(receipt)}")
+                node.events.log(f"applied {watched.path}: {_change_log(receipt)}")
         except Exception as error:  # noqa: BLE001  # as for requests: refuse, report, keep serving
             known = isinstance(error, ParameterError)
             reason = (
@@ -377,11 +377,11 @@ class ControlServer(threading.Thread):
         return True
 
 
-def _told(receipt: dict[str, Any]) -> str:
+def _change_log(receipt: dict[str, Any]) -> str:
     """Return the changes of a file in one line; the receipt itself is published and recorded."""
     changed = [
-        f"{path} {str(old)[:SHOWN]} → {str(new)[:SHOWN]}"
+        f"{path} {str(old)[:SHOWN_CHARACTERS]} → {str(new)[:SHOWN_CHARACTERS]}"
         for path, (old, new) in receipt["changed"].items()
     ]
-    more = f", {len(changed) - MOST} more" if len(changed) > MOST else ""
-    return f"{', '.join(changed[:MOST])}{more} from tick {receipt['seq']} on"
+    more = f", {len(changed) - LISTED_CHANGES} more" if len(changed) > LISTED_CHANGES else ""
+    return f"{', '.join(changed[:LISTED_CHANGES])}{more} from tick {receipt['seq']} on"

@@ -69,7 +69,7 @@ class Events:
         # ends the loop's wait for a message, if it waits for ever
         self.interrupt: Callable[[], None] = lambda: None
         # requests compiled ticks to send a message; returns whether they will
-        self.mail: Callable[[bytes, bytes], bool] | None = None
+        self.post: Callable[[bytes, bytes], bool] | None = None
         # nodes are created on the thread that runs their loop
         self.loop_thread = threading.get_ident()  # identifier of the loop's thread
         self.refused = self.denied = 0  # messages refused; connections refused
@@ -137,7 +137,7 @@ class Events:
         """Queue a message that is not part of the tick; it leaves after the tick's own."""
         frames = topic.encode(), encode(message)
         # Compiled ticks send it themselves, without interruption.
-        if self.mail is None or not self.mail(*frames):
+        if self.post is None or not self.post(*frames):
             self.outbox.append(frames)
             self.notify()
 

@@ -21,7 +21,7 @@ from nodes.base.stderr_queue import drain_stderr
 
 HUNG = 3  # exit code of a node that has ended itself
 SENDING = 0.2  # time for its last messages to leave [s]
-LOOK = 0.4  # shortest interval of checks [s]
+CHECK_INTERVAL = 0.4  # shortest interval of checks [s]
 
 
 # extra time that a call may hold the GIL before the process is killed [s]
@@ -45,7 +45,7 @@ class LastResort:
         if self._wound == math.inf:
             return
         now = time.monotonic()
-        if limit != self._limit or now - self._wound >= LOOK:
+        if limit != self._limit or now - self._wound >= CHECK_INTERVAL:
             self._limit, self._wound = limit, now
             faulthandler.dump_traceback_later(limit + GRACE, exit=True, file=self._file)
 
@@ -77,22 +77,22 @@ class HangWatchdog:
 
     def __init__(self) -> None:
         self._last: object = None
-        self._looked = time.monotonic()
+        self._checked = time.monotonic()
         self._stood = self._waited = 0.0
 
-    def look(self, progress: object, waited: float = 0.0) -> float:
+    def check(self, progress: object, waited: float = 0.0) -> float:
         """Check the progress. Return the time without any [s].
 
         `waited` is the total time for which the process waited for a processor [s].
         """
         now = time.monotonic()
-        passed = now - self._looked
+        passed = now - self._checked
         if progress != self._last:
             # the next activity has a limit of its own
-            self._last, self._stood, self._looked, self._waited = progress, 0.0, now, waited
-        elif passed >= LOOK:
-            self._stood += max(0.0, min(passed, 2.0 * LOOK) - (waited - self._waited))
-            self._looked, self._waited = now, waited
+            self._last, self._stood, self._checked, self._waited = progress, 0.0, now, waited
+        elif passed >= CHECK_INTERVAL:
+            self._stood += max(0.0, min(passed, 2.0 * CHECK_INTERVAL) - (waited - self._waited))
+            self._checked, self._waited = now, waited
         return self._stood
 
 

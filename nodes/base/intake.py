@@ -15,10 +15,10 @@ class TickTaker(Protocol):
     def in_front_of(self, take: Callable[[], M | None]) -> Callable[[], M | None]:
         """Return a `take` that runs compiled ticks before the plain one."""
 
-    def mail(self, topic: bytes, payload: bytes) -> bool:
+    def post(self, topic: bytes, payload: bytes) -> bool:
         """Send a message of another thread. Return whether it will be sent."""
 
-    def take_mail(self) -> None:
+    def return_outgoing(self) -> None:
         """Send what was not sent yet."""
 
 

@@ -24,7 +24,7 @@ def columns(stream: TextIO) -> int:
         return 79
 
 
-def keep(stream: TextIO, text: str) -> None:
+def rewrite(stream: TextIO, text: str) -> None:
     """Rewrite the line, which must fit the terminal."""
     stream.write(f"{ERASE}{text}\r")
     stream.flush()

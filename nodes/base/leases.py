@@ -18,8 +18,8 @@ import msgspec
 from nodes.base.status_report import write_whole
 from nodes.parameters.store import ParameterError
 
-LONGEST = 60.0  # longest time without a renewal of a lease [s]
-MOST = 16  # leases of one node at a time
+MAX_LEASE = 60.0  # longest time without a renewal of a lease [s]
+MAX_LEASES = 16  # leases of one node at a time
 
 
 class _Lease(msgspec.Struct):
@@ -80,10 +80,10 @@ class Leases:
     def _take(
         self, name: str, seconds: float, then: str, args: Mapping[str, Any], holder: str = ""
     ) -> dict[str, Any]:
-        if not (isinstance(seconds, int | float) and 0.0 < seconds <= LONGEST):
+        if not (isinstance(seconds, int | float) and 0.0 < seconds <= MAX_LEASE):
             raise ParameterError(
                 f"{self._node}: lease {name!r} of {seconds!r} s, expected more than 0, at most"
-                f" {LONGEST:g} s"
+                f" {MAX_LEASE:g} s"
             )
         if name in self._held:
             agreed = self._held[name].seconds
@@ -91,8 +91,10 @@ class Leases:
                 f"{self._node}: lease {name!r} is held by somebody else; it ends when they are"
                 f" done, or {agreed:g} s after they were heard of last: try again then"
             )
-        if len(self._held) >= MOST:
-            raise ParameterError(f"{self._node}: {MOST} leases are held already; end one first")
+        if len(self._held) >= MAX_LEASES:
+            raise ParameterError(
+                f"{self._node}: {MAX_LEASES} leases are held already; end one first"
+            )
         lease = _Lease(name, float(seconds), holder, then, dict(args))
         lease.renew()
         self._held[name] = lease

@@ -393,7 +393,7 @@ class Node:
         """
         if self.kernel is not None:
             self.compiled = self.compiled_ticks(self.kernel)
-            self.events.mail = self.compiled.mail
+            self.events.post = self.compiled.post
         return self.compiled
 
     def stop(self, reason: str) -> None:
@@ -407,7 +407,7 @@ class Node:
     def flush_outbox(self) -> None:
         """Send queued messages (main thread)."""
         if self.compiled is not None:
-            self.compiled.take_mail()
+            self.compiled.return_outgoing()
         while self.events.outbox:
             topic, payload = self.events.outbox.popleft()
             self.publisher.send_aside(topic, payload)

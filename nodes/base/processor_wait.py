@@ -15,14 +15,14 @@ class ProcessorWait:
     """
 
     def __init__(self) -> None:
-        self._looked = time.monotonic()
+        self._updated = time.monotonic()
         self._threads: dict[str, tuple[int, int]] = {}
         self.seconds = 0.0
 
-    def look(self, pid: int) -> float:
+    def update(self, pid: int) -> float:
         """Update and return the total [s], by the thread that waited longest since last time."""
         now = time.monotonic()
-        passed, self._looked = now - self._looked, now
+        passed, self._updated = now - self._updated, now
         seen: dict[str, tuple[int, int]] = {}
         most = 0.0
         for path in Path(f"/proc/{pid}/task").glob("[0-9]*"):

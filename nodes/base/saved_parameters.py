@@ -26,7 +26,7 @@ def _path(node: Node) -> Path:
     return Path(node.setup.run_dir) / f"{node.setup.name}.kept"
 
 
-def keep(node: Node) -> None:
+def save_parameters(node: Node) -> None:
     """Save the node's parameters if they changed since the last save (control thread)."""
     # In this order: a scheduled change in between is then repeated, not lost.
     seq, current = node.counted().seq, node.store.current

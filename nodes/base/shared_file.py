@@ -10,7 +10,7 @@ from pathlib import Path
 
 from nodes.base.setup import Setup
 
-PATIENCE = 10.0  # longest wait for a file that another node creates when it starts [s]
+FILE_TIMEOUT = 10.0  # longest wait for a file that another node creates when it starts [s]
 
 
 def mapped(path: Path, size: int, make: bool) -> mmap.mmap:
@@ -25,7 +25,11 @@ def mapped(path: Path, size: int, make: bool) -> mmap.mmap:
 
 
 def awaited(
-    path: Path, size: int, maker: Setup, given_up: Callable[[], bool], patience: float = PATIENCE
+    path: Path,
+    size: int,
+    maker: Setup,
+    given_up: Callable[[], bool],
+    patience: float = FILE_TIMEOUT,
 ) -> Path:
     """Wait until a node that may start later has created a file. Return its path.
 

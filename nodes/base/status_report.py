@@ -26,7 +26,7 @@ class Counters:
 
     def __init__(self) -> None:
         self.seq = self.answered = -1
-        self.ticks = self.gaps = self.skipped = self.mailed = 0
+        self.ticks = self.gaps = self.skipped = self.outgoing_sent = 0
 
 
 def status_of(node: Any) -> NodeStatus:
@@ -42,7 +42,7 @@ def status_of(node: Any) -> NodeStatus:
         state=node.state,
         pid=os.getpid(),
         ticks=ticks,
-        sent=node.sent + node.counters.mailed + sent,
+        sent=node.sent + node.counters.outgoing_sent + sent,
         received=node.received + received,
         refused=node.events.refused,
         skipped=skipped,

@@ -18,9 +18,9 @@ import time
 from collections.abc import Callable
 from queue import SimpleQueue
 
-LIMIT = 1000  # pieces of text that may wait
-LONGEST = 10_000  # longest piece of text [characters]; the rest is cut
-PATIENCE = 0.5  # longest wait for a reader at the end [s]
+MAX_QUEUED = 1000  # pieces of text that may wait
+MAX_TEXT = 10_000  # longest piece of text [characters]; the rest is cut
+DRAIN_TIMEOUT = 0.5  # longest wait for a reader at the end [s]
 
 STDERR = 2
 
@@ -44,11 +44,11 @@ class StderrQueue(io.TextIOBase):
 
     def write(self, text: str) -> int:
         """Queue some text."""
-        if self._gone or self._queue.qsize() >= LIMIT:
+        if self._gone or self._queue.qsize() >= MAX_QUEUED:
             self.dropped += 1
         elif text:
             self._put += 1
-            self._queue.put(text[:LONGEST])
+            self._queue.put(text[:MAX_TEXT])
         return len(text)
 
     def writable(self) -> bool:
@@ -68,7 +68,7 @@ class StderrQueue(io.TextIOBase):
         """Encoding of the stream."""
         return "utf-8"
 
-    def drain(self, patience: float = PATIENCE) -> None:
+    def drain(self, patience: float = DRAIN_TIMEOUT) -> None:
         """Wait until everything is written, at most `patience` [s]."""
         until = time.monotonic() + patience
         while self._taken < self._put and not self._gone and time.monotonic() < until:
@@ -117,7 +117,7 @@ def instead_of_stderr(
     return words
 
 
-def drain_stderr(patience: float = PATIENCE) -> None:
+def drain_stderr(patience: float = DRAIN_TIMEOUT) -> None:
     """Wait for the queued output at the end of a process, at most `patience` [s]."""
     if isinstance(sys.stderr, StderrQueue):
         sys.stderr.drain(patience)

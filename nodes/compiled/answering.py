@@ -21,8 +21,8 @@ from messages.codec import MAX_PAYLOAD
 from messages.topics import LOOP
 from nodes.compiled.layout import (
     LONGEST_IN,
-    LONGEST_MAIL,
     LONGEST_OUT,
+    LONGEST_OUTGOING,
     LONGEST_TEXT,
     LONGEST_TOPIC,
     NEVER,
@@ -45,7 +45,7 @@ class CompiledTicks:
         self._node, self._kernel, self._inbox = node, kernel, node.inbox
         self.state = state = node.counters  # the node's state, in which the kernel ticks
         self.inside = False  # whether the kernel runs
-        self._mailing = threading.Lock()
+        self._posting = threading.Lock()
         self._at = ctypes.addressof(state)
         realtime = node.setup.pace == "realtime"
         self._most = NEVER if realtime else LOCKSTEP_TICKS
@@ -61,9 +61,9 @@ class CompiledTicks:
         self._frame = self._room("frame", LONGEST_TOPIC)
         self._text = self._room("text", LONGEST_TEXT + 16)
         self._room("events_size", 8).raw = (4).to_bytes(8, sys.byteorder)
-        self._mail = (
-            self._room("mail_topic", LONGEST_TOPIC),
-            self._room("mail_payload", LONGEST_MAIL),
+        self._outgoing = (
+            self._room("outgoing_topic", LONGEST_TOPIC),
+            self._room("outgoing_payload", LONGEST_OUTGOING),
         )
         # an encoder may write 16 bytes beyond its message
         sizes = {
@@ -91,11 +91,11 @@ class CompiledTicks:
         setattr(self.state, name, ctypes.addressof(made))
         return made
 
-    def keep(self, name: str, numbers: array[Any]) -> None:
+    def set_array(self, name: str, numbers: array[Any]) -> None:
         """Set the address of an array in the state."""
         setattr(self.state, name, numbers.buffer_info()[0])
 
-    def say_text(self, text: str) -> bool:
+    def set_text(self, text: str) -> bool:
         """Set the text of the messages sent. Return whether it fits."""
         encoded = msgspec.msgpack.encode(text)
         if len(encoded) > LONGEST_TEXT:
@@ -115,25 +115,25 @@ class CompiledTicks:
 
     # -- for other threads, while the kernel runs --
 
-    def mail(self, topic: bytes, payload: bytes) -> bool:
+    def post(self, topic: bytes, payload: bytes) -> bool:
         """Post a message outside the ticks for the kernel. Return whether it will be sent.
 
         Otherwise the loop must be interrupted for it.
         """
         state = self.state
-        fits = len(topic) <= LONGEST_TOPIC and len(payload) <= LONGEST_MAIL
-        if not fits or not self.inside or not self._mailing.acquire(blocking=False):
+        fits = len(topic) <= LONGEST_TOPIC and len(payload) <= LONGEST_OUTGOING
+        if not fits or not self.inside or not self._posting.acquire(blocking=False):
             return False
         try:
             # messages in the outbox were posted before it
-            if state.mail or self._node.events.outbox:
+            if state.outgoing or self._node.events.outbox:
                 return False
-            for room, content in zip(self._mail, (topic, payload), strict=True):
+            for room, content in zip(self._outgoing, (topic, payload), strict=True):
                 ctypes.memmove(room, content, len(content))
-            state.mail_topic_size, state.mail_size = len(topic), len(payload)
-            state.mail = 1  # last, because the kernel checks this
+            state.outgoing_topic_size, state.outgoing_size = len(topic), len(payload)
+            state.outgoing = 1  # last, because the kernel checks this
         finally:
-            self._mailing.release()
+            self._posting.release()
         return True
 
     # -- the border --
@@ -149,20 +149,20 @@ class CompiledTicks:
         finally:
             self.inside = False
         self._node.ticks_compiled += state.ticks - before
-        self.take_mail()
+        self.return_outgoing()
         if state.upstream:
             self._node.events.waiting = True
         return reason
 
-    def take_mail(self) -> None:
+    def return_outgoing(self) -> None:
         """Move a message that the kernel did not send to the front of the outbox."""
         state = self.state
-        if state.mail:
-            topic, payload = self._mail
+        if state.outgoing:
+            topic, payload = self._outgoing
             self._node.events.outbox.appendleft(
-                (topic.raw[: state.mail_topic_size], payload.raw[: state.mail_size])
+                (topic.raw[: state.outgoing_topic_size], payload.raw[: state.outgoing_size])
             )
-            state.mail = 0
+            state.outgoing = 0
             self._node.events.waiting = True
 
     def last_sent(self) -> bytes:

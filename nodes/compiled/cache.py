@@ -38,7 +38,7 @@ ROOT: Final = Path(__file__).parents[2]
 # largest entry [bytes]; a kernel has some hundred thousand
 LARGEST: Final = 256 * 2**20
 # longest wait for another process that compiles an entry, before it is compiled twice [s]
-PATIENCE: Final = 120.0
+LOCK_TIMEOUT: Final = 120.0
 _DIGEST: Final = 64
 _BARE: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _SEALS: Final = fcntl.F_SEAL_SEAL | fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_WRITE
@@ -270,7 +270,7 @@ def making(name: str) -> Iterator[None]:
         return
     at = _enter(name, make=True)
     lock = f".{name}.making"
-    until = time.monotonic() + PATIENCE
+    until = time.monotonic() + LOCK_TIMEOUT
     held = None
     _made_here.add(name)
     try:

@@ -27,7 +27,7 @@ LONGEST_IN: Final = 65536 + 64
 # buffer for a first frame [bytes]; only the beginning of a longer one is reported
 LONGEST_TOPIC: Final = 256
 # buffer for a message outside the ticks [bytes]; a longer one makes the kernel stop
-LONGEST_MAIL: Final = 4096
+LONGEST_OUTGOING: Final = 4096
 LONGEST_TEXT: Final = 128  # longest encoded text in a message sent [bytes]
 
 REALS: Final = 32  # floats of a message, decoded or to encode
@@ -114,8 +114,8 @@ class LoopState:
     time: int  # two integers for the clock
     events: int  # value of a socket option
     events_size: int  # size of that option
-    mail_topic: int  # frames posted by another thread
-    mail_payload: int
+    outgoing_topic: int  # frames posted by another thread
+    outgoing_payload: int
 
     # Constants
     expected_size: int  # [bytes]
@@ -141,10 +141,10 @@ class LoopState:
     frame_size: int  # [bytes]
     payload_size: int  # [bytes]
     spare_size: int  # of the last skipped message [bytes]
-    mail: int  # 1 if another thread has posted a message
-    mail_topic_size: int  # [bytes]
-    mail_size: int  # [bytes]
-    mailed: int  # posted messages sent so far
+    outgoing: int  # 1 if another thread has posted a message
+    outgoing_topic_size: int  # [bytes]
+    outgoing_size: int  # [bytes]
+    outgoing_sent: int  # posted messages sent so far
     unlooked: int  # ticks since the kernel checked for posted messages
     upstream: int  # 1 if a listener has sent something
 

@@ -327,7 +327,7 @@ class Driver(Node):
 
     def check_health(self) -> None:
         """Check that the loop progresses, and report the device's condition (control thread)."""
-        self._watch.look((*self.counted(), self._report.soft_stop_ticks))
+        self._watch.check((*self.counted(), self._report.soft_stop_ticks))
         if self.state == "running":
             self._condition.report()
 

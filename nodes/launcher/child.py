@@ -151,7 +151,9 @@ class Child:
 
     def waited(self) -> float:
         """Tell how long it has waited for a processor, because others had it, since it was asked first [s]."""
-        return self._wait_for_processor.look(self.process.pid) if self.process is not None else 0.0
+        return (
+            self._wait_for_processor.update(self.process.pid) if self.process is not None else 0.0
+        )
 
     def progress(self) -> int:
         """Tell how much it has written so far, which grows as long as a logger gets on [bytes]."""

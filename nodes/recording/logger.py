@@ -123,9 +123,9 @@ class Recorder:
             if not self.take(0):
                 # A while counts only where this process had a processor: else its I/O thread may
                 # hold messages.
-                began, before = time.monotonic(), wait.look(pid)
+                began, before = time.monotonic(), wait.update(pid)
                 if not self.take(QUIET_MS):
-                    if time.monotonic() - began - (wait.look(pid) - before) > 0.5e-3 * QUIET_MS:
+                    if time.monotonic() - began - (wait.update(pid) - before) > 0.5e-3 * QUIET_MS:
                         return
                     continue
             late = late + 1 if self.latest > end else 0

@@ -142,7 +142,7 @@ class Rig(Running):
                 self.process.wait(0.5)
                 return
             for pid in (self.process.pid, *processes_of(self.runtime_dir)):
-                waited = max(waited, waits.setdefault(pid, ProcessorWait()).look(pid))
+                waited = max(waited, waits.setdefault(pid, ProcessorWait()).update(pid))
 
     def _whereabouts(self) -> str:
         """Tell where a launcher is that does not end: what its threads wait for in the kernel, and its stack in Python."""

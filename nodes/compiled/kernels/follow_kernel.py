@@ -7,7 +7,7 @@ from nodes.compiled.kernels.hop import has_message, monotonic
 from nodes.compiled.kernels.machine import compilable
 from nodes.compiled.layout import LoopState
 
-_MOST = MAX_COUNT
+_MAX_COUNT = MAX_COUNT
 
 
 @compilable
@@ -21,7 +21,7 @@ def in_order(s: LoopState, seq: int) -> bool:
 @compilable
 def count_gap(s: LoopState, missing: int) -> None:
     """Count missing ticks, up to the largest count of a status."""
-    s.gaps = min(s.gaps + missing, _MOST)
+    s.gaps = min(s.gaps + missing, _MAX_COUNT)
 
 
 @compilable

@@ -22,7 +22,7 @@ DONTWAIT = 1
 CLOCK_MONOTONIC = 1
 _RCVMORE, _EVENTS, _POLLIN = 13, 15, 1
 
-_LONGEST = MAX_PAYLOAD
+_MAX_PAYLOAD = MAX_PAYLOAD
 _ROOM, _ROOM_IN, _ROOM_TOPIC = LONGEST_OUT, LONGEST_IN, LONGEST_TOPIC
 
 
@@ -62,7 +62,7 @@ def receive(s: LoopState, flags: int) -> bool:
         return False
     s.frames = 2
     s.payload_size = size
-    return bool(size <= _LONGEST)
+    return bool(size <= _MAX_PAYLOAD)
 
 
 @compilable
@@ -98,7 +98,7 @@ def flush(s: LoopState) -> None:
 
 
 @compilable
-def keep(s: LoopState, size: int) -> bool:
+def enqueue(s: LoopState, size: int) -> bool:
     """Queue the message at `out_at` for the listeners. Return whether the batch is full."""
     if s.aside == 0:
         return False
@@ -111,7 +111,7 @@ def keep(s: LoopState, size: int) -> bool:
 def answer(s: LoopState, at: int, size: int) -> None:
     """Send a message to the next hop, then to the listeners."""
     send_hop(s, at, size)
-    if keep(s, size):
+    if enqueue(s, size):
         # Under FIFO the I/O thread, no more urgent than this one, still has the message for the
         # hop.
         call_yield(s.sched_yield, (0,))
@@ -126,12 +126,12 @@ def called(s: LoopState) -> bool:
     if s.unlooked < s.batch:
         return False
     s.unlooked = 0
-    if s.mail != 0:
+    if s.outgoing != 0:
         to = s.aside if s.aside != 0 else s.hop
-        call_pass(s.zmq_send, (to, s.mail_topic, s.mail_topic_size, SNDMORE))
-        call_pass(s.zmq_send, (to, s.mail_payload, s.mail_size, 0))
-        s.mailed += 1
-        s.mail = 0
+        call_pass(s.zmq_send, (to, s.outgoing_topic, s.outgoing_topic_size, SNDMORE))
+        call_pass(s.zmq_send, (to, s.outgoing_payload, s.outgoing_size, 0))
+        s.outgoing_sent += 1
+        s.outgoing = 0
     if has_message(s, s.hop) or (s.aside != 0 and has_message(s, s.aside)):
         s.upstream = 1
         return True
