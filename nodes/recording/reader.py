@@ -59,7 +59,13 @@ class Entry(NamedTuple):
 
 
 def plain_value(value: Any) -> Any:
-    """Return a field as a column holds it: a mapping as its JSON text, all else as it is."""
+    """Return the `value` of a field as a column stores it: a mapping as JSON text.
+
+    Returns
+    -------
+    object
+        JSON text of a mapping, any other value unchanged.
+    """
     return msgspec.json.encode(value).decode() if isinstance(value, dict) else value
 
 
