@@ -159,7 +159,7 @@ class ControlServer(threading.Thread):
         if now - self._usual_memory > MAX_GROWTH:
             grown = now - self._usual_memory
             self._node.events.deny(
-                f"memory grew by {grown >> 20} MiB; all connections for requests are ended",
+                f"memory grew by {grown >> 20} MiB; all requesting peers are disconnected",
                 {"grown_bytes": grown},
             )
             self._usual_memory = now
@@ -207,7 +207,7 @@ class ControlServer(threading.Thread):
             try:
                 self._leases.save()
             except OSError as error:
-                self._node.events.emit("kept", f"the leases would outlive this process: {error}")
+                self._node.events.emit("kept", f"the leases cannot be saved: {error}")
 
     def _answer(self, frames: list[bytes]) -> Reply:
         name = self._node.setup.name
@@ -274,9 +274,7 @@ class ControlServer(threading.Thread):
         try:
             save_parameters(self._node)
         except OSError as error:
-            self._node.events.emit(
-                "kept", f"the parameters would not outlive this process: {error}"
-            )
+            self._node.events.emit("kept", f"the parameters cannot be saved for a restart: {error}")
 
     def run(self) -> None:
         """Serve until stopped."""
@@ -309,7 +307,7 @@ class ControlServer(threading.Thread):
         """Stop the node, because code outside its loop failed."""
         node = self._node
         if not node.failing:
-            reason = f"{node.setup.name}: {type(error).__name__} beside the loop: {error}"
+            reason = f"{node.setup.name}: {type(error).__name__} outside the loop: {error}"
             node.events.emit("control", f"{reason}; the node ends")
             node.failing = True
             node.stop(reason)

@@ -103,7 +103,7 @@ class Changes:
                     change.applied.wait()
                 else:
                     raise ParameterError(
-                        f"{self._setup.name}: not taken up by the loop within {timeout:g} s;"
+                        f"{self._setup.name}: not applied by the loop within {timeout:g} s;"
                         " nothing was changed; is the node stopping?"
                     )
             return change.result()

@@ -88,8 +88,8 @@ class Leases:
         if name in self._held:
             agreed = self._held[name].seconds
             raise ParameterError(
-                f"{self._node}: lease {name!r} is held by somebody else; it ends when they are"
-                f" done, or {agreed:g} s after they were heard of last: try again then"
+                f"{self._node}: lease {name!r} is held by another client; it ends when "
+                f"released, or {agreed:g} s after its last renewal: try again then"
             )
         if len(self._held) >= MAX_LEASES:
             raise ParameterError(

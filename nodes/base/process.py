@@ -51,7 +51,7 @@ def _await_listeners(node: Node) -> None:
             )
             node.events.emit(
                 "listeners",
-                f"{there} of {expected} listeners within {patience:g} s; going on without",
+                f"{there} of {expected} listeners within {patience:g} s; continuing without them",
                 {"listeners": there, "expected": expected, "limit_s": patience},
             )
             return

@@ -46,10 +46,7 @@ def resume(node: Node) -> None:
         kept = msgspec.json.decode(path.read_bytes(), type=Kept)
         node.store.accept(convert(kept.parameters, node.Parameters, node.setup.name))
     except (msgspec.DecodeError, ParameterError) as error:
-        node.events.log(
-            f"what it had before it was started again cannot be used: {error}; the launch file's"
-            " parameters hold"
-        )
+        node.events.log(f"its saved parameters cannot be used: {error}; using the launch file's")
         return
     node.saved_parameters, node.resumed_at, node.watched = (
         node.store.current,
@@ -57,5 +54,5 @@ def resume(node: Node) -> None:
         kept.watched,
     )
     node.events.emit_each(
-        "resumed", f"goes on with the parameters that it had at tick {kept.seq}", {"tick": kept.seq}
+        "resumed", f"continues with its parameters of tick {kept.seq}", {"tick": kept.seq}
     )

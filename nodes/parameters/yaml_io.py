@@ -228,7 +228,7 @@ class WatchedFile:
             descriptor = os.open(self.path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
                 os.close(descriptor)
-                raise OSError(errno.EINVAL, "is no regular file, and is not watched")
+                raise OSError(errno.EINVAL, "is not a regular file, and is not watched")
             with open(descriptor, "rb") as file:
                 if not self._lease(file.fileno(), fcntl.F_RDLCK):
                     return None
