@@ -407,3 +407,60 @@ def test_state_is_typed() -> None:
         and argument.annotation.id == "Any"
     ]
     assert untyped == []
+
+
+WORDED = (
+    "messages",
+    "nodes/base",
+    "nodes/client",
+    "nodes/compiled",
+    "nodes/coupling",
+    "nodes/driver",
+    "nodes/environment",
+    "nodes/laws",
+    "nodes/parameters",
+    "nodes/ros2",
+    "nodes/stability",
+)
+"""Folders whose docstrings are in the words of the field; each new one is added."""
+
+NOT_OF_THE_FIELD = frozenset(
+    ["Tell", "Take", "Let", "Give", "Lay", "Look", "Say", "Have", "Hold", "Keep"]
+)
+
+
+def docstrings(path: Path) -> Iterator[tuple[int, str]]:
+    """Return line and text of every docstring of a file, those of attributes included."""
+    for node in ast.walk(tree_of(path)):
+        if (
+            isinstance(node, ast.Expr)
+            and isinstance(node.value, ast.Constant)
+            and isinstance(node.value.value, str)
+        ):
+            yield node.lineno, node.value.value.strip()
+
+
+def worded_files() -> list[Path]:
+    return sorted(path for folder in WORDED for path in (ROOT / folder).rglob("*.py"))
+
+
+def test_docstrings_begin_with_words_of_the_field() -> None:
+    """A first line fits in 88 columns, and says with a verb of the field what is returned or done."""
+    wrong = [
+        f"{path.relative_to(ROOT)}:{line}: {text.splitlines()[0]}"
+        for path in worded_files()
+        for line, text in docstrings(path)
+        if text.split()[0] in NOT_OF_THE_FIELD or len(text.splitlines()[0]) > 88
+    ]
+    assert wrong == []
+
+
+def test_no_line_is_longer_than_100_columns() -> None:
+    long = [
+        f"{path.relative_to(ROOT)}:{number}"
+        for path in worded_files()
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        # what only a checker reads does not count
+        if len(re.sub(r"\s+# (?:noqa|type: ignore).*", "", line)) > 100
+    ]
+    assert long == []

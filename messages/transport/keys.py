@@ -192,7 +192,7 @@ def revoke(name: str) -> Path:
     if not _NAME.fullmatch(name) or (not path.is_symlink() and not path.exists()):
         there = sorted(found.stem for found in (key_dir() / "allowed").glob("*.key"))
         raise KeyRefusedError(
-            f"no key of {name!r} is allowed here; there is: {', '.join(there) or 'none'}"
+            f"no key of {name!r} is allowed here; available: {', '.join(there) or 'none'}"
         )
     path.unlink()
     return path
@@ -203,7 +203,7 @@ def key_of(name: str) -> str:
     there = allowed()
     if name not in there:
         raise KeyRefusedError(
-            f"no key of {name!r} is allowed here (there is: {', '.join(there) or 'none'}); on that"
+            f"no key of {name!r} is allowed here (available: {', '.join(there) or 'none'}); on that"
             f" machine: haptic keys new, then here: haptic keys allow {name} KEY"
         )
     return there[name]

@@ -312,7 +312,7 @@ def _of_launch(arguments: argparse.Namespace) -> dict[str, Any]:
     )
     if arguments.node not in launch.nodes:
         raise UsageError(
-            f"{launch.scenario}: no node is named {arguments.node!r}; there are:"
+            f"{launch.scenario}: no node is named {arguments.node!r}; available:"
             f" {', '.join(launch.nodes)}"
         )
     parameters: CouplingParameters = convert(

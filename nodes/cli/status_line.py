@@ -12,7 +12,7 @@ from typing import Any
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from messages.transport.requests import ControlError, call
 from messages.types import ZERO, Vector
-from nodes.base.kept_line import columns, erased, is_smart, keep
+from nodes.base.kept_line import columns, erased, is_smart, rewrite
 from nodes.base.node_kinds import load
 from nodes.cli.main import coloured
 from nodes.environment.surfaces import Meeting, parse_surface
@@ -96,7 +96,7 @@ class StatusLine:
         self._asked += 1
         parts = self._parts(now, self._distance(now["position_m"]))
         chosen = [self._painted(name, parts[name]) for name in fitted(parts, columns(sys.stderr))]
-        keep(sys.stderr, "  ".join(chosen))
+        rewrite(sys.stderr, "  ".join(chosen))
 
     def _ask(self, supervisor: Supervisor, topic: str, op: str, **arguments: object) -> Any:
         """Ask the node that publishes a topic; None if it does not answer."""

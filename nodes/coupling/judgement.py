@@ -213,8 +213,8 @@ class Judgement:
             return verdict, text
         remedy = self._remedy(now, wanted, name, verdict)
         raise ParameterError(
-            f"{text}; nothing was changed. {remedy[0].upper()}{remedy[1:]}; to study it all the"
-            f" same, --force, or set {self._node}.stability to warn"
+            f"{text}; nothing was changed. {remedy[0].upper()}{remedy[1:]}; to study it "
+            f"anyway, use --force, or set {self._node}.stability to warn"
         )
 
     def refuse_fallback(
@@ -258,7 +258,7 @@ class Judgement:
                 if share
                 else f"no part of {where}"
             )
-            return f"{part} would be taken"
+            return f"{part} would be accepted"
 
         def at(share: float) -> Any:
             return _mapped(
@@ -268,12 +268,12 @@ class Judgement:
         share = furthest_stable(lambda part: self._compiled(at(part)), verdict.plant)
         if share is None:
             return (
-                f"no value of {where}.{' or '.join(start)} would be taken on the way there, the"
-                " rest as asked"
+                f"no value of {where}.{' or '.join(start)} is accepted on the way there, with "
+                "the rest as requested"
             )
         reached, ends = _numbers(at(share)), _numbers(asked)
         if len(start) > 1:
-            return f"together, {where} would be taken up to " + ", ".join(
+            return f"together, {where} is accepted up to " + ", ".join(
                 f"{path} {reached[path]:.4g}" for path in start
             )
         ((path, begin),) = start.items()
@@ -282,8 +282,8 @@ class Judgement:
         found = judge(rounded, verdict.plant)
         shown = f"{value:g}" if found is not None and found.stable else f"{reached[path]:.9g}"
         return (
-            f"the {'largest' if ends[path] > begin else 'smallest'} {where}.{path} that would be"
-            f" taken is {shown}"
+            f"the {'largest' if ends[path] > begin else 'smallest'} {where}.{path} that is "
+            f"accepted is {shown}"
         )
 
     def _start(

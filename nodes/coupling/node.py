@@ -105,7 +105,7 @@ class Coupling(Node):
         self._renderer = Renderer(axes, parameters.memory, self.counters)
         self.counters.ease_peak = self.setup.peak_force or 0.0
         for reason in self._book.unfit(parameters):
-            self.events.emit_each("law", f"{reason}; it cannot be switched to")
+            self.events.emit_each("law", f"{reason}; it cannot become active")
         anyway = StartAnyway.VIRTUAL if self.setup.virtual else StartAnyway.NO_REASON
         if self.resumed_at >= 0:
             anyway = StartAnyway.ACCEPTED_BEFORE
@@ -399,7 +399,7 @@ class Coupling(Node):
                 self._swap(seq, law, ramp, "switch", "schedule")
             except ParameterError as error:
                 self.events.emit_each(
-                    "refused", f"scheduled swap at tick {seq}: {error}; the running law goes on"
+                    "refused", f"scheduled swap at tick {seq}: {error}; the running law continues"
                 )
             else:
                 self.store.accept(msgspec.structs.replace(self.store.current, law=law.name))
@@ -443,8 +443,8 @@ class Coupling(Node):
             return self._fall_back(proxy, over)
         self.events.emit(
             "budget",
-            f"law {self._renderer.name!r} at tick {proxy.seq}: {over}; once more within a second is"
-            " too often",
+            f"law {self._renderer.name!r} at tick {proxy.seq}: {over}; another overrun within "
+            "a second activates the fallback",
             {"tick": proxy.seq},
         )
         return force

@@ -176,10 +176,7 @@ class Driver(Node):
         for text in held.overruled:
             self.events.emit("limit", text)
         if limits.latency is None and s.guard_on:
-            text = (
-                "the device does not tell its latency: the guard takes forces to act when they are"
-                " handed over"
-            )
+            text = "the device does not report its latency: the guard assumes none"
             self.events.emit("guard", text)
         waits = self.virtual or parameters.safety.hang is None
         self._watch = Watch(self, limits, None if waits else LastResort(self.setup))
@@ -233,7 +230,9 @@ class Driver(Node):
                 if time.monotonic() - asked > ASK_AGAIN:
                     asked = time.monotonic()
                     self.events.emit(
-                        "unanswered", f"tick {s.seq} has no answer; asking again", {"tick": s.seq}
+                        "unanswered",
+                        f"tick {s.seq} has no answer; publishing it again",
+                        {"tick": s.seq},
                     )
                     payload = (
                         self._plain.payload if self.compiled is None else self.compiled.last_sent()
@@ -299,8 +298,8 @@ class Driver(Node):
             self.store.current, passivity=None
         ):
             raise ParameterError(
-                f"{self.setup.name}: parameters of a {self.setup.kind} are fixed while it runs, all"
-                f" but {self.movable}"
+                f"{self.setup.name}: while it runs, parameters of a {self.setup.kind} are "
+                f"fixed, except {self.movable}"
             )
         if self._report.own_guard:
             raise ParameterError(
@@ -327,7 +326,7 @@ class Driver(Node):
 
     def check_health(self) -> None:
         """Check that the loop progresses, and report the device's condition (control thread)."""
-        self._watch.look((*self.counted(), self._report.soft_stop_ticks))
+        self._watch.check((*self.counted(), self._report.soft_stop_ticks))
         if self.state == "running":
             self._condition.report()
 
@@ -353,9 +352,8 @@ class Driver(Node):
         name = self.setup.name
         if not (self.virtual or beside):
             raise ParameterError(
-                f"{name}: a real device, whose driver has stopped a loop that gave out energy;"
-                " choose a softer law, stand beside the device, and ask for forces again: haptic"
-                " node rearm"
+                f"{name}: the driver of a real device has stopped an unstable loop; choose a "
+                "softer law, stand beside the device, then: haptic node rearm"
             )
 
         def apply(seq: int) -> dict[str, Any]:
@@ -371,12 +369,11 @@ class Driver(Node):
         name = self.setup.name
         if self.driving.realtime:
             raise ParameterError(
-                f"{name}: only a loop in lockstep can stand still; a device in real time cannot"
-                " wait"
+                f"{name}: only a lockstep loop can pause; a device in real time cannot wait"
             )
         if not (isinstance(seconds, int | float) and 0.0 <= seconds <= LONGEST_PAUSE):
             raise ParameterError(
-                f"{name}: stand still for {seconds!r} s: expected 0 to {LONGEST_PAUSE:g} s"
+                f"{name}: a pause of {seconds!r} s: expected 0 to {LONGEST_PAUSE:g} s"
             )
         self._paused_until = time.monotonic() + seconds
         self.events.notify()

@@ -157,7 +157,9 @@ class Child:
 
     def waited(self) -> float:
         """Return how long it has waited for a processor since the first call [s]."""
-        return self._wait_for_processor.look(self.process.pid) if self.process is not None else 0.0
+        return (
+            self._wait_for_processor.update(self.process.pid) if self.process is not None else 0.0
+        )
 
     def progress(self) -> int:
         """Return the bytes it has written so far, which grow while a logger works."""

@@ -90,7 +90,7 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         }
         if not inside:
             known = ", ".join(filter(None, self.chains())) or "none"
-            raise RunError(f"{self.run}: no namespace {namespace!r}; there are: {known}")
+            raise RunError(f"{self.run}: no namespace {namespace!r}; available: {known}")
         return msgspec.structs.replace(
             self,
             nodes=inside,

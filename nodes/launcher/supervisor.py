@@ -23,7 +23,7 @@ from messages.errors import HapticError
 from messages.transport.context import new_context
 from messages.transport.requests import ControlError, call
 from nodes.base import realtime
-from nodes.base.hang_watchdog import LOOK, HangWatchdog
+from nodes.base.hang_watchdog import CHECK_INTERVAL, HangWatchdog
 from nodes.base.node_kinds import load
 from nodes.launcher import reaper, runs
 from nodes.launcher.chain_load import LATE, Load, Meter, keep_costs, kind_of_chain, load_of, warning
@@ -438,11 +438,11 @@ class Supervisor:
             if killed and now - begun > patience + granted:
                 return
             if now >= looked and not killed:
-                looked = now + LOOK
+                looked = now + CHECK_INTERVAL
                 stood = [
                     (
                         child,
-                        watched[child.setup.name].look(
+                        watched[child.setup.name].check(
                             child.progress() if child.listens else 0, child.waited()
                         ),
                     )

@@ -58,7 +58,7 @@ def choices(given: object, known: Iterable[str]) -> str:
     """Return the known names, and the most similar one, for an error about an unknown name."""
     names = list(known)
     close = difflib.get_close_matches(given, names, 1) if isinstance(given, str) else []
-    return f"there is: {', '.join(names) or 'nothing yet'}" + "".join(
+    return f"available: {', '.join(names) or 'nothing yet'}" + "".join(
         f"; did you mean {name}?" for name in close
     )
 

@@ -122,9 +122,9 @@ class Recorder:
             if not self.take(0):
                 # Silence counts only while this process had a processor; otherwise messages may
                 # still be in ZeroMQ's I/O thread.
-                began, before = time.monotonic(), wait.look(pid)
+                began, before = time.monotonic(), wait.update(pid)
                 if not self.take(QUIET_MS):
-                    if time.monotonic() - began - (wait.look(pid) - before) > 0.5e-3 * QUIET_MS:
+                    if time.monotonic() - began - (wait.update(pid) - before) > 0.5e-3 * QUIET_MS:
                         return
                     continue
             late = late + 1 if self.latest > end else 0

@@ -82,7 +82,7 @@ class Commander:
     def _endpoint(self, node: str) -> str:
         if node not in self._run.nodes:
             raise CommandError(
-                f"{self._run.run}: no node is named {node!r}; there are:"
+                f"{self._run.run}: no node is named {node!r}; available:"
                 f" {', '.join(self._run.nodes)}"
             )
         return self._run.nodes[node].control

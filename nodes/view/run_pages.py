@@ -176,7 +176,7 @@ class RunPages:
             )
         if law != "" and (not isinstance(law, str) or law not in laws):
             raise CommandError(
-                f"view: compare: no law is named {str(law)[:100]!r}; there are: {', '.join(laws)}"
+                f"view: compare: no law is named {str(law)[:100]!r}; available: {', '.join(laws)}"
             )
         self._comparison.choose(law, laws.get(law, {}))
         return {"law": law}

@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
     unknown = [name for name in arguments.faults if name not in known]
     if unknown:
-        raise UsageError(f"no fault is named {unknown[0]!r}; there is: {', '.join(known)}")
+        raise UsageError(f"no fault is named {unknown[0]!r}; available: {', '.join(known)}")
     outcomes = []
     for name in arguments.faults or known:
         print(f"[drill] {name}", file=sys.stderr, flush=True)

@@ -72,7 +72,7 @@ def device_of(kind: str, words: Sequence[str]) -> MailboxDevice:
             else ""
         )
         raise UsageError(
-            f"{kind!r} drives no real device; there are: {', '.join(sorted(known))}{virtual}"
+            f"{kind!r} drives no real device; available: {', '.join(sorted(known))}{virtual}"
         )
     written: dict[str, Any] = {}
     for path, value in parse_assignments(list(words)).items():

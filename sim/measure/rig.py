@@ -141,7 +141,7 @@ class Rig(Running):
                 self.process.wait(0.5)
                 return
             for pid in (self.process.pid, *processes_of(self.runtime_dir)):
-                waited = max(waited, waits.setdefault(pid, ProcessorWait()).look(pid))
+                waited = max(waited, waits.setdefault(pid, ProcessorWait()).update(pid))
 
     def _whereabouts(self) -> str:
         """Return where a launcher hangs: its threads' kernel waits and Python stack."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
-from nodes.base.kept_line import columns, is_smart, keep
+from nodes.base.kept_line import columns, is_smart, rewrite
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Progress:
         if self._terminal:
             bar = "#" * (3 * tenths) + "." * (30 - 3 * tenths)
             percent = 100 * self._done // self._total
-            keep(self._stream, f"[{bar}] {percent:3d} %  {what}"[: columns(self._stream)])
+            rewrite(self._stream, f"[{bar}] {percent:3d} %  {what}"[: columns(self._stream)])
             if self._done == self._total:
                 self._stream.write("\n")
                 self._stream.flush()
@@ -111,7 +111,7 @@ _last = [-SILENT]
 def say(words: str) -> None:
     """Print progress on standard error; an empty text ends the line."""
     if is_smart(sys.stderr):
-        keep(sys.stderr, words[: columns(sys.stderr)])
+        rewrite(sys.stderr, words[: columns(sys.stderr)])
     elif words and (words.endswith("...") or time.monotonic() - _last[0] >= SILENT):
         _last[0] = time.monotonic()
         print(words, file=sys.stderr, flush=True)

@@ -78,7 +78,7 @@ class MovingScene:
         self._mujoco = mujoco = load_mujoco(f"{where}.scene")
         if file.exists() and not (file.is_file() or file.is_dir()):
             # Reading a pipe would block, and a device has no end.
-            raise ParameterError(f"{where}.scene: {file} is no regular file")
+            raise ParameterError(f"{where}.scene: {file} is not a regular file")
         try:
             # Opened here because the operating system's message is clearer than MuJoCo's.
             with open(file, "rb") as opened:
@@ -268,16 +268,13 @@ class MovingScene:
         self.hand_over(force, since, delay)
         self.advance(tick)
         if self.diverged():
-            why = (
-                "the scene diverged and was put back to its beginning; a smaller option timestep"
-                " may help"
-            )
+            why = "the scene diverged and was reset; a smaller option timestep may help"
         elif jumped:
             why = "the device's position jumped"
         elif (away := math.dist(self.tool_position, position)) > self.lost:
             why = (
-                f"the tool was {away:.3g} m away from the device, more than {self.lost:g} m: it was"
-                " thrown, or left behind"
+                f"the tool was {away:.3g} m away from the device, more than {self.lost:g} m: "
+                "it was thrown or left behind"
             )
         else:
             if self.inside:

@@ -117,9 +117,9 @@ class MujocoEnvironment(Node):
         ):
             self._rebased, self._driver_rebased = seq, state.rebased
             if not first:
-                self.events.emit("bodies", f"{why}; the tool begins at the device again")
+                self.events.emit("bodies", f"{why}; the tool restarts at the device")
         if world.inside != inside:
-            unfelt = "begins inside of another body: nothing is felt until it is outside"
+            unfelt = "begins inside another body: nothing is felt until it is outside"
             self.events.emit(
                 "inside",
                 f"the tool {unfelt if world.inside else 'has come outside: all is felt now'}",

@@ -166,12 +166,9 @@ def _moved(
 def response_text(found: ToolResponse) -> str:
     """Return a tool's response as text, and what it means for stability."""
     text = (
-        f"pushed, it answers {found.lag:.2f} ticks late, damped to ground by {found.damping:.3g}"
+        f"it answers a push {found.lag:.2f} ticks late, damped to ground by {found.damping:.3g}"
         " N s/m"
     )
     if found.damping > 0.0:
         return text
-    return (
-        f"{text}: no law is certain to be stable with what it touches until tool.damping gives it"
-        " some"
-    )
+    return f"{text}: no law is provably stable with what it touches until tool.damping is above 0"

@@ -40,9 +40,9 @@ export class Laws {
   // Reset controls to the active values; the reason stays marked until it is read or another change
   // succeeds.
   refuse(error) {
-    const most = /the (largest|smallest) \S+?\.?(\w+) that would be taken is ([\d.e+-]+)/i.exec(error);
+    const most = /the (largest|smallest) \S+?\.?(\w+) that is accepted is ([\d.e+-]+)/i.exec(error);
     const short = document.createElement("summary"), whole = document.createElement("details");
-    short.textContent = most ? `Refused: the loop would be unstable. The ${most[1].toLowerCase()} ${most[2]} that would be taken is ${figure(Number(most[3].replace(/\.$/, "")))}.` : unbroken(error);
+    short.textContent = most ? `Refused: the loop would be unstable. The ${most[1].toLowerCase()} ${most[2]} that is accepted is ${figure(Number(most[3].replace(/\.$/, "")))}.` : unbroken(error);
     whole.append(short);
     if (most) whole.append(unbroken(error));
     this.refusal.replaceChildren(whole);

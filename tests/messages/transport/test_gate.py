@@ -250,7 +250,7 @@ def test_a_key_that_is_taken_away_ends_connections_and_lets_in_nobody(
     take_away(how, keys.key_dir())
     wait_for(
         lambda: any(
-            f"the key {other.public} is not allowed any more" in told for told in encrypted.denied
+            f"the key {other.public} is no longer allowed" in told for told in encrypted.denied
         ),
         "it is told",
     )
@@ -300,7 +300,7 @@ def test_without_an_identity_nobody_is_oneself(encrypted: Guarded, context: Cont
 def test_revoke_on_the_command_line(tmp_path: Path, me: Identity) -> None:
     keys.allow("robot", me.public)
     told = typed_in(tmp_path, "keys", "revoke", "robbie", code=2).stderr
-    assert "there is: robot" in told
+    assert "available: robot" in told
     assert "no longer allowed" in typed_in(tmp_path, "keys", "revoke", "robot").stdout
     assert keys.allowed() == {}
     with pytest.raises(KeyRefusedError, match="none"):

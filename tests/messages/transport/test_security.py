@@ -285,7 +285,7 @@ def test_a_forger_bound_in_a_nodes_place_is_not_heard(
         assert victim.receive(5) is None
         links.poll()
         links.maintain()
-        return any("does not have the key" in reason for reason in told)
+        return any("does not have the expected key" in reason for reason in told)
 
     wait_for(forged, "the report about the forger")
     links.close()

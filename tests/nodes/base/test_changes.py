@@ -83,7 +83,7 @@ def test_a_change_is_applied_once_between_two_ticks() -> None:
 def test_what_the_loop_does_not_take_up_is_withdrawn_for_good() -> None:
     node = Amplifier()
     with pytest.raises(
-        ParameterError, match=r"not taken up by the loop within 0\.1 s; nothing was changed"
+        ParameterError, match=r"not applied by the loop within 0\.1 s; nothing was changed"
     ):
         node.changes.hand_over(lambda seq: node.applied.append((seq, 0.0)), timeout=0.1)
     node.between_ticks(1)

@@ -17,10 +17,10 @@ def test_what_begins_has_not_stood_however_long_the_wait_before(
     monkeypatch.setattr(hang_watchdog, "time", SimpleNamespace(monotonic=lambda: clock[0]))
     watched = hang_watchdog.HangWatchdog()
     for clock[0] in (0.5, 1.0, 1.5, 20.0):
-        stood = watched.look("waits for the start")
+        stood = watched.check("waits for the start")
     # A look after 18.5 s counts as two at most: the thread that looks was held up itself.
-    assert stood == pytest.approx(0.5 + 0.5 + 2.0 * hang_watchdog.LOOK)
-    clock[0] += 0.5 * hang_watchdog.LOOK
-    assert watched.look("a tick") == 0.0
+    assert stood == pytest.approx(0.5 + 0.5 + 2.0 * hang_watchdog.CHECK_INTERVAL)
+    clock[0] += 0.5 * hang_watchdog.CHECK_INTERVAL
+    assert watched.check("a tick") == 0.0
     clock[0] += 0.5
-    assert watched.look("a tick") == pytest.approx(0.5)
+    assert watched.check("a tick") == pytest.approx(0.5)

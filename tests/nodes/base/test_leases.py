@@ -35,7 +35,7 @@ def test_a_lease_that_somebody_holds_is_taken_by_nobody_else(
     asked = {"name": "borrowed", "seconds": 5.0, "then": "law.switch"}
     take(**asked, args={"law": "pd"})
     with pytest.raises(
-        ParameterError, match=r"coupling: lease 'borrowed' is held by somebody else; .* 5 s after"
+        ParameterError, match=r"coupling: lease 'borrowed' is held by another client; .* 5 s after"
     ):
         take(**asked, args={"law": "trial"})
     # Not even one that has run out, before what was agreed is done.

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from nodes.base.node import Node
-from nodes.base.saved_parameters import keep, resume
+from nodes.base.saved_parameters import resume, save_parameters
 from nodes.coupling.node import Coupling
 from nodes.driver.passivity import PassivityParameters
 from nodes.parameters.store import ParameterError
@@ -25,7 +25,7 @@ def started_again(node: type[Node], folder: Path, values: dict[str, Any], **give
     first = node(setup)
     first.watched = (1, 2, 3)
     first.store.accept(first.store.changed(values))
-    keep(first)
+    save_parameters(first)
     second = node(setup)
     resume(second)
     second.configure()

@@ -300,7 +300,7 @@ def test_who_waited_for_an_entry_finds_it(place: Path, monkeypatch: pytest.Monke
             assert beside.submit(found).result(60.0) == ENTRY
     held = locked(folder, lock)
     assert held is not None
-    monkeypatch.setattr(cache, "PATIENCE", 0.0)
+    monkeypatch.setattr(cache, "LOCK_TIMEOUT", 0.0)
     assert found() == ENTRY
     os.close(held)
     os.close(folder)

@@ -113,8 +113,8 @@ def test_what_is_told_leaves_in_its_order(tmp_path: Path) -> None:
         node.events.emit_each(OtherKind("test.kind"), "1")
         # As the kernel does when it has sent it: what is told now must not leave before what waits
         # for the loop.
-        assert b"0" in ctypes.string_at(state.mail_payload, state.mail_size)
-        state.mail = 0
+        assert b"0" in ctypes.string_at(state.outgoing_payload, state.outgoing_size)
+        state.outgoing = 0
         node.events.emit_each(OtherKind("test.kind"), "2")
 
     assert told_during(tmp_path, unsent) == ["0", "1", "2", "3", "4"]

@@ -158,7 +158,7 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
         {"values": {"laws.pd.stiffness": "soft"}},
         "coupling.laws.pd.stiffness: expected a number, got 'soft'",
     ),
-    ("param.set", {"values": {"nix": 1}}, "coupling.nix: no such parameter; there is: law, laws"),
+    ("param.set", {"values": {"nix": 1}}, "coupling.nix: no such parameter; available: law, laws"),
     ("param.set", {"values": {"ramp": 2.5}}, "coupling.ramp: expected a whole number, got 2.5"),
     ("param.set", {"values": {"memory": 64}}, "coupling.memory: is fixed while the node runs"),
     (
@@ -176,7 +176,7 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     (
         "param.load",
         {"values": {"environment": {}}},
-        "coupling.environment: no such parameter; there is: law, laws",
+        "coupling.environment: no such parameter; available: law, laws",
     ),
     (
         "param.load",
@@ -206,9 +206,13 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     (
         "param.get",
         {"name": "laws.nix"},
-        "coupling.laws.nix: no such parameter; there is: pd, pd_alpha",
+        "coupling.laws.nix: no such parameter; available: pd, pd_alpha",
     ),
-    ("law.switch", {"law": "nix"}, "coupling.law: no law is named 'nix'; there is: pd, pd_alpha, "),
+    (
+        "law.switch",
+        {"law": "nix"},
+        "coupling.law: no law is named 'nix'; available: pd, pd_alpha, ",
+    ),
     (
         "law.switch",
         {"law": "pd_alpha", "ramp": -1},

@@ -115,7 +115,7 @@ def test_a_refusal_names_the_last_value_that_would_be_taken(
         judgement.of_change(now, wanted, "pd", book.compile(wanted, "pd"), 1.0, force=False)
     text = str(raised.value)
     told = re.search(
-        rf"the {side} coupling\.laws\.pd\.{path} that would be taken is ([-+.e\d]+)",
+        rf"the {side} coupling\.laws\.pd\.{path} that is accepted is ([-+.e\d]+)",
         text,
         re.IGNORECASE,
     )
@@ -144,7 +144,7 @@ def test_a_refused_switch_says_how_stiff_the_other_law_may_be_or_how_much_of_its
     book = LawBook("coupling", T)
     judgement = Judgement("coupling", T, book)
     for name, pattern in (
-        ("hard", r"largest coupling\.laws\.hard\.stiffness that would be taken is (\S+);"),
+        ("hard", r"largest coupling\.laws\.hard\.stiffness that is accepted is (\S+);"),
         ("designed_d0", r"all taps of designed_d0 times (\S+) would be taken"),
         ("taps", r"all taps of coupling\.laws\.taps times (\S+) would be taken"),
     ):

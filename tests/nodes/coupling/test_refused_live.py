@@ -18,7 +18,7 @@ from nodes.recording.reader import Recording
 from tests.support.launching import Running, running, typed, wait_for
 
 LARGEST = re.compile(
-    r"largest coupling\.laws\.(\w+)\.stiffness that would be taken is ([-+.e\d]+)", re.IGNORECASE
+    r"largest coupling\.laws\.(\w+)\.stiffness that is accepted is ([-+.e\d]+)", re.IGNORECASE
 )
 
 
@@ -160,7 +160,7 @@ def test_a_watched_file_that_would_be_unstable_is_refused(tmp_path: Path) -> Non
     with running(tmp_path, f"./{scenario.name}", "duration:=0") as launch:
         assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == 900.0
         (tmp_path / "coupling.yaml").write_text("laws: {pd: {stiffness: 1.0e7}}\n")
-        wait_for(lambda: "would be taken is" in launch.errors, "the refusal")
+        wait_for(lambda: "that is accepted is" in launch.errors, "the refusal")
         assert "running parameters are untouched" in launch.errors
         assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == 900.0
         (tmp_path / "coupling.yaml").write_text("stability: warn\nlaws: {pd: {stiffness: 1.0e5}}\n")

@@ -85,7 +85,7 @@ def test_a_condition_that_raises_is_told_once_and_ends_the_driver(
     assert driver.stopping
     assert driver.asked == 1
     assert [text for kind, text in told if kind == "device"] == [
-        f"{expected}; the force is brought down to zero, and the driver ends"
+        f"{expected}; the force ramps down to zero, and the driver ends"
     ]
     # Who asks is answered, with the same words.
     assert driver.operations()["progress"]()["condition"] == expected

@@ -36,14 +36,14 @@ def test_what_is_no_inertia_is_refused(wrong: list[list[float]]) -> None:
     with pytest.raises(ValueError, match="inertia is not"):
         masses_along(wrong)
     a, b, c = (tuple(row) for row in wrong)
-    assert SeenMasses().look((a, b, c)) is None  # type: ignore[arg-type]  # each is three long
+    assert SeenMasses().record((a, b, c)) is None  # type: ignore[arg-type]  # each is three long
 
 
 def test_poses_are_remembered() -> None:
     seen = SeenMasses()
-    assert seen.look(None) is None
-    seen.look(((0.1, 0.0, 0.0), (0.0, 0.2, 0.0), (0.0, 0.0, 0.1)))
-    told = seen.look(((0.15, 0.0, 0.0), (0.0, 0.15, 0.0), (0.0, 0.0, 0.3)))
+    assert seen.record(None) is None
+    seen.record(((0.1, 0.0, 0.0), (0.0, 0.2, 0.0), (0.0, 0.0, 0.1)))
+    told = seen.record(((0.15, 0.0, 0.0), (0.0, 0.15, 0.0), (0.0, 0.0, 0.3)))
     assert told == {
         "here_kg": pytest.approx([0.15, 0.15, 0.3]),
         "least_kg": pytest.approx(0.1),

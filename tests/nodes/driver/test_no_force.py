@@ -42,7 +42,7 @@ def test_a_force_button_that_is_off_is_told_while_the_law_pushes(tmp_path: Path)
             # What a launch's status line is made of.
             assert "FORCE button is off" in launch.call("driver", "progress")["condition"]
             stand.world.state.cause = 0
-            wait_for(lambda: "nothing keeps forces off any more" in launch.errors, "the end of it")
+            wait_for(lambda: "the device applies forces again" in launch.errors, "the end of it")
             echoed = launch.haptic("topic", "echo", "/device/handle", "--once", "--json").stdout
             assert '"buttons":5' in echoed.replace(" ", "")
 

@@ -55,7 +55,7 @@ def test_two_hands_are_coupled_and_judged_at_the_measured_delay(tmp_path: Path) 
         refused = typed(launch, "param", "set", "coupling", "laws.pd.stiffness", "50000", code=1)
         assert "unstable" in refused.stderr
         assert re.search(
-            r"mass 0.145 kg, .* coupled to 0.145 kg, .* at a delay of \d.*would be taken is"
+            r"mass 0.145 kg, .* coupled to 0.145 kg, .* at a delay of \d.*that is accepted is"
             r" \d{3,4}; ",
             refused.stderr,
         )

@@ -164,7 +164,7 @@ def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         MovingScene(tmp_path / "none.xml", "tool", PERIOD, "environment")
     os.mkfifo(tmp_path / "pipe.xml")
     for odd in (tmp_path / "pipe.xml", Path("/dev/zero")):
-        with pytest.raises(ParameterError, match=r"^environment.scene: .* is no regular file"):
+        with pytest.raises(ParameterError, match=r"^environment.scene: .* is not a regular file"):
             MovingScene(odd, "tool", PERIOD, "environment")
     with open(tmp_path / "huge.xml", "wb") as file:
         file.truncate(10_000_000_000)

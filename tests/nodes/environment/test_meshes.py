@@ -75,7 +75,7 @@ def test_an_obj_face_of_four_corners_is_two_triangles(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "written", "told"),
     [
-        ("a.ply", b"ply", "is no .stl and no .obj file"),
+        ("a.ply", b"ply", "is neither an .stl nor an .obj file"),
         ("a.stl", binary_stl(CUBE)[:-7], "cut off"),
         ("a.stl", text_stl(CUBE)[:-700], "cut off"),
         ("a.stl", b"", "cut off: 0 bytes"),
@@ -105,7 +105,7 @@ def test_a_file_of_ten_gigabytes_is_refused_unread(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match="No such file"):
         read_triangles(tmp_path / "none.stl", "file")
     (tmp_path / "folder.stl").mkdir()
-    with pytest.raises(ParameterError, match="is no file"):
+    with pytest.raises(ParameterError, match="is not a file"):
         read_triangles(tmp_path / "folder.stl", "file")
 
 

@@ -67,7 +67,7 @@ def test_the_answer_of_a_tool_is_measured(
     assert found.damping == pytest.approx(damping, rel=1e-6)
     # An implicit damper slows the first step by up to b T/m, which reads as so many ticks of lag.
     assert found.lag == pytest.approx(lag, abs=1e-6 if damping == 0.0 else damping * T / 0.05)
-    assert ("no law is certain" in response_text(found)) == (damping == 0.0)
+    assert ("no law is provably" in response_text(found)) == (damping == 0.0)
 
 
 def test_the_axis_with_least_damping_counts_and_a_damper_between_bodies_does_not(
@@ -178,7 +178,7 @@ def test_a_contact_that_grows_stiffer_is_called_curved(tmp_path: Path) -> None:
     assert found[0].stiffness is not None
     assert found[0].pressed is not None
     assert found[0].pressed > 1.2 * found[0].stiffness
-    assert "under 4.5 N: it is curved" in contacts.contacts_text(found)
+    assert "under 4.5 N: it is nonlinear" in contacts.contacts_text(found)
 
 
 def random_scene(folder: Path, rng: np.random.Generator) -> Path:

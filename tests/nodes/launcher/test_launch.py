@@ -117,8 +117,8 @@ def test_wall_press_reaches_the_balance_of_hand_and_wall(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("flor_drop",), "no launch file is named 'flor_drop'; there is: box_edges, floor"),
-        (("floor_drop", "stifness:=3"), "no argument 'stifness'; there is: rate"),
+        (("flor_drop",), "no launch file is named 'flor_drop'; available: box_edges, floor"),
+        (("floor_drop", "stifness:=3"), "no argument 'stifness'; available: rate"),
         (("floor_swap", "fifo:=0"), "no argument 'fifo'; run.fifo:=0 sets it in any launch file"),
         (
             ("floor_drop", "stiffness:=soft"),
@@ -133,7 +133,7 @@ def test_wall_press_reaches_the_balance_of_hand_and_wall(tmp_path: Path) -> None
             "arguments.pace: 'slow', expected one of realtime, lockstep",
         ),
         (("nowhere.yaml",), "nowhere.yaml: no such file"),
-        (("floor_drop", "--without", "camera"), "no node 'camera'; there is: driver"),
+        (("floor_drop", "--without", "camera"), "no node 'camera'; available: driver"),
     ],
 )
 def test_mistakes_are_told_with_path_value_and_limit(
@@ -155,7 +155,7 @@ def test_mistakes_are_told_with_path_value_and_limit(
     ("word", "told"),
     [
         ("mass:=-1", "driver.device.mass: expected a number above 0, got -1.0"),
-        ("law:=spring", "coupling.law: no law is named 'spring'; there is: pd"),
+        ("law:=spring", "coupling.law: no law is named 'spring'; available: pd"),
         ("stiffness:=-5", "coupling.laws.pd.stiffness"),
     ],
 )
@@ -192,7 +192,7 @@ def test_launch_files_are_checked_completely(
         "rate: $(var rate)": ("rate: $(var speed)", "$(var speed) is not an argument"),
         "required: false": (
             "requird: false",
-            "nodes.logger.requird: no such parameter; there is: kind, ",
+            "nodes.logger.requird: no such parameter; available: kind, ",
         ),
         "gravity: 9.81": ("gravity: .nan", "not a finite number"),
         "  logger:": ("  Logger!:", "a node's name has lower-case"),
@@ -264,7 +264,7 @@ def test_a_launch_past_the_edge_is_refused_on_a_real_device_only(tmp_path: Path)
     assert not wired(real, 1000.0)
     with pytest.raises(
         ParameterError,
-        match=r"laws\.pd: pole radius .* that would be taken is 5800, or set .* to warn",
+        match=r"laws\.pd: pole radius .* that is accepted is 5800, or set .* to warn",
     ):
         wired(real, 900_000.0)
     assert wired("touch_wall", 900_000.0)

@@ -99,7 +99,7 @@ def test_a_verb_takes_one_chain_as_if_it_were_alone(two_hands: Running) -> None:
     ]
     assert [json.loads(each)["active"] for each in told] == ["pd_alpha", "pd"]
     refused = typed(two_hands, "topic", "list", "--run", "/middle", code=2).stderr
-    assert "no namespace 'middle'; there is: left, right" in refused
+    assert "no namespace 'middle'; available: left, right" in refused
 
 
 @pytest.mark.slow

@@ -238,16 +238,16 @@ def test_what_others_keep_from_running_is_waited_for(tmp_path: Path) -> None:
         waits = {name: ProcessorWait() for name in ("logger", "reaper")}
         pids = {"logger": logger, "reaper": reaper(launch)}
         for name, wait in waits.items():
-            wait.look(pids[name])
+            wait.update(pids[name])
         with starved(logger):
             launch.process.send_signal(signal.SIGINT)
             # Its own clock: what the launcher would have granted it, had it not been kept from
             # running.
             wait_for(
-                lambda: waits["logger"].look(logger) > INT_TIMEOUT,
+                lambda: waits["logger"].update(logger) > INT_TIMEOUT,
                 "the logger waits for a processor",
             )
-            assert waits["reaper"].look(pids["reaper"]) < 0.5 * INT_TIMEOUT, (
+            assert waits["reaper"].update(pids["reaper"]) < 0.5 * INT_TIMEOUT, (
                 "it waits for the launcher, not for a processor"
             )
             # The launcher comes to the logger when all others have ended.

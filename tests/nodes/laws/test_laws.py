@@ -193,7 +193,7 @@ def test_preset_values_can_be_replaced() -> None:
         ({"kind": ["pd"]}, r"^laws\.a\.kind: \['pd'\] is not"),
         (
             {"kind": "pdq", "stiffness": 1.0},
-            r"^laws\.a\.kind: 'pdq' is not .* there is: .*fir, .*paper_optimum",
+            r"^laws\.a\.kind: 'pdq' is not .* available: .*fir, .*paper_optimum",
         ),
         ({"kind": "pd"}, r"^laws\.a\.stiffness: is missing"),
         (

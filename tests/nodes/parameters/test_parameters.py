@@ -205,7 +205,7 @@ class Outer(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         ),
         (
             {"inner": {"gian": 1.0}},
-            "node.inner.gian: no such parameter; there is: gain, points; did you mean gain?",
+            "node.inner.gian: no such parameter; available: gain, points; did you mean gain?",
         ),
         ({"free": {"deep": {"x": float("nan")}}}, "node.free.deep.x: nan is not a finite number"),
         ({"free": {"A": 1}}, "node.free: expected a name that matches '^[a-z]+$'"),
@@ -222,17 +222,17 @@ def test_refusals_name_path_value_and_limit(data: Any, told: str) -> None:
 @pytest.mark.parametrize(
     ("values", "told"),
     [
-        ({"cuont": 1}, "node.cuont: no such parameter; there is: name, count, inner, maybe, free"),
-        ({"inner.gian": 1.0}, "node.inner.gian: no such parameter; there is: gain, points"),
-        ({"inner.gain.x": 1.0}, "node.inner.gain.x: no such parameter; there is: no further names"),
+        ({"cuont": 1}, "node.cuont: no such parameter; available: name, count, inner, maybe, free"),
+        ({"inner.gian": 1.0}, "node.inner.gian: no such parameter; available: gain, points"),
+        ({"inner.gain.x": 1.0}, "node.inner.gain.x: no such parameter; it has no names below"),
         (
             {"maybe.gain": 1.0},
-            "node.maybe.gain: no such parameter; there is: nothing below it; set it as a whole",
+            "node.maybe.gain: no such parameter; it has nothing below it; set it as a whole",
         ),
-        ({"free.a.b": 1.0}, "node.free.a: no such parameter; there is: nothing yet"),
+        ({"free.a.b": 1.0}, "node.free.a: no such parameter; available: nothing yet"),
         (
             {"inner.points[0]": [1.0]},
-            "node.inner.points[0]: no such parameter; there is: 0 entries from [0]",
+            "node.inner.points[0]: no such parameter; it has 0 entries from [0]",
         ),
         ({"": 1}, "'' is not a parameter's name"),
         ({"a..b": 1}, "'a..b' is not a parameter's name"),

@@ -51,7 +51,7 @@ def test_a_pipe_is_told_once_and_waited_for_by_nobody(tmp_path: Path) -> None:
     thread.join(10.0)
     assert not thread.is_alive()
     assert len(told) == 1
-    assert "is no regular file, and is not watched" in told[0]
+    assert "is not a regular file, and is not watched" in told[0]
     path.unlink()
     path.write_text("ramp: 3\n", encoding="ascii")
     assert polled(watched) == [{"ramp": 3}]

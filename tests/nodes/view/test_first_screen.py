@@ -206,7 +206,7 @@ def test_a_refused_slider_goes_back_to_what_renders(page: Page, launch: Running)
         # A stalled machine may lose the page's connection before the answer.
         slider.evaluate(script)
         told = page.locator("#refusal").is_visible() and shown(page, "#refusal")
-        return "largest stiffness that would be taken" in (told or "")
+        return "largest stiffness that is accepted" in (told or "")
 
     wait_for(is_refused, "it is refused")
     number = page.locator("input[aria-label='stiffness, exact value']")

@@ -78,7 +78,7 @@ def test_a_killed_node_is_told_and_a_killed_view_is_found_again(
         environment = launch.pid("environment")
         os.kill(environment, signal.SIGSTOP)
         wait_for(
-            lambda: "the watchdog has let go" in shown(page, "#words"),
+            lambda: "the force is zero until a fresh one" in shown(page, "#words"),
             "the page tells why there is no force",
         )
         os.kill(environment, signal.SIGKILL)

@@ -225,7 +225,7 @@ def test_files_of_parameters_are_checked_before_anything_starts(tmp_path: Path) 
         ("coupling: {law: spring}", "coupling.law: no law is named 'spring'"),
         (
             "couplng: {law: pd}",
-            "has no node 'couplng'; there is: driver, environment, coupling, logger",
+            "has no node 'couplng'; available: driver, environment, coupling, logger",
         ),
         ("coupling: pd", "given.yaml.coupling: expected a mapping of parameters, got 'pd'"),
         ("[1, 2]", "given.yaml: expected a mapping from node to parameters"),
@@ -268,7 +268,7 @@ def test_a_question_asked_again_is_recorded_once(node: str, tmp_path: Path) -> N
         stalled = launch.call(node, "status")["pid"]
         os.kill(stalled, signal.SIGSTOP)
         try:
-            wait_for(lambda: "asking again" in launch.errors, "the driver asks again")
+            wait_for(lambda: "publishing it again" in launch.errors, "the driver asks again")
             asked = launch.call("driver", "progress")["tick"]
         finally:
             os.kill(stalled, signal.SIGCONT)

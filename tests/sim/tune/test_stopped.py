@@ -152,7 +152,7 @@ def test_a_launch_that_somebody_tunes_already_is_refused_and_left_to_him(tmp_pat
             )
             launch.call("coupling", "law.switch", law="trial", ramp=0)
             with (
-                pytest.raises(ControlError, match="held by somebody else"),
+                pytest.raises(ControlError, match="held by another client"),
                 borrowed(PushedLaunch(launch.run)),
             ):
                 raise AssertionError

@@ -268,7 +268,7 @@ def test_a_signal_while_a_law_is_tried_leaves_the_launch_as_it_was(
     shutil.copytree(tuned[0] / "tuning", tmp_path / "tuning")
     with running(tmp_path, *SCENE, "duration:=0") as launch:
         before = state(launch)
-        with pytest.raises(ControlError, match="only a loop in lockstep can stand still"):
+        with pytest.raises(ControlError, match="only a lockstep loop can pause"):
             launch.call("driver", "stand", seconds=1.0)
         process = subprocess.Popen(
             [*HAPTIC, "tune", "--steps", "verify", "--json"],
