@@ -73,10 +73,13 @@ class Events:
         # nodes are created on the thread that runs their loop
         self.loop_thread = threading.get_ident()  # identifier of the loop's thread
         self.refused = self.denied = 0  # messages refused; connections refused
+        self.quiet = False  # publish events without logging them: a node without a process
         self._counts: dict[str, int] = {}
 
     def log(self, text: str) -> None:
         """Write one named line to standard error, which queues it (nodes/base/stderr_queue.py)."""
+        if self.quiet:
+            return
         # the launcher's status line may occupy this line of the terminal
         sys.stderr.write(f"{erased(sys.stderr)}[{self._name}] {text}\n")
 

@@ -216,6 +216,18 @@ class Node:
         return {}
 
     @classmethod
+    def is_virtual(cls, parameters: Mapping[str, Any], name: str) -> bool:
+        """Return whether the device of the node `name` with these `parameters` lives in simulated time.
+
+        Returns
+        -------
+        bool
+            False for hardware, and for a node without a device.
+        """
+        del parameters, name
+        return False
+
+    @classmethod
     def largest_force(cls, parameters: Mapping[str, Any], name: str, period: float) -> float | None:
         """Return the largest force of node `name` with these `parameters`, at a `period` [s].
 
@@ -295,6 +307,20 @@ class Node:
             self.inbox = subscribe(
                 {self.setup.sources[topic] for topic in self.listens_to}, wanted, self.queue
             )
+
+    def respond(self, message: Any) -> bytes | None:
+        """Answer one `message` of the loop topic that the kind follows.
+
+        A process calls it for each message that arrives (nodes/base/follow.py), the player of one
+        process for each tick (sim/play).
+
+        Returns
+        -------
+        bytes or None
+            The encoded answer; None where the message has none.
+        """
+        del message
+        raise TypeError(f"node kind {self.setup.kind!r} does not define respond()")
 
     def loop(self) -> None:
         """Tick until `stopping` (main thread)."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import msgspec
@@ -30,6 +30,7 @@ from nodes.coupling.parameters import LONGEST_DELAY, CouplingParameters
 from nodes.coupling.renderer import ActiveLaw, Renderer, settle_conventions
 from nodes.coupling.state import CouplingState
 from nodes.coupling.time_budget import Budget
+from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError, convert
 
 if TYPE_CHECKING:
@@ -127,6 +128,20 @@ class Coupling(Node):
         if parameters.figures or parameters.plant is not None:
             # numpy takes tens of milliseconds to import and holds the GIL: now, not during contact
             self._book.figures(parameters, self._renderer.law.compiled, self._felt_delay)
+
+    def begin_with(self, law: CompiledLaw, swaps: Sequence[tuple[int, CompiledLaw, int]]) -> None:
+        """Begin with a compiled law, and swap to others at given ticks, in place of the parameters' own.
+
+        `swaps` are tick, law and ramp [ticks], in the order of their ticks.
+        """
+        histories = self._renderer.histories
+        self._renderer.law = ActiveLaw("given", "", law, histories)
+        self._take_schedule(
+            [
+                (tick, ActiveLaw(f"given_{n}", "", later, histories), ramp)
+                for n, (tick, later, ramp) in enumerate(swaps, 1)
+            ]
+        )
 
     def _take_schedule(self, schedule: list[Scheduled]) -> None:
         self._schedule = schedule
@@ -347,6 +362,11 @@ class Coupling(Node):
             receipt["is"] = self._book.figures(parameters, law, self._felt_delay)
         return receipt
 
+    @property
+    def rendering(self) -> Renderer:
+        """What renders, and what it remembers."""
+        return self._renderer
+
     # -- between two ticks --
 
     def _swap(
@@ -468,7 +488,8 @@ class Coupling(Node):
                 "eased", text, {"tick": proxy.seq, "force_step_n": step, "ramp_s": seconds}
             )
 
-    def _answer(self, proxy: Proxy) -> bytes:
+    def respond(self, proxy: Proxy) -> bytes:
+        """Answer a tick's proxy with a force."""
         seq, s, renderer = proxy.seq, self.counters, self._renderer
         jumped = renderer.follow(proxy, s.answered)
         if self._schedule:
@@ -494,4 +515,4 @@ class Coupling(Node):
 
     def loop(self) -> None:
         """Answer proxies until stopped."""
-        answer_ticks(self, Proxy, topics.PROXY, topics.FORCE, self._answer)
+        answer_ticks(self, Proxy, topics.PROXY, topics.FORCE, self.respond)

@@ -22,6 +22,31 @@ def _vector(values: Sequence[float]) -> Vector:
     return x, y, z
 
 
+def state_message(s: DriverState, seq: int, stamp: float) -> DeviceState:
+    """Return the state of a tick as it is published."""
+    return DeviceState(
+        seq=seq,
+        stamp=stamp,
+        position=_vector(s.position),
+        force=_vector(s.force),
+        mean_force=_vector(s.acting),
+        changed_at=s.changed_at,
+        force_seq=s.force_seq,
+        age=s.age,
+        response=s.response,
+        lateness=s.lateness,
+        missed=s.missed,
+        overruns=s.overruns,
+        safety=SAFETY[s.safety],
+        energy=s.energy,
+        delay=s.delay,
+        guard=s.guard_energy[0] + s.guard_energy[1] + s.guard_energy[2],
+        target=_vector(s.target),
+        surplus=s.guard_surplus,
+        rebased=s.rebased,
+    )
+
+
 class PlainTicks:
     """Interpreted ticks of one driver."""
 
@@ -64,29 +89,7 @@ class PlainTicks:
 
     def publish(self, s: DriverState, seq: int, stamp: float) -> None:
         """Send the state of a tick to the next hop."""
-        payload = encode(
-            DeviceState(
-                seq=seq,
-                stamp=stamp,
-                position=_vector(s.position),
-                force=_vector(s.force),
-                mean_force=_vector(s.acting),
-                changed_at=s.changed_at,
-                force_seq=s.force_seq,
-                age=s.age,
-                response=s.response,
-                lateness=s.lateness,
-                missed=s.missed,
-                overruns=s.overruns,
-                safety=SAFETY[s.safety],
-                energy=s.energy,
-                delay=s.delay,
-                guard=s.guard_energy[0] + s.guard_energy[1] + s.guard_energy[2],
-                target=_vector(s.target),
-                surplus=s.guard_surplus,
-                rebased=s.rebased,
-            )
-        )
+        payload = encode(state_message(s, seq, stamp))
         s.states_sent += 1
         # before sending: under FIFO the whole chain may run before the call returns
         s.sampled = self._clock()

@@ -76,8 +76,14 @@ class Environment(Node):
 
     def configure(self) -> None:
         """Build the surface."""
-        self._place, meet = self._built(self.store.current)
-        self._touch(meet)
+        self.begin_with(*self._built(self.store.current))
+
+    def begin_with(
+        self, place: TouchedSurface, meet: Callable[[Vector], Meeting] | None = None
+    ) -> None:
+        """Begin with a surface, and a function that meets it in place of its own."""
+        self._place = place
+        self._touch(place.meet if meet is None else meet)
 
     def make_counters(self) -> Any:
         """Return the state."""
@@ -153,7 +159,8 @@ class Environment(Node):
             self, kernel, self.kernel_of(self.setup.parameters) != self.kernel_module
         )
 
-    def _answer(self, state: DeviceState) -> bytes | None:
+    def respond(self, state: DeviceState) -> bytes | None:
+        """Answer a tick's state with a proxy."""
         simulated = self.clock.simulated
         if state.safety == "fault" and not simulated:
             # The position is outdated; the coupling bridges the gap. In lockstep the driver waits
@@ -223,4 +230,4 @@ class Environment(Node):
 
     def loop(self) -> None:
         """Answer device states until stopped."""
-        answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self._answer)
+        answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self.respond)

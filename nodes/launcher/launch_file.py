@@ -28,6 +28,7 @@ from nodes.launcher.launch_spec import (
     Including,
     Launch,
     LaunchText,
+    Model,
     NodeSpec,
     RunSpec,
 )
@@ -334,6 +335,7 @@ def _read(
         nodes=nodes,
         axes=axes,
         model=file.model,
+        models=_models(included),
         origins=origins,
     )
 
@@ -450,6 +452,16 @@ def _common_run(
                     f"{where}.run.{name}: the included files differ: {found[name]} and {value}; set"
                     " it in this file"
                 )
+    return found
+
+
+def _models(included: Sequence[tuple[str, Launch]]) -> dict[str, Model]:
+    """Return what each included chain is for, by its namespace; what has none is what this file is for."""
+    found = {}
+    for namespace, launch in included:
+        for inner in dict.fromkeys(name.rpartition("/")[0] for name in launch.nodes):
+            if chain := "/".join(filter(None, (namespace, inner))):
+                found[chain] = launch.models.get(inner) or launch.model
     return found
 
 

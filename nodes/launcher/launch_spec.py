@@ -203,6 +203,7 @@ class Launch(msgspec.Struct, frozen=True, kw_only=True):
     nodes: dict[str, NodeSpec]  # nodes by name
     axes: dict[str, list[Axis]] = {}  # axes by namespace, if they differ from those of ``run``
     model: Model = Model()  # purpose of the scene
+    models: dict[str, Model] = {}  # purpose of each included chain, by namespace
     origins: Any = None  # file and line of each value; see nodes/launcher/origins.py
 
 

@@ -306,7 +306,11 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
 
     setups = {}
     cores = _cores(launch)
-    devices = [kind for kind in classes.values() if topics.DEVICE_STATE in kind.publishes]
+    virtual = all(
+        kind.is_virtual(launch.nodes[name].parameters, name)
+        for name, kind in classes.items()
+        if topics.DEVICE_STATE in kind.publishes
+    )
     parameters = {
         name: convert(launch.nodes[name].parameters, kind.Parameters, name)
         for name, kind in classes.items()
@@ -349,7 +353,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             apply=launch.run.apply,
             tick="compiled" if launch.run.tick == "compiled" and kind.kernel_module else "plain",
             axes=launch.axes.get(name.rpartition("/")[0]) or launch.run.axes,
-            virtual=all(getattr(kind, "virtual", False) for kind in devices),
+            virtual=virtual,
             ticks=launch.run.ticks,
             publish=far[name] or publish[name],
             listen="" if far[name] else listen[name],

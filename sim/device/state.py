@@ -67,6 +67,7 @@ class AxisState:
     has_repeat: int
     repeat: float  # time after which the path repeats [s]
     pull: float  # its present target [m]
+    led: int  # 1: `pull` is set from outside; 0: the path applies
 
     # Pointer of a page that may drag the hand (nodes/driver/pointer.py)
     pointer: int  # address of the shared memory; 0 for none
@@ -85,6 +86,8 @@ class AxisState:
     commands: Annotated[list[float], _IN_FLIGHT]  # ring buffer of forces in flight [N]
     commands_count: int
     slot: int  # index of the next force
+
+    push: float  # force from outside besides the motor's, the weight's and the hand's [N]
 
     # Real time
     delay: float  # delay of the device [ticks]
@@ -121,6 +124,8 @@ def point(d: AxisState, tick: int) -> float:
 @rule
 def target(d: AxisState, seq: int) -> float:
     """Return the hand's target for a tick [m]: on its path, or dragged at a limited speed."""
+    if d.led != 0:
+        return float(d.pull)
     rest = point(d, seq)
     if d.pointer == 0:
         return rest
@@ -147,8 +152,9 @@ def _pulled(d: AxisState, force: float) -> float:
     """Return the sum of the saturated motor force, gravity and the hand's spring [N]."""
     load = d.weight
     if d.corners > 0:
-        load += d.grip * (d.pull if d.pointer != 0 else point(d, d.ticks))
-    return float(saturate(force, d.motor) + load)
+        is_led = d.pointer != 0 or d.led != 0
+        load += d.grip * (d.pull if is_led else point(d, d.ticks))
+    return float(saturate(force, d.motor) + (load + d.push))
 
 
 @rule

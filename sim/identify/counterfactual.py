@@ -16,7 +16,10 @@ from sim.arrays import Array
 from sim.device.model import coefficients
 from sim.experiments.drop import Criterion, settled
 from sim.identify.recorded_scene import RecordedScene
-from sim.play.one_axis import Given, run
+from sim.play.chain import Instead
+from sim.play.given import Given
+from sim.play.one_axis import run
+from sim.play.player import play
 
 # largest motion over the last quarter of a run that counts as settled: that of the drop test [m]
 STILL = Criterion().tolerance
@@ -49,7 +52,13 @@ def replay(
     arrivals = None if recorded.lockstep else (recorded.came, recorded.answers, recorded.given)
     given = Given(force=external, target=recorded.target, arrivals=arrivals, nudged=nudged)
     # Interpreted: compiling the loop takes as long as a million ticks of it.
-    trace = run(played.scene, first, ticks, swaps, played.memory, True, given)
+    trace = play(
+        recorded.launch,
+        ticks=ticks,
+        instead=Instead(law=first, swaps=swaps),
+        given=given,
+        how="interpreted",
+    ).along()
     return _judged(recorded, first, trace.measured, trace.force)
 
 

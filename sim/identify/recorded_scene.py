@@ -24,6 +24,7 @@ from sim.arrays import Array
 from sim.device.model import DeviceModel
 from sim.experiments.drop import SHORTEST
 from sim.identify.forces import handed_over
+from sim.play.hops import UNJUDGED
 from sim.play.launched import LaunchedScene, from_launch
 from sim.play.one_axis import PlannedSwap
 
@@ -156,6 +157,9 @@ def _playable(launch: Launch, device: DeviceModel | None) -> tuple[Launch, tuple
     """Put a device in the place of hardware; what is judged anew in lockstep only, and whether somebody could drag its hand."""
     nodes, left_out, dragged = dict(launch.nodes), [], False
     for name, spec in launch.nodes.items():
+        if spec.kind == "coupling":
+            judged = {**spec.parameters, **UNJUDGED}
+            nodes[name] = msgspec.structs.replace(spec, parameters=judged)
         if not spec.kind.endswith("driver"):
             continue
         safety = spec.parameters.get("safety", {})

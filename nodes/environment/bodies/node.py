@@ -90,12 +90,10 @@ class MujocoEnvironment(Node):
 
     def configure(self) -> None:
         """Load the scene, measure its contacts, and report what the stability checks need."""
-        self._rebased = self._driver_rebased = 0
-        self._world = load_world(self.store.current, self.setup.period, self.setup.name)
+        self.begin_with(load_world(self.store.current, self.setup.period, self.setup.name))
         self._poses = Poses(
             poses_file(self.setup.run_dir, self.setup.name), self._world.model.ngeom, make=True
         )
-        self._every = max(1, round(1.0 / (RATE * self.setup.period)))
         self.events.emit_each(
             "bodies",
             f"the tool weighs {self._world.mass:.4g} kg (a coupling's plant.tool_mass);"
@@ -104,7 +102,21 @@ class MujocoEnvironment(Node):
             {"tool_mass_kg": self._world.mass, "steps": self._world.steps},
         )
 
-    def _answer(self, state: DeviceState) -> bytes | None:
+    _poses: Poses | None = None  # where pages find the bodies; None for no page
+
+    @property
+    def world(self) -> MovingScene:
+        """The scene that it steps."""
+        return self._world
+
+    def begin_with(self, world: MovingScene) -> None:
+        """Begin with a scene."""
+        self._rebased = self._driver_rebased = 0
+        self._world = world
+        self._every = max(1, round(1.0 / (RATE * self.setup.period)))
+
+    def respond(self, state: DeviceState) -> bytes | None:
+        """Answer a tick's state with a proxy."""
         simulated, world, seq = self.clock.simulated, self._world, state.seq
         if state.safety == "fault" and not simulated:
             return None
@@ -127,7 +139,7 @@ class MujocoEnvironment(Node):
         at = world.tool_position
         if not simulated:
             note_spent(self.counters.spent, time.monotonic() - begin)
-        if seq % self._every == 0:
+        if self._poses is not None and seq % self._every == 0:
             self._poses.write(world.data.geom_xpos, world.data.geom_xmat)
         stamp = state.stamp if simulated else self.clock.now()
         # The tool is coupled from all sides: no normal, and no clamping.
@@ -143,7 +155,7 @@ class MujocoEnvironment(Node):
 
     def loop(self) -> None:
         """Answer device states until stopped. A repeated state (lockstep) steps the scene once."""
-        answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self._answer)
+        answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self.respond)
 
 
 # period below every scene's own step [s]: nothing is stepped, only the mass is read

@@ -8,14 +8,15 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from nodes.cli.quantities import whole
+from nodes.parameters.store import ParameterError
 from sim.cli.answers import add_answer, report
 from sim.cli.sweeps import add_spread, spread
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from nodes.launcher.launch_spec import Launch
     from sim.experiments.needs import Needs
-    from sim.play.launched import LaunchedScene
 
 _ROUNDING = 1e-15  # positions are a few centimetres in double precision [m]
 
@@ -46,50 +47,76 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Say whether a scene models enough and no more."""
+    """Print whether each chain of a scene models enough and no more."""
     from nodes.launcher import launch_file
-    from sim.experiments.needs import needs, spatial_needs
-    from sim.experiments.perception import THRESHOLDS, tolerances
-    from sim.measure.stopwatch import Progress
-    from sim.play.launched import from_launch
+    from nodes.launcher.wiring import chains_of
 
     launch = launch_file.read(
         arguments.scenario, launch_file.parse_assignments(arguments.assignments)
     )
-    felt = arguments.tolerance == "jnd"
-    tolerance = tolerances(launch.model.tolerance, felt)
-    timed = arguments.rounds, Progress(arguments.rounds).step, partial(spread, arguments), tolerance
-    scene = from_launch(launch) if len(launch.run.axes) == 1 else None
-    found = spatial_needs(launch, *timed) if scene is None else needs(scene, launch.model, *timed)
+    judged = {chain: _judge(arguments, launch, chain) for chain in chains_of(launch)}
+    if not judged:
+        raise ParameterError(f"{launch.scenario}: no chain, so nothing to play")
+    figures = [found for found, _ in judged.values()]
+    answer = figures[0]
+    if len(figures) > 1:
+        answer = {"scenario": launch.scenario, "chains": dict(zip(judged, figures, strict=True))}
+    enough = not any(found["superfluous"] or found["missing"] for found in figures)
+    return report(arguments, answer, "\n\n".join(text for _, text in judged.values()), held=enough)
+
+
+def _judge(arguments: argparse.Namespace, launch: Launch, chain: str) -> tuple[dict[str, Any], str]:
+    """Judge one chain: its figures, and what is printed of them."""
+    from sim.experiments.needs import needs
+    from sim.experiments.perception import THRESHOLDS, tolerances
+    from sim.measure.stopwatch import Progress
+
+    model = launch.models.get(chain) or launch.model
+    felt, name = arguments.tolerance == "jnd", "/".join(filter(None, (launch.scenario, chain)))
+    tolerance = tolerances(model.tolerance, felt)
+    found = needs(
+        launch,
+        chain,
+        model,
+        arguments.rounds,
+        Progress(arguments.rounds).step,
+        partial(spread, arguments),
+        tolerance,
+    )
     figures: dict[str, Any] = {
-        "scenario": launch.scenario,
+        "scenario": name,
         "outcome": asdict(found.outcome),
-        "tolerance": launch.model.tolerance,
-        "tolerances": {name: tolerance(name) for name in launch.model.outcome},
+        "tolerance": model.tolerance,
+        "tolerances": {outcome: tolerance(outcome) for outcome in model.outcome},
         "thresholds": [asdict(threshold) for threshold in THRESHOLDS],
         "tick_us": found.tick_us,
         "terms": [asdict(finding) for finding in found.findings],
         "superfluous": list(found.superfluous),
         "missing": list(found.missing),
         "left_out": [finding.term for finding in found.left_out],
-        "rest": None if scene is None else _rest(scene, arguments.out / "needs_rest.png"),
+        "rest": _rest(launch, chain, arguments.out / f"needs_rest{chain.replace('/', '_')}.png"),
     }
-    text = _text(launch.scenario, launch.model, found, felt)
+    text = _text(name, model, found, felt)
     if (told := figures["rest"]) is not None:
         text += (
             f"\nrest: {1e6 * told['resolution_m']:.3g} µm of encoder and {told['friction_n']:.3g} N"
             f" of friction{'' if told['declared'] else ' (a Touch X: the scene has none)'};"
             f" {told['text']}\n{told['map']['plot']}"
         )
-    return report(arguments, figures, text, held=not (found.superfluous or found.missing))
+    return figures, text
 
 
-def _rest(scene: LaunchedScene, path: Path) -> dict[str, Any] | None:
-    """Tell what encoder and friction do to the scene's last law at rest; None without contact or for a law that has no taps."""
+def _rest(launch: Launch, chain: str, path: Path) -> dict[str, Any] | None:
+    """Return what encoder and friction do to the last law at rest; None but for one rigid device in contact and taps."""
     from nodes.stability.rest import rest
     from sim.experiments.rest_map import rest_map
     from sim.experiments.terms import FRICTION, RESOLUTION
+    from sim.play.launched import NotOneAxisError, from_launch
 
+    try:
+        scene = from_launch(launch, chain)
+    except NotOneAxisError:
+        return None
     law, device = scene.last_law, scene.plant
     if scene.scene.surface.kind == "free" or law.evaluate is not None:
         return None

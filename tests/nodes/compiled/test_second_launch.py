@@ -24,7 +24,7 @@ from messages.topics import DEVICE_STATE
 from nodes.compiled.cache import folder
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
-from sim.play.launched import from_launch
+from sim.play.player import play
 from tests.nodes.compiled.test_choose import background
 from tests.support import ROOT
 from tests.support.launching import private_runtime_dir, wait_for
@@ -51,10 +51,10 @@ from pathlib import Path
 from nodes.launcher import launch_file
 from sim.identify.counterfactual import replay
 from sim.identify.recorded_scene import rebuild
-from sim.play.launched import from_launch
+from sim.play.player import play
 
-scene = from_launch(launch_file.read("floor_drop", launch_file.parse_assignments(["duration:=0.6"]), (Path("slow.yaml"),)))
-forces = {"one process": scene.play().force, "replay": replay(rebuild(Path(sys.argv[1]))).force[: scene.ticks]}
+trace = play(launch_file.read("floor_drop", launch_file.parse_assignments(["duration:=0.6"]), (Path("slow.yaml"),))).along()
+forces = {"one process": trace.force, "replay": replay(rebuild(Path(sys.argv[1]))).force[: len(trace.force)]}
 print(json.dumps({name: [float(value) for value in row] for name, row in forces.items()}))
 """
 
@@ -174,8 +174,8 @@ def test_the_second_launch_runs_compiled_and_every_player_keeps_the_changed_rule
     # times its share of the ramp.
     given = launch_file.parse_assignments(["duration:=0.6"])
     old = (
-        from_launch(launch_file.read("floor_drop", given, (changed.folder / "slow.yaml",)))
-        .play()
+        play(launch_file.read("floor_drop", given, (changed.folder / "slow.yaml",)))
+        .along()
         .force.tolist()
     )
     touched = next(tick for tick, force in enumerate(old) if force)

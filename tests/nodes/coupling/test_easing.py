@@ -25,8 +25,12 @@ from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import convert
-from sim.play.chain import SpatialTrace, play
-from sim.play.launched import from_launch
+from sim.play.chain import Instead
+from sim.play.given import Given
+from sim.play.launched import LaunchedScene, from_launch
+from sim.play.one_axis import run
+from sim.play.player import play
+from sim.play.trace import ChainTrace
 from tests.support.setups import setup_of
 from tests.support.shapes import wander
 
@@ -38,9 +42,23 @@ STIFFNESS, DAMPING = 800.0, 2.0
 EPSILON = 1e-12  # rounding of forces of some 100 N
 
 
-def drop(law: str, height: float, **coupling: Any) -> Any:
+def drop(law: str, height: float, **coupling: Any) -> LaunchedScene:
     """Prepare the drop of the paper from a height [m]."""
     return from_launch(with_values(dropped(law, height), "coupling", coupling))
+
+
+def force_of(scene: LaunchedScene, ticks: int | None = None) -> np.ndarray[Any, Any]:
+    """Play a drop by the loop of one axis, interpreted; return its force [N]."""
+    return run(scene.scene, scene.law, ticks or scene.ticks, interpreted=True).force
+
+
+def led(
+    launch: Launch, path: np.ndarray[Any, Any], changes: Sequence[tuple[int, dict[str, Any]]]
+) -> ChainTrace:
+    """Play a way that the device is led, over surfaces that change."""
+    surfaces = [(tick, {"surface": surface}) for tick, surface in changes]
+    instead = Instead(environment=surfaces)
+    return play(launch, ticks=len(path), instead=instead, given=Given(path=path))
 
 
 def dropped(law: str, height: float) -> Launch:
@@ -69,34 +87,31 @@ def with_values(launch: Launch, name: str, values: dict[str, Any]) -> Launch:
 def test_a_drop_that_begins_inside_the_floor_begins_softly(law: str, height: float) -> None:
     """The first force was B/T times the depth beside K times it: 5.0, 4.6 and 6.3 N where 2.0 N hold."""
     scene = drop(law, height)
-    force = scene.play(interpreted=True).force
+    force = force_of(scene)
     assert 0.0 < force[0] == pytest.approx(-gain_at_rest(scene.law) * height / RAMP, rel=1e-9)
     # It never pushes harder than a device that is let down on the surface itself.
-    assert force.max() < 1.3 * drop(law, 0.0).play(interpreted=True).force.max()
+    assert force.max() < 1.3 * force_of(drop(law, 0.0)).max()
 
 
 @pytest.mark.parametrize("law", ["pd", "pd_alpha", "multi_term"])
 def test_a_drop_that_begins_free_has_the_bits_of_one_without_easing(law: str) -> None:
     for height in (0.0, 0.01):
-        eased_, hard = (
-            drop(law, height, ease=ease).play(200, interpreted=True) for ease in (EASE, 0.0)
-        )
+        drops = (drop(law, height, ease=ease) for ease in (EASE, 0.0))
+        eased_, hard = (run(one.scene, one.law, 200, interpreted=True) for one in drops)
         assert np.array_equal(eased_.force, hard.force)
         assert np.array_equal(eased_.measured, hard.measured)
 
 
 def test_without_easing_a_beginning_is_no_velocity_all_the_same() -> None:
-    assert drop("pd", -0.002, ease=0.0).play(10, interpreted=True).force[0] == pytest.approx(
-        2.0, rel=1e-12
-    )
+    assert force_of(drop("pd", -0.002, ease=0.0), 10)[0] == pytest.approx(2.0, rel=1e-12)
 
 
 @pytest.mark.parametrize("law", ["pd", "pd_alpha", "multi_term", "designed_d0"])
 def test_the_compiled_loop_and_the_nodes_rules_begin_with_the_same_bits(law: str) -> None:
     """One process, interpreted over the loop's own rules, and over the nodes' renderer and driver."""
-    played = drop(law, -0.0012)
-    trace = played.play(150, interpreted=True)
-    assert np.array_equal(play(dropped(law, -0.0012), 150).force[:, 2], trace.force)
+    force = force_of(drop(law, -0.0012), 150)
+    nodes = play(dropped(law, -0.0012), ticks=150, how="nodes")
+    assert np.array_equal(nodes.force[:, 2], force)
 
 
 @given(
@@ -198,13 +213,13 @@ def couplings(surface: dict[str, Any], law: str) -> CouplingParameters:
     return made
 
 
-def unexplained(found: SpatialTrace, changes: Sequence[int]) -> float:
+def unexplained(found: ChainTrace, changes: Sequence[int]) -> float:
     """Return the largest change of force per tick beyond ramp and motion, of pd in the world's axes [N].
 
     What is asked is computed from the trace by the law's own equation, with no velocity over a
     jump; the ramp may add its share of each jump's step, as long as it lasts.
     """
-    deflection = np.where(found.contact[:, None], found.proxy - found.position, 0.0)
+    deflection = np.where(found.contact[:, None], found.proxy - found.measured, 0.0)
     before = np.vstack([deflection[:1], deflection[:-1]])
     for tick in changes:
         before[tick] = deflection[tick]
@@ -242,7 +257,7 @@ def test_no_change_of_a_surface_makes_a_force_that_no_motion_made(
     path += np.array(start) - path[0]
     ticks = np.cumsum(gaps)[: len(surfaces) - 1].tolist()
     changes = list(zip(ticks, surfaces[1:], strict=False))
-    found = play(with_surface(surfaces[0], frame="world"), len(path), path=path, changes=changes)
+    found = led(with_surface(surfaces[0], frame="world"), path, changes)
     jumps = [
         tick
         for tick, one, other in zip(ticks, surfaces, surfaces[1:], strict=False)
@@ -266,9 +281,7 @@ def test_a_surface_that_moves_under_a_hand_at_rest_is_felt_by_the_ramp_alone(
     ball, moved = (
         {"kind": "sphere", "position": [0.0, 0.0, z], "radius": 0.03} for z in (0.0, 0.01)
     )
-    found = play(
-        with_surface(ball, law=law, frame=frame), len(path), path=path, changes=[(1200, moved)]
-    )
+    found = led(with_surface(ball, law=law, frame=frame), path, [(1200, moved)])
     force = found.force[:, 2]
     step = np.abs(np.diff(force[1100:])).max()
     gain = gain_at_rest(LawBook("coupling", PERIOD).compile(couplings(ball, law), law))
@@ -292,7 +305,7 @@ def test_a_surface_that_asks_for_more_than_the_driver_gives_comes_by_the_whole_r
     limits = {**launch.nodes["driver"].parameters["safety"], "peak_force": 7.9, "slew": 4000.0}
     launch = with_values(launch, "driver", {"safety": limits})
     changes = [(250, {"kind": "sphere", "radius": radius + moved})]
-    force = play(launch, len(path), path=path, changes=changes).force[:, 2]
+    force = led(launch, path, changes).force[:, 2]
     deep = radius + TOOL_RADIUS - 0.02
     before, after = (
         min(max(STIFFNESS * deflection, 0.0), 7.9) for deflection in (deep, deep + moved)
@@ -310,7 +323,7 @@ def test_a_solid_that_moves_onto_a_free_device_is_not_felt_until_it_is_outside()
     ball, moved = (
         {"kind": "sphere", "position": [0.0, 0.0, z], "radius": 0.03} for z in (0.0, 0.03)
     )
-    found = play(with_surface(ball), len(path), path=path, changes=[(20, moved)])
+    found = led(with_surface(ball), path, [(20, moved)])
     assert not found.force[:350].any()
     assert found.force[-1, 2] > 1.0
 
@@ -341,7 +354,7 @@ def force_at(node: Coupling, seq: int, depth: float, **given_: Any) -> float:
     }
     place = (0.0, 0.0, -depth)
     proxy = (0.0, 0.0, 0.0) if depth > 0.0 else place
-    payload = node._answer(
+    payload = node.respond(
         Proxy(seq=seq, stamp=0.0, position=place, proxy=proxy, **contact, **given_)
     )
     node.counters.seq = node.counters.answered = seq

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from nodes.driver.passivity import PassivityParameters, count_step, guarded, set_guard
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
-from sim.play.chain import SpatialTrace, play
+from sim.play.player import play
+from sim.play.trace import ChainTrace
 from tests.support import ROOT
 from tests.support.launching import launch_json
 from tests.support.safety import state_of
@@ -49,7 +50,7 @@ def _rubbed(friction: float) -> Any:
     return msgspec.structs.replace(launch, nodes=nodes)
 
 
-def _chatter(trace: SpatialTrace) -> float:
+def _chatter(trace: ChainTrace) -> float:
     """Rms speed along the normal while the hand presses and slides [m/s]."""
     speed = np.diff(trace.position @ NORMAL)[300:900] / 0.002
     return float(np.sqrt((speed**2).mean()))

@@ -32,9 +32,8 @@ from nodes.launcher import launch_file
 from nodes.laws.pd import PD
 from nodes.recording.reader import Recording
 from sim.device.model import DeviceModel
-from sim.play.chain import play
-from sim.play.launched import from_launch
 from sim.play.one_axis import Scene, SceneSurface, Trace, run
+from sim.play.player import play
 from tests.support.launching import haptic, launch_json, running, wait_for
 from tests.support.safety import state_of
 
@@ -442,7 +441,7 @@ def test_lockstep_equals_one_process_and_publishes_its_energy(
     )
     recording = Recording(tmp_path / figures["recording"])
     state = recording.arrays("/device/state")
-    trace = from_launch(launch_file.read("floor_guarded", words)).play()
+    trace = play(launch_file.read("floor_guarded", words)).along()
     assert np.array_equal(state["position"][:-1, 2], trace.measured)
     assert np.array_equal(state["force"][1:, 2], trace.force)
     energy = given_out(trace, latency + (apply == "next_tick"))
@@ -486,9 +485,9 @@ def test_a_beginning_in_contact_comes_by_the_ramp_under_a_guard_too(law: str, ap
     driver = launch.nodes["driver"]
     parameters = {**driver.parameters, "passivity": {"stiffness": 1000.0}}
     watched = msgspec.structs.replace(driver, parameters=parameters)
-    bare = play(launch, 250).force[:, 2]
+    bare = play(launch, ticks=250).force[:, 2]
     force = play(
-        msgspec.structs.replace(launch, nodes={**launch.nodes, "driver": watched}), 250
+        msgspec.structs.replace(launch, nodes={**launch.nodes, "driver": watched}), ticks=250
     ).force[:, 2]
     # 20 N asked at first, over a ramp of 75 ticks in the driver and one in the coupling: no rise is
     # steeper than one of them.

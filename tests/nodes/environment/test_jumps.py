@@ -29,7 +29,8 @@ from nodes.environment.surfaces import parse_surface
 from nodes.environment.touched_surface import TouchedSurface
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
-from sim.play.chain import play
+from sim.play.chain import Instead
+from sim.play.player import play
 from tests.support import slowly
 from tests.support.launching import running, typed
 from tests.support.setups import setup_of
@@ -52,7 +53,7 @@ def answers(node: Environment, states: list[DeviceState]) -> list[Proxy]:
     """Answer states as the node's loop does."""
     found = []
     for state in states:
-        payload = node._answer(state)
+        payload = node.respond(state)
         assert payload is not None
         node.counters.seq = node.counters.answered = state.seq
         found.append(Decoder(Proxy).decode(payload))
@@ -83,9 +84,13 @@ def test_a_wall_that_is_moved_live_has_the_bits_of_one_process(tick: str, tmp_pa
     assert str(jump) in told
     moved = {"kind": "plane", "axis": "x", "position": 0.010, "normal": -1}
     ticks = jump + 300
-    played = play(launch_file.read(scene, {}), ticks, changes=[(jump, moved)])
+    played = play(
+        launch_file.read(scene, {}),
+        ticks=ticks,
+        instead=Instead(environment=[(jump, {"surface": moved})]),
+    )
     assert [state.position for state in recording.messages(DEVICE_STATE)[:ticks]] == list(
-        map(tuple, played.position.tolist())
+        map(tuple, played.measured.tolist())
     )
     felt = forces[jump - 1].force[0]
     step = np.abs(np.diff([force.force[0] for force in forces[jump - 1 : ticks]]))
@@ -116,9 +121,13 @@ def test_shapes_that_are_begun_in_and_changed_live_have_the_bits_of_one_process(
     jump = max(proxy.rebased for proxy in proxies)
     ticks = min(jump + 200, len(proxies))
     grown = {"kind": "union", "shapes": shapes}
-    played = play(launch_file.read(scene, {}), ticks, changes=[(jump, grown)])
+    played = play(
+        launch_file.read(scene, {}),
+        ticks=ticks,
+        instead=Instead(environment=[(jump, {"surface": grown})]),
+    )
     assert [state.position for state in recording.messages(DEVICE_STATE)[:ticks]] == list(
-        map(tuple, played.position.tolist())
+        map(tuple, played.measured.tolist())
     )
     assert [proxy.proxy for proxy in proxies[:ticks]] == list(map(tuple, played.proxy.tolist()))
     told = [one.reason for one in recording.messages(event("environment")) if one.kind == "inside"]
@@ -332,7 +341,7 @@ def test_a_tool_that_begins_inside_of_a_body_is_not_thrown(bodies: str) -> None:
     """In a block: MuJoCo threw it 92 mm; now it is free until it is outside, and feels the block from there."""
     pytest.importorskip("mujoco", reason="things that move need MuJoCo")
     scene = {"scene": str(FIXTURES / "inside.xml"), "bodies": bodies, "reach": 0.08}
-    found = play(launch_file.read(str(FIXTURES / "mujoco.yaml"), scene), 1000)
+    found = play(launch_file.read(str(FIXTURES / "mujoco.yaml"), scene), ticks=1000)
     away = np.linalg.norm(found.proxy - found.position, axis=1)
     # The tool trails the device by what accelerates 50 g, and presses by what the hand's 150 N/m
     # make of some millimetres.

@@ -29,7 +29,7 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import with_spring, without_spring
 from nodes.stability.plant import Plant
 from nodes.stability.worst_world import worst_world
-from sim.play.chain import play
+from sim.play.player import play
 from tests.support.launching import launch_json
 
 PERIOD = 0.002
@@ -229,7 +229,7 @@ def test_the_loop_solves_for_the_force_of_the_same_tick(
         )
         # u = (1 − w)(1 + w)/(…) F and y = T u/(1 − w).
         world = PERIOD * np.append(s, 0.0), np.sum(parts, axis=0)
-    found = play(launch, 300).position[:, 0]
+    found = play(launch, ticks=300).position[:, 0]
     expected = simulated(launch, 300, world, compiled, int(apply == "next_tick"))
     # 300 ticks of rounding
     assert found == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
@@ -237,7 +237,7 @@ def test_the_loop_solves_for_the_force_of_the_same_tick(
 
 def growth(launch: Any, ticks: int) -> float:
     """Growth of a swing per tick, from its largest value in the second and in the last quarter."""
-    swing = np.abs(play(launch, ticks).position[:, 0]).reshape(4, -1).max(axis=1)
+    swing = np.abs(play(launch, ticks=ticks).position[:, 0]).reshape(4, -1).max(axis=1)
     return float((swing[3] / swing[1]) ** (2.0 / ticks))
 
 
@@ -294,9 +294,9 @@ def test_a_launch_gives_the_bits_of_one_process(
     states, proxies, forces = (recording.messages(topic) for topic in (DEVICE_STATE, PROXY, FORCE))
     alone = play(
         launch_file.read("world_feel", launch_file.parse_assignments(["pace:=lockstep", *words])),
-        figures["ticks"],
+        ticks=figures["ticks"],
     )
-    assert np.array_equal(alone.position, [state.position for state in states[:-1]])
+    assert np.array_equal(alone.measured, [state.position for state in states[:-1]])
     assert np.array_equal(alone.proxy, [proxy.proxy for proxy in proxies[:-1]])
     assert np.array_equal(alone.force, [force.force for force in forces[:-1]])
     assert np.abs(alone.force).max() > 0.1
@@ -387,7 +387,7 @@ def test_a_launch_is_judged_on_the_body_that_it_couples_to() -> None:
     assert radius == pytest.approx(1.017, abs=5e-4)
     # Of the swing that the launch plays, once it is nothing but that: a window of 200 ticks ends
     # within 5 % of a peak.
-    swing = np.abs(play(launch, 800).position[:, 0])
+    swing = np.abs(play(launch, ticks=800).position[:, 0])
     peaks = swing[400:600].max(), swing[600:].max()
     assert (peaks[1] / peaks[0]) ** (1.0 / 200.0) == pytest.approx(radius, abs=3e-4)
     judgement = Judgement("coupling", PERIOD, LawBook("coupling", PERIOD))

@@ -15,7 +15,7 @@ from sim.design.demand import CONVENTIONS, Demand
 from sim.design.landing import dropped, drops
 from sim.design.robust import stiffest
 from sim.experiments.drop import Criterion, settles
-from sim.play.launched import from_launch
+from sim.play.player import play
 
 T = 0.002
 DEMANDS = {
@@ -67,8 +67,8 @@ def test_preset_is_as_stiff_as_what_the_study_designs() -> None:
     ("name", "apply"), [("designed_d0", "on_arrival"), ("designed_d1", "next_tick")]
 )
 def test_drop_comes_to_rest_where_the_forces_balance(name: str, apply: str) -> None:
-    played = from_launch(launch_file.read("floor_drop", {"law": name, "apply": apply}))
-    trace = played.play()
+    launch = launch_file.read("floor_drop", {"law": name, "apply": apply})
+    trace = play(launch).along()
     # m g / H(1); the slowest pole is below 0.99, so 1500 ticks leave less than 10^-6 of the drop.
     assert trace.position[-1] == pytest.approx(
         -0.1 * 9.81 / parse_law(name).compile(T).h1, rel=1e-4

@@ -19,16 +19,15 @@ from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters, PlantParameters
 from nodes.launcher import launch_file
 from nodes.laws.pd import PD
-from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.plant import Plant
 from nodes.view.stability_map import plant_of, stability_map
 from sim.device.model import DeviceModel, Hand
 from sim.device.state import VirtualDevice, device_tick
-from sim.experiments.spatial_terms import spatial_scene, with_device
-from sim.play.chain import play
-from sim.play.launched import from_launch
+from sim.experiments.term_scene import term_scene, with_device
+from sim.play.launched import NotOneAxisError, from_launch
+from sim.play.player import play
 from tests.support.launching import launch_json
 
 ARM = [(0.0, 0.1), (0.1, 0.3)]
@@ -185,7 +184,7 @@ def test_a_device_that_is_not_declared_is_taken_from_the_driver_with_all_its_mas
 @pytest.mark.process
 def test_a_launch_moves_as_one_process_does(tmp_path: Path) -> None:
     scene = with_device(
-        spatial_scene(launch_file.read("sphere_feel", {"duration": 1.0, "pace": "lockstep"})),
+        term_scene(launch_file.read("sphere_feel", {"duration": 1.0, "pace": "lockstep"})),
         mass_by_position=ARM,
     )
     played = play(scene.launch)
@@ -198,13 +197,13 @@ def test_a_launch_moves_as_one_process_does(tmp_path: Path) -> None:
         tmp_path, "sphere_feel", "duration:=1.0", "pace:=lockstep", "--params", str(given)
     )
     states = Recording(tmp_path / figures["recording"]).messages(DEVICE_STATE)
-    assert np.array_equal(played.position, [state.position for state in states[:-1]])
+    assert np.array_equal(played.measured, [state.position for state in states[:-1]])
     same = play(launch_file.read("sphere_feel", {"duration": 1.0}))
     assert math.dist(same.position[-1], played.position[-1]) > 1e-4
 
 
 def test_the_loop_of_one_mass_refuses_it() -> None:
     launch = launch_file.read("floor_drop", {})
-    changed = with_device(spatial_scene(launch), mass_by_position=ARM).launch
-    with pytest.raises(ParameterError, match="mass_by_position"):
+    changed = with_device(term_scene(launch), mass_by_position=ARM).launch
+    with pytest.raises(NotOneAxisError, match="mass_by_position"):
         from_launch(changed)

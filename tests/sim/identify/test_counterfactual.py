@@ -22,8 +22,9 @@ from sim.identify.counterfactual import missing_force, nudges, replay
 from sim.identify.experiment import read
 from sim.identify.identify import identify
 from sim.identify.recorded_scene import another_law, rebuild
+from sim.play.given import Given
 from sim.play.launched import from_launch
-from sim.play.one_axis import Given, run
+from sim.play.one_axis import run
 from tests.support.launching import launch_json, typed_in
 from tests.support.recorded import rewritten
 
@@ -145,7 +146,7 @@ def test_forces_that_arrive_as_in_lockstep_give_its_run_guard_and_limits_include
     launch = launch_file.read("floor_guarded", {"apply": apply, "pace": "lockstep"})
     played = from_launch(launch)
     device = msgspec.structs.replace(played.scene.device, delay=delay)
-    scene = dataclasses.replace(played.scene, device=device, slew=2.0, safety=None)
+    scene = dataclasses.replace(played.scene, device=device, slew=2.0)
     ticks = 1000
     one = run(scene, played.law, ticks, interpreted=True)
     when = np.arange(ticks, dtype=np.float64)
