@@ -52,10 +52,10 @@ from nodes.recording.writer import RecordError, RecordWriter
 from nodes.view import server
 from nodes.view.commands import Commander, CommandError
 from nodes.view.shared_hand import SharedHand
-from tests.nodes.compiled.test_messages import assert_read_alike
 from tests.support import ROOT
 from tests.support.launching import private_runtime_dir
 from tests.support.recorded import drop
+from tests.support.scanned import assert_read_alike
 from tests.support.setups import setup_of
 
 SECONDS = float(os.environ.get("HAPTIC_FUZZ_SECONDS", "0"))

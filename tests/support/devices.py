@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 import pytest
+import yaml
 
 from messages.types import Vector
 from nodes.base.node_kinds import NODES
@@ -20,6 +22,7 @@ from nodes.driver.hardware.driver import HardwareDriver
 from nodes.driver.hardware.mailbox import MailboxDevice
 from sim.emulators import inverse_service
 from sim.emulators.world import World, library, world_beside
+from tests.support import ROOT
 from tests.support.launching import wait_for
 
 LIBRARIES = {"touch_driver": ("hd", "touch"), "force_dimension_driver": ("dhd", "force_dimension")}
@@ -132,3 +135,29 @@ def bench(kind: str, folder: Path, *options: str) -> Iterator[Bench]:
             device.close()
         if service is not None:
             service.end()
+
+
+needs_cc = pytest.mark.skipif(
+    shutil.which("cc") is None and shutil.which("gcc") is None and shutil.which("clang") is None,
+    reason="no C compiler: neither the stand-in for libHD nor the servo loop can be built",
+)
+
+
+SOFT = ("stiffness:=150", "damping:=0.5")
+"""So soft that it hardly matters how old each sample of the servo loop is, which differs from tick to tick."""
+
+
+def through(stand: Bench, folder: Path, **parameters: Any) -> str:
+    """Write `floor_drop` with the device in place of the virtual one."""
+    content = yaml.safe_load((ROOT / "launch" / "floor_drop.yaml").read_text(encoding="utf-8"))
+    del content["model"]
+    for name in ("mass", "height"):
+        del content["arguments"][name]
+    # The arm of the stand-in is the scene's.
+    content["nodes"]["coupling"]["parameters"]["plant"] = {"mass": 0.1, "damping": 1.0}
+    written = stand.written(**parameters)
+    content["nodes"]["driver"] = {"kind": stand.kind, "parameters": written}
+    content["nodes"]["logger"]["parameters"] = {"path": "run.mcap"}
+    path = folder / "drop.yaml"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return str(path)

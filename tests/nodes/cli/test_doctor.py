@@ -142,9 +142,7 @@ def test_a_report_has_versions_machine_load_and_configuration_and_names_nobody(
     environment = {"HOME": str(home), "HAPTIC_KEYS": str(home / "keys"), "HAPTIC_COMPILE": "asked"}
     with private_runtime_dir() as runtime_dir:
         environment["HAPTIC_RUNTIME_DIR"] = str(runtime_dir)
-        done = haptic(
-            tmp_path, "doctor", "--report", code=0, environment={**os.environ, **environment}
-        )
+        done = typed_in(tmp_path, "doctor", "--report", code=0, environment=environment)
     said = done.stdout
     for section in ("### Versions", "### Machine", "### Configuration", "### haptic doctor"):
         assert section in said
@@ -169,13 +167,13 @@ def test_a_report_has_versions_machine_load_and_configuration_and_names_nobody(
 
 def test_a_report_is_answered_as_figures_too(tmp_path: Path) -> None:
     with private_runtime_dir() as runtime_dir:
-        done = haptic(
+        done = typed_in(
             tmp_path,
             "doctor",
             "--report",
             "--json",
             code=0,
-            environment={**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime_dir)},
+            environment={"HAPTIC_RUNTIME_DIR": str(runtime_dir)},
         )
     figures = json.loads(done.stdout.splitlines()[-1])
     assert figures["versions"]["libzmq"] == zmq.zmq_version()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 from pathlib import Path
@@ -15,6 +14,7 @@ from nodes.compiled.build import expected_seconds, find, reason
 from nodes.compiled.choose_tick import choose, compile_later
 from nodes.compiled.library import functions, library_of_pyzmq, obtain
 from nodes.compiled.message_fields import NotCompilableError
+from tests.support.background import background
 from tests.support.launching import running, wait_for
 
 TINY = "tests.support.tiny_kernel"
@@ -154,18 +154,6 @@ def test_a_function_that_its_kernel_does_not_name_is_named_with_its_place(
 def test_the_library_is_the_one_that_pyzmq_uses() -> None:
     assert "zmq" in Path(library_of_pyzmq()).name
     assert all(functions().values())
-
-
-def background(base: Path) -> dict[int, str]:
-    """List the processes that compile in the background into a folder."""
-    found = {}
-    for process in Path("/proc").iterdir():
-        with contextlib.suppress(OSError):
-            if process.name.isdigit() and str(base).encode() in (process / "environ").read_bytes():
-                line = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-                if "nodes.compiled.build --idle" in line:
-                    found[int(process.name)] = line
-    return found
 
 
 @pytest.mark.process

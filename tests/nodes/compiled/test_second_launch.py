@@ -25,8 +25,8 @@ from nodes.compiled.cache import folder
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
 from sim.play.player import play
-from tests.nodes.compiled.test_choose import background
 from tests.support import ROOT
+from tests.support.background import background
 from tests.support.launching import private_runtime_dir, wait_for
 
 RULE = (

@@ -7,7 +7,6 @@ command is `faulty_driver`'s.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,9 +24,8 @@ from nodes.parameters.store import ParameterError, convert
 from sim.device.driver import SimDevice, SimDriverParameters
 from sim.device.model import DeviceModel
 from sim.drill.faulty_device import BLOCKS, FAILS, FaultyDevice
-from tests.nodes.driver import test_contract
-from tests.nodes.driver.test_contract import checks
 from tests.support import ROOT
+from tests.support.contract import CALLS, checks
 from tests.support.devices import real_devices
 from tests.support.setups import setup_of
 
@@ -228,11 +226,13 @@ def test_no_registered_device_is_left_out() -> None:
     }
     real = {name for name in drivers if issubclass(kinds[name], HardwareDriver)}
     assert drivers - real == set(VIRTUAL)
-    assert real == set(test_contract.CALLS)
+    assert real == set(CALLS)
     assert real == set(real_devices())
     # The virtual device has every check of a real one, but for what it cannot have.
     of_pairs = {"a pair ends with either of its devices"}
-    assert checks(sys.modules[__name__]) - of_pairs | HAS_NONE == checks(test_contract)
+    assert checks(Path(__file__)) - of_pairs | HAS_NONE == checks(
+        Path(__file__).with_name("test_contract.py")
+    )
     page = (ROOT / "nodes" / "driver" / "DEVICES.md").read_text(encoding="utf-8")
     head = next(line for line in page.splitlines() if line.startswith("| check |"))
     assert {name.strip(" `") for name in head.strip("|").split("|")[1:]} == {*real, "sim_driver"}

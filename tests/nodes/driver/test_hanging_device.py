@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from nodes.recording.reader import Recording
-from tests.nodes.driver.test_last_line import diary, forces, scene
 from tests.support import INSTALLED, slowly
 from tests.support.launching import running, wait_for
+from tests.support.logging_arm import diary, forces, scene
 
 
 @pytest.mark.process

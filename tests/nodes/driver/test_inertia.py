@@ -12,8 +12,7 @@ import pytest
 from nodes.driver.hardware.inertia import SeenMasses, masses_along
 from nodes.view.commands import Commander
 from sim.identify.borrowed import PushedLaunch
-from tests.sim.emulators.test_emulators import SOFT, through
-from tests.support.devices import bench
+from tests.support.devices import SOFT, bench, through
 from tests.support.launching import running, wait_for
 
 

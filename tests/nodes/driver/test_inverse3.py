@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from nodes.driver.haply.driver import FORCELESS_AFTER, SURPLUS_BURST
-from tests.sim.emulators.test_emulators import SOFT, through
-from tests.support.devices import Bench, bench
+from tests.support.devices import SOFT, Bench, bench, through
 from tests.support.launching import running, wait_for
 
 COLD = 1.0

@@ -11,9 +11,7 @@ from messages.types import DeviceState
 from nodes.cli.status_line import ORDER, fitted
 from nodes.driver.force_words import explain, why_no_force
 from nodes.driver.state import ACTIVE, FAULT, IDLE, STOPPED, DriverState
-from tests.nodes.driver.test_touch import needs_cc
-from tests.sim.emulators.test_emulators import SOFT, through
-from tests.support.devices import bench
+from tests.support.devices import SOFT, bench, needs_cc, through
 from tests.support.launching import running, wait_for
 
 

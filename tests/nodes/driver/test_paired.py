@@ -22,10 +22,8 @@ from nodes.recording.reader import Recording
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant, held_plant
 from sim.device.driver import SimDriver, SimDriverParameters
-from tests.nodes.driver.test_touch import needs_cc
-from tests.sim.emulators.test_emulators import SOFT, through
 from tests.support import ROOT, slowly
-from tests.support.devices import Bench, bench
+from tests.support.devices import SOFT, Bench, bench, needs_cc, through
 from tests.support.launching import running, typed, typed_in, wait_for
 from tests.support.setups import setup_of
 

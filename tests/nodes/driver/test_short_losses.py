@@ -12,8 +12,7 @@ import pytest
 from nodes.driver.hardware import mailbox
 from nodes.driver.hardware.compile import servo_library
 from nodes.driver.hardware.mailbox import Mailbox
-from tests.nodes.driver.test_touch import needs_cc
-from tests.support.devices import bench
+from tests.support.devices import bench, needs_cc
 from tests.support.launching import wait_for
 
 FORCE = (0.5, -0.25, 1.0)

@@ -136,6 +136,22 @@ def test_a_recording_longer_than_the_window_has_every_answer(tmp_path: Path) -> 
     np.testing.assert_array_equal(table["force_asked"], [force.force for force in forces])
 
 
+def test_a_driver_that_was_started_again_gets_no_answers_of_before(tmp_path: Path) -> None:
+    path = tmp_path / "r.mcap"
+
+    def state(seq: int) -> tuple[str, Message]:
+        return topics.DEVICE_STATE, DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0))
+
+    # A force for a tick that the first driver did not live to publish.
+    early = (topics.FORCE, Force(seq=4, stamp=0.0, force=(0.0, 0.0, 7.0), law="pd"))
+    write(path, [state(0), state(1), early, *(state(seq) for seq in range(6))])
+    table = read(path)
+    assert table["seq"].tolist() == [0, 1, 0, 1, 2, 3, 4, 5]
+    assert np.isnan(table["force_asked"]).all()
+    # Nor does a first tick tell how the last one before it went.
+    assert table["force_seq"][1] == -1
+
+
 def test_what_was_not_recorded_is_told_as_missing(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     sent = [

@@ -313,6 +313,33 @@ def test_ticks_without_an_answer_have_no_response(tmp_path: Path) -> None:
     assert summary.response_us["p50"] == pytest.approx(float(np.median(answered)), rel=1e-14)
 
 
+def test_a_driver_that_was_started_again_adds_to_what_was_missed(tmp_path: Path) -> None:
+    """It counts anew, from 0: neither run's counts are lost, and the oldest force is that of any tick."""
+    path = tmp_path / "r.mcap"
+    # seq, missed so far, left out so far, age
+    told = [(0, 0, 0, 0), (1, 1, 0, 3), (2, 2, 0, 4), (5, 2, 2, 0), (0, 0, 0, 0), (1, 1, 0, 1)]
+    write(
+        path,
+        [
+            (
+                DEVICE_STATE,
+                DeviceState(
+                    seq=seq,
+                    stamp=k * PERIOD,
+                    position=(0.0, 0.0, 0.0),
+                    missed=missed,
+                    overruns=left_out,
+                    age=age,
+                ),
+            )
+            for k, (seq, missed, left_out, age) in enumerate(told)
+        ],
+    )
+    summary = summarise(Recording(path))
+    assert (summary.missed, summary.overruns, summary.age_ticks_max) == (3, 2, 4)
+    assert summary.ticks == 4
+
+
 def test_summary_of_nothing(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     write(path, [(event("driver"), Event(seq=0, stamp=0.0, node="driver", kind="x", reason=""))])

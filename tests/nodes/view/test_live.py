@@ -15,9 +15,9 @@ from nodes.view.comparison import Comparison
 from nodes.view.live import Facts, LiveRun
 from sim.drill.drill import scene as drill_scene
 from sim.drill.last_line import ORDER
-from tests.nodes.view.test_server import live, texts
 from tests.support.browser import viewing
 from tests.support.launching import running, wait_for
+from tests.support.live_page import live, texts
 
 
 def facts(run_dir: Path, *axes: str) -> Facts:

@@ -148,7 +148,6 @@ def test_stop_ends_the_run_and_the_page_keeps_what_it_has(browser: Browser, tmp_
 
 
 @pytest.mark.process
-@pytest.mark.smoke
 def test_it_loads_moves_and_tells_the_map(page: Page, launch: Running) -> None:
     assert shown(page, "#scenario") == "touch_wall"
     before, picture = bins(page), page.locator(".plot canvas").first.screenshot()

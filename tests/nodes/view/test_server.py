@@ -21,7 +21,6 @@ from typing import Any
 
 import pytest
 from websockets.exceptions import InvalidStatus
-from websockets.sync.client import ClientConnection, connect
 
 from messages.transport.endpoints import MAX_MESSAGE
 from nodes.view.live import SILENT_NODE
@@ -38,6 +37,7 @@ from tests.support.launching import (
     running,
     wait_for,
 )
+from tests.support.live_page import live, texts
 
 
 @pytest.fixture(scope="module")
@@ -56,30 +56,6 @@ def get(url: str, **headers: str) -> tuple[int, str]:
     except urllib.error.HTTPError as error:
         with error:
             return error.code, error.read().decode()
-
-
-@contextlib.contextmanager
-def live(url: str, **more: Any) -> Iterator[ClientConnection]:
-    with connect(
-        url.replace("http", "ws") + "live",
-        compression=None,
-        open_timeout=20.0,
-        max_size=1 << 26,
-        **more,
-    ) as page:
-        yield page
-
-
-def texts(page: ClientConnection, kind: str, **wanted: Any) -> dict[str, Any]:
-    """Wait for a document of a kind."""
-    while True:
-        found = page.recv(timeout=30.0)
-        if isinstance(found, str):
-            document: dict[str, Any] = json.loads(found)
-            if document["type"] == kind and all(
-                document.get(key) == value for key, value in wanted.items()
-            ):
-                return document
 
 
 # Tests with a launch of their own, or none, come first: the one that is shared would only go on

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.sim.emulators.test_emulators import SOFT, through
 from tests.support import slowly
-from tests.support.devices import bench
+from tests.support.devices import SOFT, bench, through
 from tests.support.launching import running, wait_for
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Iterator
@@ -13,7 +12,6 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-import yaml
 from numpy.typing import NDArray
 
 from nodes.launcher import launch_file
@@ -21,12 +19,9 @@ from nodes.recording.reader import Recording
 from nodes.recording.table import read
 from sim.play.launched import from_launch
 from sim.play.one_axis import run
-from tests.support import ROOT, slowly
-from tests.support.devices import Bench, bench, real_devices
+from tests.support import slowly
+from tests.support.devices import SOFT, Bench, bench, real_devices, through
 from tests.support.launching import running, wait_for
-
-SOFT = ("stiffness:=150", "damping:=0.5")
-"""So soft that it hardly matters how old each sample of the servo loop is, which differs from tick to tick."""
 
 HEIGHT, WEIGHT = 0.01, 0.1 * 9.81
 
@@ -35,22 +30,6 @@ DROPS, NEAR = 20, 0.02
 than a tick. With both processors busy the stand-in's own loop is late by parts of a tick all the
 time, and the best of twenty was off by 1.3 %.
 """
-
-
-def through(stand: Bench, folder: Path, **parameters: Any) -> str:
-    """Write `floor_drop` with the device in place of the virtual one."""
-    content = yaml.safe_load((ROOT / "launch" / "floor_drop.yaml").read_text(encoding="utf-8"))
-    del content["model"]
-    for name in ("mass", "height"):
-        del content["arguments"][name]
-    # The arm of the stand-in is the scene's.
-    content["nodes"]["coupling"]["parameters"]["plant"] = {"mass": 0.1, "damping": 1.0}
-    written = stand.written(**parameters)
-    content["nodes"]["driver"] = {"kind": stand.kind, "parameters": written}
-    content["nodes"]["logger"]["parameters"] = {"path": "run.mcap"}
-    path = folder / "drop.yaml"
-    path.write_text(json.dumps(content), encoding="utf-8")
-    return str(path)
 
 
 Forces = dict[float, NDArray[np.float64]]

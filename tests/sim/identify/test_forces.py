@@ -14,7 +14,7 @@ import pytest
 from messages.codec import Decoder
 from messages.types import DeviceState
 from sim.identify.forces import handed_over
-from tests.nodes.compiled.test_scripted_clock import RULES
+from tests.support.rules_of_time import RULES
 from tests.support.scripted import Script, played
 from tests.support.scripted_world import T
 from tests.support.scripts import TICKS, answer, driver
