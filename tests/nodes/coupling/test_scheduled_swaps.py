@@ -16,7 +16,7 @@ from tests.support.held import HELD, receipts, recorded
 from tests.support.launching import launch_json, running
 
 # -- schedules
-# -----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.process

@@ -14,7 +14,7 @@ from tests.support.held import HELD, receipts, recorded
 from tests.support.launching import Running, private_runtime_dir, running, wait_for
 
 # -- the watched file
-# ----------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.process
@@ -71,7 +71,7 @@ def test_saving_the_watched_file_changes_the_running_law_all_or_nothing(tmp_path
 
 
 # -- the command line
-# ----------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 class Verbs:

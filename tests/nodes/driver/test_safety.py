@@ -12,7 +12,7 @@ from nodes.driver.safety import REGAIN, RETURN_SPEED, let_go
 from tests.support.safety import UP, Port, T, force
 
 # -- watchdog
-# --------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_nothing_is_handed_over_before_the_first_force() -> None:

@@ -31,7 +31,8 @@ from tests.support.launching import (
 )
 
 PROMISED = {
-    "scenario", "ticks", "missed", "rate_hz", "response_us", "age_ticks_max", "recording", "plot", "exit_reason", "final",
+    "scenario", "ticks", "missed", "rate_hz", "response_us", "age_ticks_max", "recording", "plot",
+    "exit_reason", "final",
 }  # fmt: skip
 
 IN_LOCKSTEP = {

@@ -18,7 +18,7 @@ from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import WatchedFile, parse_yaml
 
 # -- watched files
-# -------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture

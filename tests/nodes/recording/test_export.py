@@ -171,7 +171,7 @@ def test_a_recording_without_ticks_has_no_table(tmp_path: Path) -> None:
 
 
 # -- formats
-# ---------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_csv_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
