@@ -65,11 +65,16 @@ EXAMPLES = 100
 
 TELLING = [
     *(bytes([value]) * count for value in (0x00, 0xFF, 0x7F, 0x80, 0xC1) for count in (1, 2, 4, 8)),
-    *(value.to_bytes(8, order) for value in (1, 2**31, 2**32 - 1, 2**63 - 1, 2**63) for order in ("little", "big")),
-    b"\xcb\x7f\xf8\x00\x00\x00\x00\x00\x00", b"\xcb\x7f\xf0\x00\x00\x00\x00\x00\x00", b"\x91" * 2000, b"\xdd\xff\xff\xff\xff",
-    b"\xdf\xff\xff\xff\xff", b"\xc6\xff\xff\xff\xff", b"\xd9\xff", b"[" * 200, b"{" * 200, b"- " * 50, b"&a *a", b"<<: ",
-    b"!!python/object/apply:os.system", b"!!binary x", b"!!timestamp 1", b"2026-13-45", b"1:99:99", b".nan", b"-.inf",
-    b"1e400", b"0o99", b"0x", b"? ", b"\t", b"\r", b"\xef\xbb\xbf", b"\xed\xa0\x80", b"$(var x)", b"---\n", b"...\n",
+    *(value.to_bytes(8, order) for value in (1, 2**31, 2**32 - 1, 2**63 - 1,
+    2**63) for order in ("little", "big")),
+    b"\xcb\x7f\xf8\x00\x00\x00\x00\x00\x00", b"\xcb\x7f\xf0\x00\x00\x00\x00\x00\x00",
+    b"\x91" * 2000, b"\xdd\xff\xff\xff\xff",
+    b"\xdf\xff\xff\xff\xff", b"\xc6\xff\xff\xff\xff", b"\xd9\xff", b"[" * 200, b"{" * 200,
+    b"- " * 50, b"&a *a", b"<<: ",
+    b"!!python/object/apply:os.system", b"!!binary x", b"!!timestamp 1", b"2026-13-45", b"1:99:99",
+    b".nan", b"-.inf",
+    b"1e400", b"0o99", b"0x", b"? ", b"\t", b"\r", b"\xef\xbb\xbf", b"\xed\xa0\x80", b"$(var x)",
+    b"---\n", b"...\n",
     b"%YAML 9.9\n",
 ]  # fmt: skip
 """Values at which formats break: integer limits, lengths, deep nests, tags, characters."""

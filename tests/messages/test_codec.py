@@ -193,7 +193,8 @@ def test_garbage_sent_to_a_running_node_is_counted_and_told(tmp_path: Path) -> N
                 topic + b"/x",
                 encode(Proxy(seq=1, stamp=0.0, position=(0.0,) * 3, proxy=(0.0,) * 3)),
             )
-            good = Proxy(seq=1, stamp=0.002, position=(0.0, 0.0, -0.001), proxy=(0.0,) * 3, normal=(0.0, 0.0, 1.0),
+            good = Proxy(seq=1, stamp=0.002, position=(0.0, 0.0, -0.001), proxy=(0.0,) * 3,
+            normal=(0.0, 0.0, 1.0),
                          distance=-0.001, contact=True)  # fmt: skip
             rogue.send(topic, encode(good))
             frames = answers.receive(20_000)

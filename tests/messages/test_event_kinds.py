@@ -1,4 +1,4 @@
-"""Events: one list of kinds and numbers, the same in the code, on the page of the protocol and in every recording."""
+"""Events: the same kinds and numbers in the code, in PROTOCOL.md and in every recording."""
 
 from __future__ import annotations
 
@@ -194,7 +194,7 @@ def test_an_event_without_numbers_is_read() -> None:
 
 
 def foxglove(described: dict[str, Any], path: str = "") -> None:
-    """Read a schema as Foxglove's parser does (packages/mcap-support/src/parseJsonSchema.ts): raise where it would."""
+    """Parse a schema as Foxglove's parseJsonSchema.ts does; raise where it would."""
     assert described["type"] == "object", path
     for name, field in described["properties"].items():
         if field["type"] == "object":

@@ -79,7 +79,7 @@ bind(reply, sys.argv[4])
 threading.Thread(target=sys.stdin.read, daemon=True).start()
 print("ready", flush=True)
 for seq in range(1_000_000):
-    # Long enough for what a listener leaves behind to fill a queue; a stalled node is what it waits for.
+    # Time for a leaving subscriber's data to fill a queue, while the node is stalled.
     time.sleep(0.05)
     publisher.send(b"/t", b"x")
     publisher.maintain()
@@ -105,7 +105,7 @@ print("ended", flush=True)
 def test_no_listener_however_unruly_ends_the_process(
     context: Context, place: str, which: str
 ) -> None:
-    """ZeroMQ aborts (``!_io_error``) when it writes a heartbeat to a peer that left while its input was stopped."""
+    """ZeroMQ aborts on a heartbeat to a peer that left while its input was stopped."""
     places = {
         "hop": place,
         "listeners": place + "l",
@@ -199,7 +199,7 @@ def drain(listener: Subscription) -> None:
 
 
 def take_away(how: str, folder: Path) -> None:
-    """Take the key of ``other`` away, in one of the ways in which people do."""
+    """Remove the key of ``other`` in one of the usual ways."""
     allowed = folder / "allowed"
     path = allowed / "other.key"
     if how == "revoke":

@@ -217,7 +217,7 @@ def test_silence_is_told_with_the_state_of_the_link(
 def test_who_is_connected_and_starved_is_waited_for(
     context: Context, place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It once was connected anew each 3 s, so that a loop on a starved machine never met again."""
+    """A starved peer was reconnected every 3 s, so the loop never met again."""
     monkeypatch.setattr("messages.transport.links.SILENCE", 0.02)
     publisher, ear = Publisher(context, place), Ear(context, place)
     wait_for(ear.hears(publisher), "the publisher")

@@ -1,4 +1,4 @@
-"""Who may take part: keys in private files, encrypted endpoints, and everybody else turned away, counted and told."""
+"""Access: keys in private files, encrypted endpoints, everybody else refused and counted."""
 
 from __future__ import annotations
 
@@ -296,7 +296,7 @@ def test_a_forger_bound_in_a_nodes_place_is_not_heard(
 
 
 class Replayer(threading.Thread):
-    """Stands on the wire: hands everything on, keeps what the client sends, then sends it all again on a new connection."""
+    """A man in the middle that forwards and records the client's data, then replays it."""
 
     def __init__(self, target: int) -> None:
         super().__init__(daemon=True)

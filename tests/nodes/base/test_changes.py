@@ -1,4 +1,4 @@
-"""Changes on their way from the control thread to the loop: applied once, or withdrawn, or made again; never half."""
+"""Changes from the control thread: applied once, withdrawn or repeated; never half."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a process that is started again goes on with: what was granted before, and neither more nor less."""
+"""A restarted process continues with exactly the accepted parameters."""
 
 from __future__ import annotations
 

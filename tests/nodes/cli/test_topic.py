@@ -40,7 +40,7 @@ from tests.support.setups import setup_of
 
 RATE = 250.0
 SLACK = 0.5
-"""What a process may wait for its turn on a loaded machine before the flush that is due [s]."""
+"""Time that a process may wait on a loaded machine before its next flush [s]."""
 
 
 @pytest.fixture(scope="module")
@@ -312,7 +312,7 @@ def test_record_until_a_signal(launch: Running, number: int) -> None:
 
 @pytest.mark.process
 def test_who_ends_a_recorder_that_only_begins_gets_a_complete_recording(launch: Running) -> None:
-    """It says that Ctrl-C ends it: so it does from there on. Nobody reads that line here, so that it stands still there."""
+    """Once it announces Ctrl-C, it obeys. Its output pipe is full here, so it blocks there."""
     path = launch.folder / "begun.mcap"
     reading, writing = full_pipe()
     words = [*HAPTIC, "bag", "record", "--out", str(path), "--json"]

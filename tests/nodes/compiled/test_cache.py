@@ -1,4 +1,4 @@
-"""Compiled code is the user's own, whole, and of today's sources, or it is not run: planted, cut, damaged and old entries."""
+"""Compiled code runs only if it is the user's own, whole and current."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ needs_root = pytest.mark.skipif(
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Keep compiled code in a folder of the test's own."""
+    """Use a compiled-code folder of the test's own."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kept"))
     return cache.folder()
 
@@ -343,7 +343,7 @@ def test_where_nothing_can_be_kept_one_line_says_so(
 
 @pytest.mark.process
 def test_in_a_folder_that_cannot_be_written_to_one_line_says_so(tmp_path: Path) -> None:
-    """As in a container whose root file system is read-only; root goes without the right to write anywhere."""
+    """As in a container with a read-only root; root drops its write permission."""
     base = tmp_path / "base"
     base.mkdir(mode=0o500)
     without: list[str] = []

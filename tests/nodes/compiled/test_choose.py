@@ -1,4 +1,4 @@
-"""Which tick a launch takes, and that the plain one runs, with a reason, where the compiled one cannot be had."""
+"""Choice of the tick: the plain one runs, with a reason, if there is no compiled one."""
 
 from __future__ import annotations
 

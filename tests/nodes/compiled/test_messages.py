@@ -1,4 +1,4 @@
-"""Compiled reading and writing of messages, against msgspec: whatever is read compiled is read as the plain tick reads it."""
+"""Compiled reading and writing of messages, against msgspec and the plain tick."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def scanner(message: type[Message]) -> Callable[[bytes], dict[str, Any] | None]:
 
 
 def numbers(message: Message) -> dict[str, Any]:
-    """Give what the plain tick reads: all but the texts."""
+    """Return what the plain tick reads, without texts."""
     return {
         name: value
         for name, value in msgspec.structs.asdict(message).items()

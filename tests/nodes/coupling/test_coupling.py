@@ -1,4 +1,4 @@
-"""The coupling's parts: rendering to the bit, warm-up of recursive laws, fades, swaps all or nothing, the law book's checks."""
+"""The coupling's parts: rendering to the bit, warm-up, fades, swaps, the law book."""
 
 from __future__ import annotations
 
@@ -438,7 +438,7 @@ def test_sleeping_and_computing_overrun_and_waiting_for_the_interpreter_is_excus
 
 
 class Slow(Law, frozen=True, kw_only=True):
-    """Takes 20 ms."""
+    """A law that takes 20 ms."""
 
     kind: ClassVar[str] = "slow"
 

@@ -1,4 +1,4 @@
-"""A jump that no motion made is no velocity and no impact: the force leaves what was felt by a ramp, in every player."""
+"""Jumps without motion: no velocity, no impact; the force is ramped, in every player."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def with_values(launch: Launch, name: str, values: dict[str, Any]) -> Launch:
 @pytest.mark.parametrize("law", ["pd", "pd_alpha", "multi_term", "designed_d0"])
 @pytest.mark.parametrize("height", [-0.002, -0.0005])
 def test_a_drop_that_begins_inside_the_floor_begins_softly(law: str, height: float) -> None:
-    """The first force was B/T times the depth beside K times it: 5.0, 4.6 and 6.3 N where 2.0 N hold."""
+    """The first force was B/T times the depth too: 5.0, 4.6 and 6.3 N instead of 2.0 N."""
     scene = drop(law, height)
     force = scene.play(interpreted=True).force
     assert 0.0 < force[0] == pytest.approx(-gain_at_rest(scene.law) * height / RAMP, rel=1e-9)
@@ -93,7 +93,7 @@ def test_without_easing_a_beginning_is_no_velocity_all_the_same() -> None:
 
 @pytest.mark.parametrize("law", ["pd", "pd_alpha", "multi_term", "designed_d0"])
 def test_the_compiled_loop_and_the_nodes_rules_begin_with_the_same_bits(law: str) -> None:
-    """One process, interpreted over the loop's own rules, and over the nodes' renderer and driver."""
+    """One process, interpreted, and the nodes' own renderer and driver."""
     played = drop(law, -0.0012)
     trace = played.play(150, interpreted=True)
     assert np.array_equal(play(dropped(law, -0.0012), 150).force[:, 2], trace.force)
@@ -108,7 +108,7 @@ def test_the_compiled_loop_and_the_nodes_rules_begin_with_the_same_bits(law: str
 def test_an_eased_force_lies_between_what_was_felt_and_what_is_asked(
     felt: float, asked: float, later: list[float], ramp: int
 ) -> None:
-    """Of each tick's change the ramp makes its share of the step, the rest is a change of what is asked."""
+    """The ramp adds its share of the step; the rest follows the requested force."""
     before = felt
     for done, wanted in enumerate([asked, *later]):
         force = eased(wanted, felt, felt - asked, min(done, ramp), ramp)
@@ -199,10 +199,10 @@ def couplings(surface: dict[str, Any], law: str) -> CouplingParameters:
 
 
 def unexplained(found: SpatialTrace, changes: Sequence[int]) -> float:
-    """Return the largest change of force per tick beyond ramp and motion, of pd in the world's axes [N].
+    """Return the largest force change per tick beyond ramp and motion, for pd [N].
 
-    What is asked is computed from the trace by the law's own equation, with no velocity over a
-    jump; the ramp may add its share of each jump's step, as long as it lasts.
+    The requested force is computed from the trace by the law's equation in world axes, without
+    velocity over a jump; the ramp may add its share of each jump's step while it lasts.
     """
     deflection = np.where(found.contact[:, None], found.proxy - found.position, 0.0)
     before = np.vstack([deflection[:1], deflection[:-1]])
@@ -256,7 +256,7 @@ def test_no_change_of_a_surface_makes_a_force_that_no_motion_made(
 def test_a_surface_that_moves_under_a_hand_at_rest_is_felt_by_the_ramp_alone(
     law: str, frame: str
 ) -> None:
-    """Pressed 3 mm deep for a while, then it comes 10 mm nearer: 40 N and more at once, before."""
+    """Pressed 3 mm deep, the surface comes 10 mm nearer: before, 40 N at once."""
     path = np.concatenate(
         [
             np.linspace([0.0, 0.0, 0.04], [0.0, 0.0, 0.027], 100),
@@ -284,7 +284,7 @@ def test_a_surface_that_moves_under_a_hand_at_rest_is_felt_by_the_ramp_alone(
 def test_a_surface_that_asks_for_more_than_the_driver_gives_comes_by_the_whole_ramp(
     radius: float, moved: float
 ) -> None:
-    """Eased in full, 80 N were at the driver's 7.9 N after a tenth of the ramp; from 12 N they fell in its last part."""
+    """The requested 80 N reached the driver's 7.9 N after a tenth of the ramp."""
     path = np.concatenate(
         [np.linspace([0.0, 0.0, 0.04], [0.0, 0.0, 0.02], 100), np.tile([0.0, 0.0, 0.02], (300, 1))]
     )
@@ -372,7 +372,7 @@ def test_a_coupling_that_is_started_again_begins_at_rest_from_nothing() -> None:
 
 
 def test_a_driver_that_counts_anew_is_no_velocity() -> None:
-    """In lockstep a driver that was started again begins at tick 0; how deep the device is by then was no motion."""
+    """In lockstep a restarted driver begins at tick 0; its new position is no motion."""
     node = coupling(laws={"pd": {**PD, "damping": 8.0}})
     for k in range(20):
         force_at(node, k, 0.0)

@@ -1,4 +1,4 @@
-"""Laws and parameters change while the loop runs: receipts, refusals, schedules, watched files, and laws that break."""
+"""Live changes of laws and parameters: receipts, refusals, schedules, files, broken laws."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ REST = 0.981
 
 
 def settle(launch: Running) -> None:
-    """Wait until the mass rests: the loop's slowest pole here is 0.99, so 3000 ticks take any bounce below 1e-12."""
+    """Wait until the mass rests: a pole of 0.99 and 3000 ticks reduce any bounce below 1e-12."""
     launch.wait_ticks(3000)
 
 

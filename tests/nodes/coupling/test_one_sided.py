@@ -1,4 +1,4 @@
-"""What may not pull is the part of a force along the normal: on a surface that leans, as on one across an axis."""
+"""One-sided laws act along the normal: on inclined surfaces as on axis-aligned ones."""
 
 from __future__ import annotations
 

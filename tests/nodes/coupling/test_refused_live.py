@@ -1,4 +1,4 @@
-"""What a user types at a running loop: an unstable change is refused there and then, and a forced one ends in saturation."""
+"""Live requests by a user: unstable changes are refused, forced ones end in saturation."""
 
 from __future__ import annotations
 

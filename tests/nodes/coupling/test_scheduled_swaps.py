@@ -52,7 +52,8 @@ SCHEDULED = (
     .replace(
         "      fallback:",
         """        recursive:
-          {kind: pd_alpha, stiffness: 500.0, damping: 1.0, order: 0.8, taps: 6, gains: physical, derivative: oustaloup_matched}
+          {kind: pd_alpha, stiffness: 500.0, damping: 1.0, order: 0.8, taps: 6, gains: physical,
+      derivative: oustaloup_matched}
       schedule: [{at: 2.0, law: recursive}]
       fallback:""",
     )

@@ -75,7 +75,7 @@ def test_saving_the_watched_file_changes_the_running_law_all_or_nothing(tmp_path
 
 
 class Verbs:
-    """The command ``haptic`` within this process: the same code, without half a second of start-up each time."""
+    """The command ``haptic`` in this process, without half a second of start-up each time."""
 
     def __init__(
         self, runtime_dir: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

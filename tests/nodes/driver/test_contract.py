@@ -1,4 +1,4 @@
-"""What every device must do, whichever it is: one contract over all that are registered, each on its stand-in.
+"""The contract of every registered device, each on its emulator.
 
 A check is a test of a bench; the table of the contract (nodes/driver/DEVICES.md) names the same
 checks.

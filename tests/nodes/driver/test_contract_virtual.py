@@ -1,7 +1,6 @@
-"""The contract over the virtual device, of one axis and of three: the same checks as over real ones (test_contract.py).
+"""The device contract for the virtual device with one and three axes (test_contract.py).
 
-It lives in the driver's ticks, so time passes with them here. Its stand-in that misbehaves on
-command is `faulty_driver`'s.
+It runs in the driver's ticks, so time passes with them here. `faulty_driver` provides the faults.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ VIRTUAL = {
     "faulty_driver": "the virtual device that misbehaves on command",
     "paired_driver": "two devices, each with a contract of its own",
 }
-"""Every registered kind of driver without a device that exists, and what stands for it in the contract."""
+"""Every registered kind of virtual driver, and its representative in the contract."""
 
 
 class VirtualBench(NamedTuple):
@@ -63,7 +62,7 @@ class VirtualBench(NamedTuple):
     order: Path
 
     def acting(self) -> list[float]:
-        """Tell the forces that act on it now [N]."""
+        """Return the forces acting on it now [N]."""
         return [float(part.state.acting) for part in self.sim.parts]
 
     def push(self, force: float, seq: int) -> None:
@@ -203,7 +202,7 @@ def test_the_wrong_device_first(virtual: VirtualBench) -> None:
 
 
 HAS_NONE = {"remarks are no errors"}
-"""What the virtual device cannot be checked for: it calls no library that could remark on anything."""
+"""Checks not applicable to the virtual device: it calls no library."""
 
 
 def test_a_pair_ends_with_either_of_its_devices(virtual: VirtualBench) -> None:
@@ -220,7 +219,7 @@ def test_a_pair_ends_with_either_of_its_devices(virtual: VirtualBench) -> None:
 
 
 def test_no_registered_device_is_left_out() -> None:
-    """A new device fails here until it has a bench, its calls and a column; a new kind of driver until it is named."""
+    """A new device needs a bench and its calls; a new kind of driver must be listed."""
     kinds, broken = NODES.all()
     assert not broken
     drivers = {

@@ -1,4 +1,4 @@
-"""Code of a device beside the loop: whatever it raises, and whatever its attributes are, the driver ends softly or goes on."""
+"""A device's own code beside the loop: whatever it raises, the driver ends softly."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class _Own(Hand):
 
 
 def test_only_calls_are_taken_for_calls() -> None:
-    """A device that counts its calls died with the compiled tick: 'int' object is not callable."""
+    """A device that counts its calls failed with: 'int' object is not callable."""
     limits = DeviceLimits()
     for kind in (_Counting, _Listing, Hand):
         device = kind(limits, moving)
@@ -93,7 +93,7 @@ def test_a_condition_that_raises_is_told_once_and_ends_the_driver(
 
 
 def test_whatever_a_node_does_beside_its_loop_the_control_thread_goes_on() -> None:
-    """One duty that raises ended the thread: the node could not be reached any more, and the others were not done."""
+    """One exception ended the thread, so the node could not be reached any more."""
     done: list[str] = []
     ended = threading.Event()
     told: list[str] = []

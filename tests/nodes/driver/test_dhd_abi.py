@@ -1,4 +1,4 @@
-"""DHD as its driver takes it: against the vendor's own library and header where `HAPTIC_DHD` names them, else the stand-in's.
+"""DHD's ABI as its driver uses it: against the vendor's files, else the emulator's.
 
 ``HAPTIC_DHD=/opt/sdk/lib/.../libdrd.a HAPTIC_DHD_HEADER=/opt/sdk/include/dhdc.h pytest
 tests/nodes/driver/test_dhd_abi.py``
@@ -105,7 +105,7 @@ def test_a_static_library_is_linked_once(tmp_path: Path, cached: Path) -> None:
 
 @pytest.fixture
 def cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Keep what is linked in a folder of the test's own."""
+    """Link into a folder of the test's own."""
     kept = tmp_path / "cache"
     kept.mkdir(mode=0o700)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(kept))

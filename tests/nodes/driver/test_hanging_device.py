@@ -1,4 +1,4 @@
-"""A device that hangs, takes its time, or declares nothing: the driver ends in time, says why, and the launch with it."""
+"""A hanging or slow device: the driver ends in time with a reason, and so does the launch."""
 
 from __future__ import annotations
 

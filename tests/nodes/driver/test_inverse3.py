@@ -1,4 +1,4 @@
-"""The Inverse3's driver against its stand-in service: a cold start, an old version, other sessions, events, a slow service."""
+"""The Inverse3's driver on its emulated service: cold start, versions, sessions, events."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def test_an_emergency_brake_is_told_and_ends_nothing(stand: Bench, events: bool)
 @pytest.mark.process
 @pytest.mark.smoke
 def test_a_service_that_answers_slowly_has_old_samples_counted_as_none(stand: Bench) -> None:
-    """Each state 80 ms late, and the deadline is 50 ms: no position for most of the time, and no force with it."""
+    """States 80 ms late exceed the deadline of 50 ms: no position, so no force."""
     device = stand.opened()
     stand.press(device, (0.0, 0.0, 1.0))
     stand.world.state.slow_ms = 80

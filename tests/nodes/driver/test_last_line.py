@@ -1,4 +1,4 @@
-"""The driver as the last line, on real processes: a stand-in device that logs every call, and one enemy at a time."""
+"""The driver as last line of safety, on real processes, with one fault at a time."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PERIOD = 0.002
 def scene(
     folder: Path, run: dict[str, Any] | None = None, chain: dict[str, Any] | None = None, **arm: Any
 ) -> str:
-    """Write a launch file with the logging arm, held 1 mm inside a floor of 1000 N/m unless told otherwise."""
+    """Write a launch file with the logging arm, by default 1 mm inside a floor of 1000 N/m."""
     more = chain or {}
     safety = {"damping": DAMPING, **arm.pop("safety", {})}
     content = {
@@ -353,7 +353,7 @@ WEIGHT = "gravity: 9.81"
 def test_what_has_sunk_in_meets_a_force_that_grows_by_the_ramp_and_is_not_thrown(
     tmp_path: Path, tick: str, pushes: str, strength: float
 ) -> None:
-    """Without a ramp the whole force came back in one tick: 40 N on a hand of 9 N, or on a mass at its workspace's end."""
+    """Without a ramp the whole force returned in one tick: 40 N on a hand of 9 N."""
     assert choose("compiled", KERNELS, print) == "compiled"
     path = tmp_path / "pushed.yaml"
     path.write_text(PUSHED.format(tick=tick, pushes=pushes))

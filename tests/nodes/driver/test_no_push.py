@@ -1,4 +1,4 @@
-"""No push that no motion made: starts, jumps and drivers that were held up, judged by the log of the device alone."""
+"""No push without motion: starts, jumps and stalled drivers, judged by the device's log."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def test_a_jump_in_free_air_has_no_ramp(tmp_path: Path) -> None:
 
 
 def test_what_answers_a_position_before_the_jump_changes_nothing(tmp_path: Path) -> None:
-    """An answer that is a tick old by then is for the place before: its force is not what is to be felt after it."""
+    """An answer one tick old refers to the position before the jump."""
     answers = [answer(seq, force=(0.0, 0.0, 2.0)) for seq in range(20)]
     # Of tick 20 the answer comes late in tick 21, at which the device jumps, and is another force.
     answers += [
@@ -127,7 +127,7 @@ def test_what_answers_a_position_before_the_jump_changes_nothing(tmp_path: Path)
 
 
 def test_the_guard_acts_after_the_ramp_of_a_jump(tmp_path: Path) -> None:
-    """It counts what the device is given, not what is asked: energy never exceeds one tick's part."""
+    """It counts the force on the device: energy never exceeds one tick's part."""
     script = _jumping(20, -1.0, -6.0, moves=1e-4, guard={"stiffness": 500.0})
     outcome, _ = played(script, "plain", tmp_path)
     states = [Decoder(DeviceState).decode(frames[1]) for _, frames in outcome.sent]
@@ -153,7 +153,7 @@ def _pressed(energy: Any, ticks: int) -> Port:
 def test_a_force_that_stays_at_its_limit_and_gives_out_energy_stops_the_driver_within_a_second() -> (
     None
 ):
-    """It counted once, as one that came there: a tool was thrown 1.7 km with 40 N, and no stop said anything."""
+    """Counted as one event, it threw a tool 1.7 km with 40 N without a stop."""
     port = _pressed(lambda k: 1e-3 * k, 2000)
     assert port.state == "stopped"
     # Of `stop_after` counts the first is its coming there, the others are spread over a second.
@@ -214,7 +214,7 @@ TAKEN_DOWN: Mapping[str, tuple[dict[str, Any], dict[str, Any]]] = {
 def test_no_force_of_before_comes_back_while_it_is_taken_down(
     why: str, held_up: int, apply: str, tmp_path: Path
 ) -> None:
-    """39 of 40 tries wrote 1.9 to 2.8 N again, for up to a period, after the device had let go of them."""
+    """39 of 40 runs wrote 1.9 to 2.8 N again after the device had released them."""
     safety, more = TAKEN_DOWN[why]
     answers = [answer(seq, force=(0.0, 0.0, 3.0)) for seq in range(80)]
     moves = lambda seq: (0.0, 0.0, 1e-5 * max(seq - 78, 0))  # noqa: E731

@@ -1,4 +1,4 @@
-"""Two devices at once: coupled to each other by one law in one launch, and each in a launch of its own."""
+"""Two devices at once: coupled by one law in one launch, or each in its own launch."""
 
 from __future__ import annotations
 
@@ -297,7 +297,7 @@ def test_two_devices_of_different_kinds_on_one_law(kinds: tuple[str, str], tmp_p
 
 
 def test_a_pair_is_judged_as_the_two_devices_that_it_is() -> None:
-    """The edge of K against polynomials of both, neither simplified: to the root's own accuracy."""
+    """K's limit against polynomials of both devices, to the root's accuracy."""
     light, heavy = Plant(0.002, 0.05, 0.5, 0.7, 150.0), Plant(0.002, 0.2, 3.0, 0.7, 100.0)
     law = parse_law({"kind": "pd", "stiffness": 1.0, "damping": 1.0}, "pd")
     edges = [
@@ -449,7 +449,7 @@ def test_a_pair_goes_on_from_where_it_was_when_one_is_read_again_elsewhere_or_ju
 
 @pytest.mark.process
 def test_two_hands_that_start_apart_feel_no_step(tmp_path: Path) -> None:
-    """As hands_coupled, with the second 30 mm away: at 50 mm/s that is a force that grows by what law and speed make it."""
+    """30 mm apart at the start: the force grows with the offset's fading at 50 mm/s."""
     scene = yaml.safe_load((ROOT / "launch" / "hands_coupled.yaml").read_text())
     driver = scene["nodes"]["driver"]["parameters"]
     driver["second"]["parameters"]["device"] |= {"position": 0.03}

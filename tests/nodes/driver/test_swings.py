@@ -1,4 +1,4 @@
-"""A loop that swings at the largest force and gives out energy is stopped for good, until somebody asks for it again."""
+"""A loop that swings at the force limit and gives out energy is stopped until rearmed."""
 
 from __future__ import annotations
 

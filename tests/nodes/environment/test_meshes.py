@@ -39,7 +39,7 @@ def text_stl(triangles: Array) -> bytes:
 
 
 def obj(triangles: Array) -> bytes:
-    """Corners once, faces by number from the front or from the end, with the slashes of other programs."""
+    """Return OBJ text: corners once, faces by number from either end, with slashes."""
     points, ids = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in points.tolist()]
     for n, (a, b, c) in enumerate(ids.reshape(-1, 3).tolist()):
@@ -205,7 +205,7 @@ def test_a_surface_that_cannot_be_is_refused_by_its_path(
 @pytest.mark.parametrize("tool", [0.0, 1e-3])
 @pytest.mark.parametrize("triangles", [CUBE, icosphere(1, 0.02)])
 def test_a_device_on_a_corner_an_edge_or_a_face_is_met(triangles: Array, tool: float) -> None:
-    """Where nothing leads from the surface to the device, and where a step leads along a face, within rounding of it."""
+    """Directly on the surface, and within rounding of a face along a step."""
     rng = np.random.default_rng(0)
     marks = np.concatenate(
         [

@@ -1,4 +1,4 @@
-"""How long an environment takes for a tick: what is counted, and what a launch tells of it."""
+"""Time spent per tick by an environment: what is counted, and what a launch reports."""
 
 from __future__ import annotations
 

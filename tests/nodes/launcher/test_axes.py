@@ -1,4 +1,4 @@
-"""Surface, device and axes must meet: a wall that pushes where no force is computed would be felt by nobody."""
+"""Surface, device and axes must match: a wall along an axis not computed is not felt."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Nodes that somebody else starts: waited for, taken as lost when they go, and ending by themselves without their launcher."""
+"""Nodes started by hand: waited for, recognised as lost, ending without their launcher."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def start(launch: Running) -> subprocess.Popen[bytes]:
 
 @contextlib.contextmanager
 def odd_node(context: Context, **answers: object) -> Iterator[Setup]:
-    """Answer requests as a program of somebody else's may, with `answers` by operation; the setup of that node."""
+    """Answer requests as a foreign program might (`answers` by operation); yield its set-up."""
     over = threading.Event()
     with private_runtime_dir() as folder:
         control = f"ipc://{folder}/driver.ctl"

@@ -1,4 +1,4 @@
-"""A node that waits for its launcher over tcp: who may hand it a setup, and what a setup may ask of it."""
+"""A node waiting for its launcher over tcp: who may set it up, and what a set-up may ask."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ socket.connect(sys.argv[1])
 socket.send(bytes.fromhex(sys.argv[2]))
 sys.exit(3 if socket.poll(1500) else 0)
 """
-"""A client without a key, where it can be of another user; exit code 3 when it was answered."""
+"""A client without a key, as another user if possible; exit code 3 if it was answered."""
 
 
 class Waiting:

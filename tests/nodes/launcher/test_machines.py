@@ -1,4 +1,4 @@
-"""The loop across two machines: two network namespaces with keys of their own, and a cable with delay, jitter and loss."""
+"""The loop on two machines: namespaces with own keys, a cable with delay, jitter and loss."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ class Launched:
 
     def ask(self, op: str, node: str = "driver") -> dict[str, Any]:
         """Ask a node on its own machine; empty while it does not answer."""
-        self.told("is there")
+        self.told(": connected")
         found = next(Path(self.pair.environments[0]["HAPTIC_RUNTIME_DIR"]).glob("runs/*/run.json"))
         control = msgspec.json.decode(found.read_bytes(), type=RunInfo).nodes[node].control
         host = int(node == self.node)
@@ -277,7 +277,7 @@ def launch(pair: Pair, node: str = "coupling", **run: object) -> tuple[dict[str,
 
 
 def assert_all_recorded(figures: dict[str, Any], recording: Recording) -> None:
-    """Assert that no tick is missing but those that the driver left out, and no message that a node says it sent."""
+    """Assert that only ticks left out by the driver are missing, and no sent message."""
     for topic in topics.LOOP:
         found = recording.topics[topic]
         assert found.back == 0
@@ -347,7 +347,7 @@ def test_any_other_node_alone_on_another_machine(pair: Pair, node: str) -> None:
 
 
 def assert_one_time(recording: Recording, node: str, ahead: float) -> None:
-    """Assert that whoever stamps and whoever receives does it in the time of the launcher's host."""
+    """Assert that stamps and receipts use the time of the launcher's host."""
     found = clocks(recording)
     if node != "logger":
         assert abs(found[node].offset + ahead) <= found[node].error < 0.5
@@ -360,7 +360,7 @@ def assert_one_time(recording: Recording, node: str, ahead: float) -> None:
 
 
 def assert_clock_told(text: str, ahead: float) -> None:
-    """Assert that a text for people tells how far the far clock is ahead, within the bound that it tells."""
+    """Assert that a text names the remote clock's offset within its stated bound."""
     told = re.search(r"clock ([+-][\d.]+) s from the launcher's, known to ±(\d+) µs", text)
     assert told is not None, text
     # One microsecond for the rounding of both.

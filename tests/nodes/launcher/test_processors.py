@@ -1,4 +1,4 @@
-"""Which processors a launch uses: kept awake by a fast loop, and left to the loop by whoever is not in it."""
+"""Processors of a launch: kept awake by a fast loop, and avoided by everything else."""
 
 from __future__ import annotations
 

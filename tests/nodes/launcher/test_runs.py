@@ -1,4 +1,4 @@
-"""Directories of runs: what bears the mark of a run is removed when the run is over, and nothing else ever is."""
+"""Run directories: marked ones are removed when the run is over, others never."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def filled(path: Path) -> Path:
 
 @pytest.mark.process
 def test_a_launch_leaves_what_it_did_not_make(tmp_path: Path, home: Path) -> None:
-    """Whoever points HAPTIC_RUNTIME_DIR at a private directory of their own keeps what is in it."""
+    """Files in a user's own HAPTIC_RUNTIME_DIR are not removed."""
     (home / "runs").mkdir(mode=0o700)
     kept = [filled(home / name) for name in (".ssh", "Documents", "runs/photos")]
     stale = aged(new_run_dir("stale"))
@@ -159,7 +159,7 @@ def test_a_run_in_a_short_directory_is_found_by_its_name(
 
 @pytest.mark.process
 def test_a_run_in_a_short_directory_is_stopped_by_its_name(tmp_path: Path) -> None:
-    """Its directory is not called as the run is: `haptic stop` sent no signal, and gave up after a minute."""
+    """With a shortened directory, `haptic stop` sent no signal and gave up."""
     file = tmp_path / f"{'a' * 64}.yaml"
     file.write_text(
         (ROOT / "launch" / "free_space.yaml").read_text(encoding="utf-8"), encoding="utf-8"

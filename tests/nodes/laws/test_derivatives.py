@@ -1,8 +1,8 @@
-"""One contract for every registered realisation of D^α, and each of the known failures reproduced.
+"""One contract for every realisation of D^α, and known failures reproduced.
 
 Oracles: Mittag-Leffler functions and Gamma ratios by mpmath, rational approximants by mpmath's Padé
-and scipy's bilinear transform, impulse responses by scipy's lfilter: none of them shares a line
-with the code under test.
+and scipy's bilinear transform, impulse responses by scipy's lfilter: none shares a line with the
+code under test.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Realisations of D^α in time: against Mittag-Leffler functions and Gamma ratios by mpmath."""
+"""Realisations of D^α in time: Mittag-Leffler functions and Gamma ratios by mpmath."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""nodes/laws/README.md lists the parameters of every law as the laws themselves declare them."""
+"""nodes/laws/README.md lists every law's parameters as the laws declare them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page's law with code of its own: what it gets, and that its force is added to that of the taps."""
+"""The page's law with its own code: its inputs, and its force added to the taps'."""
 
 from __future__ import annotations
 

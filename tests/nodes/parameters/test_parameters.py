@@ -1,4 +1,4 @@
-"""Parameters: YAML without surprises, errors that carry path, value and limit, all-or-nothing changes, watched files."""
+"""Parameters: YAML, errors with path, value and limit, atomic changes, watched files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is registered under a name and is not of its kind costs that name, and nothing else, in every registry."""
+"""A registered object of the wrong kind loses only its name, in every registry."""
 
 from __future__ import annotations
 

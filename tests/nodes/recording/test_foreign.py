@@ -1,4 +1,4 @@
-"""Recordings of others: manifests and parameters that are not what they should be, and texts that a terminal would obey."""
+"""Foreign recordings: invalid manifests and parameters, and texts with escape codes."""
 
 from __future__ import annotations
 

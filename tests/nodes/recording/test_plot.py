@@ -1,4 +1,4 @@
-"""Pictures of recordings: what they show, in which format, how much of a run, and that no text lies over another."""
+"""Figures of recordings: content, formats, time span, no overlapping texts."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_spans_tell_when() -> None:
 
 
 def near(picture: Any, color: str) -> Any:
-    """Pixels that are one colour, or its blend with white by a third or more (lines are smoothed)."""
+    """Mask of pixels with a colour, or its blend with white by a third or more."""
     ink = 1.0 - picture[:, :, :3]
     pure = 1.0 - np.array(colors.to_rgb(color))
     share = ink @ pure / (pure @ pure)

@@ -1,4 +1,4 @@
-"""Recordings as they are written: schemas that viewers accept, round trips to the bit, and what survives a bad end."""
+"""Recordings as written: schemas for viewers, exact round trips, what survives a bad end."""
 
 from __future__ import annotations
 
@@ -419,7 +419,7 @@ def test_writing_needs_little_memory_and_no_numpy(tmp_path: Path) -> None:
 
 
 def test_a_file_that_somebody_writes_is_not_overwritten(tmp_path: Path) -> None:
-    """Two launches with one path and `overwrite` wrote into each other's file, and both ended with exit code 0."""
+    """Two launches with one path overwrote each other's file, with exit code 0."""
     path = tmp_path / "r.mcap"
     sent = [(topic, message) for topic, message in drop(200)]
     with RecordWriter(path, {}, overwrite=True) as first:

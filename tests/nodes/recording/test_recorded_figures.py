@@ -294,7 +294,7 @@ def test_summary_is_true_to_the_recording(tmp_path: Path) -> None:
     assert summary.response_us["p99"] == pytest.approx(
         float(np.percentile(responses, 99)), rel=1e-14
     )
-    # A tick without an answer in time is missed; it has no response of 0 that would halve the median.
+    # A missed tick has no response; a response of 0 would halve the median.
     assert summary.response_us["p50"] == pytest.approx(float(np.median(responses)), rel=1e-14)
     assert summary.response_us["max"] == max(responses)
     assert summary.position_m == list(states[-1].position)

@@ -144,7 +144,7 @@ def test_a_changed_opcode_or_length_of_a_chunk_costs_nothing(
 def test_a_changed_inner_length_of_a_chunk_costs_nothing(
     whole: Whole, tmp_path: Path, byte: int, flip: int
 ) -> None:
-    """Zstd ignores what follows its frame and the checksum fits, so sound chunks behind were taken for a part of it."""
+    """Zstd ignores data after its frame, so later chunks counted as part of it."""
     inner = whole.starts[0] + mcap_walk.FRAME.size + mcap_walk.CHUNK_HEAD.size + 8
     check_changed(whole, tmp_path / "r.mcap", inner + byte, flip, may_cost=0)
 

@@ -1,4 +1,4 @@
-"""What comes from a ROS 2 graph in another frame than ours is refused, and told once; with no graph at all."""
+"""ROS 2 messages in another frame are refused, with one event; without any graph."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The node kind ``ros2`` against rclpy itself: what a ROS 2 graph hears, and what it may do."""
+"""The node kind ``ros2`` against rclpy itself: what a ROS 2 graph receives and may do."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Heard(NamedTuple):
     offset: float
 
     def states(self, since: str, until: str) -> list[DeviceState]:
-        """Give the recorded states of a while."""
+        """Return the recorded states of a time span."""
         begin, end = self.told[since] - self.offset, self.told[until] - self.offset
         return [
             state

@@ -1,4 +1,4 @@
-"""Stable for every sequence of delays (THEORY.md §10): against poles at constant delay, and replays of many sequences."""
+"""Stability for every delay sequence (THEORY.md §10): constant poles, replayed sequences."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ T, M, B = 0.002, 0.1, 1.0
 LAWS: dict[str, dict[str, object]] = {
     "pd": {"kind": "pd", "stiffness": 1.0, "damping": 3.0},
     "paper_optimum": {"kind": "paper_optimum", "damping": 3.0},
-    "sections": {"kind": "pd_alpha", "stiffness": 1.0, "damping": 3.0, "order": 0.8, "taps": 6, "gains": "paper",
+    "sections": {"kind": "pd_alpha", "stiffness": 1.0, "damping": 3.0, "order": 0.8, "taps": 6,
+    "gains": "paper",
                  "derivative": "oustaloup_matched"},
 }  # fmt: skip
 RANGES = [(0.05, 0.3), (0.0, 1.0), (0.6, 1.4), (1.0, 1.5)]
@@ -130,7 +131,7 @@ BOTH = FlexiblePlant(M, B, 0.0, 150.0, 1e-3, 0.3, 40.0, 0.03)
 def test_a_joint_and_a_lag_are_certified_too(
     plant: FlexiblePlant, delays: tuple[float, float]
 ) -> None:
-    """Just inside the worse constant delay's limit, and refuted outside; constant sequences have the poles of their delay."""
+    """Just inside the worse constant delay's limit; refuted outside by poles."""
 
     def radius(some: CompiledLaw, delay: float) -> float:
         return flexible_radius(some, T, replace(plant, delay=delay))

@@ -1,4 +1,4 @@
-"""The first screen in a real browser: one question, one dial, a hand that asks to be pulled, and what happens past the edge."""
+"""The first screen in a real browser: question, dial, hand, and beyond the limit."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SIZES = [
     (683, 384),
     (3840, 2160),
 ]
-"""A laptop, a phone and a small one, each on its side too, a tablet, a large screen, the laptop at 200 %, and 4K."""
+"""A laptop, two phones in both orientations, a tablet, a large screen, 200 %, 4K."""
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def opened(browser: Browser, launch: Running) -> Iterator[Page]:
 
 @pytest.fixture
 def page(opened: Page) -> Page:
-    """Give the one page of all tests as it is seen first, though the lab was open before, or something refused."""
+    """Return the shared page as first seen, with the lab closed and no refusal."""
     opened.evaluate(
         "document.getElementById('lab').open = false; document.getElementById('refusal').hidden ="
         " true; scrollTo(0, 0)"
@@ -464,7 +464,7 @@ def test_past_the_edge_it_rings_is_stopped_shown_slowly_and_goes_on(
 def test_what_is_changed_while_the_driver_is_started_again_comes_to_the_page(
     page: Page, launch: Running
 ) -> None:
-    """Laws and the device's delay are read together: a driver that died over the question cost the page all later changes."""
+    """A driver that died during the request cost the page all later changes."""
     launch.call("coupling", "law.switch", law="pd")
     driver = launch.call("driver", "status")["pid"]
     os.kill(driver, signal.SIGSTOP)

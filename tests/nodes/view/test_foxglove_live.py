@@ -1,4 +1,4 @@
-"""The scene in three dimensions, live in Foxglove's protocol: the shape once for each who subscribes, then what moves."""
+"""The live 3D scene in Foxglove's protocol: the shape once per subscriber, then poses."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ pytest.importorskip(
 
 @contextmanager
 def shown(folder: Path, scenario: str, **changed: Any) -> Iterator[str]:
-    """Launch a scenario, its nodes' parameters changed, with a view that Foxglove can connect to; where."""
+    """Launch a scenario with a Foxglove bridge and changed parameters; yield the address."""
     content = {
         "summary": "A scenario that Foxglove sees.",
         "include": [

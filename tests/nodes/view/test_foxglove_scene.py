@@ -1,4 +1,4 @@
-"""A recording for Foxglove: its scene read back by the MCAP library, which knows nothing of us."""
+"""A recording for Foxglove: its scene read back by the MCAP library."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every installed law has a control for each parameter, with the limits that msgspec itself enforces."""
+"""Every installed law has a control per parameter, with the limits that msgspec enforces."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page in a real browser before a server that a test tells what to say: what it makes of an end, a failure, another law."""
+"""The page in a real browser with a scripted server: ends, failures, other laws."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ MAP = {
 
 
 class Script:
-    """Stands in for a run: one page after the other is told how it stands, and then what a test says."""
+    """Emulates a run: sends each page the initial state, then what a test sends."""
 
     def __init__(self) -> None:
         facts = Facts("run", "made_up", "", T, "realtime", "on_arrival", ["x"], "driver", "", 10.0)
@@ -68,7 +68,7 @@ class Script:
         self.pages: list[ScriptedPage] = []
 
     def laws(self, active: str) -> dict[str, Any]:
-        """Tell which law renders."""
+        """Send the active law."""
         return {
             "type": "laws",
             "node": "coupling",
@@ -78,7 +78,7 @@ class Script:
         }
 
     def tick(self, seq: int) -> bytes:
-        """Let a tick pass, and give the page all that it has not."""
+        """Advance a tick, and send new data to the page."""
         first = self.feed.head
         self.feed.take("/device/state", DeviceState(seq=seq, stamp=0.0, position=(0.01, 0.0, 0.0)))
         self.feed.take("/environment/proxy", Proxy(**{**PROXY, "seq": seq}))
@@ -98,7 +98,7 @@ class Script:
         return page
 
     def say(self, kind: str, **content: Any) -> None:
-        """Tell the newest page."""
+        """Send to the newest page."""
         self.pages[-1].outbox.append(json.dumps({"type": kind, **content}))
 
 
@@ -124,7 +124,7 @@ class ScriptedPage:
         return found
 
     def hand(self, target: list[float] | None) -> str:
-        """Let it have the hand."""
+        """Grant the hand."""
         del target
         return ""
 

@@ -29,7 +29,7 @@ def turned_box(p: Corners) -> Corners:
 
 
 def rod(p: Corners) -> Corners:
-    """Tell how far off a capsule of radius 10 mm along x, from 0 to 50 mm."""
+    """Return the distance to a capsule of radius 10 mm along x, from 0 to 50 mm."""
     return np.asarray(
         np.linalg.norm(
             p - np.stack([np.clip(p[:, 0], 0.0, 0.05), 0 * p[:, 0], 0 * p[:, 0]], 1), axis=1
@@ -39,7 +39,7 @@ def rod(p: Corners) -> Corners:
 
 
 def can(p: Corners) -> Corners:
-    """Tell how far off a cylinder of radius 10 mm along z, from 0 to 40 mm."""
+    """Return the distance to a cylinder of radius 10 mm along z, from 0 to 40 mm."""
     out, end = np.hypot(p[:, 0], p[:, 1]), np.minimum(np.abs(p[:, 2]), np.abs(p[:, 2] - 0.04))
     return np.asarray(np.where(out < 0.005, end, np.maximum(np.abs(out - 0.01), end)))
 

@@ -1,4 +1,4 @@
-"""The hand among pages: one has it at a time; a silent page's is kept, then goes slowly; nobody's taps by itself."""
+"""The hand shared by pages: one owner; a silent page's hand is kept, then returns."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Clock:
         self.now = 100.0
 
     def monotonic(self) -> float:
-        """Tell the time."""
+        """Return the time."""
         return self.now
 
 

@@ -70,7 +70,7 @@ def test_the_edge_for_any_world_lies_below_that_of_a_wall() -> None:
 
 
 def test_the_edge_of_a_stepped_tool_is_that_of_its_damping() -> None:
-    """For what the tool touches, its damping counts and not its mass; two devices on one law have no such line."""
+    """Its damping counts, not its mass; two devices on one law have no such line."""
     spring = parse_law({"kind": "pd", "stiffness": 100.0, "damping": 0.0})
     held = msgspec.structs.replace(PLANT, tool_mass=0.02, tool_damping=1.0)
     found = stability_map(spring, T, held, 0.0)

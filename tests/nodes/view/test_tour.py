@@ -1,4 +1,4 @@
-"""The tour in a real browser: five sentences, each of which goes on when what it asks for is done."""
+"""The tour in a real browser: five sentences, each followed by the next when done."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def _act(page: Page, by: str) -> None:
 
 @pytest.mark.slow
 def test_the_tour_goes_on_when_what_it_asks_for_is_done(page: Page, launch: Running) -> None:
-    """With the keyboard up to the edge, with the mouse past it, and with the keyboard to the end."""
+    """By keyboard up to the limit, by mouse beyond it, and by keyboard to the end."""
     launch.call("driver", "param.set", values={"device.delay": 0.0})
     launch.call(
         "coupling", "param.set", values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0}
