@@ -39,8 +39,10 @@ SCENE = """\
 summary: A coupling behind an encrypted endpoint, on loopback
 run: {{rate: 250.0, duration: 0.0, port: {base}}}
 nodes:
-  driver: {{kind: sim_driver, parameters: {{device: {{mass: 0.1, damping: 1.0, gravity: 9.81, position: 0.001}}}}}}
-  environment: {{kind: environment, parameters: {{surface: {{kind: plane, axis: z, position: 0.0, normal: 1}}}}}}
+  driver: {{kind: sim_driver, parameters: {{device: {{mass: 0.1, damping: 1.0, gravity: 9.81,
+    position: 0.001}}}}}}
+  environment: {{kind: environment, parameters: {{surface: {{kind: plane, axis: z, position: 0.0,
+    normal: 1}}}}}}
   coupling:
     kind: coupling
     host: 127.0.0.1

@@ -52,8 +52,10 @@ from sim.identify.counterfactual import replay
 from sim.identify.recorded_scene import rebuild
 from sim.play.launched import from_launch
 
-scene = from_launch(launch_file.read("floor_drop", launch_file.parse_assignments(["duration:=0.6"]), (Path("slow.yaml"),)))
-forces = {"one process": scene.play().force, "replay": replay(rebuild(Path(sys.argv[1]))).force[: scene.ticks]}
+scene = from_launch(launch_file.read("floor_drop",
+  launch_file.parse_assignments(["duration:=0.6"]), (Path("slow.yaml"),)))
+forces = {"one process": scene.play().force,
+  "replay": replay(rebuild(Path(sys.argv[1]))).force[: scene.ticks]}
 print(json.dumps({name: [float(value) for value in row] for name, row in forces.items()}))
 """
 

@@ -173,8 +173,10 @@ nodes:
     kind: vague
     parameters:
       safety: {peak_force: 7.9, slew: 1000.0, workspace: [[-0.1, 0.1], [-0.1, 0.1], [-0.1, 0.1]]}
-      device: {mass: 0.1, hand: {mass: 0.1, damping: 3.0, stiffness: 300.0, path: [[0.0, 0.0], [0.1, 0.02]]}}
-  environment: {kind: environment, parameters: {surface: {kind: plane, axis: x, position: 0.005, normal: -1}}}
+      device: {mass: 0.1, hand: {mass: 0.1, damping: 3.0, stiffness: 300.0, path: [[0.0, 0.0],
+        [0.1, 0.02]]}}
+  environment: {kind: environment, parameters: {surface: {kind: plane, axis: x, position: 0.005,
+    normal: -1}}}
   coupling:
     kind: coupling
     parameters: {law: pd, laws: {pd: {kind: pd, stiffness: 500.0, damping: 5.0}}}

@@ -326,9 +326,11 @@ nodes:
   driver:
     kind: sim_driver
     parameters:
-      safety: {{peak_force: 40.0, slew: 20000.0, workspace: [[-0.2, 0.2], [-0.2, 0.2], [-0.2, 0.2]]}}
+      safety: {{peak_force: 40.0, slew: 20000.0, workspace: [[-0.2, 0.2], [-0.2, 0.2], [-0.2,
+        0.2]]}}
       device: {{mass: 0.1, damping: 1.0, {pushes}}}
-  environment: {{kind: environment, respawn: true, respawn_delay: 0.2, parameters: {{surface: {{kind: plane, position: 0.0}}}}}}
+  environment: {{kind: environment, respawn: true, respawn_delay: 0.2,
+    parameters: {{surface: {{kind: plane, position: 0.0}}}}}}
   coupling:
     kind: coupling
     respawn: true

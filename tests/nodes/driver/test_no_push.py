@@ -150,9 +150,7 @@ def _pressed(energy: Any, ticks: int) -> Port:
     return port
 
 
-def test_a_force_that_stays_at_its_limit_and_gives_out_energy_stops_the_driver_within_a_second() -> (
-    None
-):
+def test_a_force_at_its_limit_that_gives_out_energy_stops_the_driver_within_a_second() -> None:
     """Counted as one event, it threw a tool 1.7 km with 40 N without a stop."""
     port = _pressed(lambda k: 1e-3 * k, 2000)
     assert port.state == "stopped"

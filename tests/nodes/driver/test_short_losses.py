@@ -52,9 +52,7 @@ def test_a_force_that_was_off_for_want_of_a_position_comes_back_by_a_ramp() -> N
 
 
 @needs_cc
-def test_a_force_that_was_decided_before_the_device_let_go_is_not_played_and_the_next_comes_by_a_ramp() -> (
-    None
-):
+def test_a_force_decided_before_the_device_let_go_is_not_played_and_the_next_one_ramps() -> None:
     """A process may stop between clock and write: only the servo loop can notice."""
     code: Any = servo_library(Path(mailbox.__file__).with_name("mailbox.c"))
     code.device_write.argtypes = [

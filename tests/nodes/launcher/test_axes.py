@@ -18,9 +18,11 @@ nodes:
   driver:
     kind: sim_driver
     parameters:
-      device: {{mass: 0.1, damping: 1.0, hand: {{stiffness: 300.0, path: [[0.0, 0.0], [0.1, -0.03]]}}}}
+      device: {{mass: 0.1, damping: 1.0, hand: {{stiffness: 300.0, path: [[0.0, 0.0], [0.1,
+        -0.03]]}}}}
   environment: {{kind: environment, parameters: {{surface: {surface}}}}}
-  coupling: {{kind: coupling, parameters: {{law: pd, laws: {{pd: {{kind: pd, stiffness: 500.0, damping: 3.0}}}}}}}}
+  coupling: {{kind: coupling, parameters: {{law: pd, laws: {{pd: {{kind: pd, stiffness: 500.0,
+    damping: 3.0}}}}}}}}
 """
 
 

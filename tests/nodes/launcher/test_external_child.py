@@ -42,8 +42,10 @@ SCENE = """\
 summary: A coupling started by hand
 run: {rate: 250.0, duration: 0.0}
 nodes:
-  driver: {kind: sim_driver, parameters: {device: {mass: 0.1, damping: 1.0, gravity: 9.81, position: 0.001}}}
-  environment: {kind: environment, parameters: {surface: {kind: plane, axis: z, position: 0.0, normal: 1}}}
+  driver: {kind: sim_driver, parameters: {device: {mass: 0.1, damping: 1.0, gravity: 9.81,
+    position: 0.001}}}
+  environment: {kind: environment, parameters: {surface: {kind: plane, axis: z, position: 0.0,
+    normal: 1}}}
   coupling:
     kind: coupling
     by_hand: true

@@ -37,7 +37,8 @@ if TYPE_CHECKING:
 
 EVIL = """\
 #include <stdio.h>
-__attribute__((constructor)) static void run(void) {{ FILE *file = fopen("{mark}", "w"); if (file) fclose(file); }}
+__attribute__((constructor)) static void run(void) {{ FILE *file = fopen("{mark}", "w");
+  if (file) fclose(file); }}
 """
 
 PLAIN = """\
@@ -294,7 +295,8 @@ run: {rate: 250.0, duration: 0.0, port: 5990}
 nodes:
   driver: {kind: sim_driver, parameters: {device: {mass: 0.1, damping: 1.0}}}
   environment: {kind: environment}
-  coupling: {kind: coupling, host: 127.0.0.1, parameters: {law: pd, laws: {pd: {kind: pd, stiffness: 100.0, damping: 1.0}}}}
+  coupling: {kind: coupling, host: 127.0.0.1, parameters: {law: pd, laws: {pd: {kind: pd,
+    stiffness: 100.0, damping: 1.0}}}}
 """
 
 

@@ -200,7 +200,8 @@ KILLED = """
     from nodes.recording.writer import RecordWriter
     writer = RecordWriter(sys.argv[1], {"scenario": "killed"})
     for seq in range(10**9):
-        writer.write("/device/state", DeviceState(seq=seq, stamp=seq * 0.002, position=(0.0, 0.0, 0.0)), seq * 0.002)
+        writer.write("/device/state", DeviceState(seq=seq, stamp=seq * 0.002, position=(0.0, 0.0,
+          0.0)), seq * 0.002)
         if seq % 250 == 249:
             writer.flush()
             print(seq, flush=True)
@@ -243,7 +244,8 @@ FILL = """
     writer = RecordWriter(sys.argv[1], {"scenario": "full"})
     try:
         for seq in range(10**6):
-            writer.write("/device/state", DeviceState(seq=seq, stamp=seq / 7, position=(seq / 3, seq / 11, 0.0)), 0.0)
+            writer.write("/device/state", DeviceState(seq=seq, stamp=seq / 7, position=(seq / 3,
+              seq / 11, 0.0)), 0.0)
     except RecordError as error:
         print(error, flush=True)
     late = DeviceState(seq=0, stamp=0.0, position=(0.0, 0.0, 0.0))
@@ -255,7 +257,8 @@ FILL = """
     writer.close()
     from nodes.recording.reader import Recording
     recording = Recording(sys.argv[1])
-    print(recording.topics["/device/state"].messages, seq, recording.topics["/device/state"].gaps, recording.cut)
+    print(recording.topics["/device/state"].messages, seq, recording.topics["/device/state"].gaps,
+      recording.cut)
 """
 
 
@@ -394,7 +397,8 @@ LIGHT = """
     from nodes.recording.writer import RecordWriter
     with RecordWriter(sys.argv[1], {}) as writer:
         for seq in range(20000):
-            writer.write("/device/state", DeviceState(seq=seq, stamp=seq * 0.002, position=(0.0, 0.0, seq / 3)), 0.0)
+            writer.write("/device/state", DeviceState(seq=seq, stamp=seq * 0.002, position=(0.0,
+              0.0, seq / 3)), 0.0)
             if seq % 250 == 0:
                 writer.flush()
     heavy = {"numpy", "numba", "scipy", "matplotlib"} & set(sys.modules)

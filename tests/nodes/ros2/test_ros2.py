@@ -59,7 +59,7 @@ BACKENDS = [
             pytest.mark.process,
             pytest.mark.skipif(
                 not PYTHON,
-                reason="no rclpy: pip install -e '.[rclpy]', or RCLPY_PYTHON names a Python with it",
+                reason="no rclpy: pip install -e '.[rclpy]', or set RCLPY_PYTHON",
             ),
         ],
     ),

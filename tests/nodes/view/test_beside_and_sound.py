@@ -115,7 +115,8 @@ def test_the_sound_is_the_force(page: Page, launch: Running) -> None:
     between = page.evaluate(
         """async () => { const { Voice } = await import("./voice.js"), voice = new Voice(48000);
       voice.feed([0, 0.002, 0.004, 0.006], [0, -1, -3, 1]);
-      return [0.002, 0.003, 0.0055].map((at) => { voice.at = at; voice.next = 0; return voice.force(); }); }"""
+      return [0.002, 0.003, 0.0055].map((at) => { voice.at = at; voice.next = 0;
+        return voice.force(); }); }"""
     )
     assert between == pytest.approx([-1.0, -2.0, 0.0], abs=1e-6)
     path = next((launch.folder / "recordings").glob("*.mcap"))

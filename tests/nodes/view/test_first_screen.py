@@ -177,7 +177,8 @@ def test_a_frame_without_a_force_costs_no_arrow(page: Page) -> None:
     scale = page.evaluate(
         """() => { const { scene } = haptic, none = [NaN, NaN, NaN];
       const nothing = { ...scene.now, asked: none, force: none };
-      scene.show(nothing); scene.show({ ...scene.now, asked: [3, 0, 0], force: [3, 0, 0] }); return scene.forceScale; }"""
+      scene.show(nothing); scene.show({ ...scene.now, asked: [3, 0, 0], force: [3, 0, 0] });
+        return scene.forceScale; }"""
     )
     assert scale >= 3.0
 
@@ -306,7 +307,8 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
     # late too.
     page.evaluate(
         """() => { const { map } = haptic, draw = map.draw; window.rest = [];
-      map.draw = function () { window.rest.push(this.map.delay_ticks - this.own); return draw.call(this); }; }"""
+      map.draw = function () { window.rest.push(this.map.delay_ticks - this.own);
+        return draw.call(this); }; }"""
     )
     page.evaluate(script, 0.4)
     turned = wait_for(
@@ -324,7 +326,8 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
     box: Any = page.locator("#map").bounding_box()
     at = """() => { const { map: { delay_ticks: d, k_n_per_m: k }, frame } = haptic.map;
       const { begin, last, far, bottom, top, most } = frame;
-      return [begin + d / far * (last - begin), bottom - k / most * (bottom - top), haptic.map.own * (last - begin) / far]; }"""
+      return [begin + d / far * (last - begin), bottom - k / most * (bottom - top),
+        haptic.map.own * (last - begin) / far]; }"""
     u, v, own = page.evaluate(at)
     page.mouse.move(box["x"] + u, box["y"] + v)
     page.mouse.down()
@@ -341,8 +344,10 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
 
     def softer() -> bool:
         # The map of the delay that was dragged back may come meanwhile, and has another scale.
-        dot = """() => { const { map, frame } = haptic.map, { left, end, right, bottom, top, most } = frame;
-          return [left + map.b_n_s_per_m / right * (end - left), bottom - map.k_n_per_m / most * (bottom - top)]; }"""
+        dot = """() => { const { map, frame } = haptic.map, { left, end, right, bottom, top,
+          most } = frame;
+          return [left + map.b_n_s_per_m / right * (end - left),
+            bottom - map.k_n_per_m / most * (bottom - top)]; }"""
         box: Any = page.locator("#map").bounding_box()
         u, v = page.evaluate(dot)
         page.mouse.move(box["x"] + u, box["y"] + v)

@@ -433,7 +433,8 @@ def test_plots_are_read_and_zoomed_by_mouse_and_fingers(
         # The plots run until the finger moves.
         phone.evaluate(
             """document.addEventListener(
-          "pointermove", () => { window.begun = haptic.plots.sight(); }, { capture: true, once: true })"""
+          "pointermove", () => { window.begun = haptic.plots.sight(); }, { capture: true,
+            once: true })"""
         )
         touch("touchStart", 0.0)
         for k in range(1, 8):

@@ -247,7 +247,8 @@ def test_a_screen_reader_has_names_for_all_and_hears_a_sentence_once(
     page.evaluate(
         """() => { window.said = [];
       const told = document.querySelector("[role=status]");
-      new MutationObserver(() => said.push(told.textContent)).observe(told, { childList: true }); }"""
+      new MutationObserver(() => said.push(told.textContent)).observe(told, { childList: true });
+        }"""
     )
     for newton in ("1.00", "1.25", "2.50"):
         script.say(
@@ -271,11 +272,15 @@ def test_a_screen_reader_has_names_for_all_and_hears_a_sentence_once(
 
 RING = """async (axes) => {
   const files = ["./store.js", "./slow_motion.js", "./sound.js"];
-  const [{ Store }, { SlowMotion }, { Sound }] = await Promise.all(files.map((file) => import(file)));
-  const names = ["position", "proxy", "law_force", "force", "target"].flatMap((name) => axes.map((axis) => `${name}.${axis}`));
+  const [{ Store }, { SlowMotion },
+    { Sound }] = await Promise.all(files.map((file) => import(file)));
+  const names = ["position", "proxy", "law_force", "force",
+    "target"].flatMap((name) => axes.map((axis) => `${name}.${axis}`));
   const store = new Store(names, 0.002, 1);
-  const add = (from, values) => store.add({ count: 400, times: Float64Array.from({ length: 400 }, (_, k) => (from + k) * 0.002),
-    ...Object.fromEntries(["low", "high"].map((end) => [end, (i) => new Float32Array(400).fill(values[names[i]] ?? 0)])) });
+  const add = (from, values) => store.add({ count: 400, times: Float64Array.from({ length: 400 },
+    (_, k) => (from + k) * 0.002),
+    ...Object.fromEntries(["low", "high"].map((end) => [end,
+      (i) => new Float32Array(400).fill(values[names[i]] ?? 0)])) });
   return { store, add, slow: new SlowMotion(), Sound, SlowMotion }; }"""
 """In the page: a ring of a second, filled by 0.8 s, and what plays it."""
 
@@ -305,7 +310,8 @@ def test_slow_motion_is_of_the_stop_however_long_ago_that_is(page: Page) -> None
 @pytest.mark.process
 @pytest.mark.smoke
 def test_slow_motion_and_sound_know_all_axes(page: Page) -> None:
-    script = f"""async () => {{ const {{ store, add, slow, Sound }} = await ({RING})(["x", "y", "z"]);
+    script = f"""async () => {{ const {{ store, add, slow, Sound }} = await ({RING})(["x", "y",
+      "z"]);
       const sound = new Sound(document.createElement("button"));
       sound.start(store, ["x", "y", "z"]);
       Object.assign(sound, {{ on: true, node: {{ port: {{ postMessage() {{}} }} }} }});

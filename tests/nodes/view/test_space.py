@@ -126,8 +126,10 @@ def test_the_ball_is_where_and_as_large_as_the_geometry_says(page: Page) -> None
         extent = page.evaluate(
             """([u, v]) => {
           const { still } = haptic.space, g = still.getContext("2d"), { width, height } = still;
-          const at = (x, y) => g.getImageData(Math.round(x + width / 2), Math.round(y + height / 2), 1, 1).data[3] > 128;
-          const reach = (du, dv) => { let k = 0; while (k < 2000 && at(u + k * du, v + k * dv)) k += 0.5; return k; };
+          const at = (x, y) => g.getImageData(Math.round(x + width / 2),
+            Math.round(y + height / 2), 1, 1).data[3] > 128;
+          const reach = (du, dv) => { let k = 0; while (k < 2000 && at(u + k * du,
+            v + k * dv)) k += 0.5; return k; };
           return [[1, 0], [-1, 0], [0, 1], [0, -1]].map(([du, dv]) => reach(du, dv)); }""",
             [u, v],
         )
@@ -201,7 +203,8 @@ def test_the_picture_is_the_one_that_a_ray_through_each_pixel_gives(page: Page) 
     read = """([yaw, pitch, points]) => { const { space } = haptic;
       Object.assign(space.turn, { yaw, pitch, scale: 1 }); space.draw();
       const { still } = space, g = still.getContext("2d"), { width, height } = still;
-      const at = (u, v) => [...g.getImageData(Math.round(u + width / 2), Math.round(v + height / 2), 1, 1).data];
+      const at = (u, v) => [...g.getImageData(Math.round(u + width / 2),
+        Math.round(v + height / 2), 1, 1).data];
       return [width, height, points.map(([u, v]) => at(u, v))]; }"""
     width, height, _ = page.evaluate(read, [yaw, pitch, []])
     camera = Camera(yaw, pitch, width, height)
@@ -274,10 +277,13 @@ def test_proxy_device_force_and_cone_are_drawn_where_they_are(page: Page) -> Non
         "device": tuple(a + b for a, b in zip(camera.seen(device), (-2.0, -4.0), strict=True)),
     }
     read = """([yaw, pitch, now, places]) => { const { space } = haptic;
-      Object.assign(space.turn, { yaw, pitch, scale: 1 }); space.trace.length = 0; space.show(now); space.draw();
+      Object.assign(space.turn, { yaw, pitch, scale: 1 }); space.trace.length = 0; space.show(now);
+        space.draw();
       const g = space.canvas.getContext("2d"), { width, height } = space.canvas;
-      const around = ([u, v]) => [...g.getImageData(Math.round(u + width / 2) - 2, Math.round(v + height / 2) - 2, 5, 5).data];
-      return Object.fromEntries(Object.entries(places).map(([name, at]) => [name, around(at)])); }"""
+      const around = ([u, v]) => [...g.getImageData(Math.round(u + width / 2) - 2,
+        Math.round(v + height / 2) - 2, 5, 5).data];
+      return Object.fromEntries(Object.entries(places).map(([name, at]) => [name, around(at)]));
+        }"""
 
     def nearest(name: str, now: dict[str, Any], wanted: Sequence[float]) -> float:
         """How near any of the 25 pixels around a place comes to a colour."""
