@@ -46,7 +46,7 @@ FIELDS: dict[str, dict[str, type | tuple[type, ...]]] = {
     },
     "event": {"node": str, "kind": str, "reason": str},
 }  # fmt: skip
-"""Fields of each topic as the page lists them; written here a second time on purpose."""
+"""Fields of each topic as on the page, repeated here on purpose."""
 
 BY_HAND = """\
 summary: A coupling in another language
@@ -64,14 +64,14 @@ nodes:
 
 
 def decode(payload: bytes) -> dict[str, Any]:
-    """Unpack a payload as a foreign listener would."""
+    """Unpack a payload as a foreign subscriber would."""
     found = msgpack.unpackb(payload, raw=False, strict_map_key=True)
     assert isinstance(found, dict)
     return found
 
 
 def check(topic: str, message: dict[str, Any]) -> None:
-    """Assert that a message is what the page says."""
+    """Assert that a message has the page's fields."""
     fields = FIELDS.get(topic) or FIELDS[topic.rsplit("/", 1)[1]]
     assert set(fields) | {"seq", "stamp"} <= set(message), topic
     assert isinstance(message["seq"], int)

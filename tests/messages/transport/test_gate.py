@@ -1,4 +1,4 @@
-"""What peers cannot do to a process: end it, fill it, or stay when their key is revoked."""
+"""Peers cannot end a process, fill it, or stay when their key is revoked."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class Guarded:
-    """A publisher and a request socket behind a gate, as a node has them."""
+    """A publisher and a request socket behind a gate, as in a node."""
 
     def __init__(self, context: Context, publish: str, control: str) -> None:
         self.denied: list[str] = []
@@ -45,12 +45,12 @@ class Guarded:
         self.gate.start()
 
     def evict(self) -> None:
-        """As in nodes/base/process.py."""
+        """Evict connections as nodes/base/process.py does."""
         self.publisher.evict()
         self.reopening.ask()
 
     def listeners(self) -> int:
-        """Tend both sockets, as the node's threads do all the time, and count who listens."""
+        """Maintain both sockets as the node's threads do, and count subscribers."""
         self.reopening.maintain()
         return self.publisher.listeners()
 
@@ -271,7 +271,7 @@ def test_a_key_that_is_taken_away_ends_connections_and_lets_in_nobody(
 def test_the_other_machines_connections_survive_a_revocation(
     encrypted: Guarded, context: Context, tmp_path: Path
 ) -> None:
-    """All are on one address here, the hardest case: they stumble, and are let in again."""
+    """All share one address here, the hardest case: they reconnect."""
     with as_somebody_else(tmp_path / "other") as other:
         pass
     keys.allow("other", other.public)

@@ -273,7 +273,7 @@ def test_loopback_is_shared_by_all_users_and_needs_one_too(endpoint: str, contex
 
 
 def test_what_is_opened_to_all_can_only_be_listened_to(context: Context) -> None:
-    """A display that knows neither ipc nor CURVE, of any user of this machine."""
+    """For a display without ipc and CURVE, of any user of this machine."""
     with socket.create_server(("127.0.0.1", 0)) as found:
         port = found.getsockname()[1]
     opened = OpenPort(context, f"tcp://127.0.0.1:{port}", print)

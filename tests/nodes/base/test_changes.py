@@ -23,7 +23,7 @@ class GainParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
 
 class Amplifier(Node):
-    """A node whose changes do nothing but say at which tick they were applied."""
+    """A node whose changes only report the tick at which they are applied."""
 
     Parameters: ClassVar[type[msgspec.Struct]] = GainParameters
 

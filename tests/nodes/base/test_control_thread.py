@@ -58,7 +58,7 @@ def test_its_end_waits_for_nobody(context: Context, first: str) -> None:
 
 
 def test_forty_ends_in_a_row(context: Context) -> None:
-    """One in forty hung when the thread ended at the very moment at which it was woken."""
+    """One in forty hung if the thread ended just when it was woken."""
     with private_runtime_dir() as folder:
         for i in range(40):
             control = server(context, folder)
@@ -110,7 +110,7 @@ def test_a_flood_of_requests_is_served_at_a_bounded_rate(context: Context) -> No
 
 
 def test_half_a_request_of_one_who_is_gone_costs_nobody_an_answer(context: Context) -> None:
-    """REP of libzmq loses the answer to the next request, whosever it is."""
+    """libzmq's REP loses the answer to the next request, of any client."""
     with private_runtime_dir() as folder:
         control = server(context, folder)
         with zmq.Context() as others:

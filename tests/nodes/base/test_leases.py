@@ -1,4 +1,4 @@
-"""Leases: each is one holder's, until it is given back or has run out."""
+"""Leases: each has one holder, until it is returned or has expired."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def leases_of(
 def test_a_lease_that_somebody_holds_is_taken_by_nobody_else(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The second one replaced it, and put back at its end what the first had only borrowed."""
+    """The second holder replaced it, and restored the first one's temporary state."""
     leases, _, operations = leases_of()
     take, end = operations["take"], operations["end"]
     asked = {"name": "borrowed", "seconds": 5.0, "then": "law.switch"}

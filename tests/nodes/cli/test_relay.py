@@ -32,7 +32,7 @@ def plotjuggler(endpoint: str) -> Iterator[zmq.Socket[bytes]]:
 
 @contextlib.contextmanager
 def relaying(environment: Mapping[str, str], *words: str) -> Iterator[subprocess.Popen[str]]:
-    """Run a relay beside the block; it is gone at its end, whatever happened."""
+    """Run a relay beside the block, and end it in any case."""
     with subprocess.Popen(
         [*HAPTIC, "relay", *words, "--json"],
         env=environment,
@@ -47,7 +47,7 @@ def relaying(environment: Mapping[str, str], *words: str) -> Iterator[subprocess
 
 
 def end(process: subprocess.Popen[str]) -> Any:
-    """End a relay as Ctrl-C does; give its answer."""
+    """End a relay as Ctrl-C does; return its answer."""
     process.send_signal(signal.SIGINT)
     out, _ = process.communicate(timeout=30.0)
     assert process.returncode == 0

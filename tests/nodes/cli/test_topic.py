@@ -253,7 +253,7 @@ def test_record_for_a_while(launch: Running) -> None:
 
 @pytest.mark.process
 def test_the_duration_begins_with_the_first_message(tmp_path: Path) -> None:
-    """On a machine that needs longer to connect than is to be recorded, nothing was recorded."""
+    """If connecting took longer than the duration, nothing was recorded."""
     path = tmp_path / "late.mcap"
     with running(tmp_path, "floor_drop", "duration:=0", "--without", "logger") as launch:
         launch.wait_ticks(10)
@@ -275,7 +275,7 @@ def test_the_duration_begins_with_the_first_message(tmp_path: Path) -> None:
 
 @contextlib.contextmanager
 def recording_into(launch: Running, path: Path) -> Iterator[subprocess.Popen[str]]:
-    """Record until the block ends, which begins when something was flushed."""
+    """Record until the block ends; it begins after the first flush."""
     with subprocess.Popen(
         [*HAPTIC, "bag", "record", "--out", str(path), "--json"],
         env=launch.environment,

@@ -38,7 +38,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture(scope="module")
 def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Compile the tiny kernel once: the folder that it was kept below."""
+    """Compile the tiny kernel once; return the cache folder."""
     base = tmp_path_factory.mktemp("tiny")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("NUMBA_CACHE_DIR", str(base))
@@ -48,7 +48,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def kept(tiny: Path, place: Path) -> Path:
-    """Begin with the tiny kernel: its file."""
+    """Compile the tiny kernel; return its cache file."""
     shutil.copytree(tiny, place.parent.parent)
     return place / f"{TINY}.tick"
 
@@ -197,7 +197,7 @@ def test_sources_are_those_that_are_loaded() -> None:
 
 
 class Evil:
-    """A pickle that runs what it likes when it is read."""
+    """A pickle that executes code when read."""
 
     def __reduce__(self) -> tuple[Callable[..., None], tuple[str]]:
         return os.mkdir, ("evil",)
@@ -212,7 +212,7 @@ print(compiled()(fir)((2.0, 1.0), (1.0, 3.0), 0))
 
 
 def scene(folder: Path) -> subprocess.CompletedProcess[str]:
-    """Compile a function of the one-process loop, in a process of its own."""
+    """Compile a function of the one-process loop in a separate process."""
     return subprocess.run(
         [sys.executable, "-c", SCENE], capture_output=True, text=True, check=False, cwd=folder
     )

@@ -58,7 +58,7 @@ def answered(
     schedule: Sequence[dict[str, Any]] = (),
     made: list[Coupling] | None = None,
 ) -> tuple[list[Force], Coupling]:
-    """Run a coupling on this thread while another one feeds it; what it answered."""
+    """Run a coupling on this thread, fed by another; return its answers."""
     assert choose(tick, [Coupling.kernel_module], print) == tick  # type: ignore[arg-type]
     context = new_context()
     source, sink = f"ipc://{place}/proxy", f"ipc://{place}/force"

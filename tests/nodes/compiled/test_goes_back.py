@@ -35,10 +35,10 @@ TICKS = 12
 
 
 class Bowl(Plane, frozen=True, kw_only=True):
-    """A surface that answers as it likes."""
+    """A surface with Python code."""
 
     def meeting(self) -> Callable[[Vector], Meeting]:
-        """Answer as a plane does, for once."""
+        """Return the contact of a plane."""
         return super().meeting()
 
 

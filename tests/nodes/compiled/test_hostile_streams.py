@@ -33,12 +33,12 @@ def compiled_before() -> None:
 
 
 def changed(message: Message, **given: Any) -> bytes:
-    """Encode a message with fields that its type would not let through."""
+    """Encode a message with fields that its type would refuse."""
     return msgspec.msgpack.encode({**msgspec.to_builtins(message), **given})
 
 
 def padded(message: Message, size: int) -> bytes:
-    """Encode a message so long, by a field that nobody knows."""
+    """Encode a message made long by an unknown field."""
     empty = len(changed(message, later=bytes(60_000))) - 60_000
     payload = changed(message, later=bytes(size - empty))
     assert len(payload) == size

@@ -69,7 +69,7 @@ def numbers(message: Message) -> dict[str, Any]:
 
 
 def assert_read_alike(message: type[Message], payload: bytes) -> bool:
-    """Check that what is read compiled, msgspec reads too, and the same; tell whether it was."""
+    """Assert that compiled reading equals msgspec's; return whether it succeeded."""
     found = scanner(message)(payload)
     if found is None:
         return False
@@ -234,7 +234,7 @@ codes = st.one_of(
 def test_in_any_order_with_any_width_and_unknown_keys(
     order: list[str], values: Any, more: list[tuple[bytes, bytes]], wide: bool, data: Any
 ) -> None:
-    """Each message is refused by both, left to msgspec, or read alike."""
+    """Both refuse each message, or leave it to msgspec, or read it alike."""
     seq, stamp, force, law, revision = values
     known = {
         "seq": seq,

@@ -33,7 +33,7 @@ RULE = (
     "share = s.regained / s.ramp_ticks",
     "share = (s.regained / s.ramp_ticks) ** 2",
 )
-"""The ramp by which a force is let in grows with the square of the time."""
+"""Changed rule: the ramp grows with the square of time."""
 
 KERNELS = (
     "nodes.driver.kernel",
@@ -69,7 +69,7 @@ class Changed(NamedTuple):
     environment: dict[str, str]
 
     def run(self, *words: str) -> subprocess.CompletedProcess[str]:
-        """Run python in the folder."""
+        """Run Python in the folder."""
         return subprocess.run(
             [sys.executable, *words],
             cwd=self.folder,
@@ -81,7 +81,7 @@ class Changed(NamedTuple):
         )
 
     def launch(self, *words: str) -> tuple[dict[str, Any], str]:
-        """Launch the scenario; its summary, and what it said."""
+        """Launch the scenario; return its summary and output."""
         done = self.run("-m", "nodes.cli.command", "launch", *WORDS, *words, "--json")
         return json.loads(done.stdout.splitlines()[-1]), done.stderr
 

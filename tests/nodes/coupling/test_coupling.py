@@ -140,7 +140,7 @@ def test_a_snapshot_taken_while_the_loop_pushes_belongs_to_one_tick() -> None:
 
 
 class _Busy(array):  # type: ignore[type-arg]
-    """A ring that the loop pushes into while it is copied."""
+    """A ring buffer that the loop writes while it is copied."""
 
     history: History
     copies: int
@@ -237,7 +237,7 @@ def test_sections_see_the_ticks_that_were_bridged() -> None:
 
 
 def proxy_at(z: float, seq: int = 0) -> Proxy:
-    """Meet a floor at z = 0."""
+    """Return the contact with a floor at z = 0."""
     surface = (0.0, 0.0, 0.0 if z < 0.0 else z)
     return Proxy(
         seq=seq,
@@ -443,7 +443,7 @@ class Slow(Law, frozen=True, kw_only=True):
     kind: ClassVar[str] = "slow"
 
     def compile(self, period: float) -> CompiledLaw:
-        """Taps are not enough."""
+        """Compile to taps and slow code."""
         del period
 
         def evaluate(history: Sequence[float], head: int) -> float:

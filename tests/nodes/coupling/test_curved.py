@@ -79,7 +79,7 @@ def test_a_history_in_the_worlds_axes_pushes_along_a_curved_way(name: str) -> No
 
 @pytest.mark.parametrize("name", LAWS)
 def test_in_axes_that_turn_with_the_surface_the_way_is_not_felt(name: str) -> None:
-    """All deflections are alike then: the spring alone, and nothing along the way."""
+    """All deflections are equal then: only the spring, no tangential force."""
     along, across = led_round(name, "surface")
     settled = len(LAWS[name].compile(PERIOD).taps)
     # Rounding of some newtons, as above.

@@ -39,12 +39,12 @@ EPSILON = 1e-12  # rounding of forces of some 100 N
 
 
 def drop(law: str, height: float, **coupling: Any) -> Any:
-    """Prepare the drop of the paper from a height [m]."""
+    """Return the drop of the paper from a height [m]."""
     return from_launch(with_values(dropped(law, height), "coupling", coupling))
 
 
 def dropped(law: str, height: float) -> Launch:
-    """Read the drop of the paper, without the driver's own ramp."""
+    """Return the launch of that drop without the driver's own ramp."""
     launch = launch_file.read("floor_drop", {"law": law, "height": height, "duration": 0.6})
     return with_values(
         launch, "driver", {"safety": {**launch.nodes["driver"].parameters["safety"], "ramp": 0.0}}
@@ -52,12 +52,12 @@ def dropped(law: str, height: float) -> Launch:
 
 
 def gain_at_rest(law: CompiledLaw) -> float:
-    """Return force over deflection of a law that has always seen the same one [N/m]."""
+    """Return force over deflection of a law at constant deflection [N/m]."""
     return sum(law.taps) + sum((b0 + b1) / (1.0 + a1 + a2) for b0, b1, a1, a2 in law.sections)
 
 
 def with_values(launch: Launch, name: str, values: dict[str, Any]) -> Launch:
-    """Set parameters of a node of a launch."""
+    """Return a launch with parameters of a node changed."""
     node = launch.nodes[name]
     parameters = {**node.parameters, **values}
     nodes = {**launch.nodes, name: msgspec.structs.replace(node, parameters=parameters)}
@@ -184,14 +184,14 @@ FIRST_TAPS = np.array([STIFFNESS + DAMPING / PERIOD, -DAMPING / PERIOD])
 
 
 def with_surface(surface: dict[str, Any], **given_: Any) -> Launch:
-    """Read the scene in space with a surface."""
+    """Return the scene in space with a surface."""
     launch = launch_file.read(str(FIXTURES / "space.yaml"), given_)
     node = msgspec.structs.replace(launch.nodes["environment"], parameters={"surface": surface})
     return msgspec.structs.replace(launch, nodes={**launch.nodes, "environment": node})
 
 
 def couplings(surface: dict[str, Any], law: str) -> CouplingParameters:
-    """Return the parameters of the coupling in space."""
+    """Return the coupling's parameters in space."""
     made: CouplingParameters = convert(
         with_surface(surface, law=law).nodes["coupling"].parameters, CouplingParameters, "coupling"
     )
@@ -235,7 +235,7 @@ def unexplained(found: SpatialTrace, changes: Sequence[int]) -> float:
 def test_no_change_of_a_surface_makes_a_force_that_no_motion_made(
     surfaces: list[dict[str, Any]], start: tuple[float, float, float], gaps: list[int], seed: int
 ) -> None:
-    """Random surfaces, starts, ways and live changes, one into the easing of another."""
+    """Random surfaces, starts, paths and live changes, also during easing."""
     path = np.array(start) + wander(
         np.random.default_rng(seed), 240, 2e-4, (0.02, 0.02, 0.02), (0.0, 0.0, 0.0)
     )
@@ -333,7 +333,7 @@ def coupling(**given_: Any) -> Coupling:
 
 
 def force_at(node: Coupling, seq: int, depth: float, **given_: Any) -> float:
-    """Answer a tick at a depth behind a floor [m]; the force along z [N]."""
+    """Return the force along z [N] at a depth behind a floor [m]."""
     contact: dict[str, Any] = {
         "normal": (0.0, 0.0, 1.0),
         "distance": -depth,
@@ -380,7 +380,7 @@ def test_a_driver_that_counts_anew_is_no_velocity() -> None:
 
 
 def test_a_law_that_is_prepared_while_a_jump_fills_the_history_rests_as_one_that_renders() -> None:
-    """Its slow section remembered the deflection of before the jump: 0.5 N in place of 2.2 N."""
+    """Its slow section kept the deflection before the jump: 0.5 N instead of 2.2 N."""
     law = CompiledLaw(taps=(100.0,), sections=((5.0, -4.9, -1.99, 0.9901),))
     history = History(16)
     for _ in range(50):
@@ -398,7 +398,7 @@ def test_a_law_that_is_prepared_while_a_jump_fills_the_history_rests_as_one_that
 
 
 def test_conventions_that_are_changed_while_they_act_are_a_jump() -> None:
-    """A law that pulls is clamped from now on: its 4 N are taken down, not off."""
+    """Clamping a pulling law ramps its 4 N down instead of dropping them."""
     node = coupling(laws={"pd": {**PD, "damping": 8.0}}, clamp=False, ease=0.008)
     force_at(node, 0, 0.0)
     force_at(node, 1, 0.010)

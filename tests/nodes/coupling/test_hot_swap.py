@@ -128,7 +128,7 @@ def test_every_request_has_its_receipt_and_equal_stiffness_swaps_without_a_step(
 
 @pytest.fixture(scope="module")
 def held(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    """One real-time loop for all refusals and failures: each must leave it as it was."""
+    """One real-time loop for all refusals and failures, which must leave it unchanged."""
     folder = tmp_path_factory.mktemp("held")
     (folder / "held.yaml").write_text(HELD)
     with running(folder, "./held.yaml", environment=INSTALLED) as launch:
@@ -326,7 +326,7 @@ def test_a_law_that_breaks_at_once_is_refused_and_one_that_breaks_later_replaced
 
 @pytest.mark.process
 def test_the_record_of_all_that(held: Running, tmp_path: Path) -> None:
-    """Last in this loop: every failure above fell back within its own tick, and was told."""
+    """Last in this loop: every failure above fell back within its tick, with an event."""
     figures = held.finish(signal.SIGINT, code=0)
     recording = recorded(held.folder, figures)
     forces = {force.seq: force for force in recording.messages("/coupling/force")}

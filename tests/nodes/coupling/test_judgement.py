@@ -82,7 +82,7 @@ DEVICE = Plant(T, 0.1, 1.0, 1.0)
 
 
 def stable(law: dict[str, Any]) -> bool:
-    """By the closed loop itself, not by what is tested."""
+    """Whether the closed loop is stable, by its poles."""
     return pole_radius(compile_law(parse_law(law), T), DEVICE) < 1.0
 
 

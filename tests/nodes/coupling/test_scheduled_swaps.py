@@ -1,4 +1,4 @@
-"""Laws change at a time of the schedule: recorded, and with the bits of one process."""
+"""Scheduled law changes: recorded, and bit-equal to one process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Laws and parameters change by saving the watched file and by the command line."""
+"""Laws and parameters changed by saving the watched file and by the command line."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Verbs:
         self._capsys = capsys
 
     def __call__(self, *words: str, code: int = 0) -> tuple[str, str]:
-        """Run one command; give what it wrote to standard output and standard error."""
+        """Run a command; return standard output and standard error."""
         self._capsys.readouterr()
         try:
             found = main(list(words))
@@ -95,7 +95,7 @@ class Verbs:
         return out, err
 
     def answered(self, *words: str) -> dict[str, Any]:
-        """Run one command with --json."""
+        """Run a command with --json; return its object."""
         found: dict[str, Any] = json.loads(self(*words, "--json")[0].splitlines()[-1])
         return found
 

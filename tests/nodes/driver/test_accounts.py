@@ -50,7 +50,7 @@ def _rubbed(friction: float) -> Any:
 
 
 def _chatter(trace: SpatialTrace) -> float:
-    """Rms speed along the normal while the hand presses and slides [m/s]."""
+    """Return the rms speed along the normal while the hand presses and slides [m/s]."""
     speed = np.diff(trace.position @ NORMAL)[300:900] / 0.002
     return float(np.sqrt((speed**2).mean()))
 

@@ -72,7 +72,7 @@ CALLS = {
     ),
     "inverse3_driver": ("session", "state"),
 }
-"""What of the vendor's may fail, each by itself."""
+"""Vendor calls that may fail, each alone."""
 
 
 def without_force(stand: Bench) -> bool:
@@ -80,7 +80,7 @@ def without_force(stand: Bench) -> bool:
 
 
 def checks(module: ModuleType) -> set[str]:
-    """Name what a module checks of a device, as the page does."""
+    """Return the checks of a module, as the page names them."""
     return {
         name.removeprefix("test_").replace("_", " ")
         for name, found in vars(module).items()
@@ -309,7 +309,7 @@ def test_closed_twice_is_closed(stand: Bench) -> None:
 
 
 def test_the_wrong_device_first(stand: Bench) -> None:
-    """Of two devices the one that is meant, and a clear answer where it is not there."""
+    """Of two devices the chosen one is used, or a clear error is given."""
     wrong: dict[str, Any] = {"serial": 1 if stand.kind == "force_dimension_driver" else "1"}
     if stand.kind == "inverse3_driver":
         wrong["start_time"] = 0

@@ -42,7 +42,7 @@ VIRTUAL = {
 
 
 class VirtualBench(NamedTuple):
-    """A virtual device, ready to be driven and to be broken.
+    """A virtual device, ready to be driven and disturbed.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ def virtual(request: pytest.FixtureRequest, tmp_path: Path) -> VirtualBench:
 
 
 def start(virtual: VirtualBench) -> Vector:
-    """Where it begins: the first axis of the scene is where the parameters say."""
+    """Return its initial position: the first axis of the scene has the parameter's."""
     place = [0.0, 0.0, 0.0]
     place[virtual.axes[0]] = 0.01
     return place[0], place[1], place[2]
@@ -143,7 +143,7 @@ def test_unplugged_it_says_so_and_ends_safely(virtual: VirtualBench) -> None:
 
 
 def test_a_read_that_blocks_holds_up_nobody(virtual: VirtualBench) -> None:
-    """Its driver waits for it; who holds the handle does not: the device lets go meanwhile."""
+    """The driver waits, but the device releases the force for the hand."""
     virtual.device.read_position(0)
     virtual.push(1.0, 0)
     virtual.order.write_text(f"{BLOCKS}0.1", encoding="ascii")

@@ -20,7 +20,7 @@ from tests.support.setups import setup_of
 
 
 class _Counting(Hand):
-    """Counts its calls, in an attribute that is no method of compiled calls."""
+    """Counts its calls in an attribute named `calls`, which is no method."""
 
     calls: Any = 0
 
@@ -53,7 +53,7 @@ def test_only_calls_are_taken_for_calls() -> None:
 
 
 class _Vague(ScriptedDriver):
-    """Cannot tell its condition, from some call on."""
+    """Its `condition` raises from some call on."""
 
     hand = Hand(DeviceLimits(peak_force=8.0, hold=1.0, workspace=BOX), moving)
     asked = 0

@@ -15,7 +15,7 @@ from nodes.driver.device import DeviceLimits
 
 
 class Arm:
-    """A device that gives what it is told to give, or raises it."""
+    """A device that returns or raises what it is given."""
 
     limits = DeviceLimits()
 
@@ -23,7 +23,7 @@ class Arm:
         self._gives = gives
 
     def open(self) -> None:
-        """Open nothing."""
+        """Do nothing."""
 
     def read_position(self, seq: int) -> Any:
         """Return the scripted position."""
@@ -37,7 +37,7 @@ class Arm:
         del force, seq, offset
 
     def close(self) -> None:
-        """Close nothing."""
+        """Do nothing."""
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_numbers_of_numpy_are_plain_numbers_in_every_message(given: Any) -> None
 
 
 def read(device: Arm) -> tuple[int, list[float], DeviceCalls]:
-    """Read a position as compiled ticks do: by its address."""
+    """Read a position as compiled ticks do: by address."""
     calls = DeviceCalls(device, lambda: ZERO, Jumps(device))
     function = ctypes.CFUNCTYPE(
         ctypes.c_int, ctypes.c_int64, ctypes.c_int64, ctypes.POINTER(ctypes.c_double)

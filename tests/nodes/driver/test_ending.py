@@ -43,7 +43,7 @@ def test_a_fall_is_a_fall_only_without_a_force() -> None:
 
 @pytest.mark.process
 def test_who_has_just_bounced_does_not_fall(tmp_path: Path) -> None:
-    """On the way up after its first bounce the mass was told to fall, and to touch nothing."""
+    """Rising after its first bounce, the mass was reported as falling."""
     final = launch_json(tmp_path, "floor_drop", "pace:=lockstep", "duration:=0.1")["final"]
     assert final["velocity_m_per_s"] > 0.0
     assert final["motion"] == "moving"

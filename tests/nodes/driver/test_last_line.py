@@ -70,7 +70,7 @@ def scene(
 
 
 def diary(folder: Path) -> list[tuple[float, str, float]]:
-    """Read what the arm has logged so far: whole lines only."""
+    """Return the complete lines of the arm's log."""
     path = folder / "diary"
     text = path.read_text() if path.exists() else ""
     return [
@@ -80,7 +80,7 @@ def diary(folder: Path) -> list[tuple[float, str, float]]:
 
 
 def forces(folder: Path) -> list[float]:
-    """List the forces that it was given."""
+    """Return the forces it received."""
     return [value for _, call, value in diary(folder) if call == "write_force"]
 
 
@@ -208,7 +208,7 @@ AGAIN = {"respawn": True, "respawn_delay": 0.05}
 
 
 def killed(launch: Running, node: str) -> None:
-    """Kill a node, and wait until another answers in its place."""
+    """Kill a node, and wait for its successor."""
     before = launch.pid(node)
     os.kill(before, signal.SIGKILL)
 

@@ -75,7 +75,7 @@ def test_a_ramp_that_is_asked_for_is_that_of_the_first_force_whatever_it_is() ->
 
 
 def _jumping(at: int, before: float, after: float, ticks: int = 130, **more: Any) -> Script:
-    """Make a script: a force before a jump of the position, another after it."""
+    """Return a script: a force before a jump of the position, another after it."""
     limits = DeviceLimits(peak_force=PEAK, hold=10.0, workspace=BOX, latency=0.0)
     moves = more.pop("moves", 0.0)
     answers = [answer(seq, force=(0.0, 0.0, before if seq < at else after)) for seq in range(ticks)]
@@ -266,7 +266,7 @@ levels = st.lists(st.floats(-9.0, 9.0), min_size=1, max_size=12)
 
 
 class Course(Hand):
-    """A hand that jumps, leaves its workspace, and notes when it jumped or was back."""
+    """A hand that jumps, leaves its workspace, and records when."""
 
     def __init__(
         self, limits: DeviceLimits, jumps_at: list[int], outside: list[tuple[int, int]]
@@ -295,7 +295,7 @@ HAPPENINGS = given(
     apply=st.sampled_from(["on_arrival", "next_tick"]),
     slew=st.sampled_from([None, 100.0, 1500.0]),
 )
-"""Any sequence of starts, stalls in any place of a tick, silences, faults and jumps."""
+"""Any sequence of starts, stalls within a tick, silences, faults and jumps."""
 
 
 def _feels_no_push(

@@ -62,7 +62,7 @@ def test_two_hands_are_coupled_and_judged_at_the_measured_delay(tmp_path: Path) 
 
 
 class _Recorded:
-    """A device that keeps its calls."""
+    """A device that records its calls."""
 
     def __init__(self, place: tuple[float, float, float], **limits: Any) -> None:
         self.place, self.limits, self.calls = place, DeviceLimits(**limits), list[Any]()
@@ -83,7 +83,7 @@ class _Recorded:
 
 
 class _Broken(_Recorded):
-    """One that cannot be opened."""
+    """A device that cannot be opened."""
 
     def open(self) -> None:
         raise OSError("gone")
@@ -126,7 +126,7 @@ def test_a_pair_pushes_one_and_pulls_the_other() -> None:
 
 
 def _paired(second: dict[str, Any], pair: dict[str, Any], **first: Any) -> PairedDriver:
-    """Make the driver of two virtual devices, with the safety of each and of the pair."""
+    """Return the driver of two virtual devices, with safety of each and of the pair."""
     members = {
         name: {
             "kind": "sim_driver",
@@ -163,7 +163,7 @@ def test_the_limits_of_each_hold_for_the_pair(monkeypatch: pytest.MonkeyPatch) -
 
 
 def written(start: str) -> Any:
-    """Find what the page writes, by its first line."""
+    """Return the page's code block with a given first line."""
     page = (ROOT / "nodes" / "driver" / "DEVICES.md").read_text(encoding="utf-8")
     (text,) = (
         text for text in re.findall(r"```yaml\n(.*?)```", page, re.DOTALL) if text.startswith(start)
@@ -172,7 +172,7 @@ def written(start: str) -> Any:
 
 
 def two(tmp_path: Path, stack: ExitStack, kinds: tuple[str, str]) -> list[Bench]:
-    """Set two stand-ins up, each in a folder of its own, as the page names them."""
+    """Set up two emulators, each in its own folder, as on the page."""
     found = []
     for name, kind in zip(("a", "b"), kinds, strict=True):
         (tmp_path / name).mkdir()
@@ -314,7 +314,7 @@ def test_a_pair_is_judged_as_the_two_devices_that_it_is() -> None:
 
 
 def _exact(stiffness: float, damping: float, first: Plant, second: Plant) -> float:
-    """Largest pole of PD between two devices, neither simplified."""
+    """Return the largest pole of PD between two devices, without simplification."""
     one, other = held_plant(first), held_plant(second)
     numerator = np.polyadd(
         np.polymul(one.numerator, other.denominator), np.polymul(other.numerator, one.denominator)
@@ -403,7 +403,7 @@ def _aligned(
 
 
 def test_devices_that_start_apart_count_as_together_and_are_brought_there_evenly() -> None:
-    """30 mm apart, 30 N were asked for at tick 0."""
+    """30 mm apart, 30 N were requested at tick 0."""
     first, _, pair = _aligned()
     path = [pair.read_position(seq) for seq in range(60)]
     # 50 mm in a straight line, a millimetre a tick: each part exact to a rounding of 30 or 40 mm,

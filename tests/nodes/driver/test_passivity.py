@@ -46,7 +46,7 @@ steps = st.floats(-5e-3, 5e-3)
 
 
 class Guard:
-    """The guard of one axis, on a driver's state of its own."""
+    """The guard of one axis with its own driver state."""
 
     def __init__(self, parameters: PassivityParameters, axis: int) -> None:
         self.s, self._axis = state_of((axis,)), axis
@@ -55,11 +55,11 @@ class Guard:
 
     @property
     def energy(self) -> float:
-        """What it counts as given out [J]."""
+        """Energy counted as given out [J]."""
         return float(self.s.guard_energy[self._axis])
 
     def observe(self, acting: float, before: float, position: float) -> None:
-        """Count a step."""
+        """Account for a step."""
         self.s.acted[self._axis], self.s.before[self._axis], self.s.position[self._axis] = (
             acting,
             before,
@@ -68,7 +68,7 @@ class Guard:
         count_step(self.s)
 
     def control(self, force: float) -> float:
-        """Choose a force."""
+        """Return the permitted force."""
         self.s.wanted[self._axis] = force
         guarded(self.s, 0.0)
         return float(self.s.wanted[self._axis])
@@ -166,7 +166,7 @@ def test_a_guard_leaves_alone_what_makes_no_energy_along_a_surface(scenario: str
 @given(data=st.data())
 @settings(max_examples=50)
 def test_no_more_leaves_in_space_than_the_change_of_a_step_explains(data: st.DataObject) -> None:
-    """E_{k+1} ≤ max(E_k, 0) + F_k·(Δ_{k+1} − Δ_k), and the force keeps its direction."""
+    """E_{k+1} ≤ max(E_k, 0) + F_k·(Δ_{k+1} − Δ_k); the force keeps its direction."""
     s = state_of((0, 1, 2))
     s.elapsed = 1
     set_guard(s, ON)

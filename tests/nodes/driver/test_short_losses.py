@@ -132,7 +132,7 @@ def test_on_a_device_too(kind: str, call: str, tmp_path: Path) -> None:
 
 @needs_cc
 def test_a_force_dimension_lets_go_by_its_thread_before_its_firmware_does(tmp_path: Path) -> None:
-    """The driver must know the earlier: it takes a force back by a ramp from then on."""
+    """The driver must know the earlier time, from which a force returns by a ramp."""
     with bench("force_dimension_driver", tmp_path) as stand:
         device = stand.device(deadline=0.01, watchdog=0.03)
         device.connect()

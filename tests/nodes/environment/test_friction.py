@@ -72,7 +72,7 @@ def test_it_sticks_up_to_the_static_coefficient_and_slides_at_the_dynamic_one() 
 
 
 def test_a_viscous_surface_makes_it_trail_by_its_speed() -> None:
-    """Drawn at v, in the steady state the proxy is behind by v times the given time."""
+    """Drawn at v, the proxy lags by v times the given time in steady state."""
     speed, trails, period = 0.05, 0.008, 1e-3
     path = np.array([[0.0, 0.0, 0.01], *([speed * period * k, 0.0, -1e-3] for k in range(200))])
     found = led([plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), Friction(0.0, 0.0, trails))], path)

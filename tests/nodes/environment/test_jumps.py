@@ -49,7 +49,7 @@ def environment(surface: dict[str, Any], **given: Any) -> Environment:
 
 
 def answers(node: Environment, states: list[DeviceState]) -> list[Proxy]:
-    """Answer states as the node's loop does."""
+    """Return the answers to states, as in the node's loop."""
     found = []
     for state in states:
         payload = node._answer(state)
@@ -69,7 +69,7 @@ def at(*places: Vector, first: int = 0, rebased: int = 0) -> list[DeviceState]:
 @pytest.mark.process
 @pytest.mark.parametrize("tick", ["plain", "compiled"])
 def test_a_wall_that_is_moved_live_has_the_bits_of_one_process(tick: str, tmp_path: Path) -> None:
-    """A hand presses it with 2.3 N when it comes 10 mm nearer: 52 N were asked in one tick."""
+    """A hand presses with 2.3 N when it comes 10 mm nearer, which asked for 52 N at once."""
     scene = str(FIXTURES / "press_hold.yaml")
     with running(tmp_path, scene, "pace:=lockstep", f"--tick={tick}") as launch:
         launch.wait_ticks(500)
@@ -102,7 +102,7 @@ def test_a_wall_that_is_moved_live_has_the_bits_of_one_process(tick: str, tmp_pa
 def test_shapes_that_are_begun_in_and_changed_live_have_the_bits_of_one_process(
     tick: str, tmp_path: Path
 ) -> None:
-    """Out of a small ball, into a large one, which grows by 2 mm while it is pressed."""
+    """Out of a small ball, into a large one that grows by 2 mm while pressed."""
     scene = str(FIXTURES / "space.yaml")
     with running(tmp_path, scene, f"--tick={tick}") as launch:
         launch.wait_ticks(500)
@@ -128,7 +128,7 @@ def test_shapes_that_are_begun_in_and_changed_live_have_the_bits_of_one_process(
 
 
 def parsed(scene: str) -> dict[str, Any]:
-    """Return the surface of a scene as its file has it."""
+    """Return the surface of a scene's file."""
     surface: dict[str, Any] = copy.deepcopy(
         launch_file.read(scene, {}).nodes["environment"].parameters["surface"]
     )

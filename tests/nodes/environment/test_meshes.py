@@ -1,4 +1,4 @@
-"""What is read as a mesh, what is repaired, and what is refused with which words."""
+"""Meshes: what is read, what is repaired, and what is refused, with which text."""
 
 from __future__ import annotations
 
@@ -231,7 +231,7 @@ def test_a_device_on_a_corner_an_edge_or_a_face_is_met(triangles: Array, tool: f
 
 @pytest.mark.slow
 def test_a_launch_tells_what_was_repaired(tmp_path: Path) -> None:
-    """On the terminal and in the recording: what is felt is not what stands in the file."""
+    """On the terminal and in the recording: the felt mesh differs from the file."""
     ball = icosphere(2, 0.035)[:, ::-1]
     (tmp_path / "ball.stl").write_bytes(binary_stl(np.concatenate([ball, ball[:1, [0, 0, 1]]])))
     (tmp_path / "given.yaml").write_text(

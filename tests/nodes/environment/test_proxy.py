@@ -36,12 +36,12 @@ RADIUS = 0.05
 
 
 def led(solids: list[Solid], path: Array, tool: float = 0.0) -> Touched:
-    """Lead a device over shapes; short ways without the compiler, which gives the same bits."""
+    """Move a device over shapes; short paths without the compiler, with equal bits."""
     return touch(solids, path, tool, interpreted=len(path) < 2500)
 
 
 def around(depth: float, ticks: int = 400, speed: float = 0.2, period: float = 1e-3) -> Array:
-    """Enter a sphere of 50 mm and go round in it, in a plane that is none of the axes."""
+    """Enter a sphere of 50 mm and circle in it, in an oblique plane."""
     within = RADIUS - depth
     angle = np.arange(ticks) * speed * period / within
     ring = within * np.stack(
@@ -62,7 +62,7 @@ def test_on_a_sphere_it_is_the_radial_projection(depth: float, tool: float) -> N
 
 @pytest.mark.parametrize("tool", [0.0, 5e-4])
 def test_on_a_capsule_and_a_cylinder_it_is_the_nearest_point(tool: float) -> None:
-    """Within both, all around and along, away from the ends of the cylinder."""
+    """All around and along both, away from the cylinder's ends."""
     rng = np.random.default_rng(3)
     angle, along = (
         np.cumsum(rng.normal(0.0, 0.01, 500)),
@@ -364,7 +364,7 @@ def test_the_distance_from_outside_is_that_of_the_textbook() -> None:
 
 
 def test_a_position_beyond_all_reason_leaves_no_trace() -> None:
-    """Squares of 1e300 overflow; afterwards the proxy is met as on the first tick."""
+    """Squares of 1e300 overflow; afterwards the proxy starts as on the first tick."""
     for solids in SCENES.values():
         wild = np.array(
             [

@@ -252,7 +252,7 @@ def unstable(folder: Path, count: int, parts: tuple[float, ...]) -> list[int]:
 
 
 def test_what_hangs_on_a_damped_tool_does_not_swing_below_its_figure(tmp_path: Path) -> None:
-    """Five random rests: none at 0.99 of the certified stiffness, some at three times it."""
+    """Five random worlds: none unstable at 0.99 of the certified stiffness, some at 3 times."""
     below, above = unstable(tmp_path, 5, (0.99, 3.0))
     assert below == 0
     assert above >= 1

@@ -39,7 +39,7 @@ EPS = np.finfo(float).eps
 def moved(
     integrator: str, body: tuple[float, float, float], forces: np.ndarray, steps: int = 1
 ) -> np.ndarray:
-    """Positions of a body that answer forces on the device, the same tick included [m]."""
+    """Return positions of a body under forces of the device, same tick included [m]."""
     motion: BodyMotion = INTEGRATORS[integrator](body, PERIOD, steps, (0.0, 0.0))
     found = []
     for force in forces.tolist():
@@ -57,7 +57,7 @@ def moved(
 def test_implicit_and_trapezoidal_are_the_rules_of_these_names(
     body: tuple[float, float, float],
 ) -> None:
-    """Against scipy's discretisation of the same admittance, filtered by scipy."""
+    """Against scipy's discretisation of the same admittance."""
     mass, damping, stiffness = body
     forces = np.random.default_rng(1).normal(size=400)
     # Velocity over force, s/(m s² + c s + k); then y = T u/(1 − w) of the bilinear u.
@@ -133,7 +133,7 @@ bodies = st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 10.0), st.floats(0.0, 1e4
 def test_a_body_that_answers_in_the_same_tick_never_gives_out_energy(
     body: tuple[float, float, float], integrator: str, seed: int, resonant: bool
 ) -> None:
-    """Begun at rest: Σ F[k] (y[k−1] − y[k]) ≥ 0 at every tick, to the rounding of its terms."""
+    """From rest: Σ F[k] (y[k−1] − y[k]) ≥ 0 at every tick, up to rounding."""
     rng = np.random.default_rng(seed)
     forces = rng.normal(size=200)
     if resonant:

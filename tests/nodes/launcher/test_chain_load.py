@@ -37,7 +37,7 @@ from tests.support.launching import launch_json, running
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Provide a cache of its own, in which nothing was measured."""
+    """Use an empty cache, without measurements."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     return tmp_path / "cache"
 

@@ -54,7 +54,7 @@ nodes:
 
 
 def start(launch: Running) -> subprocess.Popen[bytes]:
-    """Start the coupling as the launcher says."""
+    """Start the coupling with the printed command."""
     wait_for(lambda: list(launch.runtime_dir.glob("runs/*/run.json")), "the run")
     with open(launch.folder / "node.txt", "ab") as errors:
         return subprocess.Popen(
@@ -114,7 +114,7 @@ FINISHED = {"state": "finished", "pid": 1}
 def test_an_answer_that_is_none_of_the_protocol_ends_the_node_and_is_told(
     answers: dict[str, Any], context: Context
 ) -> None:
-    """It ended the thread that watches the node, and the launcher went on without."""
+    """It ended the thread that watches the node; the launcher continued without."""
     with odd_node(context, **answers) as setup:
         child = ByHand(setup, 0, 0.5, True, context, lambda _: None)
         child.start(Path(setup.run_dir))

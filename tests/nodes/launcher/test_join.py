@@ -76,11 +76,11 @@ class Waiting:
 
     @property
     def errors(self) -> str:
-        """What it wrote to standard error."""
+        """Its standard error."""
         return (self.folder / "node.txt").read_text()
 
     def setup(self, kind: str, **parameters: object) -> dict[str, Any]:
-        """Write a setup that is right in everything but perhaps what is tested."""
+        """Return a set-up, valid except for the tested change."""
         made = setup_of(
             run="r-1",
             name=self.name,
@@ -111,7 +111,7 @@ def waiting(tmp_path: Path, me: Identity) -> Iterator[Callable[..., Waiting]]:
 
 @pytest.fixture
 def evil(tmp_path: Path) -> tuple[Path, Path]:
-    """Make a library that leaves a mark when it is loaded; both paths."""
+    """Return a library that leaves a mark when loaded, and the mark's path."""
     compiler = shutil.which("cc")
     if compiler is None:
         pytest.skip("no C compiler")

@@ -39,11 +39,11 @@ IN_LOCKSTEP = {
     *("box_edges", "floor_buzz", "floor_guarded", "floor_swap", "identify"),
     *("rough_plane", "sphere_feel", "touch_wall", "two_loggers", "world_feel"),
 }
-"""Scenarios that every run of the tests launches in lockstep (tests/sim/play)."""
+"""Scenarios that other tests launch in lockstep in every run (tests/sim/play)."""
 
 
 def assert_summary_is_true(figures: dict[str, Any], states: list[Any]) -> None:
-    """Compare the summary with what was recorded at every tick."""
+    """Compare the summary with the recorded ticks."""
     times = ResponseTimes()
     for state in states[1:]:
         if state.response > 0.0:

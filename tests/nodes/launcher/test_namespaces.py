@@ -36,7 +36,7 @@ def test_a_full_name_is_taken_apart_as_it_was_put_together() -> None:
 
 
 def unclocked(messages: list[Any]) -> list[Any]:
-    """Leave out how long each answer took."""
+    """Return figures without response times."""
     return [
         msgspec.structs.replace(one, response=0.0) if isinstance(one, DeviceState) else one
         for one in messages
@@ -203,7 +203,7 @@ def test_files_that_include_one_another_for_ever_are_refused_at_once(tmp_path: P
 
 @pytest.mark.parametrize("written", ["x$(var a)$(var a)", "$(dirname)" * 1000])
 def test_text_that_grows_when_it_is_filled_in_is_bounded(tmp_path: Path, written: str) -> None:
-    """A kilobyte of arguments in a text makes gigabytes."""
+    """A kilobyte of arguments in a text could become gigabytes."""
     text = (
         f"arguments: {{a: {{default: {'z' * 2500}}}}}\nnodes:\n  driver: {{kind: sim_driver, watch:"
         f" '{written}'}}\n"

@@ -44,7 +44,7 @@ def written(
     device: dict[str, Any] | None = None,
     **nodes: Any,
 ) -> str:
-    """Write a launch file of one's own: a device, a wall and a law."""
+    """Write a user's launch file: a device, a wall and a law."""
     content = {
         "summary": "s",
         "run": {"axes": ["x"]},

@@ -28,7 +28,7 @@ from tests.support import ROOT
 from tests.support.launching import haptic, launch_json, private_runtime_dir, running, typed
 
 LONG_AGO = 3600.0
-"""Age of a directory that no launch is still setting up [s]."""
+"""Age at which a directory cannot belong to a starting launch [s]."""
 
 
 @pytest.fixture
@@ -85,7 +85,7 @@ def test_the_sweep_takes_only_what_bears_the_mark(home: Path) -> None:
 
 
 def test_the_sweep_leaves_what_a_launcher_holds(home: Path) -> None:
-    """One that compiles for more than a minute has told of no nodes yet, and has none."""
+    """A launch that compiles for over a minute has no nodes yet."""
     path = aged(new_run_dir("compiling"))
     held = hold(path)
     try:
@@ -116,7 +116,7 @@ def test_the_sweep_leaves_what_belongs_to_somebody_else(home: Path) -> None:
 def test_a_long_scenario_starts_where_desktops_keep_runs(
     base: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The paths of sockets have 107 bytes; every name of a node has 32 letters to itself."""
+    """Socket paths have at most 107 bytes, node names 32."""
     with private_runtime_dir() as folder:
         home = folder / ("d" * (len(base) - len(str(folder)) - 1))
         assert len(str(home)) == len(base)

@@ -266,7 +266,7 @@ def test_what_others_keep_from_running_is_waited_for(tmp_path: Path) -> None:
 
 @pytest.fixture
 def ice() -> Iterator[Path]:
-    """Make a control group whose processes the kernel does not let die when they are frozen."""
+    """Return a control group whose frozen processes cannot die."""
     group = Path(f"/sys/fs/cgroup/freezer/haptic-test-{os.getpid()}")
     try:
         group.mkdir()

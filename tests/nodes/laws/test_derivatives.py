@@ -47,7 +47,7 @@ CASES = [
 
 
 def orders_of(kind: str) -> st.SearchStrategy[float]:
-    """Orders that a realisation takes."""
+    """Return the orders that a realisation accepts."""
     return st.floats(min_value=0.01, max_value=2.0 if kind == "log_binned" else 3.99)
 
 

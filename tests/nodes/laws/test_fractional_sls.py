@@ -20,7 +20,7 @@ T = 0.002
 
 
 def test_without_relaxation_it_is_kelvin_and_voigts() -> None:
-    """τ → 0: what is left of the arm differs by (τ/T)^α of it, here 10⁻⁶."""
+    """τ → 0: the remaining difference is (τ/T)^α, here 10⁻⁶."""
     solid = FractionalSLS(
         stiffness=900.0, damping=0.5, order=0.6, relaxation=T * 1e-10, taps=12
     ).compile(T)
@@ -44,7 +44,7 @@ def test_of_order_one_it_is_a_velocity_behind_a_filter() -> None:
 
 @pytest.mark.parametrize("order", [0.3, 0.7])
 def test_the_arm_keeps_its_equation(order: float) -> None:
-    """A + τ^α D^α A = B_α D^α x by the sums themselves, on any signal."""
+    """A + τ^α D^α A = B_α D^α x by direct sums, for any signal."""
     law = FractionalSLS(
         stiffness=0.0, damping=2.0, order=order, relaxation=3.0 * T, taps=60
     ).compile(T)
@@ -141,7 +141,7 @@ SHOWN = [(0.0, ", taps: 8", True), (1000.0, "", False), (20000.0, ", taps: 8", F
 def test_law_show_warns_of_what_a_short_memory_leaks(
     stiffness: float, taps: str, warned: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Eight taps of a Maxwell element of 0.1 s hold 427 N/m for ever."""
+    """Eight taps of a 0.1 s Maxwell element keep 427 N/m for ever."""
     law = (
         f"{{kind: fractional_sls, stiffness: {stiffness}, damping: 49.0, order: 1.0, relaxation:"
         f" 0.1{taps}}}"

@@ -58,7 +58,7 @@ CASES += [pytest.param({"kind": name}, id=name) for name in preset_names()]
 
 
 def forces(law: CompiledLaw, deflections: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Render with the loop's own kernels."""
+    """Return forces from the loop's own kernels."""
     length = len(law.taps)
     history, head = [0.0] * (2 * length), 0
     state = [0.0] * (2 * len(law.sections))

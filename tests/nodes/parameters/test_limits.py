@@ -43,7 +43,7 @@ CONFIGURED = ("coupling", "environment", "sim_driver")
 def numbers(
     info: inspect.Type, seen: frozenset[type] = frozenset()
 ) -> Iterator[tuple[tuple[str | int, ...], type]]:
-    """Name all numbers below a type: the way to each, and what it is."""
+    """Yield all numbers below a type: path and type."""
     if isinstance(info, inspect.Metadata):
         yield from numbers(info.type, seen)
     elif isinstance(info, inspect.UnionType):
@@ -63,7 +63,7 @@ def numbers(
 
 
 def example(info: inspect.Type) -> Any:
-    """Make a plain value of a type: of a struct only what it must have."""
+    """Return a plain value of a type, with required fields only."""
     if isinstance(info, inspect.Metadata):
         return example(info.type)
     if isinstance(info, inspect.UnionType):
@@ -87,7 +87,7 @@ def example(info: inspect.Type) -> Any:
 
 
 def put(tree: Any, info: inspect.Type, way: tuple[str | int, ...], value: Any) -> Any:
-    """Put a value into a tree, with what must stand around it."""
+    """Insert a value into a tree, with required neighbours."""
     if isinstance(info, inspect.Metadata):
         return put(tree, info.type, way, value)
     if not way:
@@ -138,7 +138,7 @@ def use_surface(kind: str, parameters: dict[str, Any]) -> None:
 
 
 def tried() -> Iterator[tuple[str, Any, tuple[str | int, ...], type, dict[str, Any], Any]]:
-    """Name all numbers there are."""
+    """Yield all numbers to try."""
     kinds = {name: load(factory) for name, factory in node_kinds().items()}
     groups = [
         (name, kind.Parameters, LEAST.get(name, {}), use_node) for name, kind in kinds.items()
@@ -166,7 +166,7 @@ def try_all() -> None:
 
 
 def bounded() -> None:
-    """Limit this process to what a parameter may take, and try them all."""
+    """Limit this process, and try all numbers."""
     used = (
         int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
         * resource.getpagesize()

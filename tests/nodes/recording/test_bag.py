@@ -1,4 +1,4 @@
-"""``haptic bag``: what is printed, what is written and what is refused."""
+"""``haptic bag``: output, files and refusals."""
 
 from __future__ import annotations
 

@@ -316,7 +316,7 @@ def test_too_many_runs_are_refused(bag: Path, capsys: pytest.CaptureFixture[str]
 
 
 def crowded() -> Iterator[tuple[str, Message]]:
-    """Yield changes right after each other, laws with long names, every safety state."""
+    """Yield rapid changes, laws with long names, every safety state."""
     for topic, message in drop(600, missed=MISSED):
         if isinstance(message, DeviceState):
             safety = ("ramp", "active", "damping", "zero", "fault")[message.seq // 120]

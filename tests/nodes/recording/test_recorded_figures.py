@@ -1,4 +1,4 @@
-"""What the figures of a recording say: gaps, accounts, clocks, summary."""
+"""Figures of a recording: gaps, accounts, clocks, summary."""
 
 from __future__ import annotations
 

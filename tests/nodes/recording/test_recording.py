@@ -1,4 +1,4 @@
-"""Recordings as they are read: cut anywhere, damaged anywhere, and what their figures say."""
+"""Reading recordings: cut or damaged anywhere, and their figures."""
 
 from __future__ import annotations
 
@@ -177,7 +177,7 @@ def test_the_length_of_a_frame_is_read_from_its_blocks() -> None:
 def test_a_search_for_chunks_does_not_cost_the_square_of_a_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of each place that looked like a chunk all to the end of the file was copied."""
+    """Each place that looked like a chunk copied the rest of the file."""
     count, each = 3000, 80
     body = b""
     for n in range(count):

@@ -29,14 +29,14 @@ from tests.support.setups import setup_of
 pytestmark = pytest.mark.realtime
 
 PYTHON = os.environ.get("RCLPY_PYTHON") or (sys.executable if find_spec("rclpy") else "")
-"""A Python that has rclpy: this one, or the one that the variable names."""
+"""A Python with rclpy: this one, or that of the variable."""
 
 PROBE = Path(__file__).parents[2] / "support" / "rclpy_probe.py"
 SECONDS = 0.8
 
 
 class Heard(NamedTuple):
-    """What came of a launch beside a ROS 2 node."""
+    """Results of a launch beside a ROS 2 node."""
 
     told: dict[str, Any]
     recording: Recording
@@ -58,8 +58,7 @@ BACKENDS = [
         marks=[
             pytest.mark.process,
             pytest.mark.skipif(
-                not PYTHON,
-                reason="no rclpy: pip install -e '.[rclpy]', or set RCLPY_PYTHON",
+                not PYTHON, reason="no rclpy: pip install -e '.[rclpy]', or set RCLPY_PYTHON"
             ),
         ],
     ),

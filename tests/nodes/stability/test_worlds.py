@@ -102,7 +102,7 @@ def test_stiffness_for_any_world_and_for_any_hand(name: str) -> None:
 def test_pd_without_delay_bears_any_hand_and_any_world_while_b_exceeds_kt_over_2_and_b(
     gain: float,
 ) -> None:
-    """The condition is b > KT/2 + B: Re{D/H} is worst at Nyquist, in closed form."""
+    """b > KT/2 + B in closed form: Re{D/H} is worst at Nyquist."""
     found = figure(pd(gain), device(0.0), AnyWorld(), True)
     # an extremum, found to the square of its place
     assert found == pytest.approx(2.0 * (1.0 - gain) / T, rel=1e-10)
@@ -241,7 +241,7 @@ def test_mass_of_an_euler_tool() -> None:
 
 
 def bodies_of(*integrators: str) -> st.SearchStrategy[Body]:
-    """Bodies on a spring to the ground."""
+    """Return bodies on a spring to ground."""
     return st.builds(
         Body,
         mass=st.one_of(st.just(0.0), st.floats(-4.0, 1.0).map(lambda e: 10.0**e)),
@@ -284,7 +284,7 @@ LAWS = st.one_of(
 
 
 def window(found: WorldKMax) -> tuple[float, float] | None:
-    """Return the window of K, where it is wide and finite."""
+    """Return the window of K, if wide and finite."""
     if (
         found.k_max_n_per_m is None
         or found.low_n_per_m is None
@@ -299,7 +299,7 @@ def window(found: WorldKMax) -> tuple[float, float] | None:
 
 
 def no_world_breaks_it(law: CompiledLaw, plant: Plant, bodies: list[Body], share: float) -> None:
-    """Two bodies in series, by Schur and Cohn in many digits; one of each by the matrix too."""
+    """Whether two bodies in series stay stable, by Schur and Cohn in many digits."""
     found = window(world_k_max(law, plant, AnyWorld()))
     if found is None:
         return
@@ -341,7 +341,7 @@ def test_none_of_five_thousand_implicit_worlds_breaks_it(
 def test_no_hand_and_no_implicit_world_breaks_what_is_certified_for_any(
     law: CompiledLaw, plant: Plant, mass: float, more: float, hand: float, body: Body, share: float
 ) -> None:
-    """The hand changes mass, stiffness and damping, this one never below that of the device."""
+    """The hand varies mass, stiffness and damping, never below the device's."""
     found = window(world_k_max(law, plant, AnyWorld(), True))
     if found is not None:
         held = Plant(T, 10.0**mass, more * plant.damping, plant.delay, hand)
@@ -423,7 +423,7 @@ def test_springs_of_a_range(law: CompiledLaw, delay: float) -> None:
 
 
 def random_chain(rng: np.random.Generator, least_damping: float, delay: float) -> Chain:
-    """Anything passive behind one damper: masses, links, a spring to the ground."""
+    """Return a random passive chain behind a damper: masses, links, a spring to ground."""
     return Chain(
         mass=10.0 ** rng.uniform(-3.0, 0.5),
         damping=least_damping * (1.0 + rng.choice([0.0, 1.0]) * rng.uniform()),

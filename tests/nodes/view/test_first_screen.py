@@ -64,7 +64,7 @@ def target(launch_page: Page) -> float:
 
 
 def turn(page: Page, part: float) -> None:
-    """Turn the dial to a part of its way, as a finger does."""
+    """Turn the dial to a fraction, like a finger."""
     script = """part => { const dial = document.getElementById("dial");
       dial.value = 1000 * part;
       for (const kind of ["input", "change"]) dial.dispatchEvent(new Event(kind)); }"""
@@ -72,7 +72,7 @@ def turn(page: Page, part: float) -> None:
 
 
 def handle(page: Page) -> tuple[float, float]:
-    """Find the handle on the screen."""
+    """Return the handle's position on the screen."""
     box: Any = page.locator("#scene").bounding_box()
     u = float(
         page.evaluate("(haptic.scene.now.target[0] - haptic.scene.middle) * haptic.scene.scale()")
@@ -173,7 +173,7 @@ def test_numbers_and_names_are_written_one_way(page: Page) -> None:
 
 @pytest.mark.process
 def test_a_frame_without_a_force_costs_no_arrow(page: Page) -> None:
-    """The first tick of a run has no force of the law yet, and a recording begins with it."""
+    """The first tick of a run has no force yet, and recordings begin with it."""
     scale = page.evaluate(
         """() => { const { scene } = haptic, none = [NaN, NaN, NaN];
       const nothing = { ...scene.now, asked: none, force: none };

@@ -48,7 +48,7 @@ def shown(folder: Path, scenario: str, **changed: Any) -> Iterator[str]:
 
 @contextmanager
 def subscribed(place: str) -> Iterator[tuple[ClientConnection, dict[str, Any]]]:
-    """Connect, and subscribe to the scene; its schema."""
+    """Connect and subscribe to the scene; return its schema."""
     protocol = Subprotocol("foxglove.sdk.v1")
     with connect(
         f"ws://{place}", subprotocols=[protocol], open_timeout=20.0, max_size=None
@@ -77,7 +77,7 @@ def subscribed(place: str) -> Iterator[tuple[ClientConnection, dict[str, Any]]]:
 def entities(
     client: ClientConnection, schema: dict[str, Any], seconds: float
 ) -> list[dict[str, Any]]:
-    """Collect what is drawn, over so long a time of the run."""
+    """Return the entities drawn over a duration of the run."""
     # Made once: to check the schema itself takes longer than to check a message by it.
     validator = jsonschema.validators.validator_for(schema)(schema)
     validator.check_schema(schema)

@@ -24,7 +24,7 @@ PERIOD = 0.002
 PULL = """t => { const slider = document.getElementById("seek");
   slider.value = t;
   for (const kind of ["input", "change"]) slider.dispatchEvent(new Event(kind)); }"""
-"""In the page: pull the recording's slider to a time [s]."""
+"""Seek the recording's slider to a time, in the page [s]."""
 
 PAUSE = """() => { const play = document.getElementById("play");
   if (play.getAttribute("aria-pressed") === "true") play.click(); }"""

@@ -89,7 +89,7 @@ class Script:
         return self.feed.frame(first, self.feed.head)
 
     def open(self) -> ScriptedPage:
-        """Open one more page."""
+        """Open another page."""
         page = ScriptedPage(
             [json.dumps(each) for each in (*self.base, {"type": "status", **self.status})]
         )
@@ -119,7 +119,7 @@ class ScriptedPage:
         self.outbox: list[str | bytes] = [*outbox]
 
     def news(self) -> list[str | bytes]:
-        """List what it has not been sent yet."""
+        """Return everything not sent yet."""
         found, self.outbox = self.outbox, []
         return found
 
@@ -134,7 +134,7 @@ class ScriptedPage:
         return {}
 
     def close(self) -> None:
-        """Forget it."""
+        """Do nothing."""
 
 
 @contextlib.contextmanager
@@ -282,7 +282,7 @@ RING = """async (axes) => {
     ...Object.fromEntries(["low", "high"].map((end) => [end,
       (i) => new Float32Array(400).fill(values[names[i]] ?? 0)])) });
   return { store, add, slow: new SlowMotion(), Sound, SlowMotion }; }"""
-"""In the page: a ring of a second, filled by 0.8 s, and what plays it."""
+"""In the page: a ring buffer of a second, filled for 0.8 s, and its player."""
 
 
 @pytest.mark.process

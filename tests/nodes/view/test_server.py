@@ -88,7 +88,7 @@ def texts(page: ClientConnection, kind: str, **wanted: Any) -> dict[str, Any]:
 
 @pytest.mark.process
 def test_stop_waits_for_no_node_that_does_not_answer(tmp_path: Path) -> None:
-    """Neither does the end: nobody has to kill a view that still waits for an answer."""
+    """Nor does the end of the view."""
     with running(tmp_path, "touch_wall", "--view", "--without", "logger") as launch:
         os.kill(launch.pid("coupling"), signal.SIGSTOP)
         with live(url_of(launch)) as page:
@@ -193,7 +193,7 @@ def test_reading_a_recording_is_told_and_can_be_interrupted(
     assert shares[-1] < 1.0
 
     class Impatient(io.StringIO):
-        """Standard error before somebody who presses Ctrl-C at the first line."""
+        """Standard error whose reader presses Ctrl-C at the first line."""
 
         def write(self, text: str) -> int:
             if text.startswith("reading"):

@@ -1,4 +1,4 @@
-"""What is drawn of a shape lies where the geometry says its surface is."""
+"""Drawn shapes lie on the surfaces of the geometry."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def ball(p: Corners) -> Corners:
 
 
 def turned_box(p: Corners) -> Corners:
-    """Yaw 90 degrees: the first edge lies along y, the second along −x."""
+    """Return a box rotated by 90° of yaw: first edge along y, second along −x."""
     local = (p - [0.01, 0.0, 0.0]) @ np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(np.abs(np.abs(local) - [0.01, 0.02, 0.03]).max(axis=1))
 

@@ -169,7 +169,7 @@ class Camera:
         self.pixels = 0.42 * min(width, height) / (0.5 * math.dist(low, high))
 
     def seen(self, point: Sequence[float]) -> tuple[float, float]:
-        """Pixels from the middle of the canvas, right and down."""
+        """Return pixels from the middle of the canvas, right and down."""
         apart = [a - b for a, b in zip(point, self.middle, strict=True)]
         return self.pixels * dot(apart, self.right), -self.pixels * dot(apart, self.up)
 
@@ -188,7 +188,7 @@ class Camera:
 
 
 def shade(normal: Sequence[float]) -> list[float]:
-    """Colour of a face of the ball: brighter towards the light."""
+    """Return the colour of a face of the ball: brighter towards the light."""
     dark = 1.0 - 0.75 * abs(dot(normal, LIGHT))
     return [
         dark * a + (1.0 - dark) * b
@@ -286,7 +286,7 @@ def test_proxy_device_force_and_cone_are_drawn_where_they_are(page: Page) -> Non
         }"""
 
     def nearest(name: str, now: dict[str, Any], wanted: Sequence[float]) -> float:
-        """How near any of the 25 pixels around a place comes to a colour."""
+        """Return the smallest colour distance within 25 pixels of a place."""
         data = page.evaluate(read, [yaw, pitch, now, places])[name]
         apart = (
             max(abs(a - b) for a, b in zip(data[k : k + 3], wanted, strict=True))

@@ -26,13 +26,13 @@ def launch(tmp_path: Path) -> Iterator[Running]:
 
 @pytest.fixture
 def page(browser: Browser, launch: Running) -> Iterator[Page]:
-    """Open a page that nobody has touched yet."""
+    """Open an untouched page."""
     with OpenPage(browser, url_of(launch)) as found:
         yield found
 
 
 def _pull(page: Page, by: str) -> None:
-    """Go into the wall with the hand, from where it is touched."""
+    """Push the hand into the wall, from where it is grabbed."""
     if by == "keyboard":
         page.locator("#scene").focus()
         for _ in range(6):
@@ -46,7 +46,7 @@ def _pull(page: Page, by: str) -> None:
 
 
 def _act(page: Page, by: str) -> None:
-    """Do what the sentence ends in."""
+    """Perform the action that a sentence asks for."""
     if by == "keyboard":
         page.locator("#tour-act").focus()
         page.keyboard.press("Enter")
