@@ -110,7 +110,7 @@ def test_a_flood_of_requests_is_served_at_a_bounded_rate(context: Context) -> No
 
 
 def test_half_a_request_of_one_who_is_gone_costs_nobody_an_answer(context: Context) -> None:
-    """libzmq's REP loses the answer to the next request, of any client."""
+    """REP of libzmq loses the answer to the next request, of any client."""
     with private_runtime_dir() as folder:
         control = server(context, folder)
         with zmq.Context() as others:

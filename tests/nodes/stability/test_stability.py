@@ -223,7 +223,7 @@ def test_no_linear_law_beats_the_strict_limit_without_delay() -> None:
 
 
 def test_figures_of_the_papers_optimum() -> None:
-    """f ≈ −1 over the low and middle range, f(ω_N) = 1.69 + 1.32 (THEORY.md §1, §2)."""
+    """Read off: f ≈ −1 over the low and middle range, f(ω_N) = 1.69 + 1.32 (THEORY.md §1, §2)."""
     law = parse_law({"kind": "paper_optimum", "stiffness": 1000.0, "damping": 1.0}).compile(T)
     omega = np.linspace(0.02, 0.55, 50) * np.pi / T
     f = effective_damping(law, T, omega) + 0.5 * T * (law.h1 - 1000.0)

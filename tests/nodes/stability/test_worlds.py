@@ -102,7 +102,7 @@ def test_stiffness_for_any_world_and_for_any_hand(name: str) -> None:
 def test_pd_without_delay_bears_any_hand_and_any_world_while_b_exceeds_kt_over_2_and_b(
     gain: float,
 ) -> None:
-    """b > KT/2 + B in closed form: Re{D/H} is worst at Nyquist."""
+    """Closed form b > KT/2 + B: Re{D/H} is worst at Nyquist."""
     found = figure(pd(gain), device(0.0), AnyWorld(), True)
     # an extremum, found to the square of its place
     assert found == pytest.approx(2.0 * (1.0 - gain) / T, rel=1e-10)
