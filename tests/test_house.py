@@ -1,4 +1,4 @@
-"""The house stays a house: imports go one way, between packages, between their rooms, and between files.
+"""Structure of the code: imports go one way, between packages, rooms and files.
 
 A room is a sub-package (``nodes.driver``); a module directly in a package is a room of its own.
 Every import counts, also one inside a function or for types only.
@@ -18,7 +18,7 @@ from nodes.cli.quantities import QUANTITIES
 from tests.support import ROOT
 
 FLOORS = ("messages", "nodes", "sim")
-"""From the ground up: a package imports from itself and from those before it."""
+"""From the bottom up: a package imports from itself and from those before it."""
 
 
 def name_of(path: Path) -> str:
@@ -37,7 +37,7 @@ def tree_of(path: Path) -> ast.Module:
 
 @cache
 def imported(module: str) -> tuple[tuple[str, str], ...]:
-    """Name each module of ours that this one imports, and the line that does it."""
+    """Return each own module that this one imports, and the importing line."""
     return tuple(_imported(module))
 
 
@@ -65,7 +65,7 @@ def room(module: str) -> str:
 
 
 def cycle(arrows: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """Find a cycle; the imports that make it, or none."""
+    """Return the imports of a cycle; empty if there is none."""
     done: set[str] = set()
 
     def search(at: str, way: list[str]) -> list[str]:
@@ -110,7 +110,7 @@ def test_no_circle_between_rooms() -> None:
 
 
 def test_a_circle_is_found_and_named() -> None:
-    """The search itself: without this, an empty list would prove nothing."""
+    """Tests the search itself: otherwise an empty list would prove nothing."""
     arrows = {"a": {"b": "a imports b"}, "b": {"c": "b imports c"}, "c": {"b": "c imports b"}}
     assert cycle(arrows) == ["b imports c", "c imports b"]
 
@@ -130,7 +130,7 @@ APART = (
     ("nodes.base", "nodes.driver"),
     ("nodes.base", "nodes.compiled"),
 )
-"""Rooms of which the first must do without the second, though no circle would come of it."""
+"""Pairs of rooms of which the first must not import the second."""
 
 
 def test_a_device_does_without_the_page_and_the_foundation_without_the_compiled_tick() -> None:
@@ -144,7 +144,7 @@ def test_a_device_does_without_the_page_and_the_foundation_without_the_compiled_
 
 
 def types_of(path: Path) -> Iterator[str]:
-    """Name what a module defines at its top by a capital letter: classes, and names for types; no TypeVars."""
+    """Yield capitalised names defined at a module's top: classes and type aliases."""
     for node in tree_of(path).body:
         if isinstance(node, ast.ClassDef):
             yield node.name
@@ -161,7 +161,7 @@ def types_of(path: Path) -> Iterator[str]:
 
 
 def test_one_word_is_one_class() -> None:
-    """No two public classes or names for types are one: a reader who meets it in a message or a page knows which."""
+    """No two public classes or type aliases have the same name."""
     found: dict[str, list[str]] = {}
     for module, path in MODULES.items():
         for name in types_of(path):
@@ -171,11 +171,11 @@ def test_one_word_is_one_class() -> None:
 
 
 PARTS = {"__init__", "node", "driver", "state", "parameters", "kernel", "compiled_tick"}
-"""The same part of several rooms: a node, a device's driver, state and parameters, and what compiles them."""
+"""Parts that several rooms have: node, driver, state, parameters, kernels."""
 
 
 def test_one_word_is_one_module() -> None:
-    """No two modules have one name, but for parts that several rooms have, and verbs, which are called as they are typed."""
+    """No two modules have the same name, except parts of rooms, and verbs."""
     found: dict[str, list[str]] = {}
     for module, path in MODULES.items():
         if path.stem not in PARTS and room(module) not in ("nodes.cli", "sim.cli"):
@@ -218,7 +218,7 @@ EXAMPLES = {"nodes/cli/NAME.py", "sim/cli/NAME.py", "nodes/gone.py"}
 
 
 def test_files_that_are_named_exist() -> None:
-    """A page, docstring or comment that sends its reader to a file names one that is there."""
+    """Files named in pages, docstrings and comments exist."""
     for pattern in (*PAGES, *SOURCES):
         for path in ROOT.glob(pattern):
             named = set(NAMED.findall(path.read_text(encoding="utf-8"))) - EXAMPLES
@@ -231,7 +231,7 @@ DIALECT = re.compile(
     r"who sends more|the text tells|left behind are|some (?:ten|twenty|thirty) seconds",
     re.IGNORECASE,
 )
-"""Sentences that had to be read twice. What replaced them: announced, reported, reconnected, disconnected, about."""
+"""Sentences that had to be read twice."""
 
 
 def test_pages_docstrings_and_messages_are_plain_english() -> None:
@@ -260,11 +260,11 @@ def test_the_glossary_explains_the_words_of_the_field() -> None:
 WITH_ARGUMENTS = {
     "sim.emulators.inverse_service": "a process of its own, that stands for a vendor's service"
 }
-"""Modules outside the command line that read a command line all the same."""
+"""Modules outside the command line that parse a command line."""
 
 
 def test_verbs_are_in_one_place() -> None:
-    """The module of a verb is called as the verb is, in cli/; no other room reads arguments or imports a verb."""
+    """A verb's module has its name, in cli/; no other room parses arguments or imports a verb."""
     points = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
         "entry-points"
     ]
@@ -315,7 +315,7 @@ def test_a_quantity_is_declared_once() -> None:
 
 
 def test_each_number_of_a_command_line_has_its_limits() -> None:
-    """A bare int or float lets through what no figure survives: nothing, everything, infinity."""
+    """A bare int or float would accept zero, huge values and infinity."""
     found = [
         f"{module}: {ast.unparse(node.args[0])}"
         for module, path in MODULES.items()
@@ -352,7 +352,7 @@ WIDE = {
 
 
 def attributes(kind: ast.ClassDef) -> set[str]:
-    """Name what a class assigns to itself, and the fields that it declares."""
+    """Return what a class assigns to itself, and the fields it declares."""
     names = {
         node.target.id
         for node in kind.body
@@ -369,7 +369,7 @@ def attributes(kind: ast.ClassDef) -> set[str]:
 
 
 def test_long_functions_say_why() -> None:
-    """Ruff holds the limits (C901, PLR0915); a function beyond them says above itself why."""
+    """Ruff holds the limits (C901, PLR0915); a longer function has a comment with the reason."""
     silent = []
     for path in sorted(
         path for floor in (*FLOORS, "tests") for path in (ROOT / floor).rglob("*.py")
@@ -395,7 +395,7 @@ def test_wide_classes_say_why() -> None:
 
 
 def test_state_is_typed() -> None:
-    """No rule takes a state that mypy cannot look into: a misspelt variable is an error before it is a late tick's."""
+    """No rule takes an untyped state, so that mypy finds misspelt variables."""
     untyped = [
         f"{module}.{node.name}"
         for module, path in MODULES.items()

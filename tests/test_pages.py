@@ -1,4 +1,4 @@
-"""The pages keep their word: commands run, promises hold, links lead somewhere, each scenario and verb is named."""
+"""Pages are correct: commands run, promises hold, links exist, scenarios are named."""
 
 from __future__ import annotations
 
@@ -71,12 +71,12 @@ SHORTER = {
     "haptic lab coverage": "--devices 1 --seconds 3 --workers 1",
     "haptic lab fig4": "--gain 2..20 --points 2 --horizon 1500 --workers 1",
 }
-"""What makes a command short enough for a test, by its first words."""
+"""Options that make a command short enough for a test, by its first words."""
 
 INSTALLING = [
     line for block in blocks(README) for line in block.lines if line.startswith("python3 -m venv")
 ]
-"""The two pasted lines: `.ci/run` takes the second one from README.md, and any user's fresh clone the first."""
+"""The two installation lines, run by `.ci/run` and in a fresh clone."""
 
 BLOCKS = [  # tests/test_extending.py runs those of nodes/EXTENDING.md
     pytest.param(
@@ -98,7 +98,7 @@ BLOCKS = [  # tests/test_extending.py runs those of nodes/EXTENDING.md
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[dict[str, Path], Path]]:
-    """Make a folder for each page, and one runtime directory: later blocks of a page read what earlier ones wrote."""
+    """Create a folder per page and one runtime directory; later blocks read earlier output."""
     with private_runtime_dir() as runtime_dir:
         yield {name: tmp_path_factory.mktemp("page") for name in PAGES}, runtime_dir
 
@@ -128,7 +128,7 @@ def test_commands_run_as_they_are_written(
 
 
 def every_scene_has_its_row(rows: list[dict[str, Any]]) -> None:
-    """Judge what the page's six launches of ``haptic bench loop --scenes`` say, so that no other test runs them again."""
+    """Check the page's launches of ``haptic bench loop --scenes``, to avoid a second run."""
     bodies = set(BODIES) if find_spec("mujoco") else set()
     assert {row["scene"] for row in rows} == {
         "floor_drop",
@@ -144,7 +144,7 @@ def every_scene_has_its_row(rows: list[dict[str, Any]]) -> None:
 
 
 def every_message_is_accounted_for(found: dict[str, Any]) -> None:
-    """Judge what the page's soak of ten seconds says, so that no other test soaks; how many ticks are missed is not judged."""
+    """Check the page's soak of ten seconds; the number of missed ticks is not judged."""
     assert found["passed"], found["reasons"]
     assert found["rounds"] == found["respawns"] >= 1
     assert found["loggers"] == 2 * found["rounds"]
@@ -210,7 +210,7 @@ CHANGES = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 @pytest.mark.parametrize("name", [*PAGES, "CHANGELOG.md"])
 def test_lines_have_at_most_100_columns(name: str) -> None:
-    """Rows of tables and pictures are excepted: Markdown cannot break them."""
+    """Except rows of tables and pictures, which Markdown cannot break."""
     text = PAGES.get(name, CHANGES)
     assert [
         line for line in text.splitlines() if len(line) > 100 and not line.startswith(("|", "!["))
@@ -247,7 +247,7 @@ QUICK = ("haptic study kmax", "haptic study world", "haptic law show", "haptic l
 
 @pytest.mark.parametrize(("name", "line"), TABLED)
 def test_commands_of_tables_run(name: str, line: str, places: tuple[dict[str, Path], Path]) -> None:
-    """Quick ones are run as they are typed; of the others the words are read."""
+    """Quick commands are run as typed; of the others the words are checked."""
     words = shlex.split(line)[1:]
     if line.startswith(QUICK) and name == "README.md":
         with shell(places[0][name], places[1]) as terminal:

@@ -37,8 +37,8 @@ from sim.play.compiled import compiled
 # [ticks]; quadratic damping per mass [1/m]; lag [ticks]; part of the mass beyond a joint; frequency
 # [Hz] and damping ratio of the joint; part of the sample before in each reading.
 NAMES = (
-    "mobility", "damping", "friction", "stiffness", "load", "delay", "quadratic", "lag", "share", "frequency", "loss",
-    "average",
+    "mobility", "damping", "friction", "stiffness", "load", "delay", "quadratic", "lag", "share",
+    "frequency", "loss", "average",
 )  # fmt: skip
 # position [m] and velocity [m/s] of the motor's side, then what the joint is stretched by and how
 # fast

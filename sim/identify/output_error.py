@@ -146,8 +146,9 @@ def _slopes(
         np.empty((len(starts), len(free) + own, length)),
     )
     slopes(
-        theta, free, widths, own, states, np.ascontiguousarray(starts), experiment.period, experiment.position,
-        experiment.missing, experiment.at, experiment.force, scale, residuals, moved,
+        theta, free, widths, own, states, np.ascontiguousarray(starts), experiment.period,
+        experiment.position, experiment.missing, experiment.at, experiment.force, scale, residuals,
+        moved,
     )  # fmt: skip
     return residuals, moved
 

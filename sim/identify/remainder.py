@@ -36,7 +36,8 @@ PARTS = 4  # of the run, and of the range of the motion
 # Terms whose factor is positive in every device: with the other sign a term only resembles what is
 # left.
 POSITIVE = {
-    "flexible mode", "backlash", "actuator lag", "sensor filter", "presliding", "stribeck", "quadratic damping", "force steps",
+    "flexible mode", "backlash", "actuator lag", "sensor filter", "presliding", "stribeck",
+    "quadratic damping", "force steps",
 }  # fmt: skip
 WHOLE = 2.0  # largest factor of a term that is whole at 1, with room for its grid
 # terms that are tried, those that take up most first; then each other kind at the size that does

@@ -1,4 +1,4 @@
-"""Every registered real device on its stand-in, ready to be driven and to be broken."""
+"""Every registered real device on its emulator, ready to be driven and disturbed."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from tests.support import ROOT
 from tests.support.launching import wait_for
 
 LIBRARIES = {"touch_driver": ("hd", "touch"), "force_dimension_driver": ("dhd", "force_dimension")}
-"""Of a device with a library: its stand-in, and the section of its parameters."""
+"""Emulator and parameter group of each device with a library."""
 
 GRIPPED: dict[str, dict[str, Any]] = {
     "touch_driver": {"calibration_time": 0.5},
     "force_dimension_driver": {"ready_time": 0.2, "workspace": [[-0.2, 0.2]] * 3},
     "inverse3_driver": {"start_time": 1.0},
 }
-"""Parameters with which a test does not wait for long."""
+"""Parameters that keep waiting times short."""
 
 
 class Bench(NamedTuple):
-    """A device on its stand-in.
+    """A device on its emulator.
 
     Attributes
     ----------
@@ -63,14 +63,14 @@ class Bench(NamedTuple):
     made: list[MailboxDevice]
 
     def written(self, mapping: dict[str, Any] | None = None, **given: Any) -> dict[str, Any]:
-        """Write its parameters as a launch file does."""
+        """Return its parameters as in a launch file."""
         return {
             self.section: {**self.parameters, **given},
             **({"mapping": mapping} if mapping else {}),
         }
 
     def device(self, mapping: dict[str, Any] | None = None, **given: Any) -> MailboxDevice:
-        """Make the device; it is not connected yet."""
+        """Create the device, unconnected."""
         made = self.driver.hardware(
             msgspec.convert(self.written(mapping, **given), self.driver.Parameters)
         )
@@ -78,14 +78,14 @@ class Bench(NamedTuple):
         return made
 
     def opened(self, mapping: dict[str, Any] | None = None, **given: Any) -> MailboxDevice:
-        """Make the device, connected and open."""
+        """Create the device, connected and open."""
         device = self.device(mapping, **given)
         device.connect()
         device.open()
         return device
 
     def press(self, device: MailboxDevice, force: Vector) -> None:
-        """Write a force until the arm has it."""
+        """Write a force until the arm receives it."""
 
         def arrives() -> bool:
             device.write_force(force, 0, 0.0)
@@ -95,7 +95,7 @@ class Bench(NamedTuple):
 
 
 def real_devices() -> dict[str, type[HardwareDriver]]:
-    """Find every registered driver of a real device."""
+    """Return every registered driver of a real device."""
     found, _ = NODES.all()
     return {
         name: kind
@@ -111,7 +111,7 @@ def _compiled(name: str) -> Path:
 
 @contextmanager
 def bench(kind: str, folder: Path, *options: str) -> Iterator[Bench]:
-    """Set a device up: its own library or service, its own arm."""
+    """Set up a device with its own library or service, and its own arm."""
     driver = real_devices()[kind]
     made: list[MailboxDevice] = []
     if kind in LIBRARIES:

@@ -1,4 +1,4 @@
-"""Changes on their way from the control thread to the loop: applied once, or withdrawn, or made again; never half."""
+"""Changes from the control thread: applied once, withdrawn or repeated; never half."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class GainParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
 
 class Amplifier(Node):
-    """A node whose changes do nothing but say at which tick they were applied."""
+    """A node whose changes only report the tick at which they are applied."""
 
     Parameters: ClassVar[type[msgspec.Struct]] = GainParameters
 

@@ -1,4 +1,4 @@
-"""A loop that stands still: how long is counted per thing that it is at."""
+"""A hanging loop: the time is counted per activity."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nodes.base import hang_watchdog
 def test_what_begins_has_not_stood_however_long_the_wait_before(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A driver that waited long for its start was once taken to hang in its first ticks."""
+    """A driver that waited long for its start counted as hung in its first ticks."""
     clock = [0.0]
     monkeypatch.setattr(hang_watchdog, "time", SimpleNamespace(monotonic=lambda: clock[0]))
     watched = hang_watchdog.HangWatchdog()

@@ -1,4 +1,4 @@
-"""What a process that is started again goes on with: what was granted before, and neither more nor less."""
+"""A restarted process continues with exactly the accepted parameters."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ UNSTABLE = {"laws.pd.stiffness": 1e6}
 
 
 def started_again(node: type[Node], folder: Path, values: dict[str, Any], **given: Any) -> Any:
-    """Start a node, change its parameters as somebody does while it runs, and start it again."""
+    """Start a node, change its parameters while it runs, and restart it."""
     setup = setup_of(run_dir=str(folder), **given)
     first = node(setup)
     first.watched = (1, 2, 3)

@@ -1,4 +1,4 @@
-"""Parts of recordings: cut, filter, played from an offset and under other names; regular expressions choose topics."""
+"""Parts of recordings: cut, filter, play with offset and remapping; topics by pattern."""
 
 from __future__ import annotations
 

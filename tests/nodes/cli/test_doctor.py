@@ -1,4 +1,4 @@
-"""haptic doctor: what is there, what is missing, and exit codes a script can rely on."""
+"""haptic doctor: findings, remedies, and exit codes for scripts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a first user trips over: no traceback, no alarm, no escape codes, nothing made that was not asked for."""
+"""A first user's mistakes: no traceback, no alarm, no escape codes, no unwanted files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a ROS 2 user's hands expect: options by their names, HAPTIC_RUN, haptic stop, completion, a line that fits, colours."""
+"""ROS 2 habits: option names, HAPTIC_RUN, haptic stop, completion, status line, colours."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def told(launch: Running, *words: str, code: int = 0) -> Any:
 
 
 # -- topic
-# -----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.process
@@ -70,7 +70,7 @@ def test_topic_options_of_ros2(launch: Running) -> None:
 
 
 # -- bag
-# -------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.process
@@ -272,7 +272,7 @@ def test_stop_ends_a_launch_in_order(tmp_path: Path) -> None:
 
 
 # -- completion
-# ------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["fig2", "coverage", "two_rate"])
@@ -372,9 +372,9 @@ def resize(terminal: int, columns: int) -> None:
 def on_terminal(
     words: list[str], columns: int, environment: dict[str, str], folder: Path, narrow: int = 0
 ) -> str:
-    """Run a command with a terminal of so many columns as its standard error; give what it wrote there.
+    """Run a command with a terminal of some columns as standard error; return its output.
 
-    `narrow`: to so many columns it is made narrower when a law is shown, which is marked by a bell.
+    `narrow`: columns to which it shrinks when a law is shown, which a bell marks.
     """
     ours, theirs = pty.openpty()
     resize(theirs, columns)

@@ -1,4 +1,4 @@
-"""Which tick a launch takes, and that the plain one runs, with a reason, where the compiled one cannot be had."""
+"""Choice of the tick: the plain one runs, with a reason, if there is no compiled one."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ KERNELS = sorted(
 
 @pytest.fixture
 def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Forget what was compiled before."""
+    """Empty the cache of compiled code."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     return tmp_path
 
@@ -47,7 +47,7 @@ def test_plain_and_auto_never_wait_for_the_compiler(empty_cache: Path) -> None:
 def test_a_compilation_that_failed_is_said_at_every_rate_and_by_the_doctor(
     empty_cache: Path,
 ) -> None:
-    """The doctor said "built …, auto uses it", and a launch below 1 kHz nothing."""
+    """The doctor said "built …, auto uses it"; a launch below 1 kHz said nothing."""
     failed = cache.CacheEntry(kind="failed", content=f"{KERNEL}: no such type".encode())
     cache.write(f"{KERNEL}.tick", failed, {})
     told: list[str] = []
@@ -63,7 +63,7 @@ def test_a_compilation_that_failed_is_said_at_every_rate_and_by_the_doctor(
 
 
 def test_a_folder_in_the_place_of_an_entry_lets_the_plain_tick_run(empty_cache: Path) -> None:
-    """It ended every launch: a folder cannot be read as a file."""
+    """A folder in place of a file ended every launch."""
     cache.write(f"{KERNEL}.tick", cache.CacheEntry(kind="so", content=b""), {})
     entry = cache.folder() / f"{KERNEL}.tick"
     entry.unlink()
@@ -95,7 +95,7 @@ def test_what_cannot_be_compiled_is_said_and_the_plain_tick_runs(
 
 @pytest.mark.parametrize("module", KERNELS)
 def test_every_kernel_compiles_from_the_present_sources(module: str) -> None:
-    """What this compiles, once for these sources, the other tests of the run find."""
+    """Other tests of the run reuse what this compiles."""
     told: list[str] = []
     assert choose("compiled", [module], told.append) == "compiled", told
     assert reason(find(module)) == ""

@@ -1,4 +1,4 @@
-"""What a node tells while it is in compiled ticks: they do not stop for it, and nothing that it tells is old or lost."""
+"""Outgoing messages during compiled ticks: ticks do not stop, and nothing is lost or old."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_all_that_was_told_was_sent_and_counted(
 
 
 def told_during(place: Path, kernel: Callable[[Coupling, CouplingState], None]) -> list[str]:
-    """Let a node tell things while its compiled ticks go on, which these are scripted to do; what leaves after them."""
+    """Let a node send while its scripted compiled ticks run; return what leaves afterwards."""
     context = new_context()
     source = f"ipc://{place}/proxy"
     parameters = {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 500.0, "damping": 3.0}}}

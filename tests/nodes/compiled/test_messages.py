@@ -1,4 +1,4 @@
-"""Compiled reading and writing of messages, against msgspec: whatever is read compiled is read as the plain tick reads it."""
+"""Compiled reading and writing of messages, against msgspec and the plain tick."""
 
 from __future__ import annotations
 
@@ -186,7 +186,7 @@ codes = st.one_of(
 def test_in_any_order_with_any_width_and_unknown_keys(
     order: list[str], values: Any, more: list[tuple[bytes, bytes]], wide: bool, data: Any
 ) -> None:
-    """Each message is refused by both, left to msgspec, or read alike."""
+    """Both refuse each message, or leave it to msgspec, or read it alike."""
     seq, stamp, force, law, revision = values
     known = {
         "seq": seq,

@@ -1,8 +1,7 @@
-"""Every rule of time on a scripted clock: ticks that are late, lost or jumped over, interpreted and compiled alike to the bit.
+"""Rules of time on a scripted clock: late, lost and skipped ticks, both ticks bit-equal.
 
-Nothing here runs in real time. Time passes as a script says (tests/support/scripted.py), so that
-what a busy machine does once in an hour is played in a millisecond, and played again by the other
-tick.
+Nothing here runs in real time. Time passes as a script says (tests/support/scripted.py), so what a
+busy machine does once in an hour is played in a millisecond, and repeated by the other tick.
 """
 
 from __future__ import annotations
@@ -73,7 +72,7 @@ def test_a_driver_keeps_every_rule_of_time_alike(rule: str, apply: str, tmp_path
 
 
 def test_the_guard_has_the_same_bits_along_several_axes(tmp_path: Path) -> None:
-    """It squared by `** 2`: a power in the interpreter, a product in compiled code, whose last bits differ now and then."""
+    """`** 2` is a power in the interpreter and a product in compiled code."""
     drawn = random.Random(1)  # noqa: S311  # no secret
     forces: list[Vector] = []
     while len(forces) < TICKS:
@@ -90,7 +89,7 @@ def test_the_guard_has_the_same_bits_along_several_axes(tmp_path: Path) -> None:
 
 
 def test_states_are_stamped_in_the_time_of_the_launchers_machine(tmp_path: Path) -> None:
-    """Plain ticks took this machine's: recordings of a driver elsewhere had positions from hours before their forces."""
+    """Plain ticks used this machine's time, hours away from the forces'."""
     outcome, _ = assert_alike(RULES["nothing unusual"].script, tmp_path)
     stamps = [Decoder(DeviceState).decode(frames[1]).stamp - AHEAD for _, frames in outcome.sent]
     # A scripted sleep ends one step of the script's grid late: 1 µs. A clock at 6000 s has steps of
@@ -101,7 +100,7 @@ def test_states_are_stamped_in_the_time_of_the_launchers_machine(tmp_path: Path)
 
 
 def test_the_mean_force_of_a_tick_is_split_where_its_answers_came(tmp_path: Path) -> None:
-    """A compiled tick that stopped half-way, for a message that it could not read, forgot what had acted until then."""
+    """A compiled tick interrupted by an unreadable message forgot the force so far."""
     arrivals = [
         *(answer(seq, force=(0.0, 0.0, 1.0)) for seq in range(4)),
         # The force of tick 4 comes in tick 5, then what cannot be read, then tick 5's own.
@@ -124,7 +123,7 @@ def test_the_mean_force_of_a_tick_is_split_where_its_answers_came(tmp_path: Path
 
 
 def test_who_was_silent_is_not_waited_for_whatever_else_comes(tmp_path: Path) -> None:
-    """A message that compiled ticks could not read made the plain one wait 1 ms too long, and the next sample late."""
+    """After an unreadable message the plain tick waited 1 ms too long."""
     damaged = Arrival(at(6, 1_700.0), (topics.FORCE.encode(), b"no message"))
     script = driver([*(answer(seq) for seq in range(4)), damaged], {6: 1_500}, ticks=9)
     outcome, _ = assert_alike(script, tmp_path)
@@ -213,7 +212,7 @@ def test_who_follows_a_driver_follows_alike(
 
 
 # -- in every order
-# ---------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 micros = st.integers(0, 9_000)
 lates = st.dictionaries(

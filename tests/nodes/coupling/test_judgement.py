@@ -1,6 +1,6 @@
-"""A change that makes the loop unstable is refused, with the limit and the last value that would be taken.
+"""Unstable changes are refused, with the limit and the last acceptable value.
 
-The oracle is the pole radius of the closed loop, which other tests hold against closed forms and
+The oracle is the pole radius of the closed loop, which other tests check against closed forms and
 simulation.
 """
 
@@ -82,7 +82,7 @@ DEVICE = Plant(T, 0.1, 1.0, 1.0)
 
 
 def stable(law: dict[str, Any]) -> bool:
-    """By the closed loop itself, not by what is tested."""
+    """Whether the closed loop is stable, by its poles."""
     return pole_radius(compile_law(parse_law(law), T), DEVICE) < 1.0
 
 
@@ -182,7 +182,7 @@ def test_a_fallback_is_judged_too_and_a_damper_alone_is_stable() -> None:
 
 
 def test_two_devices_on_one_law_are_judged_for_any_two_hands() -> None:
-    """A spring between two devices of 1 N s/m: 236.07 N/m where one is a tick later (THEORY.md §18)."""
+    """A spring between two devices of 1 N s/m: 236.07 N/m with a tick of delay."""
     judgement = Judgement("coupling", T, LawBook("coupling", T))
     plant = {
         "mass": 0.1,

@@ -1,4 +1,4 @@
-"""The law book: which laws belong together, and what is refused with a path."""
+"""The law book: compatible laws, and refusals with paths."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T = 0.002
 
 
 # -- law book
-# --------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def parameters(**more: Any) -> CouplingParameters:

@@ -1,4 +1,4 @@
-"""What a user types at a running loop: an unstable change is refused there and then, and a forced one ends in saturation."""
+"""Live requests by a user: unstable changes are refused, forced ones end in saturation."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_a_file_and_a_switch_are_refused_as_well(press: Running) -> None:
 
 @pytest.mark.slow
 def test_a_forced_one_saturates_and_ends_safely(press: Running) -> None:
-    """Last: the loop is unstable from here on."""
+    """Last: the loop is unstable afterwards."""
     told = press.haptic("law", "switch", "hard", "--force").stdout
     assert "UNSTABLE: applied because of --force" in told
     # The hand comes back every 3 s.

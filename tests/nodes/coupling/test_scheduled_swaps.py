@@ -1,4 +1,4 @@
-"""Laws change at a time of the schedule: recorded, and with the bits of one process."""
+"""Scheduled law changes: recorded, and bit-equal to one process."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.support.held import HELD, receipts, recorded
 from tests.support.launching import launch_json, running
 
 # -- schedules
-# -----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.process
@@ -53,7 +53,8 @@ SCHEDULED = (
     .replace(
         "      fallback:",
         """        recursive:
-          {kind: pd_alpha, stiffness: 500.0, damping: 1.0, order: 0.8, taps: 6, gains: physical, derivative: oustaloup_matched}
+          {kind: pd_alpha, stiffness: 500.0, damping: 1.0, order: 0.8, taps: 6, gains: physical,
+      derivative: oustaloup_matched}
       schedule: [{at: 2.0, law: recursive}]
       fallback:""",
     )

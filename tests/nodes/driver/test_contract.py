@@ -1,4 +1,4 @@
-"""What every device must do, whichever it is: one contract over all that are registered, each on its stand-in.
+"""The contract of every registered device, each on its emulator.
 
 A check is a test of a bench; the table of the contract (nodes/driver/DEVICES.md) names the same
 checks.
@@ -248,7 +248,7 @@ def test_closed_twice_is_closed(stand: Bench) -> None:
 
 
 def test_the_wrong_device_first(stand: Bench) -> None:
-    """Of two devices the one that is meant, and a clear answer where it is not there."""
+    """Of two devices the chosen one is used, or a clear error is given."""
     wrong: dict[str, Any] = {"serial": 1 if stand.kind == "force_dimension_driver" else "1"}
     if stand.kind == "inverse3_driver":
         wrong["start_time"] = 0

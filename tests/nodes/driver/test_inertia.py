@@ -1,4 +1,4 @@
-"""Inertia by pose: the masses that a law meets, and how they get from a device to node info, the page's map and a tuning."""
+"""Inertia by pose: from the device to the law, node info, the page's map and tuning."""
 
 from __future__ import annotations
 

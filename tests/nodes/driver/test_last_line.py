@@ -1,4 +1,4 @@
-"""The driver as the last line, on real processes: a stand-in device that logs every call, and one enemy at a time."""
+"""The driver as last line of safety, on real processes, with one fault at a time."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ AGAIN = {"respawn": True, "respawn_delay": 0.05}
 
 
 def killed(launch: Running, node: str) -> None:
-    """Kill a node, and wait until another answers in its place."""
+    """Kill a node, and wait for its successor."""
     before = launch.pid(node)
     os.kill(before, signal.SIGKILL)
 
@@ -269,9 +269,11 @@ nodes:
   driver:
     kind: sim_driver
     parameters:
-      safety: {{peak_force: 40.0, slew: 20000.0, workspace: [[-0.2, 0.2], [-0.2, 0.2], [-0.2, 0.2]]}}
+      safety: {{peak_force: 40.0, slew: 20000.0, workspace: [[-0.2, 0.2], [-0.2, 0.2], [-0.2,
+        0.2]]}}
       device: {{mass: 0.1, damping: 1.0, {pushes}}}
-  environment: {{kind: environment, respawn: true, respawn_delay: 0.2, parameters: {{surface: {{kind: plane, position: 0.0}}}}}}
+  environment: {{kind: environment, respawn: true, respawn_delay: 0.2,
+    parameters: {{surface: {{kind: plane, position: 0.0}}}}}}
   coupling:
     kind: coupling
     respawn: true
@@ -296,7 +298,7 @@ WEIGHT = "gravity: 9.81"
 def test_what_has_sunk_in_meets_a_force_that_grows_by_the_ramp_and_is_not_thrown(
     tmp_path: Path, tick: str, pushes: str, strength: float
 ) -> None:
-    """Without a ramp the whole force came back in one tick: 40 N on a hand of 9 N, or on a mass at its workspace's end."""
+    """Without a ramp the whole force returned in one tick: 40 N on a hand of 9 N."""
     assert choose("compiled", KERNELS, print) == "compiled"
     path = tmp_path / "pushed.yaml"
     path.write_text(PUSHED.format(tick=tick, pushes=pushes))

@@ -1,4 +1,4 @@
-"""The question why no force is felt is answered: in the device's words, in events, in `haptic node info`, and on the page."""
+"""Why no force is felt: in the device's words, in events, node info, and on the page."""
 
 from __future__ import annotations
 

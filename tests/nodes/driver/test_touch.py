@@ -1,4 +1,4 @@
-"""The Touch's driver against its stand-in: calibration, axes, faults, and clear refusals; the rest is the contract's."""
+"""The Touch's driver on its emulator: calibration, axes, faults, refusals."""
 
 from __future__ import annotations
 

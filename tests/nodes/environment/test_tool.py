@@ -1,4 +1,4 @@
-"""The tool of a scene that moves: what it answers to a push, how it is added and damped, and what its damping makes certain."""
+"""The tool of a moving scene: response to a push, added mass and damping, certificates."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def scene(
 def test_the_answer_of_a_tool_is_measured(
     option: str, lag: float, damping: float, tmp_path: Path
 ) -> None:
-    """1 − 1/(2n) ticks with n steps of Euler's a tick, 1 with a step of fourth order; a floor under it does not matter."""
+    """Lag 1 − 1/(2n) ticks with n Euler steps, 1 with a fourth-order step."""
     floor = '<geom type="plane" size="1 1 1"/>'
     bodies = (
         f'{floor}<body name="tool" pos="0 0 0.004">{SLIDES}<geom size="0.005" mass="0.05"/></body>'
@@ -141,7 +141,7 @@ def test_a_tool_is_added_to_a_scene_that_has_none(tmp_path: Path) -> None:
 def test_geoms_with_equal_contacts_are_pressed_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """40 geoms of two kinds and one that never comes to rest: three presses, and a text that one can read."""
+    """40 geoms of two kinds and one that never rests: three presses, a readable text."""
     pressed = []
     press = contacts._press
 
@@ -169,7 +169,7 @@ def test_geoms_with_equal_contacts_are_pressed_once(
 
 
 def test_a_contact_that_grows_stiffer_is_called_curved(tmp_path: Path) -> None:
-    """MuJoCo's usual contact grows from 0.9 to 0.95 of its impedance over 1 mm: wider, and from 0.1, it is curved."""
+    """MuJoCo's default contact grows from 0.9 to 0.95 impedance over 1 mm."""
     path = scene(
         tmp_path,
         '<geom name="cushion" type="plane" size="1 1 1" priority="1" solimp="0.1 0.99 0.002"/>',
@@ -182,7 +182,7 @@ def test_a_contact_that_grows_stiffer_is_called_curved(tmp_path: Path) -> None:
 
 
 def random_scene(folder: Path, rng: np.random.Generator) -> Path:
-    """Write a tool with one to three bodies on springs, some without dampers, side by side or one on the other."""
+    """Return a tool with one to three sprung bodies, some undamped, beside or upon each other."""
     rest, depth = "", 0
     for _ in range(rng.integers(1, 4)):
         mass, stiffness = (
@@ -206,7 +206,7 @@ def random_scene(folder: Path, rng: np.random.Generator) -> Path:
 
 
 def growth(path: Path, damping: float, law: CompiledLaw, plant: Plant, ticks: int = 1200) -> float:
-    """Growth of the deflection per tick of a device pushed once, on the tool of a scene; taps only, a whole delay."""
+    """Return the growth per tick of a pushed device's deflection on a scene's tool."""
     world, delay = (
         MovingScene(path, ToolParameters(damping=damping), T, "environment"),
         int(plant.delay),
@@ -232,7 +232,7 @@ def growth(path: Path, damping: float, law: CompiledLaw, plant: Plant, ticks: in
 
 
 def unstable(folder: Path, count: int, parts: tuple[float, ...]) -> list[int]:
-    """How many of so many random scenes swing at these parts of the certified stiffness; delays of 0 and 1 tick in turn."""
+    """Count random scenes unstable at shares of the certified stiffness; delays 0 and 1."""
     rng, found = np.random.default_rng(2), [0] * len(parts)
     for i in range(count):
         plant, gain, damping = (
@@ -252,7 +252,7 @@ def unstable(folder: Path, count: int, parts: tuple[float, ...]) -> list[int]:
 
 
 def test_what_hangs_on_a_damped_tool_does_not_swing_below_its_figure(tmp_path: Path) -> None:
-    """Five random rests: none at 0.99 of the certified stiffness, some at three times it."""
+    """Five random worlds: none unstable at 0.99 of the certified stiffness, some at 3 times."""
     below, above = unstable(tmp_path, 5, (0.99, 3.0))
     assert below == 0
     assert above >= 1
@@ -267,7 +267,7 @@ def test_a_hundred_rests_on_a_damped_tool(tmp_path: Path) -> None:
 
 
 def test_a_coupling_to_a_tool_tells_what_is_certain_and_what_would_make_it_so() -> None:
-    """Of `puck_push`: nothing without damping; a known device with the damping asked for, and not with a little less."""
+    """`puck_push`: nothing without damping; certified with the requested damping only."""
     launch = launch_file.read("puck_push", {})
     given = launch.nodes["coupling"].parameters
     parameters: CouplingParameters = convert(given, CouplingParameters, "coupling")

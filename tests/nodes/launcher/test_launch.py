@@ -1,4 +1,4 @@
-"""Launch files and the launcher: every scenario runs, every mistake is told with its path, the summary is true."""
+"""Launch files and launcher: scenarios run, mistakes name their path, summaries are true."""
 
 from __future__ import annotations
 
@@ -31,18 +31,19 @@ from tests.support.launching import (
 )
 
 PROMISED = {
-    "scenario", "ticks", "missed", "rate_hz", "response_us", "age_ticks_max", "recording", "plot", "exit_reason", "final",
+    "scenario", "ticks", "missed", "rate_hz", "response_us", "age_ticks_max", "recording", "plot",
+    "exit_reason", "final",
 }  # fmt: skip
 
 IN_LOCKSTEP = {
     *("box_edges", "floor_buzz", "floor_guarded", "floor_swap", "identify"),
     *("rough_plane", "sphere_feel", "touch_wall", "two_loggers", "world_feel"),
 }
-"""Scenarios that every run of the tests launches in lockstep (tests/sim/play)."""
+"""Scenarios that other tests launch in lockstep in every run (tests/sim/play)."""
 
 
 def assert_summary_is_true(figures: dict[str, Any], states: list[Any]) -> None:
-    """Compare the summary with what was recorded at every tick."""
+    """Compare the summary with the recorded ticks."""
     times = ResponseTimes()
     for state in states[1:]:
         if state.response > 0.0:
@@ -232,7 +233,7 @@ def test_percentiles_are_those_of_the_values() -> None:
 
 
 def test_a_publisher_waits_for_every_subscription_of_the_launch(tmp_path: Path) -> None:
-    """A logger of three topics must not be counted as three loggers: the first messages would go without the other one."""
+    """A logger of three topics must not count as three, or first messages are lost."""
     setups = wire(launch_file.read("two_loggers", {}), "r", tmp_path, {})
     # One by the next hop, one by the logger of everything, three by the logger of the loop's
     # topics.
@@ -245,7 +246,7 @@ def test_a_publisher_waits_for_every_subscription_of_the_launch(tmp_path: Path) 
 
 
 def test_a_launch_past_the_edge_is_refused_on_a_real_device_only(tmp_path: Path) -> None:
-    """What `param set` would refuse; a virtual device cannot break, and its page may go past the edge."""
+    """A virtual device cannot break, and its page may go past the limit."""
     content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
     content["nodes"]["driver"] = {"kind": "force_dimension_driver"}
     content["nodes"]["coupling"]["parameters"]["plant"] = {
@@ -272,7 +273,7 @@ def test_a_launch_past_the_edge_is_refused_on_a_real_device_only(tmp_path: Path)
 
 @pytest.mark.slow
 def test_files_of_the_user_beside_the_recording_are_not_imported(tmp_path: Path) -> None:
-    """Names that a user's own scripts may well have: none of them may take the place of a module that a node imports."""
+    """A user's scripts must not replace modules that a node imports."""
     for name in ("sim", "messages", "nodes", "yaml", "zmq", "selectors"):
         (tmp_path / f"{name}.py").write_text(
             f"raise SystemExit('{name}.py of the user was imported')\n", encoding="utf-8"
@@ -305,7 +306,7 @@ LAUNCHES = min(5, len(os.sched_getaffinity(0)) + 1)
 
 @pytest.mark.process
 def test_launches_at_once_keep_apart_and_safe(tmp_path: Path) -> None:
-    """More than a small machine has processors for, in one runtime directory: each has its own run, limits and recording."""
+    """More launches than processors in one runtime directory stay separate."""
     peak = 3.0
     processes = []
     with private_runtime_dir() as runtime:

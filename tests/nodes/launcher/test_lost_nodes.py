@@ -1,4 +1,4 @@
-"""Nodes that are lost in mid-run: started again, or the end of the launch, as its file says."""
+"""Nodes lost in mid-run: respawned, or the launch ends, as the launch file says."""
 
 from __future__ import annotations
 

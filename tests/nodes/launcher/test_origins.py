@@ -1,4 +1,4 @@
-"""An error names file, line, choices and what was probably meant, and the argument that the user really wrote."""
+"""Errors name file, line, choices, a suggestion, and the argument that the user wrote."""
 
 from __future__ import annotations
 

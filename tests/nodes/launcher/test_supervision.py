@@ -1,4 +1,4 @@
-"""Supervision with real processes: whatever ends a launch, in whatever order, no process and no file stays behind.
+"""Supervision with real processes: however a launch ends, nothing stays behind.
 
 That nothing is left is asserted by `running` at the end of each block.
 """
@@ -193,9 +193,9 @@ def test_what_does_not_end_is_killed_in_the_end_and_sooner_when_asked_twice(
 
 @contextlib.contextmanager
 def starved(pid: int, threads: str = "") -> Iterator[None]:
-    """Let a process run only when four others, which never rest, leave it the processor: a part in 400 at the most.
+    """Leave a process at most a 400th of a processor, beside four busy ones.
 
-    Or only those of its `threads` that have this in their name.
+    Or only its `threads` with this name.
     """
     processor = min(os.sched_getaffinity(0))
     spin = (
@@ -219,7 +219,7 @@ def starved(pid: int, threads: str = "") -> Iterator[None]:
 
 @pytest.mark.process
 def test_a_logger_that_stops_waits_for_what_its_own_transport_still_holds(tmp_path: Path) -> None:
-    """A while without messages was the end to it, also where its I/O thread had all of them and no processor."""
+    """Silence counted as the end, even if its I/O thread held all messages."""
     with running(tmp_path, scenario(tmp_path)) as launch:
         logger = launch.pid("logger")
         with starved(logger, "ZMQbg/IO"):
@@ -266,7 +266,7 @@ def test_what_others_keep_from_running_is_waited_for(tmp_path: Path) -> None:
 
 @pytest.fixture
 def ice() -> Iterator[Path]:
-    """Make a control group whose processes the kernel does not let die when they are frozen."""
+    """Return a control group whose frozen processes cannot die."""
     group = Path(f"/sys/fs/cgroup/freezer/haptic-test-{os.getpid()}")
     try:
         group.mkdir()

@@ -1,4 +1,4 @@
-"""Parameters: YAML without surprises, errors that carry path, value and limit, all-or-nothing changes, watched files."""
+"""Parameters: YAML, errors with path, value and limit, atomic changes, watched files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from nodes.parameters.yaml_io import (
 )
 
 # -- YAML
-# ----------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -146,7 +146,7 @@ trees = st.recursive(
 
 
 def bits(value: Any) -> Any:
-    """Floats as bits, so that −0.0 and the last digit count."""
+    """Return floats as bits, so that −0.0 and the last digit count."""
     if isinstance(value, float):
         return struct.pack("<d", value)
     if isinstance(value, dict):
@@ -171,7 +171,7 @@ def test_repeated_objects_are_written_out() -> None:
 
 
 class Inner(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A branch."""
+    """A group of parameters."""
 
     gain: Annotated[float, msgspec.Meta(ge=0.0)] = 1.0
     points: list[list[float]] = []

@@ -1,4 +1,4 @@
-"""Watched files: whole documents only, a bad one told once, nothing missed."""
+"""Watched files: complete documents only, a bad one reported once, no change missed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import WatchedFile, parse_yaml
 
 # -- watched files
-# -------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def polled(watched: WatchedFile, times: int = 4) -> list[Any]:
 
 
 def test_a_pipe_is_told_once_and_waited_for_by_nobody(tmp_path: Path) -> None:
-    """The thread that answers requests waited until somebody wrote to it."""
+    """The thread for requests waited until somebody wrote to the pipe."""
     path = tmp_path / "coupling.yaml"
     os.mkfifo(path)
     watched = WatchedFile(str(path))

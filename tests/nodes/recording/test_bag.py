@@ -1,4 +1,4 @@
-"""``haptic bag``: what is printed, what is written and what is refused."""
+"""``haptic bag``: output, files and refusals."""
 
 from __future__ import annotations
 
@@ -194,7 +194,7 @@ def test_exports_tell_a_place_that_cannot_be_written(
 
 
 # -- play
-# ------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture

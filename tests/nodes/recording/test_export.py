@@ -1,4 +1,4 @@
-"""What ``haptic bag export`` writes, read back by the programs that it is for, and `read`."""
+"""Files of ``haptic bag export``, read by their target programs, and `read`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from tests.support.recorded import PERIOD, drop
 from tests.support.strategies import TYPES
 
 BEGUN = 12345.678
-"""Stamp of the first tick: tables begin at 0 all the same [s]."""
+"""Stamp of the first tick; tables still start at 0 [s]."""
 
 EVENT = Event(
     seq=0,
@@ -121,7 +121,7 @@ def test_a_row_holds_what_belongs_to_its_tick(bag: Path) -> None:
 
 
 def test_a_recording_longer_than_the_window_has_every_answer(tmp_path: Path) -> None:
-    """Rows leave while the file is read, each with what the next tick tells of it."""
+    """Rows are emitted during reading, each with the next tick's report."""
     path, ticks = tmp_path / "r.mcap", table_of_ticks._WINDOW + 200
     sent = list(drop(ticks))
     write(path, sent)
@@ -187,7 +187,7 @@ def test_a_recording_without_ticks_has_no_table(tmp_path: Path) -> None:
 
 
 # -- formats
-# ---------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_csv_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""A recording as a ROS 2 bag: read back by two libraries that know nothing of us."""
+"""A recording as a ROS 2 bag, read back by two independent libraries."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the figures of a recording say: gaps, accounts, clocks, summary."""
+"""Figures of a recording: gaps, accounts, clocks, summary."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ OFFSETS = (LOG_OFFSET, PUBLISH_OFFSET)
 
 
 # -- figures
-# ---------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @given(seqs=st.sets(st.integers(0, 2**34), min_size=1, max_size=30))
@@ -294,7 +294,7 @@ def test_summary_is_true_to_the_recording(tmp_path: Path) -> None:
     assert summary.response_us["p99"] == pytest.approx(
         float(np.percentile(responses, 99)), rel=1e-14
     )
-    # A tick without an answer in time is missed; it has no response of 0 that would halve the median.
+    # A missed tick has no response; a response of 0 would halve the median.
     assert summary.response_us["p50"] == pytest.approx(float(np.median(responses)), rel=1e-14)
     assert summary.response_us["max"] == max(responses)
     assert summary.position_m == list(states[-1].position)

@@ -1,4 +1,4 @@
-"""Recordings as they are read: cut anywhere, damaged anywhere, and what their figures say."""
+"""Reading recordings: cut or damaged anywhere, and their figures."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def read(path: Path) -> list[tuple[str, Message]]:
 
 
 # -- cut files
-# -------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def check_cut(whole: Whole, path: Path, cut: int) -> None:
@@ -99,7 +99,7 @@ def test_a_file_with_an_unwritten_tail(whole: Whole, tmp_path: Path) -> None:
 
 
 # -- damaged files
-# ---------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def check_changed(whole: Whole, path: Path, place: int, flip: int, may_cost: int) -> None:
@@ -144,7 +144,7 @@ def test_a_changed_opcode_or_length_of_a_chunk_costs_nothing(
 def test_a_changed_inner_length_of_a_chunk_costs_nothing(
     whole: Whole, tmp_path: Path, byte: int, flip: int
 ) -> None:
-    """Zstd ignores what follows its frame and the checksum fits, so sound chunks behind were taken for a part of it."""
+    """Zstd ignores data after its frame, so later chunks counted as part of it."""
     inner = whole.starts[0] + mcap_walk.FRAME.size + mcap_walk.CHUNK_HEAD.size + 8
     check_changed(whole, tmp_path / "r.mcap", inner + byte, flip, may_cost=0)
 
@@ -177,7 +177,7 @@ def test_the_length_of_a_frame_is_read_from_its_blocks() -> None:
 def test_a_search_for_chunks_does_not_cost_the_square_of_a_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of each place that looked like a chunk all to the end of the file was copied."""
+    """Each place that looked like a chunk copied the rest of the file."""
     count, each = 3000, 80
     body = b""
     for n in range(count):

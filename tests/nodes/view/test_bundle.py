@@ -1,4 +1,4 @@
-"""What is put together from modules: each once, before what needs it; nothing that would mean something else there."""
+"""Bundled modules: each once, after its imports, without changes of meaning."""
 
 from __future__ import annotations
 

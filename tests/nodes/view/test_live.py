@@ -1,4 +1,4 @@
-"""What a view keeps of a run: when that is over, what rings, what B is played with."""
+"""State of a run for pages: its end, ringing, and the inputs of B."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def status(state: str, reason: str = "") -> NodeStatus:
 
 @pytest.mark.slow
 def test_a_page_goes_on_with_a_driver_that_failed_and_is_started_again(tmp_path: Path) -> None:
-    """The launcher says whether a failed driver is the end: one that it starts again is not."""
+    """Only the launcher decides whether a failed driver ends the run."""
     content = drill_scene()
     driver = content["nodes"]["driver"]
     driver["kind"], driver["parameters"]["order"] = "faulty_driver", ORDER

@@ -1,4 +1,4 @@
-"""Who may open the page, and who may not; what a page may ask; a recording behind the same page."""
+"""Access to the page, its requests, and a recording behind the same page."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def get(url: str, **headers: str) -> tuple[int, str]:
 
 @pytest.mark.process
 def test_stop_waits_for_no_node_that_does_not_answer(tmp_path: Path) -> None:
-    """Neither does the end: nobody has to kill a view that still waits for an answer."""
+    """Nor does the end of the view."""
     with running(tmp_path, "touch_wall", "--view", "--without", "logger") as launch:
         os.kill(launch.pid("coupling"), signal.SIGSTOP)
         with live(url_of(launch)) as page:
@@ -84,7 +84,7 @@ def test_other_addresses_are_refused_with_the_ssh_line(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_view_hears_a_node_again_after_a_message_above_the_limit(tmp_path: Path) -> None:
-    """The only word that a page has of this node are its statuses, over the connection that breaks."""
+    """The page hears this node only by its statuses, over the broken connection."""
     content = drill_scene()
     content["nodes"]["link"] = {"kind": "link"}
     (tmp_path / "linked.yaml").write_text(json.dumps(content), encoding="utf-8")
@@ -169,7 +169,7 @@ def test_reading_a_recording_is_told_and_can_be_interrupted(
     assert shares[-1] < 1.0
 
     class Impatient(io.StringIO):
-        """Standard error before somebody who presses Ctrl-C at the first line."""
+        """Standard error whose reader presses Ctrl-C at the first line."""
 
         def write(self, text: str) -> int:
             if text.startswith("reading"):
@@ -293,7 +293,7 @@ def test_a_slider_of_a_law_that_renders_no_more_changes_no_other(launch: Running
 
 @pytest.mark.slow
 def test_a_recording_that_ends_by_itself_is_told(launch: Running) -> None:
-    """Its folder cannot be made, or what records is killed: nobody goes on believing that it records."""
+    """If the folder cannot be created or the recorder is killed, the page shows it."""
     blocker = launch.folder / "recordings"
     with live(url_of(launch)) as page:
 
@@ -345,7 +345,7 @@ def test_a_client_that_reads_nothing_is_dropped_and_costs_no_memory(launch: Runn
 
 @pytest.mark.process
 def test_no_command_line_holds_the_token(launch: Running, tmp_path: Path) -> None:
-    """Every user of the machine reads the command lines of all others; a browser gets a file that only its own user reads."""
+    """Command lines are public; the browser gets a private file instead."""
     browser, seen = tmp_path / "browser", tmp_path / "seen"
     browser.write_text(f'#!/bin/sh\necho "$@" > {seen}.draft\nmv {seen}.draft {seen}\n')
     browser.chmod(0o755)

@@ -1,4 +1,4 @@
-"""Why there is no force: each reason has its sentence."""
+"""Why there is no force: each reason has a sentence."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def test_a_stop_is_told_by_its_strokes() -> None:
     ("hertz", "rings"), [(2.0, False), (10.0, False), (20.0, True), (60.0, True), (160.0, True)]
 )
 def test_a_force_that_goes_to_and_fro_rings(hertz: float, rings: bool) -> None:
-    """A wall that only pushes, at 500 Hz: nobody's hand taps 20 times a second."""
+    """A wall that only pushes, at 500 Hz: no hand taps 20 times a second."""
     period, watched = 0.002, Ringing()
     for tick in range(500):
         watched.take(

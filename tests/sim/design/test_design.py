@@ -54,7 +54,8 @@ pd, free = functools.cache(best_pd), functools.cache(designed)
 
 def demand(at: float = 1.0, **more: Any) -> Demand:
     values: dict[str, Any] = {
-        "mass": (0.05, 0.2), "damping": 1.0, "delay": (at, at), "period": T, "radius": 0.99, "nyquist": 1e4
+        "mass": (0.05, 0.2), "damping": 1.0, "delay": (at, at), "period": T, "radius": 0.99,
+        "nyquist": 1e4,
     }  # fmt: skip
     return Demand(**(values | more))
 

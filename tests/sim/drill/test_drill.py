@@ -49,7 +49,7 @@ def state(
 
 
 # -- the judgement
-# ----------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_fresh_forces_are_safe_at_any_age() -> None:
@@ -194,7 +194,7 @@ def test_a_force_that_comes_back_keeps_its_ramp_and_throws_nobody() -> None:
     )
     # 9 N over 20 mm, the damping of the way and the speed at its end: 0.217 J.
     assert people.thrown([*right, *_sunk(later, [0.0], 0.215)]) == []
-    assert "the way out takes 217 mJ" in people.thrown([*right, *_sunk(later, [0.0], 0.22)])[0]
+    assert "the return needs 217 mJ" in people.thrown([*right, *_sunk(later, [0.0], 0.22)])[0]
 
 
 def test_a_push_that_nobody_asked_for_is_seen() -> None:

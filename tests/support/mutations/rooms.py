@@ -1,4 +1,4 @@
-"""Mutations of what a law, a verdict, a recording or an identification says; a review found most of them unnoticed."""
+"""Mutations in laws, verdicts, recordings and identification that earlier tests missed."""
 
 from __future__ import annotations
 
@@ -39,7 +39,9 @@ NAMED_RULES: Final = (
     Mutation(
         "what waits for answers is not forgotten at a restart",
         "nodes/recording/table.py",
-        "                waiting.clear()\n                proxies.clear()\n                forces.clear()\n",
+        "                waiting.clear()\n"
+        "                proxies.clear()\n"
+        "                forces.clear()\n",
         "                waiting.clear()\n",
         (TABLES,),
     ),
