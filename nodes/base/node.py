@@ -217,7 +217,7 @@ class Node:
 
     @classmethod
     def is_virtual(cls, parameters: Mapping[str, Any], name: str) -> bool:
-        """Return whether the device of the node `name` with these `parameters` lives in simulated time.
+        """Return whether the device of these `parameters` lives in simulated time.
 
         Returns
         -------

@@ -130,7 +130,7 @@ class Coupling(Node):
             self._book.figures(parameters, self._renderer.law.compiled, self._felt_delay)
 
     def begin_with(self, law: CompiledLaw, swaps: Sequence[tuple[int, CompiledLaw, int]]) -> None:
-        """Begin with a compiled law, and swap to others at given ticks, in place of the parameters' own.
+        """Render a compiled law from the start, and swap to others at given ticks.
 
         `swaps` are tick, law and ramp [ticks], in the order of their ticks.
         """

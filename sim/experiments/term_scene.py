@@ -19,7 +19,7 @@ from sim.device.model import DeviceModel
 from sim.experiments.detail import decimated
 from sim.play.chain import Instead
 from sim.play.hops import UNJUDGED, Hops, hops_of
-from sim.play.launched import Rendered, laws_of
+from sim.play.launched import LawsOfRun, laws_of
 from sim.play.player import How, play, prepare
 from sim.play.trace import ChainTrace
 
@@ -57,7 +57,7 @@ class TermScene(NamedTuple):
         return Instead(law=half(laws.law), swaps=swaps, solids=self.solids)
 
     @property
-    def laws(self) -> Rendered:
+    def laws(self) -> LawsOfRun:
         """What renders, as the launch file says."""
         return laws_of(self.launch, self.hops)
 

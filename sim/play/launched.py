@@ -28,7 +28,7 @@ from sim.play.one_axis import PlannedSwap, Scene, SceneSurface, Trace
 from sim.play.trace import ChainTrace
 
 
-class Rendered(NamedTuple):
+class LawsOfRun(NamedTuple):
     """Laws that a coupling renders."""
 
     names: tuple[str, ...]  # of all, in the order in which they render
@@ -199,7 +199,7 @@ def from_launch(launch: Launch, namespace: str = "") -> LaunchedScene:
     )
 
 
-def laws_of(launch: Launch, hops: Hops) -> Rendered:
+def laws_of(launch: Launch, hops: Hops) -> LawsOfRun:
     """Return the compiled laws that the coupling of a chain renders."""
     coupling: CouplingParameters = convert(
         launch.nodes[hops.coupling].parameters, CouplingParameters, hops.coupling
@@ -212,7 +212,7 @@ def laws_of(launch: Launch, hops: Hops) -> Rendered:
         PlannedSwap(round(swap.at / period), law, swap.ramp)
         for swap, law in zip(swaps, later, strict=True)
     )
-    return Rendered(names, first, planned)
+    return LawsOfRun(names, first, planned)
 
 
 def _refuse_more(launch: Launch, hops: Hops, axes: list[str]) -> None:
