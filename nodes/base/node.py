@@ -217,7 +217,14 @@ class Node:
 
     @classmethod
     def is_virtual(cls, parameters: Mapping[str, Any], name: str) -> bool:
-        """Return whether the device of these `parameters` lives in simulated time.
+        """Return whether a device with these parameters lives in simulated time.
+
+        Parameters
+        ----------
+        parameters : mapping
+            Parameters of the node.
+        name : str
+            Name of the node.
 
         Returns
         -------
