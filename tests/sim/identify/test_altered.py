@@ -15,9 +15,9 @@ from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel
 from sim.identify.altered import AlteredDevice, as_record, from_record, worst_altered
 from sim.identify.identify import identify
-from sim.population.tuned import true_edge
-from sim.population.virtual import excite_outside
-from sim.scene.richer import RicherModel
+from sim.lab.monte_carlo.tuned import true_edge
+from sim.lab.monte_carlo.virtual import excite_outside
+from sim.play.nonideal import NonidealDevice
 from sim.tune.design import linear_edge, remainder_figures, remainder_refusal
 from sim.tune.knocking import scaled
 from sim.tune.tuning_text import predicted_rows
@@ -66,7 +66,7 @@ def test_a_record_is_read_back_with_and_without_a_joint() -> None:
 @pytest.mark.parametrize("odd", [{"gain_by_sign": 0.02}, {"cogging": 0.002}])
 def test_a_law_that_what_is_left_open_makes_unstable_is_refused(odd: dict[str, Any]) -> None:
     """Close to the edge of the fit it is; far below it is not, and the true device agrees."""
-    device = RicherModel(RIGID, **odd)
+    device = NonidealDevice(RIGID, **odd)
     found = identify(excite_outside(device, T, 4.0, seed=1))
     assert found.altered
     edge = linear_edge(LAW, found.plant(), T)
@@ -91,7 +91,7 @@ def test_a_law_that_what_is_left_open_makes_unstable_is_refused(odd: dict[str, A
 
 def test_a_device_whose_residual_is_noise_leaves_nothing_open() -> None:
     assert worst_altered(LAW, T, ()) is None
-    rigid = RicherModel(RIGID)
+    rigid = NonidealDevice(RIGID)
     found = identify(excite_outside(rigid, T, 4.0, seed=1))
     assert found.altered == ()
     assert remainder_figures(LAW, found) == {"remainder_pole_radius": None, "remainder_worst": None}
